@@ -1,0 +1,144 @@
+"""Image files to grey-value arrays and back; every image is taken as hostile until it is decoded."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from metrocli.errors import Fault, InputError
+from metrocli.formats.image_headers import HeaderError, size_of
+
+if TYPE_CHECKING:
+    from metrocli.imageset import ImageSet, Picture
+
+MOST_PIXELS = 200_000_000
+"""Larger images are refused before they are decoded."""
+
+MOST_BYTES = 12 * MOST_PIXELS
+"""Longest file read: six bytes a pixel, and as much again for what surrounds them."""
+
+Size = tuple[int, int]
+
+
+@dataclass(frozen=True)
+class ImageFiles:
+    """Grey images of equal size in files, decoded one at a time."""
+
+    paths: tuple[Path, ...]
+    size: Size
+    """Width and height in pixels."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """File names without folder, in sorted order."""
+        return tuple(path.name for path in self.paths)
+
+    def __len__(self) -> int:
+        return len(self.paths)
+
+    def __iter__(self) -> Iterator[tuple[str, Picture]]:
+        for path in self.paths:
+            yield path.name, read(path)
+
+
+def read_images(paths: Sequence[Path]) -> ImageSet:
+    """Return the images in sorted order of their names; all faults of all files at once.
+
+    Checks here, without decoding: readable, a known format, complete, a sane size, one size for all, names unique.
+    """
+    files = tuple(sorted(paths, key=lambda path: path.name))
+    if not files:
+        raise InputError("no image is given")
+    faults: list[Fault] = []
+    sizes: dict[Path, Size] = {}
+    for path in files:
+        try:
+            sizes[path] = size_of(_bytes(path))
+            faults += _size_fault(path, sizes[path])
+        except HeaderError as fault:
+            faults.append(_fault(path, str(fault)))
+        except InputError as error:
+            faults += error.faults
+    faults += [*_same_names(files), *_different_sizes(sizes)]
+    if faults:
+        raise InputError(faults)
+    return ImageFiles(files, sizes[files[0]])
+
+
+def read(path: Path) -> Picture:
+    """Return one image as grey values (height, width), 8 or 16 bit, on the sensor's own pixel grid (EXIF rotation ignored)."""
+    import cv2
+    import numpy as np
+
+    data = _bytes(path)
+    try:
+        faults = _size_fault(path, size_of(data))
+    except HeaderError as fault:
+        faults = [_fault(path, str(fault))]
+    if faults:
+        raise InputError(faults)
+    flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
+    try:
+        picture = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    except cv2.error:
+        picture = None
+    if picture is None:
+        raise InputError([_fault(path, "the image cannot be decoded: its data are damaged")])
+    if picture.dtype not in (np.uint8, np.uint16):
+        raise InputError([_fault(path, f"grey values are {picture.dtype}; 8 or 16 bit whole numbers are needed")])
+    return picture
+
+
+def write(path: Path, picture: Picture) -> None:
+    """Write an image aside and rename it; the suffix of `path` chooses the format (.png, .tif, .bmp, .pgm)."""
+    import cv2
+
+    try:
+        encoded = cv2.imencode(path.suffix, picture)[1].tobytes()
+    except cv2.error as error:
+        raise InputError([_fault(path, f"an image cannot be written as '{path.suffix}'")]) from error
+    try:
+        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=".", suffix=path.suffix, delete=False) as aside:
+            aside.write(encoded)
+        os.chmod(aside.name, 0o644)
+        os.replace(aside.name, path)
+    except OSError as error:
+        raise InputError([_fault(path, f"cannot be written: {error.strerror}")]) from error
+
+
+def _bytes(path: Path) -> bytes:
+    try:
+        if not path.is_file():
+            raise InputError([_fault(path, "no such image" if not path.exists() else "not a file")])
+        if path.stat().st_size > MOST_BYTES:
+            raise InputError([_fault(path, f"the file has {path.stat().st_size} bytes; {MOST_BYTES} are the most read")])
+        return path.read_bytes()
+    except OSError as error:
+        raise InputError([_fault(path, f"cannot be read: {error.strerror}")]) from error
+
+
+def _size_fault(path: Path, size: Size) -> list[Fault]:
+    if size[0] * size[1] <= MOST_PIXELS:
+        return []
+    return [_fault(path, f"the image is {size[0]} x {size[1]} pixels; {MOST_PIXELS} pixels are the most read")]
+
+
+def _same_names(files: Sequence[Path]) -> list[Fault]:
+    pairs = zip(files, files[1:], strict=False)
+    return [_fault(b, f"two images have this name; the other is {a}") for a, b in pairs if a.name == b.name]
+
+
+def _different_sizes(sizes: dict[Path, Size]) -> list[Fault]:
+    if len(set(sizes.values())) < 2:
+        return []
+    (first, (width, height)), *others = sizes.items()
+    odd, (w, h) = next((path, size) for path, size in others if size != (width, height))
+    return [_fault(odd, f"this image is {w} x {h} pixels, but {first} is {width} x {height}; one camera has one size")]
+
+
+def _fault(path: Path, message: str) -> Fault:
+    return Fault(message, file=str(path))
