@@ -1,0 +1,3 @@
+"""Dimensional metrology on the command line."""
+
+__version__ = "0.1.0"

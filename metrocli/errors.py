@@ -1,0 +1,63 @@
+"""The kinds of failure a user can meet, each with its exit code."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One thing that is wrong in one place of a file the user wrote."""
+
+    message: str
+    file: str = ""
+    line: int | None = None
+    column: int | None = None
+    source: str | None = None
+    """The offending line of the file, shown above the caret."""
+    hint: str | None = None
+    """What was expected, or the nearest known word."""
+
+    def __str__(self) -> str:
+        place = ":".join(str(part) for part in (self.file, self.line, self.column) if part not in (None, ""))
+        text = f"{place}: error: {self.message}" if place else f"error: {self.message}"
+        if self.source is not None and self.line is not None:
+            caret = " " * max((self.column or 1) - 1, 0) + "^"
+            hint = f" {self.hint}" if self.hint else ""
+            return f"{text}\n{self.line:6d} | {self.source}\n       | {caret}{hint}"
+        return f"{text}\n       {self.hint}" if self.hint else text
+
+
+class MetrocliError(Exception):
+    """A failure that is told to the user in plain words, without a traceback."""
+
+    exit_code = 1
+
+
+class UsageError(MetrocliError):
+    """The command line is wrong, or a command was given a job of another kind."""
+
+    exit_code = 2
+
+
+class InputError(MetrocliError):
+    """A job file or an input is wrong, or an output cannot be written; holds every fault found."""
+
+    exit_code = 3
+
+    def __init__(self, faults: Sequence[Fault] | str) -> None:
+        self.faults: tuple[Fault, ...] = (Fault(faults),) if isinstance(faults, str) else tuple(faults)
+        super().__init__("\n".join(str(fault) for fault in self.faults))
+
+
+class UndeterminedError(MetrocliError):
+    """The data cannot determine the unknowns; the message names the combination and what would determine it."""
+
+    exit_code = 4
+
+
+class NotConvergedError(MetrocliError):
+    """The adjustment did not converge."""
+
+    exit_code = 5

@@ -1,0 +1,1 @@
+"""Rotations, poses and shapes: pure functions on arrays, all broadcasting over leading axes."""

@@ -1,0 +1,49 @@
+"""What a job delivers: estimates with their covariance, statistics, tables; independent of any file format."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from metrocli.table import Table
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
+    Array = npt.NDArray[np.float64]
+
+Scalar = float | int | str | bool
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One estimated parameter with its standard uncertainty, in an internal unit."""
+
+    name: str
+    value: float
+    std: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Result:
+    """The outcome of one job (contract section 4)."""
+
+    kind: str
+    title: str
+    estimates: tuple[Estimate, ...]
+    covariance: Array
+    """Of the estimates, (k, k), in their order and units."""
+    statistics: Mapping[str, Scalar | Mapping[str, float]]
+    """observations, unknowns, dof, sigma0, chi2, p_value, iterations, rms: {unit: value}, ..."""
+    tables: Mapping[str, Table] = field(default_factory=dict)
+    """By name: residuals, views, points, ... ; a name may hold a slash for a group."""
+    arrays: Mapping[str, Array] = field(default_factory=dict)
+    """By name: points_covariance, ..."""
+    warnings: tuple[str, ...] = ()
+    shown: tuple[str, ...] = ()
+    """Names of the tables that the terminal shows after the estimates."""
+    notes: tuple[str, ...] = ()
+    """Lines of plain text for the reader of the result, such as a rotation matrix or what was rejected."""

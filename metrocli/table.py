@@ -1,0 +1,76 @@
+"""Named columns, read-only: what a CSV file is once it is inside."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
+    Array = npt.NDArray[np.float64]
+    Values = npt.NDArray[np.float64] | npt.NDArray[np.int64] | npt.NDArray[np.str_] | npt.NDArray[np.bool_]
+
+TEXT, WHOLE, NUMBER = "text", "whole", "number"
+"""Dimensions of columns without a unit; every other dimension is one of `units`."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """What a reader asks for: a quantity by name and dimension, in whatever unit the file has it."""
+
+    name: str
+    dimension: str = NUMBER
+    required: bool = True
+    may_be_empty: bool = False
+    """An empty cell is read as NaN instead of being a fault."""
+
+
+@dataclass(frozen=True)
+class Columns:
+    """The columns of one kind of file, and which of them together must not repeat."""
+
+    columns: tuple[Column, ...]
+    key: tuple[str, ...] = ()
+    description: str = ""
+
+
+@dataclass(frozen=True)
+class Table:
+    """Columns of equal length in internal units (mm, rad, s, px, degC), with their place in the file they came from."""
+
+    columns: Mapping[str, Values]
+    units: Mapping[str, str] = field(default_factory=dict)
+    """Internal unit of each column that has one; text and counts have none."""
+    file: str = ""
+    lines: tuple[int, ...] = ()
+    """Line in the file of each row, for messages."""
+
+    def __len__(self) -> int:
+        return len(next(iter(self.columns.values()))) if self.columns else 0
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.columns
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.columns)
+
+    def numbers(self, name: str, default: float | None = None) -> Array:
+        """Return a numeric column; where it is absent, `default` in every row, or KeyError without one."""
+        import numpy as np
+
+        if name not in self.columns and default is not None:
+            return np.full(len(self), default)
+        return np.asarray(self.columns[name], dtype=float)
+
+    def texts(self, name: str) -> list[str]:
+        """Return a text column as a list."""
+        return [str(value) for value in self.columns[name]]
+
+    def stacked(self, names: Sequence[str]) -> Array:
+        """Return numeric columns side by side, (rows, names)."""
+        import numpy as np
+
+        return np.stack([self.numbers(name) for name in names], axis=1)

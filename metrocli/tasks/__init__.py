@@ -1,0 +1,34 @@
+"""The kinds of job. A kind is one module here (its name with _ for -) and one line in the table."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib import import_module
+from types import ModuleType
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What the command line knows of a kind of job without importing its module."""
+
+    module: str
+    summary: str
+    answers: Mapping[str, str] = field(default_factory=dict)
+    """Options such as --compare, each with its help: instead of `run`, the module's function of that name is called,
+    with the same arguments; it gives a Table, which is printed."""
+
+
+KINDS: dict[str, Kind] = {
+    "calibrate-camera": Kind(
+        "metrocli.tasks.calibrate_camera",
+        "camera model from images or observed points",
+        {"compare": "Fit each lens model and print what it would gain, without writing a result."},
+    ),
+    "align-part": Kind("metrocli.tasks.align_part", "part location and orientation in the machine (6D/7D)"),
+}
+
+
+def load(kind: str) -> ModuleType:
+    """Import the module of a kind."""
+    return import_module(KINDS[kind].module)
