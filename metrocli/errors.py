@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+SHOWN = 160
+"""Most characters of an offending line that are shown."""
+
 
 @dataclass(frozen=True)
 class Fault:
@@ -23,9 +26,11 @@ class Fault:
         place = ":".join(str(part) for part in (self.file, self.line, self.column) if part not in (None, ""))
         text = f"{place}: error: {self.message}" if place else f"error: {self.message}"
         if self.source is not None and self.line is not None:
-            caret = " " * max((self.column or 1) - 1, 0) + "^"
+            start = max((self.column or 1) - 1, 0)
+            cut = max(start - SHOWN // 2, 0) if len(self.source) > SHOWN else 0
+            shown = self.source[cut : cut + SHOWN].replace("\t", " ")
             hint = f" {self.hint}" if self.hint else ""
-            return f"{text}\n{self.line:6d} | {self.source}\n       | {caret}{hint}"
+            return f"{text}\n{self.line:6d} | {shown}\n       | {' ' * (start - cut)}^{hint}"
         return f"{text}\n       {self.hint}" if self.hint else text
 
 

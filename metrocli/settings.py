@@ -463,7 +463,7 @@ class Setting:
 
 
 def setting(spec: Spec, description: str, default: Any = dataclasses.MISSING, key: str = "") -> Any:
-    """Return the field of one key, required without a default; `key` is its name in the file where Python reserves it."""
+    """Return the field of one key, required without a default; `key` is its name where Python reserves it."""
     metadata = {"setting": (spec, description, key)}
     if isinstance(default, Mapping | list):
         return field(default_factory=lambda: default, metadata=metadata)

@@ -47,6 +47,8 @@ class Table:
     file: str = ""
     lines: tuple[int, ...] = ()
     """Line in the file of each row, for messages."""
+    warnings: tuple[str, ...] = ()
+    """What the reader noticed that is not a fault, such as a column that nothing uses."""
 
     def __len__(self) -> int:
         return len(next(iter(self.columns.values()))) if self.columns else 0

@@ -128,7 +128,7 @@ DIMENSIONS = {dimension.name: dimension for dimension in _ALL}
 """The closed table, by name."""
 
 _INTERNAL = {"slope": "1", "ratio": "1"}
-_SPELLINGS = {"µ": "u", "μ": "u", "°C": "degC", "°": "deg", "%": "percent", "Ω": "ohm", "Ω": "ohm"}
+_SPELLINGS = {"\u00b5": "u", "\u03bc": "u", "°C": "degC", "°": "deg", "%": "percent", "\u03a9": "ohm", "\u2126": "ohm"}
 """Both micro signs and both ohm signs of Unicode."""
 _WORDS = {
     "micron": "um", "microns": "um", "micrometer": "um", "micrometre": "um", "millimeter": "mm", "millimetre": "mm",

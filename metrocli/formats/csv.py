@@ -1,0 +1,336 @@
+"""CSV to tables and back: columns end in their unit, every fault has its line and column.
+
+Whole columns are converted at once; only when something is wrong are single cells looked at again to say where.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from metrocli import units
+from metrocli.errors import Fault, InputError
+from metrocli.settings import nearest
+from metrocli.table import NUMBER, TEXT, WHOLE, Column, Columns, Table
+
+if TYPE_CHECKING:
+    from metrocli.table import Values
+
+MOST_FAULTS = 20
+LONGEST_TEXT = 200
+_WHOLE_LIMIT = 1 << 62
+
+
+@dataclass(frozen=True)
+class _Raw:
+    """A file taken apart: its header and its cells, still text."""
+
+    file: str
+    lines: Sequence[str]
+    """All lines of the file as they stand, for messages."""
+    separator: str
+    header_line: int
+    header: tuple[str, ...]
+    cells: tuple[Sequence[str], ...]
+    """By column, as text."""
+    numbers: Sequence[int]
+    """Line of each row."""
+
+    def fault(self, message: str, line: int, cell: int | None = None, hint: str | None = None) -> Fault:
+        shown = self.lines[line - 1]
+        return Fault(message, self.file, line, 1 if cell is None else self.start(shown, cell), shown, hint)
+
+    def start(self, line: str, cell: int) -> int:
+        """Return the column at which a cell begins, commas in quotes not counted; the end of the line beyond it."""
+        quoted, seen = False, 0
+        for at, character in enumerate(line):
+            if seen == cell and not (character == " " and line[at:].strip()):
+                return at + 1
+            quoted ^= character == '"'
+            seen += character == self.separator and not quoted
+        return len(line) + 1
+
+
+def read(path: Path, columns: Columns, shown: str = "") -> Table:
+    """Return the columns asked for, in internal units; raise InputError with every fault (at most MOST_FAULTS a file).
+
+    `shown` is the name of the file in messages. Columns that nobody asked for are named in the table's warnings.
+    """
+    raw = _take_apart(_read_text(path, shown or str(path)), shown or str(path))
+    places, faults = _find(raw, columns)
+    values: dict[str, Values] = {}
+    for column in columns.columns:
+        if column.name in places:
+            index, unit = places[column.name]
+            values[column.name] = _convert(raw, index, column, unit, faults)
+    if not faults:
+        faults = _repeated(raw, columns, values)
+    if faults:
+        raise InputError(_shortened(faults))
+    internal = {c.name: units.internal_unit(c.dimension) for c in columns.columns if _has_unit(c) and c.name in values}
+    return Table(values, internal, raw.file, tuple(raw.numbers), _unused(raw, columns, places))
+
+
+def _read_text(path: Path, shown: str) -> str:
+    try:
+        if path.is_dir():
+            raise InputError([Fault("this is a folder, not a CSV file", shown)])
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError([Fault(f"cannot be read: {error.strerror}", shown)]) from error
+    if b"\0" in data:
+        line = data[: data.index(b"\0")].count(b"\n") + 1
+        raise InputError([Fault("this is not a text file", shown, line, 1, hint="expected CSV in UTF-8")])
+    try:
+        return data.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
+    except UnicodeDecodeError as error:
+        line = data[: error.start].count(b"\n") + 1
+        column = error.start - data.rfind(b"\n", 0, error.start)
+        hint = "save the file in UTF-8"
+        raise InputError([Fault("the file is not text in UTF-8", shown, line, column, hint=hint)]) from error
+
+
+def _take_apart(text: str, file: str) -> _Raw:
+    """Split the text into header and cells; raise InputError where the rows do not have the cells of the header."""
+    lines = text.split("\n")
+    at = next((n for n, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")), None)
+    if at is None:
+        raise InputError([Fault("the file is empty", file, 1, 1, hint="expected a header that names the columns")])
+    separator = max(",;\t", key=lines[at].count)
+    header = tuple(cell.strip() for cell in next(csv.reader([lines[at]], delimiter=separator)))
+    raw = _Raw(file, lines, separator, at + 1, header, (), ())
+    numbers = [n for n, line in enumerate(lines[at + 1 :], at + 2) if line and (line[0] not in "# \t" or _is_row(line))]
+    if all(re.fullmatch(r"[-+.\deE]+", cell) for cell in header):
+        raise InputError([raw.fault("the columns have no names", at + 1, None, "name them in the first line")])
+    if not numbers:
+        raise InputError([raw.fault("there is a header and no row", at + 1)])
+    if '"' in text:
+        return _quoted(raw)
+    rows = [lines[n - 1] for n in numbers]
+    wrong = [n for n, row in zip(numbers, rows, strict=True) if row.count(separator) != len(header) - 1]
+    _refuse_cells(raw, [(n, lines[n - 1].count(separator) + 1) for n in wrong])
+    flat = separator.join(rows).split(separator)
+    return replace(raw, cells=tuple(flat[k :: len(header)] for k in range(len(header))), numbers=numbers)
+
+
+def _is_row(line: str) -> bool:
+    return line.strip()[:1] not in ("", "#")
+
+
+def _quoted(raw: _Raw) -> _Raw:
+    """Take a file with quotation marks apart, where a cell may hold separators and line ends."""
+    rows, numbers, wrong = [], [], []
+    reader = csv.reader(raw.lines[raw.header_line :], delimiter=raw.separator, strict=True)
+    before = 0
+    try:
+        for row in reader:
+            line, before = raw.header_line + before + 1, reader.line_num
+            if not _is_row(raw.lines[line - 1]):
+                continue
+            rows.append(row)
+            numbers.append(line)
+            wrong += [(line, len(row))] if len(row) != len(raw.header) else []
+    except csv.Error as error:
+        line = min(raw.header_line + before + 1, len(raw.lines))
+        message = "a quotation mark is opened and not closed, or followed by text"
+        raise InputError([raw.fault(message, line)]) from error
+    _refuse_cells(raw, wrong)
+    return replace(raw, cells=tuple(zip(*rows, strict=True)), numbers=numbers)
+
+
+def _refuse_cells(raw: _Raw, wrong: Sequence[tuple[int, int]]) -> None:
+    """Raise InputError for rows with another number of cells than the header has columns."""
+    comma = raw.separator == ","
+    faults = []
+    for line, count in wrong[: MOST_FAULTS + 1]:
+        more = count > len(raw.header)
+        hint = "is there a decimal comma? write 0.1, not 0,1" if more and comma else f"columns: {', '.join(raw.header)}"
+        message = f"{count} cells in this row, {len(raw.header)} columns in the header"
+        faults.append(raw.fault(message, line, min(count, len(raw.header)) if more else count, hint))
+    if faults:
+        raise InputError(_shortened(faults))
+
+
+def _has_unit(column: Column) -> bool:
+    return column.dimension not in (TEXT, WHOLE, NUMBER)
+
+
+def _find(raw: _Raw, columns: Columns) -> tuple[dict[str, tuple[int, units.Unit | None]], list[Fault]]:
+    """Return for each column asked for its index in the file and its unit, and what is wrong with the header."""
+    faults = [
+        raw.fault(f"the column '{name}' is there twice" if name else "a column without a name", raw.header_line, index)
+        for index, name in enumerate(raw.header)
+        if not name or name in raw.header[:index]
+    ]
+    places: dict[str, tuple[int, units.Unit | None]] = {}
+    for column in columns.columns:
+        forms = _forms(column)
+        found = [name for name in forms if name in raw.header]
+        if len(found) == 1:
+            places[column.name] = (raw.header.index(found[0]), forms[found[0]])
+        elif found:
+            at = raw.header.index(found[1])
+            message = f"two columns for one quantity: {' and '.join(found)}"
+            faults.append(raw.fault(message, raw.header_line, at, "keep one of them"))
+        else:
+            faults.extend(_absent(raw, column, tuple(forms), columns))
+    return places, faults
+
+
+def _forms(column: Column) -> dict[str, units.Unit | None]:
+    """Return the names under which a file may hold a column, with the unit that each means."""
+    if not _has_unit(column):
+        return {column.name: None}
+    return {f"{column.name}_{suffix}": unit for suffix, unit in units.suffixes(column.dimension).items()}
+
+
+def _absent(raw: _Raw, column: Column, forms: tuple[str, ...], columns: Columns) -> list[Fault]:
+    """Say why a column was not found: without unit, in a unit of something else, misspelt, or not there."""
+    accepted = f"accepted: {', '.join(forms)}"
+    others = {c.name for c in columns.columns}
+    for index, name in enumerate(raw.header):
+        if _has_unit(column) and name == column.name:
+            return [raw.fault(f"the column '{name}' has no unit", raw.header_line, index, accepted)]
+        spelt = re.fullmatch(rf"{re.escape(column.name)}\s*[_\[(/ ]\s*(.+?)[\])]?", name)
+        if spelt and _has_unit(column) and spelt[1] not in others and name not in others and _is_unit(spelt[1]):
+            phrase = units.DIMENSIONS[column.dimension].phrase
+            message = f"the column '{name}' does not name {phrase} with an accepted unit"
+            return [raw.fault(message, raw.header_line, index, accepted)]
+    if not column.required:
+        return []
+    near = nearest(forms[0], raw.header)
+    hint = f"did you mean it by '{near}'? {accepted}" if near and near not in others else accepted
+    return [raw.fault(f"the column '{forms[0]}' is missing", raw.header_line, None, hint)]
+
+
+def _is_unit(text: str) -> bool:
+    known = (suffix for dimension in units.DIMENSIONS for suffix in units.suffixes(dimension))
+    plain = units.plain_symbol(text)
+    return plain in known or any(plain in dimension.symbols for dimension in units.DIMENSIONS.values())
+
+
+def _unused(raw: _Raw, columns: Columns, places: dict[str, tuple[int, units.Unit | None]]) -> tuple[str, ...]:
+    used = {index for index, _ in places.values()}
+    wanted = [form for column in columns.columns if column.name not in places for form in _forms(column)]
+    names = [name for index, name in enumerate(raw.header) if index not in used]
+    near = {name: nearest(name, wanted) for name in names}
+    ask = {name: f"; did you mean '{near[name]}'?" if near[name] else "" for name in names}
+    return tuple(f"{raw.file}:{raw.header_line}: the column '{name}' is not used{ask[name]}" for name in names)
+
+
+def _convert(raw: _Raw, index: int, column: Column, unit: units.Unit | None, faults: list[Fault]) -> Values:
+    """Return one column in internal units, NaN where a cell may be empty and is."""
+    if column.dimension == TEXT:
+        return _texts(raw, index, column, faults)
+    cells = raw.cells[index]
+    kind = int if column.dimension == WHOLE else float
+    try:
+        numbers = list(map(kind, cells))
+        sound = "_" not in "".join(cells) and bool(np.isfinite(np.asarray(numbers, dtype=float)).all())
+    except (ValueError, OverflowError):
+        sound = False
+    if not sound:
+        numbers = [_number(raw, row, index, column, faults) for row in range(len(cells))]
+    if column.dimension == WHOLE and not column.may_be_empty:
+        return np.array(numbers, dtype=np.int64)
+    values = np.array(numbers, dtype=float)
+    return values if unit is None else unit.array_inside(values)
+
+
+def _number(raw: _Raw, row: int, index: int, column: Column, faults: list[Fault]) -> float | int:
+    """Return one cell as a number; 0 with a fault where it is none."""
+    cell = raw.cells[index][row].strip()
+    if not cell and column.may_be_empty:
+        return float("nan")
+    try:
+        value = int(cell) if column.dimension == WHOLE else float(cell)
+        if "_" not in cell and abs(value) < (_WHOLE_LIMIT if column.dimension == WHOLE else float("inf")):
+            return value
+        reason = f"'{cell}' is not a finite number"
+    except ValueError:
+        reason = f"'{cell}' is not a {'whole ' if column.dimension == WHOLE else ''}number" if cell else "an empty cell"
+    comma = re.fullmatch(r"([+-]?\d*),(\d+)", cell)
+    hint = f"write {comma[1]}.{comma[2]}" if comma else None
+    name = raw.header[index]
+    faults.append(raw.fault(f"column '{name}': {reason}", raw.numbers[row], index, hint))
+    return 0
+
+
+def _texts(raw: _Raw, index: int, column: Column, faults: list[Fault]) -> Values:
+    cells = [cell.strip() for cell in raw.cells[index]]
+    name = raw.header[index]
+    if not column.may_be_empty and "" in cells:
+        rows = [row for row, cell in enumerate(cells) if not cell]
+        faults.extend(raw.fault(f"column '{name}': an empty cell", raw.numbers[row], index) for row in rows)
+    if max(map(len, cells)) > LONGEST_TEXT:
+        rows = [row for row, cell in enumerate(cells) if len(cell) > LONGEST_TEXT]
+        message = f"column '{name}': more than {LONGEST_TEXT} characters in one cell"
+        faults.extend(raw.fault(message, raw.numbers[row], index) for row in rows)
+        cells = [cell[:LONGEST_TEXT] for cell in cells]
+    return np.array(cells, dtype=np.str_)
+
+
+def _repeated(raw: _Raw, columns: Columns, values: dict[str, Values]) -> list[Fault]:
+    """Return a fault for each row whose key an earlier row has."""
+    names = [name for name in columns.key if name in values]
+    if not names:
+        return []
+    keys = list(zip(*(values[name].tolist() for name in names), strict=True))
+    if len(set(keys)) == len(keys):
+        return []
+    first: dict[tuple[object, ...], int] = {}
+    faults = []
+    for row, key in enumerate(keys):
+        if key in first:
+            said = ", ".join(f"{name} {value}" for name, value in zip(names, key, strict=True))
+            faults.append(raw.fault(f"{said}: a second row", raw.numbers[row], None, f"first in line {first[key]}"))
+        else:
+            first[key] = raw.numbers[row]
+    return faults
+
+
+def _shortened(faults: Sequence[Fault]) -> list[Fault]:
+    """Return the first faults in the order of the file, and how many more there are."""
+    faults = sorted(faults, key=lambda fault: (fault.line or 0, fault.column or 0))
+    if len(faults) <= MOST_FAULTS:
+        return list(faults)
+    last = faults[MOST_FAULTS]
+    rest = Fault(f"and {len(faults) - MOST_FAULTS} more faults from here on", last.file, last.line, last.column)
+    return [*faults[:MOST_FAULTS], rest]
+
+
+def write(path: Path, table: Table) -> None:
+    """Write a table with its units in the header, whole or not at all; numbers read back exactly as they are."""
+    from metrocli.formats.aside import written_aside
+
+    with written_aside(path) as aside:
+        aside.write_text(to_text(table), encoding="utf-8", newline="\n")
+
+
+def to_text(table: Table) -> str:
+    """Return a table as the text of a CSV file."""
+    out = io.StringIO()
+    columns = [_cells(table.columns[name]) for name in table]
+    looks_like_comment = bool(columns) and any(cell.startswith("#") for cell in columns[0])
+    writer = csv.writer(out, lineterminator="\n", quoting=csv.QUOTE_ALL if looks_like_comment else csv.QUOTE_MINIMAL)
+    writer.writerow([_header(name, table.units.get(name, "")) for name in table])
+    writer.writerows(zip(*columns, strict=True))
+    return out.getvalue()
+
+
+def _header(name: str, unit: str) -> str:
+    suffix = units.suffix_of(unit)
+    return f"{name}_{suffix}" if suffix else name
+
+
+def _cells(values: Values) -> list[str]:
+    if values.dtype.kind == "f":
+        return ["" if value != value else repr(value) for value in values.tolist()]
+    return [str(value) for value in values.tolist()]

@@ -1,0 +1,205 @@
+"""Strict YAML: text to nodes with their places, without types, aliases or tags.
+
+Nodes are built from the events of the parser, so that an alias is refused where it stands, before anything expands it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from metrocli.errors import Fault, InputError
+from metrocli.settings import Node, Source
+
+MOST_BYTES = 4_000_000
+DEEPEST = 30
+_LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+_PLAIN_WORDS = (
+    ("tab character", "a tab stands in the indentation", "indent with spaces"),
+    ("cannot start any token", "text cannot begin with this character", "put the text in quotes"),
+    ("mapping values are not allowed", "a second ': ' in one value, or a line indented too far",
+     "put text with ': ' in quotes; indent all keys of a mapping alike"),
+    ("did not find expected key", "this line does not fit to the ones above", "indent all keys of a mapping alike"),
+    ("did not find expected '-'", "this line does not fit to the list above", "begin each value of a list with '- '"),
+    ("block sequence entries are not allowed", "a list cannot begin here", "begin it on a line of its own"),
+    ("could not find expected ':'", "a key without ': '", "write 'key: value'"),
+    ("',' or ']'", "a list [ ... ] is not closed, or a comma is missing", "write [a, b, c]"),
+    ("',' or '}'", "a mapping { ... } is not closed, or a comma is missing", "write {a: 1, b: 2}"),
+    ("unknown escape character", "an unknown escape in a text in double quotes", "use single quotes"),
+    ("quoted scalar", "a quotation mark is opened and not closed", "close it on the same line"),
+    ("unexpected end of stream", "a quotation mark is opened and not closed", "close it on the same line"),
+    ("undefined tag", "YAML tags are not used in jobs", "remove the word that begins with '!'"),
+    ("undefined alias", "YAML aliases are not used in jobs", "write the value out"),
+    ("node content", "a value is expected here", "put the text in quotes"),
+    ("document start", "a job file holds one document only", "remove what follows, or the '---'"),
+)  # fmt: skip
+
+
+def read_text(path: Path, shown: str) -> str:
+    """Return the text of a YAML file in UTF-8 (byte order mark tolerated), or raise InputError."""
+    try:
+        if path.is_dir():
+            raise InputError([Fault("this is a folder, not a file", shown)])
+        if path.stat().st_size > MOST_BYTES:
+            raise InputError([Fault(f"the file has more than {MOST_BYTES} bytes; this is not a job file", shown)])
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError([Fault(f"cannot be read: {error.strerror}", shown)]) from error
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data[: error.start].count(b"\n") + 1
+        raise InputError([Fault("the file is not text in UTF-8", shown, line, 1)]) from error
+
+
+def parse(text: str, file: str, folder: Path) -> Node:
+    """Return the root of a YAML text; raise InputError with every fault of its form."""
+    source = Source(file, tuple(text.splitlines()), folder)
+    odd = next((at for at, c in enumerate(text) if ord(c) < ord(" ") and c not in "\n\r\t"), None)
+    if odd is not None:
+        line = text.count("\n", 0, odd) + 1
+        column = odd - text.rfind("\n", 0, odd)
+        raise InputError([Fault("a control character; this is not a text file", file, line, column)])
+    builder = _Builder(source)
+    try:
+        for event in yaml.parse(text, Loader=_LOADER):
+            builder.take(event)
+    except yaml.MarkedYAMLError as error:
+        raise InputError([*builder.faults, _syntax_fault(error, source)]) from error
+    except yaml.YAMLError as error:
+        raise InputError([Fault(f"this is not YAML: {error}", file)]) from error
+    if builder.root is None and not builder.faults:
+        raise InputError([Fault("the file is empty", file, 1, 1)])
+    if builder.faults or builder.root is None:
+        raise InputError(builder.faults)
+    return builder.root
+
+
+def _syntax_fault(error: yaml.MarkedYAMLError, source: Source) -> Fault:
+    """Say what the parser found in plain words, at its place."""
+    texts = f"{error.problem} {error.context or ''}"
+    unclosed = "',' or" in texts or "unexpected end of stream" in texts
+    mark = (error.context_mark if unclosed else None) or error.problem_mark or error.context_mark
+    line = min((mark.line if mark else 0) + 1, max(len(source.lines), 1))
+    shown = source.lines[line - 1] if source.lines else ""
+    column = min((mark.column if mark else 0) + 1, len(shown) + 1)
+    if shown[column - 1 : column] == "\t" or shown[: len(shown) - len(shown.lstrip())].count("\t"):
+        column, texts = shown.find("\t") + 1, "tab character"
+    for known, message, hint in _PLAIN_WORDS:
+        if known in texts:
+            return Fault(message, source.file, line, column, shown, hint)
+    return Fault(f"this is not YAML: {error.problem}", source.file, line, column, shown)
+
+
+@dataclass
+class _Open:
+    """A list or mapping whose end has not come yet."""
+
+    node: Node
+    children: list[Node] = field(default_factory=list)
+    repeated: bool = False
+
+
+class _Builder:
+    """Puts the events of the parser together into nodes."""
+
+    def __init__(self, source: Source) -> None:
+        self.source = source
+        self.faults: list[Fault] = []
+        self.root: Node | None = None
+        self.stack: list[_Open] = []
+        self.documents = 0
+
+    def take(self, event: Any) -> None:
+        if isinstance(event, yaml.DocumentStartEvent):
+            self._start_document(event)
+        elif isinstance(event, yaml.AliasEvent):
+            self._refuse(event, "a YAML alias (*) is not used in jobs", "write the value out")
+            self._close(self._node(event, "scalar", text="*"))
+        elif isinstance(event, yaml.ScalarEvent):
+            self._refuse_extras(event)
+            self._close(self._node(event, "scalar", text=event.value, quoted=event.style in tuple("'\"|>")))
+        elif isinstance(event, yaml.CollectionStartEvent):
+            self._refuse_extras(event)
+            self._open(event)
+        elif isinstance(event, yaml.CollectionEndEvent):
+            self._close(self._finished(self.stack.pop()))
+
+    def _start_document(self, event: Any) -> None:
+        self.documents += 1
+        if self.documents > 1:
+            self._refuse(event, "a second document in the file", "a job file holds one document only")
+            raise InputError(self.faults)
+
+    def _open(self, event: Any) -> None:
+        if len(self.stack) >= DEEPEST:
+            self._refuse(event, f"more than {DEEPEST} levels, one inside the other", "this is not a job file")
+            raise InputError(self.faults)
+        self.stack.append(_Open(self._node(event, "mapping" if isinstance(event, yaml.MappingStartEvent) else "list")))
+
+    def _close(self, node: Node) -> None:
+        if self.stack:
+            self.stack[-1].children.append(node)
+        else:
+            self.root = _with_paths(node, "")
+
+    def _finished(self, opened: _Open) -> Node:
+        if opened.node.kind == "list":
+            return replace(opened.node, items=tuple(opened.children))
+        pairs = list(zip(opened.children[::2], opened.children[1::2], strict=True))
+        seen: dict[str, Node] = {}
+        for key, _ in pairs:
+            if key.kind != "scalar" or not key.text:
+                self.faults.append(key.fault("a key must be one word"))
+            elif key.text in seen:
+                first = seen[key.text].line
+                self.faults.append(key.fault(f"the key '{key.text}' stands here twice", f"first in line {first}"))
+            seen.setdefault(key.text, key)
+        return replace(opened.node, entries=tuple(pairs))
+
+    def _node(self, event: Any, kind: Any, text: str = "", quoted: bool = False) -> Node:
+        mark = event.start_mark
+        return Node(kind, self.source, text=text, quoted=quoted, line=mark.line + 1, column=mark.column + 1)
+
+    def _refuse_extras(self, event: Any) -> None:
+        if event.anchor is not None:
+            self._refuse(event, "a YAML anchor (&) is not used in jobs", "write the value out where it is used")
+        if event.tag is not None:
+            self._refuse(event, f"a YAML tag ({event.tag}) is not used in jobs", "write the plain value")
+
+    def _refuse(self, event: Any, message: str, hint: str) -> None:
+        self.faults.append(self._node(event, "scalar").fault(message, hint))
+
+
+def _with_paths(node: Node, path: str) -> Node:
+    """Give each node the keys that lead to it."""
+    below = f"{path}." if path else ""
+    items = tuple(_with_paths(item, f"{path}[{n}]") for n, item in enumerate(node.items, 1))
+    entries = tuple((replace(key, path=path), _with_paths(value, below + key.text)) for key, value in node.entries)
+    return replace(node, path=path, items=items, entries=entries)
+
+
+def emit(node: Node, indent: int = 0) -> str:
+    """Return the node as YAML text in block form; a comment of the original is not kept."""
+    pad = " " * indent
+    if node.kind == "mapping" and node.entries:
+        return "".join(f"{pad}{_word(key)}:{_below(value, indent)}" for key, value in node.entries)
+    if node.kind == "list" and node.items:
+        return "".join(f"{pad}-{_below(item, indent)}" for item in node.items)
+    return f"{pad}{_word(node)}\n"
+
+
+def _below(node: Node, indent: int) -> str:
+    nested = node.entries or node.items
+    return f"\n{emit(node, indent + 2)}" if nested else f" {_word(node)}\n"
+
+
+def _word(node: Node) -> str:
+    import json
+
+    if node.kind != "scalar":
+        return "{}" if node.kind == "mapping" else "[]"
+    return json.dumps(node.text, ensure_ascii=False) if node.quoted or "\n" in node.text else node.text
