@@ -1,1 +1,1 @@
-
+"""Instruments: links, chains and starting values, one file each."""

@@ -1,0 +1,95 @@
+"""Blocks: named arrays of unknowns, each free, fixed or considered."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from enum import Enum
+
+import numpy as np
+import numpy.typing as npt
+
+from metrocli.geometry import poses
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+
+class Space(Enum):
+    """How values of a block change by a step, and what separates two of them."""
+
+    FLAT = "values that add"
+    POSE = "poses: shifts add, rotations turn from the left"
+
+    def moved(self, values: Array, step: Array) -> Array:
+        """Return values after a step, both (members, size)."""
+        return values + step if self is Space.FLAT else poses.moved(values, step)
+
+    def difference(self, values: Array, reference: Array) -> Array:
+        """Return the step from `reference` to `values`, (members, size)."""
+        return values - reference if self is Space.FLAT else poses.difference(values, reference)
+
+    def difference_by_step(self, values: Array, reference: Array) -> Array:
+        """Return the derivative of `difference` by a step of the values, (members, size, size)."""
+        if self is Space.FLAT:
+            return np.broadcast_to(np.eye(values.shape[-1]), (*values.shape, values.shape[-1]))
+        return poses.difference_by_step(values, reference)
+
+
+@dataclass(frozen=True)
+class Block:
+    """Unknowns of one kind: `values` (members, size), a row for each member (an image, a target, a tracer)."""
+
+    name: str
+    values: Array
+    columns: tuple[str, ...]
+    """Name of each of the `size` unknowns of a member."""
+    members: tuple[str, ...] = ("",)
+    free: Mask = field(default_factory=lambda: np.array(True))
+    """Which entries the adjustment solves for, broadcast to (members, size)."""
+    considered: Array | None = None
+    """Covariance (members*size, members*size) of a block that is not solved for but whose uncertainty counts."""
+    reach: Array = field(default_factory=lambda: np.array(np.inf))
+    """How far each unknown could plausibly be off, broadcast to (size,); an uncertainty beyond it means undetermined."""
+    space: Space = Space.FLAT
+    noun: str = ""
+    """What a member is called in messages: 'image', 'target'"""
+
+    def __post_init__(self) -> None:
+        values = np.atleast_2d(np.asarray(self.values, dtype=float))
+        if values.shape != (len(self.members), len(self.columns)):
+            raise ValueError(f"block {self.name}: {values.shape} values for {len(self.members)} members x {len(self.columns)}")
+        object.__setattr__(self, "values", values)
+        free = np.zeros(values.shape, dtype=bool) if self.considered is not None else self.free
+        object.__setattr__(self, "free", np.broadcast_to(np.asarray(free, dtype=bool), values.shape))
+        object.__setattr__(self, "reach", np.broadcast_to(np.asarray(self.reach, dtype=float), values.shape[1:]))
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns of one member."""
+        return self.values.shape[1]
+
+    def with_values(self, values: Array) -> Block:
+        """Return the block at other values."""
+        return replace(self, values=values)
+
+    def fixed(self) -> Block:
+        """Return the block with nothing left free."""
+        return replace(self, free=np.array(False))
+
+    def moved(self, step: Array) -> Block:
+        """Return the block after a step (members, size)."""
+        return replace(self, values=self.space.moved(self.values, step))
+
+    def row(self, member: str = "") -> Array:
+        """Return the values of one member."""
+        row: Array = self.values[self.members.index(member)]
+        return row
+
+    def column(self, name: str) -> int:
+        """Return the index of a column by its name."""
+        return self.columns.index(name)
+
+    def mask(self, names: Sequence[str]) -> Mask:
+        """Return (size,) True at the named columns."""
+        return np.array([column in names for column in self.columns])

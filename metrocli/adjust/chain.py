@@ -1,0 +1,164 @@
+"""Chains: links end to end, the forward model of one kind of reading, with derivatives by the chain rule."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from metrocli.adjust.blocks import Array, Block
+from metrocli.adjust.observations import Index, Observations
+from metrocli.adjust.quantities import Quantity
+
+
+@dataclass(frozen=True)
+class Step:
+    """Value of a link and its derivatives; the observation axis is the last one."""
+
+    value: Array
+    """(out, n)"""
+    by_input: Array | None = None
+    """(out, in, n); None for the first link of a chain"""
+    by_block: Mapping[str, Array] = field(default_factory=dict)
+    """(out, size, n), or (k, out, size, n) where a reading touches k members of the block"""
+
+
+@dataclass(frozen=True)
+class Local:
+    """What a link sees: the blocks' values, which member each reading touches, the readings and their conditions."""
+
+    blocks: Mapping[str, Block]
+    observations: Observations
+    wanted: frozenset[str]
+    """Blocks whose derivatives are used; a link may leave out the others."""
+
+    def members(self, block: str) -> Array:
+        """Return the values of all members, (members, size)."""
+        return self.blocks[block].values
+
+    def index(self, block: str) -> Index:
+        """Return which member each reading touches, (n,) or (k, n); zeros for a block of one member."""
+        index = self.observations.index.get(block)
+        return np.zeros(self.observations.count, dtype=np.intp) if index is None else index
+
+    def rows(self, block: str) -> Array:
+        """Return the values touched by each reading, (size, n), or (size, 1) for a block of one member."""
+        values = self.blocks[block].values
+        if len(values) == 1:
+            return values.T
+        return np.ascontiguousarray(values.T)[:, self.index(block)]
+
+    def spread(self, per_member: Array, block: str) -> Array:
+        """Return values computed once for each member (members, ...) at each reading, (..., n) or (..., 1)."""
+        moved = np.moveaxis(per_member, 0, -1)
+        return moved if moved.shape[-1] == 1 else np.ascontiguousarray(moved)[..., self.index(block)]
+
+
+class Link(Protocol):
+    """One differentiable step from a quantity to a quantity."""
+
+    @property
+    def takes(self) -> Quantity | None:
+        """The quantity it needs; None for the first link of a chain."""
+
+    @property
+    def gives(self) -> Quantity:
+        """The quantity it makes."""
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """Names of the blocks whose values it uses."""
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return value (out, n) and derivatives at `value` (in, n)."""
+
+
+def through(outer: Array, inner: Array) -> Array:
+    """Return the product of derivatives at each reading: (a, b, n), (b, c, n) -> (a, c, n)."""
+    n = max(outer.shape[-1], inner.shape[-1])
+    product = np.empty((outer.shape[0], inner.shape[1], n))
+    for a, row in enumerate(outer):
+        for c in range(inner.shape[1]):
+            np.multiply(row[0], inner[0, c], out=product[a, c])
+            for b in range(1, len(inner)):
+                product[a, c] += row[b] * inner[b, c]
+    return product
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Links in order; each takes what the one before it gives."""
+
+    links: tuple[Link, ...]
+
+    def __post_init__(self) -> None:
+        given: Quantity | None = None
+        for link in self.links:
+            if link.takes is not given:
+                wants = "nothing" if link.takes is None else f"a {link.takes.value}"
+                has = "nothing" if given is None else f"a {given.value}"
+                raise ValueError(f"{type(link).__name__} takes {wants}, the chain has {has} there")
+            given = link.gives
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """Names of all blocks that the chain uses, in order, once each."""
+        return tuple(dict.fromkeys(name for link in self.links for name in link.blocks))
+
+    @property
+    def quantities(self) -> tuple[Quantity, ...]:
+        """The quantities that the chain passes through."""
+        return tuple(link.gives for link in self.links)
+
+    def spliced(self, effects: Sequence[Link]) -> Chain:
+        """Return the chain with each effect put behind the last link that gives its quantity.
+
+        Raises ValueError, naming the quantities passed through, where an effect cannot act.
+        """
+        links = list(self.links)
+        for effect in effects:
+            places = [i for i, link in enumerate(links) if link.gives is effect.takes]
+            if not places or effect.gives is not effect.takes:
+                passed = ", ".join(quantity.value for quantity in self.quantities)
+                raise ValueError(f"{type(effect).__name__} cannot act here: the chain passes through {passed}")
+            links.insert(places[-1] + 1, effect)
+        return Chain(tuple(links))
+
+    def predict(self, blocks: Mapping[str, Block], observations: Observations) -> Array:
+        """Return the predicted readings (d, n)."""
+        return self.steps(blocks, observations, frozenset())[-1].value
+
+    def steps(self, blocks: Mapping[str, Block], observations: Observations, wanted: frozenset[str]) -> list[Step]:
+        """Run the chain forwards and return the step of every link."""
+        local = Local(blocks, observations, wanted)
+        value = np.zeros((0, observations.count))
+        steps = []
+        for link in self.links:
+            steps.append(link.step(value, local))
+            value = steps[-1].value
+        return steps
+
+    def derivatives(self, steps: Sequence[Step], wanted: frozenset[str]) -> dict[str, Array]:
+        """Return the derivatives of the reading by the wanted blocks, (d, size, n) or (k, d, size, n), backwards along the chain."""
+        first = min((i for i, link in enumerate(self.links) if wanted.intersection(link.blocks)), default=len(self.links))
+        total: dict[str, Array] = {}
+        outer: Array | None = None
+        for i in range(len(self.links) - 1, first - 1, -1):
+            for name, inner in steps[i].by_block.items():
+                if name in wanted:
+                    part = _behind(outer, inner)
+                    total[name] = total[name] + part if name in total else part
+            by_input = steps[i].by_input
+            if i > first and by_input is not None:
+                outer = by_input if outer is None else through(outer, by_input)
+        return total
+
+
+def _behind(outer: Array | None, inner: Array) -> Array:
+    if outer is None:
+        return inner
+    if inner.ndim == 4:
+        return np.stack([through(outer, slot) for slot in inner])
+    return through(outer, inner)

@@ -1,0 +1,116 @@
+"""Covariance of any block from the factors of the normal equations, without the inverse of the whole matrix.
+
+With W = D^-1 B and Q_r the covariance of the reduced unknowns (considered ones included): `Q_er = -W Q_r`,
+`Q_ee = D^-1 + W Q_r W'`. These hold in any datum once Q_r is in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from metrocli.adjust.blocks import Array, Block
+from metrocli.adjust.layout import Layout
+from metrocli.adjust.observations import Index
+
+
+@dataclass(frozen=True)
+class Covariance:
+    """Covariance of all unknowns, given out block by block."""
+
+    layout: Layout
+    shapes: Mapping[str, tuple[int, int]]
+    reduced: Array
+    """(width, width)"""
+    weights: Array
+    """W, (members, s, width)"""
+    inverse: Array
+    """D^-1 of the eliminated members with zeros at fixed entries, (members, s, s)"""
+    factor: float = 1.0
+    """sigma0^2 where the noise is estimated, else 1"""
+
+    def scaled(self, factor: float) -> Covariance:
+        """Return the covariance multiplied by `factor`."""
+        return replace(self, factor=self.factor * factor)
+
+    def of(self, name: str) -> Array:
+        """Return the full covariance of a block, (members*size, members*size), zero where it is fixed."""
+        return self.between(name, name)
+
+    def between(self, name: str, other: str) -> Array:
+        """Return the covariance between all entries of two blocks, (members*size, members*size)."""
+        if self.layout.eliminated == name == other:
+            flat = self.weights.reshape(-1, self.layout.width)
+            full = flat @ self.reduced @ flat.T
+            m, s = self.shapes[name]
+            view = full.reshape(m, s, m, s)
+            view[np.arange(m), :, np.arange(m), :] += self.inverse
+            return self.factor * full
+        if other == self.layout.eliminated:
+            return self.between(other, name).T
+        rows = -self._cross if name == self.layout.eliminated else self._rows(name, self.reduced)
+        return self.factor * self._columns(other, rows.reshape(-1, self.layout.width))
+
+    def members(self, name: str) -> Array:
+        """Return the covariance of each member of a block, (members, size, size)."""
+        m, s = self.shapes[name]
+        if name == self.layout.eliminated:
+            return self.factor * (self.inverse + self._cross @ np.swapaxes(self.weights, 1, 2))
+        columns = self.layout.columns.get(name)
+        if columns is None:
+            return np.zeros((m, s, s))
+        inside = (columns >= 0)[:, :, None] & (columns >= 0)[:, None, :]
+        return self.factor * np.where(inside, self.reduced[columns[:, :, None], columns[:, None, :]], 0.0)
+
+    def pairs(self, name: str, index: Index, other: str, other_index: Index) -> Array:
+        """Return the covariance of chosen pairs of members of two blocks, (size, size', n), n = 1 where both blocks have one member.
+
+        Of the eliminated block a member is paired with itself only.
+        """
+        if other == self.layout.eliminated and name != other:
+            return np.swapaxes(self.pairs(other, other_index, name, index), 0, 1)
+        if name == other == self.layout.eliminated:
+            return np.ascontiguousarray(np.moveaxis(self.members(name), 0, -1))[:, :, index]
+        others, within = self._places(other, other_index)
+        if name == self.layout.eliminated:
+            rows = -self._cross
+            if len(others) == 1:
+                chosen = np.where(within[0], rows[:, :, others[0]], 0.0)
+                return self.factor * np.ascontiguousarray(np.moveaxis(chosen, 0, -1))[:, :, index]
+            picked = rows[index[:, None, None], np.arange(rows.shape[1])[None, :, None], others[:, None, :]]
+            return self.factor * np.moveaxis(picked * within[:, None, :], 0, -1)
+        columns, inside = self._places(name, index)
+        picked = self.reduced[columns[:, :, None], others[:, None, :]] * (inside[:, :, None] & within[:, None, :])
+        return self.factor * np.moveaxis(picked, 0, -1)
+
+    @cached_property
+    def _cross(self) -> Array:
+        product: Array = self.weights @ self.reduced
+        return product
+
+    def _places(self, name: str, index: Index) -> tuple[Index, Array]:
+        columns = self.layout.columns.get(name)
+        if columns is None:
+            shape = (len(index), self.shapes[name][1])
+            return np.zeros(shape, dtype=np.intp), np.zeros(shape, dtype=bool)
+        rows = columns if len(columns) == 1 else columns[index]
+        return np.maximum(rows, 0), rows >= 0
+
+    def _rows(self, name: str, matrix: Array) -> Array:
+        columns = self.layout.columns.get(name)
+        if columns is None:
+            m, s = self.shapes[name]
+            return np.zeros((m * s, matrix.shape[1]))
+        flat = columns.ravel()
+        return np.where((flat >= 0)[:, None], matrix[np.maximum(flat, 0)], 0.0)
+
+    def _columns(self, name: str, matrix: Array) -> Array:
+        return self._rows(name, np.ascontiguousarray(matrix.T)).T
+
+
+def shapes_of(blocks: Mapping[str, Block]) -> dict[str, tuple[int, int]]:
+    """Return (members, size) of each block."""
+    return {name: (len(block.members), block.size) for name, block in blocks.items()}

@@ -1,0 +1,71 @@
+"""Observations: readings, their covariance, the members that each reading touches, and the conditions of the measurement."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+Mask = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Observations:
+    """n readings of d components each; the observation axis is the last one, so that arithmetic runs along it."""
+
+    readings: Array
+    """(d, n)"""
+    sigma: Array
+    """Standard deviations, broadcast to (d, n); ignored where `covariance` is given."""
+    index: Mapping[str, Index] = field(default_factory=dict)
+    """For each block the member that each reading touches, (n,), or (k, n) where a reading touches k members."""
+    covariance: Array | None = None
+    """(d, d, n) where components of a reading are correlated."""
+    keys: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """Names that identify each reading: image, target, ..."""
+    conditions: Mapping[str, Array] = field(default_factory=dict)
+    """Time, temperature, ... of each reading, (n,)."""
+    components: tuple[str, ...] = ("",)
+    """Name of each of the d components: u, v."""
+    unit: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "sigma", np.broadcast_to(np.asarray(self.sigma, dtype=float), self.readings.shape))
+        inverse = None
+        if self.covariance is not None:
+            inverse = np.linalg.inv(np.linalg.cholesky(np.moveaxis(self.covariance, -1, 0)))
+        object.__setattr__(self, "_whitening", inverse)
+
+    @property
+    def count(self) -> int:
+        """Number of readings n."""
+        return int(self.readings.shape[1])
+
+    def whitened(self, values: Array) -> Array:
+        """Return values (d, ..., n) in units of their standard deviation: unit covariance for readings."""
+        whitening: Array | None = getattr(self, "_whitening")  # noqa: B009
+        if whitening is not None:
+            return np.einsum("nab,b...n->a...n", whitening, values)
+        between = (1,) * (values.ndim - 2)
+        return values / self.sigma.reshape(self.sigma.shape[0], *between, self.sigma.shape[1])
+
+    def selected(self, keep: Mask | Index) -> Observations:
+        """Return the readings chosen by a mask or by indices (n,)."""
+        chosen = np.flatnonzero(keep) if keep.dtype == bool else keep
+        return replace(
+            self,
+            readings=self.readings[:, chosen],
+            sigma=self.sigma[:, chosen],
+            index={name: index[..., chosen] for name, index in self.index.items()},
+            covariance=None if self.covariance is None else self.covariance[:, :, chosen],
+            keys={name: tuple(values[i] for i in chosen) for name, values in self.keys.items()},
+            conditions={name: values[chosen] for name, values in self.conditions.items()},
+        )
+
+    def with_readings(self, readings: Array) -> Observations:
+        """Return the same design with other readings."""
+        return replace(self, readings=readings)

@@ -1,0 +1,120 @@
+"""What the data leave undetermined, found before any number is given out.
+
+Unknowns are measured in units of their plausible reach, so that an uncertainty of more than 1 in any direction says
+that the linearised result means nothing there, whether the matrix is singular or only nearly so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from metrocli.adjust.blocks import Array, Block
+from metrocli.adjust.layout import Layout
+from metrocli.adjust.normals import Normals
+from metrocli.adjust.outcome import Combination
+
+_INFLATION = 1e6
+"""An unknown whose uncertainty grows by more than this because others are unknown too is undetermined."""
+_SHARE = 0.25
+"""Parts of a combination smaller than this against its largest are not named."""
+_NAMED = 3
+
+
+def open_combinations(blocks: Mapping[str, Block], layout: Layout, normals: Normals, matrix: Array) -> tuple[Combination, ...]:
+    """Return the undetermined combinations at the present values; none where everything is determined."""
+    single = _open_members(blocks, layout, normals)
+    if single or not layout.free:
+        return single
+    reach = _reach(blocks, layout, np.diag(normals.n))[: layout.free]
+    scaled = matrix[: layout.free, : layout.free] * reach[:, None] * reach
+    if _surely_determined(scaled):
+        return ()
+    values, vectors = np.linalg.eigh(np.nan_to_num(scaled))
+    found = []
+    for value, vector in zip(values, vectors.T, strict=True):
+        if value < max(1.0, 1e-14 * values[-1]):
+            step = np.zeros(layout.width)
+            step[: layout.free] = vector * reach
+            found.append(_combination(blocks, layout, step, normals.weights, value))
+    return tuple(found)
+
+
+def _surely_determined(scaled: Array) -> bool:
+    """Whether the trace of the inverse is below 1, so that no direction can be open."""
+    try:
+        root = np.linalg.inv(np.linalg.cholesky(scaled))
+    except np.linalg.LinAlgError:
+        return False
+    return bool(np.isfinite(root).all() and (root**2).sum() < 1)
+
+
+def _reach(blocks: Mapping[str, Block], layout: Layout, diagonal: Array) -> Array:
+    reach = np.full(layout.width, np.inf)
+    for name, columns in layout.columns.items():
+        full = np.broadcast_to(blocks[name].reach, columns.shape)
+        reach[columns[columns >= 0]] = full[columns >= 0]
+    return _limited(reach, diagonal)
+
+
+def _limited(reach: Array, diagonal: Array) -> Array:
+    """Return the reach, at most `_INFLATION` standard deviations of the unknown with all others known."""
+    alone = np.where(diagonal > 0, _INFLATION / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)), np.inf)
+    limited = np.minimum(reach, alone)
+    return np.where(np.isfinite(limited), limited, 1.0)
+
+
+def _open_members(blocks: Mapping[str, Block], layout: Layout, normals: Normals) -> tuple[Combination, ...]:
+    """Return members of the eliminated block that their own readings do not determine."""
+    if layout.eliminated is None:
+        return ()
+    block = blocks[layout.eliminated]
+    diagonal = np.einsum("mii->mi", normals.d)
+    reach = np.where(block.free, _limited(np.broadcast_to(block.reach, diagonal.shape), np.where(block.free, diagonal, 0.0)), 1.0)
+    scaled = normals.d * reach[:, :, None] * reach[:, None, :] + np.eye(block.size) * ~block.free[:, None, :] * 2
+    values, vectors = np.linalg.eigh(scaled)
+    bad = np.flatnonzero(values[:, 0] < 1)
+    found = []
+    for member in bad:
+        vector = np.abs(vectors[member, :, 0]) * block.free[member]
+        parts = [(block.name, column, f"{block.noun} {block.members[member]}".strip(), float(share)) for column, share in zip(block.columns, vector / vector.max(), strict=True) if share > _SHARE]
+        found.append(Combination(tuple(parts), _spread(float(values[member, 0]))))
+    return tuple(found)
+
+
+def _combination(blocks: Mapping[str, Block], layout: Layout, step: Array, weights: Array, value: float) -> Combination:
+    moves: dict[str, Array] = {}
+    for name, columns in layout.columns.items():
+        moves[name] = np.where(columns >= 0, step[np.maximum(columns, 0)], 0.0)
+    if layout.eliminated:
+        moves[layout.eliminated] = (weights @ step) * blocks[layout.eliminated].free
+    relative = {name: np.abs(move) / _unit(blocks[name], move) for name, move in moves.items()}
+    largest = max(float(part.max(initial=0.0)) for part in relative.values()) or 1.0
+    parts = [part for name, share in relative.items() for part in _named(blocks[name], share / largest)]
+    return Combination(tuple(sorted(parts, key=lambda part: -part[3])), _spread(value))
+
+
+def _unit(block: Block, move: Array) -> Array:
+    return np.where(np.isfinite(block.reach), block.reach, np.maximum(np.abs(move).max(axis=0), 1e-300))
+
+
+def _named(block: Block, shares: Array) -> list[tuple[str, str, str, float]]:
+    parts = []
+    for column, share in zip(block.columns, shares.T, strict=True):
+        taking = np.flatnonzero(share > _SHARE)
+        if len(taking) == 0:
+            continue
+        members = ""
+        if len(block.members) > 1:
+            if len(taking) > 0.7 * len(block.members):
+                members = f"all {block.noun}s".strip()
+            else:
+                names = ", ".join(block.members[i] for i in taking[:_NAMED]) + (f" and {len(taking) - _NAMED} more" if len(taking) > _NAMED else "")
+                members = f"{block.noun} {names}".strip()
+        parts.append((block.name, column, members, float(share.max())))
+    return parts
+
+
+def _spread(value: float) -> float:
+    return float(1 / np.sqrt(value)) if value > 1e-9 else float("inf")

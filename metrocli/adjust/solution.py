@@ -1,0 +1,108 @@
+"""What an adjustment returns: values, covariance, statistics, and what its residuals say of each reading."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.special
+
+from metrocli.adjust.blocks import Array, Block
+from metrocli.adjust.covariance import Covariance
+from metrocli.adjust.groups import Group
+from metrocli.adjust.outcome import Combination, Outcome
+
+
+@dataclass(frozen=True)
+class Solution:
+    """The outcome of an adjustment."""
+
+    outcome: Outcome
+    blocks: Mapping[str, Block]
+    groups: tuple[Group, ...]
+    cost: float
+    """Sum of squares of the whitened residuals"""
+    iterations: int
+    unknowns: int
+    conditions: int = 0
+    """Inner constraints that the datum added"""
+    undetermined: tuple[Combination, ...] = ()
+    cofactor: Covariance | None = None
+    """Covariance from the noise of the readings alone"""
+    covariance: Covariance | None = None
+    """The same with the considered blocks' uncertainty"""
+
+    @property
+    def observations(self) -> int:
+        """Number of scalar readings, priors included."""
+        return sum(int(group.observations.readings.size) for group in self.groups)
+
+    @property
+    def dof(self) -> int:
+        """Degrees of freedom: readings and conditions minus unknowns."""
+        return self.observations - self.unknowns + self.conditions
+
+    @property
+    def sigma0(self) -> float:
+        """A posteriori standard deviation of unit weight, 1 where the declared noise is right; nan without redundancy."""
+        return float(np.sqrt(self.cost / self.dof)) if self.dof > 0 else float("nan")
+
+    @property
+    def p_value(self) -> float:
+        """Probability of a sum of squares at least as large if model and noise are right (global test)."""
+        return float(scipy.special.chdtrc(self.dof, self.cost)) if self.dof > 0 else float("nan")
+
+    def known(self) -> Covariance:
+        """Return the covariance; RuntimeError where the outcome gave none (ask `outcome` first)."""
+        if self.covariance is None:
+            raise RuntimeError(self.outcome.value)
+        return self.covariance
+
+    def std(self, block: str) -> Array:
+        """Return the standard uncertainties of a block, (members, size)."""
+        return np.sqrt(np.maximum(np.einsum("mii->mi", self.known().members(block)), 0.0))
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """Residuals of one group and what they are worth."""
+
+    values: Array
+    """`reading - predicted` in the unit of the reading, (d, n)"""
+    sigma: Array
+    """Standard deviation of the readings, (d, n)"""
+    redundancy: Array
+    """Share of an error of the reading that shows in its own residual, 0..1, (d, n)"""
+    normalised: Array
+    """Baarda's w = v / (sigma sqrt(redundancy)), 0 where the reading is uncontrolled, (d, n)"""
+
+
+def residuals_of(solution: Solution, group: Group) -> Residuals:
+    """Return residuals, redundancy numbers `r = 1 - diag(J Q J')` and w-tests of one group (Baarda 1968).
+
+    For correlated components all four refer to the decorrelated (whitened) components.
+    """
+    values = group.residuals(solution.blocks)
+    whitened = group.observations.whitened(values)
+    redundancy = np.clip(1 - _explained(solution, group), 0.0, 1.0)
+    controlled = redundancy > 1e-6
+    normalised = np.where(controlled, whitened / np.sqrt(np.where(controlled, redundancy, 1.0)), 0.0)
+    return Residuals(values, group.observations.sigma, redundancy, normalised)
+
+
+def _explained(solution: Solution, group: Group) -> Array:
+    """Return diag(J Q J') of a group, (d, n), block by block of what each reading touches."""
+    cofactor = solution.cofactor
+    if cofactor is None:
+        raise RuntimeError(solution.outcome.value)
+    touches = group.linear(solution.blocks, cofactor.layout.wanted).touches
+    total = np.zeros(group.observations.readings.shape)
+    for i, first in enumerate(touches):
+        for j, second in enumerate(touches[: i + 1]):
+            pair = cofactor.pairs(first.block, first.index, second.block, second.index)
+            weight = 1.0 if i == j else 2.0
+            for a in range(pair.shape[0]):
+                for b in range(pair.shape[1]):
+                    total += weight * first.jacobian[:, a] * pair[a, b] * second.jacobian[:, b]
+    return total

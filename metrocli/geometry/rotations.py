@@ -1,0 +1,138 @@
+"""Rotations in three dimensions: Euler angles, rotation vectors, matrices, and how they change.
+
+A small rotation is written on the left: `R' = Exp(d) R`, d a rotation vector in the frame that R leads into.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+_SMALL = 1e-5
+"""Below this angle [rad] series of two terms are exact to double precision."""
+
+
+def cross_matrix(vector: Array) -> Array:
+    """Return the matrix [v]x with `[v]x w = v x w`, (..., 3) -> (..., 3, 3)."""
+    x, y, z = np.moveaxis(np.asarray(vector, dtype=float), -1, 0)
+    zero = np.zeros_like(x)
+    return np.stack([np.stack([zero, -z, y], -1), np.stack([z, zero, -x], -1), np.stack([-y, x, zero], -1)], -2)
+
+
+def rotation_from_vector(vector: Array) -> Array:
+    """Return `R = Exp(v) = I + sin(t)/t [v]x + (1 - cos t)/t^2 [v]x^2`, t = |v|, (..., 3) -> (..., 3, 3)."""
+    vector = np.asarray(vector, dtype=float)
+    angle = np.linalg.norm(vector, axis=-1)[..., None, None]
+    cross = cross_matrix(vector)
+    return np.eye(3) + _sine_ratio(angle) * cross + _cosine_ratio(angle) * (cross @ cross)
+
+
+def vector_from_rotation(rotation: Array) -> Array:
+    """Return the rotation vector v, |v| <= pi, with `Exp(v) = R`, (..., 3, 3) -> (..., 3)."""
+    quaternion = _quaternion(np.asarray(rotation, dtype=float))
+    axis = quaternion[..., 1:]
+    sine = np.linalg.norm(axis, axis=-1)
+    angle = 2 * np.arctan2(sine, quaternion[..., 0])
+    ratio = np.where(sine > _SMALL, angle / np.where(sine > _SMALL, sine, 1.0), 2.0 + sine**2 / 3)
+    return axis * ratio[..., None]
+
+
+def rotation_from_euler(alpha: Array | float, beta: Array | float, gamma: Array | float) -> Array:
+    """Return `R = Rz(gamma) Ry(beta) Rx(alpha)`, angles in rad (...,) -> (..., 3, 3) (Mendikute eq. 2)."""
+    alpha, beta, gamma = np.broadcast_arrays(alpha, beta, gamma)
+    ca, sa, cb, sb, cg, sg = np.cos(alpha), np.sin(alpha), np.cos(beta), np.sin(beta), np.cos(gamma), np.sin(gamma)
+    return np.stack(
+        [
+            np.stack([cg * cb, cg * sb * sa - sg * ca, cg * sb * ca + sg * sa], -1),
+            np.stack([sg * cb, sg * sb * sa + cg * ca, sg * sb * ca - cg * sa], -1),
+            np.stack([-sb, cb * sa, cb * ca], -1),
+        ],
+        -2,
+    )
+
+
+def euler_from_rotation(rotation: Array) -> Array:
+    """Return (alpha, beta, gamma) in rad with `R = Rz(gamma) Ry(beta) Rx(alpha)`, (..., 3, 3) -> (..., 3).
+
+    At beta = +-90 degrees alpha and gamma act alike; gamma is then set to 0.
+    """
+    rotation = np.asarray(rotation, dtype=float)
+    cosine = np.hypot(rotation[..., 0, 0], rotation[..., 1, 0])
+    regular = cosine > 1e-12
+    beta = np.arctan2(-rotation[..., 2, 0], cosine)
+    alpha = np.where(
+        regular,
+        np.arctan2(rotation[..., 2, 1], rotation[..., 2, 2]),
+        np.arctan2(-rotation[..., 1, 2], rotation[..., 1, 1]),
+    )
+    gamma = np.where(regular, np.arctan2(rotation[..., 1, 0], rotation[..., 0, 0]), 0.0)
+    return np.stack([alpha, beta, gamma], -1)
+
+
+def euler_by_vector(rotation: Array) -> Array:
+    """Return d(alpha, beta, gamma) / d(d) of `Exp(d) R` at d = 0, (..., 3, 3) -> (..., 3, 3).
+
+    From `d = Rz Ry x' da + Rz y' db + z' dg`: the inverse of the matrix of the three axes of turning.
+    """
+    _, beta, gamma = np.moveaxis(euler_from_rotation(rotation), -1, 0)
+    zero, one = np.zeros_like(beta), np.ones_like(beta)
+    cb, sb, cg, sg = np.cos(beta), np.sin(beta), np.cos(gamma), np.sin(gamma)
+    turning = np.stack([np.stack([cg * cb, -sg, zero], -1), np.stack([sg * cb, cg, zero], -1), np.stack([-sb, zero, one], -1)], -2)
+    return np.linalg.inv(turning)
+
+
+def vector_by_left_turn(vector: Array) -> Array:
+    """Return d Log(Exp(d) Exp(v)) / d(d) at d = 0: the inverse left Jacobian, (..., 3) -> (..., 3, 3).
+
+    `J^-1 = I - [v]x/2 + (1/t^2 - (1 + cos t)/(2 t sin t)) [v]x^2`, t = |v|.
+    """
+    vector = np.asarray(vector, dtype=float)
+    angle = np.linalg.norm(vector, axis=-1)[..., None, None]
+    large = angle > 1e-3
+    safe = np.where(large, angle, 1.0)
+    factor = np.where(large, 1 / safe**2 - (1 + np.cos(safe)) / (2 * safe * np.sin(safe)), 1 / 12 + angle**2 / 720)
+    cross = cross_matrix(vector)
+    return np.eye(3) - cross / 2 + factor * (cross @ cross)
+
+
+def nearest_rotation(matrix: Array) -> Array:
+    """Return the rotation nearest to a 3 x 3 matrix in the least-squares sense, by its singular values, (..., 3, 3)."""
+    left, _, right = np.linalg.svd(matrix)
+    sign = np.ones((*left.shape[:-2], 3))
+    sign[..., 2] = np.sign(np.linalg.det(left @ right))
+    return (left * sign[..., None, :]) @ right
+
+
+def _quaternion(rotation: Array) -> Array:
+    """Unit quaternion (w, x, y, z), w >= 0, from whichever of the four forms divides by the largest component."""
+    m = np.moveaxis(rotation, (-2, -1), (0, 1))
+    diagonal = np.stack([m[0, 0] + m[1, 1] + m[2, 2], m[0, 0] - m[1, 1] - m[2, 2], m[1, 1] - m[0, 0] - m[2, 2], m[2, 2] - m[0, 0] - m[1, 1]], -1)
+    x, y, z = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
+    xy, xz, yz = m[0, 1] + m[1, 0], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1]
+    square = 1 + diagonal
+    forms = np.stack(
+        [
+            np.stack([square[..., 0], x, y, z], -1),
+            np.stack([x, square[..., 1], xy, xz], -1),
+            np.stack([y, xy, square[..., 2], yz], -1),
+            np.stack([z, xz, yz, square[..., 3]], -1),
+        ],
+        -2,
+    )
+    best = np.argmax(diagonal, axis=-1)[..., None, None]
+    quaternion = np.take_along_axis(forms, best, axis=-2)[..., 0, :]
+    quaternion = quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True)
+    return quaternion * np.where(quaternion[..., :1] < 0, -1.0, 1.0)
+
+
+def _sine_ratio(angle: Array) -> Array:
+    small = angle < _SMALL
+    return np.where(small, 1 - angle**2 / 6, np.sin(angle) / np.where(small, 1.0, angle))
+
+
+def _cosine_ratio(angle: Array) -> Array:
+    small = angle < _SMALL
+    half = np.sin(angle / 2)
+    return np.where(small, 0.5 - angle**2 / 24, 2 * half**2 / np.where(small, 1.0, angle) ** 2)

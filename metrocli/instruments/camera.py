@@ -1,0 +1,88 @@
+"""The camera: blocks and chains of its three calibrations (board, cmm, network)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from metrocli.adjust.blocks import Array, Block, Space
+from metrocli.adjust.chain import Chain, Link
+from metrocli.adjust.datum import Datum
+from metrocli.adjust.quantities import Quantity
+from metrocli.geometry import poses
+from metrocli.geometry.rotations import cross_matrix
+from metrocli.instruments.frames import Into, OutOf, PointOf
+from metrocli.instruments.lens import PIXELS, Lens, LensBackward
+
+LENS, VIEW, TARGET, TAPER = "lens", "view", "target", "camera"
+"""Names of the blocks: lens parameters, a pose for each image, target coordinates, the camera in the reference frame."""
+
+_TURN = 0.5
+"""Plausible reach of a rotation [rad] and of a focal length or a distance as a share of itself."""
+
+
+def lens_block(values: Mapping[str, float], free: Sequence[str], image_size: Sequence[int]) -> Block:
+    """Return the lens parameters (1, k); free ones are those estimated."""
+    reach = []
+    for name in values:
+        size = float(max(image_size))
+        reach.append({"f": _TURN, "fx": _TURN, "fy": _TURN}.get(name, 0.0) * values[name] or (size if name in PIXELS else np.inf))
+    return Block(LENS, np.array([list(values.values())]), tuple(values), free=np.isin(list(values), list(free)), reach=np.array(reach))
+
+
+def view_block(values: Array, images: Sequence[str], distance: float, name: str = VIEW, noun: str = "image") -> Block:
+    """Return poses (images, 6), plausible within the working distance and half a radian."""
+    reach = np.array([_TURN * distance] * 3 + [_TURN] * 3)
+    return Block(name, values, poses.COLUMNS, tuple(images), reach=reach, space=Space.POSE, noun=noun)
+
+
+def target_block(points: Array, names: Sequence[str], free: Array | bool, extent: float) -> Block:
+    """Return target coordinates (targets, 3), plausible within the extent of the targets."""
+    return Block(TARGET, points, ("x", "y", "z"), tuple(names), free=np.asarray(free), reach=np.array(_TURN * extent), noun="target")
+
+
+def lens_link(convention: str) -> Link:
+    """Return the lens link of a convention, 'forward' or 'backward'."""
+    return LensBackward(LENS) if convention == "backward" else Lens(LENS)
+
+
+def to_camera(rig: str) -> tuple[Link, ...]:
+    """Return the links from a target to the camera frame.
+
+    board: the view's pose carries the board into the camera; cmm and network: the pose is that of the camera in the
+    frame of the targets, one for all images or one each.
+    """
+    targets, camera = Quantity.POINT_ON_TARGETS, Quantity.POINT_IN_CAMERA
+    step: Link = OutOf(VIEW, targets, camera) if rig == "board" else Into(TAPER if rig == "cmm" else VIEW, targets, camera)
+    return (PointOf(TARGET, targets), step)
+
+
+def chain(rig: str, convention: str) -> Chain:
+    """Return the forward model of an image point."""
+    return Chain((*to_camera(rig), lens_link(convention)))
+
+
+def view_name(rig: str) -> str:
+    """Return the name of the block of poses."""
+    return TAPER if rig == "cmm" else VIEW
+
+
+FREEDOMS = ("shift along x", "shift along y", "shift along z", "rotation about x", "rotation about y", "rotation about z", "scale")
+
+
+def network_datum(targets: Block, takes_part: Array) -> Datum:
+    """Return the inner constraints of a network: the targets that define the frame keep their mean place, turn and size."""
+    return Datum(TARGET, targets.values, takes_part, _movements, FREEDOMS)
+
+
+def _movements(blocks: Mapping[str, Block]) -> dict[str, Array]:
+    """Return how targets and camera poses change when the network is shifted, turned and scaled."""
+    points, views = blocks[TARGET].values, blocks[VIEW].values
+    moves = {TARGET: np.zeros((len(points), 3, 7)), VIEW: np.zeros((len(views), 6, 7))}
+    for name, places in ((TARGET, points), (VIEW, views[:, :3])):
+        moves[name][:, :3, :3] = np.eye(3)
+        moves[name][:, :3, 3:6] = -cross_matrix(places)
+        moves[name][:, :3, 6] = places
+    moves[VIEW][:, 3:, 3:6] = np.eye(3)
+    return moves

@@ -1,0 +1,126 @@
+"""Starting values of cameras from nothing but target coordinates and image points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from metrocli.adjust.normals import grams
+from metrocli.geometry import poses
+from metrocli.geometry.rotations import nearest_rotation
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+
+_FLAT = 1e-3
+"""Targets whose thickness is below this share of their extent are taken as one plane."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Image points of targets: which target, in which view."""
+
+    points: Array
+    """Targets (m, 3) in mm"""
+    uv: Array
+    """(2, n) in px"""
+    target: Index
+    view: Index
+    views: int
+
+
+def plane_frame(points: Array) -> tuple[Array, bool]:
+    """Return the pose that carries the targets' best plane to z = 0, and whether they lie in it."""
+    centre = points.mean(axis=0)
+    _, spread, axes = np.linalg.svd(points - centre, full_matrices=False)
+    rotation = nearest_rotation(axes if np.linalg.det(axes) > 0 else np.diag([1.0, 1.0, -1.0]) @ axes)
+    return poses.pose(rotation, -rotation @ centre), bool(spread[2] <= _FLAT * spread[1] or len(points) < 4)
+
+
+def start(scene: Scene, centre: Array, focal: float | None, guess: float) -> tuple[float, Array]:
+    """Return the focal length [px] and the poses (views, 6) that carry targets into each camera.
+
+    Planar targets: homographies and the closed form of Zhang (2000) with the principal point at `centre`; others: the
+    direct linear transformation. `guess` is the focal length where the views do not tell.
+    """
+    to_plane, planar = plane_frame(scene.points[np.unique(scene.target)])
+    local = poses.apply(to_plane, scene.points)
+    scale = float(np.abs(local).max()) or 1.0
+    local = local / scale
+    rays = (scene.uv - centre[:, None]) / guess
+    maps = _homographies(scene, local, rays) if planar else _projections(scene, local, rays)
+    ratio = focal / guess if focal else (_focal_of_homographies(maps) if planar else _focal_of_projections(maps))
+    maps = maps.copy()
+    maps[:, :2] /= ratio
+    found = _poses_of_homographies(maps) if planar else _poses_of_projections(maps)
+    found[:, :3] *= scale
+    return ratio * guess, poses.compose(found, np.broadcast_to(to_plane, found.shape))
+
+
+def _null_vectors(rows: Array, scene: Scene) -> Array:
+    """Return the vector that each view's equations (n, 2, c) nearly annul, (views, c)."""
+    _, vectors = np.linalg.eigh(grams(rows, scene.view, scene.views))
+    nulls: Array = vectors[:, :, 0]
+    return nulls
+
+
+def _homographies(scene: Scene, local: Array, rays: Array) -> Array:
+    flat = np.column_stack([local[scene.target, :2], np.ones(len(scene.target))])
+    return _linear_maps(scene, flat, rays).reshape(-1, 3, 3)
+
+
+def _projections(scene: Scene, local: Array, rays: Array) -> Array:
+    full = np.column_stack([local[scene.target], np.ones(len(scene.target))])
+    return _linear_maps(scene, full, rays).reshape(-1, 3, 4)
+
+
+def _linear_maps(scene: Scene, points: Array, rays: Array) -> Array:
+    c = points.shape[1]
+    rows = np.zeros((len(points), 2, 3 * c))
+    rows[:, 0, :c] = rows[:, 1, c : 2 * c] = points
+    rows[:, 0, 2 * c :] = -rays[0][:, None] * points
+    rows[:, 1, 2 * c :] = -rays[1][:, None] * points
+    return _null_vectors(rows, scene)
+
+
+def _focal_of_homographies(maps: Array) -> float:
+    """Return the focal length, in units of the guess, from `h1' w h2 = 0`, `h1' w h1 = h2' w h2`, w = diag(1/f2, 1/f2, 1)."""
+    h1, h2 = maps[:, :, 0], maps[:, :, 1]
+    a = np.concatenate([h1[:, 0] * h2[:, 0] + h1[:, 1] * h2[:, 1], (h1[:, :2] ** 2).sum(1) - (h2[:, :2] ** 2).sum(1)])
+    b = np.concatenate([h1[:, 2] * h2[:, 2], h1[:, 2] ** 2 - h2[:, 2] ** 2])
+    weight = np.tile(1 / np.maximum((h1**2).sum(1) + (h2**2).sum(1), 1e-300), 2)
+    a, b = a * weight, b * weight
+    inverse_square = -(a @ b) / max(a @ a, 1e-300)
+    return _plausible(1 / np.sqrt(inverse_square)) if inverse_square > 0 else 1.0
+
+
+def _focal_of_projections(maps: Array) -> float:
+    """Return the median focal length of the left 3 x 3 parts K R, K = diag(f, f, 1) up to scale."""
+    rows = maps[:, :, :3]
+    third = (rows[:, 2] ** 2).sum(1)
+    along = np.einsum("vab,vb->va", rows[:, :2], rows[:, 2]) / third[:, None]
+    square = (rows[:, :2] ** 2).sum(2) / third[:, None] - along**2
+    good = square[square > 0]
+    return _plausible(float(np.sqrt(np.median(good)))) if good.size else 1.0
+
+
+def _plausible(ratio: float) -> float:
+    """Return the ratio, or 1 where it is no lens's: the adjustment then finds its way from the guess."""
+    return ratio if 0.05 < ratio < 50 else 1.0
+
+
+def _poses_of_homographies(maps: Array) -> Array:
+    lengths = np.linalg.norm(maps[:, :, 0], axis=1) + np.linalg.norm(maps[:, :, 1], axis=1)
+    sign = np.where(maps[:, 2, 2] < 0, -1.0, 1.0)
+    scaled = maps * (2 * sign / lengths)[:, None, None]
+    normal = np.cross(scaled[:, :, 0], scaled[:, :, 1])
+    rotation = nearest_rotation(np.stack([scaled[:, :, 0], scaled[:, :, 1], normal], axis=2))
+    return poses.pose(rotation, scaled[:, :, 2])
+
+
+def _poses_of_projections(maps: Array) -> Array:
+    determinant = np.linalg.det(maps[:, :, :3])
+    scaled = maps / (np.cbrt(np.abs(determinant)) * np.where(determinant < 0, -1.0, 1.0))[:, None, None]
+    return poses.pose(nearest_rotation(scaled[:, :, :3]), scaled[:, :, 3])

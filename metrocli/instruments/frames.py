@@ -1,0 +1,94 @@
+"""Links that carry points from frame to frame, shared by all instruments."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrocli.adjust.chain import Local, Step, through
+from metrocli.adjust.blocks import Array
+from metrocli.adjust.quantities import Quantity
+from metrocli.geometry import poses
+
+
+@dataclass(frozen=True)
+class PointOf:
+    """The point that a reading looks at: a row of a block of coordinates, plus a fixed offset."""
+
+    block: str
+    gives: Quantity
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    takes = None
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """The block of coordinates."""
+        return (self.block,)
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the point (3, n) and its derivative by itself."""
+        point = local.rows(self.block) + np.array(self.offset)[:, None]
+        return Step(point, by_block={self.block: np.eye(3)[:, :, None]} if self.block in local.wanted else {})
+
+
+@dataclass(frozen=True)
+class OutOf:
+    """From a frame into the one that its pose is given in: `X' = R X + d`."""
+
+    block: str
+    takes: Quantity
+    gives: Quantity
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """The block of poses."""
+        return (self.block,)
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return `R X + d` (3, n), with derivatives R by the point, and (I, -[R X]x) by a step of the pose."""
+        members = local.members(self.block)
+        rotation = local.spread(poses.rotation_of(members), self.block)
+        turned = _times(rotation, value)
+        moved = turned + local.spread(members[:, :3], self.block)
+        by_block = {self.block: _shift_and_turn(turned)} if self.block in local.wanted else {}
+        return Step(moved, rotation, by_block)
+
+
+@dataclass(frozen=True)
+class Into:
+    """From the frame that a pose is given in into the frame itself: `X = R' (X' - d)`."""
+
+    block: str
+    takes: Quantity
+    gives: Quantity
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """The block of poses."""
+        return (self.block,)
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return `R' (X' - d)` (3, n), with derivatives R' by the point, and -R' (I, -[X' - d]x) by a step of the pose."""
+        members = local.members(self.block)
+        back = local.spread(np.swapaxes(poses.rotation_of(members), 1, 2), self.block)
+        from_origin = value - local.spread(members[:, :3], self.block)
+        moved = _times(back, from_origin)
+        by_block = {self.block: -through(back, _shift_and_turn(from_origin))} if self.block in local.wanted else {}
+        return Step(moved, back, by_block)
+
+
+def _times(matrix: Array, vector: Array) -> Array:
+    """Return M v at each reading, (3, 3, n), (3, n) -> (3, n)."""
+    return np.stack([row[0] * vector[0] + row[1] * vector[1] + row[2] * vector[2] for row in matrix])
+
+
+def _shift_and_turn(vector: Array) -> Array:
+    """Return (I, -[v]x), the change of v by a shift and by a turn from the left, (3, n) -> (3, 6, n)."""
+    x, y, z = vector
+    change = np.zeros((3, 6, vector.shape[1]))
+    change[0, 0] = change[1, 1] = change[2, 2] = 1.0
+    change[0, 4], change[0, 5] = z, -y
+    change[1, 3], change[1, 5] = -z, x
+    change[2, 3], change[2, 4] = y, -x
+    return change
