@@ -400,19 +400,25 @@ class ImageFiles:
     def read(self, node: Node, faults: list[Fault]) -> Any:
         if not self.fits(node) or (node.kind == "list" and not node.items):
             return _refuse(self, node, faults)
-        each = [self._matches(part, faults) for part in (node.items or (node,))]
-        return BAD if BAD in each else tuple(sorted({path for paths in each for path in paths}))
+        each = [_path(self, part, faults) for part in (node.items or (node,))]
+        if BAD in each:
+            return BAD
+        return tuple(sorted({path for part in (node.items or (node,)) for path in _matches(part)}))
 
-    def _matches(self, node: Node, faults: list[Fault]) -> Any:
-        path = _path(self, node, faults)
-        if path is BAD or not set(node.text) & set("*?["):
-            return path if path is BAD else (path,)
-        found = tuple(sorted(path for path in _glob(node) if path.is_file()))
-        return found or _refuse(self, node, faults, f"no file matches '{node.text}'", f"looked in {node.source.folder}")
+    def unmatched(self, node: Node) -> list[Node]:
+        """Return the patterns that no file matches."""
+        return [part for part in (node.items or (node,)) if not _matches(part)]
 
     def schema(self) -> Schema:
         one = {"type": "string", "minLength": 1}
         return {"anyOf": [one, {"type": "array", "items": one, "minItems": 1}]}
+
+
+def _matches(node: Node) -> list[Path]:
+    """Return the files of a pattern; a plain path as it is, whether it exists or not."""
+    if not set(node.text) & set("*?["):
+        return [node.source.folder / node.text]
+    return [path for path in _glob(node) if path.is_file()]
 
 
 def _glob(node: Node) -> Iterable[Path]:

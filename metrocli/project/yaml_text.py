@@ -144,7 +144,7 @@ class _Builder:
         if self.stack:
             self.stack[-1].children.append(node)
         else:
-            self.root = _with_paths(node, "")
+            self.root = with_paths(node)
 
     def _finished(self, opened: _Open) -> Node:
         if opened.node.kind == "list":
@@ -174,12 +174,19 @@ class _Builder:
         self.faults.append(self._node(event, "scalar").fault(message, hint))
 
 
-def _with_paths(node: Node, path: str) -> Node:
+def with_paths(node: Node, path: str = "") -> Node:
     """Give each node the keys that lead to it."""
     below = f"{path}." if path else ""
-    items = tuple(_with_paths(item, f"{path}[{n}]") for n, item in enumerate(node.items, 1))
-    entries = tuple((replace(key, path=path), _with_paths(value, below + key.text)) for key, value in node.entries)
+    items = tuple(with_paths(item, f"{path}[{n}]") for n, item in enumerate(node.items, 1))
+    entries = tuple((replace(key, path=path), with_paths(value, below + key.text)) for key, value in node.entries)
     return replace(node, path=path, items=items, entries=entries)
+
+
+def without_lines(node: Node) -> Node:
+    """Forget the places of a value from the command line, which has no lines."""
+    items = tuple(without_lines(item) for item in node.items)
+    entries = tuple((without_lines(key), without_lines(value)) for key, value in node.entries)
+    return replace(node, items=items, entries=entries, line=None, column=None)
 
 
 def emit(node: Node, indent: int = 0) -> str:

@@ -1,0 +1,75 @@
+"""The files of a job: read for its task, and hashed for its record."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from typing import Any
+
+from metrocli.errors import Fault, InputError
+from metrocli.project.job import Input, Job
+from metrocli.record import InputFile
+from metrocli.settings import FileOf, ImageFiles, TableFile
+
+
+def read_inputs(job: Job, absent: Collection[str] = ()) -> dict[str, Any]:
+    """Return by its key what each input holds: Table, ImageSet, Result or a section; raise InputError for all faults.
+
+    Inputs named in `absent` are left out where their files do not exist.
+    """
+    held: dict[str, Any] = {}
+    faults: list[Fault] = []
+    for item in job.inputs:
+        if item.key in absent and not (item.paths and all(path.is_file() for path in item.paths)):
+            continue
+        try:
+            held[item.key] = _read(item)
+        except InputError as error:
+            faults.extend(error.faults)
+    if faults:
+        raise InputError(faults)
+    return held
+
+
+def _read(item: Input) -> Any:
+    if item.held is not None:
+        return item.held
+    if isinstance(item.spec, ImageFiles):
+        from metrocli.formats import images
+
+        return images.read_images(list(item.paths))
+    if isinstance(item.value, Mapping):
+        return {name: _read_one(item.spec.value, path, item) for name, path in item.value.items()}
+    return _read_one(item.spec, item.value, item)
+
+
+def _read_one(spec: Any, path: Path, item: Input) -> Any:
+    if isinstance(spec, TableFile):
+        from metrocli.formats import csv
+
+        return csv.read(path, spec.columns)
+    if isinstance(spec, FileOf):
+        from metrocli.formats import hdf5
+
+        result, _ = hdf5.read(path)
+        if result.kind not in spec.results:
+            message = f"inputs.{item.key}: {path} is a result of {result.kind}"
+            raise InputError([item.node.fault(message, f"expected {spec.expects}")])
+        return result
+    raise TypeError(f"no reader for {spec}")
+
+
+def input_files(job: Job) -> tuple[InputFile, ...]:
+    """Return each existing file of a job with its hash, by path relative to the job file."""
+    paths = sorted({path for item in job.inputs for path in item.paths if path.is_file()})
+    return tuple(_hashed(path, job.folder) for path in paths)
+
+
+def _hashed(path: Path, folder: Path) -> InputFile:
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        while block := file.read(1 << 20):
+            digest.update(block)
+    return InputFile(Path(os.path.relpath(path, folder)).as_posix(), digest.hexdigest(), path.stat().st_size)

@@ -1,0 +1,339 @@
+"""Job files: YAML text to a frozen job, with all its faults at once."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from metrocli import effects, tasks
+from metrocli.errors import Fault, InputError, UsageError
+from metrocli.project import yaml_text
+from metrocli.project.requirements import Requirement, Requirements
+from metrocli.settings import (
+    BAD,
+    FileOf,
+    ImageFiles,
+    MapOf,
+    Node,
+    Schema,
+    Section,
+    TableFile,
+    Text,
+    read_sections,
+    sections_schema,
+    setting,
+    settings_of,
+    suggestion,
+)
+
+FORMAT_VERSION = "1"
+
+
+class _Version:
+    """The version of the format of job files."""
+
+    expects = FORMAT_VERSION
+
+    def fits(self, node: Node) -> bool:
+        return node.kind == "scalar"
+
+    def read(self, node: Node, faults: list[Fault]) -> Any:
+        if self.fits(node) and node.text == FORMAT_VERSION:
+            return int(node.text)
+        faults.append(node.fault(f"metrocli: this program reads job files of version {FORMAT_VERSION}", "write 1"))
+        return BAD
+
+    def schema(self) -> Schema:
+        return {"const": int(FORMAT_VERSION)}
+
+
+class _KindOfJob:
+    """The kind of a job, one of the table of kinds."""
+
+    @property
+    def expects(self) -> str:
+        return f"one of: {', '.join(tasks.KINDS)}"
+
+    def fits(self, node: Node) -> bool:
+        return node.kind == "scalar"
+
+    def read(self, node: Node, faults: list[Fault]) -> Any:
+        if self.fits(node) and node.text in tasks.KINDS:
+            return node.text
+        faults.append(node.fault(f"unknown kind of job '{node.text}'", suggestion(node.text, tasks.KINDS)))
+        return BAD
+
+    def schema(self) -> Schema:
+        return {"enum": list(tasks.KINDS)}
+
+
+@dataclass(frozen=True)
+class EffectSetting:
+    """An effect named in a job: where it acts and its parameters are still nodes, read by the effect."""
+
+    name: str
+    keys: Mapping[str, Node]
+
+
+class _Effects:
+    """The value of `effects:`, a list of mappings with a name and the keys of that effect."""
+
+    expects = "a list such as [{name: target-eccentricity}]"
+
+    def fits(self, node: Node) -> bool:
+        return node.kind == "list"
+
+    def read(self, node: Node, faults: list[Fault]) -> Any:
+        if not self.fits(node):
+            faults.append(node.fault("effects: this is not a list", f"expected {self.expects}"))
+            return BAD
+        found = [_effect(item, faults) for item in node.items]
+        return BAD if None in found else tuple(found)
+
+    def schema(self) -> Schema:
+        name = {"enum": list(effects.EFFECTS)}
+        item = {"type": "object", "required": ["name"], "properties": {"name": name}}
+        return {"type": "array", "items": item}
+
+
+def _effect(node: Node, faults: list[Fault]) -> EffectSetting | None:
+    name = node.get("name")
+    if name is None or name.kind != "scalar":
+        faults.append(node.fault(f"{node.path}: an effect needs a name", "write {name: ..., ...}"))
+        return None
+    if name.text not in effects.EFFECTS:
+        none = "this version of metrocli can add no effect to a model"
+        hint = suggestion(name.text, effects.EFFECTS) if effects.EFFECTS else none
+        faults.append(name.fault(f"unknown effect '{name.text}'", hint))
+        return None
+    return EffectSetting(name.text, {key.text: value for key, value in node.entries if key.text != "name"})
+
+
+class _Output:
+    """The path of the result file."""
+
+    expects = "the path of a file that ends in .h5"
+
+    def fits(self, node: Node) -> bool:
+        return node.kind == "scalar" and not node.empty
+
+    def read(self, node: Node, faults: list[Fault]) -> Any:
+        if self.fits(node) and node.text.endswith(".h5") and "\0" not in node.text:
+            return node.source.folder / node.text
+        faults.append(node.fault(f"output: '{node.text}' is not the name of a result file", f"expected {self.expects}"))
+        return BAD
+
+    def schema(self) -> Schema:
+        return {"type": "string", "pattern": "\\.h5$"}
+
+
+@dataclass(frozen=True)
+class Heading:
+    """The keys that every kind of job has."""
+
+    metrocli: int = setting(_Version(), "version of the format of job files")
+    job: str = setting(_KindOfJob(), "kind of the job")
+    title: str = setting(Text(), "title, for people", default="")
+    effects: tuple[EffectSetting, ...] = setting(_Effects(), "extensions of the model, by name", default=())
+    require: tuple[Requirement, ...] = setting(Requirements(), "acceptance criteria", default=())
+    output: Path | None = setting(_Output(), "result file, relative to the job file", default=None)
+
+
+@dataclass(frozen=True)
+class Input:
+    """One key under `inputs:` with the files it names; `held` is what a YAML file holds, already read."""
+
+    key: str
+    spec: Any
+    value: Any
+    """A path, a tuple of paths, or a dict of paths."""
+    node: Node
+    held: Any = None
+
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """All files of this input."""
+        if isinstance(self.value, Mapping):
+            return tuple(self.value.values())
+        return self.value if isinstance(self.value, tuple) else (self.value,)
+
+
+@dataclass(frozen=True)
+class Job:
+    """A job file that has no faults."""
+
+    file: Path
+    """As the user named it."""
+    heading: Heading
+    settings: Any
+    inputs: tuple[Input, ...]
+    output: Path
+    text: str
+    """As used, after --set."""
+    root: Node
+
+    @property
+    def kind(self) -> str:
+        """The kind of the job."""
+        return self.heading.job
+
+    @property
+    def folder(self) -> Path:
+        """Where the relative paths of the job start."""
+        return self.file.parent
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """What the caller of a job wants otherwise than the file says."""
+
+    overrides: tuple[str, ...] = ()
+    """`key.path=value`, each."""
+    output: Path | None = None
+    kind: str | None = None
+    """The kind that the command is for."""
+    made: Collection[Path] = ()
+    """Absolute paths that other jobs will make."""
+    not_needed: Collection[str] = ()
+    """Inputs that need not exist."""
+
+
+def load(path: Path, wishes: Wishes | None = None) -> Job:
+    """Return a job; raise InputError with all faults of the file and its YAML inputs, UsageError for another kind."""
+    wishes = wishes or Wishes()
+    root, text = _root(path, wishes.overrides)
+    faults: list[Fault] = []
+    kind = _kind(root, path, wishes.kind)
+    if kind is None:
+        read_sections(_only(root, settings_of(Heading)), (Heading,), faults)
+        raise InputError(_in_order(faults))
+    heading, settings = read_sections(root, (Heading, tasks.load(kind).Settings), faults)
+    inputs = _inputs(root, tasks.load(kind).Settings, faults)
+    faults.extend(_missing(inputs, wishes))
+    if faults:
+        raise InputError(_in_order(faults))
+    output = wishes.output or heading.output or path.parent / "results" / f"{path.stem}.h5"
+    return Job(path, heading, settings, inputs, output, text, root)
+
+
+def _root(path: Path, overrides: Sequence[str]) -> tuple[Node, str]:
+    """Return the tree of a job file with the overrides in it, and the text that says the same."""
+    text = yaml_text.read_text(path, str(path))
+    root = yaml_text.parse(text, str(path), path.parent)
+    if root.kind != "mapping":
+        raise InputError([root.fault("a job file is a mapping of keys", "write 'metrocli: 1', 'job: KIND', ...")])
+    for override in overrides:
+        root = _overridden(root, override, path.parent)
+    if overrides:
+        text = f"# as used, with {', '.join(f'--set {override}' for override in overrides)}\n{yaml_text.emit(root)}"
+    return root, text
+
+
+def _overridden(root: Node, override: str, folder: Path) -> Node:
+    key, equals, value = override.partition("=")
+    names = key.strip().split(".")
+    if not equals or not all(names):
+        raise UsageError(f"--set {override}: write it as key.path=value, such as --set camera.estimate='[f, cx, cy]'")
+    new = yaml_text.parse(value or "''", f"--set {override}", folder)
+    return yaml_text.with_paths(_replaced(root, names, yaml_text.without_lines(new)))
+
+
+def _replaced(node: Node, names: Sequence[str], new: Node) -> Node:
+    if not names:
+        return new
+    if node.kind != "mapping":
+        node = replace(node, kind="mapping", text="", entries=(), items=())
+    at = next((n for n, (key, _) in enumerate(node.entries) if key.text == names[0]), None)
+    if at is None:
+        key = replace(new, kind="scalar", text=names[0], quoted=False, entries=(), items=())
+        below = replace(new, kind="mapping", text="", quoted=False, entries=(), items=())
+        return replace(node, entries=(*node.entries, (key, _replaced(below, names[1:], new))))
+    key, value = node.entries[at]
+    changed = (key, _replaced(value, names[1:], new))
+    return replace(node, entries=(*node.entries[:at], changed, *node.entries[at + 1 :]))
+
+
+def _kind(root: Node, path: Path, wanted: str | None) -> str | None:
+    """Return the kind of a job where it is one of the table; UsageError where the command is for another."""
+    node = root.get("job")
+    kind = node.text if node is not None and node.kind == "scalar" and node.text in tasks.KINDS else None
+    if kind is not None and wanted not in (None, kind):
+        raise UsageError(f"{path} is a job of the kind {kind}; use: metrocli {kind} {path}")
+    return kind
+
+
+def _only(root: Node, keys: Iterable[str]) -> Node:
+    return replace(root, entries=tuple(entry for entry in root.entries if entry[0].text in keys))
+
+
+def _in_order(faults: Iterable[Fault]) -> list[Fault]:
+    return sorted(faults, key=lambda fault: (fault.file, fault.line or 0, fault.column or 0))
+
+
+def _inputs(root: Node, settings: type, faults: list[Fault]) -> tuple[Input, ...]:
+    """Return the inputs of a job, those whose own text has no fault; files in YAML are read and checked at once."""
+    node = root.get("inputs")
+    outer, _ = settings_of(settings).get("inputs", (None, False))
+    if node is None or outer is None or not isinstance(outer.spec, Section):
+        return ()
+    found = []
+    for name, (wanted, _) in settings_of(outer.spec.section).items():
+        below = node.get(wanted.key)
+        value = BAD if below is None else wanted.spec.read(below, [])
+        if below is not None and value is not BAD and _names_files(wanted.spec):
+            found.append(_with_content(Input(name, wanted.spec, value, below), faults))
+    return tuple(found)
+
+
+def _names_files(spec: Any) -> bool:
+    return isinstance(spec, TableFile | ImageFiles | FileOf) or (isinstance(spec, MapOf) and _names_files(spec.value))
+
+
+def _with_content(item: Input, faults: list[Fault]) -> Input:
+    """Read the YAML file of an input into its dataclass."""
+    path, section = item.value, getattr(item.spec, "section", None)
+    if section is None or path.suffix not in (".yaml", ".yml") or not path.is_file():
+        return item
+    try:
+        root = yaml_text.parse(yaml_text.read_text(path, str(path)), str(path), path.parent)
+    except InputError as error:
+        faults.extend(error.faults)
+        return item
+    return replace(item, held=Section(section).read(root, faults))
+
+
+def _missing(inputs: Iterable[Input], wishes: Wishes) -> list[Fault]:
+    """Return a fault for each input file that does not exist and that nothing makes."""
+    faults = []
+    for item in inputs:
+        if isinstance(item.spec, ImageFiles) and item.key not in wishes.not_needed:
+            for odd in item.spec.unmatched(item.node):
+                faults.append(odd.fault(f"inputs.{item.key}: no file matches '{odd.text}'", f"in {odd.source.folder}"))
+        places = item.node.items or [value for _, value in item.node.entries] or [item.node]
+        for n, path in enumerate(item.paths):
+            if path.is_file() or item.key in wishes.not_needed or Path(os.path.abspath(path)) in wishes.made:
+                continue
+            found = "a folder, not a file" if path.is_dir() else "no such file"
+            place = places[n] if len(places) == len(item.paths) else item.node
+            faults.append(place.fault(f"inputs.{item.key}: {found}: {path}", _neighbour(path)))
+    return faults
+
+
+def _neighbour(path: Path) -> str | None:
+    """Return the file of nearly the same name beside a missing one."""
+    if not path.parent.is_dir():
+        return f"there is no folder {path.parent}"
+    names = [other.name for other in path.parent.iterdir() if other.is_file()]
+    hint = suggestion(path.name, names)
+    return hint if hint.startswith("did you mean") else None
+
+
+def schema(kind: str) -> Schema:
+    """Return the JSON schema (2020-12) of a kind of job, for editors."""
+    own = sections_schema((Heading, tasks.load(kind).Settings))
+    own["properties"]["job"] = {"const": kind, "description": "kind of the job"}
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": f"metrocli {kind}", **own}
+

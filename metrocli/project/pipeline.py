@@ -1,0 +1,232 @@
+"""A project: its jobs in order, which results are stale and why; by content, never by time."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from metrocli import __version__
+from metrocli.errors import Fault, InputError, MetrocliError
+from metrocli.project import yaml_text
+from metrocli.project.inputs import input_files
+from metrocli.project.job import Job, Wishes, load
+from metrocli.project.runner import Done, Say, carry_out
+from metrocli.record import Record
+from metrocli.settings import BAD, ListOf, Node, Section, Text, setting
+
+FILE = "metrocli.yaml"
+
+
+@dataclass(frozen=True)
+class ProjectFile:
+    """A project: jobs that may use each other's results."""
+
+    jobs: tuple[str, ...] = setting(ListOf(Text(), distinct=True), "job files, relative to this file")
+    project: str = setting(Text(), "name of the project", default="")
+
+
+@dataclass(frozen=True)
+class Step:
+    """One job of a project and the jobs whose results it uses."""
+
+    name: str
+    """The job file as the project names it."""
+    job: Job
+    needs: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class State:
+    """Whether the result of a step is up to date: `reason` is empty, or says why not."""
+
+    step: Step
+    reason: str
+    record: Record | None = None
+
+
+@dataclass(frozen=True)
+class Report:
+    """What `run` did about a step."""
+
+    step: Step
+    action: str
+    """up to date | ran | failed | not run"""
+    reason: str
+    exit_code: int = 0
+    done: Done | None = None
+    error: str = ""
+
+
+def project_file(place: Path) -> Path:
+    """Return the metrocli.yaml of a folder, or the file itself; raise InputError where there is none."""
+    path = place / FILE if place.is_dir() else place
+    if not path.is_file():
+        hint = f"a project is a folder with {FILE}: {{project: NAME, jobs: [jobs/a.yaml]}}"
+        raise InputError([Fault("there is no such project", str(path), hint=hint)])
+    return path
+
+
+def load_project(place: Path) -> tuple[Step, ...]:
+    """Return the jobs of a project in an order that makes each result before it is used; InputError for all faults."""
+    path = project_file(place)
+    root = yaml_text.parse(yaml_text.read_text(path, str(path)), str(path), path.parent)
+    faults: list[Fault] = []
+    project = Section(ProjectFile).read(root, faults)
+    if project is BAD:
+        raise InputError(faults)
+    nodes = root.at("jobs").items
+    made = {_absolute(output) for node in nodes if (output := _peek_output(path.parent / node.text)) is not None}
+    jobs: dict[str, Job] = {}
+    for node in nodes:
+        _load_one(node, path.parent / node.text, made, jobs, faults)
+    makers = _makers(nodes, jobs, faults)
+    if faults:
+        raise InputError(faults)
+    needs = {name: _needed(job, makers) for name, job in jobs.items()}
+    return tuple(Step(name, jobs[name], needs[name]) for name in _ordered(nodes, needs))
+
+
+def _absolute(path: Path) -> Path:
+    return Path(os.path.abspath(path))
+
+
+def _peek_output(path: Path) -> Path | None:
+    """Return the output that a job file names, None where the file has faults (told when it is loaded)."""
+    try:
+        output = yaml_text.parse(yaml_text.read_text(path, str(path)), str(path), path.parent).get("output")
+    except InputError:
+        return None
+    return path.parent / output.text if output is not None else path.parent / "results" / f"{path.stem}.h5"
+
+
+def _load_one(node: Node, path: Path, made: set[Path], jobs: dict[str, Job], faults: list[Fault]) -> None:
+    if not path.is_file():
+        faults.append(node.fault(f"no such job file: {path}"))
+        return
+    try:
+        jobs[node.text] = load(path, Wishes(made=made))
+    except InputError as error:
+        faults.extend(error.faults)
+
+
+def _makers(nodes: Sequence[Node], jobs: Mapping[str, Job], faults: list[Fault]) -> dict[Path, str]:
+    """Return which job makes which result; a fault where two make the same one."""
+    makers: dict[Path, str] = {}
+    for node in nodes:
+        job = jobs.get(node.text)
+        if job is None:
+            continue
+        first = makers.setdefault(_absolute(job.output), node.text)
+        if first != node.text:
+            place = job.root.get("output") or node
+            faults.append(place.fault(f"two jobs write {job.output}: {first} and {node.text}", "name another output"))
+    return makers
+
+
+def _needed(job: Job, makers: Mapping[Path, str]) -> tuple[str, ...]:
+    paths = (_absolute(path) for item in job.inputs for path in item.paths)
+    return tuple(dict.fromkeys(makers[path] for path in paths if path in makers))
+
+
+def _ordered(nodes: Sequence[Node], needs: Mapping[str, tuple[str, ...]]) -> list[str]:
+    """Return the names so that each stands after what it needs, otherwise in the order of the file."""
+    ordered: list[str] = []
+    waiting = [node for node in nodes if node.text in needs]
+    while waiting:
+        ready = next((node for node in waiting if set(needs[node.text]) <= set(ordered)), None)
+        if ready is None:
+            chain = _cycle(waiting[0].text, needs, ordered)
+            at = next(node for node in waiting if node.text == chain[0])
+            raise InputError([at.fault(f"these jobs need each other's results: {' <- '.join(chain)}")])
+        ordered.append(ready.text)
+        waiting.remove(ready)
+    return ordered
+
+
+def _cycle(name: str, needs: Mapping[str, tuple[str, ...]], ordered: Sequence[str]) -> list[str]:
+    """Follow the needs that are not met until a name comes again."""
+    chain = [name]
+    while chain.count(name) < 2:
+        name = next(other for other in needs[name] if other not in ordered)
+        chain.append(name)
+    return chain[chain.index(name) :]
+
+
+def states(steps: Iterable[Step]) -> Iterator[State]:
+    """Tell of each step whether it would run, and why: also because a job runs whose result it uses."""
+    would_run: set[str] = set()
+    for step in steps:
+        state = _state(step, would_run)
+        if state.reason:
+            would_run.add(step.name)
+        yield state
+
+
+def _state(step: Step, would_run: set[str]) -> State:
+    from metrocli.formats import hdf5
+
+    upstream = next((name for name in step.needs if name in would_run), None)
+    if upstream is not None:
+        return State(step, f"{upstream} runs")
+    if not step.job.output.exists():
+        return State(step, "there is no result yet")
+    try:
+        kind, record = hdf5.read_record(step.job.output)
+    except InputError as error:
+        return State(step, error.faults[0].message)
+    if kind != step.job.kind:
+        return State(step, f"{step.job.output} is a result of {kind}")
+    return State(step, _difference(step.job, record), record)
+
+
+def _difference(job: Job, record: Record) -> str:
+    """Say what is not as it was when the result was made, "" where everything is."""
+    if record.metrocli_version != __version__:
+        return f"the result was made by metrocli {record.metrocli_version}, this is {__version__}"
+    if record.job_text != job.text:
+        return "the job file changed"
+    before = {item.path: item.sha256 for item in record.inputs}
+    now = {item.path: item.sha256 for item in input_files(job)}
+    changed = [f"{path} changed" for path in now if path in before and now[path] != before[path]]
+    changed += [f"{path} is new" for path in now if path not in before]
+    changed += [f"{path} is gone" for path in before if path not in now]
+    return f"input {changed[0]}{f' (and {len(changed) - 1} more)' if len(changed) > 1 else ''}" if changed else ""
+
+
+def run(steps: Sequence[Step], force: bool, say: Say, tell: Callable[[Report], Any]) -> list[Report]:
+    """Bring every result up to date and `tell` of each; a job that fails stops those that need it, the others go on."""
+    reports: dict[str, Report] = {}
+    ran: set[str] = set()
+    for step in steps:
+        report = _run_step(step, reports, ran, force, say)
+        reports[step.name] = report
+        if report.action == "ran":
+            ran.add(step.name)
+        tell(report)
+    return list(reports.values())
+
+
+def _run_step(step: Step, reports: Mapping[str, Report], ran: set[str], force: bool, say: Say) -> Report:
+    broken = next((name for name in step.needs if reports[name].action in ("failed", "not run")), None)
+    if broken is not None:
+        return Report(step, "not run", f"{broken} failed", reports[broken].exit_code)
+    state = _state(step, ran)
+    if not state.reason and not force and state.record is not None:
+        return Report(step, "up to date", "", _judgement(state.record))
+    try:
+        done = carry_out(step.job, force, say)
+    except MetrocliError as error:
+        return Report(step, "failed", state.reason or "forced", error.exit_code, error=str(error))
+    return Report(step, "ran", state.reason or "forced", _judgement(done.record), done)
+
+
+def _judgement(record: Record) -> int:
+    """Return the exit code of a finished job."""
+    return 0 if all(verdict.met for verdict in record.verdicts) else NOT_MET
+
+
+NOT_MET = 6
+"""Exit code of a job that is done, but misses an acceptance criterion."""

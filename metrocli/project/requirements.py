@@ -1,0 +1,105 @@
+"""Acceptance criteria of a job: `require: {sigma0: "< 1.5", x.std: "< 10 um"}`."""
+
+from __future__ import annotations
+
+import operator
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from metrocli import units
+from metrocli.errors import Fault
+from metrocli.record import Verdict
+from metrocli.result import Result
+from metrocli.settings import BAD, Node, Schema, suggestion
+
+_COMPARISONS: dict[str, Callable[[float, float], bool]] = {
+    "<=": operator.le, ">=": operator.ge, "==": operator.eq, "<": operator.lt, ">": operator.gt,
+}  # fmt: skip
+_NUMBER = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
+_CONDITION = re.compile(rf"\s*(<=|>=|==|<|>)\s*({_NUMBER})\s*(\S*)\s*")
+
+
+@dataclass(frozen=True)
+class Requirement:
+    """One comparison of a value of the result with a limit."""
+
+    name: str
+    """Of an estimate (`f`), its standard uncertainty (`f.std`) or a statistic (`sigma0`, `rms.px`)."""
+    comparison: str
+    limit: float
+    unit: str
+    node: Node
+
+    def verdict(self, result: Result, faults: list[Fault]) -> Verdict | None:
+        """Compare; None with a fault where the result has no such value, or one of another unit."""
+        known = values_of(result)
+        name = self.name.removeprefix("statistics.")
+        if name not in known:
+            message = f"require: the result has no value '{self.name}'"
+            faults.append(self.node.fault(message, suggestion(name, known)))
+            return None
+        value, unit = known[name]
+        try:
+            limit = self._limit_in(unit)
+        except units.QuantityError as error:
+            faults.append(self.node.fault(f"{self.node.path}: {error.message}", error.hint))
+            return None
+        met = _COMPARISONS[self.comparison](value, limit)
+        return Verdict(self.name, self.node.text, value, unit, bool(met))
+
+    def _limit_in(self, unit: str) -> float:
+        if not self.unit and unit in ("", "1"):
+            return self.limit
+        if not self.unit:
+            example = f"write e.g. '{self.comparison} {self.limit:g} {unit}'"
+            raise units.QuantityError(f"{self.limit:g} has no unit", example)
+        dimension = next((name for name in units.DIMENSIONS if units.internal_unit(name) == unit), None)
+        if dimension is None:
+            raise units.QuantityError(f"{self.name} has the unit '{unit}', not '{self.unit}'", "leave the unit out")
+        return units.find_unit(self.unit, dimension).inside(self.limit)
+
+
+def values_of(result: Result) -> dict[str, tuple[float, str]]:
+    """Return what a requirement can name: each value with its unit."""
+    values: dict[str, tuple[float, str]] = {}
+    for name, value in result.statistics.items():
+        if isinstance(value, Mapping):
+            values |= {f"{name}.{part}": (float(number), "") for part, number in value.items()}
+        elif not isinstance(value, str):
+            values[name] = (float(value), "")
+    for estimate in result.estimates:
+        values[f"{estimate.name}.std"] = (estimate.std, estimate.unit)
+        values[estimate.name] = (estimate.value, estimate.unit)
+    return values
+
+
+@dataclass(frozen=True)
+class Requirements:
+    """The value of `require:`, a mapping from names to comparisons, or to lists of them."""
+
+    expects = "names with comparisons such as {sigma0: '< 1.5'}"
+
+    def fits(self, node: Node) -> bool:
+        return node.kind == "mapping"
+
+    def read(self, node: Node, faults: list[Fault]) -> Any:
+        if not self.fits(node):
+            faults.append(node.fault(f"{node.path}: this is not a mapping", f"expected {self.expects}"))
+            return BAD
+        parts = [(key.text, part) for key, value in node.entries for part in (value.items or (value,))]
+        found = [_requirement(name, part, faults) for name, part in parts]
+        return BAD if None in found else tuple(found)
+
+    def schema(self) -> Schema:
+        one: Schema = {"type": "string", "pattern": rf"^\s*(<=|>=|==|<|>)\s*{_NUMBER}\s*(\S*)\s*$"}
+        return {"type": "object", "additionalProperties": {"anyOf": [one, {"type": "array", "items": one}]}}
+
+
+def _requirement(name: str, node: Node, faults: list[Fault]) -> Requirement | None:
+    match = _CONDITION.fullmatch(node.text) if node.kind == "scalar" else None
+    if match is None:
+        faults.append(node.fault(f"{node.path}: '{node.text}' is not a comparison", "write e.g. '< 1.5' or '<= 5 um'"))
+        return None
+    return Requirement(name, match[1], float(match[2]), match[3], node)
