@@ -219,6 +219,11 @@ def load(path: Path, wishes: Wishes | None = None) -> Job:
     return Job(path, heading, settings, inputs, output, text, root)
 
 
+def kind_of_job(path: Path) -> str | None:
+    """Return the kind of a job file, None where it names none that is known."""
+    return _kind(_root(path, ())[0], path, None)
+
+
 def _root(path: Path, overrides: Sequence[str]) -> tuple[Node, str]:
     """Return the tree of a job file with the overrides in it, and the text that says the same."""
     text = yaml_text.read_text(path, str(path))

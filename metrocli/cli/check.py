@@ -1,0 +1,40 @@
+"""metrocli check: validate a job or a project without computing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from metrocli.cli import options
+
+
+@click.command("check", help="Validate a job or a project, and the files they name, without computing.")
+@click.argument("place", type=click.Path(path_type=Path), metavar="JOB.yaml|PROJECT")
+@options.SET
+@options.QUIET
+def command(place: Path, overrides: tuple[str, ...], quiet: bool) -> int:
+    """Tell every fault, or that there is none."""
+    from metrocli.errors import Fault, InputError, UsageError
+    from metrocli.project.inputs import read_inputs
+    from metrocli.project.job import Job, Wishes, load
+    from metrocli.project.pipeline import FILE, load_project
+
+    if place.is_dir() or place.name == FILE:
+        if overrides:
+            raise UsageError("--set changes one job; check that job")
+        jobs: list[Job] = [step.job for step in load_project(place)]
+    else:
+        jobs = [load(place, Wishes(overrides))]
+    faults: list[Fault] = []
+    for job in jobs:
+        missing = [item.key for item in job.inputs if not all(path.exists() for path in item.paths)]
+        try:
+            read_inputs(job, missing)
+        except InputError as error:
+            faults.extend(error.faults)
+    if faults:
+        raise InputError(faults)
+    for job in jobs:
+        options.Voice(quiet).line(f"{job.file}: no faults")
+    return 0

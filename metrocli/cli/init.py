@@ -1,0 +1,50 @@
+"""metrocli init: copy a sample project."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+
+@click.command("init", help="Copy a sample project into DIR; without --sample, list them.")
+@click.argument("folder", required=False, type=click.Path(path_type=Path), metavar="DIR")
+@click.option("--sample", metavar="NAME", help="The sample to copy.")
+def command(folder: Path | None, sample: str | None) -> int:
+    """Copy a sample, or list what there is."""
+    import shutil
+
+    from metrocli.errors import Fault, InputError, UsageError
+    from metrocli.settings import suggestion
+
+    samples = {path.name: path for path in sorted(_home().iterdir()) if (path / "metrocli.yaml").is_file()}
+    if sample is None:
+        click.echo("samples (copy one with: metrocli init DIR --sample NAME):")
+        for name, path in samples.items():
+            click.echo(f"  {name}: {_title(path)}")
+        return 0
+    if sample not in samples:
+        raise UsageError(f"no sample '{sample}'; {suggestion(sample, samples)}")
+    if folder is None:
+        raise UsageError(f"name the folder: metrocli init DIR --sample {sample}")
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InputError([Fault("the folder is not empty", str(folder), hint="name a new one")])
+    try:
+        shutil.copytree(samples[sample], folder, dirs_exist_ok=True, ignore=shutil.ignore_patterns("results"))
+    except (OSError, shutil.Error) as error:
+        raise InputError([Fault(f"cannot be written: {error}", str(folder))]) from error
+    click.echo(f"{folder}: the sample {sample}. Next: metrocli run {folder}")
+    return 0
+
+
+def _home() -> Path:
+    """Return the folder of samples: in the installed package, or beside the package in a checkout."""
+    package = Path(__file__).parents[1]
+    installed = package / "sample_projects"
+    return installed if installed.is_dir() else package.parent / "sample_projects"
+
+
+def _title(path: Path) -> str:
+    """Return the first line of a sample's README."""
+    readme = path / "README.md"
+    return readme.read_text(encoding="utf-8").splitlines()[0].lstrip("# ") if readme.is_file() else ""

@@ -1,0 +1,60 @@
+"""The command of a kind of job, the same for all kinds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from metrocli.cli import options
+from metrocli.cli.options import Voice
+from metrocli.tasks import KINDS
+
+
+def make(kind: str) -> click.Command:
+    """Return the command that runs jobs of one kind."""
+
+    questions = [_question(name, text) for name, text in KINDS[kind].answers.items()]
+    shared = [options.DRY_RUN, options.FORCE, options.JSON, options.QUIET, options.VERBOSE]
+
+    @options.all_of(options.JOB, options.OUTPUT, options.SET, *questions, *shared)
+    def command(job: Path, quiet: bool, verbose: bool, **wanted: Any) -> int:
+        return _carry_out(kind, job, Voice(quiet, verbose), wanted)
+
+    help_text = f"{KINDS[kind].summary[0].upper()}{KINDS[kind].summary[1:]}."
+    return click.command(kind, help=help_text)(command)
+
+
+def _question(name: str, help_text: str) -> options.Decorator:
+    return click.option(f"--{name}", is_flag=True, help=help_text)
+
+
+def _carry_out(kind: str, path: Path, voice: Voice, wanted: dict[str, Any]) -> int:
+    """Load the job, then check, ask or run it, and print what came out."""
+    from metrocli.project import runner
+    from metrocli.project.job import Wishes, load
+
+    job = load(path, Wishes(wanted["overrides"], wanted["output"], kind))
+    question = next((name for name in KINDS[kind].answers if wanted[name]), None)
+    if wanted["dry_run"]:
+        from metrocli.project.inputs import read_inputs
+
+        runner.refuse_foreign(job.output, kind, wanted["force"])
+        read_inputs(job)
+        voice.line(f"{path}: no faults; would write {job.output}")
+        return 0
+    from metrocli.cli import summary, terminal
+
+    if question is not None:
+        table = runner.answer(job, question)
+        click.echo(summary.json_of_table(table) if wanted["as_json"] else terminal.table_text(table))
+        return 0
+    done = runner.carry_out(job, wanted["force"], voice.progress)
+    if wanted["as_json"]:
+        click.echo(summary.json_of(done.result, done.record, done.path))
+    else:
+        voice.line(terminal.result_text(done.result, done.record, done.path))
+    for line in done.result.warnings:
+        voice.warning(line)
+    return terminal.tell_misses(done.record)

@@ -1,0 +1,54 @@
+"""Options that several commands have."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import click
+
+Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
+JOB = click.argument("job", type=click.Path(path_type=Path), metavar="JOB.yaml")
+JSON = click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON and nothing else on stdout.")
+FORCE = click.option("--force", is_flag=True, help="Replace an output that is something else.")
+SET = click.option("--set", "overrides", multiple=True, metavar="KEY.PATH=VALUE", help="Change one value of the job.")
+OUTPUT = click.option("--output", type=click.Path(path_type=Path), metavar="FILE.h5", help="Write the result here.")
+DRY_RUN = click.option("--dry-run", is_flag=True, help="Check everything, compute and write nothing.")
+QUIET = click.option("--quiet", "-q", is_flag=True, help="Tell nothing but failures.")
+VERBOSE = click.option("--verbose", "-v", is_flag=True, help="Tell what is being done, on stderr.")
+
+
+def all_of(*options: Decorator) -> Decorator:
+    """Return several options as one decorator, shown in their order."""
+
+    def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
+        for option in reversed(options):
+            function = option(function)
+        return function
+
+    return decorate
+
+
+@dataclass(frozen=True)
+class Voice:
+    """How much is told, and where."""
+
+    quiet: bool = False
+    verbose: bool = False
+
+    def progress(self, line: str) -> None:
+        """Tell on stderr what is being done, where that was asked for."""
+        if self.verbose:
+            click.echo(line, err=True)
+
+    def warning(self, line: str) -> None:
+        """Tell on stderr what the user should know."""
+        if not self.quiet:
+            click.echo(f"warning: {line}", err=True)
+
+    def line(self, line: str) -> None:
+        """Tell on stdout."""
+        if not self.quiet:
+            click.echo(line)

@@ -1,0 +1,68 @@
+"""metrocli run: bring every result of a project up to date."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from metrocli.cli import options
+from metrocli.cli.options import Voice
+
+if TYPE_CHECKING:
+    from metrocli.project.pipeline import Report
+
+
+@click.command("run", help="Bring every result of a project up to date, in the order that the jobs need.")
+@click.argument("project", type=click.Path(path_type=Path), default=Path())
+@click.option("--force", is_flag=True, help="Run every job, and replace outputs that are something else.")
+@options.DRY_RUN
+@options.JSON
+@options.QUIET
+@options.VERBOSE
+def command(project: Path, force: bool, dry_run: bool, as_json: bool, quiet: bool, verbose: bool) -> int:
+    """Print one line a job; return the exit code of the first that failed."""
+    from metrocli.project import pipeline
+
+    steps = pipeline.load_project(project)
+    voice = Voice(quiet or as_json, verbose)
+    if dry_run:
+        for state in pipeline.states(steps):
+            reason = state.reason or ("forced" if force else "")
+            voice.line(f"{state.step.name}: {f'would run: {reason}' if reason else 'up to date'}")
+        return 0
+    reports = pipeline.run(steps, force, voice.progress, lambda report: _tell(report, voice))
+    if as_json:
+        from metrocli.cli.summary import as_json as json_text
+
+        click.echo(json_text({"jobs": [_summary(report) for report in reports]}))
+    return next((report.exit_code for report in reports if report.exit_code), 0)
+
+
+def _tell(report: Report, voice: Voice) -> None:
+    """Print the line of one job; failures, warnings and missed criteria go to stderr."""
+    place = f" -> {report.step.job.output}" if report.action == "ran" else ""
+    unmet = " (an acceptance criterion is not met)" if report.exit_code and not report.error else ""
+    if report.action == "not run":
+        unmet = ""
+    reason = f" ({report.reason})" if report.reason else ""
+    voice.line(f"{report.step.name}: {report.action}{reason}{place}{unmet}")
+    if report.error:
+        click.echo(report.error, err=True)
+    if report.done is not None:
+        from metrocli.cli import terminal
+
+        voice.progress(terminal.result_text(report.done.result, report.done.record, report.done.path))
+        for line in report.done.result.warnings:
+            voice.warning(line)
+        terminal.tell_misses(report.done.record)
+
+
+def _summary(report: Report) -> dict[str, Any]:
+    from metrocli.cli import summary
+
+    done = report.done
+    facts = {"job": report.step.name, "action": report.action, "reason": report.reason, "exit_code": report.exit_code}
+    more = summary.summary(done.result, done.record, done.path) if done else {"error": report.error}
+    return facts | {"summary" if done else "error": more if done else report.error}

@@ -1,0 +1,22 @@
+"""metrocli schema: JSON schema of a job, for editors."""
+
+from __future__ import annotations
+
+import click
+
+
+@click.command("schema", help="JSON schema (2020-12) of a job of one kind, or of any kind.")
+@click.argument("kind", required=False, metavar="[KIND]")
+def command(kind: str | None) -> int:
+    """Print the schema of a kind, or one that takes every kind."""
+    from metrocli.cli.summary import as_json
+    from metrocli.errors import UsageError
+    from metrocli.project.job import schema
+    from metrocli.settings import suggestion
+    from metrocli.tasks import KINDS
+
+    if kind is not None and kind not in KINDS:
+        raise UsageError(f"no kind of job '{kind}'; {suggestion(kind, KINDS)}")
+    dialect = "https://json-schema.org/draft/2020-12/schema"
+    click.echo(as_json(schema(kind) if kind else {"$schema": dialect, "anyOf": [schema(name) for name in KINDS]}))
+    return 0

@@ -1,0 +1,37 @@
+"""metrocli show: a result on the terminal."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from metrocli.cli import options
+
+
+@click.command("show", help="A result on the terminal.")
+@click.argument("result", type=click.Path(path_type=Path), metavar="RESULT.h5")
+@click.option("--table", "name", metavar="NAME", help="Print one table, whole, as CSV.")
+@options.JSON
+def command(result: Path, name: str | None, as_json: bool) -> int:
+    """Print a result as its job did, or one of its tables."""
+    from metrocli.cli import summary, terminal
+    from metrocli.errors import UsageError
+    from metrocli.formats import csv, hdf5
+    from metrocli.settings import suggestion
+
+    found, record = hdf5.read(result)
+    if name is not None:
+        if name not in found.tables:
+            raise UsageError(f"{result} has no table '{name}'; {suggestion(name, found.tables)}")
+        table = found.tables[name]
+        click.echo(summary.json_of_table(table) if as_json else csv.to_text(table), nl=as_json)
+        return 0
+    if as_json:
+        click.echo(summary.json_of(found, record, result))
+        return 0
+    click.echo(terminal.result_text(found, record, result))
+    click.echo(f"tables: {', '.join(found.tables) or 'none'}")
+    for line in found.warnings:
+        click.echo(f"warning: {line}", err=True)
+    return 0

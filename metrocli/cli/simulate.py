@@ -1,0 +1,36 @@
+"""metrocli simulate: the measurement that a job's model predicts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from metrocli.cli import options
+
+
+@click.command("simulate", help="Write the measurement that the model of a job predicts, and the truth behind it.")
+@options.JOB
+@click.option("--out", required=True, type=click.Path(path_type=Path), metavar="DIR", help="Folder to write.")
+@click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of the noise.")
+@click.option("--images", is_flag=True, help="Render pictures too.")
+@options.SET
+@options.FORCE
+@options.QUIET
+def command(
+    job: Path, out: Path, seed: int, images: bool, overrides: tuple[str, ...], force: bool, quiet: bool
+) -> int:
+    """Simulate, then write tables, pictures and truth.json, and print their paths."""
+    from metrocli.errors import Fault, InputError
+    from metrocli.project import runner
+    from metrocli.project.job import Wishes, kind_of_job, load
+    from metrocli.project.simulated import write
+    from metrocli.simulation import SimulationOptions
+
+    if out.exists() and not force and (not out.is_dir() or any(out.iterdir())):
+        raise InputError([Fault("the folder is not empty", str(out), hint="name a new one, or use --force")])
+    kind = kind_of_job(job)
+    loaded = load(job, Wishes(overrides, not_needed=runner.simulated_inputs(kind) if kind else ()))
+    for path in write(runner.simulate(loaded, SimulationOptions(seed, images)), out):
+        options.Voice(quiet).line(str(path))
+    return 0

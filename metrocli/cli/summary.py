@@ -1,0 +1,56 @@
+"""The summary of a result as JSON (the same for every command that has --json)."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from metrocli.record import Record
+from metrocli.result import Result
+from metrocli.table import Table
+
+
+def summary(result: Result, record: Record, path: Path) -> dict[str, Any]:
+    """Return what a program wants to know of a result."""
+    return {
+        "kind": result.kind,
+        "title": result.title,
+        "status": "done" if all(verdict.met for verdict in record.verdicts) else "requirements not met",
+        "result": str(path),
+        "estimates": {e.name: {"value": e.value, "std": e.std, "unit": e.unit} for e in result.estimates},
+        "statistics": dict(result.statistics),
+        "warnings": list(result.warnings),
+        "notes": list(result.notes),
+        "requirements": [asdict(verdict) for verdict in record.verdicts],
+    }
+
+
+def json_of(result: Result, record: Record, path: Path) -> str:
+    """Return the summary as JSON text."""
+    return as_json(summary(result, record, path))
+
+
+def json_of_table(table: Table) -> str:
+    """Return a table as a JSON list with one object a row; its units beside it."""
+    columns = [values.tolist() for values in table.columns.values()]
+    rows = [dict(zip(table, row, strict=True)) for row in zip(*columns, strict=True)]
+    return as_json({"units": dict(table.units), "rows": rows})
+
+
+def as_json(value: Any) -> str:
+    """Return JSON text; what is not a finite number is null."""
+    return json.dumps(_finite(value), indent=2, ensure_ascii=False)
+
+
+def _finite(value: Any) -> Any:
+    if hasattr(value, "item"):
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if isinstance(value, Mapping):
+        return {str(key): _finite(item) for key, item in value.items()}
+    return [_finite(item) for item in value] if isinstance(value, list | tuple) else value

@@ -1,0 +1,106 @@
+"""A result as people read it: values to the second digit of their uncertainty, tables in columns."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+
+from metrocli import units
+from metrocli.project.pipeline import NOT_MET
+from metrocli.record import Record, Verdict
+from metrocli.result import Estimate, Result
+from metrocli.table import Table
+
+MOST_ROWS = 40
+_FIRST = ("observations", "unknowns", "dof", "sigma0", "chi2", "p_value", "iterations", "rms")
+
+
+def result_text(result: Result, record: Record, path: Path) -> str:
+    """Return the whole summary of a result."""
+    parts = [f"{result.kind}{f': {result.title}' if result.title else ''}"]
+    parts += [columns_text(_estimate_rows(result.estimates))] if result.estimates else []
+    parts += [_statistics_line(result.statistics)]
+    parts += result.notes
+    parts += [f"\n{name}\n{table_text(result.tables[name])}" for name in result.shown if name in result.tables]
+    parts += [_verdict_line(verdict) for verdict in record.verdicts]
+    return "\n".join([*parts, f"result: {path}"])
+
+
+def tell_misses(record: Record) -> int:
+    """Tell on stderr each acceptance criterion that is not met; return the exit code."""
+    missed = [verdict for verdict in record.verdicts if not verdict.met]
+    for verdict in missed:
+        click.echo(_verdict_line(verdict), err=True)
+    return NOT_MET if missed else 0
+
+
+def _verdict_line(verdict: Verdict) -> str:
+    outcome = "met" if verdict.met else "NOT met"
+    value = units.format_quantity(verdict.value, verdict.unit)
+    return f"required {verdict.name} {verdict.condition}: {outcome} ({value})"
+
+
+def _estimate_rows(estimates: Iterable[Estimate]) -> list[list[str]]:
+    return [_estimate_row(estimate) for estimate in estimates]
+
+
+def _estimate_row(estimate: Estimate) -> list[str]:
+    """Return name, value, standard uncertainty and unit; an angle also as a slope."""
+    value, std = units.rounded(estimate.value, estimate.std)
+    row = [estimate.name, value, f"± {std}", estimate.unit]
+    if estimate.unit == "rad":
+        (slope, unit), (spread, _) = units.as_slope(estimate.value), units.as_slope(estimate.std)
+        row.append(f"({units.format_quantity(slope, unit, spread)})")
+    return row
+
+
+def _statistics_line(statistics: Mapping[str, Any]) -> str:
+    parts = []
+    for name in _FIRST:
+        value = statistics.get(name)
+        if isinstance(value, Mapping):
+            parts += [f"{name} {number:.4g} {unit}" for unit, number in value.items()]
+        elif value is not None:
+            parts.append(f"{name.replace('_value', '')} {value:.4g}" if isinstance(value, float) else f"{name} {value}")
+    return ", ".join(parts)
+
+
+def table_text(table: Table) -> str:
+    """Return a table in columns with units, its first rows only where it is long."""
+    heads = [f"{name} [{table.units[name]}]" if table.units.get(name) else name for name in table]
+    columns = [_column_texts(table.columns[name][:MOST_ROWS].tolist()) for name in table]
+    rows = [list(row) for row in zip(*columns, strict=True)]
+    more = [f"... {len(table) - MOST_ROWS} more rows (show --table prints all)"] if len(table) > MOST_ROWS else []
+    return "\n".join([columns_text([heads, *rows]), *more])
+
+
+def _column_texts(values: Sequence[Any]) -> list[str]:
+    """Return a column as text, all its numbers to the digits that the largest needs for five."""
+    numbers = [abs(value) for value in values if isinstance(value, float) and math.isfinite(value)]
+    largest = max(numbers, default=0.0)
+    digits = min(max(4 - math.floor(math.log10(largest)), 0), 12) if largest > 0 else 0
+    return [_cell(value, digits) for value in values]
+
+
+def _cell(value: Any, digits: int) -> str:
+    if not isinstance(value, float):
+        return str(value)
+    return f"{value:.{digits}f}" if math.isfinite(value) else "-"
+
+
+def columns_text(rows: Sequence[Sequence[str]]) -> str:
+    """Return rows of text in aligned columns, numbers to the right."""
+    count = max(len(row) for row in rows)
+    filled = [[*row, *[""] * (count - len(row))] for row in rows]
+    columns = [_aligned([row[k] for row in filled]) for k in range(count)]
+    return "\n".join("  ".join(cells).rstrip() for cells in zip(*columns, strict=True))
+
+
+def _aligned(cells: Sequence[str]) -> list[str]:
+    width = max(len(cell) for cell in cells)
+    numeric = any(cell[:1] in "-+0123456789" for cell in cells[1:] or cells if cell)
+    return [cell.rjust(width) if numeric else cell.ljust(width) for cell in cells]
