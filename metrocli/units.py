@@ -178,7 +178,7 @@ def find_unit(symbol: str, dimension: str, number: str = "1") -> Unit:
     if others:
         raise QuantityError(f"'{symbol}' is the unit of {others[0]}, not of {wanted.phrase}", accepted)
     if not re.fullmatch(r"[^\W\d_]+(/[^\W\d_]+)*|1/[^\W\d_]+", plain):
-        raise QuantityError(f"'{number} {symbol}' is not one number with one unit", f"write e.g. '{wanted.example}'")
+        raise QuantityError(f"'{symbol}' after {number} is not one unit", f"write e.g. '{wanted.example}'")
     near = nearest(plain, wanted.symbols)
     raise QuantityError(f"unknown unit '{symbol}'", f"did you mean '{near}'? {accepted}" if near else accepted)
 

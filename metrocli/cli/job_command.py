@@ -57,4 +57,4 @@ def _carry_out(kind: str, path: Path, voice: Voice, wanted: dict[str, Any]) -> i
         voice.line(terminal.result_text(done.result, done.record, done.path))
     for line in done.result.warnings:
         voice.warning(line)
-    return terminal.tell_misses(done.record)
+    return terminal.tell_misses(done.record, told=not (wanted["as_json"] or voice.quiet))

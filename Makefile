@@ -1,0 +1,37 @@
+# Each target sets up what it needs: a virtual environment in .venv from requirements.lock, by pip alone.
+PYTHON ?= python3
+BIN := .venv/bin
+export OMP_NUM_THREADS ?= 1
+
+.PHONY: demo test lint bench lock clean
+
+demo: .venv/installed
+	rm -rf demo
+	$(BIN)/metrocli init demo --sample spindle-camera
+	$(BIN)/metrocli run demo
+	$(BIN)/metrocli show demo/results/part.h5
+
+test: lint
+	$(BIN)/python -m pytest -n 2
+
+lint: .venv/installed
+	$(BIN)/ruff check
+	$(BIN)/mypy
+
+bench: .venv/installed
+	$(BIN)/python -m benchmarks
+
+.venv/installed: requirements.lock pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "metrocli needs Python 3.11 or newer: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 1; }
+	test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	touch $@
+
+# For those who change the dependencies: needs uv.
+lock:
+	uv pip compile --universal --generate-hashes --python-version 3.11 --extra dev --no-header -o requirements.lock pyproject.toml
+
+clean:
+	rm -rf .venv demo build dist

@@ -1,0 +1,101 @@
+"""Units: a golden list of texts, each right or refused with a hint."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from metrocli import units
+from metrocli.units import QuantityError, parse_quantity
+
+RIGHT = [
+    ("0.1 mm", "length", 0.1), ("0.1mm", "length", 0.1), ("1 m", "length", 1000.0), ("0.1 um", "length", 1e-4),
+    ("0.1 µm", "length", 1e-4), ("0.1 \u03bcm", "length", 1e-4), ("25 nm", "length", 2.5e-5), ("-.5 mm", "length", -0.5),
+    ("1e-3 m", "length", 1.0), ("+2.5E+1 um", "length", 0.025), ("  3 mm ", "length", 3.0), ("633 nm", "wavelength", 6.33e-4),
+    ("20 arcsec", "angle", math.pi / 32400), ("90 deg", "angle", math.pi / 2), ("90°", "angle", math.pi / 2),
+    ("1 arcmin", "angle", math.pi / 10800), ("5 urad", "angle", 5e-6), ("5 µrad", "angle", 5e-6), ("3 mrad", "angle", 3e-3),
+    ("6.15 mm/m", "slope", 6.15e-3), ("0.1 um/m", "ratio", 1e-7), ("0.1 µm/m", "ratio", 1e-7), ("2 ppm", "ratio", 2e-6),
+    ("2 %", "ratio", 0.02), ("20.5 degC", "temperature", 20.5), ("20.5 °C", "temperature", 20.5), ("0 K", "temperature", -273.15),
+    ("0.5 K", "temperature difference", 0.5), ("3 mK", "temperature difference", 3e-3), ("11.5e-6 1/K", "expansion", 11.5e-6),
+    ("11.5 um/m/K", "expansion", 11.5e-6), ("11.5 ppm/K", "expansion", 11.5e-6), ("1013.25 hPa", "pressure", 1013.25),
+    ("101325 Pa", "pressure", 1013.25), ("50 percent", "humidity", 50.0), ("50%", "humidity", 50.0), ("2 min", "time", 120.0),
+    ("1 h", "time", 3600.0), ("0.1 px", "pixel", 0.1), ("0.6 um/min", "speed", 1e-5), ("0.5 kg", "mass", 0.5),
+    ("5 mV", "voltage", 5e-3), ("100 Ω", "resistance", 100.0),
+]  # fmt: skip
+REFUSED = [
+    ("0,1 mm", "length", "decimal comma", "write '0.1 mm'"), ("5 Mm", "length", "unknown unit", "did you mean 'mm'"),
+    ("0.5 kg", "length", "of a mass, not of a length", "allowed"), ("20", "length", "has no unit", "write e.g. '20 mm'"),
+    ("1e-6", "length", "has no unit", "1e-6 mm"), ("nan mm", "length", "not a number", "0.1 mm"), ("inf mm", "length", "not a number", ""),
+    ("1e400 mm", "length", "too large", ""), ("umm", "length", "not a number", ""), ("1 umm", "length", "unknown unit", "'um'"),
+    ("3 mm + 2 um", "length", "is not one unit", ""), ("25 +/- 0.1 mm", "length", "is not one unit", ""),
+    ("(1.5+L/350) um", "length", "not a number", ""), ("0.5 px", "length", "distance in the image", "allowed"),
+    ("1 MM", "length", "unknown unit", "'mm'"), ("1 000 mm", "length", "is not one unit", ""), ("", "length", "not a number", ""),
+    ("3 mm/m", "angle", "of a slope, not of an angle", "arcsec"), ("20 arcsec", "slope", "of an angle, not of a slope", "mm/m"),
+    ("5 deg", "temperature", "of an angle", "degC"), ("1 degC", "temperature difference", "cannot be the unit", "write '1 K'"),
+    ("20 mm", "pixel", "of a length", "px"), ("2 ppm", "slope", "a ratio", "um/m"), ("1 microns", "length", "unknown unit", "'um'"),
+    ("5 inch", "length", "unknown unit", "'mm'"), ("\u22125 mm", "length", "not a number", ""), ("1_000 mm", "length", "is not one unit", ""),
+    ("0x10 mm", "length", "is not one unit", ""), ("5 seconds", "time", "unknown unit", "'s'"), ("1,000.5 mm", "length", "is not one unit", ""),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("text", "dimension", "value"), RIGHT)
+def test_quantities_are_read(text: str, dimension: str, value: float) -> None:
+    assert parse_quantity(text, dimension) == pytest.approx(value, rel=1e-15, abs=1e-13)
+
+
+@pytest.mark.parametrize(("text", "dimension", "message", "hint"), REFUSED)
+def test_other_texts_are_refused_with_a_hint(text: str, dimension: str, message: str, hint: str) -> None:
+    with pytest.raises(QuantityError) as caught:
+        parse_quantity(text, dimension)
+    assert message in caught.value.message
+    assert caught.value.hint
+    assert hint in caught.value.hint
+
+
+@pytest.mark.parametrize("dimension", units.DIMENSIONS)
+def test_each_example_is_a_quantity_and_matches_the_pattern(dimension: str) -> None:
+    import re
+
+    example = units.DIMENSIONS[dimension].example
+    assert math.isfinite(parse_quantity(example, dimension))
+    assert re.search(units.quantity_pattern(dimension), example)
+
+
+@given(st.floats(-1e9, 1e9), st.sampled_from([(d.name, u.symbol) for d in units.DIMENSIONS.values() for u in d.units]))
+def test_a_unit_there_and_back(value: float, case: tuple[str, str]) -> None:
+    unit = units.find_unit(case[1], case[0])
+    assert unit.inside(unit.outside(value)) == pytest.approx(value, rel=1e-14, abs=1e-12 + abs(unit.offset) * 1e-15)
+
+
+@given(st.text(max_size=20), st.sampled_from(list(units.DIMENSIONS)))
+def test_any_text_is_read_or_refused(text: str, dimension: str) -> None:
+    try:
+        assert math.isfinite(parse_quantity(text, dimension))
+    except QuantityError as error:
+        assert error.hint
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "shown"),
+    [
+        (12.345678, 0.00123, ("12.3457", "0.0012")), (0.0999, 0.0996, ("0.10", "0.10")), (123456.0, 7000.0, ("123500", "7000")),
+        (3.0, 0.0, ("3", "0")), (1e-8, 2e-9, ("0.0000000100", "0.0000000020")), (-0.5, 0.25, ("-0.50", "0.25")),
+        (1.0, float("nan"), ("1", "nan")), (1.0, float("inf"), ("1", "inf")),
+    ],
+)  # fmt: skip
+def test_two_digits_of_the_uncertainty_are_shown(value: float, std: float, shown: tuple[str, str]) -> None:
+    assert units.rounded(value, std) == shown
+
+
+def test_very_small_values_are_shown_in_powers_of_ten() -> None:
+    assert units.rounded(1.23e-14, 1e-16) == ("1.230e-14", "1.0e-16")
+
+
+def test_column_endings() -> None:
+    assert set(units.suffixes("length")) == {"mm", "m", "um", "nm"}
+    assert "um_per_m" in units.suffixes("ratio")
+    assert units.suffix_of("1/K") == "per_K"
+    assert units.suffix_of("1") == ""
