@@ -1,0 +1,140 @@
+"""A corpus of broken jobs: each is refused with file, line and column, in words, and nothing is written."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+HEAD = "metrocli: 1\njob: straight-line\n"
+GOOD = HEAD + "inputs: {readings: readings.csv}\nnoise: 0.1 mm\n"
+BOMB = "a: &a [x, x]\nb: &b [*a, *a]\nc: &c [*b, *b]\n"
+
+# name: (text of the job, line:column, message, hint)
+BROKEN = {
+    "tab": (GOOD + "limits:\n\trange: [1 mm, 2 mm]\n", "6:1", "a tab stands in the indentation", "spaces"),
+    "indentation": (GOOD + "  title: x\n", "5:8", "indented too far", "alike"),
+    "dedent": (GOOD + "limits:\n    robust: true\n  range: [1 mm, 2 mm]\n", "7:3", "does not fit", "alike"),
+    "colon": (GOOD + "title: part: 3\n", "5:12", "a second ': '", "quotes"),
+    "open list": (GOOD + "estimate: [slope\n", "5:11", "not closed", "[a, b, c]"),
+    "open mapping": (GOOD + "limits: {range: [1 mm, 2 mm]\n", "5:9", "not closed", "{a: 1, b: 2}"),
+    "open quote": (GOOD + "title: 'abc\n", "5:8", "quotation mark", "close it"),
+    "at sign": (GOOD + "title: @abc\n", "5:8", "cannot begin", "quotes"),
+    "no colon": (GOOD + "title\n", "5:1", "a key without ': '", "key: value"),
+    "alias bomb": (BOMB + GOOD, "1:4", "anchor", "write the value out"),
+    "alias": (GOOD + "title: *a\n", "5:8", "alias", "write the value out"),
+    "tag": (GOOD + "title: !!python/name:os.system x\n", "5:8", "tag", "plain value"),
+    "deep": (GOOD + f"title: {'[' * 5000}\n", "5:37", "more than 30 levels", ""),
+    "two documents": (GOOD + "---\na: 1\n", "5:1", "second document", "one document"),
+    "duplicate key": (GOOD + "noise: 0.2 mm\n", "5:1", "'noise' stands here twice", "line 4"),
+    "empty": ("", "1:1", "empty", ""),
+    "only comments": ("# nothing\n", "1:1", "empty", ""),
+    "a list": ("- a\n", "1:1", "a job file is a mapping", "metrocli: 1"),
+    "a word": ("hello\n", "1:1", "a job file is a mapping", ""),
+    "binary": ("\x00\x01\x02", "1:1", "control character", ""),
+    "no kind": ("metrocli: 1\n", "1:1", "the key 'job' is missing", "kind of the job"),
+    "unknown kind": (GOOD.replace("straight", "strait"), "2:6", "unknown kind of job", "did you mean 'straight-line'?"),
+    "version": (GOOD.replace("metrocli: 1", "metrocli: 2"), "1:11", "version 1", "write 1"),
+    "no version": (GOOD.replace("metrocli: 1\n", ""), "1:1", "'metrocli' is missing", ""),
+    "unknown key": (GOOD + "tolerence: 1\n", "5:1", "unknown key 'tolerence'", "allowed"),
+    "near key": (GOOD + "iteration: 3\n", "5:1", "unknown key 'iteration'", "did you mean 'iterations'?"),
+    "near inner key": (HEAD + "inputs: {reading: readings.csv}\nnoise: 1 mm\n", "3:10", "unknown key 'reading' in 'inputs'",
+                       "did you mean 'readings'?"),
+    "merge key": (GOOD + "<<: {title: x}\n", "5:1", "unknown key '<<'", ""),
+    "missing key": (HEAD + "inputs: {readings: readings.csv}\n", "1:1", "the key 'noise' is missing", "noise of y"),
+    "no unit": (GOOD.replace("0.1 mm", "0.1"), "4:8", "noise: 0.1 has no unit", "write e.g. '0.1 mm'"),
+    "wrong unit": (GOOD.replace("mm", "kg"), "4:8", "'kg' is the unit of a mass", "allowed: mm"),
+    "decimal comma": (GOOD.replace("0.1", "0,1"), "4:8", "decimal comma", "write '0.1 mm'"),
+    "megametre": (GOOD.replace("0.1 mm", "5 Mm"), "4:8", "unknown unit 'Mm'", "did you mean 'mm'?"),
+    "negative noise": (GOOD.replace("0.1", "-0.1"), "4:8", "not above zero", "a length"),
+    "nan": (GOOD.replace("0.1 mm", ".nan"), "4:8", "not a number", "0.1 mm"),
+    "near word": (GOOD.replace("0.1 mm", "estimate"), "4:8", "'estimate' is not expected", "estimated"),
+    "exponent without unit": (GOOD + "alpha: 1e-6\n", "5:8", "alpha: 1e-6 has no unit", "1/K"),
+    "not a number": (GOOD + "weight: heavy\n", "5:9", "'heavy' is not a plain number", "a number"),
+    "number with comma": (GOOD + "weight: 0,5\n", "5:9", "decimal comma", "0.5"),
+    "number out of range": (GOOD + "weight: 0\n", "5:9", "out of range", "above 0"),
+    "not whole": (GOOD + "iterations: 2.5\n", "5:13", "iterations", "a whole number"),
+    "whole out of range": (GOOD + "iterations: 51\n", "5:13", "out of range", "at most 50"),
+    "no flag": (GOOD + "limits: {range: [1 mm, 2 mm], robust: yes}\n", "5:39", "limits.robust", "true or false"),
+    "no word": (GOOD + "estimate: [slope, ofset]\n", "5:19", "unknown word 'ofset'", "did you mean 'offset'?"),
+    "word twice": (GOOD + "estimate: [slope, slope]\n", "5:19", "in the list twice", ""),
+    "no list": (GOOD + "estimate: slope\n", "5:11", "estimate", "a list"),
+    "list too short": (GOOD + "limits: {range: [1 mm]}\n", "5:17", "1 values instead of 2", ""),
+    "no value": (GOOD + "title:\n", "5:7", "there is no value", "text"),
+    "a mapping for text": (GOOD + "title: {a: b}\n", "5:8", "a mapping is not expected", "text"),
+    "keys that do not go together": (
+        GOOD + "iterations: 1\nlimits: {range: [1 mm, 2 mm], robust: true}\n", "6:39", "more than one iteration", ""),
+    "missing file": (GOOD.replace("readings.csv", "reedings.csv"), "3:20", "no such file", "did you mean 'readings.csv'?"),
+    "missing folder": (GOOD.replace("readings.csv", "data/r.csv"), "3:20", "no such file", "there is no folder data"),
+    "a folder": (GOOD.replace("readings.csv", "."), "3:20", "a folder, not a file", ""),
+    "no images": (GOOD.replace("{", "{images: img/*.jpg, "), "3:18", "no file matches 'img/*.jpg'", ""),
+    "result of nothing": (GOOD.replace("{", "{known: results/other.h5, "), "3:17", "no such file", ""),
+    "wrong kind of file": (GOOD.replace("{", "{known: readings.csv, "), "3:17", "does not end in", ".yaml file"),
+    "table that is none": (GOOD.replace("readings.csv", "line.h5"), "3:20", "is not a CSV file", ""),
+    "unknown effect": (GOOD + "effects: [{name: bend}]\n", "5:18", "unknown effect 'bend'", "no effect"),
+    "effect without name": (GOOD + "effects: [bend]\n", "5:11", "needs a name", ""),
+    "requirement": (GOOD + "require: {sigma0: 1.5}\n", "5:19", "not a comparison", "< 1.5"),
+    "output": (GOOD + "output: result.csv\n", "5:9", "not the name of a result file", ".h5"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BROKEN)
+@pytest.mark.parametrize("command", ["check", "straight-line"])
+def test_a_broken_job_is_refused_in_its_place(
+    name: str, command: str, job: Path, metrocli: Callable[..., object]
+) -> None:
+    text, place, message, hint = BROKEN[name]
+    job.write_text(text)
+    before = sorted(Path().rglob("*"))
+    ran = metrocli(command, job)
+    assert ran.code == 3
+    assert ran.out == ""
+    assert f"line.yaml:{place}: error: " in ran.err
+    assert message in ran.err
+    assert hint in ran.err
+    assert "Traceback" not in ran.err
+    assert sorted(Path().rglob("*")) == before
+
+
+def test_all_faults_are_told_at_once_in_order(job: Path, metrocli: Callable[..., object]) -> None:
+    job.write_text(
+        HEAD + "inputs: {readings: nope.csv, images: '*.png'}\nnoise: 0.1\nestimate: [slop]\nweigt: 1\noutput: x\n"
+    )
+    ran = metrocli("check", job)
+    places = [line.split(": error")[0] for line in ran.err.splitlines() if ": error: " in line]
+    assert places == [f"line.yaml:{at}" for at in ("3:20", "3:38", "4:8", "5:12", "6:1", "7:9")]
+
+
+def test_the_caret_stands_under_the_fault(job: Path, metrocli: Callable[..., object]) -> None:
+    job.write_text(GOOD.replace("0.1 mm", "0.1 kg"))
+    lines = metrocli("check", job).err.splitlines()
+    assert lines[1] == "     4 | noise: 0.1 kg"
+    assert lines[2].startswith("       |        ^ allowed: mm")
+
+
+def test_a_file_that_is_not_utf8_is_refused(job: Path, metrocli: Callable[..., object]) -> None:
+    job.write_bytes(GOOD.encode() + "title: 5 µm\n".encode("latin-1"))
+    ran = metrocli("check", job)
+    assert (ran.code, ran.err.startswith("line.yaml:5:1: error: the file is not text in UTF-8")) == (3, True)
+
+
+def test_a_job_that_does_not_exist(job: Path, metrocli: Callable[..., object]) -> None:
+    ran = metrocli("straight-line", "none.yaml")
+    assert (ran.code, ran.err) == (3, "none.yaml: error: cannot be read: No such file or directory\n")
+
+
+def test_a_yaml_input_is_checked_with_the_job(job: Path, metrocli: Callable[..., object]) -> None:
+    job.write_text(GOOD.replace("{", "{known: known.yaml, "))
+    Path("known.yaml").write_text("slop: 1 mm/m\n")
+    ran = metrocli("check", job)
+    assert ran.code == 3
+    assert "known.yaml:1:1: error: unknown key 'slop'" in ran.err
+    Path("known.yaml").write_text("slope: 1 mm/m\n")
+    assert metrocli("check", job).code == 0
+
+
+@pytest.mark.parametrize("text", ["\ufeff" + GOOD, GOOD.replace("\n", "\r\n"), "%YAML 1.2\n---\n" + GOOD])
+def test_harmless_variants_are_read(text: str, job: Path, metrocli: Callable[..., object]) -> None:
+    job.write_text(text, newline="")
+    assert metrocli("check", job).code == 0
