@@ -233,7 +233,7 @@ def _convert(raw: _Raw, index: int, column: Column, unit: units.Unit | None, fau
     kind = int if column.dimension == WHOLE else float
     try:
         numbers = list(map(kind, cells))
-        sound = "_" not in "".join(cells) and bool(np.isfinite(np.asarray(numbers, dtype=float)).all())
+        sound = "_" not in "".join(cells) and bool((np.abs(np.asarray(numbers, dtype=float)) < _most(column)).all())
     except (ValueError, OverflowError):
         sound = False
     if not sound:
@@ -244,6 +244,10 @@ def _convert(raw: _Raw, index: int, column: Column, unit: units.Unit | None, fau
     return values if unit is None else unit.array_inside(values)
 
 
+def _most(column: Column) -> float:
+    return _WHOLE_LIMIT if column.dimension == WHOLE else float("inf")
+
+
 def _number(raw: _Raw, row: int, index: int, column: Column, faults: list[Fault]) -> float | int:
     """Return one cell as a number; 0 with a fault where it is none."""
     cell = raw.cells[index][row].strip()
@@ -251,7 +255,7 @@ def _number(raw: _Raw, row: int, index: int, column: Column, faults: list[Fault]
         return float("nan")
     try:
         value = int(cell) if column.dimension == WHOLE else float(cell)
-        if "_" not in cell and abs(value) < (_WHOLE_LIMIT if column.dimension == WHOLE else float("inf")):
+        if "_" not in cell and abs(value) < _most(column):
             return value
         reason = f"'{cell}' is not a finite number"
     except ValueError:

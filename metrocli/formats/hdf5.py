@@ -131,7 +131,7 @@ def read(path: Path, shown: str = "") -> tuple[Result, Record]:
     with _opened(path, shown or str(path)) as file:
         try:
             return _read_result(file), _read_record(file)
-        except (KeyError, OSError, ValueError, RuntimeError) as error:
+        except (KeyError, OSError, ValueError, RuntimeError, TypeError) as error:
             raise InputError([Fault(f"the result file is damaged: {error}", shown or str(path))]) from error
 
 
@@ -140,7 +140,7 @@ def read_record(path: Path, shown: str = "") -> tuple[str, Record]:
     with _opened(path, shown or str(path)) as file:
         try:
             return str(file.attrs["kind"]), _read_record(file)
-        except (KeyError, OSError, ValueError, RuntimeError) as error:
+        except (KeyError, OSError, ValueError, RuntimeError, TypeError) as error:
             raise InputError([Fault(f"the result file is damaged: {error}", shown or str(path))]) from error
 
 

@@ -1,0 +1,189 @@
+"""CSV: units in the header, every fault with its place, what is written reads back exactly."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from metrocli.errors import InputError
+from metrocli.formats import csv
+from metrocli.table import NUMBER, TEXT, WHOLE, Column, Columns, Table
+
+COLUMNS = Columns(
+    (
+        Column("image", TEXT),
+        Column("target", TEXT),
+        Column("u", "pixel"),
+        Column("sigma", "length", required=False, may_be_empty=True),
+        Column("t", "time", required=False),
+        Column("repeat", WHOLE, required=False),
+        Column("scale", NUMBER, required=False),
+    ),
+    key=("image", "target"),
+)
+HEAD = "image,target,u_px\n"
+
+
+def read(folder: Path, text: str | bytes, columns: Columns = COLUMNS) -> Table:
+    path = folder / "obs.csv"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return csv.read(path, columns, "obs.csv")
+
+
+def faults(folder: Path, text: str | bytes, columns: Columns = COLUMNS) -> str:
+    with pytest.raises(InputError) as caught:
+        read(folder, text, columns)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "image,target,u_px,t_min\na,1,2.5,3\n",
+        "image;target;u_px;t_min\r\na;1;2.5;3\r\n",
+        "image\ttarget\tu_px\tt_min\na\t1\t2.5\t3",
+        "\ufeff# made by hand\n\nimage, target, u_px, t_min\n# a comment, with commas, in it, and more, of them\n a ,1, 2.5 ,3\n\n",
+        't_min,"u_px",target,image\n3,"2.5",1,"a"\n',
+        "image,target,u_px,t_min\ra,1,2.5,3\r",
+        "image,target,u_px,t_s\na,1,25e-1,180\n",
+        "image,target,u_px,t_h\na,1,+2.5,0.05\n",
+    ],
+)
+def test_forms_of_the_same_table(tmp_path: Path, text: str) -> None:
+    table = read(tmp_path, text)
+    assert table.texts("image") == ["a"]
+    assert table.texts("target") == ["1"]
+    assert table.numbers("u").tolist() == [2.5]
+    assert table.numbers("t") == pytest.approx([180.0])
+    assert table.units == {"u": "px", "t": "s"}
+    assert table.warnings == ()
+
+
+@pytest.mark.parametrize(
+    ("unit", "factor"), [("mm", 1.0), ("m", 1e3), ("um", 1e-3), ("nm", 1e-6)]
+)
+def test_each_unit_of_a_length(tmp_path: Path, unit: str, factor: float) -> None:
+    table = read(tmp_path, f"l_{unit}\n3\n", Columns((Column("l", "length"),)))
+    assert table.numbers("l") == pytest.approx([3 * factor], rel=1e-15)
+
+
+def test_an_empty_cell_is_nan_only_where_it_may_be(tmp_path: Path) -> None:
+    table = read(tmp_path, "image,target,u_px,sigma_um\na,1,2,\na,2,2,5\n")
+    assert math.isnan(table.numbers("sigma")[0])
+    assert table.numbers("sigma")[1] == pytest.approx(0.005)
+
+
+def test_rows_know_their_line(tmp_path: Path) -> None:
+    assert read(tmp_path, "# c\n" + HEAD + "\na,1,2\n# c\nb,1,2\n").lines == (4, 6)
+
+
+def test_unknown_columns_are_a_warning(tmp_path: Path) -> None:
+    table = read(tmp_path, "image,target,u_px,note,sgma_mm\na,1,2,x,3\n")
+    assert table.warnings == (
+        "obs.csv:1: the column 'note' is not used",
+        "obs.csv:1: the column 'sgma_mm' is not used; did you mean 'sigma_mm'?",
+    )
+
+
+BROKEN = {
+    "empty": ("", "1:1", "the file is empty", "header"),
+    "only comments": ("# a\n\n", "1:1", "the file is empty", ""),
+    "only a header": (HEAD, "1:1", "there is a header and no row", ""),
+    "no header": ("a,1,2\nb,1,2\n", "1:1", "the column 'image' is missing", ""),
+    "only numbers": ("3,1,2\n4,1,2\n", "1:1", "the columns have no names", "first line"),
+    "binary": (b"\x89PNG\r\n\x1a\n\0\0", "3:1", "not a text file", ""),
+    "utf-16": ("image,target".encode("utf-16"), "1:1", "not a text file", "UTF-8"),
+    "latin-1": (HEAD.encode() + b"\xb5,1,2\n", "2:1", "not text in UTF-8", ""),
+    "missing column": ("image,target,v_px\na,1,2\n", "1:1", "the column 'u_px' is missing", "accepted: u_px"),
+    "misspelt column": ("imag,target,u_px\na,1,2\n", "1:1", "the column 'image' is missing", "'imag'"),
+    "no unit": ("image,target,u\na,1,2\n", "1:14", "the column 'u' has no unit", "accepted: u_px"),
+    "no unit, not required": (
+        "image,target,u_px,sigma\na,1,2,3\n", "1:19", "'sigma' has no unit", "sigma_mm, sigma_m, sigma_um, sigma_nm"),
+    "wrong unit": ("image,target,u_mm\na,1,2\n", "1:14", "'u_mm' does not name a distance in the image", "u_px"),
+    "unit in brackets": ("image,target,u [px]\na,1,2\n", "1:14", "'u [px]' does not name", "u_px"),
+    "two units": ("image,target,u_px,t_s,t_min\na,1,2,3,4\n", "1:23", "two columns for one quantity: t_s and t_min", "one"),
+    "column twice": ("image,target,u_px,image\na,1,2,a\n", "1:19", "the column 'image' is there twice", ""),
+    "column without name": ("image,target,u_px,\na,1,2,\n", "1:19", "a column without a name", ""),
+    "too few cells": (HEAD + "a,1\n", "2:4", "2 cells in this row, 3 columns", "image, target, u_px"),
+    "too many cells": (HEAD + "a,1,2,3\n", "2:7", "4 cells in this row, 3 columns", "decimal comma"),
+    "decimal comma": ("image;target;u_px\na;1;0,5\n", "2:5", "'0,5' is not a number", "write 0.5"),
+    "nan": (HEAD + "a,1,2\na,2,NaN\n", "3:5", "column 'u_px': 'NaN' is not a finite number", ""),
+    "infinity": (HEAD + "a,1,-inf\n", "2:5", "'-inf' is not a finite number", ""),
+    "too large": (HEAD + "a,1,1e999\n", "2:5", "'1e999' is not a finite number", ""),
+    "underscore": (HEAD + "a,1,1_0\n", "2:5", "'1_0' is not a finite number", ""),
+    "word": (HEAD + "a,1,left\n", "2:5", "'left' is not a number", ""),
+    "empty cell": (HEAD + "a,1,\n", "2:5", "column 'u_px': an empty cell", ""),
+    "empty text": (HEAD + "a,,2\n", "2:3", "column 'target': an empty cell", ""),
+    "nan where empty is allowed": ("image,target,u_px,sigma_mm\na,1,2,nan\n", "2:7", "'nan' is not a finite", ""),
+    "not whole": ("image,target,u_px,repeat\na,1,2,1.5\n", "2:7", "'1.5' is not a whole number", ""),
+    "whole too large": ("image,target,u_px,repeat\na,1,2,99999999999999999999\n", "2:7", "not a finite", ""),
+    "repeated key": (HEAD + "a,1,2\nb,1,2\na,1,3\n", "4:1", "image a, target 1: a second row", "first in line 2"),
+    "open quote": (HEAD + 'a,1,2\n"b,1,2\n', "3:1", "quotation mark", ""),
+    "long text": (HEAD + f"{'a' * 300},1,2\n", "2:1", "more than 200 characters", ""),
+    "after a quoted comma": (HEAD + '"a,b",1,x\n', "2:9", "'x' is not a number", ""),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_a_broken_file_is_refused_in_its_place(tmp_path: Path, name: str) -> None:
+    text, place, message, hint = BROKEN[name]
+    told = faults(tmp_path, text)
+    assert f"obs.csv:{place}: error: " in told
+    assert message in told
+    assert hint in told
+
+
+def test_all_faults_are_told_in_the_order_of_the_file(tmp_path: Path) -> None:
+    told = faults(tmp_path, HEAD + "a,1,x\n,2,3\nb,1,nan\n")
+    assert [line[:11] for line in told.splitlines() if "error" in line] == ["obs.csv:2:5", "obs.csv:3:1", "obs.csv:4:5"]
+
+
+def test_very_many_faults_are_counted(tmp_path: Path) -> None:
+    told = faults(tmp_path, HEAD + "".join(f"a,{n},x\n" for n in range(100)))
+    assert told.count("error:") == csv.MOST_FAULTS + 1
+    assert "and 80 more faults from here on" in told
+
+
+def test_files_that_cannot_be_read(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="No such file"):
+        csv.read(tmp_path / "none.csv", COLUMNS)
+    with pytest.raises(InputError, match="folder"):
+        csv.read(tmp_path, COLUMNS)
+
+
+FINITE = st.floats(allow_nan=False, allow_infinity=False)
+NAMES = st.text(st.characters(codec="utf-8", exclude_categories=["Cc", "Z"]), min_size=1, max_size=8)
+
+
+@given(st.integers(1, 6).flatmap(lambda n: st.tuples(arrays(float, n, elements=FINITE), st.lists(NAMES, min_size=n, max_size=n))))
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+def test_what_is_written_reads_back_exactly(tmp_path: Path, columns: tuple[np.ndarray, list[str]]) -> None:
+    numbers, names = columns
+    table = Table({"name": np.array(names), "x": numbers}, {"x": "mm"})
+    path = tmp_path / "there.csv"
+    csv.write(path, table)
+    back = csv.read(path, Columns((Column("name", TEXT), Column("x", "length"))))
+    assert back.texts("name") == names
+    assert back.numbers("x").tolist() == numbers.tolist()
+
+
+@given(st.binary(max_size=60))
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+def test_any_bytes_are_read_or_refused(tmp_path: Path, data: bytes) -> None:
+    try:
+        read(tmp_path, HEAD.encode() + data)
+    except InputError as error:
+        assert "obs.csv:" in str(error)
+
+
+def test_a_table_that_cannot_be_written(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(InputError, match="cannot be written"):
+        csv.write(tmp_path / "file" / "t.csv", Table({"x": np.array([1.0])}))
+    assert (tmp_path / "file").read_text() == "x"
