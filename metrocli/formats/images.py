@@ -6,6 +6,7 @@ import os
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -88,9 +89,11 @@ def read(path: Path) -> Picture:
         picture = None
     if picture is None:
         raise InputError([_fault(path, "the image cannot be decoded: its data are damaged")])
-    if picture.dtype not in (np.uint8, np.uint16):
-        raise InputError([_fault(path, f"grey values are {picture.dtype}; 8 or 16 bit whole numbers are needed")])
-    return picture
+    if picture.dtype == np.uint8:
+        return picture.astype(np.uint8, copy=False)
+    if picture.dtype == np.uint16:
+        return picture.astype(np.uint16, copy=False)
+    raise InputError([_fault(path, f"grey values are {picture.dtype}; 8 or 16 bit whole numbers are needed")])
 
 
 def write(path: Path, picture: Picture) -> None:
@@ -128,8 +131,9 @@ def _size_fault(path: Path, size: Size) -> list[Fault]:
 
 
 def _same_names(files: Sequence[Path]) -> list[Fault]:
-    pairs = zip(files, files[1:], strict=False)
-    return [_fault(b, f"two images have this name; the other is {a}") for a, b in pairs if a.name == b.name]
+    return [
+        _fault(b, f"two images have this name; the other is {a}") for a, b in pairwise(files) if a.name == b.name
+    ]
 
 
 def _different_sizes(sizes: dict[Path, Size]) -> list[Fault]:

@@ -1,0 +1,108 @@
+"""Where dark or bright ellipses may be: contours of thresholded images, as starts for the grey-value fit."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from metrocli.targets.ellipses import Ellipse
+
+if TYPE_CHECKING:
+    from metrocli.imageset import Picture
+
+SMALLEST = 3.0
+"""Shortest minor diameter in pixels of an ellipse that is looked for."""
+FLATTEST = 0.3
+"""Least ratio of the axes."""
+ROUND = 0.12
+"""Largest relative difference of a contour's area from that of the ellipse with its moments."""
+STEP = 0.06
+"""Least step of a local threshold, in parts of the image's range of grey values."""
+
+
+def eight_bit(picture: Picture) -> npt.NDArray[np.uint8]:
+    """Return the picture as 8 bit over its own range of grey values."""
+    if picture.dtype == np.uint8:
+        return picture.astype(np.uint8, copy=False)
+    low, high = int(picture.min()), int(picture.max())
+    return ((picture.astype(np.float32) - low) * (255.0 / max(high - low, 1))).astype(np.uint8)
+
+
+def ellipses(picture: Picture, polarity: str) -> list[Ellipse]:
+    """Return ellipse-like blobs of a polarity (dark, bright, either), each once."""
+    grey = eight_bit(picture)
+    found: list[Ellipse] = []
+    for wanted in ("dark", "bright") if polarity == "either" else (polarity,):
+        turned = grey if wanted == "bright" else 255 - grey
+        for mask in _masks(np.asarray(turned, np.uint8)):
+            found += _in_mask(mask)
+    return _distinct(found)
+
+
+def _masks(grey: npt.NDArray[np.uint8]) -> list[npt.NDArray[np.uint8]]:
+    """Return where the picture is bright: against the whole picture, and against wide and narrow surroundings."""
+    spread = int(np.percentile(grey[::4, ::4], 99.9)) - int(grey.min())
+    step = max(6.0, STEP * spread)
+    masks = [cv2.threshold(grey, 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)[1]]
+    for width in {min(grey.shape) // 8 | 1, 41}:
+        masks.append(
+            cv2.adaptiveThreshold(grey, 255, cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY, max(width, 11), -step)
+        )
+    return [mask.astype(np.uint8, copy=False) for mask in masks]
+
+
+def _in_mask(mask: npt.NDArray[np.uint8]) -> list[Ellipse]:
+    contours = cv2.findContours(mask, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)[0]
+    height, width = mask.shape
+    found = []
+    for contour in contours:
+        if len(contour) < 6:
+            continue
+        ellipse = _of_contour(contour)
+        if ellipse is None:
+            continue
+        u, v = round(ellipse.u), round(ellipse.v)
+        if 0 <= u < width and 0 <= v < height and mask[v, u]:
+            found.append(ellipse)
+    return found
+
+
+def _of_contour(contour: npt.NDArray[np.int32]) -> Ellipse | None:
+    """Return the ellipse with the contour's moments; None where the contour is no ellipse."""
+    m = cv2.moments(contour)
+    area = m["m00"]
+    if area < 4.0:
+        return None
+    uu, uv, vv = m["mu20"] / area, m["mu11"] / area, m["mu02"] / area
+    mean, half = (uu + vv) / 2, np.hypot((uu - vv) / 2, uv)
+    if mean - half <= 0:
+        return None
+    # The contour runs through the centres of the outermost pixels: half a pixel is added to each semi-axis.
+    long, short = 2 * np.sqrt(mean + half), 2 * np.sqrt(mean - half)
+    round_enough = abs(area / (np.pi * long * short) - 1) < ROUND + 0.5 / short
+    if not round_enough or 2 * short + 1 < SMALLEST or short + 0.5 < FLATTEST * (long + 0.5):
+        return None
+    angle = 0.5 * np.arctan2(2 * uv, uu - vv)
+    return Ellipse(m["m10"] / area, m["m01"] / area, float(long) + 0.5, float(short) + 0.5, float(angle))
+
+
+def _distinct(found: list[Ellipse]) -> list[Ellipse]:
+    """Return one of each group of ellipses with nearly one centre and one size."""
+    cells: dict[tuple[int, int], list[Ellipse]] = {}
+    kept = []
+    for ellipse in found:
+        cell = int(ellipse.u // 2), int(ellipse.v // 2)
+        around = (other for du in (-1, 0, 1) for dv in (-1, 0, 1) for other in cells.get((cell[0] + du, cell[1] + dv), ()))
+        if any(_same(ellipse, other) for other in around):
+            continue
+        cells.setdefault(cell, []).append(ellipse)
+        kept.append(ellipse)
+    return kept
+
+
+def _same(a: Ellipse, b: Ellipse) -> bool:
+    near = np.hypot(a.u - b.u, a.v - b.v) < max(1.0, 0.3 * a.short)
+    return bool(near and 0.6 < a.short / b.short < 1.67)

@@ -1,0 +1,53 @@
+"""Grids of circles, in rows and columns or with every second row shifted."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from metrocli.targets import blobs, ellipses
+from metrocli.targets.lattice import ordered
+from metrocli.targets.pattern import Pattern, lattice, names
+from metrocli.targets.sightings import Sightings, nothing, of_ellipses
+
+if TYPE_CHECKING:
+    from metrocli.imageset import Picture
+
+Array = npt.NDArray[np.float64]
+
+
+def find(pattern: Pattern, picture: Picture) -> Sightings:
+    """Return the circles of a grid, named by their place; at least three quarters of them, or none with the reason."""
+    tried = [_of_polarity(pattern, picture, sign) for sign in _polarities(pattern)]
+    return max(tried, key=len)
+
+
+def _polarities(pattern: Pattern) -> tuple[str, ...]:
+    return ("dark", "bright") if pattern.polarity == "either" else (pattern.polarity,)
+
+
+def _of_polarity(pattern: Pattern, picture: Picture, polarity: str) -> Sightings:
+    starts = blobs.ellipses(picture, polarity)
+    expected = lattice(pattern)
+    if len(starts) < 4:
+        return nothing(f"no grid of circles: {len(starts)} {polarity} ellipses in the image")
+    rows, reason = ordered(expected, np.array([(start.u, start.v) for start in starts]))
+    if reason:
+        return nothing(f"no grid of circles: {reason}")
+    seen = np.flatnonzero(rows >= 0)
+    chosen = [starts[row] for row in rows[seen]]
+    fits = [ellipses.fit(picture, start, reach) for start, reach in zip(chosen, _reaches(chosen), strict=True)]
+    good = [(names(pattern)[place], fit) for place, fit in zip(seen, fits, strict=True) if ellipses.is_good(fit)]
+    return of_ellipses([name for name, _ in good], [fit for _, fit in good if fit is not None])
+
+
+def _reaches(starts: list[ellipses.Ellipse]) -> list[float]:
+    """Return half the distance to the nearest other circle, in semi-axes: from there on the pixels are that circle's."""
+    centres = np.array([(start.u, start.v) for start in starts])
+    reaches = []
+    for start in starts:
+        distance = np.linalg.norm((centres - (start.u, start.v)) @ start.shape.T, axis=1)
+        reaches.append(float(np.sort(distance)[1]) / 2)
+    return reaches

@@ -1,0 +1,246 @@
+"""Centres of bright or dark ellipses from grey values: the picture of a blurred ellipse is fitted to the pixels."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import ndtr
+
+if TYPE_CHECKING:
+    from metrocli.imageset import Picture
+
+Array = npt.NDArray[np.float64]
+
+OUTSIDE = 3.5
+"""Pixels beyond the edge that take part, in pixels; the edge's blur is over by then."""
+INSIDE = 7.0
+"""Pixels within the edge that take part: what is deeper says nothing about the centre."""
+BLUR = 0.8
+"""Start of the edge's blur, in pixels: a common lens and the pixel itself."""
+STEPS = 12
+STILL = 0.001
+"""A step shorter than this, in pixels, is the last: the next would be its square."""
+MISFIT = 0.12
+"""Largest root mean square residual of an ellipse, in parts of its contrast."""
+EVEN, SLOPING = 8, 10
+"""Unknowns with light that is even over the target, or varies linearly across it."""
+SLOPE_TEST = 12.0
+"""Chi-square above which the light slopes: by chance in one of 400 targets. A slope that is not there costs half as much again in scatter."""
+
+
+@dataclass(frozen=True)
+class Ellipse:
+    """An ellipse in an image; pixel (0, 0) is the centre of the first pixel."""
+
+    u: float
+    v: float
+    long: float
+    """Longer semi-axis in pixels."""
+    short: float
+    angle: float = 0.0
+    """Direction of the longer semi-axis in radians, from u towards v."""
+
+    @property
+    def shape(self) -> Array:
+        """The matrix W (2, 2) that takes offsets from the centre to the unit circle, lower triangular."""
+        cos, sin, a, b = np.cos(self.angle), np.sin(self.angle), self.long**-2.0, self.short**-2.0
+        uu, uv, vv = a * cos * cos + b * sin * sin, (a - b) * cos * sin, a * sin * sin + b * cos * cos
+        r = np.sqrt(vv)
+        return np.array([[np.sqrt(max(uu - uv * uv / vv, 1e-300)), 0.0], [uv / r, r]])
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A fitted ellipse and how well the grey values agree with it."""
+
+    ellipse: Ellipse
+    sigma: float
+    """Standard deviation of the centre per axis, in pixels."""
+    background: float
+    contrast: float
+    """Grey value of the target less that of the background."""
+    misfit: float
+    """Root mean square residual in parts of the contrast."""
+    blur: float
+    """Standard deviation of the edge's blur in pixels."""
+
+
+@dataclass
+class _Model:
+    """Unknowns of the fit: `grey = (background + contrast * covered) * (1 + slope . offset)`.
+
+    covered is the normal distribution of the distance to the edge over the blur; slope lets the light vary across the target.
+    """
+
+    centre: Array
+    shape: Array
+    blur: float
+    background: float
+    contrast: float
+    slope: Array
+
+    def linearised(self, at: Array) -> tuple[Array, Array]:
+        """Return grey values (m,) at pixels (m, 2) and derivatives (m, 10) by centre, shape, blur, levels and slope.
+
+        The distance to the edge is taken to first order, (rho - 1) / |grad rho|, and its derivatives at the edge.
+        """
+        du, dv = at[:, 0] - self.centre[0], at[:, 1] - self.centre[1]
+        (p, _), (q, r) = self.shape
+        x, y = p * du, q * du + r * dv
+        rho = np.maximum(np.hypot(x, y), 1e-9)
+        nu, nv = (p * x + q * y) / rho, r * y / rho
+        steep = np.hypot(nu, nv)
+        away = (rho - 1) / (steep * self.blur)
+        covered = ndtr(-away)
+        light = 1 + self.slope[0] * du + self.slope[1] * dv
+        level = self.background + self.contrast * covered
+        edge = (-self.contrast / (np.sqrt(2 * np.pi) * self.blur)) * light * np.exp(-0.5 * away * away) / steep
+        by_shape = edge / rho
+        jacobian = np.empty((10, len(at)))
+        jacobian[0] = -nu * edge - level * self.slope[0]
+        jacobian[1] = -nv * edge - level * self.slope[1]
+        jacobian[2] = by_shape * x * du
+        jacobian[3] = by_shape * y * du
+        jacobian[4] = by_shape * y * dv
+        jacobian[5] = -edge * away * steep
+        jacobian[6] = light
+        jacobian[7] = covered * light
+        jacobian[8] = level * du
+        jacobian[9] = level * dv
+        return level * light, jacobian.T
+
+    def move(self, step: Array) -> None:
+        """Apply a step of the unknowns, bounded so that a poor start cannot run away."""
+        (p, _), (q, r) = self.shape.tolist()
+        size = 1 / max(abs(p * r), 1e-12) ** 0.5
+        bound = 0.3 / size
+        du, dv, dp, dq, dr, wider, higher, more = (float(part) for part in step[:8])
+        self.centre = self.centre + (_bounded(du, 0.3 * size), _bounded(dv, 0.3 * size))
+        self.shape = np.array([[p + _bounded(dp, bound), 0.0], [q + _bounded(dq, bound), r + _bounded(dr, bound)]])
+        self.blur = min(max(self.blur + _bounded(wider, 0.3), 0.3), max(0.8, size))
+        self.background += higher
+        self.contrast += more
+        if len(step) > EVEN:
+            self.slope = self.slope + step[EVEN:]
+
+
+def _bounded(value: float, bound: float) -> float:
+    return min(max(value, -bound), bound)
+
+
+def fit(picture: Picture, start: Ellipse, reach: float = np.inf) -> Fitted | None:
+    """Fit a blurred ellipse to the grey values around `start`; None where they show none.
+
+    `reach` bounds the pixels taken, in semi-axes from the centre: less than the distance of what else is printed there.
+    """
+    at, grey = _pixels(picture, start, reach)
+    if len(grey) < 16:
+        return None
+    model = _start(start, at, grey)
+    state = _converged(model, at, grey, EVEN)
+    if state is not None and _is_sloping(*state):
+        state = _converged(model, at, grey, SLOPING)
+    return None if state is None else _judged(model, *state)
+
+
+def is_good(fitted: Fitted | None) -> bool:
+    """Tell whether there is a fit, and it looks like a blurred ellipse."""
+    return fitted is not None and fitted.misfit < MISFIT
+
+
+def fit_all(picture: Picture, starts: Iterable[Ellipse], reach: float = np.inf) -> list[Fitted]:
+    """Return the fits that look like blurred ellipses."""
+    fits = (fit(picture, start, reach) for start in starts)
+    return [fitted for fitted in fits if fitted is not None and is_good(fitted)]
+
+
+def _pixels(picture: Picture, start: Ellipse, reach: float) -> tuple[Array, Array]:
+    """Return the pixels (m, 2) near the ellipse's edge and within, and their grey values (m,)."""
+    height, width = picture.shape
+    wide = min(start.long * reach, start.long + OUTSIDE) + 1
+    u0, u1 = max(int(start.u - wide), 0), min(int(start.u + wide) + 2, width)
+    v0, v1 = max(int(start.v - wide), 0), min(int(start.v + wide) + 2, height)
+    if u0 >= u1 or v0 >= v1:
+        return np.empty((0, 2)), np.empty(0)
+    (p, _), (q, r) = start.shape
+    du, dv = np.arange(u0, u1) - start.u, (np.arange(v0, v1) - start.v)[:, None]
+    x, y = p * du + 0 * dv, q * du + r * dv
+    rho = np.hypot(x, y)
+    away = (rho - 1) * rho / np.maximum(np.hypot(p * x + q * y, r * y), 1e-9)
+    v, u = np.nonzero((away < OUTSIDE) & (rho < reach) & (away > -INSIDE))
+    return np.stack([u + float(u0), v + float(v0)], axis=1), picture[v + v0, u + u0].astype(float)
+
+
+def _start(start: Ellipse, at: Array, grey: Array) -> _Model:
+    """Start from the given ellipse, with the levels of its inner and outer pixels."""
+    shape = start.shape
+    circle = (at - (start.u, start.v)) @ shape.T
+    order = np.argsort(circle[:, 0] ** 2 + circle[:, 1] ** 2)
+    few = max(3, len(order) // 6)
+    inner, outer = float(grey[order[:few]].mean()), float(grey[order[-few:]].mean())
+    return _Model(np.array([start.u, start.v]), shape, BLUR, outer, inner - outer, np.zeros(2))
+
+
+def _converged(model: _Model, at: Array, grey: Array, unknowns: int) -> tuple[Array, Array] | None:
+    """Fit the first `unknowns` unknowns; return residuals (m,) and derivatives (m, 10), or None without convergence."""
+    for _ in range(STEPS):
+        value, jacobian = model.linearised(at)
+        residual = grey - value
+        step = _solved(jacobian[:, :unknowns], residual)
+        if step is None:
+            return None
+        model.move(step)
+        if max(abs(step[0]), abs(step[1])) < STILL and abs(step[5]) < 10 * STILL:
+            return residual - jacobian[:, :unknowns] @ step, jacobian[:, : max(unknowns, SLOPING)]
+    return None
+
+
+def _solved(jacobian: Array, residual: Array) -> Array | None:
+    """Return the Gauss-Newton step, lightly damped; None where the normal matrix is singular."""
+    normal = jacobian.T @ jacobian
+    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    scaled = normal / np.outer(scale, scale) + 1e-9 * np.eye(len(scale))
+    try:
+        step = np.linalg.solve(scaled, jacobian.T @ residual / scale) / scale
+    except np.linalg.LinAlgError:
+        return None
+    return step if np.isfinite(step).all() else None
+
+
+def _is_sloping(residual: Array, jacobian: Array) -> bool:
+    """Tell whether the residuals of an even light ask for a slope (chi-square of two unknowns)."""
+    step = _solved(jacobian, residual)
+    if step is None or len(residual) <= SLOPING:
+        return False
+    after = residual - jacobian @ step
+    gain = residual @ residual - after @ after
+    return bool(gain > SLOPE_TEST * (after @ after) / (len(residual) - SLOPING))
+
+
+def _judged(model: _Model, residual: Array, jacobian: Array) -> Fitted | None:
+    """Return the result; sigma from the residuals where they act (White's covariance), so that unequal noise counts."""
+    unknowns = SLOPING if model.slope.any() else EVEN
+    m = len(residual)
+    scale = np.sqrt((jacobian[:, :unknowns] ** 2).sum(0))
+    if model.contrast == 0 or m <= unknowns or not scale.all():
+        return None
+    scaled = jacobian[:, :unknowns] / scale
+    try:
+        lever = np.linalg.inv(scaled.T @ scaled)[:2] @ scaled.T / scale[:2, None]
+    except np.linalg.LinAlgError:
+        return None
+    variance = (lever**2 @ residual**2).mean() * m / (m - unknowns)
+    semi, turn = _axes_of(model.shape)
+    ellipse = Ellipse(float(model.centre[0]), float(model.centre[1]), float(semi[0]), float(semi[1]), turn)
+    misfit = float(np.sqrt(np.mean(residual**2)) / abs(model.contrast))
+    return Fitted(ellipse, float(np.sqrt(variance)), float(model.background), float(model.contrast), misfit, model.blur)
+
+
+def _axes_of(shape: Array) -> tuple[Array, float]:
+    """Return the semi-axes, longer first, and the direction of the longer one."""
+    values, vectors = np.linalg.eigh(shape.T @ shape)
+    return 1 / np.sqrt(values), float(np.arctan2(vectors[1, 0], vectors[0, 0]) % np.pi)

@@ -1,0 +1,224 @@
+"""Points of a flat board and their order: put into order from their places alone, and checked whatever put them there."""
+
+from __future__ import annotations
+
+from collections import deque
+from itertools import product
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+Whole = npt.NDArray[np.int64]
+
+NEAR = 0.3
+"""A neighbour is expected within this part of the step to it."""
+GATE = 0.25
+"""Largest root mean square distance from a homography, in steps of the lattice: lens distortion stays far below."""
+BENT = 0.35
+"""Largest distance of a point from the middle of its two neighbours, in steps."""
+FEWEST = 0.75
+"""Part of a board's points that must be seen."""
+
+
+def homography(plane: Array, uv: Array) -> Array:
+    """Return the homography (3, 3) from plane (n, 2) to image (n, 2) by the normalised linear method."""
+    (a, plane_), (b, uv_) = _normalised(plane), _normalised(uv)
+    x, y = plane_.T
+    u, v = uv_.T
+    one, zero = np.ones_like(x), np.zeros_like(x)
+    rows = np.concatenate(
+        [
+            np.stack([x, y, one, zero, zero, zero, -u * x, -u * y, -u], axis=1),
+            np.stack([zero, zero, zero, x, y, one, -v * x, -v * y, -v], axis=1),
+        ]
+    )
+    h = np.linalg.svd(rows, full_matrices=len(x) < 5)[2][-1].reshape(3, 3)
+    return np.asarray(np.linalg.inv(b) @ h @ a)
+
+
+def projected(h: Array, plane: Array) -> Array:
+    """Return the image points (n, 2) of plane points (n, 2)."""
+    x = plane @ h[:, :2].T + h[:, 2]
+    return np.asarray(x[:, :2] / x[:, 2:])
+
+
+def order_fault(steps: Whole, uv: Array) -> str:
+    """Return why the points (n, 2) cannot stand at these places (n, 2) of a flat lattice; empty where they can.
+
+    Two gates that pass any lens: all points lie on one homography to within a quarter of a step, root mean square, and
+    every point between two neighbours lies near their middle.
+    """
+    if len(np.unique(steps, axis=0)) < len(steps):
+        return "two points have one place"
+    if len(uv) < 4:
+        return "fewer than four points"
+    step = _step(steps, uv)
+    rms = float(np.sqrt(np.mean(np.sum((projected(homography(steps.astype(float), uv), steps) - uv) ** 2, axis=1))))
+    if not rms < GATE * step:
+        return f"the order of the points is not that of a flat board ({rms:.1f} px from a homography, steps of {step:.1f} px)"
+    bend = _bend(steps, uv)
+    if bend > BENT:
+        return f"the order of the points is not that of a flat board (a point is {bend:.2f} steps off its neighbours' middle)"
+    return ""
+
+
+def ordered(expected: Whole, uv: Array) -> tuple[Whole, str]:
+    """Find which of the points (m, 2) stands at which expected place (n, 2) of a flat lattice.
+
+    Returns rows (n,) into `uv`, -1 where a place is empty, and the reason where no order is found. Of several orders that
+    fit (a symmetric board) it is the one that is most upright in the image.
+    """
+    best = np.empty(0, np.int64), np.empty((0, 2), np.int64)
+    for seed in _seeds(uv):
+        grown = _grown(uv, seed)
+        if len(grown[0]) > len(best[0]):
+            best = grown
+        if len(best[0]) >= len(expected):
+            break
+    members, steps = best
+    if len(members) < max(4, FEWEST * len(expected)):
+        return np.full(len(expected), -1), f"{len(members)} points lie on a lattice, {len(expected)} are expected"
+    fits = [fit for fit in _alignments(expected, members, steps) if not order_fault(expected[fit >= 0], uv[fit[fit >= 0]])]
+    if len({frozenset(fit.tolist()) for fit in fits}) > 1:
+        return np.full(len(expected), -1), "the pattern fits in several places of a larger lattice"
+    upright = [_uprightness(expected, uv, fit) for fit in fits]
+    if not fits or max(upright) == -np.inf:
+        return np.full(len(expected), -1), "the points found do not have the outline of the pattern"
+    return fits[int(np.argmax(upright))], ""
+
+
+def _normalised(points: Array) -> tuple[Array, Array]:
+    centre = points.mean(0)
+    scale = np.sqrt(2) / max(float(np.sqrt(((points - centre) ** 2).sum(1).mean())), 1e-12)
+    change = np.array([[scale, 0, -scale * centre[0]], [0, scale, -scale * centre[1]], [0, 0, 1]])
+    return change, (points - centre) * scale
+
+
+def _pairs(steps: Whole, by: tuple[int, int]) -> tuple[Whole, Whole]:
+    """Return rows a and b with steps[b] = steps[a] + by."""
+    place = {tuple(step): row for row, step in enumerate(steps.tolist())}
+    found = [(row, place.get((x + by[0], y + by[1]))) for (x, y), row in place.items()]
+    rows = np.array([(a, b) for a, b in found if b is not None], dtype=np.int64).reshape(-1, 2)
+    return rows[:, 0], rows[:, 1]
+
+
+_STEPS = ((1, 0), (0, 1), (1, 1), (1, -1))
+
+
+def _step(steps: Whole, uv: Array) -> float:
+    """Return the shortest median distance in the image of neighbours along a lattice direction."""
+    lengths = []
+    for by in _STEPS:
+        a, b = _pairs(steps, by)
+        if len(a):
+            lengths.append(float(np.median(np.linalg.norm(uv[b] - uv[a], axis=1))))
+    return min(lengths, default=0.0)
+
+
+def _bend(steps: Whole, uv: Array) -> float:
+    """Return the largest distance of a point from the middle of its neighbours, in half their distance."""
+    worst = 0.0
+    for by in _STEPS:
+        a, b = _pairs(steps, (2 * by[0], 2 * by[1]))
+        place = {tuple(step): row for row, step in enumerate(steps.tolist())}
+        middle = np.array([place.get((x + by[0], y + by[1]), -1) for x, y in steps[a].tolist()], dtype=np.int64)
+        a, b, middle = a[middle >= 0], b[middle >= 0], middle[middle >= 0]
+        if len(a):
+            off = np.linalg.norm(uv[middle] - (uv[a] + uv[b]) / 2, axis=1)
+            worst = max(worst, float((off / (np.linalg.norm(uv[b] - uv[a], axis=1) / 2 + 1e-9)).max()))
+    return worst
+
+
+def _seeds(uv: Array) -> Whole:
+    """Return points to start from, the most central first."""
+    return np.asarray(np.argsort(np.linalg.norm(uv - np.median(uv, axis=0), axis=1))[:8])
+
+
+def _grown(uv: Array, seed: int) -> tuple[Whole, Whole]:
+    """Grow a lattice from a seed, each neighbour expected where the steps next to it lead; return rows and steps."""
+    empty = np.empty(0, np.int64), np.empty((0, 2), np.int64)
+    basis = _basis(uv, seed)
+    if basis is None:
+        return empty
+    place: dict[tuple[int, int], int] = {(0, 0): int(seed)}
+    bases = {(0, 0): basis}
+    taken = {int(seed)}
+    queue = deque([(0, 0)])
+    while queue:
+        here = queue.popleft()
+        for by in ((1, 0), (0, 1), (-1, 0), (0, -1)):
+            there = here[0] + by[0], here[1] + by[1]
+            step = by @ bases[here]
+            away = np.linalg.norm(uv - uv[place[here]] - step, axis=1)
+            near = int(np.argmin(away))
+            if there in place or near in taken or away[near] > NEAR * np.linalg.norm(step):
+                continue
+            place[there], bases[there] = near, _updated(bases[here], by, uv[near] - uv[place[here]])
+            taken.add(near)
+            queue.append(there)
+    return np.array(list(place.values())), np.array(list(place.keys())).reshape(-1, 2)
+
+
+def _basis(uv: Array, seed: int) -> Array | None:
+    """Return two steps (2, 2) to neighbours of the seed that have an opposite neighbour too."""
+    offsets = uv - uv[seed]
+    order = np.argsort((offsets**2).sum(1))[1:13]
+    steps: list[Array] = []
+    for row in order:
+        step = offsets[row]
+        length = float(np.hypot(*step))
+        opposite = np.linalg.norm(offsets[order] + step, axis=1).min()
+        if length == 0 or opposite > NEAR * length:
+            continue
+        if steps and abs(steps[0][0] * step[1] - steps[0][1] * step[0]) < 0.3 * length * np.hypot(*steps[0]):
+            continue
+        steps.append((step - offsets[order[np.argmin(np.linalg.norm(offsets[order] + step, axis=1))]]) / 2)
+        if len(steps) == 2:
+            return np.stack(steps)
+    return None
+
+
+def _updated(basis: Array, by: tuple[int, int], step: Array) -> Array:
+    """Return the basis at the next point: along the way taken it is that way."""
+    axis = 0 if by[0] else 1
+    changed = basis.copy()
+    changed[axis] = 0.3 * basis[axis] + 0.7 * step * (by[0] + by[1])
+    return changed
+
+
+_TURNS = tuple(
+    np.array(turn).reshape(2, 2)
+    for turn in product(range(-2, 3), repeat=4)
+    if abs(turn[0] * turn[3] - turn[1] * turn[2]) in (1, 2)
+)
+"""Changes between two bases of one lattice with short steps; of determinant 2 to the doubled lattice of an asymmetric grid."""
+
+
+def _alignments(expected: Whole, members: Whole, steps: Whole) -> list[Whole]:
+    """Return the fullest ways to lay the pattern over the grown lattice: rows (n,) of members, -1 for none.
+
+    The lattice may be larger, where stray points continue it, but not smaller: edges that are not seen cannot be placed.
+    """
+    box = np.ptp(expected, axis=0)
+    fits = []
+    for turn in _TURNS:
+        turned = steps @ turn.T
+        low, room = turned.min(0), np.ptp(turned, axis=0) - box
+        place = {tuple(step): row for step, row in zip(turned.tolist(), members.tolist(), strict=True)}
+        for x, y in product(range(room[0] + 1), range(room[1] + 1)):
+            at = expected - expected.min(0) + low + (x, y)
+            fits.append(np.array([place.get(tuple(step), -1) for step in at.tolist()]))
+    most = max((int((fit >= 0).sum()) for fit in fits), default=0)
+    return [fit for fit in fits if (fit >= 0).sum() == most >= FEWEST * len(expected)]
+
+
+def _uprightness(expected: Whole, uv: Array, fit: Whole) -> float:
+    """Return how far x points right and y points down; minus infinity for the mirror image of the board."""
+    seen = fit >= 0
+    offsets = expected[seen] - expected[seen].mean(0)
+    linear = np.linalg.lstsq(offsets.astype(float), uv[fit[seen]] - uv[fit[seen]].mean(0), rcond=None)[0]
+    if np.linalg.det(linear) <= 0:
+        return -np.inf
+    x, y = linear / np.linalg.norm(linear, axis=1, keepdims=True)
+    return float(x[0] + y[1])

@@ -1,0 +1,99 @@
+"""The pattern of targets that images show: its settings in a job, and the points it has."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from metrocli.settings import Choice, Quantity, Text, Whole, setting
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
+    Array = npt.NDArray[np.float64]
+
+GRIDS = ("chessboard", "circles", "asymmetric-circles", "charuco")
+"""Types whose points lie on one flat board, at known places."""
+TYPES = (*GRIDS, "coded-rings", "dot")
+
+DICTIONARIES = tuple(f"{bits}x{bits}_{count}" for bits in (4, 5, 6, 7) for count in (50, 100, 250))
+"""Each larger dictionary begins with the smaller one of its size."""
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """What the images show."""
+
+    type: str = setting(Choice(*TYPES), "kind of targets")
+    columns: int | None = setting(
+        Whole(minimum=2, maximum=99),
+        "points in a row of the board: inner corners of a chessboard or ChArUco board, circles of a grid",
+        default=None,
+    )
+    rows: int | None = setting(Whole(minimum=2, maximum=99), "rows of points of the board", default=None)
+    pitch: float | None = setting(
+        Quantity("length", positive=True),
+        "distance of neighbouring points; with asymmetric-circles, distance of neighbouring rows",
+        default=None,
+    )
+    diameter: float | None = setting(
+        Quantity("length", positive=True), "diameter of the circles, or of the centre dots of coded rings", default=None
+    )
+    polarity: str = setting(
+        Choice("either", "dark", "bright"), "dark targets on a bright background, bright on dark, or both", default="either"
+    )
+    marker_size: float | None = setting(Quantity("length", positive=True), "side of a marker (charuco)", default=None)
+    dictionary: str = setting(Choice(*DICTIONARIES), "ArUco dictionary of the markers (charuco)", default="4x4_50")
+    target: str = setting(Text(), "name of the target (dot)", default="dot")
+
+    def faults(self) -> Iterable[tuple[str, str]]:
+        """Yield (key, message) of what the type needs and does not have."""
+        if self.type not in GRIDS:
+            return
+        for key in ("columns", "rows", "pitch"):
+            if getattr(self, key) is None:
+                yield key, f"a pattern of type {self.type} needs {key}"
+        if self.type == "charuco":
+            if self.marker_size is None:
+                yield "marker_size", "a pattern of type charuco needs marker_size"
+            elif self.pitch is not None and self.marker_size >= self.pitch:
+                yield "marker_size", "the markers must be smaller than the squares (pitch)"
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of a board."""
+        if self.rows is None or self.columns is None:
+            raise ValueError(f"a pattern of type {self.type} has no rows and columns")
+        return self.rows, self.columns
+
+
+def lattice(pattern: Pattern) -> npt.NDArray[np.int64]:
+    """Return the points of a board in whole steps of the pitch, (n, 2) as (x, y), row by row."""
+    import numpy as np
+
+    rows, columns = pattern.shape
+    row, column = (part.ravel() for part in np.mgrid[:rows, :columns])
+    if pattern.type == "asymmetric-circles":
+        return np.stack([2 * column + row % 2, row], axis=1)
+    return np.stack([column, row], axis=1)
+
+
+def names(pattern: Pattern) -> tuple[str, ...]:
+    """Return the names of a board's points, row by row: r00c00, r00c01 ..."""
+    rows, columns = pattern.shape
+    return tuple(f"r{row:02d}c{column:02d}" for row in range(rows) for column in range(columns))
+
+
+def pattern_points(pattern: Pattern) -> tuple[tuple[str, ...], Array]:
+    """Return the names of a board's points and their coordinates (n, 3) in mm: x along a row, y along a column, z = 0.
+
+    Seen from the front, x points right and y down, z away from the viewer: the board frame of a camera that faces it.
+    """
+    import numpy as np
+
+    if pattern.pitch is None:
+        raise ValueError(f"a pattern of type {pattern.type} has no pitch")
+    flat = lattice(pattern) * float(pattern.pitch)
+    return names(pattern), np.column_stack([flat, np.zeros(len(flat))])

@@ -1,0 +1,59 @@
+"""What one image shows of a pattern: names and image coordinates of targets."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from metrocli.targets.ellipses import Fitted
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """Targets found in one image; pixel (0, 0) is the centre of the first pixel."""
+
+    targets: tuple[str, ...]
+    uv: Array
+    """Image coordinates (n, 2) in pixels."""
+    sigma: Array
+    """Standard deviation per axis (n,) in pixels, from the grey values' residuals; NaN where it is not known."""
+    axes: Array
+    """Semi-axes (n, 2) of the ellipses in pixels, the longer first; NaN where a target has none."""
+    angle: Array
+    """Direction (n,) of the longer semi-axis in radians, from u towards v; NaN where a target has none."""
+    reason: str = ""
+    """Why nothing was found, or not everything, in words for the user."""
+
+    def __len__(self) -> int:
+        return len(self.targets)
+
+    def __getitem__(self, rows: Sequence[int] | npt.NDArray[np.intp]) -> Sightings:
+        """Return the sightings of these rows."""
+        rows = np.asarray(rows, dtype=np.intp)
+        names = tuple(self.targets[row] for row in rows)
+        return Sightings(names, self.uv[rows], self.sigma[rows], self.axes[rows], self.angle[rows], self.reason)
+
+
+def nothing(reason: str) -> Sightings:
+    """Return no sightings, with the reason."""
+    return Sightings((), np.empty((0, 2)), np.empty(0), np.empty((0, 2)), np.empty(0), reason)
+
+
+def points(targets: Sequence[str], uv: Array, sigma: Array | None = None, reason: str = "") -> Sightings:
+    """Return sightings of targets that are not ellipses."""
+    absent = np.full(len(uv), np.nan)
+    return Sightings(
+        tuple(targets), np.asarray(uv, float), absent if sigma is None else sigma, np.stack([absent] * 2, 1), absent, reason
+    )
+
+
+def of_ellipses(targets: Sequence[str], fits: Sequence[Fitted], reason: str = "") -> Sightings:
+    """Return sightings of fitted ellipses."""
+    found = [(fit.ellipse.u, fit.ellipse.v, fit.sigma, fit.ellipse.long, fit.ellipse.short, fit.ellipse.angle) for fit in fits]
+    table = np.array(found, dtype=float).reshape(-1, 6)
+    return Sightings(tuple(targets), table[:, :2], table[:, 2], table[:, 3:5], table[:, 5], reason)
