@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -417,8 +418,8 @@ class ImageFiles:
 def _matches(node: Node) -> list[Path]:
     """Return the files of a pattern; a plain path as it is, whether it exists or not."""
     if not set(node.text) & set("*?["):
-        return [node.source.folder / node.text]
-    return [path for path in _glob(node) if path.is_file()]
+        return [path_beside(node)]
+    return [Path(os.path.normpath(path)) for path in _glob(node) if path.is_file()]
 
 
 def _glob(node: Node) -> Iterable[Path]:
@@ -456,7 +457,12 @@ class FileOf(_OfText):
 def _path(spec: Spec, node: Node, faults: list[Fault]) -> Any:
     if node.kind != "scalar" or node.empty or not node.text.strip() or "\0" in node.text:
         return _refuse(spec, node, faults)
-    return node.source.folder / node.text
+    return path_beside(node)
+
+
+def path_beside(node: Node) -> Path:
+    """Return the path that a node names, without `..` in the middle, so that two jobs name a file alike."""
+    return Path(os.path.normpath(node.source.folder / node.text))
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from metrocli.settings import (
     Section,
     TableFile,
     Text,
+    path_beside,
     read_sections,
     sections_schema,
     setting,
@@ -122,7 +123,7 @@ class _Output:
 
     def read(self, node: Node, faults: list[Fault]) -> Any:
         if self.fits(node) and node.text.endswith(".h5") and "\0" not in node.text:
-            return node.source.folder / node.text
+            return path_beside(node)
         faults.append(node.fault(f"output: '{node.text}' is not the name of a result file", f"expected {self.expects}"))
         return BAD
 
@@ -242,7 +243,7 @@ def _overridden(root: Node, override: str, folder: Path) -> Node:
     names = key.strip().split(".")
     if not equals or not all(names):
         raise UsageError(f"--set {override}: write it as key.path=value, such as --set camera.estimate='[f, cx, cy]'")
-    new = yaml_text.parse(value or "''", f"--set {override}", folder)
+    new = yaml_text.parse(value or "~", f"--set {override}", folder)
     return yaml_text.with_paths(_replaced(root, names, yaml_text.without_lines(new)))
 
 
@@ -328,12 +329,14 @@ def _missing(inputs: Iterable[Input], wishes: Wishes) -> list[Fault]:
 
 
 def _neighbour(path: Path) -> str | None:
-    """Return the file of nearly the same name beside a missing one."""
-    if not path.parent.is_dir():
-        return f"there is no folder {path.parent}"
-    names = [other.name for other in path.parent.iterdir() if other.is_file()]
+    """Say what may be meant by a missing file: one of nearly the same name, or the result of a job not yet run."""
+    names = [other.name for other in path.parent.iterdir() if other.is_file()] if path.parent.is_dir() else []
     hint = suggestion(path.name, names)
-    return hint if hint.startswith("did you mean") else None
+    if hint.startswith("did you mean"):
+        return hint
+    if path.suffix == ".h5":
+        return "a result: run the job that makes it first"
+    return None if path.parent.is_dir() else f"there is no folder {path.parent}"
 
 
 def schema(kind: str) -> Schema:

@@ -15,7 +15,7 @@ from metrocli.project.inputs import input_files
 from metrocli.project.job import Job, Wishes, load
 from metrocli.project.runner import Done, Say, carry_out
 from metrocli.record import Record
-from metrocli.settings import BAD, ListOf, Node, Section, Text, setting
+from metrocli.settings import BAD, ListOf, Node, Section, Text, path_beside, setting
 
 FILE = "metrocli.yaml"
 
@@ -78,10 +78,10 @@ def load_project(place: Path) -> tuple[Step, ...]:
     if project is BAD:
         raise InputError(faults)
     nodes = root.at("jobs").items
-    made = {_absolute(output) for node in nodes if (output := _peek_output(path.parent / node.text)) is not None}
+    made = {_absolute(output) for node in nodes if (output := _peek_output(path_beside(node))) is not None}
     jobs: dict[str, Job] = {}
     for node in nodes:
-        _load_one(node, path.parent / node.text, made, jobs, faults)
+        _load_one(node, path_beside(node), made, jobs, faults)
     makers = _makers(nodes, jobs, faults)
     if faults:
         raise InputError(faults)
@@ -99,7 +99,7 @@ def _peek_output(path: Path) -> Path | None:
         output = yaml_text.parse(yaml_text.read_text(path, str(path)), str(path), path.parent).get("output")
     except InputError:
         return None
-    return path.parent / output.text if output is not None else path.parent / "results" / f"{path.stem}.h5"
+    return path_beside(output) if output is not None else path.parent / "results" / f"{path.stem}.h5"
 
 
 def _load_one(node: Node, path: Path, made: set[Path], jobs: dict[str, Job], faults: list[Fault]) -> None:

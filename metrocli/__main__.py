@@ -1,0 +1,5 @@
+"""python -m metrocli is the command metrocli."""
+
+from metrocli.cli.main import main
+
+main()

@@ -1,0 +1,260 @@
+"""The command line: what is printed where, exit codes, options."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import pytest
+
+from metrocli.errors import UndeterminedError
+
+Metrocli = Callable[..., Any]
+
+
+def test_a_job_prints_its_result(job: Path, metrocli: Metrocli) -> None:
+    ran = metrocli("straight-line", job)
+    assert (ran.code, ran.err) == (0, "")
+    assert "slope   0.000980  ± 0.000045  rad  (0.980 ± 0.045 mm/m)" in ran.out
+    assert "offset     1.030  ± 0.084     mm" in ran.out
+    assert "observations 4, unknowns 2, dof 2, sigma0 0.9487" in ran.out
+    assert "residual [mm]" in ran.out
+    assert ran.out.endswith("result: results/line.h5\n")
+
+
+def test_json_and_nothing_else_on_stdout(job: Path, metrocli: Metrocli) -> None:
+    Path("readings.csv").write_text("point,x_mm,y_mm,note\na,0,1,\nb,1,2,\nc,2,4,\n")
+    ran = metrocli("straight-line", job, "--json", "--verbose", "--set", "require.sigma0=< 100")
+    summary = json.loads(ran.out)
+    assert set(summary) >= {"kind", "status", "result", "estimates", "statistics", "warnings", "requirements"}
+    assert summary["status"] == "done"
+    assert summary["requirements"][0]["met"] is True
+    assert "'note' is not used" in summary["warnings"][0]
+    assert "warning: " in ran.err
+    assert summary == json.loads(metrocli("show", summary["result"], "--json").out)
+
+
+def test_numbers_that_are_none_are_null_in_json() -> None:
+    from metrocli.cli.summary import as_json
+
+    assert json.loads(as_json({"a": [float("nan"), float("inf"), 1.0]})) == {"a": [None, None, 1.0]}
+
+
+def test_quiet_prints_nothing(job: Path, metrocli: Metrocli) -> None:
+    ran = metrocli("straight-line", job, "--quiet")
+    assert (ran.code, ran.out, ran.err) == (0, "", "")
+
+
+def test_a_criterion_that_is_not_met(job: Path, metrocli: Metrocli) -> None:
+    job.write_text(job.read_text() + "require: {sigma0: '< 0.5', slope.std: ['< 1 mrad', '> 0 rad'], rms.mm: '<= 1'}\n")
+    ran = metrocli("straight-line", job)
+    assert ran.code == 6
+    assert "required sigma0 < 0.5: NOT met (0.948683)" in ran.out
+    assert "required slope.std < 1 mrad: met" in ran.out
+    assert Path("results/line.h5").exists()
+    assert metrocli("straight-line", job, "--quiet").err == "required sigma0 < 0.5: NOT met (0.948683)\n"
+
+
+@pytest.mark.parametrize(
+    ("requirement", "message", "hint"),
+    [
+        ("{sigma: '< 1'}", "the result has no value 'sigma'", "did you mean 'sigma0'?"),
+        ("{slope: '< 1'}", "1 has no unit", "write e.g. '< 1 rad'"),
+        ("{slope: '< 1 mm'}", "'mm' is the unit of a length", "allowed: rad"),
+        ("{sigma0: '< 1 mm'}", "sigma0 has the unit ''", "leave the unit out"),
+    ],
+)
+def test_a_criterion_on_nothing_writes_nothing(
+    requirement: str, message: str, hint: str, job: Path, metrocli: Metrocli
+) -> None:
+    job.write_text(job.read_text() + f"require: {requirement}\n")
+    ran = metrocli("straight-line", job)
+    assert ran.code == 3
+    assert "line.yaml:5:" in ran.err
+    assert message in ran.err
+    assert hint in ran.err
+    assert not Path("results").exists()
+
+
+def test_set_changes_the_job_and_the_stored_text(job: Path, metrocli: Metrocli) -> None:
+    ran = metrocli("straight-line", job, "--set", "noise=0.2 mm", "--set", "limits.range=[0 mm, 1 m]", "--set", "title=a: b")
+    assert ran.code == 3  # a title is not a mapping
+    ran = metrocli("straight-line", job, "--set", "noise=0.2 mm", "--set", "limits.range=[0 mm, 1 m]", "--set", "title='a: b'")
+    assert ran.code == 0
+    with h5py.File("results/line.h5") as file:
+        text = file["job"].asstr()[()]
+        assert file.attrs["title"] == "a: b"
+    assert "noise: 0.2 mm\n" in text
+    assert "limits:\n  range:\n    - 0 mm\n    - 1 m\n" in text
+    Path("again.yaml").write_text(text)
+    assert metrocli("straight-line", "again.yaml", "--output", "again.h5").code == 0
+    with h5py.File("again.h5") as again, h5py.File("results/line.h5") as first:
+        assert again["job"].asstr()[()] == text
+        assert (again["parameters"][()] == first["parameters"][()]).all()
+
+
+@pytest.mark.parametrize(
+    ("override", "code", "message"),
+    [
+        ("noise", 2, "write it as key.path=value"),
+        ("=1", 2, "write it as key.path=value"),
+        ("noise=0,1 mm", 3, "--set noise=0,1 mm: error: noise: '0,1 mm' has a decimal comma"),
+        ("nois=0.1 mm", 3, "--set nois=0.1 mm: error: unknown key 'nois'"),
+        ("noise=[", 3, "--set noise=["),
+        ("noise=", 3, "there is no value"),
+        ("inputs.readings=none.csv", 3, "no such file: none.csv"),
+    ],
+)
+def test_a_wrong_set(override: str, code: int, message: str, job: Path, metrocli: Metrocli) -> None:
+    ran = metrocli("straight-line", job, "--set", override)
+    assert (ran.code, ran.out) == (code, "")
+    assert message in ran.err
+
+
+def test_a_dry_run_writes_nothing_but_reads_everything(job: Path, metrocli: Metrocli) -> None:
+    ran = metrocli("straight-line", job, "--dry-run")
+    assert (ran.code, ran.out) == (0, "line.yaml: no faults; would write results/line.h5\n")
+    Path("readings.csv").write_text("point,x_mm,y_mm\na,1,nan\n")
+    ran = metrocli("straight-line", job, "--dry-run")
+    assert (ran.code, "readings.csv:2:5" in ran.err) == (3, True)
+    assert not Path("results").exists()
+
+
+def test_a_question_prints_a_table_and_writes_nothing(job: Path, metrocli: Metrocli) -> None:
+    assert metrocli("straight-line", job, "--compare").out.splitlines()[0].split() == ["model", "rms", "[mm]"]
+    assert json.loads(metrocli("straight-line", job, "--compare", "--json").out)["units"] == {"rms": "mm"}
+    assert not Path("results").exists()
+
+
+OTHER_KIND = "{path} is a job of the kind straight-line; use: metrocli straight-line {path}"
+
+
+def test_a_command_on_a_job_of_another_kind(job: Path, metrocli: Metrocli) -> None:
+    ran = metrocli("calibrate-camera", job)
+    assert ran.code == 2
+    assert OTHER_KIND.format(path=job) in ran.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["strait-line", "line.yaml"], "did you mean 'straight-line'?"),
+        (["straight-line"], "Missing argument 'JOB.yaml'"),
+        (["straight-line", "line.yaml", "--outptu", "x"], "No such option"),
+        (["schema", "strait-line"], "did you mean 'straight-line'?"),
+        (["init", "x", "--sample", "none"], "no sample 'none'"),
+        (["simulate", "line.yaml"], "Missing option '--out'"),
+    ],
+)
+def test_wrong_use(arguments: list[str], message: str, job: Path, metrocli: Metrocli) -> None:
+    ran = metrocli(*arguments)
+    assert (ran.code, ran.out) == (2, "")
+    assert message in ran.err
+
+
+def test_data_that_cannot_determine_the_unknowns(job: Path, metrocli: Metrocli) -> None:
+    Path("readings.csv").write_text("point,x_mm,y_mm\na,1,2\nb,1,3\n")
+    ran = metrocli("straight-line", job)
+    assert (ran.code, ran.out) == (UndeterminedError.exit_code, "") == (4, "")
+    assert ran.err == "error: slope, offset: all points have the same x; measure at another x\n"
+    assert not Path("results").exists()
+
+
+def test_no_convergence(job: Path, metrocli: Metrocli) -> None:
+    ran = metrocli("straight-line", job, "--set", "labels.fail=diverge")
+    assert (ran.code, ran.out) == (5, "")
+
+
+def test_a_defect_is_called_one(job: Path, metrocli: Metrocli) -> None:
+    ran = metrocli("straight-line", job, "--set", "labels.fail=bug")
+    assert ran.code == 1
+    assert "Traceback" in ran.err
+    assert "this is a defect of metrocli" in ran.err
+
+
+def test_an_interrupt(job: Path, metrocli: Metrocli, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("metrocli.project.runner.carry_out", interrupted)
+    assert metrocli("straight-line", job).code == 130
+
+
+class TestOutput:
+    """What may be replaced."""
+
+    def test_a_result_of_the_same_kind_is_replaced(self, job: Path, metrocli: Metrocli) -> None:
+        assert [metrocli("straight-line", job).code for _ in range(2)] == [0, 0]
+
+    def test_a_damaged_result_is_replaced(self, job: Path, metrocli: Metrocli) -> None:
+        metrocli("straight-line", job)
+        path = Path("results/line.h5")
+        path.write_bytes(path.read_bytes()[:100])
+        assert metrocli("straight-line", job).code == 0
+
+    @pytest.mark.parametrize("content", ["hello", "kind", "other"])
+    def test_anything_else_is_kept_unless_forced(self, content: str, job: Path, metrocli: Metrocli) -> None:
+        path = Path("keep.h5")
+        if content == "hello":
+            path.write_text("hello")
+        else:
+            with h5py.File(path, "w") as file:
+                file.attrs.update({"format": "metrocli-result", "kind": "other"} if content == "kind" else {})
+        before = path.read_bytes()
+        ran = metrocli("straight-line", job, "--output", path)
+        assert ran.code == 3
+        assert "keep.h5: error: the file exists and is" in ran.err
+        assert path.read_bytes() == before
+        assert metrocli("straight-line", job, "--output", path, "--force").code == 0
+
+    def test_a_place_that_cannot_be_written(self, job: Path, metrocli: Metrocli) -> None:
+        ran = metrocli("straight-line", job, "--output", "readings.csv/x.h5")
+        assert (ran.code, ran.out) == (3, "")
+        assert "cannot be written" in ran.err
+        assert metrocli("straight-line", job, "--output", ".").code == 3
+
+
+def test_show(job: Path, metrocli: Metrocli) -> None:
+    printed = metrocli("straight-line", job).out
+    ran = metrocli("show", "results/line.h5")
+    assert ran.out == printed + "tables: residuals\n"
+    table = metrocli("show", "results/line.h5", "--table", "residuals")
+    assert table.out.startswith("point,residual_mm,normalised\na,-0.03")
+    assert len(json.loads(metrocli("show", "results/line.h5", "--table", "residuals", "--json").out)["rows"]) == 4
+    ran = metrocli("show", "results/line.h5", "--table", "residual")
+    assert (ran.code, "did you mean 'residuals'?" in ran.err) == (2, True)
+    assert metrocli("show", "readings.csv").code == 3
+
+
+def test_a_result_as_input_must_be_of_the_right_kind(job: Path, metrocli: Metrocli) -> None:
+    metrocli("straight-line", job)
+    job.write_text(job.read_text().replace("{", "{known: results/line.h5, "))
+    assert metrocli("straight-line", job, "--output", "o.h5").code == 0
+    with h5py.File("results/line.h5", "a") as file:
+        file.attrs["kind"] = "other"
+    ran = metrocli("check", job)
+    assert ran.code == 3
+    assert "line.yaml:3:17: error: inputs.known: results/line.h5 is a result of other" in ran.err
+
+
+def test_simulate_then_measure(job: Path, metrocli: Metrocli) -> None:
+    Path("readings.csv").unlink()
+    ran = metrocli("simulate", job, "--out", "sim", "--seed", 3, "--images")
+    assert (ran.code, ran.out) == (0, "sim/readings.csv\nsim/img/a.png\nsim/truth.json\n")
+    truth = json.loads(Path("sim/truth.json").read_text())
+    ran = metrocli("straight-line", job, "--set", "inputs.readings=sim/readings.csv", "--json")
+    offset = json.loads(ran.out)["estimates"]["offset"]
+    assert abs(offset["value"] - truth["offset"]) < 4 * offset["std"]
+    assert metrocli("simulate", job, "--out", "sim").code == 3
+    first = Path("sim/readings.csv").read_text()
+    assert metrocli("simulate", job, "--out", "sim", "--force", "--seed", 3).code == 0
+    assert Path("sim/readings.csv").read_text() == first
+    assert metrocli("simulate", job, "--out", "sim", "--force", "--seed", 4).code == 0
+    assert Path("sim/readings.csv").read_text() != first
+
+
+def test_schema_of_every_kind(straight_line: str, metrocli: Metrocli) -> None:
+    assert json.loads(metrocli("schema", straight_line).out)["properties"]["job"]["const"] == straight_line

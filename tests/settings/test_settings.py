@@ -1,0 +1,66 @@
+"""Settings: nodes to frozen dataclasses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from metrocli.errors import Fault
+from metrocli.project import yaml_text
+from metrocli.settings import BAD, Choice, Either, ListOf, MapOf, Number, Quantity, Text, Whole, nearest
+from metrocli.units import DIMENSIONS
+
+
+def value_of(spec: Any, text: str) -> Any:
+    """Read `text` as the value of a key."""
+    node = yaml_text.parse(f"key: {text}\n", "job.yaml", Path()).get("key")
+    faults: list[Fault] = []
+    value = spec.read(node, faults)
+    assert (value is BAD) == bool(faults)
+    return faults[0] if faults else value
+
+
+@pytest.mark.parametrize(
+    ("spec", "text", "value"),
+    [
+        (Text(), "012345", "012345"),
+        (Text(), "no", "no"),
+        (Text(), "12:30:00", "12:30:00"),
+        (Text(), "2026-01-01", "2026-01-01"),
+        (Text(), "1e-6", "1e-6"),
+        (Text(), "'null'", "null"),
+        (Number(), "1e-6", 1e-6),
+        (Number(), "+5e-4", 5e-4),
+        (Number(), "012", 12.0),
+        (Whole(), "012", 12),
+        (Choice("on", "off"), "on", "on"),
+        (Quantity("length"), "2 m", 2000.0),
+        (ListOf(Quantity("angle")), "[1 rad, 2 mrad]", (1.0, 0.002)),
+        (MapOf(Number()), "{a: 1, b: 2}", {"a": 1.0, "b": 2.0}),
+        (Either(Quantity("pixel"), Choice("estimated")), "0.1 px", 0.1),
+        (Either(Quantity("pixel"), Choice("estimated")), "estimated", "estimated"),
+        (Either(Choice("all"), ListOf(Text())), "[a]", ("a",)),
+    ],
+)
+def test_values_are_read_from_their_text(spec: Any, text: str, value: object) -> None:
+    assert value_of(spec, text) == value
+
+
+def test_either_tells_the_fault_that_was_meant() -> None:
+    spec = Either(Quantity("pixel"), Choice("estimated"))
+    assert "has no unit" in value_of(spec, "0.1").message
+    assert "such as '0.1 px', or estimated" in value_of(spec, "guess").hint
+    assert "a list" in value_of(spec, "[1 px]").message
+
+
+def test_near_words() -> None:
+    assert nearest("tolerence", ["tolerance", "title"]) == "tolerance"
+    assert nearest("pixel-size", ["pixel_size"]) == "pixel_size"
+    assert nearest("zzz", ["tolerance"]) is None
+
+
+@pytest.mark.parametrize("dimension", DIMENSIONS)
+def test_each_dimension_says_what_it_expects(dimension: str) -> None:
+    assert DIMENSIONS[dimension].example in Quantity(dimension).expects
