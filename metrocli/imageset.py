@@ -19,5 +19,9 @@ class ImageSet(Protocol):
     def names(self) -> tuple[str, ...]:
         """File names without folder, in sorted order: the image keys of tables."""
 
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height in pixels, the same for all."""
+
     def __iter__(self) -> Iterator[tuple[str, Picture]]:
         """Yield (name, grey image (height, width), 8 or 16 bit)."""

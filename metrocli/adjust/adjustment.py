@@ -60,6 +60,8 @@ def adjust(blocks: Iterable[Block], groups: Sequence[Group], datum: Datum | None
     problem = _Problem(groups, arrange(state, groups, (datum.block,) if datum else ()), datum)
     unknowns = sum(int(block.free.sum()) for block in state.values())
     linears = problem.linear(state)
+    if not np.isfinite(sum(linear.cost for linear in linears)):
+        return Solution(Outcome.NO_START, state, tuple(groups), float("inf"), 0, unknowns)
     damping, iterations, outcome = 0.0, 0, Outcome.ITERATION_LIMIT if control.limit else Outcome.CONVERGED
     while iterations < control.limit:
         normals = assemble(groups, linears, state, problem.layout)

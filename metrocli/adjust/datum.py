@@ -14,6 +14,9 @@ import numpy as np
 from metrocli.adjust.blocks import Array, Block
 from metrocli.adjust.layout import Layout
 
+_OPEN = 1e-11
+"""A movement is open where its share of the normal matrix is rounding"""
+
 Movements = Callable[[Mapping[str, Block]], Mapping[str, Array]]
 
 
@@ -65,10 +68,11 @@ def open_frame(datum: Datum, blocks: Mapping[str, Block], layout: Layout, matrix
         columns = layout.columns.get(name)
         if columns is not None:
             full[columns[columns >= 0]] = move[columns >= 0]
-    lengths = np.maximum(np.linalg.norm(full, axis=0), 1e-300)
+    size = np.abs(full)
+    lengths = np.sqrt(np.maximum(np.einsum("ik,ij,jk->k", size, np.abs(matrix), size, optimize=True), 1e-300))
     unit = full / lengths
     seen, basis = np.linalg.eigh(unit.T @ matrix @ unit)
-    open_ones = seen < 1e-9 * np.abs(np.diag(matrix)).max()
+    open_ones = seen < _OPEN
     if not open_ones.any():
         return None
     mix = basis[:, open_ones] / lengths[:, None]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -129,3 +129,38 @@ def prior(block: Block, members: Index, sigma: Array | None = None, covariance: 
     )
     link = ReadBlock(block.name, block.values, columns, block.space)
     return Group(f"prior of {block.name}", Chain((link,)), observations)
+
+
+@dataclass(frozen=True)
+class ReadBlocks:
+    """Several blocks read as one vector: the forward model of a joint prior."""
+
+    parts: tuple[ReadBlock, ...]
+    takes = None
+    gives = Quantity.PARAMETERS
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """The blocks it reads."""
+        return tuple(part.block for part in self.parts)
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the differences of all parts one after the other, (sum of columns, n), and their derivatives."""
+        steps = [part.step(value, local) for part in self.parts]
+        sizes = [len(step.value) for step in steps]
+        by_block = {}
+        for i, (part, step) in enumerate(zip(self.parts, steps, strict=True)):
+            own = step.by_block[part.block]
+            full = np.zeros((sum(sizes), *own.shape[1:]))
+            full[sum(sizes[:i]) : sum(sizes[: i + 1])] = own
+            by_block[part.block] = full
+        return Step(np.concatenate([np.broadcast_to(step.value, (len(step.value), local.observations.count)) for step in steps]), by_block=by_block)
+
+
+def joint_prior(blocks: Sequence[Block], columns: Sequence[tuple[int, ...]], covariance: Array) -> Group:
+    """Return the group that holds blocks of one member together to their present values, with a common covariance."""
+    parts = tuple(ReadBlock(block.name, block.values, chosen, block.space) for block, chosen in zip(blocks, columns, strict=True))
+    size = len(covariance)
+    names = tuple(block.columns[i] for block, chosen in zip(blocks, columns, strict=True) for i in chosen)
+    observations = Observations(np.zeros((size, 1)), np.ones(1), {}, np.asarray(covariance, dtype=float)[:, :, None], components=names)
+    return Group("prior of " + ", ".join(block.name for block in blocks), Chain((ReadBlocks(parts),)), observations)

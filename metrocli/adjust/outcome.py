@@ -13,6 +13,7 @@ class Outcome(Enum):
     UNDETERMINED = "the data cannot determine the unknowns"
     TOO_FEW = "there are fewer readings than unknowns"
     ITERATION_LIMIT = "the adjustment did not converge within its limit of iterations"
+    NO_START = "the readings cannot be predicted at the starting values"
     DIVERGED = "the adjustment found no step that lowers the sum of squares"
 
     @property

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.special
@@ -58,6 +58,10 @@ class Solution:
         if self.covariance is None:
             raise RuntimeError(self.outcome.value)
         return self.covariance
+
+    def scaled(self, factor: float) -> Solution:
+        """Return the solution with its covariance multiplied by `factor`: sigma0^2 where the noise is estimated."""
+        return replace(self, covariance=self.known().scaled(factor))
 
     def std(self, block: str) -> Array:
         """Return the standard uncertainties of a block, (members, size)."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import permutations, product
 
 import numpy as np
 import numpy.typing as npt
@@ -55,6 +56,8 @@ def start(scene: Scene, centre: Array, focal: float | None, guess: float) -> tup
     maps = maps.copy()
     maps[:, :2] /= ratio
     found = _poses_of_homographies(maps) if planar else _poses_of_projections(maps)
+    if not planar:
+        found = _resected(scene, local, rays / ratio, found)
     found[:, :3] *= scale
     return ratio * guess, poses.compose(found, np.broadcast_to(to_plane, found.shape))
 
@@ -124,3 +127,74 @@ def _poses_of_projections(maps: Array) -> Array:
     determinant = np.linalg.det(maps[:, :, :3])
     scaled = maps / (np.cbrt(np.abs(determinant)) * np.where(determinant < 0, -1.0, 1.0))[:, None, None]
     return poses.pose(nearest_rotation(scaled[:, :, :3]), scaled[:, :, 3])
+
+
+_ITERATIONS = 60
+_ASTRAY = 3.0
+"""A view whose misfit is this many times the median is tried again from other rotations"""
+
+
+def _resected(scene: Scene, local: Array, rays: Array, start_poses: Array) -> Array:
+    """Return poses refined in object space; views that end behind the camera or astray start again from 24 rotations."""
+    best = _orthogonal_iteration(scene, local, rays, start_poses)
+    misfit = _misfit(scene, local, rays, best)
+    astray = np.flatnonzero(misfit > _ASTRAY * np.median(misfit))
+    if not astray.size:
+        return best
+    chosen = np.isin(scene.view, astray)
+    part = Scene(scene.points, scene.uv[:, chosen], scene.target[chosen], np.searchsorted(astray, scene.view[chosen]), len(astray))
+    for rotation in cube_rotations():
+        first = poses.pose(np.broadcast_to(rotation, (len(astray), 3, 3)), np.zeros(3))
+        attempt = _orthogonal_iteration(part, local, rays[:, chosen], first)
+        value = _misfit(part, local, rays[:, chosen], attempt)
+        better = value < misfit[astray]
+        best[astray[better]], misfit[astray[better]] = attempt[better], value[better]
+    return best
+
+
+def cube_rotations() -> Array:
+    """Return the 24 rotations that carry a cube into itself."""
+    signed = np.array([np.diag(signs)[list(order)] for signs in product((1.0, -1.0), repeat=3) for order in permutations(range(3))])
+    turns: Array = signed[np.linalg.det(signed) > 0]
+    return turns
+
+
+def _misfit(scene: Scene, local: Array, rays: Array, found: Array) -> Array:
+    """Return the root mean square distance of each view in the plane Z = 1; infinite with points behind the camera."""
+    points = poses.apply(found[scene.view], local[scene.target])
+    front = points[:, 2] > 0
+    gap = points[:, :2] / np.where(front, points[:, 2], 1.0)[:, None] - rays.T
+    square = np.where(front, (gap**2).sum(axis=1), np.inf)
+    misfit: Array = np.sqrt(np.bincount(scene.view, square, scene.views) / np.maximum(np.bincount(scene.view, minlength=scene.views), 1))
+    return misfit
+
+
+def _orthogonal_iteration(scene: Scene, local: Array, rays: Array, start_poses: Array) -> Array:
+    """Return poses that bring points onto their rays in object space, from any start (Lu, Hager and Mjolsness 2000).
+
+    With V the projection onto a ray: the best shift for R is `t = (I - mean V)^-1 mean((V - I) R p) `, the best R turns
+    the points onto `V (R p + t)`; the two in turn converge from nearly everywhere.
+    """
+    direction = np.stack([*rays, np.ones(rays.shape[1])])
+    direction = direction / np.linalg.norm(direction, axis=0)
+    project = direction[:, None] * direction[None]
+    points = local[scene.target].T
+    counts = np.maximum(np.bincount(scene.view, minlength=scene.views), 1)
+    gain = np.linalg.inv(np.eye(3) - _sums(project.reshape(9, -1), scene).reshape(-1, 3, 3) / counts[:, None, None])
+    centre = _sums(points, scene) / counts[:, None]
+    rotation = poses.rotation_of(start_poses)
+    shift = start_poses[:, :3]
+    for _ in range(_ITERATIONS):
+        turned = np.einsum("nab,bn->an", rotation[scene.view], points)
+        missing = np.einsum("abn,bn->an", project, turned) - turned
+        shift = (gain @ (_sums(missing, scene) / counts[:, None])[:, :, None])[:, :, 0]
+        goal = np.einsum("abn,bn->an", project, turned + shift[scene.view].T)
+        moment = _sums((goal[:, None] * points[None]).reshape(9, -1), scene).reshape(-1, 3, 3)
+        moment -= _sums(goal, scene)[:, :, None] * centre[:, None, :]
+        rotation = nearest_rotation(moment)
+    return poses.pose(rotation, shift)
+
+
+def _sums(values: Array, scene: Scene) -> Array:
+    """Return the sums of (c, n) over the readings of each view, (views, c)."""
+    return np.stack([np.bincount(scene.view, row, scene.views) for row in values], axis=1)

@@ -92,3 +92,26 @@ def _shift_and_turn(vector: Array) -> Array:
     change[1, 3], change[1, 5] = -z, x
     change[2, 3], change[2, 4] = y, -x
     return change
+
+
+@dataclass(frozen=True)
+class DistanceBetween:
+    """Distance of two points of one block, `|a - b|`: a scale bar, a calibrated length."""
+
+    block: str
+    takes = None
+    gives = Quantity.LENGTH
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """The block of coordinates; each reading touches two of its members."""
+        return (self.block,)
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the distance (1, n) with its derivatives by both points, (2, 1, 3, n)."""
+        points = local.members(self.block)
+        first, second = local.index(self.block)
+        between = (points[first] - points[second]).T
+        distance = np.sqrt((between**2).sum(axis=0))
+        towards = (between / distance)[None]
+        return Step(distance[None], by_block={self.block: np.stack([towards, -towards])})

@@ -1,0 +1,160 @@
+"""A camera held in a machine's spindle: from a point of the part to an image point (Mendikute et al. eq. 1-5, 21-27)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrocli.adjust.blocks import Array, Block, Space
+from metrocli.adjust.chain import Link, Local, Step
+from metrocli.adjust.quantities import Quantity
+from metrocli.geometry import poses
+from metrocli.geometry.rotations import nearest_rotation
+from metrocli.instruments.camera import TAPER, TARGET
+from metrocli.instruments.frames import Into, OutOf, PointOf
+
+PART, SPINDLE, COUPLING = "part", "spindle", "coupling"
+"""Blocks: the part in the machine, the spindle in the machine for each image, the clamping angle"""
+
+_ANGLE_REACH = 0.5
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """From the spindle into the taper, turned by the clamping angle: `X_taper = R_S(gamma_s)' X_spindle` (eq. 22)."""
+
+    block: str = COUPLING
+    takes = Quantity.POINT_IN_SPINDLE
+    gives = Quantity.POINT_IN_TAPER
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """The clamping angle."""
+        return (self.block,)
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the point in the taper (3, n) with derivatives by the point and by the angle."""
+        angle = local.rows(self.block)[0]
+        back = _coupling_rotation(angle)
+        moved = np.stack([back[0, 0] * value[0] + back[0, 1] * value[1], back[1, 0] * value[0] + back[1, 1] * value[1], value[2]])
+        by_angle = np.stack([-moved[1], moved[0], np.zeros_like(moved[2])])[:, None]
+        return Step(moved, back, {self.block: by_angle})
+
+
+def _coupling_rotation(angle: Array) -> Array:
+    """Return R_S' = [[c, -s, 0], [s, c, 0], [0, 0, 1]], (n,) -> (3, 3, n)."""
+    c, s = np.cos(angle), np.sin(angle)
+    zero, one = np.zeros_like(c), np.ones_like(c)
+    return np.array([[c, -s, zero], [s, c, zero], [zero, zero, one]])
+
+
+def to_camera() -> tuple[Link, ...]:
+    """Return the links from a target of the part to the camera frame."""
+    return (
+        PointOf(TARGET, Quantity.POINT_IN_PART),
+        OutOf(PART, Quantity.POINT_IN_PART, Quantity.POINT_IN_MACHINE),
+        Into(SPINDLE, Quantity.POINT_IN_MACHINE, Quantity.POINT_IN_SPINDLE),
+        Coupling(COUPLING),
+        Into(TAPER, Quantity.POINT_IN_TAPER, Quantity.POINT_IN_CAMERA),
+    )
+
+
+def part_block(pose: Array, extent: float, distance: float) -> Block:
+    """Return the pose of the part in the machine, plausible within the working distance and half a radian."""
+    reach = np.array([max(extent, distance)] * 3 + [_ANGLE_REACH] * 3)
+    return Block(PART, pose, poses.COLUMNS, reach=reach, space=Space.POSE)
+
+
+def coupling_block(angle: float, free: bool) -> Block:
+    """Return the clamping angle [rad]."""
+    return Block(COUPLING, np.array([[angle]]), ("gamma_s",), free=np.array(free), reach=np.array(_ANGLE_REACH))
+
+
+def spindle_block(values: Array, images: Sequence[str]) -> Block:
+    """Return the commanded poses of the spindle, known."""
+    return Block(SPINDLE, values, poses.COLUMNS, tuple(images), free=np.array(False), space=Space.POSE, noun="image")
+
+
+@dataclass(frozen=True)
+class Rays:
+    """Lines of sight in the machine with the points of the part that they aim at."""
+
+    origin: Array
+    """(n, 3)"""
+    direction: Array
+    """Unit vectors (n, 3)"""
+    point: Array
+    """In the part (n, 3)"""
+
+
+def rays(spindle: Array, camera: Array, angle: float, ideal: Array, points: Array) -> Rays:
+    """Return the lines of sight for a clamping angle: spindle poses (n, 6), camera in taper (6,), ideal image points (2, n)."""
+    turn = poses.pose(np.swapaxes(_coupling_rotation(np.array([angle])), 0, 2)[0], np.zeros(3))
+    held = poses.compose(spindle, np.broadcast_to(poses.compose(turn, camera), spindle.shape))
+    along = np.stack([*ideal, np.ones(ideal.shape[1])], axis=1)
+    direction = (poses.rotation_of(held) @ along[:, :, None])[:, :, 0]
+    return Rays(held[:, :3], direction / np.linalg.norm(direction, axis=1, keepdims=True), points)
+
+
+def start_pose(lines: Rays, turns: int = 40) -> tuple[Array, float]:
+    """Return the pose of the part that brings its points nearest to their rays, and the root mean square angle left [rad].
+
+    First linear in the twelve entries of R and d (`(I - v v') (R X + d - c) = 0`), then shift and rotation in turn in
+    object space (Lu, Hager and Mjolsness 2000, for several centres); tried from the linear start and from turns of 90
+    degrees where that fails.
+    """
+    starts = [_linear(lines)]
+    best, misfit = _refined(lines, starts[0], turns)
+    if misfit > _FAILED:
+        from metrocli.instruments.camera_start import cube_rotations
+
+        for rotation in cube_rotations():
+            attempt, value = _refined(lines, rotation, turns)
+            if value < misfit:
+                best, misfit = attempt, value
+    return best, misfit
+
+
+_FAILED = 0.01
+"""A misfit [rad] that no distortion explains"""
+
+
+def _across(lines: Rays) -> Array:
+    """Return I - v v' of each ray, (n, 3, 3)."""
+    return np.eye(3) - lines.direction[:, :, None] * lines.direction[:, None, :]
+
+
+def _linear(lines: Rays) -> Array:
+    across = _across(lines)
+    centre = lines.point.mean(axis=0)
+    local = lines.point - centre
+    scale = float(np.abs(local).max()) or 1.0
+    local = local / scale
+    matrix = np.concatenate([across * local[:, k, None, None] for k in range(3)] + [across], axis=2).reshape(-1, 12)
+    right = (across @ lines.origin[:, :, None]).ravel()
+    solved = np.linalg.lstsq(matrix, right, rcond=1e-9)[0]
+    entries = solved[:9].reshape(3, 3).T
+    columns = np.linalg.norm(entries, axis=0)
+    if columns.min() < 1e-6 * max(columns.max(), 1e-300):
+        entries[:, int(columns.argmin())] = np.cross(entries[:, (columns.argmin() + 1) % 3], entries[:, (columns.argmin() + 2) % 3]) / max(columns.max(), 1e-300)
+    return nearest_rotation(entries)
+
+
+def _refined(lines: Rays, rotation: Array, turns: int) -> tuple[Array, float]:
+    across = _across(lines)
+    gain = np.linalg.pinv(across.sum(axis=0))
+    centre = lines.point.mean(axis=0)
+    shift = np.zeros(3)
+    for _ in range(turns):
+        turned = lines.point @ rotation.T
+        shift = gain @ (across @ (lines.origin - turned)[:, :, None]).sum(axis=0)[:, 0]
+        seen = turned + shift
+        goal = seen - (across @ (seen - lines.origin)[:, :, None])[:, :, 0]
+        rotation = nearest_rotation((goal - goal.mean(axis=0)).T @ (lines.point - centre))
+    gap = lines.point @ rotation.T + shift - lines.origin
+    depth = (gap * lines.direction).sum(axis=1)
+    off = np.linalg.norm((across @ gap[:, :, None])[:, :, 0], axis=1)
+    misfit = float(np.sqrt(np.mean((off / np.where(depth > 0, depth, 1.0)) ** 2))) if (depth > 0).all() else float("inf")
+    return poses.pose(rotation, shift), misfit

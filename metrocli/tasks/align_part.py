@@ -1,0 +1,89 @@
+"""align-part: where a part stands in the machine, seen by a camera in the spindle, with the clamping angle self-calibrated."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from metrocli.adjust.outcome import Outcome
+from metrocli.errors import UndeterminedError
+from metrocli.imageset import ImageSet
+from metrocli.result import Result
+from metrocli.settings import Choice, Either, FileOf, ImageFiles, ListOf, Quantity, Section, TableFile, setting
+from metrocli.table import TEXT, Column, Columns, Table
+from metrocli.targets.pattern import Pattern
+from metrocli.tasks.align_problem import Problem, build
+from metrocli.tasks.align_report import KIND, explained, predicted, report
+from metrocli.tasks.camera_model import CameraModel, camera_of_file, camera_of_result
+from metrocli.tasks.camera_settings import CameraFile
+from metrocli.tasks.imaging import OBSERVATIONS, TARGETS, Needs, Options, adjust_images, eccentricity_setting, image_faults, must_converge, sightings
+
+SUMMARY = "part location and orientation in the machine (6D/7D)"
+POSES = Columns(
+    (
+        Column("image", TEXT),
+        Column("x", "length"),
+        Column("y", "length"),
+        Column("z", "length"),
+        *(Column(name, "angle", required=False) for name in ("a", "b", "c")),
+        Column("t", "time", required=False),
+        Column("temp", "temperature", required=False),
+    ),
+    ("image",),
+    "commanded poses of the spindle",
+)
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """The camera, the spindle's poses, and what was seen."""
+
+    camera: Path = setting(FileOf(("calibrate-camera",), CameraFile), "result of calibrate-camera (rig cmm), or a camera written by hand (.yaml)")
+    poses: Path = setting(TableFile(POSES), "commanded pose of the spindle for each image")
+    targets: Path = setting(TableFile(TARGETS), "coordinates of targets in the part")
+    observations: Path | None = setting(TableFile(OBSERVATIONS), "image coordinates of targets", default=None)
+    images: tuple[Path, ...] | None = setting(ImageFiles(), "images, such as img/*.png, instead of observations", default=None)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Locate a part in the machine from images of a camera in the spindle (6D), with the clamping angle of its holder (7D)."""
+
+    inputs: Inputs = setting(Section(Inputs), "the files of the job")
+    noise: float | str = setting(Either(Quantity("pixel", positive=True), Choice("estimated")), "standard deviation of an image coordinate, or 'estimated'")
+    estimate: tuple[str, ...] = setting(ListOf(Choice("part-pose", "clamping-angle"), distinct=True), "unknowns: the 6D or the 7D job", default=("part-pose", "clamping-angle"))
+    pattern: Pattern | None = setting(Section(Pattern), "what the images show", default=None)
+    outliers: str = setting(Choice("report", "remove"), "name outliers, or leave them out and list them", default="report")
+    eccentricity: str = eccentricity_setting()
+
+    def faults(self) -> Iterable[tuple[str, str]]:
+        """Yield what does not fit together."""
+        yield from image_faults(self.inputs.observations, self.inputs.images, self.pattern, self.inputs.targets)
+        if "part-pose" not in self.estimate:
+            yield "estimate", "part-pose is missing: write [part-pose] for 6D or [part-pose, clamping-angle] for 7D"
+
+
+def run(settings: Settings, camera: Result | CameraFile, poses: Table, targets: Table, observations: Table | None = None, images: ImageSet | None = None) -> Result:
+    """Locate the part; raises InputError, UndeterminedError or NotConvergedError."""
+    problem = prepared(settings, camera, poses, targets, observations, images)
+    prediction = predicted(problem)
+    options = Options(problem.images, settings.outliers == "remove", settings.noise == "estimated")
+    adjusted = adjust_images(problem.blocks, problem.images, problem.others, None, options)
+    solution = adjusted.solution
+    if solution.undetermined or solution.outcome is Outcome.TOO_FEW:
+        raise UndeterminedError(explained(problem, solution))
+    must_converge(solution)
+    return report(problem, adjusted, prediction)
+
+
+def prepared(settings: Settings, camera: Result | CameraFile, poses: Table, targets: Table, observations: Table | None, images: ImageSet | None) -> Problem:
+    """Return the adjustment with its starting values."""
+    model: CameraModel = camera_of_file(camera) if isinstance(camera, CameraFile) else camera_of_result(camera)
+    sighted = sightings(settings, observations, targets, images, Needs(fewest=1))
+    if images is not None:
+        model.must_fit(images)
+    return build(model, sighted, poses, free_angle="clamping-angle" in settings.estimate)
+
+
+__all__ = ["KIND", "SUMMARY", "Inputs", "Settings", "run"]

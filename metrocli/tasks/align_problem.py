@@ -1,0 +1,108 @@
+"""The adjustment of a part's alignment, from a camera, spindle poses and sightings to blocks and groups with starting values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from metrocli.adjust.blocks import Array, Block
+from metrocli.adjust.chain import Chain
+from metrocli.adjust.groups import Group
+from metrocli.errors import Fault, InputError
+from metrocli.geometry import poses
+from metrocli.instruments import spindle_camera as spindle
+from metrocli.instruments.camera import TARGET, lens_link, target_block
+from metrocli.instruments.lens import ideal_point
+from metrocli.table import Table
+from metrocli.tasks.camera_model import CameraModel
+from metrocli.tasks.imaging import IMAGES, Sighted, target_priors, with_eccentricity
+
+_ANGLES = np.linspace(-np.pi, np.pi, 12, endpoint=False)
+"""Clamping angles to start from, where the smallest start at 0 fails"""
+_GOOD = 0.01
+"""A misfit [rad] small enough to start from"""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """An alignment ready to adjust."""
+
+    camera: CameraModel
+    sighted: Sighted
+    blocks: Mapping[str, Block]
+    images: Group
+    others: tuple[Group, ...]
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def free_angle(self) -> bool:
+        """Whether the clamping angle is estimated (7D)."""
+        return bool(self.blocks[spindle.COUPLING].free.any())
+
+
+def build(camera: CameraModel, sighted: Sighted, table: Table, free_angle: bool) -> Problem:
+    """Return the adjustment with its starting values, found from the sightings alone."""
+    held, warnings, sighted = _spindle_poses(sighted, table)
+    targets = sighted.targets
+    seen = np.bincount(sighted.target, minlength=len(targets.names)) > 0
+    pose, angle = _start(camera, sighted, held, free_angle)
+    extent = float(np.ptp(targets.points[seen], axis=0).max())
+    free = (targets.sigma != 0) & seen[:, None]
+    distance = float(np.linalg.norm(held[:, :3] - (poses.apply(pose, targets.points[seen].mean(axis=0))), axis=1).mean())
+    lens, taper = camera.blocks()
+    blocks = {
+        block.name: block
+        for block in (
+            spindle.part_block(pose, extent, distance),
+            spindle.coupling_block(angle, free_angle),
+            lens,
+            taper,
+            target_block(targets.points, targets.names, free, max(extent, 1.0)),
+            spindle.spindle_block(held, sighted.images),
+        )
+    }
+    observations = replace(sighted.observations, index={TARGET: sighted.target, spindle.SPINDLE: sighted.view, "view": sighted.view})
+    links = spindle.to_camera()
+    group = Group(IMAGES, Chain((*links, lens_link(camera.convention))), observations)
+    blocks, group = with_eccentricity(blocks, group, links, sighted.eccentric)
+    others = (*camera.prior(), *target_priors(blocks[TARGET], targets.sigma, free))
+    return Problem(camera, sighted, blocks, group, others, warnings)
+
+
+def _spindle_poses(sighted: Sighted, table: Table) -> tuple[Array, tuple[str, ...], Sighted]:
+    """Return the spindle's pose for each image, and the sightings with the poses' time and temperature."""
+    place = {name: row for row, name in enumerate(table.texts("image"))}
+    missing = [name for name in sighted.images if name not in place]
+    if missing:
+        raise InputError([Fault(f"there is no pose for image '{name}'", table.file, hint="add a row with its spindle position") for name in missing])
+    rows = np.array([place[name] for name in sighted.images], dtype=np.intp)
+    angles = np.stack([table.numbers(name, 0.0) for name in "abc"], axis=1)[rows]
+    unused = [name for name in place if name not in set(sighted.images)]
+    warnings = (f"{len(unused)} poses have no sighting: {', '.join(unused[:8])}",) if unused else ()
+    conditions = {**sighted.observations.conditions}
+    for name in ("t", "temp"):
+        if name in table and name not in conditions:
+            conditions[name] = table.numbers(name)[rows][sighted.view]
+    observations = replace(sighted.observations, conditions=conditions)
+    return poses.pose_from_euler(table.stacked("xyz")[rows], angles), warnings, replace(sighted, observations=observations)
+
+
+def _start(camera: CameraModel, sighted: Sighted, held: Array, free_angle: bool) -> tuple[Array, float]:
+    """Return the pose of the part and the clamping angle to start from: 0, or the best of twelve where 0 fits nothing."""
+    uv = sighted.observations.readings
+    ideal = np.nan_to_num(np.stack(ideal_point(camera.lens, uv[0], uv[1], camera.convention)))
+    points = sighted.targets.points[sighted.target]
+
+    def tried(angle: float) -> tuple[Array, float]:
+        return spindle.start_pose(spindle.rays(held[sighted.view], camera.taper, angle, ideal, points))
+
+    best, misfit = tried(0.0)
+    chosen = 0.0
+    if free_angle and misfit > _GOOD:
+        for angle in _ANGLES:
+            pose, value = tried(float(angle))
+            if value < misfit:
+                best, misfit, chosen = pose, value, float(angle)
+    return best, chosen

@@ -1,0 +1,143 @@
+"""The result of a part's alignment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrocli.adjust.adjustment import covariance_at
+from metrocli.adjust.blocks import Array
+from metrocli.adjust.solution import Solution, residuals_of
+from metrocli.geometry import poses
+from metrocli.instruments import spindle_camera as spindle
+from metrocli.instruments.camera import TARGET
+from metrocli.result import Estimate, Result
+from metrocli.tasks.align_problem import Problem
+from metrocli.tasks.camera_report import HIGH, basic_statistics, chi_interval, noise_line
+from metrocli.tasks.imaging import Adjusted, residual_table, rms_by, root_mean_square, suspect_images, suspect_readings
+from metrocli.table import Table
+from metrocli.units import format_quantity
+
+KIND = "align-part"
+_UNITS = ("mm", "mm", "mm", "rad", "rad", "rad", "rad")
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What the poses and targets promise for the clamping angle, before the readings are fitted."""
+
+    std: float
+    """[rad]"""
+    correlation: float
+    """The largest with a rotation of the part"""
+    partner: str
+
+
+def predicted(problem: Problem) -> Prediction | None:
+    """Return the predicted standard uncertainty of gamma_s and its correlation with the part's rotation; None for 6D or where nothing is determined."""
+    if not problem.free_angle:
+        return None
+    design = covariance_at(problem.blocks.values(), [problem.images, *problem.others])
+    if design.covariance is None:
+        return None
+    names, _, covariance = _estimates(design)
+    std = np.sqrt(np.diag(covariance))
+    correlation = covariance[6, 3:6] / (std[6] * std[3:6])
+    worst = int(np.argmax(np.abs(correlation)))
+    return Prediction(float(std[6]), float(correlation[worst]), names[3 + worst])
+
+
+def _estimates(solution: Solution) -> tuple[tuple[str, ...], Array, Array]:
+    """Return names, values and covariance of x y z alpha beta gamma and, in 7D, gamma_s."""
+    known = solution.known()
+    pose = solution.blocks[spindle.PART].values[0]
+    change = poses.euler_form_by_step(pose)
+    covariance = change @ known.of(spindle.PART) @ change.T
+    values, names = poses.euler_form(pose), list(poses.EULER)
+    if solution.blocks[spindle.COUPLING].free.any():
+        cross = change @ known.between(spindle.PART, spindle.COUPLING)
+        covariance = np.block([[covariance, cross], [cross.T, known.of(spindle.COUPLING)]])
+        values = np.concatenate([values, solution.blocks[spindle.COUPLING].values[0]])
+        names.append("gamma_s")
+    return tuple(names), values, (covariance + covariance.T) / 2
+
+
+def report(problem: Problem, adjusted: Adjusted, prediction: Prediction | None) -> Result:
+    """Return the result of a solved alignment."""
+    solution = adjusted.solution
+    if adjusted.noise is not None:
+        solution = solution.scaled(solution.sigma0**2)
+    found = residuals_of(solution, adjusted.group)
+    names, values, covariance = _estimates(solution)
+    std = np.sqrt(np.diag(covariance))
+    estimates = tuple(Estimate(name, float(value), float(s), unit) for name, value, s, unit in zip(names, values, std, _UNITS, strict=False))
+    statistics = basic_statistics(solution, {"px": root_mean_square(found.values)})
+    statistics |= {"readings": adjusted.group.observations.count, "rejected": len(adjusted.rejected), "images": len(problem.sighted.images)}
+    if adjusted.noise is not None:
+        statistics |= {"noise": adjusted.noise, "sigma0": adjusted.noise, "chi2": solution.dof * adjusted.noise**2, "p_value": float("nan")}
+    if prediction is not None:
+        statistics |= {"predicted_std_gamma_s": prediction.std, "predicted_correlation_gamma_s": prediction.correlation}
+    images, targets = problem.sighted.images, problem.sighted.targets.names
+    views = Table({"image": np.array(images), **rms_by(images, adjusted.group.observations.index["view"], found.values)}, {"rms": "px", "largest": "px"})
+    seen = Table({"target": np.array(targets), **rms_by(targets, adjusted.group.observations.index[TARGET], found.values)}, {"rms": "px", "largest": "px"})
+    correlation = covariance / std[:, None] / std
+    arrays = {"rotation": poses.rotation_of(solution.blocks[spindle.PART].values[0]), "correlation": correlation}
+    tables = {"residuals": residual_table(found, adjusted.group), "views": views, "targets": seen, "rejected": adjusted.rejected}
+    warnings = _warnings(problem, adjusted, views, prediction, correlation)
+    return Result(KIND, "", estimates, covariance, statistics, tables, arrays, tuple(warnings), ("views",), tuple(_notes(solution, adjusted, prediction)))
+
+
+def _notes(solution: Solution, adjusted: Adjusted, prediction: Prediction | None) -> list[str]:
+    rotation = poses.rotation_of(solution.blocks[spindle.PART].values[0])
+    lines = ["rotation of the part into the machine, R_P ="]
+    lines += ["    " + "  ".join(f"{entry:+.8f}" for entry in row) for row in rotation]
+    if prediction is not None:
+        lines.append(
+            f"predicted from the poses before solving: s(gamma_s) = {format_quantity(prediction.std, 'rad', None)}, "
+            f"correlation with {prediction.partner} {prediction.correlation:+.3f}"
+        )
+    if adjusted.noise is not None:
+        lines.append(f"noise of an image coordinate found: {adjusted.noise:.4f} px; covariances are scaled by it")
+    if len(adjusted.rejected):
+        lines.append(f"{len(adjusted.rejected)} readings rejected as outliers (table 'rejected' has each with its test value)")
+    return lines
+
+
+def _warnings(problem: Problem, adjusted: Adjusted, views: Table, prediction: Prediction | None, correlation: Array) -> list[str]:
+    lines = [*problem.sighted.warnings, *problem.warnings]
+    if problem.camera.covariance is None:
+        lines.append("the camera is taken as exact: its file states no covariance")
+    if prediction is not None and abs(prediction.correlation) > HIGH:
+        lines.append(
+            f"gamma_s and the part's {prediction.partner} are correlated {prediction.correlation:+.3f}: the images hardly tell them apart; "
+            "take images from positions further apart, or with the spindle turned by 90 or 180 degrees"
+        )
+    lines += suspect_images(problem.sighted.images, views.numbers("rms"), views.numbers("readings"))
+    lines += suspect_readings(adjusted.suspects, adjusted.group)
+    low, high = chi_interval(adjusted.solution)
+    if adjusted.noise is None and np.isfinite(adjusted.solution.sigma0) and not low <= adjusted.solution.sigma0 <= high:
+        lines.append(noise_line(adjusted.solution, low, high))
+    return lines
+
+
+def explained(problem: Problem, solution: Solution) -> str:
+    """Say what is undetermined, why, and what would determine it."""
+    lines = [f"{solution.outcome.value}: {solution.observations} readings, {solution.unknowns} unknowns"]
+    lines += [f"  undetermined: {_in_words(str(combination))}" for combination in solution.undetermined[:3]]
+    columns = {column for combination in solution.undetermined for _, column, _, _ in combination.parts}
+    if "gamma_s" in columns:
+        lines += [
+            "  why: the clamping angle and the part's rotation turn the images alike",
+            "  what would determine it: images from several positions of the spindle, far apart across its axis, or `estimate: [part-pose]`",
+        ]
+    else:
+        targets = len(np.unique(problem.sighted.target))
+        lines += [f"  why: {targets} targets in {len(problem.sighted.images)} images", "  what would determine it: three or more targets not on a line, each seen from two places or two or more of them in one image"]
+    return "\n".join(lines)
+
+
+def _in_words(text: str) -> str:
+    for block in (spindle.PART, spindle.COUPLING):
+        text = text.replace(f" of {block}", " of the part" if block == spindle.PART else "")
+    return text

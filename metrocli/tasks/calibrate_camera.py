@@ -1,0 +1,126 @@
+"""calibrate-camera: the model of a camera from a board, from targets placed by a CMM, or from a network of unknown points."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from metrocli.adjust.outcome import Outcome
+from metrocli.adjust.solution import Solution
+from metrocli.errors import UndeterminedError
+from metrocli.geometry import poses
+from metrocli.imageset import ImageSet
+from metrocli.instruments import camera
+from metrocli.instruments.camera_start import plane_frame
+from metrocli.result import Result
+from metrocli.settings import Choice, Either, ImageFiles, Quantity, Section, TableFile, setting
+from metrocli.table import TEXT, Column, Columns, Table
+from metrocli.targets.pattern import Pattern
+from metrocli.tasks.camera_problem import Problem, build
+from metrocli.tasks.camera_report import KIND, report
+from metrocli.tasks.camera_settings import Camera
+from metrocli.tasks.imaging import OBSERVATIONS, TARGETS, Needs, Options, adjust_images, eccentricity_setting, image_faults, must_converge, sightings
+
+SUMMARY = "camera model from images or observed points"
+SCALE_BARS = Columns((Column("from", TEXT), Column("to", TEXT), Column("length", "length"), Column("sigma", "length")), ("from", "to"), "calibrated distances")
+_FEWEST = {"board": 4, "cmm": 1, "network": 4}
+"""Targets an image needs"""
+_PARALLEL = np.radians(3.0)
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """Image points and targets, or images and a pattern."""
+
+    observations: Path | None = setting(TableFile(OBSERVATIONS), "image coordinates of targets", default=None)
+    targets: Path | None = setting(TableFile(TARGETS), "coordinates of targets", default=None)
+    images: tuple[Path, ...] | None = setting(ImageFiles(), "images, such as img/*.jpg, instead of observations", default=None)
+    scale_bars: Path | None = setting(TableFile(SCALE_BARS), "calibrated distances between targets (rig network)", default=None)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Calibrate a camera: focal length, principal point and distortion, with their covariance."""
+
+    rig: str = setting(Choice("board", "cmm", "network"), "board: a target board in unknown poses; cmm: targets placed by a CMM; network: unknown points and poses")
+    inputs: Inputs = setting(Section(Inputs), "the files of the job")
+    noise: float | str = setting(Either(Quantity("pixel", positive=True), Choice("estimated")), "standard deviation of an image coordinate, or 'estimated'")
+    camera: Camera = setting(Section(Camera), "the camera", default=Camera())
+    pattern: Pattern | None = setting(Section(Pattern), "what the images show", default=None)
+    outliers: str = setting(Choice("report", "remove"), "name outliers, or leave them out and list them", default="report")
+
+    eccentricity: str = eccentricity_setting()
+
+    def faults(self) -> Iterable[tuple[str, str]]:
+        """Yield what does not fit together."""
+        yield from image_faults(self.inputs.observations, self.inputs.images, self.pattern, self.inputs.targets)
+        if self.inputs.observations is not None and self.camera.image_size is None:
+            yield "camera", "image_size is missing: observations do not say how large the images are; write e.g. image_size: [2592, 1944]"
+        if self.inputs.scale_bars is not None and self.rig != "network":
+            yield "inputs.scale_bars", "scale bars belong to rig: network"
+
+
+def run(settings: Settings, observations: Table | None = None, targets: Table | None = None, images: ImageSet | None = None, scale_bars: Table | None = None) -> Result:
+    """Calibrate; raises InputError, UndeterminedError or NotConvergedError."""
+    return solved(*prepared(settings, observations, targets, images, scale_bars))
+
+
+def prepared(settings: Settings, observations: Table | None, targets: Table | None, images: ImageSet | None, scale_bars: Table | None) -> tuple[Settings, Problem]:
+    """Return the adjustment with its starting values, and the settings with the size of the images."""
+    if images is not None and settings.camera.image_size is None:
+        settings = replace(settings, camera=replace(settings.camera, image_size=images.size))
+    needs = Needs(_FEWEST[settings.rig], float("nan") if settings.rig == "network" else 0.0)
+    sighted = sightings(settings, observations, targets, images, needs)
+    return settings, build(settings.rig, settings.camera, sighted, scale_bars)
+
+
+def solved(settings: Settings, problem: Problem) -> Result:
+    """Adjust a problem and report it."""
+    options = Options(problem.images, settings.outliers == "remove", settings.noise == "estimated")
+    adjusted = adjust_images(problem.blocks, problem.images, problem.others, problem.datum, options)
+    if adjusted.solution.undetermined or adjusted.solution.outcome is Outcome.TOO_FEW:
+        raise UndeterminedError(explained(problem, adjusted.solution))
+    must_converge(adjusted.solution)
+    return report(problem, settings.camera, adjusted)
+
+
+def explained(problem: Problem, solution: Solution) -> str:
+    """Say what is undetermined, why, and what would determine it."""
+    lines = [f"{solution.outcome.value}: {solution.observations} readings, {solution.unknowns} unknowns"]
+    lines += [f"  undetermined: {_in_words(str(combination))}" for combination in solution.undetermined[:3]]
+    if len(solution.undetermined) > 3:
+        lines.append(f"  and {len(solution.undetermined) - 3} more combinations")
+    return "\n".join([*lines, *_advice(problem, solution)])
+
+
+def _in_words(text: str) -> str:
+    return text.replace(f" of {camera.LENS}", "").replace(f" of {camera.VIEW} ", " of ").replace(f" of {camera.TARGET} ", " of ")
+
+
+def _advice(problem: Problem, solution: Solution) -> list[str]:
+    columns = {column for combination in solution.undetermined for block, column, _, _ in combination.parts if block == camera.LENS}
+    if problem.rig == "board" and not _tilted(problem):
+        return ["  why: all views are parallel to the board", "  what would determine it: views tilted by 20 to 45 degrees about both axes of the image"]
+    if problem.rig == "cmm" and plane_frame(problem.sighted.targets.points[np.unique(problem.sighted.target)])[1]:
+        return ["  why: all targets lie in one plane", "  what would determine it: targets at several distances along the camera's axis"]
+    if columns & {"cx", "cy"}:
+        return ["  what would determine it: views turned by 90 degrees about the camera's axis, and tilted ones"]
+    if solution.outcome is Outcome.TOO_FEW:
+        return ["  what would determine it: more views, more targets, or fewer parameters in camera.estimate"]
+    return ["  what would determine it: more views from different directions and distances, or fewer parameters in camera.estimate"]
+
+
+def _tilted(problem: Problem) -> bool:
+    """Tell whether any view of the board is tilted by more than 3 degrees against the others or the image plane."""
+    frame, planar = plane_frame(problem.sighted.targets.points[np.unique(problem.sighted.target)])
+    if not planar:
+        return True
+    normal = poses.rotation_of(frame)[2]
+    cosine = np.abs(poses.rotation_of(problem.blocks[camera.VIEW].values)[:, 2] @ normal)
+    return bool((np.arccos(np.clip(cosine, -1, 1)) > _PARALLEL).any())
+
+
+__all__ = ["KIND", "SUMMARY", "Inputs", "Settings", "Solution", "run"]

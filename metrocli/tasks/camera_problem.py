@@ -1,0 +1,199 @@
+"""The adjustment of a camera calibration, from settings and readings to blocks and groups with starting values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from metrocli.adjust.adjustment import Control, adjust
+from metrocli.adjust.blocks import Array, Block
+from metrocli.adjust.chain import Chain
+from metrocli.adjust.datum import Datum
+from metrocli.adjust.groups import Group
+from metrocli.adjust.observations import Observations
+from metrocli.errors import Fault, InputError
+from metrocli.geometry import poses
+from metrocli.instruments import camera
+from metrocli.instruments.camera_start import Scene, start
+from metrocli.instruments.frames import DistanceBetween
+from metrocli.instruments.lens import DISTORTION, PRISM, RATIONAL, plane_point, undistort
+from metrocli.table import Table
+from metrocli.tasks.camera_settings import Camera
+from metrocli.tasks.imaging import IMAGES, Sighted, root_mean_square, target_priors, with_eccentricity
+
+_GUESSES = (1.0, 0.5, 2.0, 4.0, 8.0)
+"""Focal lengths to try, in widths of the image, where the views do not give one"""
+_LOST = 0.02
+"""An RMS above this share of the image size means that the start failed"""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A camera calibration ready to adjust."""
+
+    rig: str
+    convention: str
+    image_size: tuple[int, int]
+    sighted: Sighted
+    blocks: Mapping[str, Block]
+    images: Group
+    others: tuple[Group, ...]
+    datum: Datum | None
+
+    def with_estimate(self, estimate: Sequence[str]) -> Problem:
+        """Return the problem with other lens parameters free; distortion that is not estimated keeps its value."""
+        lens = self.blocks[camera.LENS]
+        return replace(self, blocks={**self.blocks, camera.LENS: replace(lens, free=np.isin(lens.columns, list(estimate)))})
+
+    def with_blocks(self, blocks: Mapping[str, Block]) -> Problem:
+        """Return the problem at other values."""
+        return replace(self, blocks=blocks)
+
+    def of_images(self, chosen: Array) -> Problem:
+        """Return the problem of some of its images (a mask over them), with their readings and poses only."""
+        keep = chosen[self.images.observations.index["view"]]
+        numbers = np.cumsum(chosen) - 1
+        observations = self.images.observations.selected(keep)
+        observations = replace(observations, index={**observations.index, "view": numbers[observations.index["view"]]})
+        views = self.blocks[camera.VIEW]
+        members = tuple(name for name, c in zip(views.members, chosen, strict=True) if c)
+        blocks = {**self.blocks, camera.VIEW: replace(views, values=views.values[chosen], members=members, free=views.free[chosen])}
+        return replace(self, blocks=blocks, images=self.images.with_observations(observations))
+
+
+def build(rig: str, settings: Camera, sighted: Sighted, bars: Table | None = None) -> Problem:
+    """Return the adjustment with its starting values, found from the readings alone."""
+    size = settings.image_size
+    if size is None:
+        raise InputError("camera: image_size is missing; give the width and height of the images, e.g. [2592, 1944]")
+    _check_inside(sighted, size)
+    targets = sighted.targets
+    values = _lens_values(settings, size)
+    focal, views = _start(rig, sighted, values, size)
+    for name in ("f", "fx", "fy"):
+        if name in values and name not in settings.given():
+            values[name] = focal
+    extent = float(np.ptp(targets.points[np.unique(sighted.target)], axis=0).max())
+    seen = np.bincount(sighted.target, minlength=len(targets.names))
+    least = 2 if rig == "network" else 1
+    free = (targets.sigma != 0) & (seen >= least)[:, None]
+    distance = float(np.median(np.linalg.norm(views[:, :3], axis=1)))
+    images: tuple[str, ...] = sighted.images if rig != "cmm" else ("",)
+    blocks = {
+        camera.LENS: camera.lens_block(values, settings.estimate, size),
+        camera.view_name(rig): camera.view_block(views, images, distance, camera.view_name(rig), "image" if rig != "cmm" else ""),
+        camera.TARGET: camera.target_block(targets.points, targets.names, free, extent),
+    }
+    group = Group(IMAGES, camera.chain(rig, settings.convention), _readings(sighted, seen, least, rig))
+    blocks, group = with_eccentricity(blocks, group, camera.to_camera(rig), sighted.eccentric)
+    others = (*target_priors(blocks[camera.TARGET], targets.sigma, free), *_scale_bars(bars, targets.names, seen))
+    datum = camera.network_datum(blocks[camera.TARGET], free.all(axis=1).astype(float)) if rig == "network" and free.any() else None
+    problem = Problem(rig, settings.convention, size, sighted, blocks, group, others, datum)
+    return _better_start(problem, settings)
+
+
+def _check_inside(sighted: Sighted, size: tuple[int, int]) -> None:
+    """Raise InputError where readings lie far outside the image: another size, or columns exchanged."""
+    uv = sighted.observations.readings
+    outside = ((uv < -0.5 * np.array(size)[:, None]) | (uv > 1.5 * np.array(size)[:, None])).any(axis=0)
+    if outside.any():
+        i = int(np.flatnonzero(outside)[0])
+        keys = sighted.observations.keys
+        raise InputError(
+            f"{outside.sum()} of {outside.size} readings lie far outside an image of {size[0]} x {size[1]} px, the first: image {keys['image'][i]}, "
+            f"target {keys['target'][i]} at ({uv[0, i]:.1f}, {uv[1, i]:.1f}); check image_size and the columns"
+        )
+
+
+def _lens_values(settings: Camera, size: tuple[int, int]) -> dict[str, float]:
+    given = settings.given()
+    wanted = set(settings.estimate) | set(given)
+    values: dict[str, float] = {}
+    for name in ("f", "aspect", "fx", "fy", "cx", "cy", "skew", *DISTORTION):
+        if name in wanted or name in ("cx", "cy") or (name == "f" and not wanted & {"fx", "fy"}):
+            values[name] = given.get(name, 0.0)
+    for name, extent in (("cx", size[0]), ("cy", size[1])):
+        values[name] = given.get(name, (extent - 1) / 2)
+    return values
+
+
+def _start(rig: str, sighted: Sighted, values: Mapping[str, float], size: Sequence[int]) -> tuple[float, Array]:
+    known = values.get("f") or values.get("fx") or None
+    centre = np.array([values["cx"], values["cy"]])
+    uv = sighted.observations.readings
+    if known and any(values.get(name) for name in DISTORTION):
+        x, y = undistort(*plane_point(values, uv[0], uv[1]), values)
+        uv = np.nan_to_num(np.stack([x * known + centre[0], y * known + centre[1]]))
+    view = np.zeros_like(sighted.view) if rig == "cmm" else sighted.view
+    scene = Scene(sighted.targets.points, uv, sighted.target, view, 1 if rig == "cmm" else len(sighted.images))
+    focal, found = start(scene, centre, known, float(max(size)))
+    return focal, found if rig == "board" else poses.inverse(found)
+
+
+def _readings(sighted: Sighted, seen: Array, least: int, rig: str) -> Observations:
+    observations = sighted.observations.selected(seen[sighted.target] >= least)
+    index = dict(observations.index)
+    if rig == "cmm":
+        index[camera.TAPER] = np.zeros(observations.count, dtype=np.intp)
+    return replace(observations, index=index)
+
+
+def _scale_bars(bars: Table | None, names: tuple[str, ...], seen: Array) -> list[Group]:
+    if bars is None:
+        return []
+    place = {name: i for i, name in enumerate(names)}
+    ends = [bars.texts("from"), bars.texts("to")]
+    faults = [
+        Fault(f"scale bar end '{name}' is {'seen in fewer than two images' if name in place else 'not in the list of targets'}", bars.file, bars.lines[row] if bars.lines else None)
+        for column in ends
+        for row, name in enumerate(column)
+        if name not in place or seen[place[name]] < 2
+    ]
+    if faults:
+        raise InputError(faults)
+    index = np.array([[place[name] for name in column] for column in ends], dtype=np.intp)
+    observations = Observations(
+        bars.numbers("length")[None], bars.numbers("sigma")[None], {camera.TARGET: index}, keys={"from": tuple(ends[0]), "to": tuple(ends[1])}, components=("length",), unit="mm"
+    )
+    return [Group("scale bars", Chain((DistanceBetween(camera.TARGET),)), observations)]
+
+
+def _better_start(problem: Problem, settings: Camera) -> Problem:
+    """Try other focal lengths where the first start ends far from the readings; then add rational and prism terms in steps.
+
+    The steps make sure that a richer model starts from the solution of the model it contains.
+    """
+    simple = [name for name in settings.estimate if name not in (*RATIONAL, *PRISM)]
+    best = _roughly(problem.with_estimate(simple))
+    if "f" not in settings.given() and "fx" not in settings.given():
+        for guess in _GUESSES:
+            if _rms(best) < _LOST * max(problem.image_size):
+                break
+            retried = _retried(problem, guess * max(problem.image_size))
+            attempt = _roughly(retried.with_estimate(simple))
+            best = min(best, attempt, key=_rms)
+    if set(RATIONAL) & set(settings.estimate) and set(PRISM) & set(settings.estimate):
+        best = _roughly(best.with_estimate([name for name in settings.estimate if name not in PRISM]), steps=200)
+    return best.with_estimate(settings.estimate)
+
+
+def _roughly(problem: Problem, steps: int = 15) -> Problem:
+    solution = adjust(problem.blocks.values(), [problem.images, *problem.others], problem.datum, Control(limit=steps, covariance=False))
+    return problem.with_blocks({**problem.blocks, **solution.blocks})
+
+
+def _rms(problem: Problem) -> float:
+    rms = root_mean_square(problem.images.residuals(problem.blocks))
+    return rms if np.isfinite(rms) else float("inf")
+
+
+def _retried(problem: Problem, focal: float) -> Problem:
+    lens = problem.blocks[camera.LENS]
+    values = {**dict(zip(lens.columns, lens.values[0].tolist(), strict=True)), **{name: focal for name in lens.columns if name in ("f", "fx", "fy")}}
+    _, views = _start(problem.rig, problem.sighted, {**values, **dict.fromkeys(DISTORTION, 0.0)}, problem.image_size)
+    name = camera.view_name(problem.rig)
+    return problem.with_blocks({**problem.blocks, camera.LENS: lens.with_values(np.array([list(values.values())])), name: problem.blocks[name].with_values(views)})
+
+

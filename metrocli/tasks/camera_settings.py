@@ -1,0 +1,98 @@
+"""What job and camera files say of a camera."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from metrocli.instruments.lens import PARAMETERS
+from metrocli.settings import Choice, ListOf, Number, Quantity, Section, Whole, setting
+
+_PX = Quantity("pixel")
+_ESTIMATED = tuple(name for name in PARAMETERS)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LensValues:
+    """Lens parameters as in section 1 of the conventions; what is not given is 0 (cx, cy: the image centre)."""
+
+    f: float | None = setting(_PX, "focal length, one for both axes", default=None)
+    fx: float | None = setting(_PX, "focal length along u", default=None)
+    fy: float | None = setting(_PX, "focal length along v", default=None)
+    aspect: float | None = setting(Number(), "fx = f (1 + aspect)", default=None)
+    cx: float | None = setting(_PX, "principal point", default=None)
+    cy: float | None = setting(_PX, "principal point", default=None)
+    skew: float | None = setting(Number(), "u += fx skew y'", default=None)
+    k1: float | None = setting(Number(), "radial distortion", default=None)
+    k2: float | None = setting(Number(), "radial distortion", default=None)
+    k3: float | None = setting(Number(), "radial distortion", default=None)
+    k4: float | None = setting(Number(), "rational radial distortion", default=None)
+    k5: float | None = setting(Number(), "rational radial distortion", default=None)
+    k6: float | None = setting(Number(), "rational radial distortion", default=None)
+    p1: float | None = setting(Number(), "tangential distortion", default=None)
+    p2: float | None = setting(Number(), "tangential distortion", default=None)
+    s1: float | None = setting(Number(), "thin prism", default=None)
+    s2: float | None = setting(Number(), "thin prism", default=None)
+    s3: float | None = setting(Number(), "thin prism", default=None)
+    s4: float | None = setting(Number(), "thin prism", default=None)
+
+    def given(self) -> dict[str, float]:
+        """Return the parameters that the file gives, by name."""
+        return {name: value for name in PARAMETERS if (value := getattr(self, name)) is not None}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Camera(LensValues):
+    """The camera to calibrate: a parameter with a value is known, or a start where it is estimated too."""
+
+    image_size: tuple[int, int] | None = setting(
+        ListOf(Whole(minimum=2, maximum=100_000), length=2), "width and height in pixels; read from the images where there are any", default=None
+    )
+    pixel_size: float | None = setting(Quantity("length", positive=True), "side of a pixel, for results in mm", default=None)
+    estimate: tuple[str, ...] = setting(
+        ListOf(Choice(*_ESTIMATED), distinct=True), "parameters to estimate", default=("f", "cx", "cy", "k1", "k2", "p1", "p2")
+    )
+    convention: str = setting(Choice("forward", "backward"), "where distortion is taken: at the ideal or at the measured point", default="forward")
+    reference_radius: float | None = setting(Quantity("length"), "R0 of the balanced photogrammetric form; 2/3 of the largest radius unless given", default=None)
+
+    def faults(self) -> Iterable[tuple[str, str]]:
+        """Yield what does not fit together."""
+        chosen = set(self.estimate) | set(self.given())
+        if "f" in chosen and chosen & {"fx", "fy"}:
+            yield "estimate", "f is one focal length for both axes: name either f, or fx and fy"
+        if "aspect" in chosen and chosen & {"fx", "fy"}:
+            yield "estimate", "aspect goes with f; fx and fy have their ratio already"
+        if len(chosen & {"fx", "fy"}) == 1:
+            yield "estimate", "fx and fy come together"
+        if self.reference_radius is not None and self.pixel_size is None:
+            yield "reference_radius", "reference_radius needs pixel_size"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Extrinsics:
+    """The camera in the taper: `X_taper = R(alpha, beta, gamma) X_camera + (x, y, z)`."""
+
+    x: float = setting(Quantity("length"), "x of the camera's centre")
+    y: float = setting(Quantity("length"), "y of the camera's centre")
+    z: float = setting(Quantity("length"), "z of the camera's centre")
+    alpha: float = setting(Quantity("angle"), "turn about x, first")
+    beta: float = setting(Quantity("angle"), "turn about y, second")
+    gamma: float = setting(Quantity("angle"), "turn about z, third")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraFile(LensValues):
+    """A calibrated camera written by hand, taken as exact."""
+
+    image_size: tuple[int, int] = setting(ListOf(Whole(minimum=2, maximum=100_000), length=2), "width and height in pixels")
+    pixel_size: float | None = setting(Quantity("length", positive=True), "side of a pixel", default=None)
+    convention: str = setting(Choice("forward", "backward"), "where distortion is taken", default="forward")
+    extrinsics: Extrinsics | None = setting(Section(Extrinsics), "the camera in the taper", default=None)
+
+    def faults(self) -> Iterable[tuple[str, str]]:
+        """Yield what does not fit together."""
+        given = set(self.given())
+        if not ("f" in given or {"fx", "fy"} <= given):
+            yield "", "the focal length is missing: give f, or fx and fy"
+        if "f" in given and given & {"fx", "fy"}:
+            yield "f", "give either f, or fx and fy"
