@@ -35,7 +35,7 @@ class Ran:
 @pytest.fixture
 def metrocli(capsys: pytest.CaptureFixture[str]) -> Callable[..., Ran]:
     """Carry out a command line in this process."""
-    from metrocli.cli.main import run
+    from metrocli.cli.commands import run
 
     def call(*arguments: object) -> Ran:
         code = run([str(argument) for argument in arguments])

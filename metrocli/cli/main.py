@@ -1,15 +1,10 @@
-"""The command line: a table of commands imported when they are used, and the one place where failures are told."""
+"""The front door: help and version at once; everything else through the commands."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
-from importlib import import_module
-
-import click
 
 from metrocli import __version__
-from metrocli.errors import InputError, MetrocliError
 from metrocli.tasks import KINDS
 
 COMMANDS = {
@@ -21,73 +16,47 @@ COMMANDS = {
     "show": "a result on the terminal",
     "schema": "JSON schema of a job, for editors",
 }
-"""Each is the module of its name in this package, with the function `command`."""
-INTERRUPTED = 130
+"""The commands that are not kinds of job; each is the module of its name in this package."""
 
 
-class Commands(click.Group):
-    """All commands; help and completion know them without importing one."""
+def help_text() -> str:
+    """Return what `metrocli --help` prints."""
+    kinds = {name: kind.summary for name, kind in KINDS.items()}
+    width = max(map(len, kinds | COMMANDS))
+    return f"""Usage: metrocli COMMAND [ARGUMENTS]...    (metrocli COMMAND --help tells more)
 
-    def list_commands(self, ctx: click.Context) -> list[str]:
-        return [*KINDS, *COMMANDS]
+  Dimensional metrology: from readings to positions, poses and machine
+  errors, with their uncertainty.
 
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        if cmd_name in KINDS:
-            from metrocli.cli.job_command import make
+Kinds of job:
+{_listed(kinds, width)}
 
-            return make(cmd_name)
-        if cmd_name not in COMMANDS:
-            return None
-        command: click.Command = import_module(f"metrocli.cli.{cmd_name}").command
-        return command
+Other commands:
+{_listed(COMMANDS, width)}
 
-    def resolve_command(
-        self, ctx: click.Context, args: list[str]
-    ) -> tuple[str | None, click.Command | None, list[str]]:
-        if args and args[0] not in self.list_commands(ctx) and not args[0].startswith("-"):
-            from metrocli.settings import suggestion
-
-            raise click.UsageError(f"no command '{args[0]}'; {suggestion(args[0], self.list_commands(ctx))}", ctx)
-        return super().resolve_command(ctx, args)
-
-    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        with formatter.section("Kinds of job"):
-            formatter.write_dl([(name, kind.summary) for name, kind in KINDS.items()])
-        with formatter.section("Other commands"):
-            formatter.write_dl(list(COMMANDS.items()))
+Options:
+  {"--version":{width}}  the version
+  {"-h, --help":{width}}  this text
+"""
 
 
-@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
-@click.version_option(__version__, message="metrocli %(version)s")
-def commands() -> None:
-    """Dimensional metrology: from readings to positions, poses and machine errors, with their uncertainty."""
+def _listed(commands: dict[str, str], width: int) -> str:
+    return "\n".join(f"  {name:{width}}  {summary}" for name, summary in commands.items())
 
 
-def run(arguments: Sequence[str] | None = None) -> int:
-    """Carry out one command line and return its exit code; every failure is told on stderr."""
-    try:
-        code = commands.main(arguments, prog_name="metrocli", standalone_mode=False)
-        return code if isinstance(code, int) else 0
-    except click.exceptions.Abort:
-        click.echo("interrupted", err=True)
-        return INTERRUPTED
-    except click.ClickException as error:
-        error.show()
-        return 2
-    except InputError as error:
-        click.echo(str(error), err=True)
-        return error.exit_code
-    except MetrocliError as error:
-        click.echo(f"error: {error}", err=True)
-        return error.exit_code
-    except Exception:
-        import traceback
-
-        traceback.print_exc()
-        click.echo("\nthis is a defect of metrocli; please report it with the lines above", err=True)
-        return 1
+def version_text() -> str:
+    """Return what `metrocli --version` prints."""
+    return f"metrocli {__version__}"
 
 
 def main() -> None:
     """The entry point of the installed command."""
-    sys.exit(run())
+    arguments = sys.argv[1:]
+    if arguments in ([], ["-h"], ["--help"]):
+        sys.stdout.write(help_text())
+    elif arguments == ["--version"]:
+        sys.stdout.write(version_text() + "\n")
+    else:
+        from metrocli.cli.commands import run
+
+        sys.exit(run(arguments))

@@ -1,0 +1,76 @@
+"""All commands, each imported when it is used, and the one place where failures are told."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib import import_module
+
+import click
+
+from metrocli import __version__
+from metrocli.cli.main import COMMANDS, help_text, version_text
+from metrocli.errors import InputError, MetrocliError
+from metrocli.tasks import KINDS
+
+INTERRUPTED = 130
+
+
+class Commands(click.Group):
+    """All commands; help and completion know them without importing one."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return [*KINDS, *COMMANDS]
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name in KINDS:
+            from metrocli.cli.job_command import make
+
+            return make(cmd_name)
+        if cmd_name not in COMMANDS:
+            return None
+        command: click.Command = import_module(f"metrocli.cli.{cmd_name}").command
+        return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        if args and args[0] not in self.list_commands(ctx) and not args[0].startswith("-"):
+            from metrocli.settings import suggestion
+
+            raise click.UsageError(f"no command '{args[0]}'; {suggestion(args[0], self.list_commands(ctx))}", ctx)
+        return super().resolve_command(ctx, args)
+
+    def format_help(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        formatter.write(help_text())
+
+
+@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, message=version_text())
+def commands() -> None:
+    """All commands."""
+
+
+def run(arguments: Sequence[str] | None = None) -> int:
+    """Carry out one command line and return its exit code; every failure is told on stderr."""
+    try:
+        code = commands.main(arguments, prog_name="metrocli", standalone_mode=False)
+        return code if isinstance(code, int) else 0
+    except click.exceptions.Abort:
+        click.echo("interrupted", err=True)
+        return INTERRUPTED
+    except click.ClickException as error:
+        error.show()
+        return 2
+    except InputError as error:
+        click.echo(str(error), err=True)
+        return error.exit_code
+    except MetrocliError as error:
+        click.echo(f"error: {error}", err=True)
+        return error.exit_code
+    except Exception:
+        import traceback
+
+        traceback.print_exc()
+        click.echo("\nthis is a defect of metrocli; please report it with the lines above", err=True)
+        return 1
+
