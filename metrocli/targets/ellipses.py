@@ -21,7 +21,13 @@ INSIDE = 7.0
 """Pixels within the edge that take part: what is deeper says nothing about the centre."""
 BLUR = 0.8
 """Start of the edge's blur, in pixels: a common lens and the pixel itself."""
+FEWEST = 16
+"""Pixels that a fit needs."""
 STEPS = 12
+ROUNDS = 4
+"""Times that the pixels are chosen anew, from the ellipse that the last ones gave."""
+SAME = 0.4
+"""Change of an outline in pixels that leaves the choice of pixels as it is."""
 STILL = 0.001
 """A step shorter than this, in pixels, is the last: the next would be its square."""
 MISFIT = 0.12
@@ -137,14 +143,29 @@ def fit(picture: Picture, start: Ellipse, reach: float = np.inf) -> Fitted | Non
 
     `reach` bounds the pixels taken, in semi-axes from the centre: less than the distance of what else is printed there.
     """
-    at, grey = _pixels(picture, start, reach)
-    if len(grey) < 16:
-        return None
+    for _ in range(ROUNDS):
+        at, grey = _pixels(picture, start, reach)
+        if len(grey) < FEWEST:
+            return None
+        fitted = _fit(start, at, grey)
+        if fitted is None or _is_near(start, fitted.ellipse):
+            return fitted
+        start = fitted.ellipse
+    return None
+
+
+def _fit(start: Ellipse, at: Array, grey: Array) -> Fitted | None:
     model = _start(start, at, grey)
     state = _converged(model, at, grey, EVEN)
     if state is not None and _is_sloping(*state):
         state = _converged(model, at, grey, SLOPING)
     return None if state is None else _judged(model, *state)
+
+
+def _is_near(a: Ellipse, b: Ellipse) -> bool:
+    """Tell whether two ellipses have so nearly one outline that they choose the same pixels."""
+    moved = max(abs(a.u - b.u), abs(a.v - b.v))
+    return moved < SAME and abs(a.long - b.long) < SAME and abs(a.short - b.short) < SAME
 
 
 def is_good(fitted: Fitted | None) -> bool:

@@ -200,17 +200,24 @@ def _alignments(expected: Whole, members: Whole, steps: Whole) -> list[Whole]:
 
     The lattice may be larger, where stray points continue it, but not smaller: edges that are not seen cannot be placed.
     """
-    box = np.ptp(expected, axis=0)
+    outline = expected - expected.min(0)
     fits = []
     for turn in _TURNS:
         turned = steps @ turn.T
-        low, room = turned.min(0), np.ptp(turned, axis=0) - box
-        place = {tuple(step): row for step, row in zip(turned.tolist(), members.tolist(), strict=True)}
-        for x, y in product(range(room[0] + 1), range(room[1] + 1)):
-            at = expected - expected.min(0) + low + (x, y)
-            fits.append(np.array([place.get(tuple(step), -1) for step in at.tolist()]))
-    most = max((int((fit >= 0).sum()) for fit in fits), default=0)
-    return [fit for fit in fits if (fit >= 0).sum() == most >= FEWEST * len(expected)]
+        turned -= turned.min(0)
+        room = turned.max(0) - outline.max(0)
+        if room.min() < 0:
+            continue
+        place = np.full(turned.max(0) + 1, -1)
+        place[tuple(turned.T)] = members
+        shifts = np.stack(np.mgrid[: room[0] + 1, : room[1] + 1], axis=-1).reshape(-1, 1, 2)
+        at = outline + shifts
+        fits.append(place[at[..., 0], at[..., 1]])
+    if not fits:
+        return []
+    tried = np.concatenate(fits)
+    seen = (tried >= 0).sum(1)
+    return list(tried[(seen == seen.max()) & (seen >= FEWEST * len(expected))])
 
 
 def _uprightness(expected: Whole, uv: Array, fit: Whole) -> float:

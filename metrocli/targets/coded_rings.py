@@ -1,0 +1,111 @@
+"""Ring-coded targets: a centre dot, and around it a ring of twelve segments that carry the target's number."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from metrocli.targets import blobs, ellipses
+from metrocli.targets.codes import BITS, RING_FROM, RING_TO, canonical, codes
+from metrocli.targets.ellipses import Ellipse, Fitted
+from metrocli.targets.pattern import Pattern
+from metrocli.targets.sightings import Sightings, nothing, of_ellipses
+
+if TYPE_CHECKING:
+    from metrocli.imageset import Picture
+
+Array = npt.NDArray[np.float64]
+
+REACH = 1.5
+"""The dot is fitted up to half way to the ring, in semi-axes."""
+SAMPLES = 10
+"""Directions in which a segment is read."""
+GAP, AROUND = 1.5, 3.55
+"""Where there is nothing but background, in semi-axes of the dot."""
+ACROSS = tuple(RING_FROM + part * (RING_TO - RING_FROM) for part in (0.3, 0.5, 0.7))
+"""Where the ring is read."""
+PLAIN = 0.35
+"""Largest grey value, in parts of the dot's contrast, that passes for background."""
+CLEAR = 0.2
+"""Least distance of a segment's grey value from half the contrast."""
+
+
+def find(pattern: Pattern, picture: Picture) -> Sightings:
+    """Return the coded targets of an image, named by their code; a code that occurs twice is left out and told."""
+    read: list[tuple[int, Fitted]] = []
+    for start in blobs.ellipses(picture, pattern.polarity):
+        if not _worth_fitting(picture, start):
+            continue
+        fitted = ellipses.fit(picture, start, REACH)
+        if fitted is None or not ellipses.is_good(fitted):
+            continue
+        code = decode(picture, fitted)
+        if code is not None:
+            read.append((code, fitted))
+    counts = Counter(code for code, _ in read)
+    twice = sorted(code for code, count in counts.items() if count > 1)
+    single = sorted((item for item in read if counts[item[0]] == 1), key=lambda item: item[0])
+    reason = f"codes {', '.join(map(str, twice))} occur more than once" if twice else ""
+    if not single:
+        return nothing(reason or "no coded target in the image")
+    return of_ellipses([str(code) for code, _ in single], [fitted for _, fitted in single], reason)
+
+
+def decode(picture: Picture, fitted: Fitted) -> int | None:
+    """Return the code around a dot; None where there is no ring, or one that carries no code in use."""
+    profile = _profile(picture, fitted.ellipse, (GAP, *ACROSS, AROUND))
+    if profile is None:
+        return None
+    level = (profile - fitted.background) / fitted.contrast
+    if np.abs(level[0]).max() > PLAIN or np.abs(level[-1]).max() > PLAIN:
+        return None
+    bits = _bits(level[1:-1].mean(0))
+    code = None if bits is None else canonical(bits)
+    return code if code in codes() else None
+
+
+def _worth_fitting(picture: Picture, start: Ellipse) -> bool:
+    """Tell whether the surroundings might be a gap and a ring: a quick look before the fit."""
+    profile = _profile(picture, start, (0.0, GAP, ACROSS[1]))
+    if profile is None:
+        return False
+    contrast = float(profile[0].mean() - profile[1].mean())
+    ring = (profile[2] - profile[1].mean()) / (contrast or 1.0)
+    return bool(contrast and np.ptp(profile[1]) < 2 * PLAIN * abs(contrast) and ring.max() > 0.5)
+
+
+def _profile(picture: Picture, ellipse: Ellipse, radii: tuple[float, ...]) -> Array | None:
+    """Return grey values (radii, directions) around an ellipse, in its own plane; None at the image's border."""
+    turn = np.arange(BITS * SAMPLES) * (2 * np.pi / (BITS * SAMPLES))
+    circle = np.stack([np.cos(turn), np.sin(turn)])
+    offset = np.linalg.inv(ellipse.shape) @ circle
+    reach = np.abs(offset).max(1) * max(radii) + 1
+    height, width = picture.shape
+    if not (reach[0] <= ellipse.u < width - 1 - reach[0] and reach[1] <= ellipse.v < height - 1 - reach[1]):
+        return None
+    u0, v0 = int(ellipse.u - reach[0]), int(ellipse.v - reach[1])
+    part = picture[v0 : int(ellipse.v + reach[1]) + 2, u0 : int(ellipse.u + reach[0]) + 2]
+    at = np.multiply.outer(np.array(radii), offset.T) + (ellipse.u - u0, ellipse.v - v0)
+    grey = cv2.remap(part.astype(np.float32), at.astype(np.float32), None, cv2.INTER_LINEAR)  # type: ignore[call-overload]
+    return np.asarray(grey, dtype=float)
+
+
+def _bits(ring: Array) -> int | None:
+    """Return the twelve bits of a ring sampled at equal angles, from wherever its segments begin; None where unclear."""
+    best = max((_read(ring, phase) for phase in range(SAMPLES)), key=lambda read: read[0])
+    clear, segments = best
+    if clear < CLEAR or segments.max() > 1 + 2 * PLAIN or segments.min() < -PLAIN:
+        return None
+    return int(sum(1 << place for place, level in enumerate(segments) if level > 0.5))
+
+
+def _read(ring: Array, phase: int) -> tuple[float, Array]:
+    """Return how clear the least clear sample in the middle of the segments is, and the segments' levels."""
+    parts = np.roll(ring, -phase).reshape(BITS, SAMPLES)[:, SAMPLES // 4 : SAMPLES - SAMPLES // 4]
+    levels = parts.mean(1)
+    side = np.where(levels > 0.5, 1, -1)
+    return float(((parts - 0.5) * side[:, None]).min()), levels

@@ -1,0 +1,31 @@
+"""A single dot."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from metrocli.targets import blobs, ellipses
+from metrocli.targets.pattern import Pattern
+from metrocli.targets.sightings import Sightings, nothing, of_ellipses
+
+if TYPE_CHECKING:
+    from metrocli.imageset import Picture
+
+EQUAL = 0.5
+"""A second dot with this part of the first one's contrast and size makes the image ambiguous."""
+
+
+def find(pattern: Pattern, picture: Picture) -> Sightings:
+    """Return the one dot of the image, or none with the reason: no dot, or several that are equally good."""
+    fits = ellipses.fit_all(picture, blobs.ellipses(picture, pattern.polarity))
+    if not fits:
+        return nothing("no dot in the image")
+    fits.sort(key=lambda fit: abs(fit.contrast) * fit.ellipse.short, reverse=True)
+    rivals = [
+        fit
+        for fit in fits[1:]
+        if abs(fit.contrast) > EQUAL * abs(fits[0].contrast) and fit.ellipse.short > EQUAL * fits[0].ellipse.short
+    ]
+    if rivals:
+        return nothing(f"{1 + len(rivals)} dots in the image, and nothing tells which is '{pattern.target}'")
+    return of_ellipses([pattern.target], fits[:1])
