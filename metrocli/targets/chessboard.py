@@ -1,0 +1,77 @@
+"""Inner corners of a chessboard."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from metrocli.targets.blobs import eight_bit
+from metrocli.targets.lattice import order_fault, ordered
+from metrocli.targets.pattern import Pattern, lattice, names
+from metrocli.targets.saddles import fit_grid
+from metrocli.targets.sightings import Sightings, nothing, points
+
+if TYPE_CHECKING:
+    from metrocli.imageset import Picture
+
+Array = npt.NDArray[np.float64]
+
+
+def find(pattern: Pattern, picture: Picture) -> Sightings:
+    """Return the inner corners of a chessboard, all but those whose grey values show none, or nothing with the reason.
+
+    The first corner is the one whose outer square is dark, where the board tells by its colours; else the board is upright.
+    """
+    start = _coarse(pattern, eight_bit(picture))
+    if start is None:
+        rows, columns = pattern.shape
+        return nothing(f"no chessboard of {columns} x {rows} inner corners")
+    grid, reason = _in_order(pattern, start, picture)
+    if reason:
+        return nothing(f"no chessboard: {reason}")
+    corners, sigma = fit_grid(picture, grid)
+    flat, spread = corners.reshape(-1, 2), sigma.ravel()
+    seen = np.flatnonzero(np.isfinite(spread))
+    if len(seen) < 4:
+        return nothing("no chessboard: the grey values show no corners")
+    reason = order_fault(lattice(pattern)[seen], flat[seen])
+    if reason:
+        return nothing(f"no chessboard: {reason}")
+    return points([names(pattern)[place] for place in seen], flat[seen], spread[seen])
+
+
+def _coarse(pattern: Pattern, grey: npt.NDArray[np.uint8]) -> Array | None:
+    """Return the corners (n, 2) to a pixel or so, in OpenCV's order, by its quick search or else by its thorough one."""
+    rows, columns = pattern.shape
+    flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
+    found, corners = cv2.findChessboardCorners(grey, (columns, rows), flags=flags)
+    if not found:
+        found, corners = cv2.findChessboardCornersSB(grey, (columns, rows), flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
+    return np.asarray(corners, dtype=float).reshape(-1, 2) if found else None
+
+
+def _in_order(pattern: Pattern, corners: Array, picture: Picture) -> tuple[Array, str]:
+    """Return the corners (rows, columns, 2) in the pattern's order, and why there is none."""
+    rows, columns = pattern.shape
+    place, reason = ordered(lattice(pattern), corners)
+    if not reason and (place < 0).any():
+        reason = "the corners found do not lie on a lattice"
+    if reason:
+        return np.empty((0, 0, 2)), reason
+    grid = corners[place].reshape(rows, columns, 2)
+    told_by_colour = (rows + columns) % 2 == 1
+    if told_by_colour and _first_square_is_bright(grid, picture):
+        grid = grid[::-1, ::-1]
+    return grid, ""
+
+
+def _first_square_is_bright(grid: Array, picture: Picture) -> bool:
+    """Tell whether the squares of the first one's colour are brighter than the others."""
+    middle = (grid[:-1, :-1] + grid[1:, :-1] + grid[:-1, 1:] + grid[1:, 1:]) / 4
+    u, v = np.rint(middle).astype(int).reshape(-1, 2).T
+    grey = picture[v.clip(0, picture.shape[0] - 1), u.clip(0, picture.shape[1] - 1)].astype(float)
+    sign = (np.indices(middle.shape[:2]).sum(0) % 2).ravel() == 0
+    return bool(grey[sign].mean() > grey[~sign].mean())

@@ -1,0 +1,143 @@
+"""Corners of a chessboard from grey values: the picture of two blurred edges that cross is fitted to the pixels."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import ndtr
+
+if TYPE_CHECKING:
+    from metrocli.imageset import Picture
+
+Array = npt.NDArray[np.float64]
+
+WINDOW = 0.45
+"""Half-width of the pixels that take part, in parts of the way to the neighbouring corners."""
+WIDEST, NARROWEST = 12.0, 2.5
+"""Bounds of the half-width in pixels: further out the lens bends the edges, and closer in is nothing but blur."""
+BLUR = 0.9
+STEPS = 20
+STILL = 0.001
+LOST = 0.6
+"""A corner that leaves its start by more than this part of the window was none."""
+
+
+def fit(picture: Picture, start: Array, right: Array, down: Array) -> tuple[Array, float]:
+    """Fit a corner near `start` (2,), whose edges run along `right` and `down` (2,): the steps to the next corners.
+
+    Returns the corner and its standard deviation per axis in pixels; NaN where the grey values show no corner.
+    """
+    across = np.column_stack([right, down])
+    at, grey, weight = _pixels(picture, start, across)
+    if len(grey) < 20:
+        return np.full(2, np.nan), np.nan
+    state = _start(start, right, down, at, grey)
+    for _ in range(STEPS):
+        value, jacobian = _linearised(state, at)
+        residual = grey - value
+        step = _solved(jacobian, residual, weight)
+        if step is None:
+            break
+        state = _moved(state, step)
+        if np.abs(step[:2]).max() < STILL:
+            return _judged(state, start, across, residual - jacobian @ step, jacobian, weight)
+    return np.full(2, np.nan), np.nan
+
+
+def _pixels(picture: Picture, start: Array, across: Array) -> tuple[Array, Array, Array]:
+    """Return pixels (m, 2) of the neighbourhood, their grey values and weights that fade towards its rim."""
+    sides = np.linalg.norm(across, axis=0)
+    half = np.clip(WINDOW * sides, NARROWEST, WIDEST)
+    reach = np.abs(across / sides) @ half
+    height, width = picture.shape
+    u0, u1 = max(int(np.ceil(start[0] - reach[0])), 0), min(int(start[0] + reach[0]) + 1, width)
+    v0, v1 = max(int(np.ceil(start[1] - reach[1])), 0), min(int(start[1] + reach[1]) + 1, height)
+    if u0 >= u1 or v0 >= v1:
+        return np.empty((0, 2)), np.empty(0), np.empty(0)
+    v, u = (part.ravel() for part in np.mgrid[v0:v1, u0:u1])
+    at = np.stack([u, v], axis=1).astype(float)
+    inside = (at - start) @ np.linalg.inv(across / sides * half).T
+    rim = np.abs(inside).max(1)
+    taken = rim <= 1
+    weight = np.minimum(1.0, 2 * (1 - rim[taken]) + 0.1)
+    return at[taken], picture[v, u][taken].astype(float), weight
+
+
+def _start(start: Array, right: Array, down: Array, at: Array, grey: Array) -> Array:
+    """Start: corner (2), directions of the edges (2), blur, mean, contrast, slopes of the light (2)."""
+    angles = [np.arctan2(right[1], right[0]), np.arctan2(down[1], down[0])]
+    state = np.array([*start, *angles, BLUR, grey.mean(), 0.0, 0.0, 0.0])
+    state[6] = 1.0
+    shape = _linearised(state, at)[0] - state[5]
+    state[6] = (shape @ (grey - grey.mean())) / max(float(shape @ shape), 1e-12)
+    return state
+
+
+def _linearised(state: Array, at: Array) -> tuple[Array, Array]:
+    """Return grey values (m,) and derivatives (m, 9) of `mean + contrast * e1 * e2 + slope . offset`.
+
+    e1 and e2 are -1 on one side of an edge and +1 on the other: the normal distribution of the distance over the blur.
+    """
+    du, dv = at[:, 0] - state[0], at[:, 1] - state[1]
+    blur, contrast = state[4], state[6]
+    sides, slopes, along, away = [], [], [], []
+    for angle in state[2:4]:
+        cos, sin = np.cos(angle), np.sin(angle)
+        distance = (cos * dv - sin * du) / blur
+        away.append(distance)
+        sides.append(2 * ndtr(distance) - 1)
+        slopes.append(np.sqrt(2 / np.pi) * np.exp(-0.5 * distance * distance) / blur)
+        along.append(cos * du + sin * dv)
+    first, second = contrast * slopes[0] * sides[1], contrast * slopes[1] * sides[0]
+    jacobian = np.empty((9, len(at)))
+    jacobian[0] = first * np.sin(state[2]) + second * np.sin(state[3]) - state[7]
+    jacobian[1] = -first * np.cos(state[2]) - second * np.cos(state[3]) - state[8]
+    jacobian[2] = -first * along[0]
+    jacobian[3] = -second * along[1]
+    jacobian[4] = -first * away[0] - second * away[1]
+    jacobian[5] = 1.0
+    jacobian[6] = sides[0] * sides[1]
+    jacobian[7], jacobian[8] = du, dv
+    return state[5] + contrast * jacobian[6] + state[7] * du + state[8] * dv, jacobian.T
+
+
+def _solved(jacobian: Array, residual: Array, weight: Array) -> Array | None:
+    scale = np.sqrt(weight @ jacobian**2)
+    if not (np.isfinite(scale).all() and scale.all()):
+        return None
+    scaled = jacobian / scale
+    normal = scaled.T @ (weight[:, None] * scaled) + 1e-9 * np.eye(len(scale))
+    step = np.linalg.solve(normal, scaled.T @ (weight * residual)) / scale
+    return step if np.isfinite(step).all() else None
+
+
+def _moved(state: Array, step: Array) -> Array:
+    bound = np.array([1.0, 1.0, 0.2, 0.2, 0.3, np.inf, np.inf, np.inf, np.inf])
+    after = state + np.clip(step, -bound, bound)
+    after[4] = np.clip(after[4], 0.3, 4.0)
+    return np.asarray(after)
+
+
+def _judged(
+    state: Array, start: Array, across: Array, residual: Array, jacobian: Array, weight: Array
+) -> tuple[Array, float]:
+    sides = np.linalg.norm(across, axis=0)
+    if np.linalg.norm(state[:2] - start) > LOST * max(WINDOW * float(sides.min()), NARROWEST):
+        return np.full(2, np.nan), np.nan
+    scale = np.sqrt(weight @ jacobian**2)
+    scaled = jacobian / scale
+    inverse = np.linalg.inv(scaled.T @ (weight[:, None] * scaled) + 1e-12 * np.eye(len(scale)))
+    lever = (inverse @ (scaled * weight[:, None]).T)[:2] / scale[:2, None]
+    freedom = len(residual) / max(len(residual) - len(state), 1)
+    return state[:2], float(np.sqrt((lever**2 @ residual**2).mean() * freedom))
+
+
+def fit_grid(picture: Picture, corners: Array) -> tuple[Array, Array]:
+    """Fit the corners (rows, columns, 2) of a board; return corners of the same shape and sigma (rows, columns)."""
+    down, right = np.gradient(corners, axis=(0, 1))
+    found, sigma = np.empty_like(corners), np.empty(corners.shape[:2])
+    for place in np.ndindex(*sigma.shape):
+        found[place], sigma[place] = fit(picture, corners[place], right[place], down[place])
+    return found, sigma
