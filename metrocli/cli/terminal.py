@@ -51,7 +51,7 @@ def _estimate_rows(estimates: Iterable[Estimate]) -> list[list[str]]:
 def _estimate_row(estimate: Estimate) -> list[str]:
     """Return name, value, standard uncertainty and unit; an angle also as a slope."""
     value, std = units.rounded(estimate.value, estimate.std)
-    row = [estimate.name, value, f"± {std}", estimate.unit]
+    row = [estimate.name, value, f"± {std}", "" if estimate.unit == "1" else estimate.unit]
     if estimate.unit == "rad":
         (slope, unit), (spread, _) = units.as_slope(estimate.value), units.as_slope(estimate.std)
         row.append(f"({units.format_quantity(slope, unit, spread)})")
@@ -82,7 +82,8 @@ def _column_texts(values: Sequence[Any]) -> list[str]:
     """Return a column as text, all its numbers to the digits that the largest needs for five."""
     numbers = [abs(value) for value in values if isinstance(value, float) and math.isfinite(value)]
     largest = max(numbers, default=0.0)
-    digits = min(max(4 - math.floor(math.log10(largest)), 0), 12) if largest > 0 else 0
+    whole = all(number == round(number) for number in numbers)
+    digits = 0 if whole else min(max(4 - math.floor(math.log10(largest)), 0), 12)
     return [_cell(value, digits) for value in values]
 
 

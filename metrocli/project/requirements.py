@@ -67,7 +67,7 @@ def values_of(result: Result) -> dict[str, tuple[float, str]]:
     for name, value in result.statistics.items():
         if isinstance(value, Mapping):
             values |= {f"{name}.{part}": (float(number), "") for part, number in value.items()}
-        elif not isinstance(value, str):
+        elif isinstance(value, int | float):
             values[name] = (float(value), "")
     for estimate in result.estimates:
         values[f"{estimate.name}.std"] = (estimate.std, estimate.unit)
