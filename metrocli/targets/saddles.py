@@ -24,18 +24,17 @@ LOST = 0.6
 """A corner that leaves its start by more than this part of the window was none."""
 
 
-def fit(picture: Picture, start: Array, right: Array, down: Array) -> tuple[Array, float]:
-    """Fit a corner near `start` (2,), whose edges run along `right` and `down` (2,): the steps to the next corners.
+def fit(picture: Picture, start: Array, across: Array, bend: Array) -> tuple[Array, float]:
+    """Fit a corner near `start` (2,), whose edges run along the columns of `across` (2, 2): the steps to the next corners.
 
-    Returns the corner and its standard deviation per axis in pixels; NaN where the grey values show no corner.
+    `bend` (2,) is the curvature of the two edges in 1/px, positive towards the left of the direction (in u, v). Returns the corner and its standard deviation per axis in pixels; NaN where the grey values show no corner.
     """
-    across = np.column_stack([right, down])
     at, grey, weight = _pixels(picture, start, across)
     if len(grey) < 20:
         return np.full(2, np.nan), np.nan
-    state = _start(start, right, down, at, grey)
+    state = _start(start, across, bend, at, grey)
     for _ in range(STEPS):
-        value, jacobian = _linearised(state, at)
+        value, jacobian = _linearised(state, bend, at)
         residual = grey - value
         step = _solved(jacobian, residual, weight)
         if step is None:
@@ -65,17 +64,17 @@ def _pixels(picture: Picture, start: Array, across: Array) -> tuple[Array, Array
     return at[taken], picture[v, u][taken].astype(float), weight
 
 
-def _start(start: Array, right: Array, down: Array, at: Array, grey: Array) -> Array:
+def _start(start: Array, across: Array, bend: Array, at: Array, grey: Array) -> Array:
     """Start: corner (2), directions of the edges (2), blur, mean, contrast, slopes of the light (2)."""
-    angles = [np.arctan2(right[1], right[0]), np.arctan2(down[1], down[0])]
+    angles = np.arctan2(across[1], across[0])
     state = np.array([*start, *angles, BLUR, grey.mean(), 0.0, 0.0, 0.0])
     state[6] = 1.0
-    shape = _linearised(state, at)[0] - state[5]
+    shape = _linearised(state, bend, at)[0] - state[5]
     state[6] = (shape @ (grey - grey.mean())) / max(float(shape @ shape), 1e-12)
     return state
 
 
-def _linearised(state: Array, at: Array) -> tuple[Array, Array]:
+def _linearised(state: Array, bend: Array, at: Array) -> tuple[Array, Array]:
     """Return grey values (m,) and derivatives (m, 9) of `mean + contrast * e1 * e2 + slope . offset`.
 
     e1 and e2 are -1 on one side of an edge and +1 on the other: the normal distribution of the distance over the blur.
@@ -83,13 +82,14 @@ def _linearised(state: Array, at: Array) -> tuple[Array, Array]:
     du, dv = at[:, 0] - state[0], at[:, 1] - state[1]
     blur, contrast = state[4], state[6]
     sides, slopes, along, away = [], [], [], []
-    for angle in state[2:4]:
+    for angle, curvature in zip(state[2:4], bend, strict=True):
         cos, sin = np.cos(angle), np.sin(angle)
-        distance = (cos * dv - sin * du) / blur
+        ahead = cos * du + sin * dv
+        distance = (cos * dv - sin * du - 0.5 * curvature * ahead * ahead) / blur
         away.append(distance)
         sides.append(2 * ndtr(distance) - 1)
         slopes.append(np.sqrt(2 / np.pi) * np.exp(-0.5 * distance * distance) / blur)
-        along.append(cos * du + sin * dv)
+        along.append(ahead)
     first, second = contrast * slopes[0] * sides[1], contrast * slopes[1] * sides[0]
     jacobian = np.empty((9, len(at)))
     jacobian[0] = first * np.sin(state[2]) + second * np.sin(state[3]) - state[7]
@@ -135,9 +135,34 @@ def _judged(
 
 
 def fit_grid(picture: Picture, corners: Array) -> tuple[Array, Array]:
-    """Fit the corners (rows, columns, 2) of a board; return corners of the same shape and sigma (rows, columns)."""
+    """Fit the corners (rows, columns, 2) of a board; return corners of the same shape and sigma (rows, columns).
+
+    A lens bends straight edges. Taken as straight over a window of half-width w they shift a corner by about bend * w^2 / 6,
+    always to one side of the image centre; so the fit is repeated with the bend that the corners of the first one show.
+    """
+    first, _ = _fit_all(picture, corners, np.zeros_like(corners))
+    complete = np.where(np.isfinite(first), first, corners)
+    return _fit_all(picture, complete, bends(complete))
+
+
+def bends(corners: Array) -> Array:
+    """Return the curvature in 1/px of the two edges through each corner (rows, columns, 2), from the neighbours along them."""
+    curvature = np.zeros_like(corners)
+    for edge, axis in ((0, 1), (1, 0)):
+        if corners.shape[axis] < 3:
+            continue
+        line = np.moveaxis(corners, axis, 0)
+        chord, sag = (line[2:] - line[:-2]) / 2, line[2:] - 2 * line[1:-1] + line[:-2]
+        length = np.linalg.norm(chord, axis=-1)
+        inner = (chord[..., 0] * sag[..., 1] - chord[..., 1] * sag[..., 0]) / length**3
+        curvature[..., edge] = np.moveaxis(np.concatenate([inner[:1], inner, inner[-1:]]), 0, axis)
+    return curvature
+
+
+def _fit_all(picture: Picture, corners: Array, curvature: Array) -> tuple[Array, Array]:
     down, right = np.gradient(corners, axis=(0, 1))
+    across = np.stack([right, down], axis=-1)
     found, sigma = np.empty_like(corners), np.empty(corners.shape[:2])
     for place in np.ndindex(*sigma.shape):
-        found[place], sigma[place] = fit(picture, corners[place], right[place], down[place])
+        found[place], sigma[place] = fit(picture, corners[place], across[place], curvature[place])
     return found, sigma
