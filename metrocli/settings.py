@@ -12,81 +12,15 @@ import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, Protocol
 
 from metrocli import units
 from metrocli.errors import Fault
+from metrocli.nodes import Node
+from metrocli.words import suggestion
 
 Schema = dict[str, Any]
-
-
-@dataclass(frozen=True)
-class Source:
-    """The text a node came from: a file, or an option of the command line."""
-
-    file: str
-    lines: tuple[str, ...]
-    folder: Path
-    """Where relative paths start."""
-
-
-@dataclass(frozen=True)
-class Node:
-    """One value of a job file with its place; its text is not yet a number, a word or a path."""
-
-    kind: Literal["scalar", "list", "mapping"]
-    source: Source
-    path: str = ""
-    """Keys from the root, such as `camera.estimate`."""
-    text: str = ""
-    quoted: bool = False
-    items: tuple[Node, ...] = ()
-    entries: tuple[tuple[Node, Node], ...] = ()
-    """Keys and values of a mapping, in the order of the file."""
-    line: int | None = None
-    column: int | None = None
-
-    @property
-    def empty(self) -> bool:
-        """Nothing is written after the key."""
-        return self.kind == "scalar" and not self.quoted and self.text in ("", "~", "null")
-
-    def fault(self, message: str, hint: str | None = None) -> Fault:
-        """Return a fault at this place."""
-        lines = self.source.lines
-        shown = lines[self.line - 1] if self.line is not None and self.line <= len(lines) else None
-        return Fault(message, self.source.file, self.line, self.column, shown, hint)
-
-    def get(self, key: str) -> Node | None:
-        """Return the value of a key, None where it is absent."""
-        return next((value for name, value in self.entries if name.text == key), None)
-
-    def at(self, path: str) -> Node:
-        """Return the node at a path such as `camera.f`, or the deepest one that exists on the way."""
-        node = self
-        for key in path.split(".") if path else ():
-            below = node.get(key)
-            if below is None:
-                return node
-            node = below
-        return node
-
-
-def nearest(word: str, known: Iterable[str]) -> str | None:
-    """Return the known word that was probably meant, None where nothing is near."""
-    known = list(known)
-    folded = {name.lower().replace("-", "_"): name for name in known}
-    meant = get_close_matches(word.lower().replace("-", "_"), folded, 1, 0.6)
-    return folded[meant[0]] if meant else None
-
-
-def suggestion(word: str, known: Iterable[str]) -> str:
-    """Return "did you mean 'x'?", or the list of what is allowed."""
-    known = list(known)
-    meant = nearest(word, known)
-    return f"did you mean '{meant}'?" if meant else f"allowed: {', '.join(known)}"
 
 
 class _Bad:

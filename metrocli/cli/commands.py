@@ -35,7 +35,7 @@ class Commands(click.Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         if args and args[0] not in self.list_commands(ctx) and not args[0].startswith("-"):
-            from metrocli.settings import suggestion
+            from metrocli.words import suggestion
 
             raise click.UsageError(f"no command '{args[0]}'; {suggestion(args[0], self.list_commands(ctx))}", ctx)
         return super().resolve_command(ctx, args)
@@ -73,4 +73,3 @@ def run(arguments: Sequence[str] | None = None) -> int:
         traceback.print_exc()
         click.echo("\nthis is a defect of metrocli; please report it with the lines above", err=True)
         return 1
-

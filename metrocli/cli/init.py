@@ -15,7 +15,7 @@ def command(folder: Path | None, sample: str | None) -> int:
     import shutil
 
     from metrocli.errors import Fault, InputError, UsageError
-    from metrocli.settings import suggestion
+    from metrocli.words import suggestion
 
     samples = {path.name: path for path in sorted(_home().iterdir()) if (path / "metrocli.yaml").is_file()}
     if sample is None:

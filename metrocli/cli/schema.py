@@ -12,8 +12,8 @@ def command(kind: str | None) -> int:
     from metrocli.cli.summary import as_json
     from metrocli.errors import UsageError
     from metrocli.project.job import schema
-    from metrocli.settings import suggestion
     from metrocli.tasks import KINDS
+    from metrocli.words import suggestion
 
     if kind is not None and kind not in KINDS:
         raise UsageError(f"no kind of job '{kind}'; {suggestion(kind, KINDS)}")

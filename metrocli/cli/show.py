@@ -18,7 +18,7 @@ def command(result: Path, name: str | None, as_json: bool) -> int:
     from metrocli.cli import summary, terminal
     from metrocli.errors import UsageError
     from metrocli.formats import csv, hdf5
-    from metrocli.settings import suggestion
+    from metrocli.words import suggestion
 
     found, record = hdf5.read(result)
     if name is not None:

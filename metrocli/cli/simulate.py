@@ -17,9 +17,7 @@ from metrocli.cli import options
 @options.SET
 @options.FORCE
 @options.QUIET
-def command(
-    job: Path, out: Path, seed: int, images: bool, overrides: tuple[str, ...], force: bool, quiet: bool
-) -> int:
+def command(job: Path, out: Path, seed: int, images: bool, overrides: tuple[str, ...], force: bool, quiet: bool) -> int:
     """Simulate, then write tables, pictures and truth.json, and print their paths."""
     from metrocli.errors import Fault, InputError
     from metrocli.project import runner

@@ -17,8 +17,8 @@ import numpy as np
 
 from metrocli import units
 from metrocli.errors import Fault, InputError
-from metrocli.settings import nearest
 from metrocli.table import NUMBER, TEXT, WHOLE, Column, Columns, Table
+from metrocli.words import nearest
 
 if TYPE_CHECKING:
     from metrocli.table import Values

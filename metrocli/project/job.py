@@ -10,6 +10,7 @@ from typing import Any
 
 from metrocli import effects, tasks
 from metrocli.errors import Fault, InputError, UsageError
+from metrocli.nodes import Node
 from metrocli.project import yaml_text
 from metrocli.project.requirements import Requirement, Requirements
 from metrocli.settings import (
@@ -17,7 +18,6 @@ from metrocli.settings import (
     FileOf,
     ImageFiles,
     MapOf,
-    Node,
     Schema,
     Section,
     TableFile,
@@ -27,8 +27,8 @@ from metrocli.settings import (
     sections_schema,
     setting,
     settings_of,
-    suggestion,
 )
+from metrocli.words import suggestion
 
 FORMAT_VERSION = "1"
 
@@ -344,4 +344,3 @@ def schema(kind: str) -> Schema:
     own = sections_schema((Heading, tasks.load(kind).Settings))
     own["properties"]["job"] = {"const": kind, "description": "kind of the job"}
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": f"metrocli {kind}", **own}
-

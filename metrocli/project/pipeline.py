@@ -10,12 +10,13 @@ from typing import Any
 
 from metrocli import __version__
 from metrocli.errors import Fault, InputError, MetrocliError
+from metrocli.nodes import Node
 from metrocli.project import yaml_text
 from metrocli.project.inputs import input_files
 from metrocli.project.job import Job, Wishes, load
 from metrocli.project.runner import Done, Say, carry_out
 from metrocli.record import Record
-from metrocli.settings import BAD, ListOf, Node, Section, Text, path_beside, setting
+from metrocli.settings import BAD, ListOf, Section, Text, path_beside, setting
 
 FILE = "metrocli.yaml"
 

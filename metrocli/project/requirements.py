@@ -10,9 +10,11 @@ from typing import Any
 
 from metrocli import units
 from metrocli.errors import Fault
+from metrocli.nodes import Node
 from metrocli.record import Verdict
 from metrocli.result import Result
-from metrocli.settings import BAD, Node, Schema, suggestion
+from metrocli.settings import BAD, Schema
+from metrocli.words import suggestion
 
 _COMPARISONS: dict[str, Callable[[float, float], bool]] = {
     "<=": operator.le, ">=": operator.ge, "==": operator.eq, "<": operator.lt, ">": operator.gt,

@@ -12,7 +12,7 @@ from typing import Any
 import yaml
 
 from metrocli.errors import Fault, InputError
-from metrocli.settings import Node, Source
+from metrocli.nodes import Node, Source
 
 MOST_BYTES = 4_000_000
 DEEPEST = 30

@@ -25,7 +25,7 @@ LAYERS = [
     {"imageset", "result", "record", "simulation"},
     {"settings"},
     {"table"},
-    {"units"},
+    {"units", "nodes", "words"},
     {"errors"},
     {"__init__"},
 ]

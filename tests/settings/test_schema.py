@@ -12,9 +12,9 @@ import jsonschema
 import pytest
 
 from metrocli.errors import InputError
+from metrocli.nodes import Node
 from metrocli.project import job as jobs
 from metrocli.project import yaml_text
-from metrocli.settings import Node
 
 HEAD = "metrocli: 1\njob: straight-line\n"
 GOOD = HEAD + "inputs: {readings: readings.csv}\nnoise: 0.1 mm\n"

@@ -9,8 +9,9 @@ import pytest
 
 from metrocli.errors import Fault
 from metrocli.project import yaml_text
-from metrocli.settings import BAD, Choice, Either, ListOf, MapOf, Number, Quantity, Text, Whole, nearest
+from metrocli.settings import BAD, Choice, Either, ListOf, MapOf, Number, Quantity, Text, Whole
 from metrocli.units import DIMENSIONS
+from metrocli.words import nearest
 
 
 def value_of(spec: Any, text: str) -> Any:

@@ -1,0 +1,21 @@
+"""What was probably meant by a word that is not known."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+
+def nearest(word: str, known: Iterable[str]) -> str | None:
+    """Return the known word that was probably meant, None where nothing is near."""
+    known = list(known)
+    folded = {name.lower().replace("-", "_"): name for name in known}
+    meant = get_close_matches(word.lower().replace("-", "_"), folded, 1, 0.6)
+    return folded[meant[0]] if meant else None
+
+
+def suggestion(word: str, known: Iterable[str]) -> str:
+    """Return "did you mean 'x'?", or the list of what is allowed."""
+    known = list(known)
+    meant = nearest(word, known)
+    return f"did you mean '{meant}'?" if meant else f"allowed: {', '.join(known)}"
