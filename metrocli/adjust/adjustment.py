@@ -27,7 +27,7 @@ _DAMPING_START, _DAMPING_END, _DAMPING_LIMIT = 1e-9, 1e-11, 1e8
 class Control:
     """When to stop."""
 
-    limit: int = 200
+    limit: int = 1000
     """Steps at most"""
     tolerance: float = 1e-6
     """Stop when a step is shorter than this, in standard deviations of the unknowns (root mean square)"""

@@ -14,7 +14,7 @@ from metrocli.instruments import spindle_camera as spindle
 from metrocli.instruments.camera import TARGET
 from metrocli.result import Estimate, Result
 from metrocli.tasks.align_problem import Problem
-from metrocli.tasks.camera_report import HIGH, basic_statistics, chi_interval, noise_line
+from metrocli.tasks.camera_report import HIGH, basic_statistics, chi_interval, noise_line, with_noise
 from metrocli.tasks.imaging import Adjusted, residual_table, rms_by, root_mean_square, suspect_images, suspect_readings
 from metrocli.table import Table
 from metrocli.units import format_quantity
@@ -75,7 +75,7 @@ def report(problem: Problem, adjusted: Adjusted, prediction: Prediction | None) 
     statistics = basic_statistics(solution, {"px": root_mean_square(found.values)})
     statistics |= {"readings": adjusted.group.observations.count, "rejected": len(adjusted.rejected), "images": len(problem.sighted.images)}
     if adjusted.noise is not None:
-        statistics |= {"noise": adjusted.noise, "sigma0": adjusted.noise, "chi2": solution.dof * adjusted.noise**2, "p_value": float("nan")}
+        statistics = with_noise(statistics, solution, adjusted.noise)
     if prediction is not None:
         statistics |= {"predicted_std_gamma_s": prediction.std, "predicted_correlation_gamma_s": prediction.correlation}
     images, targets = problem.sighted.images, problem.sighted.targets.names

@@ -15,10 +15,13 @@ from metrocli.geometry import poses
 from metrocli.imageset import ImageSet
 from metrocli.instruments import camera
 from metrocli.instruments.camera_start import plane_frame
+from metrocli.instruments.conventions import projection_range
+from metrocli.instruments.lens import RATIONAL
 from metrocli.result import Result
 from metrocli.settings import Choice, Either, ImageFiles, Quantity, Section, TableFile, setting
 from metrocli.table import TEXT, Column, Columns, Table
 from metrocli.targets.pattern import Pattern
+from metrocli.tasks.camera_compare import compare_models
 from metrocli.tasks.camera_problem import Problem, build
 from metrocli.tasks.camera_report import KIND, report
 from metrocli.tasks.camera_settings import Camera
@@ -68,6 +71,12 @@ def run(settings: Settings, observations: Table | None = None, targets: Table | 
     return solved(*prepared(settings, observations, targets, images, scale_bars))
 
 
+def compare(settings: Settings, observations: Table | None = None, targets: Table | None = None, images: ImageSet | None = None, scale_bars: Table | None = None) -> Table:
+    """Return what each lens model of the ladder from pinhole to rational with prism gives, a row for each."""
+    _, problem = prepared(settings, observations, targets, images, scale_bars)
+    return compare_models(problem)
+
+
 def prepared(settings: Settings, observations: Table | None, targets: Table | None, images: ImageSet | None, scale_bars: Table | None) -> tuple[Settings, Problem]:
     """Return the adjustment with its starting values, and the settings with the size of the images."""
     if images is not None and settings.camera.image_size is None:
@@ -106,6 +115,10 @@ def _advice(problem: Problem, solution: Solution) -> list[str]:
         return ["  why: all views are parallel to the board", "  what would determine it: views tilted by 20 to 45 degrees about both axes of the image"]
     if problem.rig == "cmm" and plane_frame(problem.sighted.targets.points[np.unique(problem.sighted.target)])[1]:
         return ["  why: all targets lie in one plane", "  what would determine it: targets at several distances along the camera's axis"]
+    lens = solution.blocks[camera.LENS]
+    fold = projection_range(dict(zip(lens.columns, lens.values[0].tolist(), strict=True)), problem.image_size)
+    if columns & set(RATIONAL) and fold is not None:
+        return [f"  why: the rational terms drive the model into a pole at {fold:.0f} px from the principal point, where they fit noise", "  what would determine it: fewer distortion parameters (metrocli calibrate-camera --compare shows which help)"]
     if columns & {"cx", "cy"}:
         return ["  what would determine it: views turned by 90 degrees about the camera's axis, and tilted ones"]
     if solution.outcome is Outcome.TOO_FEW:

@@ -47,6 +47,13 @@ class Problem:
         lens = self.blocks[camera.LENS]
         return replace(self, blocks={**self.blocks, camera.LENS: replace(lens, free=np.isin(lens.columns, list(estimate)))})
 
+    def with_lens(self, values: Mapping[str, float]) -> Problem:
+        """Return the problem with these lens parameters at these values, not free where they are new; others keep theirs."""
+        lens = self.blocks[camera.LENS]
+        known = {**dict(zip(lens.columns, lens.values[0].tolist(), strict=True)), **values}
+        free = [name for name, is_free in zip(lens.columns, lens.free[0], strict=True) if is_free]
+        return replace(self, blocks={**self.blocks, camera.LENS: camera.lens_block(known, free, self.image_size)})
+
     def with_blocks(self, blocks: Mapping[str, Block]) -> Problem:
         """Return the problem at other values."""
         return replace(self, blocks=blocks)
@@ -57,6 +64,8 @@ class Problem:
         numbers = np.cumsum(chosen) - 1
         observations = self.images.observations.selected(keep)
         observations = replace(observations, index={**observations.index, "view": numbers[observations.index["view"]]})
+        if self.rig == "cmm":
+            return replace(self, images=self.images.with_observations(observations))
         views = self.blocks[camera.VIEW]
         members = tuple(name for name, c in zip(views.members, chosen, strict=True) if c)
         blocks = {**self.blocks, camera.VIEW: replace(views, values=views.values[chosen], members=members, free=views.free[chosen])}
@@ -175,7 +184,7 @@ def _better_start(problem: Problem, settings: Camera) -> Problem:
             attempt = _roughly(retried.with_estimate(simple))
             best = min(best, attempt, key=_rms)
     if set(RATIONAL) & set(settings.estimate) and set(PRISM) & set(settings.estimate):
-        best = _roughly(best.with_estimate([name for name in settings.estimate if name not in PRISM]), steps=200)
+        best = _roughly(best.with_estimate([name for name in settings.estimate if name not in PRISM]), steps=1000)
     return best.with_estimate(settings.estimate)
 
 

@@ -148,9 +148,14 @@ def _statistics(problem: Problem, settings: Camera, solution: Solution, adjusted
         "convention": problem.convention,
     }
     if adjusted.noise is not None:
-        statistics |= {"noise": adjusted.noise, "sigma0": adjusted.noise, "chi2": solution.dof * adjusted.noise**2, "p_value": float("nan")}
-        statistics |= {"sigma0_low": float("nan"), "sigma0_high": float("nan")}
+        return with_noise(statistics, solution, adjusted.noise)
     return statistics
+
+
+def with_noise(statistics: dict[str, Scalar | Mapping[str, float]], solution: Solution, noise: float) -> dict[str, Scalar | Mapping[str, float]]:
+    """Return the statistics of a job whose noise was found: sigma0 is for a unit weight of 1 px, and there is no global test."""
+    kept = {name: value for name, value in statistics.items() if name not in ("p_value", "sigma0_low", "sigma0_high")}
+    return {**kept, "noise": noise, "sigma0": noise, "chi2": solution.dof * noise**2}
 
 
 def chi_interval(solution: Solution) -> tuple[float, float]:

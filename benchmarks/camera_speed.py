@@ -1,0 +1,94 @@
+"""Calibrating a camera from 500 and 1000 views: CPU seconds and memory, beside OpenCV, in one run on one thread.
+
+metrocli: from image points to parameters, full covariance, redundancy numbers and w-tests of every reading.
+OpenCV: cv2.calibrateCamera from the same points, without covariance.
+"""
+
+from __future__ import annotations
+
+import resource
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from metrocli.adjust.solution import residuals_of
+from metrocli.geometry import poses
+from metrocli.instruments.lens import image_point
+from metrocli.tasks.camera_problem import build
+from metrocli.tasks.camera_settings import Camera
+from metrocli.tasks.imaging import Options, Sighted, Targets, adjust_images
+from metrocli.adjust.observations import Observations
+
+SIZE = (2448, 2048)
+TRUTH = {"fx": 2800.0, "fy": 2803.0, "cx": 1230.0, "cy": 1015.0, "k1": -0.12, "k2": 0.09, "p1": 3e-4, "p2": -2e-4, "k3": -0.02}
+NOISE = 0.02
+
+
+def scene(views: int, seed: int) -> tuple[Sighted, Targets]:
+    """Return the image points of a 10 x 10 board in `views` random poses, with noise."""
+    rng = np.random.default_rng(seed)
+    grid = np.stack(np.meshgrid(np.arange(10) * 25.0, np.arange(10) * 25.0), axis=-1).reshape(-1, 2)
+    points = np.column_stack([grid, np.zeros(100)])
+    targets = Targets(tuple(f"T{i:03d}" for i in range(100)), points, np.zeros((100, 3)), np.full(100, np.nan))
+    angles = np.column_stack([rng.uniform(-0.6, 0.6, (views, 2)), rng.uniform(-3.1, 3.1, views)])
+    aim = np.column_stack([rng.uniform(-40, 40, (views, 2)), rng.uniform(480, 700, views)])
+    board = poses.pose_from_euler(np.zeros((views, 3)), angles)
+    centred = poses.apply(board[:, None], points - points.mean(axis=0)) + aim[:, None]
+    u, v = image_point(TRUTH, centred[..., 0] / centred[..., 2], centred[..., 1] / centred[..., 2])
+    uv = np.stack([u.ravel(), v.ravel()]) + rng.normal(0, NOISE, (2, views * 100))
+    view, target = np.repeat(np.arange(views), 100), np.tile(np.arange(100), views)
+    names = tuple(f"I{i:04d}" for i in range(views))
+    observations = Observations(
+        uv, np.array(NOISE), {"view": view, "target": target},
+        keys={"image": tuple(names[i] for i in view), "target": tuple(targets.names[i] for i in target)},
+        components=("u", "v"), unit="px",
+    )  # fmt: skip
+    return Sighted(names, targets, observations), targets
+
+
+def ours(sighted: Sighted) -> tuple[float, float]:
+    """Return f and its standard uncertainty."""
+    problem = build("board", Camera(image_size=SIZE, estimate=tuple(TRUTH)), sighted)
+    adjusted = adjust_images(problem.blocks, problem.images, problem.others, None, Options(problem.images))
+    residuals_of(adjusted.solution, adjusted.group)
+    adjusted.solution.std("view")
+    return float(adjusted.solution.blocks["lens"].values[0, 0]), float(adjusted.solution.std("lens")[0, 0])
+
+
+def opencv(sighted: Sighted, targets: Targets) -> float:
+    """Return f."""
+    import cv2
+
+    cv2.setNumThreads(1)
+    views = len(sighted.images)
+    objects = [targets.points.astype(np.float32)] * views
+    images = [part.astype(np.float32) for part in np.split(sighted.observations.readings.T, views)]
+    _, matrix, *_ = cv2.calibrateCamera(objects, images, SIZE, None, None)
+    return float(matrix[0, 0])
+
+
+def best(task: Callable[[], object], runs: int) -> float:
+    """Return the least CPU seconds of several runs."""
+    seconds = []
+    for _ in range(runs):
+        before = time.process_time()
+        task()
+        seconds.append(time.process_time() - before)
+    return min(seconds)
+
+
+def main() -> None:
+    """Print the table."""
+    print(f"{'views':>6} {'metrocli CPU s':>15} {'OpenCV CPU s':>13} {'ratio':>6} {'peak MB':>8} {'f error / s(f)':>15}")
+    for views in (100, 200, 500, 1000):
+        sighted, targets = scene(views, views)
+        seconds = best(lambda s=sighted: ours(s), 3)  # type: ignore[misc]
+        other = best(lambda s=sighted, t=targets: opencv(s, t), 3)  # type: ignore[misc]
+        f, std = ours(sighted)
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        print(f"{views:>6} {seconds:>15.3f} {other:>13.3f} {seconds / other:>6.2f} {peak:>8.0f} {(f - TRUTH['fx']) / std:>15.2f}")
+
+
+if __name__ == "__main__":
+    main()
