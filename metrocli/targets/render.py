@@ -198,10 +198,15 @@ class Bitmap:
 
 
 def board(pattern: Pattern) -> Drawing:
-    """Return the drawing of a chessboard or a grid of circles, its points where `pattern_points` has them."""
+    """Return the drawing of a board, its points where `pattern_points` has them."""
     if pattern.pitch is None:
         raise ValueError("a board without a pitch cannot be drawn")
     rows, columns = pattern.shape
+    if pattern.type == "charuco":
+        from metrocli.targets.charuco import artwork
+
+        cells, count = artwork(pattern)
+        return Bitmap(cells, pattern.pitch / count, (-pattern.pitch, -pattern.pitch), pattern.pitch)
     if pattern.type == "chessboard":
         return Chessboard(columns, rows, pattern.pitch)
     radius = pattern.diameter / 2 if pattern.diameter else 0.3 * pattern.pitch

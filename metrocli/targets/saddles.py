@@ -24,12 +24,14 @@ LOST = 0.6
 """A corner that leaves its start by more than this part of the window was none."""
 
 
-def fit(picture: Picture, start: Array, across: Array, bend: Array) -> tuple[Array, float]:
+def fit(
+    picture: Picture, start: Array, across: Array, bend: Array, window: float = WINDOW
+) -> tuple[Array, float]:
     """Fit a corner near `start` (2,), whose edges run along the columns of `across` (2, 2): the steps to the next corners.
 
     `bend` (2,) is the curvature of the two edges in 1/px, positive towards the left of the direction (in u, v). Returns the corner and its standard deviation per axis in pixels; NaN where the grey values show no corner.
     """
-    at, grey, weight = _pixels(picture, start, across)
+    at, grey, weight = _pixels(picture, start, across, window)
     if len(grey) < 20:
         return np.full(2, np.nan), np.nan
     state = _start(start, across, bend, at, grey)
@@ -45,10 +47,10 @@ def fit(picture: Picture, start: Array, across: Array, bend: Array) -> tuple[Arr
     return np.full(2, np.nan), np.nan
 
 
-def _pixels(picture: Picture, start: Array, across: Array) -> tuple[Array, Array, Array]:
+def _pixels(picture: Picture, start: Array, across: Array, window: float) -> tuple[Array, Array, Array]:
     """Return pixels (m, 2) of the neighbourhood, their grey values and weights that fade towards its rim."""
     sides = np.linalg.norm(across, axis=0)
-    half = np.clip(WINDOW * sides, NARROWEST, WIDEST)
+    half = np.clip(window * sides, NARROWEST, WIDEST)
     reach = np.abs(across / sides) @ half
     height, width = picture.shape
     u0, u1 = max(int(np.ceil(start[0] - reach[0])), 0), min(int(start[0] + reach[0]) + 1, width)
@@ -134,15 +136,15 @@ def _judged(
     return state[:2], float(np.sqrt((lever**2 @ residual**2).mean() * freedom))
 
 
-def fit_grid(picture: Picture, corners: Array) -> tuple[Array, Array]:
+def fit_grid(picture: Picture, corners: Array, window: float = WINDOW) -> tuple[Array, Array]:
     """Fit the corners (rows, columns, 2) of a board; return corners of the same shape and sigma (rows, columns).
 
     A lens bends straight edges. Taken as straight over a window of half-width w they shift a corner by about bend * w^2 / 6,
-    always to one side of the image centre; so the fit is repeated with the bend that the corners of the first one show.
+    always towards one side; so the fit is repeated with the bend that the corners of the first one show.
     """
-    first, _ = _fit_all(picture, corners, np.zeros_like(corners))
+    first, _ = _fit_all(picture, corners, np.zeros_like(corners), window)
     complete = np.where(np.isfinite(first), first, corners)
-    return _fit_all(picture, complete, bends(complete))
+    return _fit_all(picture, complete, bends(complete), window)
 
 
 def bends(corners: Array) -> Array:
@@ -159,10 +161,10 @@ def bends(corners: Array) -> Array:
     return curvature
 
 
-def _fit_all(picture: Picture, corners: Array, curvature: Array) -> tuple[Array, Array]:
+def _fit_all(picture: Picture, corners: Array, curvature: Array, window: float) -> tuple[Array, Array]:
     down, right = np.gradient(corners, axis=(0, 1))
     across = np.stack([right, down], axis=-1)
     found, sigma = np.empty_like(corners), np.empty(corners.shape[:2])
     for place in np.ndindex(*sigma.shape):
-        found[place], sigma[place] = fit(picture, corners[place], across[place], curvature[place])
+        found[place], sigma[place] = fit(picture, corners[place], across[place], curvature[place], window)
     return found, sigma
