@@ -87,6 +87,8 @@ def run(settings: Settings, readings: Table, **others: object) -> Result:
         raise NotConvergedError("the adjustment did not converge after 10 iterations")
     if settings.labels.get("fail") == "bug":
         raise ZeroDivisionError("a planted defect")
+    if settings.labels.get("fail") == "interrupt":
+        raise KeyboardInterrupt
     if np.ptp(x) == 0:
         raise UndeterminedError("slope, offset: all points have the same x; measure at another x")
     design = np.stack([x, np.ones_like(x)], axis=1)

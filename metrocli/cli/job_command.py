@@ -32,9 +32,12 @@ def _question(name: str, help_text: str) -> options.Decorator:
 
 def _carry_out(kind: str, path: Path, voice: Voice, wanted: dict[str, Any]) -> int:
     """Load the job, then check, ask or run it, and print what came out."""
+    from metrocli.errors import UsageError
     from metrocli.project import runner
     from metrocli.project.job import Wishes, load
 
+    if wanted["output"] is not None and wanted["output"].suffix != ".h5":
+        raise UsageError(f"--output {wanted['output']}: a result file ends in .h5")
     job = load(path, Wishes(wanted["overrides"], wanted["output"], kind))
     question = next((name for name in KINDS[kind].answers if wanted[name]), None)
     if wanted["dry_run"]:

@@ -217,6 +217,8 @@ def load(path: Path, wishes: Wishes | None = None) -> Job:
     if faults:
         raise InputError(_in_order(faults))
     output = wishes.output or heading.output or path.parent / "results" / f"{path.stem}.h5"
+    if os.path.abspath(output) in {os.path.abspath(file) for item in inputs for file in item.paths}:
+        raise InputError([root.at("output").fault(f"the output {output} is one of the inputs", "name another output")])
     return Job(path, heading, settings, inputs, output, text, root)
 
 

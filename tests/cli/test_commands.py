@@ -146,6 +146,7 @@ def test_a_command_on_a_job_of_another_kind(job: Path, metrocli: Metrocli) -> No
         (["straight-line", "line.yaml", "--outptu", "x"], "No such option"),
         (["schema", "strait-line"], "did you mean 'straight-line'?"),
         (["init", "x", "--sample", "none"], "no sample 'none'"),
+        (["straight-line", "line.yaml", "--output", "x.csv"], "ends in .h5"),
         (["simulate", "line.yaml"], "Missing option '--out'"),
     ],
 )
@@ -175,12 +176,10 @@ def test_a_defect_is_called_one(job: Path, metrocli: Metrocli) -> None:
     assert "this is a defect of metrocli" in ran.err
 
 
-def test_an_interrupt(job: Path, metrocli: Metrocli, monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupted(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("metrocli.project.runner.carry_out", interrupted)
-    assert metrocli("straight-line", job).code == 130
+def test_an_interrupt(job: Path, metrocli: Metrocli) -> None:
+    ran = metrocli("straight-line", job, "--set", "labels.fail=interrupt")
+    assert (ran.code, ran.out) == (130, "")
+    assert not Path("results").exists()
 
 
 class TestOutput:
@@ -214,7 +213,15 @@ class TestOutput:
         ran = metrocli("straight-line", job, "--output", "readings.csv/x.h5")
         assert (ran.code, ran.out) == (3, "")
         assert "cannot be written" in ran.err
-        assert metrocli("straight-line", job, "--output", ".").code == 3
+        (Path("folder.h5")).mkdir()
+        assert metrocli("straight-line", job, "--output", "folder.h5").code == 3
+
+    def test_the_output_is_not_an_input(self, job: Path, metrocli: Metrocli) -> None:
+        metrocli("straight-line", job)
+        job.write_text(job.read_text().replace("{", "{known: results/line.h5, "))
+        ran = metrocli("straight-line", job)
+        assert ran.code == 3
+        assert "the output results/line.h5 is one of the inputs" in ran.err
 
 
 def test_show(job: Path, metrocli: Metrocli) -> None:
@@ -235,7 +242,7 @@ def test_a_result_as_input_must_be_of_the_right_kind(job: Path, metrocli: Metroc
     assert metrocli("straight-line", job, "--output", "o.h5").code == 0
     with h5py.File("results/line.h5", "a") as file:
         file.attrs["kind"] = "other"
-    ran = metrocli("check", job)
+    ran = metrocli("check", job, "--set", "output=o.h5")
     assert ran.code == 3
     assert "line.yaml:3:17: error: inputs.known: results/line.h5 is a result of other" in ran.err
 

@@ -14,7 +14,7 @@ from metrocli import tasks
 from metrocli.cli import commands, main
 
 HEAVY = ("numpy", "scipy", "cv2", "h5py", "yaml", "json")
-MOST_CPU_S = 0.05
+MOST_CPU_S = 0.08
 IMPORTED = """
 import sys
 from metrocli.cli.commands import run

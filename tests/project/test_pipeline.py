@@ -150,7 +150,7 @@ FAULTS = {
         "metrocli.yaml:2:8: error: these jobs need each other's results: jobs/second.yaml <- jobs/first.yaml <- jobs/second.yaml"),
     "itself": (
         "jobs/third.yaml", HEAD + "inputs: {readings: ../more.csv, known: ../results/third.h5}\noutput: ../results/third.h5\n",
-        "metrocli.yaml:2:43: error: these jobs need each other's results: jobs/third.yaml <- jobs/third.yaml"),
+        "jobs/third.yaml:5:9: error: the output results/third.h5 is one of the inputs"),
     "one output": ("jobs/third.yaml", THIRD.replace("third.h5", "first.h5"), "jobs/third.yaml:5:9: error: two jobs write"),
     "no job": ("metrocli.yaml", "jobs: [jobs/none.yaml]\n", "metrocli.yaml:1:8: error: no such job file: jobs/none.yaml"),
     "unknown key": ("metrocli.yaml", LIST + "job: x\n", "metrocli.yaml:3:1: error: unknown key 'job'"),
