@@ -1,0 +1,27 @@
+"""python -m benchmarks [NAME ...]: run the benchmarks of this folder one after the other, each in its own process."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).parent
+
+
+def main(wanted: list[str]) -> int:
+    """Run the named benchmarks, or all; return 1 if one fails."""
+    names = [path.stem for path in sorted(HERE.glob("*.py")) if not path.stem.startswith("__")]
+    unknown = set(wanted) - set(names)
+    if unknown:
+        print(f"no benchmark {', '.join(sorted(unknown))}; there are: {', '.join(names)}", file=sys.stderr)
+        return 2
+    failed = False
+    for name in wanted or names:
+        print(f"== {name}", flush=True)
+        failed |= subprocess.run([sys.executable, "-m", f"benchmarks.{name}"], check=False).returncode != 0
+    return int(failed)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
