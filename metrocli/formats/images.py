@@ -71,7 +71,7 @@ def read_images(paths: Sequence[Path]) -> ImageSet:
 
 
 def read(path: Path) -> Picture:
-    """Return one image as grey values (height, width), 8 or 16 bit, on the sensor's own pixel grid (EXIF rotation ignored)."""
+    """Return grey values (height, width), 8 or 16 bit, on the sensor's own pixel grid: EXIF rotation is ignored."""
     import cv2
     import numpy as np
 
@@ -118,7 +118,9 @@ def _bytes(path: Path) -> bytes:
         if not path.is_file():
             raise InputError([_fault(path, "no such image" if not path.exists() else "not a file")])
         if path.stat().st_size > MOST_BYTES:
-            raise InputError([_fault(path, f"the file has {path.stat().st_size} bytes; {MOST_BYTES} are the most read")])
+            raise InputError(
+                [_fault(path, f"the file has {path.stat().st_size} bytes; {MOST_BYTES} are the most read")]
+            )
         return path.read_bytes()
     except OSError as error:
         raise InputError([_fault(path, f"cannot be read: {error.strerror}")]) from error
@@ -131,9 +133,7 @@ def _size_fault(path: Path, size: Size) -> list[Fault]:
 
 
 def _same_names(files: Sequence[Path]) -> list[Fault]:
-    return [
-        _fault(b, f"two images have this name; the other is {a}") for a, b in pairwise(files) if a.name == b.name
-    ]
+    return [_fault(b, f"two images have this name; the other is {a}") for a, b in pairwise(files) if a.name == b.name]
 
 
 def _different_sizes(sizes: dict[Path, Size]) -> list[Fault]:

@@ -61,7 +61,7 @@ def _in_mask(mask: npt.NDArray[np.uint8]) -> list[Ellipse]:
     for contour in contours:
         if len(contour) < 6:
             continue
-        ellipse = _of_contour(contour)
+        ellipse = _of_contour(np.asarray(contour, np.int32))
         if ellipse is None:
             continue
         u, v = round(ellipse.u), round(ellipse.v)
@@ -95,7 +95,9 @@ def _distinct(found: list[Ellipse]) -> list[Ellipse]:
     kept = []
     for ellipse in found:
         cell = int(ellipse.u // 2), int(ellipse.v // 2)
-        around = (other for du in (-1, 0, 1) for dv in (-1, 0, 1) for other in cells.get((cell[0] + du, cell[1] + dv), ()))
+        around = (
+            other for du in (-1, 0, 1) for dv in (-1, 0, 1) for other in cells.get((cell[0] + du, cell[1] + dv), ())
+        )
         if any(_same(ellipse, other) for other in around):
             continue
         cells.setdefault(cell, []).append(ellipse)

@@ -28,7 +28,8 @@ CLEARANCE = 0.9
 def find(pattern: Pattern, picture: Picture) -> Sightings:
     """Return the corners that the markers identify, refined on their own edges, or none with the reason.
 
-    OpenCV only names the corners: its image coordinates have moved by half a pixel between versions, ours rest on the edges.
+    OpenCV only names the corners: its image coordinates have moved by half a pixel between versions; ours rest on
+    the edges.
     """
     detector = cv2.aruco.CharucoDetector(_board(pattern))
     corners, ids = detector.detectBoard(eight_bit(picture))[:2]

@@ -23,7 +23,8 @@ Array = npt.NDArray[np.float64]
 def find(pattern: Pattern, picture: Picture) -> Sightings:
     """Return the inner corners of a chessboard, all but those whose grey values show none, or nothing with the reason.
 
-    The first corner is the one whose outer square is dark, where the board tells by its colours; else the board is upright.
+    The first corner is the one whose outer square is dark, where the board tells by its colours; else the board is
+    upright.
     """
     start = _coarse(pattern, eight_bit(picture))
     if start is None:
@@ -44,7 +45,7 @@ def find(pattern: Pattern, picture: Picture) -> Sightings:
 
 
 def _coarse(pattern: Pattern, grey: npt.NDArray[np.uint8]) -> Array | None:
-    """Return the corners (n, 2) to a pixel or so, in OpenCV's order, by its quick search or else by its thorough one."""
+    """Return the corners (n, 2) to a pixel or so, by OpenCV's quick search or else by its thorough one."""
     rows, columns = pattern.shape
     flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
     found, corners = cv2.findChessboardCorners(grey, (columns, rows), flags=flags)

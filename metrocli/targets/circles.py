@@ -44,7 +44,7 @@ def _of_polarity(pattern: Pattern, picture: Picture, polarity: str) -> Sightings
 
 
 def _reaches(starts: list[ellipses.Ellipse]) -> list[float]:
-    """Return half the distance to the nearest other circle, in semi-axes: from there on the pixels are that circle's."""
+    """Return half the distance to the nearest other circle, in semi-axes; beyond, the pixels are the other's."""
     centres = np.array([(start.u, start.v) for start in starts])
     reaches = []
     for start in starts:

@@ -95,7 +95,7 @@ def _profile(picture: Picture, ellipse: Ellipse, radii: tuple[float, ...]) -> Ar
 
 
 def _bits(ring: Array) -> int | None:
-    """Return the twelve bits of a ring sampled at equal angles, from wherever its segments begin; None where unclear."""
+    """Return the bits of a ring sampled at equal angles, from wherever its segments begin; None where unclear."""
     best = max((_read(ring, phase) for phase in range(SAMPLES)), key=lambda read: read[0])
     clear, segments = best
     if clear < CLEAR or segments.max() > 1 + 2 * PLAIN or segments.min() < -PLAIN:

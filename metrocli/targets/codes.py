@@ -6,7 +6,7 @@ from functools import cache
 
 BITS = 12
 FEWEST_ARCS = 2
-"""Arcs that a ring is broken into at least: a plain ring, or one with a single gap, occurs on parts that are no targets."""
+"""Arcs that a ring has at least: plain rings, and rings with a single gap, occur on parts that are no targets."""
 
 DOT, RING_FROM, RING_TO, SHEET = 1.0, 2.0, 3.0, 4.0
 """Radii of the centre dot, the ring's two rims and the plain surroundings, in radii of the dot."""
@@ -27,7 +27,8 @@ def arcs(bits: int) -> int:
 def codes() -> tuple[int, ...]:
     """Return the codes in use: least rotations, an even number of ones, two arcs at least.
 
-    Any two differ in two segments at least, however they are turned: one misread segment gives no code, never another code.
+    Any two differ in two segments at least, however they are turned: one misread segment gives no code, never
+    another one.
     """
     return tuple(
         bits

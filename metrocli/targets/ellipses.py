@@ -35,7 +35,9 @@ MISFIT = 0.12
 EVEN, SLOPING = 8, 10
 """Unknowns with light that is even over the target, or varies linearly across it."""
 SLOPE_TEST = 12.0
-"""Chi-square above which the light slopes: by chance in one of 400 targets. A slope that is not there costs half as much again in scatter."""
+"""Chi-square above which the light slopes: by chance in one of 400 targets.
+
+An estimated slope costs small targets half as much again in scatter, so it is estimated only where there is one."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +51,11 @@ class Ellipse:
     short: float
     angle: float = 0.0
     """Direction of the longer semi-axis in radians, from u towards v."""
+
+    @property
+    def centre(self) -> tuple[float, float]:
+        """The centre (u, v) in pixels."""
+        return self.u, self.v
 
     @property
     def shape(self) -> Array:
@@ -79,7 +86,8 @@ class Fitted:
 class _Model:
     """Unknowns of the fit: `grey = (background + contrast * covered) * (1 + slope . offset)`.
 
-    covered is the normal distribution of the distance to the edge over the blur; slope lets the light vary across the target.
+    covered is the normal distribution of the distance to the edge over the blur; slope lets the light vary across
+    the target.
     """
 
     centre: Array
@@ -99,7 +107,7 @@ class _Model:
         x, y = p * du, q * du + r * dv
         rho = np.maximum(np.hypot(x, y), 1e-9)
         nu, nv = (p * x + q * y) / rho, r * y / rho
-        steep = np.hypot(nu, nv)
+        steep = np.maximum(np.hypot(nu, nv), 1e-9)
         away = (rho - 1) / (steep * self.blur)
         covered = ndtr(-away)
         light = 1 + self.slope[0] * du + self.slope[1] * dv
@@ -156,6 +164,8 @@ def fit(picture: Picture, start: Ellipse, reach: float = np.inf) -> Fitted | Non
 
 def _fit(start: Ellipse, at: Array, grey: Array) -> Fitted | None:
     model = _start(start, at, grey)
+    if model.contrast == 0:
+        return None
     state = _converged(model, at, grey, EVEN)
     if state is not None and _is_sloping(*state):
         state = _converged(model, at, grey, SLOPING)
@@ -255,13 +265,18 @@ def _judged(model: _Model, residual: Array, jacobian: Array) -> Fitted | None:
     except np.linalg.LinAlgError:
         return None
     variance = (lever**2 @ residual**2).mean() * m / (m - unknowns)
-    semi, turn = _axes_of(model.shape)
+    semi, turn = _axes_of(model.shape, model.blur)
     ellipse = Ellipse(float(model.centre[0]), float(model.centre[1]), float(semi[0]), float(semi[1]), turn)
     misfit = float(np.sqrt(np.mean(residual**2)) / abs(model.contrast))
     return Fitted(ellipse, float(np.sqrt(variance)), float(model.background), float(model.contrast), misfit, model.blur)
 
 
-def _axes_of(shape: Array) -> tuple[Array, float]:
-    """Return the semi-axes, longer first, and the direction of the longer one."""
+def _axes_of(shape: Array, blur: float) -> tuple[Array, float]:
+    """Return the semi-axes, longer first, and the direction of the longer one.
+
+    Blur draws the half level of a convex edge inwards by blur^2 / (2 radius of curvature), which is given back here.
+    """
     values, vectors = np.linalg.eigh(shape.T @ shape)
-    return 1 / np.sqrt(values), float(np.arctan2(vectors[1, 0], vectors[0, 0]) % np.pi)
+    long, short = 1 / np.sqrt(values)
+    drawn = 0.5 * blur * blur * np.array([long / short**2, short / long**2])
+    return np.array([long, short]) + drawn, float(np.arctan2(vectors[1, 0], vectors[0, 0]) % np.pi)

@@ -22,7 +22,7 @@ MODULES = {
 
 
 def find(pattern: Pattern, picture: Picture) -> Sightings:
-    """Return the targets of the pattern that a grey image (height, width) of 8 or 16 bit shows, none with the reason."""
+    """Return the targets that a grey image (height, width) of 8 or 16 bit shows; none, with the reason."""
     module = import_module(f"metrocli.targets.{MODULES[pattern.type]}")
     found: Sightings = module.find(pattern, picture)
     return found

@@ -1,4 +1,4 @@
-"""Points of a flat board and their order: put into order from their places alone, and checked whatever put them there."""
+"""Order of the points of a flat board: found from their places alone, and checked whatever put them in order."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ GATE = 0.25
 """Largest root mean square distance from a homography, in steps of the lattice: lens distortion stays far below."""
 BENT = 0.35
 """Largest distance of a point from the middle of its two neighbours, in steps."""
+UNORDERED = "the order of the points is not that of a flat board"
 FEWEST = 0.75
 """Part of a board's points that must be seen."""
 
@@ -54,20 +55,22 @@ def order_fault(steps: Whole, uv: Array) -> str:
     if len(uv) < 4:
         return "fewer than four points"
     step = _step(steps, uv)
-    rms = float(np.sqrt(np.mean(np.sum((projected(homography(steps.astype(float), uv), steps) - uv) ** 2, axis=1))))
+    plane = steps.astype(float)
+    off = projected(homography(plane, uv), plane) - uv
+    rms = float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
     if not rms < GATE * step:
-        return f"the order of the points is not that of a flat board ({rms:.1f} px from a homography, steps of {step:.1f} px)"
+        return f"{UNORDERED} ({rms:.1f} px from a homography, steps of {step:.1f} px)"
     bend = _bend(steps, uv)
     if bend > BENT:
-        return f"the order of the points is not that of a flat board (a point is {bend:.2f} steps off its neighbours' middle)"
+        return f"{UNORDERED} (a point is {bend:.2f} steps off its neighbours' middle)"
     return ""
 
 
 def ordered(expected: Whole, uv: Array) -> tuple[Whole, str]:
     """Find which of the points (m, 2) stands at which expected place (n, 2) of a flat lattice.
 
-    Returns rows (n,) into `uv`, -1 where a place is empty, and the reason where no order is found. Of several orders that
-    fit (a symmetric board) it is the one that is most upright in the image.
+    Returns rows (n,) into `uv`, -1 where a place is empty, and the reason where no order is found. Of several orders
+    that fit (a symmetric board) it is the one that is most upright in the image.
     """
     best = np.empty(0, np.int64), np.empty((0, 2), np.int64)
     for seed in _seeds(uv):
@@ -79,7 +82,8 @@ def ordered(expected: Whole, uv: Array) -> tuple[Whole, str]:
     members, steps = best
     if len(members) < max(4, FEWEST * len(expected)):
         return np.full(len(expected), -1), f"{len(members)} points lie on a lattice, {len(expected)} are expected"
-    fits = [fit for fit in _alignments(expected, members, steps) if not order_fault(expected[fit >= 0], uv[fit[fit >= 0]])]
+    fits = _alignments(expected, members, steps)
+    fits = [fit for fit in fits if not order_fault(expected[fit >= 0], uv[fit[fit >= 0]])]
     if len({frozenset(fit.tolist()) for fit in fits}) > 1:
         return np.full(len(expected), -1), "the pattern fits in several places of a larger lattice"
     upright = [_uprightness(expected, uv, fit) for fit in fits]
@@ -192,13 +196,13 @@ _TURNS = tuple(
     for turn in product(range(-2, 3), repeat=4)
     if abs(turn[0] * turn[3] - turn[1] * turn[2]) in (1, 2)
 )
-"""Changes between two bases of one lattice with short steps; of determinant 2 to the doubled lattice of an asymmetric grid."""
+"""Changes between bases of one lattice with short steps; of determinant 2 to the lattice of an asymmetric grid."""
 
 
 def _alignments(expected: Whole, members: Whole, steps: Whole) -> list[Whole]:
     """Return the fullest ways to lay the pattern over the grown lattice: rows (n,) of members, -1 for none.
 
-    The lattice may be larger, where stray points continue it, but not smaller: edges that are not seen cannot be placed.
+    The lattice may be larger, where stray points continue it, but not smaller: unseen edges cannot be placed.
     """
     outline = expected - expected.min(0)
     fits = []
@@ -210,7 +214,7 @@ def _alignments(expected: Whole, members: Whole, steps: Whole) -> list[Whole]:
             continue
         place = np.full(turned.max(0) + 1, -1)
         place[tuple(turned.T)] = members
-        shifts = np.stack(np.mgrid[: room[0] + 1, : room[1] + 1], axis=-1).reshape(-1, 1, 2)
+        shifts = np.moveaxis(np.mgrid[: room[0] + 1, : room[1] + 1], 0, -1).reshape(-1, 1, 2)
         at = outline + shifts
         fits.append(place[at[..., 0], at[..., 1]])
     if not fits:

@@ -42,7 +42,9 @@ class Pattern:
         Quantity("length", positive=True), "diameter of the circles, or of the centre dots of coded rings", default=None
     )
     polarity: str = setting(
-        Choice("either", "dark", "bright"), "dark targets on a bright background, bright on dark, or both", default="either"
+        Choice("either", "dark", "bright"),
+        "dark targets on a bright background, bright on dark, or both",
+        default="either",
     )
     marker_size: float | None = setting(Quantity("length", positive=True), "side of a marker (charuco)", default=None)
     dictionary: str = setting(Choice(*DICTIONARIES), "ArUco dictionary of the markers (charuco)", default="4x4_50")

@@ -17,8 +17,9 @@ if TYPE_CHECKING:
     from metrocli.imageset import Picture
 
 Array = npt.NDArray[np.float64]
+Field = npt.NDArray[np.floating]
 Rays = Callable[[Array], Array]
-"""Pixel coordinates (n, 2) to unit directions (n, 3) in the camera frame: the camera's projection and distortion, inverted."""
+"""Pixel coordinates (n, 2) to unit directions (n, 3) in the camera frame: projection and distortion, inverted."""
 
 FINE = 4
 """Samples per pixel and axis; edges within a sample are covered in part, so this is far finer than it sounds."""
@@ -35,7 +36,7 @@ class Drawing(Protocol):
     def sheet(self) -> tuple[float, float, float, float]:
         """Left, top, right and bottom of the sheet in its plane, in mm."""
 
-    def ink(self, x: Array, y: Array) -> Array:
+    def ink(self, x: Field, y: Field) -> Field:
         """Return which part (0..1) of each sample of a grid (rows, columns) is ink; x, y in mm."""
 
 
@@ -61,7 +62,7 @@ class Look:
     noise: float = 0.0
     """Standard deviation of a pixel's grey value."""
     black: float = 0.0
-    """Taken off every pixel before those below zero are cut: about five times the noise makes a dark background plain black."""
+    """Taken off every pixel before negative ones are cut: five times the noise makes a dark background plain black."""
     bits: int = 8
 
 
@@ -80,7 +81,7 @@ class Dot:
         side = SHEET * self.radius
         return -side, -side, side, side
 
-    def ink(self, x: Array, y: Array) -> Array:
+    def ink(self, x: Field, y: Field) -> Field:
         return _inside(self.radius - np.hypot(x, y))
 
 
@@ -96,12 +97,12 @@ class CodedRing:
         side = SHEET * self.radius
         return -side, -side, side, side
 
-    def ink(self, x: Array, y: Array) -> Array:
+    def ink(self, x: Field, y: Field) -> Field:
         rho = np.hypot(x, y)
         ring = _inside(RING_TO * self.radius - rho) * _inside(rho - RING_FROM * self.radius)
         return _inside(DOT * self.radius - rho) + ring * _inside(self._along(np.arctan2(y, x)) * rho)
 
-    def _along(self, angle: Array) -> Array:
+    def _along(self, angle: Field) -> Field:
         """Return the angle to the nearest end of an arc, positive on arcs."""
         bits = np.array([self.code >> place & 1 for place in range(BITS)])
         if bits.min() == bits.max():
@@ -133,7 +134,7 @@ class Circles:
         low, high = self.centres.min(0) - self.margin, self.centres.max(0) + self.margin
         return float(low[0]), float(low[1]), float(high[0]), float(high[1])
 
-    def ink(self, x: Array, y: Array) -> Array:
+    def ink(self, x: Field, y: Field) -> Field:
         from scipy.spatial import KDTree
 
         distance = KDTree(self.centres).query(np.stack([x, y], axis=-1))[0]
@@ -142,7 +143,7 @@ class Circles:
 
 @dataclass(frozen=True)
 class Chessboard:
-    """A chessboard of inner corners (columns, rows), the first at the origin, with the square towards -x and -y dark."""
+    """Inner corners (columns, rows) of a chessboard, the first at the origin, the square towards -x and -y dark."""
 
     columns: int
     rows: int
@@ -152,13 +153,13 @@ class Chessboard:
     def sheet(self) -> tuple[float, float, float, float]:
         return -2 * self.pitch, -2 * self.pitch, (self.columns + 1) * self.pitch, (self.rows + 1) * self.pitch
 
-    def ink(self, x: Array, y: Array) -> Array:
-        board = 1.0
+    def ink(self, x: Field, y: Field) -> Field:
+        board = np.ones_like(x)
         for along, count in ((x, self.columns), (y, self.rows)):
             board = board * _inside(along + self.pitch) * _inside(count * self.pitch - along)
         return (0.5 + 0.5 * self._stripes(x) * self._stripes(y)) * board
 
-    def _stripes(self, along: Array) -> Array:
+    def _stripes(self, along: Field) -> Field:
         """Return -1 on the stripe before 0, +1 on the next, and so on."""
         turn = np.remainder(along / self.pitch, 2.0)
         return 2 * _inside(np.where(turn < 1, np.minimum(turn, 1 - turn), -np.minimum(turn - 1, 2 - turn))) - 1
@@ -166,7 +167,7 @@ class Chessboard:
 
 @dataclass(frozen=True)
 class Bitmap:
-    """A picture (rows, columns) of 0 paper and 1 ink, its cells squares of `cell` mm, its upper left corner at `corner`."""
+    """A picture (rows, columns) of 0 paper and 1 ink in squares of `cell` mm, its upper left corner at `corner`."""
 
     cells: Array
     cell: float
@@ -184,7 +185,7 @@ class Bitmap:
             y + rows * self.cell + self.margin,
         )
 
-    def ink(self, x: Array, y: Array) -> Array:
+    def ink(self, x: Field, y: Field) -> Field:
         at_x, at_y = (x - self.corner[0]) / self.cell, (y - self.corner[1]) / self.cell
         fraction_x, fraction_y = np.remainder(at_x + 0.5, 1.0) - 0.5, np.remainder(at_y + 0.5, 1.0) - 0.5
         column, row = np.rint(at_x).astype(int), np.rint(at_y).astype(int)
@@ -210,7 +211,7 @@ def board(pattern: Pattern) -> Drawing:
     if pattern.type == "chessboard":
         return Chessboard(columns, rows, pattern.pitch)
     radius = pattern.diameter / 2 if pattern.diameter else 0.3 * pattern.pitch
-    return Circles(lattice(pattern) * pattern.pitch, radius, 1.5 * pattern.pitch)
+    return Circles(lattice(pattern).astype(float) * pattern.pitch, radius, 1.5 * pattern.pitch)
 
 
 def render(size: tuple[int, int], rays: Rays, scene: Sequence[Placed], look: Look, rng: np.random.Generator) -> Picture:
@@ -237,13 +238,13 @@ def render(size: tuple[int, int], rays: Rays, scene: Sequence[Placed], look: Loo
     return whole.astype(np.uint8) if look.bits <= 8 else whole.astype(np.uint16)
 
 
-def _inside(distance: Array) -> Array:
-    """Return which part of each sample is inside, from a field that is positive inside and its slope over the samples."""
+def _inside(distance: Field) -> Field:
+    """Return which part of each sample is inside, from a field that is positive inside and its slope there."""
     down, right = np.gradient(distance[::2, ::2])
     slope = np.sqrt(down * down + right * right) / 2
     rows, columns = distance.shape
     steep = np.maximum(np.repeat(np.repeat(slope, 2, axis=0), 2, axis=1)[:rows, :columns], 1e-12)
-    return np.clip(0.5 + distance / steep, 0.0, 1.0)
+    return np.asarray(np.clip(0.5 + distance / steep, 0.0, 1.0))
 
 
 def _ray_grid(rays: Rays, u: npt.NDArray[np.generic], v: npt.NDArray[np.generic]) -> Array:
@@ -282,7 +283,7 @@ def _box(coarse: Array, placed: Placed) -> tuple[int, int, int, int] | None:
     )
 
 
-def _coverage(rays: Rays, placed: Placed, box: tuple[int, int, int, int], blur: float) -> tuple[Array, Array]:
+def _coverage(rays: Rays, placed: Placed, box: tuple[int, int, int, int], blur: float) -> tuple[Field, Field]:
     """Return which part of each pixel of a box (u0, v0, u1, v1) is sheet and which is ink, after the lens' blur.
 
     Plane coordinates are computed at pixels and interpolated in between, which is exact to 1e-4 px.
@@ -302,7 +303,7 @@ def _coverage(rays: Rays, placed: Placed, box: tuple[int, int, int, int], blur: 
     return paper[inner, inner], printed[inner, inner]
 
 
-def _pixels(fine: Array, blur: float) -> Array:
+def _pixels(fine: Field, blur: float) -> Field:
     """Blur a finely sampled field and integrate it over pixels."""
     reach = 2 * int(np.ceil(4.5 * blur * FINE)) + 1
     soft = cv2.GaussianBlur(fine, (reach, reach), blur * FINE) if blur > 0 else fine

@@ -24,12 +24,11 @@ LOST = 0.6
 """A corner that leaves its start by more than this part of the window was none."""
 
 
-def fit(
-    picture: Picture, start: Array, across: Array, bend: Array, window: float = WINDOW
-) -> tuple[Array, float]:
-    """Fit a corner near `start` (2,), whose edges run along the columns of `across` (2, 2): the steps to the next corners.
+def fit(picture: Picture, start: Array, across: Array, bend: Array, window: float = WINDOW) -> tuple[Array, float]:
+    """Fit a corner near `start` (2,) whose edges run along the columns of `across` (2, 2): steps to the next corners.
 
-    `bend` (2,) is the curvature of the two edges in 1/px, positive towards the left of the direction (in u, v). Returns the corner and its standard deviation per axis in pixels; NaN where the grey values show no corner.
+    `bend` (2,) is the curvature of the two edges in 1/px, positive where they turn from u
+    towards v. Returns the corner and its standard deviation per axis in pixels; NaN where there is no corner.
     """
     at, grey, weight = _pixels(picture, start, across, window)
     if len(grey) < 20:
@@ -139,7 +138,7 @@ def _judged(
 def fit_grid(picture: Picture, corners: Array, window: float = WINDOW) -> tuple[Array, Array]:
     """Fit the corners (rows, columns, 2) of a board; return corners of the same shape and sigma (rows, columns).
 
-    A lens bends straight edges. Taken as straight over a window of half-width w they shift a corner by about bend * w^2 / 6,
+    A lens bends straight edges. Taken as straight over a window of half-width w they shift a corner by bend * w^2 / 6,
     always towards one side; so the fit is repeated with the bend that the corners of the first one show.
     """
     first, _ = _fit_all(picture, corners, np.zeros_like(corners), window)
@@ -148,7 +147,7 @@ def fit_grid(picture: Picture, corners: Array, window: float = WINDOW) -> tuple[
 
 
 def bends(corners: Array) -> Array:
-    """Return the curvature in 1/px of the two edges through each corner (rows, columns, 2), from the neighbours along them."""
+    """Return the curvature in 1/px of the two edges through each corner (rows, columns, 2), from its neighbours."""
     curvature = np.zeros_like(corners)
     for edge, axis in ((0, 1), (1, 0)):
         if corners.shape[axis] < 3:

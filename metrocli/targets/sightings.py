@@ -44,16 +44,14 @@ def nothing(reason: str) -> Sightings:
     return Sightings((), np.empty((0, 2)), np.empty(0), np.empty((0, 2)), np.empty(0), reason)
 
 
-def points(targets: Sequence[str], uv: Array, sigma: Array | None = None, reason: str = "") -> Sightings:
+def points(targets: Sequence[str], uv: Array, sigma: Array) -> Sightings:
     """Return sightings of targets that are not ellipses."""
-    absent = np.full(len(uv), np.nan)
-    return Sightings(
-        tuple(targets), np.asarray(uv, float), absent if sigma is None else sigma, np.stack([absent] * 2, 1), absent, reason
-    )
+    absent = np.full((len(uv), 2), np.nan)
+    return Sightings(tuple(targets), uv, sigma, absent, absent[:, 0])
 
 
 def of_ellipses(targets: Sequence[str], fits: Sequence[Fitted], reason: str = "") -> Sightings:
     """Return sightings of fitted ellipses."""
-    found = [(fit.ellipse.u, fit.ellipse.v, fit.sigma, fit.ellipse.long, fit.ellipse.short, fit.ellipse.angle) for fit in fits]
+    found = [(*fit.ellipse.centre, fit.sigma, fit.ellipse.long, fit.ellipse.short, fit.ellipse.angle) for fit in fits]
     table = np.array(found, dtype=float).reshape(-1, 6)
     return Sightings(tuple(targets), table[:, :2], table[:, 2], table[:, 3:5], table[:, 5], reason)

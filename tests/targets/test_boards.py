@@ -1,0 +1,175 @@
+"""Boards: points where they were drawn, the order checked and mended, and what real images give."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from targets.camera_for_tests import Array, Camera, about_z, tilted
+
+from metrocli.targets.find import MODULES, find
+from metrocli.targets.lattice import order_fault, ordered
+from metrocli.targets.pattern import TYPES, Pattern, lattice, names, pattern_points
+from metrocli.targets.render import Look, Placed, board, render
+
+DATA = Path(__file__).parents[2] / "../shared/data"
+real = pytest.mark.skipif(not DATA.exists(), reason="../shared/data is not there")
+CAMERA = Camera((640, 480), 533.0, -0.28)
+CHESS = Pattern("chessboard", 9, 6, 25.0)
+CHARUCO = Pattern("charuco", 8, 5, 25.0, marker_size=15.0)
+CIRCLES = Pattern("circles", 10, 8, 20.0, diameter=10.0)
+SHIFTED = Pattern("asymmetric-circles", 4, 11, 16.0, diameter=12.0)
+
+
+def seen(pattern: Pattern, rng: np.random.Generator, look: Look, distance: float = 360.0, turn: float = 0.4) -> tuple[np.ndarray, Array]:
+    """Return an image of a board and the true image points of all its points."""
+    _, xyz = pattern_points(pattern)
+    rotation = tilted(rng, 0.6, upright=True) @ about_z(rng.uniform(-turn, turn))
+    origin = np.array([*rng.uniform(-12, 12, 2), distance]) - rotation @ xyz.mean(0)
+    return render(CAMERA.size, CAMERA.rays, [Placed(board(pattern), rotation, origin)], look, rng), CAMERA.project(xyz @ rotation.T + origin)
+
+
+def test_every_type_has_its_module() -> None:
+    assert set(MODULES) == set(TYPES)
+
+
+@pytest.mark.parametrize("pattern", [CHESS, CHARUCO])
+def test_corners_rest_on_the_edges(pattern: Pattern) -> None:
+    """Also pins the pixel convention: half a pixel would be 500 times the limit."""
+    rng = np.random.default_rng(1)
+    for _ in range(5):
+        image, true = seen(pattern, rng, Look())
+        found = find(pattern, image)
+        rows = [names(pattern).index(name) for name in found.targets]
+        assert len(rows) >= 0.9 * len(true), found.reason
+        error = found.uv - true[rows]
+        assert np.sqrt(np.mean(error**2)) < 0.001
+        assert np.abs(error).max() < 0.006
+        away = true[rows] - CAMERA.middle
+        assert abs((error * away).sum() / (away**2).sum()) * CAMERA.f < 0.005, "focal length would be off"
+
+
+@pytest.mark.parametrize("pattern", [CHESS, CHARUCO])
+def test_corners_know_their_scatter(pattern: Pattern) -> None:
+    rng = np.random.default_rng(2)
+    scores = []
+    for _ in range(3):
+        image, true = seen(pattern, rng, Look(noise=3.0))
+        found = find(pattern, image)
+        rows = [names(pattern).index(name) for name in found.targets]
+        assert len(rows) >= 0.9 * len(true)
+        scores.append((found.uv - true[rows]) / found.sigma[:, None])
+    assert 0.85 < np.sqrt(np.mean(np.concatenate(scores) ** 2)) < 1.2
+
+
+@pytest.mark.parametrize("pattern", [CIRCLES, SHIFTED])
+def test_circles_have_their_names(pattern: Pattern) -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(4):
+        image, true = seen(pattern, rng, Look(noise=2.0))
+        found = find(pattern, image)
+        assert found.targets == names(pattern), found.reason
+        assert np.abs(found.uv - true).max() < 0.3, "more than eccentricity explains"
+        assert np.isfinite(found.axes).all() and np.isfinite(found.sigma).all()
+
+
+def test_a_chessboard_upside_down_keeps_its_names() -> None:
+    rng = np.random.default_rng(4)
+    _, xyz = pattern_points(CHESS)
+    for turn in (0.0, np.pi / 2, np.pi, -np.pi / 2):
+        rotation = about_z(turn)
+        origin = np.array([0, 0, 400.0]) - rotation @ xyz.mean(0)
+        image = render(CAMERA.size, CAMERA.rays, [Placed(board(CHESS), rotation, origin)], Look(), rng)
+        found = find(CHESS, image)
+        assert found.targets == names(CHESS)
+        assert np.abs(found.uv - CAMERA.project(xyz @ rotation.T + origin)).max() < 0.01
+
+
+@pytest.mark.parametrize("pattern", [CHESS, CIRCLES, SHIFTED])
+def test_points_in_any_order_are_put_into_theirs(pattern: Pattern) -> None:
+    rng = np.random.default_rng(5)
+    _, true = seen(pattern, rng, Look())
+    strays = rng.uniform((0, 0), CAMERA.size, (6, 2))
+    strays = strays[np.linalg.norm(strays[:, None] - true, axis=2).min(1) > 8]
+    mixed = rng.permutation(np.concatenate([true, strays]))
+    rows, reason = ordered(lattice(pattern), mixed)
+    assert reason == ""
+    np.testing.assert_array_equal(mixed[rows], true)
+
+
+def test_wrong_orders_are_noticed() -> None:
+    rng = np.random.default_rng(6)
+    steps = lattice(CIRCLES)
+    _, true = seen(CIRCLES, rng, Look())
+    assert order_fault(steps, true) == ""
+    assert "flat board" in order_fault(steps, true[rng.permutation(len(true))])
+    swapped = true.copy()
+    swapped[[33, 34]] = swapped[[34, 33]]
+    assert "neighbours' middle" in order_fault(steps, swapped)
+    shifted = true.copy()
+    shifted[40:50] = np.roll(shifted[40:50], 1, axis=0)
+    assert "flat board" in order_fault(steps, shifted)
+
+
+@pytest.mark.parametrize("pattern", [CHESS, CHARUCO, CIRCLES, SHIFTED])
+def test_an_image_without_the_board(pattern: Pattern) -> None:
+    noise = np.random.default_rng(7).integers(0, 256, (240, 320)).astype(np.uint8)
+    for picture in (noise, np.zeros((240, 320), np.uint8), np.full((9, 9), 255, np.uint8), noise.astype(np.uint16) * 257):
+        found = find(pattern, picture)
+        assert len(found) == 0 and found.reason.startswith("no ")
+
+
+def test_settings_of_a_board_are_complete() -> None:
+    assert [key for key, _ in Pattern("circles").faults()] == ["columns", "rows", "pitch"]
+    assert [key for key, _ in Pattern("charuco", 5, 4, 10.0).faults()] == ["marker_size"]
+    assert [key for key, _ in Pattern("charuco", 5, 4, 10.0, marker_size=10.0).faults()] == ["marker_size"]
+    assert not [*Pattern("coded-rings").faults(), *Pattern("dot").faults(), *CHESS.faults()]
+
+
+def calibrated(pattern: Pattern, paths: list[Path]) -> tuple[float, float, Array, int]:
+    """Return RMS, fx, RMS per view and the number of views, by OpenCV with k1 k2 p1 p2."""
+    index = dict(zip(*(names(pattern), range(len(names(pattern)))), strict=True))
+    _, xyz = pattern_points(pattern)
+    board_points, image_points = [], []
+    for path in paths:
+        found = find(pattern, cv2.imread(str(path), cv2.IMREAD_GRAYSCALE))
+        if len(found):
+            board_points.append(xyz[[index[name] for name in found.targets]].astype(np.float32))
+            image_points.append(found.uv.astype(np.float32))
+    solved = cv2.calibrateCameraExtended(board_points, image_points, CAMERA.size, None, None, flags=cv2.CALIB_FIX_K3)
+    return solved[0], solved[1][0, 0], solved[-1].ravel(), len(board_points)
+
+
+@real
+@pytest.mark.parametrize(
+    ("files", "pattern", "rms", "fx"),
+    [
+        ("opencv-chessboards/left*.jpg", CHESS, 0.162, 533.8),
+        ("opencv-chessboards/right*.jpg", CHESS, 0.160, 537.4),
+        ("sony-chess/frame*.jpg", Pattern("chessboard", 6, 4, 30.0), 0.141, 709.0),
+    ],
+)
+def test_real_chessboards(files: str, pattern: Pattern, rms: float, fx: float) -> None:
+    """All 13 views are found, none is an outlier, and the RMS is far below that of OpenCV's corners (0.235, 0.236, 0.154)."""
+    got, focal, by_view, views = calibrated(pattern, sorted(DATA.glob(files)))
+    assert views == 13
+    assert got < rms
+    assert focal == pytest.approx(fx, abs=0.3)
+    assert by_view.max() < 2.5 * np.median(by_view)
+
+
+@real
+def test_real_circles_where_opencv_gives_a_wrong_order() -> None:
+    pattern = Pattern("circles", 10, 8, 25.0, diameter=15.0)
+    picture = cv2.imread(str(DATA / "sony-circles/image00001.jpg"), cv2.IMREAD_GRAYSCALE)
+    claimed, centres = cv2.findCirclesGrid(picture, (10, 8))
+    if claimed:
+        assert "flat board" in order_fault(lattice(pattern), centres.reshape(-1, 2).astype(float))
+    found = find(pattern, picture)
+    assert len(found) == 80 and order_fault(lattice(pattern), found.uv) == ""
+    rms, focal, by_view, views = calibrated(pattern, sorted(DATA.glob("sony-circles/*.jpg")))
+    assert views == 6
+    assert rms < 0.49 and focal == pytest.approx(456.4, abs=3)
+    assert by_view.max() < 2.5 * np.median(by_view)
