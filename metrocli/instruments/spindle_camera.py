@@ -91,11 +91,23 @@ class Rays:
 
 def rays(spindle: Array, camera: Array, angle: float, ideal: Array, points: Array) -> Rays:
     """Return the lines of sight for a clamping angle: spindle poses (n, 6), camera in taper (6,), ideal image points (2, n)."""
-    turn = poses.pose(np.swapaxes(_coupling_rotation(np.array([angle])), 0, 2)[0], np.zeros(3))
-    held = poses.compose(spindle, np.broadcast_to(poses.compose(turn, camera), spindle.shape))
+    held = camera_in_machine(spindle, angle, camera)
     along = np.stack([*ideal, np.ones(ideal.shape[1])], axis=1)
     direction = (poses.rotation_of(held) @ along[:, :, None])[:, :, 0]
     return Rays(held[:, :3], direction / np.linalg.norm(direction, axis=1, keepdims=True), points)
+
+
+def camera_in_machine(spindle: Array, angle: float, camera: Array) -> Array:
+    """Return the poses (n, 6) of the camera in the machine, `R_CNC R_S R_cal` and `R_CNC R_S d_cal + d_CNC` (eq. 21)."""
+    turn = poses.pose(np.swapaxes(_coupling_rotation(np.array([angle])), 0, 2)[0], np.zeros(3))
+    held: Array = poses.compose(spindle, np.broadcast_to(poses.compose(turn, camera), spindle.shape))
+    return held
+
+
+def part_in_camera(part: Array, spindle: Array, angle: float, camera: Array) -> Array:
+    """Return the poses (n, 6) that carry points of the part into the camera of each image (eq. 4)."""
+    seen: Array = poses.compose(poses.inverse(camera_in_machine(spindle, angle, camera)), np.broadcast_to(part, spindle.shape))
+    return seen
 
 
 def start_pose(lines: Rays, turns: int = 40) -> tuple[Array, float]:

@@ -6,19 +6,26 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from metrocli.adjust.outcome import Outcome
-from metrocli.errors import UndeterminedError
+from metrocli.errors import InputError, UndeterminedError
+from metrocli.geometry.poses import EULER, pose_from_euler
 from metrocli.imageset import ImageSet
+from metrocli.instruments.spindle_camera import part_in_camera
 from metrocli.result import Result
 from metrocli.settings import Choice, Either, FileOf, ImageFiles, ListOf, Quantity, Section, TableFile, setting
+from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import TEXT, Column, Columns, Table
 from metrocli.targets.pattern import Pattern
-from metrocli.tasks.align_problem import Problem, build
+from metrocli.tasks.align_problem import Problem, build, spindle_poses
 from metrocli.tasks.align_report import KIND, explained, predicted, report
 from metrocli.tasks.camera_model import CameraModel, camera_of_file, camera_of_result
-from metrocli.tasks.camera_settings import CameraFile
-from metrocli.tasks.imaging import OBSERVATIONS, TARGETS, Needs, Options, adjust_images, eccentricity_setting, image_faults, must_converge, sightings
+from metrocli.tasks.camera_settings import CameraFile, Extrinsics
+from metrocli.tasks.image_simulation import Shown, pictures, sightings_table, true_targets
+from metrocli.tasks.imaging import OBSERVATIONS, START_NOISE, TARGETS, Needs, Options, adjust_images, eccentricity_setting, image_faults, known_targets, must_converge, sightings
 
+SIMULATED = ("observations", "images")
 SUMMARY = "part location and orientation in the machine (6D/7D)"
 POSES = Columns(
     (
@@ -46,6 +53,14 @@ class Inputs:
     images: tuple[Path, ...] | None = setting(ImageFiles(), "images, such as img/*.png, instead of observations", default=None)
 
 
+@dataclass(frozen=True, kw_only=True)
+class AlignSimulation:
+    """The truth that `metrocli simulate` starts from."""
+
+    part: Extrinsics = setting(Section(Extrinsics), "the part in the machine")
+    clamping_angle: float = setting(Either(Quantity("angle"), Quantity("slope")), "true clamping angle gamma_s", default=0.0)
+
+
 @dataclass(frozen=True)
 class Settings:
     """Locate a part in the machine from images of a camera in the spindle (6D), with the clamping angle of its holder (7D)."""
@@ -56,6 +71,7 @@ class Settings:
     pattern: Pattern | None = setting(Section(Pattern), "what the images show", default=None)
     outliers: str = setting(Choice("report", "remove"), "name outliers, or leave them out and list them", default="report")
     eccentricity: str = eccentricity_setting()
+    simulation: AlignSimulation | None = setting(Section(AlignSimulation), "the truth for `metrocli simulate`", default=None)
 
     def faults(self) -> Iterable[tuple[str, str]]:
         """Yield what does not fit together."""
@@ -86,4 +102,23 @@ def prepared(settings: Settings, camera: Result | CameraFile, poses: Table, targ
     return build(model, sighted, poses, free_angle="clamping-angle" in settings.estimate)
 
 
-__all__ = ["KIND", "SUMMARY", "Inputs", "Settings", "run"]
+def simulate(settings: Settings, options: SimulationOptions, camera: Result | CameraFile, poses: Table, targets: Table, **_: object) -> Simulation:
+    """Return what the camera sees of the part of `simulation:` from each pose, with noise, and pictures if they are asked for."""
+    truth = settings.simulation
+    if truth is None:
+        raise InputError("simulate needs the truth: give `simulation: {part: {x: 10 mm, ...}, clamping_angle: 1 mm/m}`")
+    model = camera_of_file(camera) if isinstance(camera, CameraFile) else camera_of_result(camera)
+    rng = np.random.default_rng(options.seed)
+    known = true_targets(known_targets(settings.pattern, targets, 0.0), rng)
+    at = np.array([getattr(truth.part, name) for name in EULER])
+    held = spindle_poses(poses, range(len(poses)))
+    seen = part_in_camera(pose_from_euler(at[:3], at[3:]), held, truth.clamping_angle, model.taper)
+    shown = Shown(model.lens, model.image_size, tuple(poses.texts("image")), seen, known, model.convention)
+    sigma = settings.noise if isinstance(settings.noise, float) else START_NOISE
+    table = sightings_table(shown, sigma, rng)
+    drawn = pictures(shown, settings.pattern, rng) if options.images and settings.pattern is not None else ()
+    true = dict(zip(EULER, at.tolist(), strict=True)) | {"gamma_s": truth.clamping_angle}
+    return Simulation({"observations.csv": table}, true, drawn)
+
+
+__all__ = ["KIND", "SIMULATED", "SUMMARY", "Inputs", "Settings", "run", "simulate"]

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from metrocli.adjust.blocks import Array, Block
 from metrocli.adjust.chain import Chain
@@ -17,7 +18,8 @@ from metrocli.instruments.camera import TARGET, lens_link, target_block
 from metrocli.instruments.lens import ideal_point
 from metrocli.table import Table
 from metrocli.tasks.camera_model import CameraModel
-from metrocli.tasks.imaging import IMAGES, Sighted, target_priors, with_eccentricity
+from metrocli.tasks.eccentricity import corrected
+from metrocli.tasks.imaging import IMAGES, Sighted, target_priors
 
 _ANGLES = np.linspace(-np.pi, np.pi, 12, endpoint=False)
 """Clamping angles to start from, where the smallest start at 0 fails"""
@@ -64,10 +66,10 @@ def build(camera: CameraModel, sighted: Sighted, table: Table, free_angle: bool)
         )
     }
     observations = replace(sighted.observations, index={TARGET: sighted.target, spindle.SPINDLE: sighted.view, "view": sighted.view})
-    links = spindle.to_camera()
-    group = Group(IMAGES, Chain((*links, lens_link(camera.convention))), observations)
-    blocks, group = with_eccentricity(blocks, group, links, sighted.eccentric)
-    others = (*camera.prior(), *target_priors(blocks[TARGET], targets.sigma, free))
+    group = Group(IMAGES, Chain((*spindle.to_camera(), lens_link(camera.convention))), observations)
+    others: tuple[Group, ...] = (*camera.prior(), *target_priors(blocks[TARGET], targets.sigma, free))
+    if sighted.eccentric:
+        group, blocks = corrected(group, blocks, others, None, targets.radius)
     return Problem(camera, sighted, blocks, group, others, warnings)
 
 
@@ -78,7 +80,6 @@ def _spindle_poses(sighted: Sighted, table: Table) -> tuple[Array, tuple[str, ..
     if missing:
         raise InputError([Fault(f"there is no pose for image '{name}'", table.file, hint="add a row with its spindle position") for name in missing])
     rows = np.array([place[name] for name in sighted.images], dtype=np.intp)
-    angles = np.stack([table.numbers(name, 0.0) for name in "abc"], axis=1)[rows]
     unused = [name for name in place if name not in set(sighted.images)]
     warnings = (f"{len(unused)} poses have no sighting: {', '.join(unused[:8])}",) if unused else ()
     conditions = {**sighted.observations.conditions}
@@ -86,7 +87,14 @@ def _spindle_poses(sighted: Sighted, table: Table) -> tuple[Array, tuple[str, ..
         if name in table and name not in conditions:
             conditions[name] = table.numbers(name)[rows][sighted.view]
     observations = replace(sighted.observations, conditions=conditions)
-    return poses.pose_from_euler(table.stacked("xyz")[rows], angles), warnings, replace(sighted, observations=observations)
+    return spindle_poses(table, rows), warnings, replace(sighted, observations=observations)
+
+
+def spindle_poses(table: Table, rows: Sequence[int] | npt.NDArray[np.intp]) -> Array:
+    """Return the commanded poses (rows, 6) of the spindle."""
+    chosen = np.asarray(rows, dtype=np.intp)
+    angles = np.stack([table.numbers(name, 0.0) for name in "abc"], axis=1)[chosen]
+    return poses.pose_from_euler(table.stacked("xyz")[chosen], angles)
 
 
 def _start(camera: CameraModel, sighted: Sighted, held: Array, free_angle: bool) -> tuple[Array, float]:

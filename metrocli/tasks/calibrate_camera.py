@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from metrocli.adjust.blocks import Array
 from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.solution import Solution
-from metrocli.errors import UndeterminedError
+from metrocli.errors import InputError, UndeterminedError
 from metrocli.geometry import poses
+from metrocli.geometry.rotations import rotation_from_euler, rotation_from_vector
 from metrocli.imageset import ImageSet
 from metrocli.instruments import camera
 from metrocli.instruments.camera_start import plane_frame
@@ -19,14 +21,17 @@ from metrocli.instruments.conventions import projection_range
 from metrocli.instruments.lens import RATIONAL
 from metrocli.result import Result
 from metrocli.settings import Choice, Either, ImageFiles, Quantity, Section, TableFile, setting
+from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import TEXT, Column, Columns, Table
 from metrocli.targets.pattern import Pattern
 from metrocli.tasks.camera_compare import compare_models
 from metrocli.tasks.camera_problem import Problem, build
 from metrocli.tasks.camera_report import KIND, report
-from metrocli.tasks.camera_settings import Camera
-from metrocli.tasks.imaging import OBSERVATIONS, TARGETS, Needs, Options, adjust_images, eccentricity_setting, image_faults, must_converge, sightings
+from metrocli.tasks.camera_settings import Camera, CameraSimulation
+from metrocli.tasks.image_simulation import Shown, pictures, sightings_table, true_targets
+from metrocli.tasks.imaging import OBSERVATIONS, START_NOISE, TARGETS, Needs, Options, Targets, adjust_images, eccentricity_setting, image_faults, known_targets, must_converge, sightings
 
+SIMULATED = ("observations", "images")
 SUMMARY = "camera model from images or observed points"
 SCALE_BARS = Columns((Column("from", TEXT), Column("to", TEXT), Column("length", "length"), Column("sigma", "length")), ("from", "to"), "calibrated distances")
 _FEWEST = {"board": 4, "cmm": 1, "network": 4}
@@ -56,6 +61,7 @@ class Settings:
     outliers: str = setting(Choice("report", "remove"), "name outliers, or leave them out and list them", default="report")
 
     eccentricity: str = eccentricity_setting()
+    simulation: CameraSimulation | None = setting(Section(CameraSimulation), "the truth for `metrocli simulate`", default=None)
 
     def faults(self) -> Iterable[tuple[str, str]]:
         """Yield what does not fit together."""
@@ -136,4 +142,51 @@ def _tilted(problem: Problem) -> bool:
     return bool((np.arccos(np.clip(cosine, -1, 1)) > _PARALLEL).any())
 
 
-__all__ = ["KIND", "SUMMARY", "Inputs", "Settings", "Solution", "run"]
+def simulate(settings: Settings, options: SimulationOptions, targets: Table | None = None, **_: object) -> Simulation:
+    """Return the sightings that the camera of `simulation:` gives, with noise, and pictures if they are asked for."""
+    truth, size = settings.simulation, settings.camera.image_size
+    if truth is None or size is None:
+        raise InputError("simulate needs the truth: give `simulation: {lens: {f: 2800 px, ...}}` and camera: image_size")
+    rng = np.random.default_rng(options.seed)
+    known = true_targets(known_targets(settings.pattern, targets, 0.0), rng)
+    views = simulated_views(settings.rig, truth, known, rng)
+    lens = {"cx": (size[0] - 1) / 2, "cy": (size[1] - 1) / 2, **truth.lens.given()}
+    shown = Shown(lens, size, views.images, views.to_camera, known, settings.camera.convention)
+    sigma = settings.noise if isinstance(settings.noise, float) else START_NOISE
+    table = sightings_table(shown, sigma, rng, views.only)
+    drawn = pictures(shown, settings.pattern, rng, views.only) if options.images and settings.pattern is not None else ()
+    true = dict(lens)
+    if truth.extrinsics is not None:
+        true |= {name: float(getattr(truth.extrinsics, name)) for name in poses.EULER}
+    return Simulation({"observations.csv": table}, true, drawn)
+
+
+@dataclass(frozen=True)
+class Views:
+    """Images of a simulation: their names, the pose that carries targets into each, and the targets that each shows."""
+
+    images: tuple[str, ...]
+    to_camera: Array
+    only: Callable[[int], list[int]] | None = None
+
+
+def simulated_views(rig: str, truth: CameraSimulation, known: Targets, rng: np.random.Generator) -> Views:
+    """Return one image for each target with rig cmm, else views from random sides of the targets."""
+    if rig == "cmm":
+        if truth.extrinsics is None:
+            raise InputError("simulation: rig cmm needs extrinsics: where the camera is in the reference frame")
+        at = np.array([getattr(truth.extrinsics, name) for name in poses.EULER])
+        back = poses.inverse(poses.pose_from_euler(at[:3], at[3:]))
+        names = tuple(f"{name}.png" for name in known.names)
+        return Views(names, np.broadcast_to(back, (len(names), 6)), lambda image: [image])
+    n = truth.images
+    axis, tilt, roll = rng.uniform(0, 2 * np.pi, n), truth.tilt * np.sqrt(rng.uniform(0, 1, n)), rng.uniform(-np.pi, np.pi, n)
+    vector = np.column_stack([np.cos(axis) * tilt, np.sin(axis) * tilt, np.zeros(n)])
+    rotation = rotation_from_euler(np.zeros(n), np.zeros(n), roll) @ rotation_from_vector(vector)
+    extent = float(np.ptp(known.points, axis=0).max())
+    aim = np.column_stack([rng.uniform(-0.1, 0.1, (n, 2)) * extent, truth.distance * rng.uniform(0.85, 1.2, n)])
+    centre = known.points.mean(axis=0)
+    return Views(tuple(f"view{i + 1:02d}.png" for i in range(n)), poses.pose(rotation, aim - rotation @ centre))
+
+
+__all__ = ["KIND", "SIMULATED", "SUMMARY", "Inputs", "Settings", "compare", "run", "simulate"]

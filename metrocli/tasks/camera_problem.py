@@ -21,7 +21,8 @@ from metrocli.instruments.frames import DistanceBetween
 from metrocli.instruments.lens import DISTORTION, PRISM, RATIONAL, plane_point, undistort
 from metrocli.table import Table
 from metrocli.tasks.camera_settings import Camera
-from metrocli.tasks.imaging import IMAGES, Sighted, root_mean_square, target_priors, with_eccentricity
+from metrocli.tasks.eccentricity import corrected
+from metrocli.tasks.imaging import IMAGES, Sighted, root_mean_square, target_priors
 
 _GUESSES = (1.0, 0.5, 2.0, 4.0, 8.0)
 """Focal lengths to try, in widths of the image, where the views do not give one"""
@@ -96,11 +97,14 @@ def build(rig: str, settings: Camera, sighted: Sighted, bars: Table | None = Non
         camera.TARGET: camera.target_block(targets.points, targets.names, free, extent),
     }
     group = Group(IMAGES, camera.chain(rig, settings.convention), _readings(sighted, seen, least, rig))
-    blocks, group = with_eccentricity(blocks, group, camera.to_camera(rig), sighted.eccentric)
     others = (*target_priors(blocks[camera.TARGET], targets.sigma, free), *_scale_bars(bars, targets.names, seen))
     datum = camera.network_datum(blocks[camera.TARGET], free.all(axis=1).astype(float)) if rig == "network" and free.any() else None
     problem = Problem(rig, settings.convention, size, sighted, blocks, group, others, datum)
-    return _better_start(problem, settings)
+    started = _better_start(problem, settings)
+    if not sighted.eccentric:
+        return started
+    group, found = corrected(started.images, started.blocks, started.others, datum, targets.radius)
+    return replace(started, images=group, blocks=found)
 
 
 def _check_inside(sighted: Sighted, size: tuple[int, int]) -> None:

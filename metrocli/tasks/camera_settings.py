@@ -81,6 +81,23 @@ class Extrinsics:
 
 
 @dataclass(frozen=True, kw_only=True)
+class CameraSimulation:
+    """The truth that `metrocli simulate` starts from."""
+
+    lens: LensValues = setting(Section(LensValues), "true lens parameters")
+    extrinsics: Extrinsics | None = setting(Section(Extrinsics), "rig cmm: the camera in the reference frame", default=None)
+    images: int = setting(Whole(minimum=1, maximum=100_000), "rigs board and network: number of images", default=15)
+    distance: float = setting(Quantity("length", positive=True), "rigs board and network: mean distance of the camera", default=600.0)
+    tilt: float = setting(Quantity("angle", positive=True), "rigs board and network: largest tilt of a view", default=0.6)
+
+    def faults(self) -> Iterable[tuple[str, str]]:
+        """Yield what does not fit together."""
+        given = set(self.lens.given())
+        if not ("f" in given or {"fx", "fy"} <= given):
+            yield "lens", "the focal length is missing: give f, or fx and fy"
+
+
+@dataclass(frozen=True, kw_only=True)
 class CameraFile(LensValues):
     """A calibrated camera written by hand, taken as exact."""
 

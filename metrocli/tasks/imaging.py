@@ -11,13 +11,11 @@ import numpy.typing as npt
 
 from metrocli.adjust.adjustment import adjust
 from metrocli.adjust.blocks import Block
-from metrocli.adjust.chain import Link
 from metrocli.adjust.datum import Datum
 from metrocli.adjust.groups import Group, prior
 from metrocli.adjust.observations import Observations
 from metrocli.adjust.robust import Suspects, gross, robust_start, suspects
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
-from metrocli.effects import target_eccentricity
 from metrocli.errors import Fault, InputError, NotConvergedError, UndeterminedError
 from metrocli.imageset import ImageSet
 from metrocli.settings import Choice, setting
@@ -150,20 +148,26 @@ def sightings(settings: ImageSettings, observations: Table | None, targets: Tabl
         observations, warnings = sight(images, pattern)
     if observations is None:
         raise InputError("there are neither observations nor images")
+    known = known_targets(pattern, targets, needs.unknown_sigma)
+    sighted = join(observations, known, START_NOISE if isinstance(settings.noise, str) else settings.noise, needs.fewest)
+    if not sighted.images:
+        raise UndeterminedError(f"no image shows {needs.fewest} or more targets of the list, so nothing can be determined")
+    circular = pattern is not None and pattern.type not in ("chessboard", "charuco")
+    eccentric = settings.eccentricity == "correct" or (settings.eccentricity == "auto" and images is not None and circular)
+    return replace(sighted, warnings=warnings + sighted.warnings, eccentric=_radii_known(sighted, settings.eccentricity) and eccentric)
+
+
+def known_targets(pattern: Pattern | None, targets: Table | None, unknown_sigma: float) -> Targets:
+    """Return the targets of the list, or of the printed pattern where there is none, with the pattern's diameter where the list has no radius."""
     if targets is not None:
-        known = read_targets(targets, needs.unknown_sigma)
+        known = read_targets(targets, unknown_sigma)
     elif pattern is not None:
         known = targets_of(pattern)
     else:
         raise InputError("there is no list of targets")
     if pattern is not None and pattern.diameter is not None:
         known = replace(known, radius=np.where(np.isnan(known.radius), pattern.diameter / 2, known.radius))
-    sighted = join(observations, known, _START_NOISE if isinstance(settings.noise, str) else settings.noise, needs.fewest)
-    if not sighted.images:
-        raise UndeterminedError(f"no image shows {needs.fewest} or more targets of the list, so nothing can be determined")
-    circular = pattern is not None and pattern.type not in ("chessboard", "charuco")
-    eccentric = settings.eccentricity == "correct" or (settings.eccentricity == "auto" and images is not None and circular)
-    return replace(sighted, warnings=warnings + sighted.warnings, eccentric=_radii_known(sighted, settings.eccentricity) and eccentric)
+    return known
 
 
 @dataclass(frozen=True)
@@ -176,7 +180,7 @@ class Needs:
     """Standard deviation of targets in a list without a sigma column; nan: unknown"""
 
 
-_START_NOISE = 0.1
+START_NOISE = 0.1
 """Noise [px] to start from where it is estimated"""
 
 
@@ -220,15 +224,6 @@ def target_priors(targets: Block, sigma: Array, free: Array) -> list[Group]:
         if axes and members.size:
             groups.append(prior(targets, members, sigma[np.ix_(members, axes)], columns=axes))
     return groups
-
-
-def with_eccentricity(blocks: dict[str, Block], group: Group, to_camera: tuple[Link, ...], wanted: bool) -> tuple[dict[str, Block], Group]:
-    """Return blocks and group with the eccentricity of circular targets in the model, where it is wanted."""
-    if not wanted:
-        return blocks, group
-    effect = target_eccentricity.link(to_camera)
-    factor = target_eccentricity.block()
-    return {**blocks, factor.name: factor}, replace(group, chain=group.chain.spliced([effect]))
 
 
 def join(table: Table, targets: Targets, sigma: float, fewest: int) -> Sighted:

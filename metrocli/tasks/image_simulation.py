@@ -1,0 +1,125 @@
+"""Simulated image measurements: what the model predicts for a given truth, as image points and as rendered pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from metrocli.adjust.blocks import Array
+from metrocli.errors import InputError
+from metrocli.geometry import poses
+from metrocli.instruments.lens import ideal_point, image_point
+from metrocli.table import Table
+from metrocli.targets import render
+from metrocli.targets.codes import codes
+from metrocli.targets.pattern import Pattern
+from metrocli.tasks.imaging import Targets
+
+if TYPE_CHECKING:
+    from metrocli.imageset import Picture
+
+Draw = Callable[[], "Picture"]
+_MARGIN = 2.0
+"""Pixels that a target keeps from the border"""
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A camera with its true values in front of targets: the pose that carries targets into the camera for each image."""
+
+    lens: Mapping[str, float]
+    image_size: tuple[int, int]
+    images: tuple[str, ...]
+    to_camera: Array
+    """(images, 6)"""
+    targets: Targets
+    convention: str = "forward"
+
+
+def true_targets(listed: Targets, rng: np.random.Generator) -> Targets:
+    """Return the targets where they really are: off the list by what its standard deviations say."""
+    return replace(listed, points=listed.points + rng.normal(0.0, 1.0, listed.points.shape) * np.nan_to_num(listed.sigma))
+
+
+def sightings_table(shown: Shown, sigma: float, rng: np.random.Generator, only: Callable[[int], list[int]] | None = None) -> Table:
+    """Return the image points of the targets inside each image, with noise; `only` names the targets of each image."""
+    rows: list[tuple[str, str, float, float]] = []
+    for i, image in enumerate(shown.images):
+        chosen = np.arange(len(shown.targets.names)) if only is None else np.array(only(i), dtype=int)
+        uv, inside = _projected(shown, i, chosen)
+        uv = uv + rng.normal(0.0, sigma, uv.shape)
+        rows += [(image, shown.targets.names[t], float(u), float(v)) for t, (u, v), good in zip(chosen, uv, inside, strict=True) if good]
+    if not rows:
+        raise InputError("simulation: no target is inside any image; check the poses and the distance")
+    image, target, u, v = zip(*rows, strict=True)
+    return Table({"image": np.array(image), "target": np.array(target), "u": np.array(u), "v": np.array(v)}, {"u": "px", "v": "px"})
+
+
+def _projected(shown: Shown, image: int, chosen: Array) -> tuple[Array, Array]:
+    """Return image points (n, 2) and whether each is inside with its target, its radius included."""
+    points = poses.apply(shown.to_camera[image], shown.targets.points[chosen])
+    front = points[:, 2] > 0
+    z = np.where(front, points[:, 2], 1.0)
+    u, v = _distorted(shown, points[:, 0] / z, points[:, 1] / z)
+    size = max(shown.lens.get("f", 0.0), shown.lens.get("fx", 0.0)) * np.nan_to_num(shown.targets.radius[chosen]) / z + _MARGIN
+    w, h = shown.image_size
+    return np.column_stack([u, v]), front & (u > size) & (u < w - 1 - size) & (v > size) & (v < h - 1 - size)
+
+
+def _distorted(shown: Shown, x: Array, y: Array) -> tuple[Array, Array]:
+    if shown.convention == "forward":
+        return image_point(shown.lens, x, y)
+    u, v = image_point({name: value for name, value in shown.lens.items() if name[0] not in "kps" or name == "skew"}, x, y)
+    for _ in range(50):
+        back_x, back_y = ideal_point(shown.lens, u, v, "backward")
+        fx, fy = shown.lens.get("f", shown.lens.get("fx", 1.0)), shown.lens.get("f", shown.lens.get("fy", 1.0))
+        u, v = u + fx * (x - back_x), v + fy * (y - back_y)
+    return u, v
+
+
+def pictures(shown: Shown, pattern: Pattern, rng: np.random.Generator, only: Callable[[int], list[int]] | None = None) -> Iterator[tuple[str, Draw]]:
+    """Yield for each image its path and what renders it."""
+    seeds = rng.integers(0, 2**63, len(shown.images))
+    for i, image in enumerate(shown.images):
+        chosen = list(range(len(shown.targets.names))) if only is None else only(i)
+        yield f"images/{image}", _drawer(shown, pattern, i, chosen, int(seeds[i]))
+
+
+def _drawer(shown: Shown, pattern: Pattern, image: int, chosen: list[int], seed: int) -> Draw:
+    def draw() -> Picture:
+        scene = _scene(shown, pattern, image, chosen)
+        look = render.RETRO_REFLECTIVE if pattern.type in ("dot", "coded-rings") else replace(render.Look(), noise=2.0)
+        return render.render(shown.image_size, lambda uv: _rays(shown, uv), scene, look, np.random.default_rng(seed))
+
+    return draw
+
+
+def _rays(shown: Shown, uv: Array) -> Array:
+    x, y = ideal_point(shown.lens, uv[:, 0], uv[:, 1], shown.convention)
+    both = np.column_stack([x, y, np.ones_like(x)])
+    unit: Array = both / np.linalg.norm(both, axis=1, keepdims=True)
+    return unit
+
+
+def _scene(shown: Shown, pattern: Pattern, image: int, chosen: list[int]) -> list[render.Placed]:
+    rotation = poses.rotation_of(shown.to_camera[image])
+    if pattern.type not in ("dot", "coded-rings"):
+        return [render.Placed(render.board(pattern), rotation, shown.to_camera[image, :3])]
+    points = poses.apply(shown.to_camera[image], shown.targets.points)
+    return [render.Placed(_drawing(shown, pattern, i), rotation, points[i]) for i in chosen if points[i, 2] > 0]
+
+
+def _drawing(shown: Shown, pattern: Pattern, target: int) -> render.Drawing:
+    radius = float(shown.targets.radius[target])
+    if not np.isfinite(radius):
+        raise InputError("rendering needs the targets' size: give pattern: diameter, or a column radius_mm in the targets file")
+    name = shown.targets.names[target]
+    if pattern.type == "dot":
+        return render.Dot(radius)
+    if not name.isdigit() or int(name) not in codes():
+        known = ", ".join(str(code) for code in codes()[:6])
+        raise InputError(f"target '{name}' is not a 12-bit code; coded targets are named by their code: {known}, ...")
+    return render.CodedRing(int(name), radius)
