@@ -12,16 +12,26 @@ from collections.abc import Callable
 
 import numpy as np
 
+from metrocli.adjust.observations import Observations
 from metrocli.adjust.solution import residuals_of
 from metrocli.geometry import poses
 from metrocli.instruments.lens import image_point
 from metrocli.tasks.camera_problem import build
 from metrocli.tasks.camera_settings import Camera
 from metrocli.tasks.imaging import Options, Sighted, Targets, adjust_images
-from metrocli.adjust.observations import Observations
 
 SIZE = (2448, 2048)
-TRUTH = {"fx": 2800.0, "fy": 2803.0, "cx": 1230.0, "cy": 1015.0, "k1": -0.12, "k2": 0.09, "p1": 3e-4, "p2": -2e-4, "k3": -0.02}
+TRUTH = {
+    "fx": 2800.0,
+    "fy": 2803.0,
+    "cx": 1230.0,
+    "cy": 1015.0,
+    "k1": -0.12,
+    "k2": 0.09,
+    "p1": 3e-4,
+    "p2": -2e-4,
+    "k3": -0.02,
+}
 NOISE = 0.02
 
 
@@ -80,14 +90,18 @@ def best(task: Callable[[], object], runs: int) -> float:
 
 def main() -> None:
     """Print the table."""
-    print(f"{'views':>6} {'metrocli CPU s':>15} {'OpenCV CPU s':>13} {'ratio':>6} {'peak MB':>8} {'f error / s(f)':>15}")
+    print(
+        f"{'views':>6} {'metrocli CPU s':>15} {'OpenCV CPU s':>13} {'ratio':>6} {'peak MB':>8} {'f error / s(f)':>15}"
+    )
     for views in (100, 200, 500, 1000):
         sighted, targets = scene(views, views)
         seconds = best(lambda s=sighted: ours(s), 3)  # type: ignore[misc]
         other = best(lambda s=sighted, t=targets: opencv(s, t), 3)  # type: ignore[misc]
         f, std = ours(sighted)
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-        print(f"{views:>6} {seconds:>15.3f} {other:>13.3f} {seconds / other:>6.2f} {peak:>8.0f} {(f - TRUTH['fx']) / std:>15.2f}")
+        print(
+            f"{views:>6} {seconds:>15.3f} {other:>13.3f} {seconds / other:>6.2f} {peak:>8.0f} {(f - TRUTH['fx']) / std:>15.2f}"
+        )
 
 
 if __name__ == "__main__":

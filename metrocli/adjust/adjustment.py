@@ -48,7 +48,9 @@ class _Problem:
         return open_frame(self.datum, blocks, self.layout, matrix) if self.datum else None
 
 
-def adjust(blocks: Iterable[Block], groups: Sequence[Group], datum: Datum | None = None, control: Control | None = None) -> Solution:
+def adjust(
+    blocks: Iterable[Block], groups: Sequence[Group], datum: Datum | None = None, control: Control | None = None
+) -> Solution:
     """Minimise the sum of squares of the whitened residuals over the free entries of the blocks.
 
     Gauss-Newton; a step that would raise the sum is shortened by damping (Marquardt 1963), so the sum never rises.
@@ -88,7 +90,9 @@ def covariance_at(blocks: Iterable[Block], groups: Sequence[Group], datum: Datum
 _Found = tuple[dict[str, Block], list[Linear], float, bool]
 
 
-def _descend(problem: _Problem, state: Mapping[str, Block], normals: Normals, damping: float, small: float) -> _Found | None:
+def _descend(
+    problem: _Problem, state: Mapping[str, Block], normals: Normals, damping: float, small: float
+) -> _Found | None:
     """Take one step that does not raise the cost: new blocks, their linearisation, the damping left, whether it was the last."""
     frame: Frame | None = None
     while damping <= _DAMPING_LIMIT:
@@ -142,10 +146,14 @@ def _cholesky_solve(matrix: Array, right: Array) -> Array:
     return (solved.T * scale).T
 
 
-def _moved(problem: _Problem, state: Mapping[str, Block], step_r: Array, step_e: Array, frame: Frame | None) -> dict[str, Block]:
+def _moved(
+    problem: _Problem, state: Mapping[str, Block], step_r: Array, step_e: Array, frame: Frame | None
+) -> dict[str, Block]:
     layout = problem.layout
     moved = dict(state)
-    steps = {name: np.where(columns >= 0, step_r[np.maximum(columns, 0)], 0.0) for name, columns in layout.columns.items()}
+    steps = {
+        name: np.where(columns >= 0, step_r[np.maximum(columns, 0)], 0.0) for name, columns in layout.columns.items()
+    }
     if layout.eliminated:
         steps[layout.eliminated] = np.where(state[layout.eliminated].free, step_e, 0.0)
     if frame is not None and problem.datum is not None:
@@ -182,7 +190,11 @@ def _with_covariance(solution: Solution, problem: _Problem, normals: Normals) ->
         inverse = transform @ inverse @ transform.T
     noise_only = np.zeros((layout.width, layout.width))
     noise_only[:free, :free] = (inverse + inverse.T) / 2
-    return replace(counted, cofactor=_cofactor(blocks, layout, normals, noise_only), covariance=_considered(blocks, layout, normals, held, noise_only))
+    return replace(
+        counted,
+        cofactor=_cofactor(blocks, layout, normals, noise_only),
+        covariance=_considered(blocks, layout, normals, held, noise_only),
+    )
 
 
 def _cofactor(blocks: Mapping[str, Block], layout: Layout, normals: Normals, reduced: Array) -> Covariance:
@@ -195,7 +207,9 @@ def _cofactor(blocks: Mapping[str, Block], layout: Layout, normals: Normals, red
     return Covariance(layout, shapes_of(blocks), reduced, weights, inverse)
 
 
-def _considered(blocks: Mapping[str, Block], layout: Layout, normals: Normals, matrix: Array, noise_only: Array) -> Covariance:
+def _considered(
+    blocks: Mapping[str, Block], layout: Layout, normals: Normals, matrix: Array, noise_only: Array
+) -> Covariance:
     """Add what the considered blocks bring: `K = S_ff^-1 S_fc`, `Q_ff + K C K'`, `Q_fc = -K C`."""
     free = layout.free
     if free == layout.width:

@@ -58,7 +58,9 @@ class Block:
     def __post_init__(self) -> None:
         values = np.atleast_2d(np.asarray(self.values, dtype=float))
         if values.shape != (len(self.members), len(self.columns)):
-            raise ValueError(f"block {self.name}: {values.shape} values for {len(self.members)} members x {len(self.columns)}")
+            raise ValueError(
+                f"block {self.name}: {values.shape} values for {len(self.members)} members x {len(self.columns)}"
+            )
         object.__setattr__(self, "values", values)
         free = np.zeros(values.shape, dtype=bool) if self.considered is not None else self.free
         object.__setattr__(self, "free", np.broadcast_to(np.asarray(free, dtype=bool), values.shape))

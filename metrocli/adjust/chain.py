@@ -142,7 +142,9 @@ class Chain:
 
     def derivatives(self, steps: Sequence[Step], wanted: frozenset[str]) -> dict[str, Array]:
         """Return the derivatives of the reading by the wanted blocks, (d, size, n) or (k, d, size, n), backwards along the chain."""
-        first = min((i for i, link in enumerate(self.links) if wanted.intersection(link.blocks)), default=len(self.links))
+        first = min(
+            (i for i, link in enumerate(self.links) if wanted.intersection(link.blocks)), default=len(self.links)
+        )
         total: dict[str, Array] = {}
         outer: Array | None = None
         for i in range(len(self.links) - 1, first - 1, -1):

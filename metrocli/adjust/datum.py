@@ -78,7 +78,9 @@ def open_frame(datum: Datum, blocks: Mapping[str, Block], layout: Layout, matrix
     mix = basis[:, open_ones] / lengths[:, None]
     chosen = {name: move @ mix for name, move in moves.items()}
     movements = chosen[datum.block]
-    at_reference = datum.movements({**blocks, datum.block: blocks[datum.block].with_values(datum.reference)})[datum.block] @ mix
+    at_reference = (
+        datum.movements({**blocks, datum.block: blocks[datum.block].with_values(datum.reference)})[datum.block] @ mix
+    )
     g = (at_reference * datum.members[:, None, None]).reshape(-1, mix.shape[1])
     constraint = np.linalg.solve(g.T @ movements.reshape(g.shape), g.T)
     return Frame(full @ mix, chosen, constraint)

@@ -112,7 +112,13 @@ class ReadBlock:
         return Step(local.spread(difference, self.block), by_block={self.block: local.spread(by_step, self.block)})
 
 
-def prior(block: Block, members: Index, sigma: Array | None = None, covariance: Array | None = None, columns: tuple[int, ...] | None = None) -> Group:
+def prior(
+    block: Block,
+    members: Index,
+    sigma: Array | None = None,
+    covariance: Array | None = None,
+    columns: tuple[int, ...] | None = None,
+) -> Group:
     """Return the group that holds members of a block to their present values.
 
     sigma is (len(members), len(columns)); covariance (len(columns), len(columns)) is for a single member.
@@ -154,13 +160,22 @@ class ReadBlocks:
             full = np.zeros((sum(sizes), *own.shape[1:]))
             full[sum(sizes[:i]) : sum(sizes[: i + 1])] = own
             by_block[part.block] = full
-        return Step(np.concatenate([np.broadcast_to(step.value, (len(step.value), local.observations.count)) for step in steps]), by_block=by_block)
+        return Step(
+            np.concatenate(
+                [np.broadcast_to(step.value, (len(step.value), local.observations.count)) for step in steps]
+            ),
+            by_block=by_block,
+        )
 
 
 def joint_prior(blocks: Sequence[Block], columns: Sequence[tuple[int, ...]], covariance: Array) -> Group:
     """Return the group that holds blocks of one member together to their present values, with a common covariance."""
-    parts = tuple(ReadBlock(block.name, block.values, chosen, block.space) for block, chosen in zip(blocks, columns, strict=True))
+    parts = tuple(
+        ReadBlock(block.name, block.values, chosen, block.space) for block, chosen in zip(blocks, columns, strict=True)
+    )
     size = len(covariance)
     names = tuple(block.columns[i] for block, chosen in zip(blocks, columns, strict=True) for i in chosen)
-    observations = Observations(np.zeros((size, 1)), np.ones(1), {}, np.asarray(covariance, dtype=float)[:, :, None], components=names)
+    observations = Observations(
+        np.zeros((size, 1)), np.ones(1), {}, np.asarray(covariance, dtype=float)[:, :, None], components=names
+    )
     return Group("prior of " + ", ".join(block.name for block in blocks), Chain((ReadBlocks(parts),)), observations)

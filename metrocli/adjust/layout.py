@@ -31,7 +31,11 @@ class Layout:
 
 def arrange(blocks: Mapping[str, Block], groups: Sequence[Group], keep: Sequence[str] = ()) -> Layout:
     """Choose the block to eliminate (most unknowns, no reading touching two of its members, not in `keep`) and place the rest."""
-    candidates = [b for b in blocks.values() if b.free.any() and len(b.members) > 1 and b.name not in keep and _single_touch(b, groups)]
+    candidates = [
+        b
+        for b in blocks.values()
+        if b.free.any() and len(b.members) > 1 and b.name not in keep and _single_touch(b, groups)
+    ]
     eliminated = max(candidates, key=lambda block: int(block.free.sum()), default=None)
     rest = [block for block in blocks.values() if block is not eliminated]
     columns: dict[str, Index] = {}

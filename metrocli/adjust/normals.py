@@ -64,11 +64,19 @@ class Normals:
         return solved
 
 
-def assemble(groups: Sequence[Group], linears: Sequence[Linear], blocks: Mapping[str, Block], layout: Layout) -> Normals:
+def assemble(
+    groups: Sequence[Group], linears: Sequence[Linear], blocks: Mapping[str, Block], layout: Layout
+) -> Normals:
     """Sum the normal equations of all linearised groups."""
     members, size = blocks[layout.eliminated].values.shape if layout.eliminated else (0, 0)
     w = layout.width
-    normals = Normals(np.zeros((members, size, size)), np.zeros((members, size, w)), np.zeros((w, w)), np.zeros((members, size)), np.zeros(w))
+    normals = Normals(
+        np.zeros((members, size, size)),
+        np.zeros((members, size, w)),
+        np.zeros((w, w)),
+        np.zeros((members, size)),
+        np.zeros(w),
+    )
     for linear in linears:
         normals.cost += linear.cost
         _add(normals, _Parts.of(linear, blocks, layout))

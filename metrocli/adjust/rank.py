@@ -22,7 +22,9 @@ _SHARE = 0.25
 _NAMED = 3
 
 
-def open_combinations(blocks: Mapping[str, Block], layout: Layout, normals: Normals, matrix: Array) -> tuple[Combination, ...]:
+def open_combinations(
+    blocks: Mapping[str, Block], layout: Layout, normals: Normals, matrix: Array
+) -> tuple[Combination, ...]:
     """Return the undetermined combinations at the present values; none where everything is determined."""
     single = _open_members(blocks, layout, normals)
     if single or not layout.free:
@@ -71,14 +73,20 @@ def _open_members(blocks: Mapping[str, Block], layout: Layout, normals: Normals)
         return ()
     block = blocks[layout.eliminated]
     diagonal = np.einsum("mii->mi", normals.d)
-    reach = np.where(block.free, _limited(np.broadcast_to(block.reach, diagonal.shape), np.where(block.free, diagonal, 0.0)), 1.0)
+    reach = np.where(
+        block.free, _limited(np.broadcast_to(block.reach, diagonal.shape), np.where(block.free, diagonal, 0.0)), 1.0
+    )
     scaled = normals.d * reach[:, :, None] * reach[:, None, :] + np.eye(block.size) * ~block.free[:, None, :] * 2
     values, vectors = np.linalg.eigh(scaled)
     bad = np.flatnonzero(values[:, 0] < 1)
     found = []
     for member in bad:
         vector = np.abs(vectors[member, :, 0]) * block.free[member]
-        parts = [(block.name, column, f"{block.noun} {block.members[member]}".strip(), float(share)) for column, share in zip(block.columns, vector / vector.max(), strict=True) if share > _SHARE]
+        parts = [
+            (block.name, column, f"{block.noun} {block.members[member]}".strip(), float(share))
+            for column, share in zip(block.columns, vector / vector.max(), strict=True)
+            if share > _SHARE
+        ]
         found.append(Combination(tuple(parts), _spread(float(values[member, 0]))))
     return tuple(found)
 
@@ -110,7 +118,9 @@ def _named(block: Block, shares: Array) -> list[tuple[str, str, str, float]]:
             if len(taking) > 0.7 * len(block.members):
                 members = f"all {block.noun}s".strip()
             else:
-                names = ", ".join(block.members[i] for i in taking[:_NAMED]) + (f" and {len(taking) - _NAMED} more" if len(taking) > _NAMED else "")
+                names = ", ".join(block.members[i] for i in taking[:_NAMED]) + (
+                    f" and {len(taking) - _NAMED} more" if len(taking) > _NAMED else ""
+                )
                 members = f"{block.noun} {names}".strip()
         parts.append((block.name, column, members, float(share.max())))
     return parts

@@ -24,7 +24,9 @@ _TUKEY = 4.685
 _ROUNDS = 12
 
 
-def robust_start(blocks: Iterable[Block], groups: Sequence[Group], name: str, datum: Datum | None = None) -> dict[str, Block]:
+def robust_start(
+    blocks: Iterable[Block], groups: Sequence[Group], name: str, datum: Datum | None = None
+) -> dict[str, Block]:
     """Return blocks near the solution, with gross errors among the readings of group `name` held off.
 
     A few steps of least squares, then, where residuals beyond 8 robust standard deviations are left, rounds of

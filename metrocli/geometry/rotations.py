@@ -79,7 +79,9 @@ def euler_by_vector(rotation: Array) -> Array:
     _, beta, gamma = np.moveaxis(euler_from_rotation(rotation), -1, 0)
     zero, one = np.zeros_like(beta), np.ones_like(beta)
     cb, sb, cg, sg = np.cos(beta), np.sin(beta), np.cos(gamma), np.sin(gamma)
-    turning = np.stack([np.stack([cg * cb, -sg, zero], -1), np.stack([sg * cb, cg, zero], -1), np.stack([-sb, zero, one], -1)], -2)
+    turning = np.stack(
+        [np.stack([cg * cb, -sg, zero], -1), np.stack([sg * cb, cg, zero], -1), np.stack([-sb, zero, one], -1)], -2
+    )
     return np.linalg.inv(turning)
 
 
@@ -108,7 +110,15 @@ def nearest_rotation(matrix: Array) -> Array:
 def _quaternion(rotation: Array) -> Array:
     """Unit quaternion (w, x, y, z), w >= 0, from whichever of the four forms divides by the largest component."""
     m = np.moveaxis(rotation, (-2, -1), (0, 1))
-    diagonal = np.stack([m[0, 0] + m[1, 1] + m[2, 2], m[0, 0] - m[1, 1] - m[2, 2], m[1, 1] - m[0, 0] - m[2, 2], m[2, 2] - m[0, 0] - m[1, 1]], -1)
+    diagonal = np.stack(
+        [
+            m[0, 0] + m[1, 1] + m[2, 2],
+            m[0, 0] - m[1, 1] - m[2, 2],
+            m[1, 1] - m[0, 0] - m[2, 2],
+            m[2, 2] - m[0, 0] - m[1, 1],
+        ],
+        -1,
+    )
     x, y, z = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
     xy, xz, yz = m[0, 1] + m[1, 0], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1]
     square = 1 + diagonal

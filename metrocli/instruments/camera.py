@@ -27,8 +27,16 @@ def lens_block(values: Mapping[str, float], free: Sequence[str], image_size: Seq
     reach = []
     for name in values:
         size = float(max(image_size))
-        reach.append({"f": _TURN, "fx": _TURN, "fy": _TURN}.get(name, 0.0) * values[name] or (size if name in PIXELS else np.inf))
-    return Block(LENS, np.array([list(values.values())]), tuple(values), free=np.isin(list(values), list(free)), reach=np.array(reach))
+        reach.append(
+            {"f": _TURN, "fx": _TURN, "fy": _TURN}.get(name, 0.0) * values[name] or (size if name in PIXELS else np.inf)
+        )
+    return Block(
+        LENS,
+        np.array([list(values.values())]),
+        tuple(values),
+        free=np.isin(list(values), list(free)),
+        reach=np.array(reach),
+    )
 
 
 def view_block(values: Array, images: Sequence[str], distance: float, name: str = VIEW, noun: str = "image") -> Block:
@@ -39,7 +47,15 @@ def view_block(values: Array, images: Sequence[str], distance: float, name: str 
 
 def target_block(points: Array, names: Sequence[str], free: Array | bool, extent: float) -> Block:
     """Return target coordinates (targets, 3), plausible within the extent of the targets."""
-    return Block(TARGET, points, ("x", "y", "z"), tuple(names), free=np.asarray(free), reach=np.array(_TURN * extent), noun="target")
+    return Block(
+        TARGET,
+        points,
+        ("x", "y", "z"),
+        tuple(names),
+        free=np.asarray(free),
+        reach=np.array(_TURN * extent),
+        noun="target",
+    )
 
 
 def lens_link(convention: str) -> Link:
@@ -54,7 +70,9 @@ def to_camera(rig: str) -> tuple[Link, ...]:
     frame of the targets, one for all images or one each.
     """
     targets, camera = Quantity.POINT_ON_TARGETS, Quantity.POINT_IN_CAMERA
-    step: Link = OutOf(VIEW, targets, camera) if rig == "board" else Into(TAPER if rig == "cmm" else VIEW, targets, camera)
+    step: Link = (
+        OutOf(VIEW, targets, camera) if rig == "board" else Into(TAPER if rig == "cmm" else VIEW, targets, camera)
+    )
     return (PointOf(TARGET, targets), step)
 
 
@@ -68,7 +86,15 @@ def view_name(rig: str) -> str:
     return TAPER if rig == "cmm" else VIEW
 
 
-FREEDOMS = ("shift along x", "shift along y", "shift along z", "rotation about x", "rotation about y", "rotation about z", "scale")
+FREEDOMS = (
+    "shift along x",
+    "shift along y",
+    "shift along z",
+    "rotation about x",
+    "rotation about y",
+    "rotation about z",
+    "scale",
+)
 
 
 def network_datum(targets: Block, takes_part: Array) -> Datum:

@@ -142,7 +142,13 @@ def _resected(scene: Scene, local: Array, rays: Array, start_poses: Array) -> Ar
     if not astray.size:
         return best
     chosen = np.isin(scene.view, astray)
-    part = Scene(scene.points, scene.uv[:, chosen], scene.target[chosen], np.searchsorted(astray, scene.view[chosen]), len(astray))
+    part = Scene(
+        scene.points,
+        scene.uv[:, chosen],
+        scene.target[chosen],
+        np.searchsorted(astray, scene.view[chosen]),
+        len(astray),
+    )
     for rotation in cube_rotations():
         first = poses.pose(np.broadcast_to(rotation, (len(astray), 3, 3)), np.zeros(3))
         attempt = _orthogonal_iteration(part, local, rays[:, chosen], first)
@@ -154,7 +160,9 @@ def _resected(scene: Scene, local: Array, rays: Array, start_poses: Array) -> Ar
 
 def cube_rotations() -> Array:
     """Return the 24 rotations that carry a cube into itself."""
-    signed = np.array([np.diag(signs)[list(order)] for signs in product((1.0, -1.0), repeat=3) for order in permutations(range(3))])
+    signed = np.array(
+        [np.diag(signs)[list(order)] for signs in product((1.0, -1.0), repeat=3) for order in permutations(range(3))]
+    )
     turns: Array = signed[np.linalg.det(signed) > 0]
     return turns
 
@@ -165,7 +173,9 @@ def _misfit(scene: Scene, local: Array, rays: Array, found: Array) -> Array:
     front = points[:, 2] > 0
     gap = points[:, :2] / np.where(front, points[:, 2], 1.0)[:, None] - rays.T
     square = np.where(front, (gap**2).sum(axis=1), np.inf)
-    misfit: Array = np.sqrt(np.bincount(scene.view, square, scene.views) / np.maximum(np.bincount(scene.view, minlength=scene.views), 1))
+    misfit: Array = np.sqrt(
+        np.bincount(scene.view, square, scene.views) / np.maximum(np.bincount(scene.view, minlength=scene.views), 1)
+    )
     return misfit
 
 

@@ -55,7 +55,11 @@ def converted(values: Mapping[str, float], convention: str, image_size: Sequence
     gap = (matrix @ found - right).reshape(2, -1) * np.array(focal(values))[:, None]
     distance = np.sqrt((gap**2).sum(axis=0))
     others = {name: value for name, value in values.items() if name not in DISTORTION}
-    return Converted({**others, **dict(zip(names, found.tolist(), strict=True))}, float(np.sqrt((distance**2).mean())), float(distance.max()))
+    return Converted(
+        {**others, **dict(zip(names, found.tolist(), strict=True))},
+        float(np.sqrt((distance**2).mean())),
+        float(distance.max()),
+    )
 
 
 @dataclass(frozen=True)
@@ -77,7 +81,9 @@ _PHOTO = ("c", "x0", "y0", "A1", "A2", "A3", "B1", "B2", "C1", "C2")
 _PHOTO_UNITS = ("mm", "mm", "mm", "1/mm^2", "1/mm^4", "1/mm^6", "1/mm", "1/mm", "1", "1")
 
 
-def photogrammetric(values: Mapping[str, float], pixel_size: float, image_size: Sequence[int], r0: float) -> Photogrammetric:
+def photogrammetric(
+    values: Mapping[str, float], pixel_size: float, image_size: Sequence[int], r0: float
+) -> Photogrammetric:
     """Return the photogrammetric form of a forward lens without rational or prism terms, with its derivatives.
 
     c follows from `f = c g`, `g = 1 - A1 R0^2 - A2 R0^4 - A3 R0^6`, `k_i = A_i c^(2i) / g`; derivatives by differences
@@ -117,7 +123,9 @@ def projection_range(values: Mapping[str, float], image_size: Sequence[int]) -> 
     Behind it the model folds over (or has a pole) and must not be used.
     """
     fx, fy = focal(values)
-    corners = np.array([[0, 0], [image_size[0] - 1, 0], [0, image_size[1] - 1], [image_size[0] - 1, image_size[1] - 1]], dtype=float)
+    corners = np.array(
+        [[0, 0], [image_size[0] - 1, 0], [0, image_size[1] - 1], [image_size[0] - 1, image_size[1] - 1]], dtype=float
+    )
     reach = float(np.hypot((corners[:, 0] - values["cx"]) / fx, (corners[:, 1] - values["cy"]) / fy).max())
     x = np.linspace(0, 1.5 * reach, 3001)
     d = distort(x, np.zeros_like(x), {name: values.get(name, 0.0) for name in (*RADIAL, "k4", "k5", "k6")})

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from metrocli.adjust.chain import Local, Step, through
 from metrocli.adjust.blocks import Array
+from metrocli.adjust.chain import Local, Step, through
 from metrocli.adjust.quantities import Quantity
 from metrocli.geometry import poses
 

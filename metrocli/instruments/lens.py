@@ -62,7 +62,9 @@ def distort(x: Array, y: Array, k: Mapping[str, float], wanted: tuple[str, ...] 
     return Distorted(xd, yd, by_x, by_y, _terms(x, y, radial, below, wanted))
 
 
-def _terms(x: Array, y: Array, radial: Array, below: Array | None, wanted: tuple[str, ...]) -> dict[str, tuple[Array | float, Array | float]]:
+def _terms(
+    x: Array, y: Array, radial: Array, below: Array | None, wanted: tuple[str, ...]
+) -> dict[str, tuple[Array | float, Array | float]]:
     r2 = x * x + y * y
     terms: dict[str, tuple[Array | float, Array | float]] = {}
     power = r2 if below is None else r2 * below
@@ -98,7 +100,9 @@ def undistort(x: Array, y: Array, k: Mapping[str, float], steps: int = 30) -> tu
         if np.nanmax(np.abs(ex) + np.abs(ey), initial=0.0) < 1e-15:
             break
     left = distort(px, py, k)
-    good = (np.abs(left.x - x) + np.abs(left.y - y) < 1e-9) & (left.by_x[0] * left.by_y[1] - left.by_x[1] * left.by_y[0] > 0)
+    good = (np.abs(left.x - x) + np.abs(left.y - y) < 1e-9) & (
+        left.by_x[0] * left.by_y[1] - left.by_x[1] * left.by_y[0] > 0
+    )
     return np.where(good, px, np.nan), np.where(good, py, np.nan)
 
 
@@ -162,7 +166,11 @@ class Lens:
         """Return (u, v) [px] (2, n), with derivatives by the point (2, 3, n) and the parameters (2, size, n); nan behind the camera."""
         block = local.blocks[self.block]
         k = dict(zip(block.columns, block.values[0], strict=True))
-        wanted = tuple(name for name, free in zip(block.columns, block.free[0], strict=True) if free or block.considered is not None)
+        wanted = tuple(
+            name
+            for name, free in zip(block.columns, block.free[0], strict=True)
+            if free or block.considered is not None
+        )
         wanted = wanted if self.block in local.wanted else ()
         fx, fy = focal(k)
         skew = k.get("skew", 0.0)
@@ -214,7 +222,11 @@ class LensBackward:
         """Return (u, v) [px] (2, n), with derivatives by the point (2, 3, n) and the parameters (2, size, n); nan behind the camera."""
         block = local.blocks[self.block]
         k = dict(zip(block.columns, block.values[0], strict=True))
-        wanted = tuple(name for name, free in zip(block.columns, block.free[0], strict=True) if free or block.considered is not None)
+        wanted = tuple(
+            name
+            for name, free in zip(block.columns, block.free[0], strict=True)
+            if free or block.considered is not None
+        )
         wanted = wanted if self.block in local.wanted else ()
         fx, fy = focal(k)
         skew = k.get("skew", 0.0)

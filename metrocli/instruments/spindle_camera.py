@@ -38,7 +38,9 @@ class Coupling:
         """Return the point in the taper (3, n) with derivatives by the point and by the angle."""
         angle = local.rows(self.block)[0]
         back = _coupling_rotation(angle)
-        moved = np.stack([back[0, 0] * value[0] + back[0, 1] * value[1], back[1, 0] * value[0] + back[1, 1] * value[1], value[2]])
+        moved = np.stack(
+            [back[0, 0] * value[0] + back[0, 1] * value[1], back[1, 0] * value[0] + back[1, 1] * value[1], value[2]]
+        )
         by_angle = np.stack([-moved[1], moved[0], np.zeros_like(moved[2])])[:, None]
         return Step(moved, back, {self.block: by_angle})
 
@@ -106,7 +108,9 @@ def camera_in_machine(spindle: Array, angle: float, camera: Array) -> Array:
 
 def part_in_camera(part: Array, spindle: Array, angle: float, camera: Array) -> Array:
     """Return the poses (n, 6) that carry points of the part into the camera of each image (eq. 4)."""
-    seen: Array = poses.compose(poses.inverse(camera_in_machine(spindle, angle, camera)), np.broadcast_to(part, spindle.shape))
+    seen: Array = poses.compose(
+        poses.inverse(camera_in_machine(spindle, angle, camera)), np.broadcast_to(part, spindle.shape)
+    )
     return seen
 
 
@@ -150,7 +154,9 @@ def _linear(lines: Rays) -> Array:
     entries = solved[:9].reshape(3, 3).T
     columns = np.linalg.norm(entries, axis=0)
     if columns.min() < 1e-6 * max(columns.max(), 1e-300):
-        entries[:, int(columns.argmin())] = np.cross(entries[:, (columns.argmin() + 1) % 3], entries[:, (columns.argmin() + 2) % 3]) / max(columns.max(), 1e-300)
+        entries[:, int(columns.argmin())] = np.cross(
+            entries[:, (columns.argmin() + 1) % 3], entries[:, (columns.argmin() + 2) % 3]
+        ) / max(columns.max(), 1e-300)
     return nearest_rotation(entries)
 
 
@@ -168,5 +174,7 @@ def _refined(lines: Rays, rotation: Array, turns: int) -> tuple[Array, float]:
     gap = lines.point @ rotation.T + shift - lines.origin
     depth = (gap * lines.direction).sum(axis=1)
     off = np.linalg.norm((across @ gap[:, :, None])[:, :, 0], axis=1)
-    misfit = float(np.sqrt(np.mean((off / np.where(depth > 0, depth, 1.0)) ** 2))) if (depth > 0).all() else float("inf")
+    misfit = (
+        float(np.sqrt(np.mean((off / np.where(depth > 0, depth, 1.0)) ** 2))) if (depth > 0).all() else float("inf")
+    )
     return poses.pose(rotation, shift), misfit

@@ -23,7 +23,19 @@ from metrocli.tasks.align_report import KIND, explained, predicted, report
 from metrocli.tasks.camera_model import CameraModel, camera_of_file, camera_of_result
 from metrocli.tasks.camera_settings import CameraFile, Extrinsics
 from metrocli.tasks.image_simulation import Shown, pictures, sightings_table, true_targets
-from metrocli.tasks.imaging import OBSERVATIONS, START_NOISE, TARGETS, Needs, Options, adjust_images, eccentricity_setting, image_faults, known_targets, must_converge, sightings
+from metrocli.tasks.imaging import (
+    OBSERVATIONS,
+    START_NOISE,
+    TARGETS,
+    Needs,
+    Options,
+    adjust_images,
+    eccentricity_setting,
+    image_faults,
+    known_targets,
+    must_converge,
+    sightings,
+)
 
 SIMULATED = ("observations", "images")
 SUMMARY = "part location and orientation in the machine (6D/7D)"
@@ -46,11 +58,16 @@ POSES = Columns(
 class Inputs:
     """The camera, the spindle's poses, and what was seen."""
 
-    camera: Path = setting(FileOf(("calibrate-camera",), CameraFile), "result of calibrate-camera (rig cmm), or a camera written by hand (.yaml)")
+    camera: Path = setting(
+        FileOf(("calibrate-camera",), CameraFile),
+        "result of calibrate-camera (rig cmm), or a camera written by hand (.yaml)",
+    )
     poses: Path = setting(TableFile(POSES), "commanded pose of the spindle for each image")
     targets: Path = setting(TableFile(TARGETS), "coordinates of targets in the part")
     observations: Path | None = setting(TableFile(OBSERVATIONS), "image coordinates of targets", default=None)
-    images: tuple[Path, ...] | None = setting(ImageFiles(), "images, such as img/*.png, instead of observations", default=None)
+    images: tuple[Path, ...] | None = setting(
+        ImageFiles(), "images, such as img/*.png, instead of observations", default=None
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +75,9 @@ class AlignSimulation:
     """The truth that `metrocli simulate` starts from."""
 
     part: Extrinsics = setting(Section(Extrinsics), "the part in the machine")
-    clamping_angle: float = setting(Either(Quantity("angle"), Quantity("slope")), "true clamping angle gamma_s", default=0.0)
+    clamping_angle: float = setting(
+        Either(Quantity("angle"), Quantity("slope")), "true clamping angle gamma_s", default=0.0
+    )
 
 
 @dataclass(frozen=True)
@@ -66,12 +85,23 @@ class Settings:
     """Locate a part in the machine from images of a camera in the spindle (6D), with the clamping angle of its holder (7D)."""
 
     inputs: Inputs = setting(Section(Inputs), "the files of the job")
-    noise: float | str = setting(Either(Quantity("pixel", positive=True), Choice("estimated")), "standard deviation of an image coordinate, or 'estimated'")
-    estimate: tuple[str, ...] = setting(ListOf(Choice("part-pose", "clamping-angle"), distinct=True), "unknowns: the 6D or the 7D job", default=("part-pose", "clamping-angle"))
+    noise: float | str = setting(
+        Either(Quantity("pixel", positive=True), Choice("estimated")),
+        "standard deviation of an image coordinate, or 'estimated'",
+    )
+    estimate: tuple[str, ...] = setting(
+        ListOf(Choice("part-pose", "clamping-angle"), distinct=True),
+        "unknowns: the 6D or the 7D job",
+        default=("part-pose", "clamping-angle"),
+    )
     pattern: Pattern | None = setting(Section(Pattern), "what the images show", default=None)
-    outliers: str = setting(Choice("report", "remove"), "name outliers, or leave them out and list them", default="report")
+    outliers: str = setting(
+        Choice("report", "remove"), "name outliers, or leave them out and list them", default="report"
+    )
     eccentricity: str = eccentricity_setting()
-    simulation: AlignSimulation | None = setting(Section(AlignSimulation), "the truth for `metrocli simulate`", default=None)
+    simulation: AlignSimulation | None = setting(
+        Section(AlignSimulation), "the truth for `metrocli simulate`", default=None
+    )
 
     def faults(self) -> Iterable[tuple[str, str]]:
         """Yield what does not fit together."""
@@ -80,7 +110,14 @@ class Settings:
             yield "estimate", "part-pose is missing: write [part-pose] for 6D or [part-pose, clamping-angle] for 7D"
 
 
-def run(settings: Settings, camera: Result | CameraFile, poses: Table, targets: Table, observations: Table | None = None, images: ImageSet | None = None) -> Result:
+def run(
+    settings: Settings,
+    camera: Result | CameraFile,
+    poses: Table,
+    targets: Table,
+    observations: Table | None = None,
+    images: ImageSet | None = None,
+) -> Result:
     """Locate the part; raises InputError, UndeterminedError or NotConvergedError."""
     problem = prepared(settings, camera, poses, targets, observations, images)
     prediction = predicted(problem)
@@ -93,7 +130,14 @@ def run(settings: Settings, camera: Result | CameraFile, poses: Table, targets: 
     return report(problem, adjusted, prediction)
 
 
-def prepared(settings: Settings, camera: Result | CameraFile, poses: Table, targets: Table, observations: Table | None, images: ImageSet | None) -> Problem:
+def prepared(
+    settings: Settings,
+    camera: Result | CameraFile,
+    poses: Table,
+    targets: Table,
+    observations: Table | None,
+    images: ImageSet | None,
+) -> Problem:
     """Return the adjustment with its starting values."""
     model: CameraModel = camera_of_file(camera) if isinstance(camera, CameraFile) else camera_of_result(camera)
     sighted = sightings(settings, observations, targets, images, Needs(fewest=1))
@@ -102,7 +146,14 @@ def prepared(settings: Settings, camera: Result | CameraFile, poses: Table, targ
     return build(model, sighted, poses, free_angle="clamping-angle" in settings.estimate)
 
 
-def simulate(settings: Settings, options: SimulationOptions, camera: Result | CameraFile, poses: Table, targets: Table, **_: object) -> Simulation:
+def simulate(
+    settings: Settings,
+    options: SimulationOptions,
+    camera: Result | CameraFile,
+    poses: Table,
+    targets: Table,
+    **_: object,
+) -> Simulation:
     """Return what the camera sees of the part of `simulation:` from each pose, with noise, and pictures if they are asked for."""
     truth = settings.simulation
     if truth is None:

@@ -52,7 +52,9 @@ def build(camera: CameraModel, sighted: Sighted, table: Table, free_angle: bool)
     pose, angle = _start(camera, sighted, held, free_angle)
     extent = float(np.ptp(targets.points[seen], axis=0).max())
     free = (targets.sigma != 0) & seen[:, None]
-    distance = float(np.linalg.norm(held[:, :3] - (poses.apply(pose, targets.points[seen].mean(axis=0))), axis=1).mean())
+    distance = float(
+        np.linalg.norm(held[:, :3] - (poses.apply(pose, targets.points[seen].mean(axis=0))), axis=1).mean()
+    )
     lens, taper = camera.blocks()
     blocks = {
         block.name: block
@@ -65,7 +67,9 @@ def build(camera: CameraModel, sighted: Sighted, table: Table, free_angle: bool)
             spindle.spindle_block(held, sighted.images),
         )
     }
-    observations = replace(sighted.observations, index={TARGET: sighted.target, spindle.SPINDLE: sighted.view, "view": sighted.view})
+    observations = replace(
+        sighted.observations, index={TARGET: sighted.target, spindle.SPINDLE: sighted.view, "view": sighted.view}
+    )
     group = Group(IMAGES, Chain((*spindle.to_camera(), lens_link(camera.convention))), observations)
     others: tuple[Group, ...] = (*camera.prior(), *target_priors(blocks[TARGET], targets.sigma, free))
     if sighted.eccentric:
@@ -78,7 +82,12 @@ def _spindle_poses(sighted: Sighted, table: Table) -> tuple[Array, tuple[str, ..
     place = {name: row for row, name in enumerate(table.texts("image"))}
     missing = [name for name in sighted.images if name not in place]
     if missing:
-        raise InputError([Fault(f"there is no pose for image '{name}'", table.file, hint="add a row with its spindle position") for name in missing])
+        raise InputError(
+            [
+                Fault(f"there is no pose for image '{name}'", table.file, hint="add a row with its spindle position")
+                for name in missing
+            ]
+        )
     rows = np.array([place[name] for name in sighted.images], dtype=np.intp)
     unused = [name for name in place if name not in set(sighted.images)]
     warnings = (f"{len(unused)} poses have no sighting: {', '.join(unused[:8])}",) if unused else ()

@@ -13,10 +13,10 @@ from metrocli.geometry import poses
 from metrocli.instruments import spindle_camera as spindle
 from metrocli.instruments.camera import TARGET
 from metrocli.result import Estimate, Result
+from metrocli.table import Table
 from metrocli.tasks.align_problem import Problem
 from metrocli.tasks.camera_report import HIGH, basic_statistics, chi_interval, noise_line, with_noise
 from metrocli.tasks.imaging import Adjusted, residual_table, rms_by, root_mean_square, suspect_images, suspect_readings
-from metrocli.table import Table
 from metrocli.units import format_quantity
 
 KIND = "align-part"
@@ -71,21 +71,50 @@ def report(problem: Problem, adjusted: Adjusted, prediction: Prediction | None) 
     found = residuals_of(solution, adjusted.group)
     names, values, covariance = _estimates(solution)
     std = np.sqrt(np.diag(covariance))
-    estimates = tuple(Estimate(name, float(value), float(s), unit) for name, value, s, unit in zip(names, values, std, _UNITS, strict=False))
+    estimates = tuple(
+        Estimate(name, float(value), float(s), unit)
+        for name, value, s, unit in zip(names, values, std, _UNITS, strict=False)
+    )
     statistics = basic_statistics(solution, {"px": root_mean_square(found.values)})
-    statistics |= {"readings": adjusted.group.observations.count, "rejected": len(adjusted.rejected), "images": len(problem.sighted.images)}
+    statistics |= {
+        "readings": adjusted.group.observations.count,
+        "rejected": len(adjusted.rejected),
+        "images": len(problem.sighted.images),
+    }
     if adjusted.noise is not None:
         statistics = with_noise(statistics, solution, adjusted.noise)
     if prediction is not None:
         statistics |= {"predicted_std_gamma_s": prediction.std, "predicted_correlation_gamma_s": prediction.correlation}
     images, targets = problem.sighted.images, problem.sighted.targets.names
-    views = Table({"image": np.array(images), **rms_by(images, adjusted.group.observations.index["view"], found.values)}, {"rms": "px", "largest": "px"})
-    seen = Table({"target": np.array(targets), **rms_by(targets, adjusted.group.observations.index[TARGET], found.values)}, {"rms": "px", "largest": "px"})
+    views = Table(
+        {"image": np.array(images), **rms_by(images, adjusted.group.observations.index["view"], found.values)},
+        {"rms": "px", "largest": "px"},
+    )
+    seen = Table(
+        {"target": np.array(targets), **rms_by(targets, adjusted.group.observations.index[TARGET], found.values)},
+        {"rms": "px", "largest": "px"},
+    )
     correlation = covariance / std[:, None] / std
     arrays = {"rotation": poses.rotation_of(solution.blocks[spindle.PART].values[0]), "correlation": correlation}
-    tables = {"residuals": residual_table(found, adjusted.group), "views": views, "targets": seen, "rejected": adjusted.rejected}
+    tables = {
+        "residuals": residual_table(found, adjusted.group),
+        "views": views,
+        "targets": seen,
+        "rejected": adjusted.rejected,
+    }
     warnings = _warnings(problem, adjusted, views, prediction, correlation)
-    return Result(KIND, "", estimates, covariance, statistics, tables, arrays, tuple(warnings), ("views",), tuple(_notes(solution, adjusted, prediction)))
+    return Result(
+        KIND,
+        "",
+        estimates,
+        covariance,
+        statistics,
+        tables,
+        arrays,
+        tuple(warnings),
+        ("views",),
+        tuple(_notes(solution, adjusted, prediction)),
+    )
 
 
 def _notes(solution: Solution, adjusted: Adjusted, prediction: Prediction | None) -> list[str]:
@@ -100,11 +129,15 @@ def _notes(solution: Solution, adjusted: Adjusted, prediction: Prediction | None
     if adjusted.noise is not None:
         lines.append(f"noise of an image coordinate found: {adjusted.noise:.4f} px; covariances are scaled by it")
     if len(adjusted.rejected):
-        lines.append(f"{len(adjusted.rejected)} readings rejected as outliers (table 'rejected' has each with its test value)")
+        lines.append(
+            f"{len(adjusted.rejected)} readings rejected as outliers (table 'rejected' has each with its test value)"
+        )
     return lines
 
 
-def _warnings(problem: Problem, adjusted: Adjusted, views: Table, prediction: Prediction | None, correlation: Array) -> list[str]:
+def _warnings(
+    problem: Problem, adjusted: Adjusted, views: Table, prediction: Prediction | None, correlation: Array
+) -> list[str]:
     lines = [*problem.sighted.warnings, *problem.warnings]
     if problem.camera.covariance is None:
         lines.append("the camera is taken as exact: its file states no covariance")
@@ -133,7 +166,10 @@ def explained(problem: Problem, solution: Solution) -> str:
         ]
     else:
         targets = len(np.unique(problem.sighted.target))
-        lines += [f"  why: {targets} targets in {len(problem.sighted.images)} images", "  what would determine it: three or more targets not on a line, each seen from two places or two or more of them in one image"]
+        lines += [
+            f"  why: {targets} targets in {len(problem.sighted.images)} images",
+            "  what would determine it: three or more targets not on a line, each seen from two places or two or more of them in one image",
+        ]
     return "\n".join(lines)
 
 

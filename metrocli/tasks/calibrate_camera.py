@@ -29,11 +29,28 @@ from metrocli.tasks.camera_problem import Problem, build
 from metrocli.tasks.camera_report import KIND, report
 from metrocli.tasks.camera_settings import Camera, CameraSimulation
 from metrocli.tasks.image_simulation import Shown, pictures, sightings_table, true_targets
-from metrocli.tasks.imaging import OBSERVATIONS, START_NOISE, TARGETS, Needs, Options, Targets, adjust_images, eccentricity_setting, image_faults, known_targets, must_converge, sightings
+from metrocli.tasks.imaging import (
+    OBSERVATIONS,
+    START_NOISE,
+    TARGETS,
+    Needs,
+    Options,
+    Targets,
+    adjust_images,
+    eccentricity_setting,
+    image_faults,
+    known_targets,
+    must_converge,
+    sightings,
+)
 
 SIMULATED = ("observations", "images")
 SUMMARY = "camera model from images or observed points"
-SCALE_BARS = Columns((Column("from", TEXT), Column("to", TEXT), Column("length", "length"), Column("sigma", "length")), ("from", "to"), "calibrated distances")
+SCALE_BARS = Columns(
+    (Column("from", TEXT), Column("to", TEXT), Column("length", "length"), Column("sigma", "length")),
+    ("from", "to"),
+    "calibrated distances",
+)
 _FEWEST = {"board": 4, "cmm": 1, "network": 4}
 """Targets an image needs"""
 _PARALLEL = np.radians(3.0)
@@ -45,45 +62,80 @@ class Inputs:
 
     observations: Path | None = setting(TableFile(OBSERVATIONS), "image coordinates of targets", default=None)
     targets: Path | None = setting(TableFile(TARGETS), "coordinates of targets", default=None)
-    images: tuple[Path, ...] | None = setting(ImageFiles(), "images, such as img/*.jpg, instead of observations", default=None)
-    scale_bars: Path | None = setting(TableFile(SCALE_BARS), "calibrated distances between targets (rig network)", default=None)
+    images: tuple[Path, ...] | None = setting(
+        ImageFiles(), "images, such as img/*.jpg, instead of observations", default=None
+    )
+    scale_bars: Path | None = setting(
+        TableFile(SCALE_BARS), "calibrated distances between targets (rig network)", default=None
+    )
 
 
 @dataclass(frozen=True)
 class Settings:
     """Calibrate a camera: focal length, principal point and distortion, with their covariance."""
 
-    rig: str = setting(Choice("board", "cmm", "network"), "board: a target board in unknown poses; cmm: targets placed by a CMM; network: unknown points and poses")
+    rig: str = setting(
+        Choice("board", "cmm", "network"),
+        "board: a target board in unknown poses; cmm: targets placed by a CMM; network: unknown points and poses",
+    )
     inputs: Inputs = setting(Section(Inputs), "the files of the job")
-    noise: float | str = setting(Either(Quantity("pixel", positive=True), Choice("estimated")), "standard deviation of an image coordinate, or 'estimated'")
+    noise: float | str = setting(
+        Either(Quantity("pixel", positive=True), Choice("estimated")),
+        "standard deviation of an image coordinate, or 'estimated'",
+    )
     camera: Camera = setting(Section(Camera), "the camera", default=Camera())
     pattern: Pattern | None = setting(Section(Pattern), "what the images show", default=None)
-    outliers: str = setting(Choice("report", "remove"), "name outliers, or leave them out and list them", default="report")
+    outliers: str = setting(
+        Choice("report", "remove"), "name outliers, or leave them out and list them", default="report"
+    )
 
     eccentricity: str = eccentricity_setting()
-    simulation: CameraSimulation | None = setting(Section(CameraSimulation), "the truth for `metrocli simulate`", default=None)
+    simulation: CameraSimulation | None = setting(
+        Section(CameraSimulation), "the truth for `metrocli simulate`", default=None
+    )
 
     def faults(self) -> Iterable[tuple[str, str]]:
         """Yield what does not fit together."""
         yield from image_faults(self.inputs.observations, self.inputs.images, self.pattern, self.inputs.targets)
         if self.inputs.observations is not None and self.camera.image_size is None:
-            yield "camera", "image_size is missing: observations do not say how large the images are; write e.g. image_size: [2592, 1944]"
+            yield (
+                "camera",
+                "image_size is missing: observations do not say how large the images are; write e.g. image_size: [2592, 1944]",
+            )
         if self.inputs.scale_bars is not None and self.rig != "network":
             yield "inputs.scale_bars", "scale bars belong to rig: network"
 
 
-def run(settings: Settings, observations: Table | None = None, targets: Table | None = None, images: ImageSet | None = None, scale_bars: Table | None = None) -> Result:
+def run(
+    settings: Settings,
+    observations: Table | None = None,
+    targets: Table | None = None,
+    images: ImageSet | None = None,
+    scale_bars: Table | None = None,
+) -> Result:
     """Calibrate; raises InputError, UndeterminedError or NotConvergedError."""
     return solved(*prepared(settings, observations, targets, images, scale_bars))
 
 
-def compare(settings: Settings, observations: Table | None = None, targets: Table | None = None, images: ImageSet | None = None, scale_bars: Table | None = None) -> Table:
+def compare(
+    settings: Settings,
+    observations: Table | None = None,
+    targets: Table | None = None,
+    images: ImageSet | None = None,
+    scale_bars: Table | None = None,
+) -> Table:
     """Return what each lens model of the ladder from pinhole to rational with prism gives, a row for each."""
     _, problem = prepared(settings, observations, targets, images, scale_bars)
     return compare_models(problem)
 
 
-def prepared(settings: Settings, observations: Table | None, targets: Table | None, images: ImageSet | None, scale_bars: Table | None) -> tuple[Settings, Problem]:
+def prepared(
+    settings: Settings,
+    observations: Table | None,
+    targets: Table | None,
+    images: ImageSet | None,
+    scale_bars: Table | None,
+) -> tuple[Settings, Problem]:
     """Return the adjustment with its starting values, and the settings with the size of the images."""
     if images is not None and settings.camera.image_size is None:
         settings = replace(settings, camera=replace(settings.camera, image_size=images.size))
@@ -112,24 +164,44 @@ def explained(problem: Problem, solution: Solution) -> str:
 
 
 def _in_words(text: str) -> str:
-    return text.replace(f" of {camera.LENS}", "").replace(f" of {camera.VIEW} ", " of ").replace(f" of {camera.TARGET} ", " of ")
+    return (
+        text.replace(f" of {camera.LENS}", "")
+        .replace(f" of {camera.VIEW} ", " of ")
+        .replace(f" of {camera.TARGET} ", " of ")
+    )
 
 
 def _advice(problem: Problem, solution: Solution) -> list[str]:
-    columns = {column for combination in solution.undetermined for block, column, _, _ in combination.parts if block == camera.LENS}
+    columns = {
+        column
+        for combination in solution.undetermined
+        for block, column, _, _ in combination.parts
+        if block == camera.LENS
+    }
     if problem.rig == "board" and not _tilted(problem):
-        return ["  why: all views are parallel to the board", "  what would determine it: views tilted by 20 to 45 degrees about both axes of the image"]
+        return [
+            "  why: all views are parallel to the board",
+            "  what would determine it: views tilted by 20 to 45 degrees about both axes of the image",
+        ]
     if problem.rig == "cmm" and plane_frame(problem.sighted.targets.points[np.unique(problem.sighted.target)])[1]:
-        return ["  why: all targets lie in one plane", "  what would determine it: targets at several distances along the camera's axis"]
+        return [
+            "  why: all targets lie in one plane",
+            "  what would determine it: targets at several distances along the camera's axis",
+        ]
     lens = solution.blocks[camera.LENS]
     fold = projection_range(dict(zip(lens.columns, lens.values[0].tolist(), strict=True)), problem.image_size)
     if columns & set(RATIONAL) and fold is not None:
-        return [f"  why: the rational terms drive the model into a pole at {fold:.0f} px from the principal point, where they fit noise", "  what would determine it: fewer distortion parameters (metrocli calibrate-camera --compare shows which help)"]
+        return [
+            f"  why: the rational terms drive the model into a pole at {fold:.0f} px from the principal point, where they fit noise",
+            "  what would determine it: fewer distortion parameters (metrocli calibrate-camera --compare shows which help)",
+        ]
     if columns & {"cx", "cy"}:
         return ["  what would determine it: views turned by 90 degrees about the camera's axis, and tilted ones"]
     if solution.outcome is Outcome.TOO_FEW:
         return ["  what would determine it: more views, more targets, or fewer parameters in camera.estimate"]
-    return ["  what would determine it: more views from different directions and distances, or fewer parameters in camera.estimate"]
+    return [
+        "  what would determine it: more views from different directions and distances, or fewer parameters in camera.estimate"
+    ]
 
 
 def _tilted(problem: Problem) -> bool:
@@ -146,7 +218,9 @@ def simulate(settings: Settings, options: SimulationOptions, targets: Table | No
     """Return the sightings that the camera of `simulation:` gives, with noise, and pictures if they are asked for."""
     truth, size = settings.simulation, settings.camera.image_size
     if truth is None or size is None:
-        raise InputError("simulate needs the truth: give `simulation: {lens: {f: 2800 px, ...}}` and camera: image_size")
+        raise InputError(
+            "simulate needs the truth: give `simulation: {lens: {f: 2800 px, ...}}` and camera: image_size"
+        )
     rng = np.random.default_rng(options.seed)
     known = true_targets(known_targets(settings.pattern, targets, 0.0), rng)
     views = simulated_views(settings.rig, truth, known, rng)
@@ -154,7 +228,9 @@ def simulate(settings: Settings, options: SimulationOptions, targets: Table | No
     shown = Shown(lens, size, views.images, views.to_camera, known, settings.camera.convention)
     sigma = settings.noise if isinstance(settings.noise, float) else START_NOISE
     table = sightings_table(shown, sigma, rng, views.only)
-    drawn = pictures(shown, settings.pattern, rng, views.only) if options.images and settings.pattern is not None else ()
+    drawn = (
+        pictures(shown, settings.pattern, rng, views.only) if options.images and settings.pattern is not None else ()
+    )
     true = dict(lens)
     if truth.extrinsics is not None:
         true |= {name: float(getattr(truth.extrinsics, name)) for name in poses.EULER}
@@ -180,7 +256,11 @@ def simulated_views(rig: str, truth: CameraSimulation, known: Targets, rng: np.r
         names = tuple(f"{name}.png" for name in known.names)
         return Views(names, np.broadcast_to(back, (len(names), 6)), lambda image: [image])
     n = truth.images
-    axis, tilt, roll = rng.uniform(0, 2 * np.pi, n), truth.tilt * np.sqrt(rng.uniform(0, 1, n)), rng.uniform(-np.pi, np.pi, n)
+    axis, tilt, roll = (
+        rng.uniform(0, 2 * np.pi, n),
+        truth.tilt * np.sqrt(rng.uniform(0, 1, n)),
+        rng.uniform(-np.pi, np.pi, n),
+    )
     vector = np.column_stack([np.cos(axis) * tilt, np.sin(axis) * tilt, np.zeros(n)])
     rotation = rotation_from_euler(np.zeros(n), np.zeros(n), roll) @ rotation_from_vector(vector)
     extent = float(np.ptp(known.points, axis=0).max())

@@ -76,7 +76,7 @@ def _climb(problem: Problem) -> Iterator[Fitted]:
     """Fit each model from the solution of the one before, so that the RMS never rises."""
     lens = problem.blocks[camera.LENS]
     plain = [name for name in lens.columns if name not in DISTORTION and lens.free[0, lens.column(name)]]
-    here = problem.with_lens({name: 0.0 for name in LADDER[-1][1]})
+    here = problem.with_lens(dict.fromkeys(LADDER[-1][1], 0.0))
     for name, terms in LADDER:
         here = here.with_estimate([*plain, *terms])
         solution = adjust(here.blocks.values(), [here.images, *here.others], here.datum)
@@ -93,7 +93,9 @@ def _held_out(problem: Problem) -> Array:
     for fold in range(folds):
         inside = fold_of == fold
         train = problem.of_images(~inside)
-        fitted = adjust(train.blocks.values(), [train.images, *train.others], train.datum, Control(covariance=False)).blocks
+        fitted = adjust(
+            train.blocks.values(), [train.images, *train.others], train.datum, Control(covariance=False)
+        ).blocks
         test = problem.of_images(inside)
         held = {**test.blocks, **{name: fitted[name].fixed() for name in (camera.LENS, camera.TARGET)}}
         if problem.rig == "cmm":

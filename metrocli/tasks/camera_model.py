@@ -36,7 +36,9 @@ class CameraModel:
         """Raise InputError where the images are not of the size the camera was calibrated with."""
         if tuple(images.size) != self.image_size:
             w, h = images.size
-            raise InputError(f"the images are {w} x {h} px, the camera was calibrated with {self.image_size[0]} x {self.image_size[1]} px")
+            raise InputError(
+                f"the images are {w} x {h} px, the camera was calibrated with {self.image_size[0]} x {self.image_size[1]} px"
+            )
 
     def blocks(self) -> tuple[Block, Block]:
         """Return the blocks of the lens and of the taper; free where the calibration gives them a covariance."""
@@ -62,25 +64,38 @@ class CameraModel:
 def camera_of_file(file: CameraFile) -> CameraModel:
     """Return the camera of a YAML file, exact."""
     if file.extrinsics is None:
-        raise InputError("the camera file has no extrinsics: where the camera is in the taper, e.g. extrinsics: {x: -2.1 mm, y: .., z: .., alpha: -0.003 rad, ..}")
+        raise InputError(
+            "the camera file has no extrinsics: where the camera is in the taper, e.g. extrinsics: {x: -2.1 mm, y: .., z: .., alpha: -0.003 rad, ..}"
+        )
     width, height = file.image_size
     lens = {"cx": (width - 1) / 2, "cy": (height - 1) / 2, **file.given()}
     e = file.extrinsics
     taper = poses.pose_from_euler(np.array([e.x, e.y, e.z]), np.array([e.alpha, e.beta, e.gamma]))
-    return CameraModel({name: lens[name] for name in PARAMETERS if name in lens}, taper, file.image_size, file.convention)
+    return CameraModel(
+        {name: lens[name] for name in PARAMETERS if name in lens}, taper, file.image_size, file.convention
+    )
 
 
 def camera_of_result(result: Result) -> CameraModel:
     """Return the camera of a calibration with rig cmm, with its covariance."""
     if result.statistics.get("rig") != "cmm":
-        raise InputError(f"the camera was calibrated with rig {result.statistics.get('rig')}; its place in the taper is known from rig cmm only")
+        raise InputError(
+            f"the camera was calibrated with rig {result.statistics.get('rig')}; its place in the taper is known from rig cmm only"
+        )
     table = result.tables["camera"]
     lens = dict(zip(table.texts("parameter"), table.numbers("value").tolist(), strict=True))
     values = {estimate.name: estimate.value for estimate in result.estimates}
     at = np.array([values[name] for name in poses.EULER])
     size = (int(_number(result, "image_width")), int(_number(result, "image_height")))
     estimated = tuple(name for name in values if name in lens)
-    return CameraModel(lens, poses.pose_from_euler(at[:3], at[3:]), size, str(result.statistics["convention"]), estimated, result.covariance)
+    return CameraModel(
+        lens,
+        poses.pose_from_euler(at[:3], at[3:]),
+        size,
+        str(result.statistics["convention"]),
+        estimated,
+        result.covariance,
+    )
 
 
 def _number(result: Result, name: str) -> float:

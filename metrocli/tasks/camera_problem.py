@@ -46,7 +46,9 @@ class Problem:
     def with_estimate(self, estimate: Sequence[str]) -> Problem:
         """Return the problem with other lens parameters free; distortion that is not estimated keeps its value."""
         lens = self.blocks[camera.LENS]
-        return replace(self, blocks={**self.blocks, camera.LENS: replace(lens, free=np.isin(lens.columns, list(estimate)))})
+        return replace(
+            self, blocks={**self.blocks, camera.LENS: replace(lens, free=np.isin(lens.columns, list(estimate)))}
+        )
 
     def with_lens(self, values: Mapping[str, float]) -> Problem:
         """Return the problem with these lens parameters at these values, not free where they are new; others keep theirs."""
@@ -69,7 +71,10 @@ class Problem:
             return replace(self, images=self.images.with_observations(observations))
         views = self.blocks[camera.VIEW]
         members = tuple(name for name, c in zip(views.members, chosen, strict=True) if c)
-        blocks = {**self.blocks, camera.VIEW: replace(views, values=views.values[chosen], members=members, free=views.free[chosen])}
+        blocks = {
+            **self.blocks,
+            camera.VIEW: replace(views, values=views.values[chosen], members=members, free=views.free[chosen]),
+        }
         return replace(self, blocks=blocks, images=self.images.with_observations(observations))
 
 
@@ -93,12 +98,18 @@ def build(rig: str, settings: Camera, sighted: Sighted, bars: Table | None = Non
     images: tuple[str, ...] = sighted.images if rig != "cmm" else ("",)
     blocks = {
         camera.LENS: camera.lens_block(values, settings.estimate, size),
-        camera.view_name(rig): camera.view_block(views, images, distance, camera.view_name(rig), "image" if rig != "cmm" else ""),
+        camera.view_name(rig): camera.view_block(
+            views, images, distance, camera.view_name(rig), "image" if rig != "cmm" else ""
+        ),
         camera.TARGET: camera.target_block(targets.points, targets.names, free, extent),
     }
     group = Group(IMAGES, camera.chain(rig, settings.convention), _readings(sighted, seen, least, rig))
     others = (*target_priors(blocks[camera.TARGET], targets.sigma, free), *_scale_bars(bars, targets.names, seen))
-    datum = camera.network_datum(blocks[camera.TARGET], free.all(axis=1).astype(float)) if rig == "network" and free.any() else None
+    datum = (
+        camera.network_datum(blocks[camera.TARGET], free.all(axis=1).astype(float))
+        if rig == "network" and free.any()
+        else None
+    )
     problem = Problem(rig, settings.convention, size, sighted, blocks, group, others, datum)
     started = _better_start(problem, settings)
     if not sighted.eccentric:
@@ -159,7 +170,11 @@ def _scale_bars(bars: Table | None, names: tuple[str, ...], seen: Array) -> list
     place = {name: i for i, name in enumerate(names)}
     ends = [bars.texts("from"), bars.texts("to")]
     faults = [
-        Fault(f"scale bar end '{name}' is {'seen in fewer than two images' if name in place else 'not in the list of targets'}", bars.file, bars.lines[row] if bars.lines else None)
+        Fault(
+            f"scale bar end '{name}' is {'seen in fewer than two images' if name in place else 'not in the list of targets'}",
+            bars.file,
+            bars.lines[row] if bars.lines else None,
+        )
         for column in ends
         for row, name in enumerate(column)
         if name not in place or seen[place[name]] < 2
@@ -168,7 +183,12 @@ def _scale_bars(bars: Table | None, names: tuple[str, ...], seen: Array) -> list
         raise InputError(faults)
     index = np.array([[place[name] for name in column] for column in ends], dtype=np.intp)
     observations = Observations(
-        bars.numbers("length")[None], bars.numbers("sigma")[None], {camera.TARGET: index}, keys={"from": tuple(ends[0]), "to": tuple(ends[1])}, components=("length",), unit="mm"
+        bars.numbers("length")[None],
+        bars.numbers("sigma")[None],
+        {camera.TARGET: index},
+        keys={"from": tuple(ends[0]), "to": tuple(ends[1])},
+        components=("length",),
+        unit="mm",
     )
     return [Group("scale bars", Chain((DistanceBetween(camera.TARGET),)), observations)]
 
@@ -193,7 +213,12 @@ def _better_start(problem: Problem, settings: Camera) -> Problem:
 
 
 def _roughly(problem: Problem, steps: int = 15) -> Problem:
-    solution = adjust(problem.blocks.values(), [problem.images, *problem.others], problem.datum, Control(limit=steps, covariance=False))
+    solution = adjust(
+        problem.blocks.values(),
+        [problem.images, *problem.others],
+        problem.datum,
+        Control(limit=steps, covariance=False),
+    )
     return problem.with_blocks({**problem.blocks, **solution.blocks})
 
 
@@ -204,9 +229,16 @@ def _rms(problem: Problem) -> float:
 
 def _retried(problem: Problem, focal: float) -> Problem:
     lens = problem.blocks[camera.LENS]
-    values = {**dict(zip(lens.columns, lens.values[0].tolist(), strict=True)), **{name: focal for name in lens.columns if name in ("f", "fx", "fy")}}
+    values = {
+        **dict(zip(lens.columns, lens.values[0].tolist(), strict=True)),
+        **{name: focal for name in lens.columns if name in ("f", "fx", "fy")},
+    }
     _, views = _start(problem.rig, problem.sighted, {**values, **dict.fromkeys(DISTORTION, 0.0)}, problem.image_size)
     name = camera.view_name(problem.rig)
-    return problem.with_blocks({**problem.blocks, camera.LENS: lens.with_values(np.array([list(values.values())])), name: problem.blocks[name].with_values(views)})
-
-
+    return problem.with_blocks(
+        {
+            **problem.blocks,
+            camera.LENS: lens.with_values(np.array([list(values.values())])),
+            name: problem.blocks[name].with_values(views),
+        }
+    )

@@ -15,7 +15,7 @@ from metrocli.adjust.solution import Residuals, Solution, residuals_of
 from metrocli.geometry import poses
 from metrocli.instruments import camera
 from metrocli.instruments.conventions import converted, photogrammetric, projection_range
-from metrocli.instruments.lens import PIXELS, RATIONAL, PRISM
+from metrocli.instruments.lens import PIXELS, PRISM, RATIONAL
 from metrocli.result import Estimate, Result, Scalar
 from metrocli.table import Table
 from metrocli.tasks.camera_problem import Problem
@@ -117,7 +117,9 @@ def basic_statistics(solution: Solution, rms: Mapping[str, float]) -> dict[str, 
     }
 
 
-def _statistics(problem: Problem, settings: Camera, solution: Solution, adjusted: Adjusted, found: Residuals, p: Parameters) -> dict[str, Scalar | Mapping[str, float]]:
+def _statistics(
+    problem: Problem, settings: Camera, solution: Solution, adjusted: Adjusted, found: Residuals, p: Parameters
+) -> dict[str, Scalar | Mapping[str, float]]:
     uv = adjusted.group.observations.readings
     statistics = basic_statistics(solution, {"px": root_mean_square(found.values)})
     u_rms, v_rms = np.sqrt((found.values**2).mean(axis=1)).tolist()
@@ -152,7 +154,9 @@ def _statistics(problem: Problem, settings: Camera, solution: Solution, adjusted
     return statistics
 
 
-def with_noise(statistics: dict[str, Scalar | Mapping[str, float]], solution: Solution, noise: float) -> dict[str, Scalar | Mapping[str, float]]:
+def with_noise(
+    statistics: dict[str, Scalar | Mapping[str, float]], solution: Solution, noise: float
+) -> dict[str, Scalar | Mapping[str, float]]:
     """Return the statistics of a job whose noise was found: sigma0 is for a unit weight of 1 px, and there is no global test."""
     kept = {name: value for name, value in statistics.items() if name not in ("p_value", "sigma0_low", "sigma0_high")}
     return {**kept, "noise": noise, "sigma0": noise, "chi2": solution.dof * noise**2}
@@ -187,7 +191,10 @@ def _turn(a: Array, b: Array, c: Array) -> float:
 
 def _views(problem: Problem, solution: Solution, adjusted: Adjusted, found: Residuals, covariance: Covariance) -> Table:
     index = adjusted.group.observations.index["view"]
-    columns: dict[str, Values] = {"image": np.array(problem.sighted.images), **rms_by(problem.sighted.images, index, found.values)}
+    columns: dict[str, Values] = {
+        "image": np.array(problem.sighted.images),
+        **rms_by(problem.sighted.images, index, found.values),
+    }
     units = {"rms": "px", "largest": "px"}
     if problem.rig != "cmm":
         values = solution.blocks[camera.VIEW].values
@@ -259,18 +266,32 @@ def _conventions(problem: Problem, settings: Camera, solution: Solution, covaria
     if settings.pixel_size is not None:
         rows += _in_mm(problem, settings, values, covariance)
     labels = ("form", "parameter", "value", "std", "unit", "residual_rms", "residual_largest")
-    columns: dict[str, Values] = {label: np.array(column) for label, column in zip(labels, zip(*rows, strict=True), strict=True)}
+    columns: dict[str, Values] = {
+        label: np.array(column) for label, column in zip(labels, zip(*rows, strict=True), strict=True)
+    }
     return Table(columns, {"residual_rms": "px", "residual_largest": "px"})
 
 
-def _in_mm(problem: Problem, settings: Camera, values: dict[str, float], covariance: Covariance) -> list[tuple[str, str, float, float, str, float, float]]:
+def _in_mm(
+    problem: Problem, settings: Camera, values: dict[str, float], covariance: Covariance
+) -> list[tuple[str, str, float, float, str, float, float]]:
     pixel = settings.pixel_size or 0.0
     w, h = problem.image_size
     rows = []
     std = dict(zip(values, np.sqrt(np.diag(covariance.of(camera.LENS))).tolist(), strict=True))
     for name, centre in (("f", 0.0), ("fx", 0.0), ("fy", 0.0), ("cx", (w - 1) / 2), ("cy", (h - 1) / 2)):
         if name in values:
-            rows.append((f"{problem.convention}, mm", f"{name} from image centre" if centre else name, (values[name] - centre) * pixel, std[name] * pixel, "mm", 0.0, 0.0))
+            rows.append(
+                (
+                    f"{problem.convention}, mm",
+                    f"{name} from image centre" if centre else name,
+                    (values[name] - centre) * pixel,
+                    std[name] * pixel,
+                    "mm",
+                    0.0,
+                    0.0,
+                )
+            )
     if problem.convention == "forward" and not any(values.get(name) for name in (*RATIONAL, *PRISM)):
         r0 = settings.reference_radius if settings.reference_radius is not None else pixel * float(np.hypot(w, h)) / 3
         form = photogrammetric(values, pixel, problem.image_size, r0)
@@ -286,7 +307,10 @@ def _warnings(problem: Problem, adjusted: Adjusted, views: Table, p: Parameters,
         lines += suspect_images(problem.sighted.images, views.numbers("rms"), views.numbers("readings"))
     lines += suspect_readings(adjusted.suspects, adjusted.group)
     table = _high_correlations(p)
-    pairs = [f"{a}-{b} {c:+.3f}" for a, b, c in zip(table.texts("first"), table.texts("second"), table.numbers("correlation"), strict=True)]
+    pairs = [
+        f"{a}-{b} {c:+.3f}"
+        for a, b, c in zip(table.texts("first"), table.texts("second"), table.numbers("correlation"), strict=True)
+    ]
     if pairs:
         lines.append(f"correlations above {HIGH}: {', '.join(pairs)}")
     low, high = chi_interval(solution)
@@ -296,7 +320,9 @@ def _warnings(problem: Problem, adjusted: Adjusted, views: Table, p: Parameters,
     if problem.convention == "forward":
         fold = projection_range(dict(zip(lens.columns, lens.values[0].tolist(), strict=True)), problem.image_size)
         if fold is not None:
-            lines.append(f"the lens model folds over at {fold:.0f} px from the principal point, inside the image: use fewer distortion parameters")
+            lines.append(
+                f"the lens model folds over at {fold:.0f} px from the principal point, inside the image: use fewer distortion parameters"
+            )
     return lines
 
 
@@ -314,5 +340,7 @@ def _notes(problem: Problem, settings: Camera, adjusted: Adjusted) -> Sequence[s
     if adjusted.noise is not None:
         lines.append(f"noise of an image coordinate found: {adjusted.noise:.4f} px; covariances are scaled by it")
     if len(adjusted.rejected):
-        lines.append(f"{len(adjusted.rejected)} readings rejected as outliers (table 'rejected' has each with its test value)")
+        lines.append(
+            f"{len(adjusted.rejected)} readings rejected as outliers (table 'rejected' has each with its test value)"
+        )
     return lines

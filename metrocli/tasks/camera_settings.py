@@ -46,14 +46,28 @@ class Camera(LensValues):
     """The camera to calibrate: a parameter with a value is known, or a start where it is estimated too."""
 
     image_size: tuple[int, int] | None = setting(
-        ListOf(Whole(minimum=2, maximum=100_000), length=2), "width and height in pixels; read from the images where there are any", default=None
+        ListOf(Whole(minimum=2, maximum=100_000), length=2),
+        "width and height in pixels; read from the images where there are any",
+        default=None,
     )
-    pixel_size: float | None = setting(Quantity("length", positive=True), "side of a pixel, for results in mm", default=None)
+    pixel_size: float | None = setting(
+        Quantity("length", positive=True), "side of a pixel, for results in mm", default=None
+    )
     estimate: tuple[str, ...] = setting(
-        ListOf(Choice(*_ESTIMATED), distinct=True), "parameters to estimate", default=("f", "cx", "cy", "k1", "k2", "p1", "p2")
+        ListOf(Choice(*_ESTIMATED), distinct=True),
+        "parameters to estimate",
+        default=("f", "cx", "cy", "k1", "k2", "p1", "p2"),
     )
-    convention: str = setting(Choice("forward", "backward"), "where distortion is taken: at the ideal or at the measured point", default="forward")
-    reference_radius: float | None = setting(Quantity("length"), "R0 of the balanced photogrammetric form; 2/3 of the largest radius unless given", default=None)
+    convention: str = setting(
+        Choice("forward", "backward"),
+        "where distortion is taken: at the ideal or at the measured point",
+        default="forward",
+    )
+    reference_radius: float | None = setting(
+        Quantity("length"),
+        "R0 of the balanced photogrammetric form; 2/3 of the largest radius unless given",
+        default=None,
+    )
 
     def faults(self) -> Iterable[tuple[str, str]]:
         """Yield what does not fit together."""
@@ -85,10 +99,16 @@ class CameraSimulation:
     """The truth that `metrocli simulate` starts from."""
 
     lens: LensValues = setting(Section(LensValues), "true lens parameters")
-    extrinsics: Extrinsics | None = setting(Section(Extrinsics), "rig cmm: the camera in the reference frame", default=None)
+    extrinsics: Extrinsics | None = setting(
+        Section(Extrinsics), "rig cmm: the camera in the reference frame", default=None
+    )
     images: int = setting(Whole(minimum=1, maximum=100_000), "rigs board and network: number of images", default=15)
-    distance: float = setting(Quantity("length", positive=True), "rigs board and network: mean distance of the camera", default=600.0)
-    tilt: float = setting(Quantity("angle", positive=True), "rigs board and network: largest tilt of a view", default=0.6)
+    distance: float = setting(
+        Quantity("length", positive=True), "rigs board and network: mean distance of the camera", default=600.0
+    )
+    tilt: float = setting(
+        Quantity("angle", positive=True), "rigs board and network: largest tilt of a view", default=0.6
+    )
 
     def faults(self) -> Iterable[tuple[str, str]]:
         """Yield what does not fit together."""
@@ -101,7 +121,9 @@ class CameraSimulation:
 class CameraFile(LensValues):
     """A calibrated camera written by hand, taken as exact."""
 
-    image_size: tuple[int, int] = setting(ListOf(Whole(minimum=2, maximum=100_000), length=2), "width and height in pixels")
+    image_size: tuple[int, int] = setting(
+        ListOf(Whole(minimum=2, maximum=100_000), length=2), "width and height in pixels"
+    )
     pixel_size: float | None = setting(Quantity("length", positive=True), "side of a pixel", default=None)
     convention: str = setting(Choice("forward", "backward"), "where distortion is taken", default="forward")
     extrinsics: Extrinsics | None = setting(Section(Extrinsics), "the camera in the taper", default=None)

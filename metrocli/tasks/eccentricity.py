@@ -27,8 +27,15 @@ def shift(group: Group, blocks: Mapping[str, Block], radius: Array) -> Array:
     """Return measured centre minus image of the centre, (2, n) px, for targets of `radius` (targets,) mm lying in z = const."""
     targets = blocks[TARGET]
     turn = np.arange(_RIM) * (2 * np.pi / _RIM)
-    offsets = np.stack([np.cos(turn), np.sin(turn), np.zeros(_RIM)], axis=1)[:, None, :] * np.nan_to_num(radius)[:, None]
-    rim = np.stack([group.chain.predict({**blocks, TARGET: targets.with_values(targets.values + offset)}, group.observations) for offset in offsets])
+    offsets = (
+        np.stack([np.cos(turn), np.sin(turn), np.zeros(_RIM)], axis=1)[:, None, :] * np.nan_to_num(radius)[:, None]
+    )
+    rim = np.stack(
+        [
+            group.chain.predict({**blocks, TARGET: targets.with_values(targets.values + offset)}, group.observations)
+            for offset in offsets
+        ]
+    )
     centre = group.chain.predict(blocks, group.observations)
     u, v = np.moveaxis(rim - centre, 1, 0)
     u_next, v_next = np.roll(u, -1, axis=0), np.roll(v, -1, axis=0)
@@ -39,7 +46,9 @@ def shift(group: Group, blocks: Mapping[str, Block], radius: Array) -> Array:
     return np.where(whole, moved / np.where(whole, 3 * area, 1.0), 0.0)
 
 
-def corrected(group: Group, blocks: Mapping[str, Block], others: tuple[Group, ...], datum: Datum | None, radius: Array) -> tuple[Group, dict[str, Block]]:
+def corrected(
+    group: Group, blocks: Mapping[str, Block], others: tuple[Group, ...], datum: Datum | None, radius: Array
+) -> tuple[Group, dict[str, Block]]:
     """Return the group with readings freed of eccentricity, and blocks that fit them; the shift is found with the solution itself."""
     measured = group.observations.readings
     state = dict(blocks)

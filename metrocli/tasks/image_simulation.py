@@ -41,21 +41,32 @@ class Shown:
 
 def true_targets(listed: Targets, rng: np.random.Generator) -> Targets:
     """Return the targets where they really are: off the list by what its standard deviations say."""
-    return replace(listed, points=listed.points + rng.normal(0.0, 1.0, listed.points.shape) * np.nan_to_num(listed.sigma))
+    return replace(
+        listed, points=listed.points + rng.normal(0.0, 1.0, listed.points.shape) * np.nan_to_num(listed.sigma)
+    )
 
 
-def sightings_table(shown: Shown, sigma: float, rng: np.random.Generator, only: Callable[[int], list[int]] | None = None) -> Table:
+def sightings_table(
+    shown: Shown, sigma: float, rng: np.random.Generator, only: Callable[[int], list[int]] | None = None
+) -> Table:
     """Return the image points of the targets inside each image, with noise; `only` names the targets of each image."""
     rows: list[tuple[str, str, float, float]] = []
     for i, image in enumerate(shown.images):
         chosen = np.arange(len(shown.targets.names)) if only is None else np.array(only(i), dtype=int)
         uv, inside = _projected(shown, i, chosen)
         uv = uv + rng.normal(0.0, sigma, uv.shape)
-        rows += [(image, shown.targets.names[t], float(u), float(v)) for t, (u, v), good in zip(chosen, uv, inside, strict=True) if good]
+        rows += [
+            (image, shown.targets.names[t], float(u), float(v))
+            for t, (u, v), good in zip(chosen, uv, inside, strict=True)
+            if good
+        ]
     if not rows:
         raise InputError("simulation: no target is inside any image; check the poses and the distance")
     image, target, u, v = zip(*rows, strict=True)
-    return Table({"image": np.array(image), "target": np.array(target), "u": np.array(u), "v": np.array(v)}, {"u": "px", "v": "px"})
+    return Table(
+        {"image": np.array(image), "target": np.array(target), "u": np.array(u), "v": np.array(v)},
+        {"u": "px", "v": "px"},
+    )
 
 
 def _projected(shown: Shown, image: int, chosen: Array) -> tuple[Array, Array]:
@@ -64,7 +75,10 @@ def _projected(shown: Shown, image: int, chosen: Array) -> tuple[Array, Array]:
     front = points[:, 2] > 0
     z = np.where(front, points[:, 2], 1.0)
     u, v = _distorted(shown, points[:, 0] / z, points[:, 1] / z)
-    size = max(shown.lens.get("f", 0.0), shown.lens.get("fx", 0.0)) * np.nan_to_num(shown.targets.radius[chosen]) / z + _MARGIN
+    size = (
+        max(shown.lens.get("f", 0.0), shown.lens.get("fx", 0.0)) * np.nan_to_num(shown.targets.radius[chosen]) / z
+        + _MARGIN
+    )
     w, h = shown.image_size
     return np.column_stack([u, v]), front & (u > size) & (u < w - 1 - size) & (v > size) & (v < h - 1 - size)
 
@@ -72,7 +86,9 @@ def _projected(shown: Shown, image: int, chosen: Array) -> tuple[Array, Array]:
 def _distorted(shown: Shown, x: Array, y: Array) -> tuple[Array, Array]:
     if shown.convention == "forward":
         return image_point(shown.lens, x, y)
-    u, v = image_point({name: value for name, value in shown.lens.items() if name[0] not in "kps" or name == "skew"}, x, y)
+    u, v = image_point(
+        {name: value for name, value in shown.lens.items() if name[0] not in "kps" or name == "skew"}, x, y
+    )
     for _ in range(50):
         back_x, back_y = ideal_point(shown.lens, u, v, "backward")
         fx, fy = shown.lens.get("f", shown.lens.get("fx", 1.0)), shown.lens.get("f", shown.lens.get("fy", 1.0))
@@ -80,7 +96,9 @@ def _distorted(shown: Shown, x: Array, y: Array) -> tuple[Array, Array]:
     return u, v
 
 
-def pictures(shown: Shown, pattern: Pattern, rng: np.random.Generator, only: Callable[[int], list[int]] | None = None) -> Iterator[tuple[str, Draw]]:
+def pictures(
+    shown: Shown, pattern: Pattern, rng: np.random.Generator, only: Callable[[int], list[int]] | None = None
+) -> Iterator[tuple[str, Draw]]:
     """Yield for each image its path and what renders it."""
     seeds = rng.integers(0, 2**63, len(shown.images))
     for i, image in enumerate(shown.images):
@@ -115,7 +133,9 @@ def _scene(shown: Shown, pattern: Pattern, image: int, chosen: list[int]) -> lis
 def _drawing(shown: Shown, pattern: Pattern, target: int) -> render.Drawing:
     radius = float(shown.targets.radius[target])
     if not np.isfinite(radius):
-        raise InputError("rendering needs the targets' size: give pattern: diameter, or a column radius_mm in the targets file")
+        raise InputError(
+            "rendering needs the targets' size: give pattern: diameter, or a column radius_mm in the targets file"
+        )
     name = shown.targets.names[target]
     if pattern.type == "dot":
         return render.Dot(radius)

@@ -45,7 +45,10 @@ TARGETS = Columns(
         Column("x", "length"),
         Column("y", "length"),
         Column("z", "length"),
-        *(Column(name, "length", required=False, may_be_empty=True) for name in ("sigma", "sigma_x", "sigma_y", "sigma_z", "radius")),
+        *(
+            Column(name, "length", required=False, may_be_empty=True)
+            for name in ("sigma", "sigma_x", "sigma_y", "sigma_z", "radius")
+        ),
     ),
     key=("target",),
     description="coordinates of targets",
@@ -114,12 +117,17 @@ def eccentricity_setting() -> str:
     return chosen
 
 
-def image_faults(observations: object, images: object, pattern: Pattern | None, targets: object) -> Iterable[tuple[str, str]]:
+def image_faults(
+    observations: object, images: object, pattern: Pattern | None, targets: object
+) -> Iterable[tuple[str, str]]:
     """Yield what is missing between observations, images, targets and pattern."""
     if (observations is None) == (images is None):
         yield "inputs", "give either observations (a CSV file) or images (with a pattern), not both and not neither"
     if images is not None and pattern is None:
-        yield "inputs.images", "images need a pattern: what they show, e.g. pattern: {type: chessboard, columns: 9, rows: 6, pitch: 25 mm}"
+        yield (
+            "inputs.images",
+            "images need a pattern: what they show, e.g. pattern: {type: chessboard, columns: 9, rows: 6, pitch: 25 mm}",
+        )
     if targets is None and (observations is not None or (pattern is not None and pattern.type not in GRIDS)):
         yield "inputs", "the key 'targets' is missing in 'inputs': the coordinates of the targets"
 
@@ -140,7 +148,9 @@ class ImageSettings(Protocol):
         """auto, correct or ignore."""
 
 
-def sightings(settings: ImageSettings, observations: Table | None, targets: Table | None, images: ImageSet | None, needs: Needs) -> Sighted:
+def sightings(
+    settings: ImageSettings, observations: Table | None, targets: Table | None, images: ImageSet | None, needs: Needs
+) -> Sighted:
     """Return the readings, from a table or found in images, joined to their targets."""
     warnings: tuple[str, ...] = ()
     pattern = settings.pattern
@@ -149,12 +159,22 @@ def sightings(settings: ImageSettings, observations: Table | None, targets: Tabl
     if observations is None:
         raise InputError("there are neither observations nor images")
     known = known_targets(pattern, targets, needs.unknown_sigma)
-    sighted = join(observations, known, START_NOISE if isinstance(settings.noise, str) else settings.noise, needs.fewest)
+    sighted = join(
+        observations, known, START_NOISE if isinstance(settings.noise, str) else settings.noise, needs.fewest
+    )
     if not sighted.images:
-        raise UndeterminedError(f"no image shows {needs.fewest} or more targets of the list, so nothing can be determined")
+        raise UndeterminedError(
+            f"no image shows {needs.fewest} or more targets of the list, so nothing can be determined"
+        )
     circular = pattern is not None and pattern.type not in ("chessboard", "charuco")
-    eccentric = settings.eccentricity == "correct" or (settings.eccentricity == "auto" and images is not None and circular)
-    return replace(sighted, warnings=warnings + sighted.warnings, eccentric=_radii_known(sighted, settings.eccentricity) and eccentric)
+    eccentric = settings.eccentricity == "correct" or (
+        settings.eccentricity == "auto" and images is not None and circular
+    )
+    return replace(
+        sighted,
+        warnings=warnings + sighted.warnings,
+        eccentric=_radii_known(sighted, settings.eccentricity) and eccentric,
+    )
 
 
 def known_targets(pattern: Pattern | None, targets: Table | None, unknown_sigma: float) -> Targets:
@@ -187,7 +207,9 @@ START_NOISE = 0.1
 def _radii_known(sighted: Sighted, wish: str) -> bool:
     known = bool(np.isfinite(sighted.observations.conditions["radius"]).all())
     if wish == "correct" and not known:
-        raise InputError("eccentricity: correct needs the radius of every target: a column radius_mm in the targets file, or the pattern's diameter")
+        raise InputError(
+            "eccentricity: correct needs the radius of every target: a column radius_mm in the targets file, or the pattern's diameter"
+        )
     return known
 
 
@@ -238,7 +260,10 @@ def join(table: Table, targets: Targets, sigma: float, fewest: int) -> Sighted:
         raise InputError([_strange(table, row, of_target[row]) for row in strange[:20]])
     of_image = np.asarray(table.columns["image"], dtype=str)
     images, view, counts = np.unique(of_image, return_inverse=True, return_counts=True)
-    warnings = [f"image {images[i]} has {counts[i]} targets, fewer than {fewest}: left out" for i in np.flatnonzero(counts < fewest)]
+    warnings = [
+        f"image {images[i]} has {counts[i]} targets, fewer than {fewest}: left out"
+        for i in np.flatnonzero(counts < fewest)
+    ]
     keep = counts[view] >= fewest
     renumbered = np.cumsum(counts >= fewest) - 1
     target = np.array([place[name] for name in of_target], dtype=np.intp)
@@ -250,8 +275,12 @@ def join(table: Table, targets: Targets, sigma: float, fewest: int) -> Sighted:
         readings=table.stacked(("u", "v")).T[:, keep],
         sigma=np.broadcast_to(spread, (2, len(spread)))[:, keep],
         index={"view": renumbered[view][keep].astype(np.intp), "target": target[keep]},
-        keys={"image": tuple(of_image[keep].tolist()), "target": tuple(name for name, k in zip(of_target, keep, strict=True) if k)},
-        conditions={name: table.numbers(name)[keep] for name in ("t", "temp") if name in table} | {"radius": targets.radius[target[keep]]},
+        keys={
+            "image": tuple(of_image[keep].tolist()),
+            "target": tuple(name for name, k in zip(of_target, keep, strict=True) if k),
+        },
+        conditions={name: table.numbers(name)[keep] for name in ("t", "temp") if name in table}
+        | {"radius": targets.radius[target[keep]]},
         components=("u", "v"),
         unit="px",
     )
@@ -260,7 +289,12 @@ def join(table: Table, targets: Targets, sigma: float, fewest: int) -> Sighted:
 
 def _strange(table: Table, row: int, name: str) -> Fault:
     line = table.lines[row] if table.lines else None
-    return Fault(f"target '{name}' is not in the list of targets", table.file, line, hint="add it to the targets file, or remove the row")
+    return Fault(
+        f"target '{name}' is not in the list of targets",
+        table.file,
+        line,
+        hint="add it to the targets file, or remove the row",
+    )
 
 
 def _listed(names: Sequence[str], most: int = 8) -> str:
@@ -280,7 +314,9 @@ class Adjusted:
     """Standard deviation of an image coordinate found from the residuals, where it was estimated [px]"""
 
 
-def adjust_images(blocks: Mapping[str, Block], group: Group, others: Sequence[Group], datum: Datum | None, options: Options) -> Adjusted:
+def adjust_images(
+    blocks: Mapping[str, Block], group: Group, others: Sequence[Group], datum: Datum | None, options: Options
+) -> Adjusted:
     """Adjust image points with a robust start; remove outliers and estimate the noise as the options ask."""
     state = robust_start(blocks.values(), [group, *others], group.name, datum)
     dropped: list[tuple[int, float]] = []
@@ -368,7 +404,12 @@ def residual_table(residuals: Residuals, group: Group) -> Table:
     }
     columns["component"] = np.tile(np.array(observations.components, dtype=str), n)
     columns["reading"] = observations.readings.T.ravel()
-    for name, values in (("residual", residuals.values), ("sigma", residuals.sigma), ("normalised", residuals.normalised), ("redundancy", residuals.redundancy)):
+    for name, values in (
+        ("residual", residuals.values),
+        ("sigma", residuals.sigma),
+        ("normalised", residuals.normalised),
+        ("redundancy", residuals.redundancy),
+    ):
         columns[name] = np.ascontiguousarray(values.T).ravel()
     return Table(columns, dict.fromkeys(("reading", "residual", "sigma"), observations.unit))
 
@@ -379,7 +420,11 @@ def rms_by(names: Sequence[str], index: Index, residuals: Array) -> dict[str, Ar
     counts = np.bincount(index, minlength=len(names))
     largest = np.zeros(len(names))
     np.maximum.at(largest, index, np.sqrt(square))
-    return {"readings": counts.astype(float), "rms": np.sqrt(np.bincount(index, square, len(names)) / np.maximum(counts, 1)), "largest": largest}
+    return {
+        "readings": counts.astype(float),
+        "rms": np.sqrt(np.bincount(index, square, len(names)) / np.maximum(counts, 1)),
+        "largest": largest,
+    }
 
 
 def suspect_images(names: Sequence[str], rms: Array, counts: Array) -> list[str]:
@@ -401,13 +446,16 @@ def suspect_readings(found: Suspects, group: Group) -> list[str]:
         return []
     order = np.argsort(-found.tests)
     keys = group.observations.keys
-    worst = [f"{keys['image'][i]}/{keys['target'][i]} (w = {t:.1f})" for i, t in zip(found.rows[order].astype(int), found.tests[order], strict=True)]
-    return [f"{len(worst)} readings exceed the outlier bound |w| = {found.critical:.2f}: {_listed(worst, 5)}; `outliers: remove` leaves such readings out"]
+    worst = [
+        f"{keys['image'][i]}/{keys['target'][i]} (w = {t:.1f})"
+        for i, t in zip(found.rows[order].astype(int), found.tests[order], strict=True)
+    ]
+    return [
+        f"{len(worst)} readings exceed the outlier bound |w| = {found.critical:.2f}: {_listed(worst, 5)}; `outliers: remove` leaves such readings out"
+    ]
 
 
 def must_converge(solution: Solution) -> None:
     """Raise NotConvergedError unless the adjustment ended well or is undetermined (which the task explains)."""
     if not solution.outcome.good and not solution.undetermined:
         raise NotConvergedError(f"{solution.outcome.value} ({solution.iterations} steps)")
-
-
