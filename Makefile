@@ -9,6 +9,7 @@ demo: .venv/installed
 	rm -rf demo
 	$(BIN)/metrocli init demo --sample spindle-camera
 	$(BIN)/metrocli run demo
+	$(BIN)/metrocli show demo/results/camera.h5
 	$(BIN)/metrocli show demo/results/part.h5
 
 test: lint
