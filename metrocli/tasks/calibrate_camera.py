@@ -148,9 +148,11 @@ def solved(settings: Settings, problem: Problem) -> Result:
     """Adjust a problem and report it."""
     options = Options(problem.images, settings.outliers == "remove", settings.noise == "estimated")
     adjusted = adjust_images(problem.blocks, problem.images, problem.others, problem.datum, options)
-    if adjusted.solution.undetermined or adjusted.solution.outcome is Outcome.TOO_FEW:
-        raise UndeterminedError(explained(problem, adjusted.solution))
-    must_converge(adjusted.solution)
+    solution = adjusted.solution
+    lost = not solution.outcome.good and _pole(problem, solution) is not None
+    if solution.undetermined or solution.outcome is Outcome.TOO_FEW or lost:
+        raise UndeterminedError(explained(problem, solution))
+    must_converge(solution)
     return report(problem, settings.camera, adjusted)
 
 
@@ -188,11 +190,10 @@ def _advice(problem: Problem, solution: Solution) -> list[str]:
             "  why: all targets lie in one plane",
             "  what would determine it: targets at several distances along the camera's axis",
         ]
-    lens = solution.blocks[camera.LENS]
-    fold = projection_range(dict(zip(lens.columns, lens.values[0].tolist(), strict=True)), problem.image_size)
-    if columns & set(RATIONAL) and fold is not None:
+    pole = _pole(problem, solution)
+    if pole is not None and (columns & set(RATIONAL) or not columns):
         return [
-            f"  why: the rational terms drive the model into a pole at {fold:.0f} px from the principal point, where they fit noise",
+            f"  why: the rational terms drive the model into a pole at {pole:.0f} px from the principal point, where they fit noise",
             "  what would determine it: fewer distortion parameters (metrocli calibrate-camera --compare shows which help)",
         ]
     if columns & {"cx", "cy"}:
@@ -202,6 +203,14 @@ def _advice(problem: Problem, solution: Solution) -> list[str]:
     return [
         "  what would determine it: more views from different directions and distances, or fewer parameters in camera.estimate"
     ]
+
+
+def _pole(problem: Problem, solution: Solution) -> float | None:
+    """Return the radius [px] where estimated rational terms fold the model over inside the image, else None."""
+    lens = solution.blocks[camera.LENS]
+    if problem.convention != "forward" or not lens.free[0, np.isin(lens.columns, RATIONAL)].any():
+        return None
+    return projection_range(dict(zip(lens.columns, lens.values[0].tolist(), strict=True)), problem.image_size)
 
 
 def _tilted(problem: Problem) -> bool:

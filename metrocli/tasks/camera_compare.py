@@ -31,6 +31,8 @@ LADDER: tuple[tuple[str, tuple[str, ...]], ...] = (
 )
 """Each model contains the one before it."""
 _ALL_FOLDS, _FOLDS = 20, 10
+_FOLD_STEPS = 100
+"""A fold starts at the solution of all images: one that needs more steps is not determined without its images"""
 _LOST = 2.0
 """An RMS [px] that no lens model for measurement leaves"""
 
@@ -94,13 +96,16 @@ def _held_out(problem: Problem) -> Array:
         inside = fold_of == fold
         train = problem.of_images(~inside)
         fitted = adjust(
-            train.blocks.values(), [train.images, *train.others], train.datum, Control(covariance=False)
+            train.blocks.values(),
+            [train.images, *train.others],
+            train.datum,
+            Control(limit=_FOLD_STEPS, covariance=False),
         ).blocks
         test = problem.of_images(inside)
         held = {**test.blocks, **{name: fitted[name].fixed() for name in (camera.LENS, camera.TARGET)}}
         if problem.rig == "cmm":
             held[camera.TAPER] = fitted[camera.TAPER].fixed()
-        posed = adjust(held.values(), [test.images], None, Control(covariance=False)).blocks
+        posed = adjust(held.values(), [test.images], None, Control(limit=_FOLD_STEPS, covariance=False)).blocks
         residual = test.images.residuals(posed)
         found.append([float((residual**2).sum()), test.images.observations.count])
     return np.array(found)
