@@ -6,7 +6,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.linalg
 
 from metrocli.adjust.blocks import Array, Block
 from metrocli.adjust.covariance import Covariance, shapes_of
@@ -93,7 +92,10 @@ _Found = tuple[dict[str, Block], list[Linear], float, bool]
 def _descend(
     problem: _Problem, state: Mapping[str, Block], normals: Normals, damping: float, small: float
 ) -> _Found | None:
-    """Take one step that does not raise the cost: new blocks, their linearisation, the damping left, whether it was the last."""
+    """Take one step that does not raise the cost; None where none is found.
+
+    Returns the new blocks, their linearisation, the damping left, and whether the step was the last.
+    """
     frame: Frame | None = None
     while damping <= _DAMPING_LIMIT:
         damped = normals.damped(damping) if damping else normals
@@ -136,14 +138,18 @@ def _held(matrix: Array, frame: Frame | None) -> Array:
     if frame is None:
         return matrix
     unit, _ = np.linalg.qr(frame.reduced)
-    return matrix + np.trace(matrix) / len(matrix) * (unit @ unit.T)
+    held: Array = matrix + np.trace(matrix) / len(matrix) * (unit @ unit.T)
+    return held
 
 
 def _cholesky_solve(matrix: Array, right: Array) -> Array:
+    from scipy.linalg import cho_factor, cho_solve
+
     scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    factor = scipy.linalg.cho_factor(matrix * scale[:, None] * scale, lower=True)
-    solved: Array = scipy.linalg.cho_solve(factor, (right.T * scale).T)
-    return (solved.T * scale).T
+    factor = cho_factor(matrix * scale[:, None] * scale, lower=True)
+    solved: Array = cho_solve(factor, (right.T * scale).T)
+    unscaled: Array = (solved.T * scale).T
+    return unscaled
 
 
 def _moved(
@@ -198,11 +204,10 @@ def _with_covariance(solution: Solution, problem: _Problem, normals: Normals) ->
 
 
 def _cofactor(blocks: Mapping[str, Block], layout: Layout, normals: Normals, reduced: Array) -> Covariance:
-    inverse = np.linalg.inv(normals.d) if layout.eliminated else normals.d
-    weights = normals.weights
+    inverse, weights = normals.d, normals.weights
     if layout.eliminated:
         free = blocks[layout.eliminated].free
-        inverse = inverse * free[:, :, None] * free[:, None, :]
+        inverse = np.asarray(np.linalg.inv(normals.d), dtype=float) * free[:, :, None] * free[:, None, :]
         weights = weights * free[:, :, None]
     return Covariance(layout, shapes_of(blocks), reduced, weights, inverse)
 

@@ -50,7 +50,7 @@ class Block:
     considered: Array | None = None
     """Covariance (members*size, members*size) of a block that is not solved for but whose uncertainty counts."""
     reach: Array = field(default_factory=lambda: np.array(np.inf))
-    """How far each unknown could plausibly be off, broadcast to (size,); an uncertainty beyond it means undetermined."""
+    """How far each unknown could plausibly be off, broadcast to (size,); undetermined if its uncertainty exceeds it."""
     space: Space = Space.FLAT
     noun: str = ""
     """What a member is called in messages: 'image', 'target'"""
@@ -69,7 +69,7 @@ class Block:
     @property
     def size(self) -> int:
         """Number of unknowns of one member."""
-        return self.values.shape[1]
+        return len(self.columns)
 
     def with_values(self, values: Array) -> Block:
         """Return the block at other values."""

@@ -141,7 +141,10 @@ class Chain:
         return steps
 
     def derivatives(self, steps: Sequence[Step], wanted: frozenset[str]) -> dict[str, Array]:
-        """Return the derivatives of the reading by the wanted blocks, (d, size, n) or (k, d, size, n), backwards along the chain."""
+        """Return the derivatives of the reading by the wanted blocks, backwards along the chain.
+
+        Each is (d, size, n), or (k, d, size, n) where a reading touches k members of the block.
+        """
         first = min(
             (i for i, link in enumerate(self.links) if wanted.intersection(link.blocks)), default=len(self.links)
         )

@@ -14,7 +14,7 @@ import numpy as np
 
 from metrocli.adjust.blocks import Array, Block
 from metrocli.adjust.layout import Layout
-from metrocli.adjust.observations import Index
+from metrocli.adjust.observations import Index, Mask
 
 
 @dataclass(frozen=True)
@@ -66,9 +66,9 @@ class Covariance:
         return self.factor * np.where(inside, self.reduced[columns[:, :, None], columns[:, None, :]], 0.0)
 
     def pairs(self, name: str, index: Index, other: str, other_index: Index) -> Array:
-        """Return the covariance of chosen pairs of members of two blocks, (size, size', n), n = 1 where both blocks have one member.
+        """Return the covariance of chosen pairs of members of two blocks, (size, size', n).
 
-        Of the eliminated block a member is paired with itself only.
+        n is 1 where both blocks have one member. Of the eliminated block a member is paired with itself only.
         """
         if other == self.layout.eliminated and name != other:
             return np.swapaxes(self.pairs(other, other_index, name, index), 0, 1)
@@ -84,14 +84,15 @@ class Covariance:
             return self.factor * np.moveaxis(picked * within[:, None, :], 0, -1)
         columns, inside = self._places(name, index)
         picked = self.reduced[columns[:, :, None], others[:, None, :]] * (inside[:, :, None] & within[:, None, :])
-        return self.factor * np.moveaxis(picked, 0, -1)
+        covariance: Array = self.factor * np.moveaxis(picked, 0, -1)
+        return covariance
 
     @cached_property
     def _cross(self) -> Array:
         product: Array = self.weights @ self.reduced
         return product
 
-    def _places(self, name: str, index: Index) -> tuple[Index, Array]:
+    def _places(self, name: str, index: Index) -> tuple[Index, Mask]:
         columns = self.layout.columns.get(name)
         if columns is None:
             shape = (len(index), self.shapes[name][1])

@@ -1,4 +1,4 @@
-"""Layout of the normal equations: which block is eliminated member by member, and where the others stand in the reduced system."""
+"""Layout of the normal equations: the block eliminated member by member, and the places of the others."""
 
 from __future__ import annotations
 
@@ -30,7 +30,10 @@ class Layout:
 
 
 def arrange(blocks: Mapping[str, Block], groups: Sequence[Group], keep: Sequence[str] = ()) -> Layout:
-    """Choose the block to eliminate (most unknowns, no reading touching two of its members, not in `keep`) and place the rest."""
+    """Choose the block to eliminate and place the rest.
+
+    It is the one of most unknowns of which no reading touches two members, and that is not in `keep`.
+    """
     candidates = [
         b
         for b in blocks.values()

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import scipy.sparse
 
 from metrocli.adjust.blocks import Array, Block
 from metrocli.adjust.groups import Group, Linear, Touch
@@ -38,7 +37,9 @@ class Normals:
     @cached_property
     def weights(self) -> Array:
         """`W = D^-1 B`: what the eliminated unknowns lose for each unit of the others, (members, s, width)."""
-        return np.linalg.solve(self.d, self.b) if self.d.size else self.b
+        if not self.d.size:
+            return self.b
+        return np.asarray(np.linalg.solve(self.d, self.b), dtype=float)
 
     def reduced(self) -> tuple[Array, Array]:
         """Return `S = N - B' W` and its right side."""
@@ -101,7 +102,9 @@ class _Parts:
 
     @staticmethod
     def of(linear: Linear, blocks: Mapping[str, Block], layout: Layout) -> _Parts:
-        index_e, size_e, dense, places, several = None, 0, [], [], []
+        index_e, size_e, several = None, 0, []
+        dense: list[Array] = []
+        places: list[Index] = []
         for touch in linear.touches:
             if touch.block == layout.eliminated:
                 free = blocks[touch.block].free
@@ -137,7 +140,10 @@ def _add(normals: Normals, parts: _Parts) -> None:
 
 
 def grams(rows: Array, index: Index, members: int) -> Array:
-    """Return `sum of A'A` over the readings of each member: rows (n, d, c) -> (members, c, c), by padded blocks of like length."""
+    """Return `sum of A'A` over the readings of each member, rows (n, d, c) -> (members, c, c).
+
+    Members of like many readings are padded to one length and multiplied together.
+    """
     n, d, c = rows.shape
     counts = np.bincount(index, minlength=members)
     order = np.argsort(index, kind="stable")
@@ -159,6 +165,8 @@ def grams(rows: Array, index: Index, members: int) -> Array:
 
 
 def _add_several(normals: Normals, parts: _Parts, rows: Array) -> None:
+    from scipy.sparse import csr_matrix
+
     n, d, _ = rows.shape
     s, width = parts.size_e, len(normals.n)
     values, columns = [], []
@@ -168,7 +176,7 @@ def _add_several(normals: Normals, parts: _Parts, rows: Array) -> None:
         columns.append(np.broadcast_to(np.maximum(place, 0)[:, None, :], values[-1].shape))
     value, column = np.concatenate(values, axis=2), np.concatenate(columns, axis=2)
     pointers = np.arange(0, value.size + 1, value.shape[2])
-    matrix = scipy.sparse.csr_matrix((value.ravel(), column.ravel(), pointers), shape=(n * d, width))
+    matrix = csr_matrix((value.ravel(), column.ravel(), pointers), shape=(n * d, width))
     normals.n += (matrix.T @ matrix).toarray()
     flat = rows.reshape(n * d, -1)
     cross = matrix.T @ flat[:, s:]

@@ -1,4 +1,4 @@
-"""Observations: readings, their covariance, the members that each reading touches, and the conditions of the measurement."""
+"""Observations: readings, their covariance, the members that each touches, and the conditions of the measurement."""
 
 from __future__ import annotations
 
@@ -32,6 +32,8 @@ class Observations:
     components: tuple[str, ...] = ("",)
     """Name of each of the d components: u, v."""
     unit: str = ""
+    _whitening: Array | None = field(default=None, init=False, repr=False)
+    """Inverse Cholesky factor of `covariance`, (n, d, d)"""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "sigma", np.broadcast_to(np.asarray(self.sigma, dtype=float), self.readings.shape))
@@ -47,11 +49,12 @@ class Observations:
 
     def whitened(self, values: Array) -> Array:
         """Return values (d, ..., n) in units of their standard deviation: unit covariance for readings."""
-        whitening: Array | None = getattr(self, "_whitening")  # noqa: B009
-        if whitening is not None:
-            return np.einsum("nab,b...n->a...n", whitening, values)
+        if self._whitening is not None:
+            decorrelated: Array = np.einsum("nab,b...n->a...n", self._whitening, values)
+            return decorrelated
         between = (1,) * (values.ndim - 2)
-        return values / self.sigma.reshape(self.sigma.shape[0], *between, self.sigma.shape[1])
+        scaled: Array = values / self.sigma.reshape(self.sigma.shape[0], *between, self.sigma.shape[1])
+        return scaled
 
     def selected(self, keep: Mask | Index) -> Observations:
         """Return the readings chosen by a mask or by indices (n,)."""

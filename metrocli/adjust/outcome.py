@@ -27,7 +27,7 @@ class Combination:
     """A direction of the unknowns that the readings leave open, or that is uncertain beyond all plausible values."""
 
     parts: tuple[tuple[str, str, str, float], ...]
-    """(block, column, members, share): what moves together; members is '' for all of them; share is relative to the largest"""
+    """What moves together: (block, column, members, share); members is '' for all, share is relative to the largest"""
     spread: float
     """Standard uncertainty along it in units of the unknowns' plausible reach; inf where it is open"""
 

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.special
 
 from metrocli.adjust.adjustment import Control, adjust
 from metrocli.adjust.blocks import Array, Block
 from metrocli.adjust.datum import Datum
 from metrocli.adjust.groups import Group
-from metrocli.adjust.observations import Mask
+from metrocli.adjust.observations import Index, Mask
 from metrocli.adjust.solution import Solution, residuals_of
 
 _MAD = 1.4826
@@ -46,15 +45,16 @@ def robust_start(
     return dict(state)
 
 
-def gross(group: Group, blocks: dict[str, Block]) -> Mask:
+def gross(group: Group, blocks: Mapping[str, Block]) -> Mask:
     """Return (n,) True for readings beyond 8 robust standard deviations."""
     distance = _distances(group, blocks)
     return distance > _GROSS * _scale(distance)
 
 
-def _distances(group: Group, blocks: dict[str, Block] | object) -> Array:
-    residual = group.observations.whitened(group.residuals(blocks))  # type: ignore[arg-type]
-    return np.nan_to_num(np.sqrt((residual**2).sum(axis=0)), nan=1e12, posinf=1e12)
+def _distances(group: Group, blocks: Mapping[str, Block]) -> Array:
+    residual = group.observations.whitened(group.residuals(blocks))
+    distances: Array = np.nan_to_num(np.sqrt((residual**2).sum(axis=0)), nan=1e12, posinf=1e12)
+    return distances
 
 
 def _scale(distance: Array) -> float:
@@ -64,14 +64,16 @@ def _scale(distance: Array) -> float:
 
 def critical_value(tests: int, level: float = 0.05) -> float:
     """Return the bound that the largest of `tests` normal |w| exceeds with probability `level` (Bonferroni)."""
-    return float(-scipy.special.ndtri(level / (2 * max(tests, 1))))
+    from scipy.special import ndtri
+
+    return float(-ndtri(level / (2 * max(tests, 1))))
 
 
 @dataclass(frozen=True)
 class Suspects:
     """Readings of a group whose residuals are too large for chance."""
 
-    rows: Array
+    rows: Index
     """Indices (k,) into the group"""
     tests: Array
     """Baarda's w of each, the larger of its components, in units of the noise found (k,)"""
@@ -79,7 +81,10 @@ class Suspects:
 
 
 def suspects(solution: Solution, group: Group, unit: float = 1.0) -> Suspects:
-    """Return the readings whose largest |w| exceeds the critical value for their number at 5 % in all; `unit` divides w."""
+    """Return the readings whose largest |w| exceeds the critical value for their number, at 5 % in all.
+
+    `unit` divides w: the standard deviation of unit weight that is taken for right.
+    """
     found = residuals_of(solution, group)
     w = np.abs(found.normalised).max(axis=0) / unit
     bound = critical_value(group.observations.readings.size)

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.special
 
 from metrocli.adjust.blocks import Array, Block
 from metrocli.adjust.covariance import Covariance
@@ -45,13 +44,15 @@ class Solution:
 
     @property
     def sigma0(self) -> float:
-        """A posteriori standard deviation of unit weight, 1 where the declared noise is right; nan without redundancy."""
+        """Standard deviation of unit weight from the residuals, 1 if the noise is right; nan without redundancy."""
         return float(np.sqrt(self.cost / self.dof)) if self.dof > 0 else float("nan")
 
     @property
     def p_value(self) -> float:
         """Probability of a sum of squares at least as large if model and noise are right (global test)."""
-        return float(scipy.special.chdtrc(self.dof, self.cost)) if self.dof > 0 else float("nan")
+        from scipy.special import chdtrc
+
+        return float(chdtrc(self.dof, self.cost)) if self.dof > 0 else float("nan")
 
     def known(self) -> Covariance:
         """Return the covariance; RuntimeError where the outcome gave none (ask `outcome` first)."""
@@ -65,7 +66,8 @@ class Solution:
 
     def std(self, block: str) -> Array:
         """Return the standard uncertainties of a block, (members, size)."""
-        return np.sqrt(np.maximum(np.einsum("mii->mi", self.known().members(block)), 0.0))
+        std: Array = np.sqrt(np.maximum(np.einsum("mii->mi", self.known().members(block)), 0.0))
+        return std
 
 
 @dataclass(frozen=True)

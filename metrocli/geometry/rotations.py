@@ -36,7 +36,8 @@ def vector_from_rotation(rotation: Array) -> Array:
     sine = np.linalg.norm(axis, axis=-1)
     angle = 2 * np.arctan2(sine, quaternion[..., 0])
     ratio = np.where(sine > _SMALL, angle / np.where(sine > _SMALL, sine, 1.0), 2.0 + sine**2 / 3)
-    return axis * ratio[..., None]
+    vector: Array = axis * ratio[..., None]
+    return vector
 
 
 def rotation_from_euler(alpha: Array | float, beta: Array | float, gamma: Array | float) -> Array:
@@ -56,18 +57,17 @@ def rotation_from_euler(alpha: Array | float, beta: Array | float, gamma: Array 
 def euler_from_rotation(rotation: Array) -> Array:
     """Return (alpha, beta, gamma) in rad with `R = Rz(gamma) Ry(beta) Rx(alpha)`, (..., 3, 3) -> (..., 3).
 
-    At beta = +-90 degrees alpha and gamma act alike; gamma is then set to 0.
+    At beta = +-90 degrees alpha and gamma act alike; gamma is then set to 0. alpha is that of `Rz(gamma)' R`, so that
+    what rounding takes from gamma near there goes into alpha.
     """
     rotation = np.asarray(rotation, dtype=float)
     cosine = np.hypot(rotation[..., 0, 0], rotation[..., 1, 0])
-    regular = cosine > 1e-12
     beta = np.arctan2(-rotation[..., 2, 0], cosine)
-    alpha = np.where(
-        regular,
-        np.arctan2(rotation[..., 2, 1], rotation[..., 2, 2]),
-        np.arctan2(-rotation[..., 1, 2], rotation[..., 1, 1]),
+    gamma = np.where(cosine > 1e-15, np.arctan2(rotation[..., 1, 0], rotation[..., 0, 0]), 0.0)
+    c, s = np.cos(gamma), np.sin(gamma)
+    alpha = np.arctan2(
+        s * rotation[..., 0, 2] - c * rotation[..., 1, 2], c * rotation[..., 1, 1] - s * rotation[..., 0, 1]
     )
-    gamma = np.where(regular, np.arctan2(rotation[..., 1, 0], rotation[..., 0, 0]), 0.0)
     return np.stack([alpha, beta, gamma], -1)
 
 
@@ -96,7 +96,8 @@ def vector_by_left_turn(vector: Array) -> Array:
     safe = np.where(large, angle, 1.0)
     factor = np.where(large, 1 / safe**2 - (1 + np.cos(safe)) / (2 * safe * np.sin(safe)), 1 / 12 + angle**2 / 720)
     cross = cross_matrix(vector)
-    return np.eye(3) - cross / 2 + factor * (cross @ cross)
+    jacobian: Array = np.eye(3) - cross / 2 + factor * (cross @ cross)
+    return jacobian
 
 
 def nearest_rotation(matrix: Array) -> Array:
@@ -104,7 +105,8 @@ def nearest_rotation(matrix: Array) -> Array:
     left, _, right = np.linalg.svd(matrix)
     sign = np.ones((*left.shape[:-2], 3))
     sign[..., 2] = np.sign(np.linalg.det(left @ right))
-    return (left * sign[..., None, :]) @ right
+    nearest: Array = (left * sign[..., None, :]) @ right
+    return nearest
 
 
 def _quaternion(rotation: Array) -> Array:
@@ -133,8 +135,9 @@ def _quaternion(rotation: Array) -> Array:
     )
     best = np.argmax(diagonal, axis=-1)[..., None, None]
     quaternion = np.take_along_axis(forms, best, axis=-2)[..., 0, :]
-    quaternion = quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True)
-    return quaternion * np.where(quaternion[..., :1] < 0, -1.0, 1.0)
+    length = np.linalg.norm(quaternion, axis=-1, keepdims=True)
+    unit: Array = quaternion / np.where(quaternion[..., :1] < 0, -length, length)
+    return unit
 
 
 def _sine_ratio(angle: Array) -> Array:

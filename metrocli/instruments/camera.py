@@ -16,7 +16,7 @@ from metrocli.instruments.frames import Into, OutOf, PointOf
 from metrocli.instruments.lens import PIXELS, Lens, LensBackward
 
 LENS, VIEW, TARGET, TAPER = "lens", "view", "target", "camera"
-"""Names of the blocks: lens parameters, a pose for each image, target coordinates, the camera in the reference frame."""
+"""Blocks: lens parameters, a pose for each image, target coordinates, the camera in the reference frame."""
 
 _TURN = 0.5
 """Plausible reach of a rotation [rad] and of a focal length or a distance as a share of itself."""
@@ -98,7 +98,7 @@ FREEDOMS = (
 
 
 def network_datum(targets: Block, takes_part: Array) -> Datum:
-    """Return the inner constraints of a network: the targets that define the frame keep their mean place, turn and size."""
+    """Return the inner constraints of a network: targets that define the frame keep their mean place, turn and size."""
     return Datum(TARGET, targets.values, takes_part, _movements, FREEDOMS)
 
 

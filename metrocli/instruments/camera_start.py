@@ -89,7 +89,10 @@ def _linear_maps(scene: Scene, points: Array, rays: Array) -> Array:
 
 
 def _focal_of_homographies(maps: Array) -> float:
-    """Return the focal length, in units of the guess, from `h1' w h2 = 0`, `h1' w h1 = h2' w h2`, w = diag(1/f2, 1/f2, 1)."""
+    """Return the focal length, in units of the guess, that the homographies agree on.
+
+    `h1' w h2 = 0` and `h1' w h1 = h2' w h2` with `w = diag(1/f2, 1/f2, 1)` are linear in 1/f2 (Zhang 2000).
+    """
     h1, h2 = maps[:, :, 0], maps[:, :, 1]
     a = np.concatenate([h1[:, 0] * h2[:, 0] + h1[:, 1] * h2[:, 1], (h1[:, :2] ** 2).sum(1) - (h2[:, :2] ** 2).sum(1)])
     b = np.concatenate([h1[:, 2] * h2[:, 2], h1[:, 2] ** 2 - h2[:, 2] ** 2])
@@ -135,7 +138,7 @@ _ASTRAY = 3.0
 
 
 def _resected(scene: Scene, local: Array, rays: Array, start_poses: Array) -> Array:
-    """Return poses refined in object space; views that end behind the camera or astray start again from 24 rotations."""
+    """Return poses refined in object space; views that end behind the camera or astray start anew in 24 rotations."""
     best = _orthogonal_iteration(scene, local, rays, start_poses)
     misfit = _misfit(scene, local, rays, best)
     astray = np.flatnonzero(misfit > _ASTRAY * np.median(misfit))

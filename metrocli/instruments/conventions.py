@@ -64,10 +64,10 @@ def converted(values: Mapping[str, float], convention: str, image_size: Sequence
 
 @dataclass(frozen=True)
 class Photogrammetric:
-    """A lens in mm, image y up: principal distance c, principal point x0 y0, balanced radial A, tangential B, affinity C.
+    """A lens in mm, image y up: principal distance c and point x0 y0, balanced radial A, tangential B, affinity C.
 
-    `x = x0 + xi (1 + A1 (r2 - R0^2) + A2 (r4 - R0^4) + A3 (r6 - R0^6)) + B1 (r2 + 2 xi^2) + 2 B2 xi yi + C1 xi + C2 yi`,
-    y likewise without C, xi = -c X/Z in mm (Brown 1971 as used in close-range photogrammetry).
+    `x = x0 + xi (1 + A1 (r2 - R0^2) + A2 (r4 - R0^4) + A3 (r6 - R0^6)) + B1 (r2 + 2 xi^2) + 2 B2 xi yi + C1 xi
+    + C2 yi`, y likewise without C, xi = -c X/Z in mm (Brown 1971 as used in close-range photogrammetry).
     """
 
     names: tuple[str, ...]
@@ -118,9 +118,9 @@ def _photo(values: Mapping[str, float], pixel: float, image_size: Sequence[int],
 
 
 def projection_range(values: Mapping[str, float], image_size: Sequence[int]) -> float | None:
-    """Return the image radius [px] at which a forward lens stops growing with the field angle; None if beyond the image.
+    """Return the image radius [px] at which a forward lens stops growing with the field angle.
 
-    Behind it the model folds over (or has a pole) and must not be used.
+    None where that is beyond the image. Behind it the model folds over (or has a pole) and must not be used.
     """
     fx, fy = focal(values)
     corners = np.array(

@@ -69,7 +69,10 @@ class Into:
         return (self.block,)
 
     def step(self, value: Array, local: Local) -> Step:
-        """Return `R' (X' - d)` (3, n), with derivatives R' by the point, and -R' (I, -[X' - d]x) by a step of the pose."""
+        """Return `R' (X' - d)` (3, n), with its derivatives.
+
+        They are R' by the point and `-R' (I, -[X' - d]x)` by a step of the pose.
+        """
         members = local.members(self.block)
         back = local.spread(np.swapaxes(poses.rotation_of(members), 1, 2), self.block)
         from_origin = value - local.spread(members[:, :3], self.block)

@@ -34,9 +34,10 @@ class Distorted:
 
 
 def distort(x: Array, y: Array, k: Mapping[str, float], wanted: tuple[str, ...] = ()) -> Distorted:
-    """Return `x' = x R + 2 p1 x y + p2 (r2 + 2 x2) + s1 r2 + s2 r4` and likewise y', R = (1 + k1 r2 + ..)/(1 + k4 r2 + ..).
+    """Return `x' = x R + 2 p1 x y + p2 (r2 + 2 x2) + s1 r2 + s2 r4` and likewise y'.
 
-    The order and meaning are OpenCV's (contract section 1); derivatives by x, y and by the wanted parameters come with it.
+    `R = (1 + k1 r2 + k2 r4 + k3 r6) / (1 + k4 r2 + k5 r4 + k6 r6)`; names and meaning are OpenCV's. Derivatives by x, y
+    and by the wanted parameters come with it.
     """
     g = {name: k.get(name, 0.0) for name in DISTORTION}
     xx, yy, xy = x * x, y * y, x * y
@@ -82,14 +83,15 @@ def _terms(
         terms["p1"] = (2 * x * y, r2 + 2 * y * y)
     if "p2" in wanted:
         terms["p2"] = (r2 + 2 * x * x, 2 * x * y)
-    for name, term in zip(PRISM, ((r2, 0.0), (r2 * r2, 0.0), (0.0, r2), (0.0, r2 * r2)), strict=True):
+    prism: tuple[tuple[Array | float, Array | float], ...] = ((r2, 0.0), (r2 * r2, 0.0), (0.0, r2), (0.0, r2 * r2))
+    for name, term in zip(PRISM, prism, strict=True):
         if name in wanted:
             terms[name] = term
     return terms
 
 
 def undistort(x: Array, y: Array, k: Mapping[str, float], steps: int = 30) -> tuple[Array, Array]:
-    """Return the point whose distorted image is (x, y), by Newton's method; nan where the model has no inverse there."""
+    """Return the point whose distorted image is (x, y), by Newton's method; nan where the model has no inverse."""
     px, py = x / _plain(distort(x, y, k).x, x), y / _plain(distort(x, y, k).y, y)
     for _ in range(steps):
         d = distort(px, py, k)
@@ -151,7 +153,7 @@ def ideal_point(values: Mapping[str, float], u: Array, v: Array, convention: str
 
 @dataclass(frozen=True)
 class Lens:
-    """Image of a point in the camera, distortion taken at the ideal point (contract section 1; OpenCV)."""
+    """Image of a point in the camera, distortion taken at the ideal point (OpenCV)."""
 
     block: str = "lens"
     takes = Quantity.POINT_IN_CAMERA
@@ -163,7 +165,10 @@ class Lens:
         return (self.block,)
 
     def step(self, value: Array, local: Local) -> Step:
-        """Return (u, v) [px] (2, n), with derivatives by the point (2, 3, n) and the parameters (2, size, n); nan behind the camera."""
+        """Return (u, v) [px] (2, n), with derivatives by the point (2, 3, n) and the parameters (2, size, n).
+
+        Behind the camera it is nan.
+        """
         block = local.blocks[self.block]
         k = dict(zip(block.columns, block.values[0], strict=True))
         wanted = tuple(
@@ -219,7 +224,10 @@ class LensBackward:
         return (self.block,)
 
     def step(self, value: Array, local: Local) -> Step:
-        """Return (u, v) [px] (2, n), with derivatives by the point (2, 3, n) and the parameters (2, size, n); nan behind the camera."""
+        """Return (u, v) [px] (2, n), with derivatives by the point (2, 3, n) and the parameters (2, size, n).
+
+        Behind the camera it is nan.
+        """
         block = local.blocks[self.block]
         k = dict(zip(block.columns, block.values[0], strict=True))
         wanted = tuple(

@@ -1,4 +1,4 @@
-"""A camera held in a machine's spindle: from a point of the part to an image point (Mendikute et al. eq. 1-5, 21-27)."""
+"""A camera in a machine's spindle: from a point of the part to an image point (Mendikute et al. eq. 1-5, 21-27)."""
 
 from __future__ import annotations
 
@@ -92,7 +92,10 @@ class Rays:
 
 
 def rays(spindle: Array, camera: Array, angle: float, ideal: Array, points: Array) -> Rays:
-    """Return the lines of sight for a clamping angle: spindle poses (n, 6), camera in taper (6,), ideal image points (2, n)."""
+    """Return the lines of sight for a clamping angle.
+
+    Spindle poses are (n, 6), the camera in the taper is (6,), ideal image points are (2, n).
+    """
     held = camera_in_machine(spindle, angle, camera)
     along = np.stack([*ideal, np.ones(ideal.shape[1])], axis=1)
     direction = (poses.rotation_of(held) @ along[:, :, None])[:, :, 0]
@@ -100,7 +103,7 @@ def rays(spindle: Array, camera: Array, angle: float, ideal: Array, points: Arra
 
 
 def camera_in_machine(spindle: Array, angle: float, camera: Array) -> Array:
-    """Return the poses (n, 6) of the camera in the machine, `R_CNC R_S R_cal` and `R_CNC R_S d_cal + d_CNC` (eq. 21)."""
+    """Return the poses (n, 6) of the camera in the machine, `R_CNC R_S R_cal`, `R_CNC R_S d_cal + d_CNC` (eq. 21)."""
     turn = poses.pose(np.swapaxes(_coupling_rotation(np.array([angle])), 0, 2)[0], np.zeros(3))
     held: Array = poses.compose(spindle, np.broadcast_to(poses.compose(turn, camera), spindle.shape))
     return held
@@ -115,7 +118,7 @@ def part_in_camera(part: Array, spindle: Array, angle: float, camera: Array) -> 
 
 
 def start_pose(lines: Rays, turns: int = 40) -> tuple[Array, float]:
-    """Return the pose of the part that brings its points nearest to their rays, and the root mean square angle left [rad].
+    """Return the pose of the part that brings its points nearest to their rays, and the RMS angle left [rad].
 
     First linear in the twelve entries of R and d (`(I - v v') (R X + d - c) = 0`), then shift and rotation in turn in
     object space (Lu, Hager and Mjolsness 2000, for several centres); tried from the linear start and from turns of 90
