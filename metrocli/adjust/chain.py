@@ -128,7 +128,8 @@ class Chain:
 
     def predict(self, blocks: Mapping[str, Block], observations: Observations) -> Array:
         """Return the predicted readings (d, n)."""
-        return self.steps(blocks, observations, frozenset())[-1].value
+        value = self.steps(blocks, observations, frozenset())[-1].value
+        return np.array(np.broadcast_to(value, (len(value), observations.count)))
 
     def steps(self, blocks: Mapping[str, Block], observations: Observations, wanted: frozenset[str]) -> list[Step]:
         """Run the chain forwards and return the step of every link."""

@@ -1,0 +1,302 @@
+"""Every link of a chain: its derivatives are those of its values, and chains join only where frames meet."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from metrocli.adjust import groups, quantities
+from metrocli.adjust.blocks import Array, Block, Space
+from metrocli.adjust.chain import Chain, Link, Local
+from metrocli.adjust.groups import Group, ReadBlock, ReadBlocks
+from metrocli.adjust.observations import Observations
+from metrocli.adjust.quantities import Quantity
+from metrocli.geometry import poses
+from metrocli.instruments import frames, lens, spindle_camera
+from metrocli.instruments.frames import DistanceBetween, Into, OutOf, PointOf
+from metrocli.instruments.lens import PARAMETERS, Lens, LensBackward
+from metrocli.instruments.spindle_camera import Coupling
+
+N = 9
+ON_TARGETS, IN_CAMERA = Quantity.POINT_ON_TARGETS, Quantity.POINT_IN_CAMERA
+RNG = np.random.default_rng(20)
+POSES = RNG.normal(size=(4, 6)) * [100, 100, 100, 0.8, 0.8, 0.8]
+POINTS = RNG.normal(size=(5, 3)) * 200
+COEFFICIENTS = {"k1": -0.2, "k2": 0.11, "k3": -0.03, "p1": 2e-3, "p2": -1e-3}
+RATIONAL = {"k4": 0.05, "k5": -0.04, "k6": 0.02}
+PRISM = {"s1": 3e-3, "s2": -2e-3, "s3": 1e-3, "s4": 4e-3}
+CENTRE = {"cx": 1200.0, "cy": 890.0}
+ONE_F, TWO_F = {"f": 2500.0}, {"fx": 2510.0, "fy": 2490.0}
+ALL = {**ONE_F, "aspect": 0.02, **CENTRE, "skew": 0.01, **COEFFICIENTS, **RATIONAL, **PRISM}
+
+
+def pose_block(name: str, members: int) -> Block:
+    return Block(name, POSES[:members], poses.COLUMNS, tuple("abcd"[:members]), space=Space.POSE)
+
+
+def point_block(members: int) -> Block:
+    return Block("points", POINTS[:members], ("x", "y", "z"), tuple("abcde"[:members]))
+
+
+def lens_block(**values: float) -> Block:
+    return Block("lens", np.array([list(values.values())]), tuple(values))
+
+
+@dataclass(frozen=True)
+class Case:
+    """A link at some values."""
+
+    link: Link
+    blocks: tuple[Block, ...]
+    touched: int = 1
+
+    def local(self, blocks: tuple[Block, ...]) -> Local:
+        rng = np.random.default_rng(5)
+        shape = (self.touched, N) if self.touched > 1 else (N,)
+        index = {block.name: rng.integers(len(block.members), size=shape) for block in blocks}
+        if self.touched > 1:
+            index = {name: np.stack([np.arange(N) % 5, (np.arange(N) + 2) % 5]) for name in index}
+        readings = np.stack([rng.uniform(0, 2400, N), rng.uniform(0, 1800, N)])
+        return Local({block.name: block for block in blocks}, Observations(readings, np.ones(1), index), self.wanted)
+
+    @property
+    def wanted(self) -> frozenset[str]:
+        return frozenset(self.link.blocks)
+
+    def value(self) -> Array:
+        rng = np.random.default_rng(6)
+        if self.link.takes is None:
+            return np.zeros((0, N))
+        point = rng.normal(size=(3, N)) * 150
+        return point + np.array([0, 0, 700.0])[:, None]
+
+
+def away(block: Block, seed: int = 3) -> Array:
+    """Reference values near those of a block."""
+    return block.moved(np.random.default_rng(seed).normal(size=block.values.shape) * 0.1).values
+
+
+def reading(block: Block, columns: tuple[int, ...]) -> ReadBlock:
+    return ReadBlock(block.name, away(block), columns, block.space)
+
+
+CASES: dict[str, Case] = {
+    "PointOf": Case(PointOf("points", ON_TARGETS, (1.0, -2.0, 3.0)), (point_block(5),)),
+    "PointOf, one": Case(PointOf("points", ON_TARGETS), (point_block(1),)),
+    "OutOf": Case(OutOf("pose", ON_TARGETS, IN_CAMERA), (pose_block("pose", 4),)),
+    "OutOf, one": Case(OutOf("pose", ON_TARGETS, IN_CAMERA), (pose_block("pose", 1),)),
+    "Into": Case(Into("pose", ON_TARGETS, IN_CAMERA), (pose_block("pose", 4),)),
+    "Into, one": Case(Into("pose", ON_TARGETS, IN_CAMERA), (pose_block("pose", 1),)),
+    "DistanceBetween": Case(DistanceBetween("points"), (point_block(5),), touched=2),
+    "Coupling": Case(Coupling("coupling"), (Block("coupling", np.array([[0.4]]), ("gamma_s",)),)),
+    "Coupling, several": Case(Coupling("coupling"), (Block("coupling", np.array([[0.4], [-0.2]]), ("gamma_s",), ("a", "b")),)),
+    "ReadBlock": Case(reading(point_block(5), (0, 2)), (point_block(5),)),
+    "ReadBlock, poses": Case(reading(pose_block("pose", 4), (1, 3, 4, 5)), (pose_block("pose", 4),)),
+    "ReadBlocks": Case(
+        ReadBlocks((reading(pose_block("pose", 1), (0, 1, 2, 3, 4, 5)), reading(lens_block(**ALL), (0, 2)))),
+        (pose_block("pose", 1), lens_block(**ALL)),
+    ),
+    **{
+        f"{kind.__name__}, {name}": Case(kind(), (lens_block(**values),))
+        for kind in (Lens, LensBackward)
+        for name, values in {
+            "pinhole": {**ONE_F, **CENTRE},
+            "usual": {**ONE_F, **CENTRE, **COEFFICIENTS},
+            "fx fy": {**TWO_F, **CENTRE, **COEFFICIENTS},
+            "fx fy skew": {**TWO_F, "skew": -0.02, **CENTRE, **COEFFICIENTS},
+            "aspect": {**ONE_F, "aspect": 0.03, **CENTRE, **COEFFICIENTS},
+            "rational": {**ONE_F, **CENTRE, **COEFFICIENTS, **RATIONAL},
+            "prism": {**ONE_F, **CENTRE, **PRISM},
+            "all": ALL,
+            "all, distortion 0": {**ALL, **dict.fromkeys([*COEFFICIENTS, *RATIONAL, *PRISM], 0.0)},
+        }.items()
+    },
+}
+
+
+def differences(function: Callable[[float], Array], step: float) -> Array:
+    """Derivative at 0 by four values."""
+    near, far = (function(h) - function(-h) for h in (step, 2 * step))
+    derivative: Array = (8 * near - far) / (12 * step)
+    return derivative
+
+
+def spread(values: Array) -> Array:
+    return np.broadcast_to(values, (*values.shape[:-1], N))
+
+
+def close(found: Array, expected: Array, scale: float) -> bool:
+    return bool(np.abs(found - expected).max() <= 1e-9 * max(scale, float(np.abs(expected).max()), 1e-300))
+
+
+def test_the_table_has_every_link() -> None:
+    modules = (frames, lens, spindle_camera, groups)
+    classes = {c.__name__ for module in modules for c in vars(module).values() if isinstance(c, type) and hasattr(c, "step") and hasattr(c, "gives") and c is not Link}
+    assert classes | {"Coupling"} <= {type(case.link).__name__ for case in CASES.values()} | {"PointOf"}
+    assert {name for case in CASES.values() for block in case.blocks if block.name == "lens" for name in block.columns} == set(PARAMETERS)
+
+
+@pytest.mark.parametrize("case", CASES.values(), ids=CASES.keys())
+def test_derivative_by_the_input(case: Case) -> None:
+    value, local = case.value(), case.local(case.blocks)
+    step = case.link.step(value, local)
+    if case.link.takes is None:
+        assert step.by_input is None
+        return
+    assert step.by_input is not None
+    for i in range(len(value)):
+        along = np.eye(len(value))[i][:, None]
+        expected = differences(lambda h, along=along: case.link.step(value + h * along, local).value, 0.05)
+        assert close(spread(step.by_input)[:, i], spread(expected), 0.0)
+
+
+@pytest.mark.parametrize("case", CASES.values(), ids=CASES.keys())
+def test_derivatives_by_the_blocks(case: Case) -> None:
+    value, local = case.value(), case.local(case.blocks)
+    step = case.link.step(value, local)
+    assert set(step.by_block) == case.wanted
+    for at, block in enumerate(case.blocks):
+        index = local.index(block.name)
+        for member in range(len(block.members)):
+            for column in range(block.size):
+                move = np.zeros(block.values.shape)
+                move[member, column] = 1
+
+                def moved(h: float, move: Array = move, at: int = at) -> Array:
+                    blocks = (*case.blocks[:at], case.blocks[at].moved(h * move), *case.blocks[at + 1 :])
+                    return spread(case.link.step(value, case.local(blocks)).value)
+
+                angle = block.space is Space.POSE and column > 2
+                size = 2e-3 if angle or block.name == "coupling" else 1e-3 * max(1.0, abs(block.values[member, column]))
+                expected = differences(moved, size)
+                jacobian = step.by_block[block.name]
+                slots = jacobian if jacobian.ndim == 4 else jacobian[None]
+                touches = np.atleast_2d(index) == member
+                found = sum(spread(slot)[:, column] * touch for slot, touch in zip(slots, touches, strict=True))
+                assert close(found, expected, 0.0), (block.name, block.columns[column])
+
+
+def test_a_link_leaves_out_derivatives_that_nobody_wants() -> None:
+    for case in (CASES["Lens, all"], CASES["OutOf"], CASES["Into"], CASES["PointOf"]):
+        step = case.link.step(case.value(), replace(case.local(case.blocks), wanted=frozenset()))
+        assert not step.by_block
+
+
+def test_points_behind_the_camera_have_no_image() -> None:
+    case = CASES["Lens, all"]
+    for kind in (Lens, LensBackward):
+        uv = kind().step(case.value() * [[1], [1], [-1]], case.local(case.blocks)).value
+        assert np.isnan(uv).all()
+
+
+CHAINS = {
+    "board": (PointOf("points", ON_TARGETS), OutOf("pose", ON_TARGETS, IN_CAMERA), Lens()),
+    "network": (PointOf("points", ON_TARGETS), Into("pose", ON_TARGETS, IN_CAMERA), Lens()),
+    "backward": (PointOf("points", ON_TARGETS), Into("pose", ON_TARGETS, IN_CAMERA), LensBackward()),
+    "part": (
+        PointOf("points", Quantity.POINT_IN_PART),
+        OutOf("part", Quantity.POINT_IN_PART, Quantity.POINT_IN_MACHINE),
+        Into("pose", Quantity.POINT_IN_MACHINE, Quantity.POINT_IN_SPINDLE),
+        Coupling(),
+        Into("taper", Quantity.POINT_IN_TAPER, IN_CAMERA),
+        Lens(),
+    ),
+    "one pose twice": (
+        PointOf("points", Quantity.POINT_IN_PART),
+        OutOf("pose", Quantity.POINT_IN_PART, Quantity.POINT_IN_MACHINE),
+        Into("pose", Quantity.POINT_IN_MACHINE, IN_CAMERA),
+        Lens(),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CHAINS)
+def test_derivatives_of_a_whole_chain(name: str) -> None:
+    """By the chain rule backwards, with n = 1 blocks and many, whitened."""
+    rng = np.random.default_rng(8)
+    views = np.column_stack([rng.normal(size=(3, 2)) * 30, np.full(3, 900.0), rng.normal(size=(3, 3)) * 0.1])
+    start = poses.inverse(views) if name in ("network", "backward", "part") else views
+    part = np.array([[3.0, 2.0, 1.0, 0.1, -0.05, 0.02]])
+    shift = np.array([10.0, -20.0, 800.0])
+    points = rng.normal(size=(5, 3)) * 150 + (shift if name == "one pose twice" else 0)
+    blocks = {
+        "points": Block("points", points, ("x", "y", "z"), tuple("abcde")),
+        "pose": Block("pose", start, poses.COLUMNS, ("1", "2", "3"), space=Space.POSE),
+        "part": Block("part", part, poses.COLUMNS, space=Space.POSE),
+        "taper": Block("taper", np.array([[1.0, 2.0, 3.0, 0.01, 0.02, 0.03]]), poses.COLUMNS, space=Space.POSE),
+        "coupling": Block("coupling", np.array([[0.05]]), ("gamma_s",)),
+        "lens": lens_block(**{**ALL, **dict.fromkeys(RATIONAL, 0.01)}),
+    }
+    index = {"points": rng.integers(5, size=N), "pose": rng.integers(3, size=N)}
+    sigma = rng.uniform(0.1, 2, size=(2, N))
+    group = Group("images", Chain(CHAINS[name]), Observations(rng.uniform(500, 1500, (2, N)), sigma, index))
+    linear = group.linear(blocks, frozenset(group.chain.blocks))
+    assert {touch.block for touch in linear.touches} == set(group.chain.blocks)
+    assert np.allclose(linear.residual, group.residuals(blocks) / sigma)
+    for touch in linear.touches:
+        block = blocks[touch.block]
+        for column in range(block.size):
+            move = np.zeros(block.values.shape)
+            move[:, column] = 1  # each reading sees its own member only
+            size = 1e-3 if block.space is Space.POSE and column > 2 else 1e-3 * max(1.0, np.abs(block.values[:, column]).max())
+            expected = differences(
+                lambda h, block=block, move=move: group.chain.predict({**blocks, block.name: block.moved(h * move)}, group.observations), size
+            )
+            assert close(touch.jacobian[:, column], expected / sigma, 5.0), (touch.block, column)
+
+
+def test_a_chain_of_single_members_predicts_every_reading() -> None:
+    blocks = {"points": point_block(1).with_values(np.array([[1.0, 2.0, 900.0]])), "lens": lens_block(**ONE_F, **CENTRE)}
+    chain = Chain((PointOf("points", IN_CAMERA), Lens()))
+    predicted = chain.predict(blocks, Observations(np.zeros((2, N)), np.ones(1)))
+    assert predicted.shape == (2, N)
+
+
+def test_chains_refuse_joints_that_do_not_meet() -> None:
+    point = PointOf("points", ON_TARGETS)
+    with pytest.raises(ValueError, match=r"Lens takes a point in the camera, the chain has a point in the frame of the target list"):
+        Chain((point, Lens()))
+    with pytest.raises(ValueError, match=r"Lens takes a point in the camera, the chain has nothing there"):
+        Chain((Lens(),))
+    with pytest.raises(ValueError, match=r"PointOf takes nothing, the chain has a point in the part there"):
+        Chain((PointOf("part", Quantity.POINT_IN_PART), point))
+
+
+@dataclass(frozen=True)
+class Shifted:
+    """An effect that shifts by one."""
+
+    takes: Quantity
+    gives: Quantity
+    name: str = ""
+    blocks: tuple[str, ...] = ()
+
+    def step(self, value: Array, local: Local) -> object:
+        raise NotImplementedError
+
+
+def test_effects_are_put_behind_the_last_link_that_gives_their_quantity() -> None:
+    chain = Chain(CHAINS["board"])
+    first, second = Shifted(IN_CAMERA, IN_CAMERA, "first"), Shifted(IN_CAMERA, IN_CAMERA, "second")
+    on_image = Shifted(Quantity.IMAGE_POINT, Quantity.IMAGE_POINT)
+    spliced = chain.spliced([on_image, first, second])
+    assert spliced.links == (*chain.links[:2], first, second, chain.links[2], on_image)
+    assert chain.spliced([]) == chain
+
+
+@pytest.mark.parametrize(
+    "effect", [Shifted(Quantity.POINT_IN_PART, Quantity.POINT_IN_PART), Shifted(IN_CAMERA, Quantity.IMAGE_POINT)]
+)
+def test_effects_that_cannot_act_are_refused_in_words(effect: Shifted) -> None:
+    with pytest.raises(ValueError, match="Shifted cannot act here: the chain passes through point in the frame") as told:
+        Chain(CHAINS["board"]).spliced([effect])
+    for quantity in (ON_TARGETS, IN_CAMERA, Quantity.IMAGE_POINT):
+        assert quantity.value in str(told.value)
+
+
+def test_quantities_are_told_apart() -> None:
+    values = [quantity.value for quantity in quantities.Quantity]
+    assert len(set(values)) == len(values)
