@@ -75,6 +75,8 @@ class Photogrammetric:
     units: tuple[str, ...]
     by_lens: Array
     """(names, lens parameters): derivative by the parameters in their order"""
+    reference_radius: float
+    """R0 in mm"""
 
 
 _PHOTO = ("c", "x0", "y0", "A1", "A2", "A3", "B1", "B2", "C1", "C2")
@@ -97,7 +99,7 @@ def photogrammetric(
 
     step = np.maximum(np.abs(at), 1e-3) * 1e-6
     by_lens = np.stack([(form(at + h) - form(at - h)) / (2 * h[i]) for i, h in enumerate(np.diag(step))], axis=1)
-    return Photogrammetric(_PHOTO, form(at), _PHOTO_UNITS, by_lens)
+    return Photogrammetric(_PHOTO, form(at), _PHOTO_UNITS, by_lens, r0)
 
 
 def _photo(values: Mapping[str, float], pixel: float, image_size: Sequence[int], r0: float) -> Array:
