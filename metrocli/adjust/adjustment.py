@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from metrocli.adjust.blocks import Array, Block
-from metrocli.adjust.covariance import Covariance, shapes_of
+from metrocli.adjust.covariance import Covariance, Gauge, shapes_of
 from metrocli.adjust.datum import Datum, Frame, open_frame
 from metrocli.adjust.groups import Group, Linear
 from metrocli.adjust.layout import Layout, arrange, considered_covariance
@@ -58,7 +58,7 @@ def adjust(
     """
     control = control or Control()
     state = {block.name: block for block in blocks}
-    problem = _Problem(groups, arrange(state, groups, (datum.block,) if datum else ()), datum)
+    problem = _Problem(groups, arrange(state, groups, _kept(state, datum)), datum)
     unknowns = sum(int(block.free.sum()) for block in state.values())
     linears = problem.linear(state)
     if not np.isfinite(sum(linear.cost for linear in linears)):
@@ -79,6 +79,12 @@ def adjust(
     if not control.covariance:
         return solution
     return _with_covariance(solution, problem, assemble(groups, linears, state, problem.layout))
+
+
+def _kept(blocks: Mapping[str, Block], datum: Datum | None) -> tuple[str, ...]:
+    """Return the blocks that must stay in the reduced system: that of the datum where considered blocks act on it."""
+    considered = any(block.considered is not None for block in blocks.values())
+    return (datum.block,) if datum is not None and considered else ()
 
 
 def covariance_at(blocks: Iterable[Block], groups: Sequence[Group], datum: Datum | None = None) -> Solution:
@@ -164,7 +170,7 @@ def _moved(
         steps[layout.eliminated] = np.where(state[layout.eliminated].free, step_e, 0.0)
     if frame is not None and problem.datum is not None:
         block = state[problem.datum.block]
-        amounts = frame.step(problem.datum, block.values + steps[block.name])
+        amounts = frame.step(problem.datum, block.values + steps.get(block.name, np.zeros_like(block.values)))
         for name, moves in frame.moves.items():
             steps[name] = steps.get(name, 0.0) + moves @ amounts
     for name, step in steps.items():
@@ -191,16 +197,34 @@ def _with_covariance(solution: Solution, problem: _Problem, normals: Normals) ->
         return replace(counted, outcome=Outcome.TOO_FEW)
     free = layout.free
     inverse = _cholesky_solve(held[:free, :free], np.eye(free)) if free else np.zeros((0, 0))
+    gauge: Gauge | None = None
     if frame is not None and problem.datum is not None:
-        transform = frame.transform(layout, problem.datum)[:free, :free]
-        inverse = transform @ inverse @ transform.T
+        if problem.datum.block == layout.eliminated:
+            inverse, gauge = _in_eliminated_datum(frame, problem.datum.block, normals, inverse)
+        else:
+            transform = frame.transform(layout, problem.datum)[:free, :free]
+            inverse = transform @ inverse @ transform.T
     noise_only = np.zeros((layout.width, layout.width))
     noise_only[:free, :free] = (inverse + inverse.T) / 2
     return replace(
         counted,
-        cofactor=_cofactor(blocks, layout, normals, noise_only),
-        covariance=_considered(blocks, layout, normals, held, noise_only),
+        cofactor=replace(_cofactor(blocks, layout, normals, noise_only), gauge=gauge),
+        covariance=replace(_considered(blocks, layout, normals, held, noise_only), gauge=gauge),
     )
+
+
+def _in_eliminated_datum(frame: Frame, name: str, normals: Normals, inverse: Array) -> tuple[Array, Gauge]:
+    """Return the reduced covariance in a datum of inner constraints on the eliminated block, and what they add to it.
+
+    With `h = H e = -A r + sum H_i n_i`, `A = sum H_i W_i`, n_i the noise of member i of covariance D_i^-1:
+    `r' = (I + E A) r - E sum H_i n_i`.
+    """
+    free = len(inverse)
+    h = frame.of_members(normals.d.shape[1])
+    share = np.linalg.solve(normals.d, np.swapaxes(h, 1, 2))
+    transform = np.eye(free) + frame.reduced[:free] @ np.einsum("mks,msw->kw", h, normals.weights[:, :, :free])
+    noise = frame.reduced[:free] @ np.einsum("mks,msl->kl", h, share) @ frame.reduced[:free].T
+    return transform @ inverse @ transform.T + noise, Gauge(frame.moves[name], share, frame.reduced)
 
 
 def _cofactor(blocks: Mapping[str, Block], layout: Layout, normals: Normals, reduced: Array) -> Covariance:

@@ -1,7 +1,8 @@
 """Covariance of any block from the factors of the normal equations, without the inverse of the whole matrix.
 
 With W = D^-1 B and Q_r the covariance of the reduced unknowns (considered ones included): `Q_er = -W Q_r`,
-`Q_ee = D^-1 + W Q_r W'`. These hold in any datum once Q_r is in it.
+`Q_ee = D^-1 + W Q_r W'`. These hold in any datum once Q_r is in it, as long as the datum does not depend on the
+eliminated members; where it does (inner constraints on them) the terms of `Gauge` are added.
 """
 
 from __future__ import annotations
@@ -18,6 +19,18 @@ from metrocli.adjust.observations import Index, Mask
 
 
 @dataclass(frozen=True)
+class Gauge:
+    """What inner constraints on the eliminated block add: its noise E then enters the common movement h = sum H e."""
+
+    moves: Array
+    """E of the eliminated members, (members, s, k)"""
+    share: Array
+    """`D^-1 H'` of each member: the covariance of its own noise with the movement, (members, s, k)"""
+    reduced: Array
+    """E in the reduced system, (width, k)"""
+
+
+@dataclass(frozen=True)
 class Covariance:
     """Covariance of all unknowns, given out block by block."""
 
@@ -31,6 +44,7 @@ class Covariance:
     """D^-1 of the eliminated members with zeros at fixed entries, (members, s, s)"""
     factor: float = 1.0
     """sigma0^2 where the noise is estimated, else 1"""
+    gauge: Gauge | None = None
 
     def scaled(self, factor: float) -> Covariance:
         """Return the covariance multiplied by `factor`."""
@@ -48,6 +62,9 @@ class Covariance:
             m, s = self.shapes[name]
             view = full.reshape(m, s, m, s)
             view[np.arange(m), :, np.arange(m), :] += self.inverse
+            if self.gauge is not None:
+                shared = self.gauge.moves.reshape(m * s, -1) @ self.gauge.share.reshape(m * s, -1).T
+                full -= shared + shared.T
             return self.factor * full
         if other == self.layout.eliminated:
             return self.between(other, name).T
@@ -58,7 +75,10 @@ class Covariance:
         """Return the covariance of each member of a block, (members, size, size)."""
         m, s = self.shapes[name]
         if name == self.layout.eliminated:
-            return self.factor * (self.inverse + self._cross @ np.swapaxes(self.weights, 1, 2))
+            own = self.inverse + self._cross @ np.swapaxes(self.weights, 1, 2)
+            if self.gauge is not None:
+                own -= self.gauge.moves @ np.swapaxes(self.gauge.share, 1, 2)
+            return self.factor * own
         columns = self.layout.columns.get(name)
         if columns is None:
             return np.zeros((m, s, s))
@@ -89,8 +109,9 @@ class Covariance:
 
     @cached_property
     def _cross(self) -> Array:
+        """Minus the covariance of the eliminated members with the reduced unknowns, (members, s, width)."""
         product: Array = self.weights @ self.reduced
-        return product
+        return product if self.gauge is None else product + self.gauge.share @ self.gauge.reduced.T
 
     def _places(self, name: str, index: Index) -> tuple[Index, Mask]:
         columns = self.layout.columns.get(name)

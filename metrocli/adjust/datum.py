@@ -52,12 +52,16 @@ class Frame:
         return amounts
 
     def transform(self, layout: Layout, datum: Datum) -> Array:
-        """Return the S-transformation `I - E H` of the reduced system, (width, width)."""
+        """Return the S-transformation `I - E H` of the reduced system that holds the datum block, (width, width)."""
         reach = np.zeros((self.reduced.shape[1], layout.width))
         columns = layout.columns[datum.block].ravel()
         reach[:, columns[columns >= 0]] = self.constraint[:, columns >= 0]
         transform: Array = np.eye(layout.width) - self.reduced @ reach
         return transform
+
+    def of_members(self, size: int) -> Array:
+        """Return the constraint member by member, H (members, k, size)."""
+        return np.moveaxis(self.constraint.reshape(len(self.constraint), -1, size), 0, 1)
 
 
 def open_frame(datum: Datum, blocks: Mapping[str, Block], layout: Layout, matrix: Array) -> Frame | None:
