@@ -18,7 +18,9 @@ from metrocli.geometry import poses
 from metrocli.instruments.lens import image_point
 from metrocli.tasks.camera_problem import build
 from metrocli.tasks.camera_settings import Camera
-from metrocli.tasks.imaging import Options, Sighted, Targets, adjust_images
+from metrocli.tasks.image_adjustment import Options, adjust_images
+from metrocli.tasks.sightings import Sighted
+from metrocli.tasks.target_list import Targets
 
 SIZE = (2448, 2048)
 TRUTH = {
@@ -60,7 +62,7 @@ def scene(views: int, seed: int) -> tuple[Sighted, Targets]:
 def ours(sighted: Sighted) -> tuple[float, float]:
     """Return f and its standard uncertainty."""
     problem = build("board", Camera(image_size=SIZE, estimate=tuple(TRUTH)), sighted)
-    adjusted = adjust_images(problem.blocks, problem.images, problem.others, None, Options(problem.images))
+    adjusted = adjust_images(problem.blocks, problem.images, problem.others, None, Options())
     residuals_of(adjusted.solution, adjusted.group)
     adjusted.solution.std("view")
     return float(adjusted.solution.blocks["lens"].values[0, 0]), float(adjusted.solution.std("lens")[0, 0])

@@ -88,6 +88,10 @@ class Block:
         row: Array = self.values[self.members.index(member)]
         return row
 
+    def named(self, member: str = "") -> dict[str, float]:
+        """Return the values of one member by the names of the columns."""
+        return dict(zip(self.columns, self.row(member).tolist(), strict=True))
+
     def column(self, name: str) -> int:
         """Return the index of a column by its name."""
         return self.columns.index(name)

@@ -22,20 +22,11 @@ from metrocli.tasks.align_problem import Problem, build, spindle_poses
 from metrocli.tasks.align_report import KIND, explained, predicted, report
 from metrocli.tasks.camera_model import CameraModel, camera_of_file, camera_of_result
 from metrocli.tasks.camera_settings import CameraFile, Extrinsics
+from metrocli.tasks.image_adjustment import Options, adjust_images, must_converge
+from metrocli.tasks.image_settings import eccentricity_setting, image_faults
 from metrocli.tasks.image_simulation import Shown, pictures, sightings_table, true_targets
-from metrocli.tasks.imaging import (
-    OBSERVATIONS,
-    START_NOISE,
-    TARGETS,
-    Needs,
-    Options,
-    adjust_images,
-    eccentricity_setting,
-    image_faults,
-    known_targets,
-    must_converge,
-    sightings,
-)
+from metrocli.tasks.sightings import OBSERVATIONS, START_NOISE, Needs, sightings
+from metrocli.tasks.target_list import TARGETS, known_targets
 
 SIMULATED = ("observations", "images")
 SUMMARY = "part location and orientation in the machine (6D/7D)"
@@ -121,7 +112,7 @@ def run(
     """Locate the part; raises InputError, UndeterminedError or NotConvergedError."""
     problem = prepared(settings, camera, poses, targets, observations, images)
     prediction = predicted(problem)
-    options = Options(problem.images, settings.outliers == "remove", settings.noise == "estimated")
+    options = Options(settings.outliers == "remove", settings.noise == "estimated")
     adjusted = adjust_images(problem.blocks, problem.images, problem.others, None, options)
     solution = adjusted.solution
     if solution.undetermined or solution.outcome is Outcome.TOO_FEW:

@@ -19,7 +19,9 @@ from metrocli.instruments.lens import ideal_point
 from metrocli.table import Table
 from metrocli.tasks.camera_model import CameraModel
 from metrocli.tasks.eccentricity import corrected
-from metrocli.tasks.imaging import IMAGES, Sighted, target_priors
+from metrocli.tasks.image_adjustment import IMAGES
+from metrocli.tasks.sightings import Sighted
+from metrocli.tasks.target_list import target_priors
 
 _ANGLES = np.linspace(-np.pi, np.pi, 12, endpoint=False)
 """Clamping angles to start from, where the smallest start at 0 fails"""

@@ -14,9 +14,18 @@ from metrocli.instruments import spindle_camera as spindle
 from metrocli.instruments.camera import TARGET
 from metrocli.result import Estimate, Result
 from metrocli.table import Table
+from metrocli.tasks.adjustment_statistics import basic_statistics, noise_warnings, with_noise
 from metrocli.tasks.align_problem import Problem
-from metrocli.tasks.camera_report import HIGH, basic_statistics, chi_interval, noise_line, with_noise
-from metrocli.tasks.imaging import Adjusted, residual_table, rms_by, root_mean_square, suspect_images, suspect_readings
+from metrocli.tasks.camera_parameters import HIGH
+from metrocli.tasks.image_adjustment import Adjusted
+from metrocli.tasks.image_tables import (
+    adjustment_notes,
+    residual_table,
+    rms_table,
+    root_mean_square,
+    suspect_images,
+    suspect_readings,
+)
 from metrocli.units import format_quantity
 
 KIND = "align-part"
@@ -86,34 +95,27 @@ def report(problem: Problem, adjusted: Adjusted, prediction: Prediction | None) 
     if prediction is not None:
         statistics |= {"predicted_std_gamma_s": prediction.std, "predicted_correlation_gamma_s": prediction.correlation}
     images, targets = problem.sighted.images, problem.sighted.targets.names
-    views = Table(
-        {"image": np.array(images), **rms_by(images, adjusted.group.observations.index["view"], found.values)},
-        {"rms": "px", "largest": "px"},
-    )
-    seen = Table(
-        {"target": np.array(targets), **rms_by(targets, adjusted.group.observations.index[TARGET], found.values)},
-        {"rms": "px", "largest": "px"},
-    )
+    index = adjusted.group.observations.index
+    views = rms_table("image", images, index["view"], found.values)
     correlation = covariance / std[:, None] / std
     arrays = {"rotation": poses.rotation_of(solution.blocks[spindle.PART].values[0]), "correlation": correlation}
     tables = {
         "residuals": residual_table(found, adjusted.group),
         "views": views,
-        "targets": seen,
+        "targets": rms_table("target", targets, index[TARGET], found.values),
         "rejected": adjusted.rejected,
     }
-    warnings = _warnings(problem, adjusted, views, prediction, correlation)
     return Result(
-        KIND,
-        "",
-        estimates,
-        covariance,
-        statistics,
-        tables,
-        arrays,
-        tuple(warnings),
-        ("views",),
-        tuple(_notes(solution, adjusted, prediction)),
+        kind=KIND,
+        title="",
+        estimates=estimates,
+        covariance=covariance,
+        statistics=statistics,
+        tables=tables,
+        arrays=arrays,
+        warnings=tuple(_warnings(problem, adjusted, views, prediction)),
+        shown=("views",),
+        notes=tuple(_notes(solution, adjusted, prediction)),
     )
 
 
@@ -126,18 +128,10 @@ def _notes(solution: Solution, adjusted: Adjusted, prediction: Prediction | None
             f"predicted from the poses before solving: s(gamma_s) = {format_quantity(prediction.std, 'rad', None)}, "
             f"correlation with {prediction.partner} {prediction.correlation:+.3f}"
         )
-    if adjusted.noise is not None:
-        lines.append(f"noise of an image coordinate found: {adjusted.noise:.4f} px; covariances are scaled by it")
-    if len(adjusted.rejected):
-        lines.append(
-            f"{len(adjusted.rejected)} readings rejected as outliers (table 'rejected' has each with its test value)"
-        )
-    return lines
+    return lines + adjustment_notes(adjusted)
 
 
-def _warnings(
-    problem: Problem, adjusted: Adjusted, views: Table, prediction: Prediction | None, correlation: Array
-) -> list[str]:
+def _warnings(problem: Problem, adjusted: Adjusted, views: Table, prediction: Prediction | None) -> list[str]:
     lines = [*problem.sighted.warnings, *problem.warnings]
     if problem.camera.covariance is None:
         lines.append("the camera is taken as exact: its file states no covariance")
@@ -148,9 +142,8 @@ def _warnings(
         )
     lines += suspect_images(problem.sighted.images, views.numbers("rms"), views.numbers("readings"))
     lines += suspect_readings(adjusted.suspects, adjusted.group)
-    low, high = chi_interval(adjusted.solution)
-    if adjusted.noise is None and np.isfinite(adjusted.solution.sigma0) and not low <= adjusted.solution.sigma0 <= high:
-        lines.append(noise_line(adjusted.solution, low, high))
+    if adjusted.noise is None:
+        lines += noise_warnings(adjusted.solution)
     return lines
 
 

@@ -28,21 +28,11 @@ from metrocli.tasks.camera_compare import compare_models
 from metrocli.tasks.camera_problem import Problem, build
 from metrocli.tasks.camera_report import KIND, report
 from metrocli.tasks.camera_settings import Camera, CameraSimulation
+from metrocli.tasks.image_adjustment import Options, adjust_images, must_converge
+from metrocli.tasks.image_settings import eccentricity_setting, image_faults
 from metrocli.tasks.image_simulation import Shown, pictures, sightings_table, true_targets
-from metrocli.tasks.imaging import (
-    OBSERVATIONS,
-    START_NOISE,
-    TARGETS,
-    Needs,
-    Options,
-    Targets,
-    adjust_images,
-    eccentricity_setting,
-    image_faults,
-    known_targets,
-    must_converge,
-    sightings,
-)
+from metrocli.tasks.sightings import OBSERVATIONS, START_NOISE, Needs, sightings
+from metrocli.tasks.target_list import TARGETS, Targets, known_targets
 
 SIMULATED = ("observations", "images")
 SUMMARY = "camera model from images or observed points"
@@ -146,7 +136,7 @@ def prepared(
 
 def solved(settings: Settings, problem: Problem) -> Result:
     """Adjust a problem and report it."""
-    options = Options(problem.images, settings.outliers == "remove", settings.noise == "estimated")
+    options = Options(settings.outliers == "remove", settings.noise == "estimated")
     adjusted = adjust_images(problem.blocks, problem.images, problem.others, problem.datum, options)
     solution = adjusted.solution
     lost = not solution.outcome.good and _pole(problem, solution) is not None

@@ -17,7 +17,7 @@ from metrocli.instruments.conventions import projection_range
 from metrocli.instruments.lens import DISTORTION, PRISM, RATIONAL
 from metrocli.table import Table
 from metrocli.tasks.camera_problem import Problem
-from metrocli.tasks.imaging import root_mean_square
+from metrocli.tasks.image_tables import root_mean_square
 from metrocli.units import find_unit
 
 LADDER: tuple[tuple[str, tuple[str, ...]], ...] = (

@@ -22,7 +22,10 @@ from metrocli.instruments.lens import DISTORTION, PRISM, RATIONAL, plane_point, 
 from metrocli.table import Table
 from metrocli.tasks.camera_settings import Camera
 from metrocli.tasks.eccentricity import corrected
-from metrocli.tasks.imaging import IMAGES, Sighted, root_mean_square, target_priors
+from metrocli.tasks.image_adjustment import IMAGES
+from metrocli.tasks.image_tables import root_mean_square
+from metrocli.tasks.sightings import Sighted
+from metrocli.tasks.target_list import target_priors
 
 _GUESSES = (1.0, 0.5, 2.0, 4.0, 8.0)
 """Focal lengths to try, in widths of the image, where the views do not give one"""

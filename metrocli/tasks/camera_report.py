@@ -36,7 +36,7 @@ from metrocli.tasks.image_tables import (
     suspect_images,
     suspect_readings,
 )
-from metrocli.tasks.lens_conventions import conventions_table
+from metrocli.tasks.lens_conventions import conventions_table, form_covariance, photogrammetric_form
 
 if TYPE_CHECKING:
     from metrocli.table import Values
@@ -76,6 +76,9 @@ def report(problem: Problem, settings: Camera, adjusted: Adjusted) -> Result:
     solved = _Calibration(problem, settings, adjusted, residuals_of(solution, adjusted.group), covariance, p)
     views = _views(solved)
     arrays: dict[str, Array] = {"correlation": p.correlation}
+    form = photogrammetric_form(problem, settings, solution)
+    if form is not None:
+        arrays["photogrammetric_covariance"] = form_covariance(form, covariance)
     names = problem.sighted.targets.names
     tables = {
         "residuals": residual_table(solved.residuals, adjusted.group),
@@ -93,7 +96,9 @@ def report(problem: Problem, settings: Camera, adjusted: Adjusted) -> Result:
     return Result(
         kind=KIND,
         title="",
-        estimates=tuple(Estimate(*row) for row in zip(p.names, p.values.tolist(), p.std.tolist(), p.units, strict=True)),
+        estimates=tuple(
+            Estimate(*row) for row in zip(p.names, p.values.tolist(), p.std.tolist(), p.units, strict=True)
+        ),
         covariance=p.covariance,
         statistics=_statistics(solved),
         tables=tables,
@@ -107,8 +112,7 @@ def report(problem: Problem, settings: Camera, adjusted: Adjusted) -> Result:
 def _statistics(solved: _Calibration) -> Statistics:
     problem, adjusted, solution, values = solved.problem, solved.adjusted, solved.solution, solved.residuals.values
     observations = adjusted.group.observations
-    lens = solved.lens
-    centre = float(lens.values[0, lens.column("cx")]), float(lens.values[0, lens.column("cy")])
+    lens = solved.lens.named()
     u_rms, v_rms = np.sqrt((values**2).mean(axis=1)).tolist()
     eigenvalues, _ = np.linalg.eigh(solved.delivered.correlation)
     low, high = chi_interval(solution)
@@ -121,7 +125,7 @@ def _statistics(solved: _Calibration) -> Statistics:
         "rejected": len(adjusted.rejected),
         "images": len(problem.sighted.images),
         "targets": len(np.unique(observations.index[camera.TARGET])),
-        **coverage(observations.readings, problem.image_size, centre),
+        **coverage(observations.readings, problem.image_size, (lens["cx"], lens["cy"])),
         "sigma0_low": low,
         "sigma0_high": high,
         "condition": float(np.sqrt(eigenvalues[-1] / max(eigenvalues[0], 1e-300))),
@@ -185,9 +189,8 @@ def _warnings(solved: _Calibration, views: Table) -> list[str]:
     lines += _correlation_warnings(solved.delivered.high_correlations())
     if adjusted.noise is None:
         lines += noise_warnings(solved.solution)
-    lens = solved.lens
     if problem.convention == "forward":
-        fold = projection_range(dict(zip(lens.columns, lens.values[0].tolist(), strict=True)), problem.image_size)
+        fold = projection_range(solved.lens.named(), problem.image_size)
         if fold is not None:
             lines.append(
                 f"the lens model folds over at {fold:.0f} px from the principal point, inside the image: "

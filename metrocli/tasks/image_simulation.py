@@ -16,7 +16,7 @@ from metrocli.table import Table
 from metrocli.targets import render
 from metrocli.targets.codes import codes
 from metrocli.targets.pattern import Pattern
-from metrocli.tasks.imaging import Targets
+from metrocli.tasks.target_list import Targets
 
 if TYPE_CHECKING:
     from metrocli.imageset import Picture

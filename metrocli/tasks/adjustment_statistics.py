@@ -1,0 +1,60 @@
+"""Statistics that every job's adjustment has, and whether its residuals are of the declared size."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from metrocli.adjust.solution import Solution
+from metrocli.result import Scalar
+
+Statistics = dict[str, Scalar | Mapping[str, float]]
+
+
+def basic_statistics(solution: Solution, rms: Mapping[str, float]) -> Statistics:
+    """Return the statistics that every adjustment has; `rms` by unit, a reading of several components counting once."""
+    return {
+        "observations": solution.observations,
+        "unknowns": solution.unknowns,
+        "conditions": solution.conditions,
+        "dof": solution.dof,
+        "sigma0": solution.sigma0,
+        "chi2": solution.cost,
+        "p_value": solution.p_value,
+        "iterations": solution.iterations,
+        "rms": dict(rms),
+        "outcome": solution.outcome.value,
+    }
+
+
+def with_noise(statistics: Statistics, solution: Solution, noise: float) -> Statistics:
+    """Return the statistics of a job whose noise was found.
+
+    sigma0 is then for a unit weight of 1 px, and there is no global test.
+    """
+    kept = {name: value for name, value in statistics.items() if name not in ("p_value", "sigma0_low", "sigma0_high")}
+    return {**kept, "noise": noise, "sigma0": noise, "chi2": solution.dof * noise**2}
+
+
+def chi_interval(solution: Solution) -> tuple[float, float]:
+    """Return the interval that sigma0 falls in with 95 % if model and noise are right."""
+    from scipy.special import chdtri
+
+    if solution.dof <= 0:
+        return float("nan"), float("nan")
+    low, high = chdtri(solution.dof, [0.975, 0.025])
+    return float(np.sqrt(low / solution.dof)), float(np.sqrt(high / solution.dof))
+
+
+def noise_warnings(solution: Solution) -> list[str]:
+    """Return the warning that the residuals are not of the declared size, where they are not."""
+    low, high = chi_interval(solution)
+    if not np.isfinite(solution.sigma0) or low <= solution.sigma0 <= high:
+        return []
+    word = "larger" if solution.sigma0 > high else "smaller"
+    return [
+        f"sigma0 = {solution.sigma0:.3f} is outside {low:.3f} ... {high:.3f}: "
+        f"the residuals are {word} than the declared noise says; "
+        "standard uncertainties are for the declared noise (`noise: estimated` scales them)"
+    ]

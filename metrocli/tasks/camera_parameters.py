@@ -1,0 +1,74 @@
+"""The parameters that a camera calibration delivers, with their covariance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrocli.adjust.blocks import Array
+from metrocli.adjust.covariance import Covariance
+from metrocli.adjust.solution import Solution
+from metrocli.geometry import poses
+from metrocli.instruments import camera
+from metrocli.instruments.lens import PIXELS
+from metrocli.table import Table
+
+HIGH = 0.95
+"""A correlation beyond this is flagged."""
+POSE_UNITS = ("mm", "mm", "mm", "rad", "rad", "rad")
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """The delivered parameters with their covariance."""
+
+    names: tuple[str, ...]
+    values: Array
+    covariance: Array
+    units: tuple[str, ...]
+
+    @property
+    def std(self) -> Array:
+        """Standard uncertainties."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def correlation(self) -> Array:
+        """Correlation matrix."""
+        std = np.where(self.std > 0, self.std, 1.0)
+        matrix: Array = self.covariance / std[:, None] / std
+        return matrix
+
+    def high_correlations(self) -> Table:
+        """Return the pairs whose correlation is flagged."""
+        matrix = self.correlation
+        first, second = np.nonzero(np.triu(np.abs(matrix) > HIGH, 1))
+        names = np.array(self.names, dtype=str)
+        return Table({"first": names[first], "second": names[second], "correlation": matrix[first, second]})
+
+
+def unit_of(name: str) -> str:
+    """Return the unit of a lens parameter."""
+    return "px" if name in PIXELS else "1"
+
+
+def parameters(rig: str, solution: Solution, covariance: Covariance) -> Parameters:
+    """Return the estimated lens parameters and, for rig cmm, the camera in the reference frame.
+
+    The latter as x y z alpha beta gamma.
+    """
+    lens = solution.blocks[camera.LENS]
+    free = np.flatnonzero(lens.free[0])
+    names = [lens.columns[i] for i in free]
+    units = [unit_of(name) for name in names]
+    values, matrix = lens.values[0, free], covariance.of(camera.LENS)[np.ix_(free, free)]
+    if rig == "cmm":
+        pose = solution.blocks[camera.TAPER].values[0]
+        change = poses.euler_form_by_step(pose)
+        cross = covariance.between(camera.LENS, camera.TAPER)[free] @ change.T
+        matrix = np.block([[matrix, cross], [cross.T, change @ covariance.of(camera.TAPER) @ change.T]])
+        values = np.concatenate([values, poses.euler_form(pose)])
+        names += list(poses.EULER)
+        units += POSE_UNITS
+    return Parameters(tuple(names), values, (matrix + matrix.T) / 2, tuple(units))

@@ -1,0 +1,116 @@
+"""The adjustment of image points: a robust start, outliers removed, their noise estimated."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from metrocli.adjust.adjustment import adjust
+from metrocli.adjust.blocks import Block
+from metrocli.adjust.datum import Datum
+from metrocli.adjust.groups import Group
+from metrocli.adjust.robust import Suspects, gross, robust_start, suspects
+from metrocli.adjust.solution import Solution, residuals_of
+from metrocli.errors import NotConvergedError
+from metrocli.table import Table
+
+IMAGES = "images"
+"""Name of the group of image points"""
+
+
+@dataclass(frozen=True)
+class Options:
+    """How readings are treated."""
+
+    remove_outliers: bool = False
+    estimate_noise: bool = False
+
+
+@dataclass(frozen=True)
+class Adjusted:
+    """An image adjustment with what was rejected on the way."""
+
+    solution: Solution
+    group: Group
+    """The image points that were used"""
+    rejected: Table
+    suspects: Suspects
+    noise: float | None = None
+    """Standard deviation of an image coordinate found from the residuals, where it was estimated [px]"""
+
+
+def adjust_images(
+    blocks: Mapping[str, Block], group: Group, others: Sequence[Group], datum: Datum | None, options: Options
+) -> Adjusted:
+    """Adjust image points with a robust start; remove outliers and estimate the noise as the options ask."""
+    state = robust_start(blocks.values(), [group, *others], group.name, datum)
+    everything = group
+    dropped: list[tuple[int, float]] = []
+    rows = np.arange(group.observations.count)
+    if options.remove_outliers:
+        bad = gross(group, state)
+        dropped += [(int(i), float("nan")) for i in rows[bad]]
+        rows, group = rows[~bad], group.selected(~bad)
+    original = group.observations.sigma
+    while True:
+        solution = adjust(state.values(), [group, *others], datum)
+        if not solution.outcome.good:
+            nothing = Suspects(np.zeros(0, dtype=np.intp), np.zeros(0), 0.0)
+            return Adjusted(solution, group, _rejected(everything, []), nothing)
+        noise = _noise(solution, group) if options.estimate_noise else None
+        if noise is not None and abs(noise - 1) > 1e-9:
+            group = group.with_observations(replace(group.observations, sigma=group.observations.sigma * noise))
+            state = dict(solution.blocks)
+            continue
+        unit = 1.0 if options.estimate_noise else max(1.0, solution.sigma0 if np.isfinite(solution.sigma0) else 1.0)
+        found = suspects(solution, group, unit)
+        if not (options.remove_outliers and found.rows.size):
+            break
+        worst = _worst_of_each_image(found, group)
+        dropped += [(int(rows[i]), t) for i, t in worst]
+        keep = np.ones(len(rows), dtype=bool)
+        keep[[i for i, _ in worst]] = False
+        rows, group, state, original = rows[keep], group.selected(keep), dict(solution.blocks), original[:, keep]
+    factor = float(np.mean(group.observations.sigma / original)) if options.estimate_noise else None
+    ratio = None if factor is None else factor * float(np.sqrt(np.mean(original**2)))
+    return Adjusted(solution, group, _rejected(everything, dropped), found, ratio)
+
+
+def must_converge(solution: Solution) -> None:
+    """Raise NotConvergedError unless the adjustment ended well or is undetermined (which the task explains)."""
+    if not solution.outcome.good and not solution.undetermined:
+        raise NotConvergedError(f"{solution.outcome.value} ({solution.iterations} steps)")
+
+
+def _noise(solution: Solution, group: Group) -> float:
+    """Return sigma0 of the image points alone: `sqrt(v'Pv / sum r)` (variance component)."""
+    found = residuals_of(solution, group)
+    whitened = group.observations.whitened(found.values)
+    controlled = float(found.redundancy.sum())
+    return float(np.sqrt((whitened**2).sum() / controlled)) if controlled > 0 else 1.0
+
+
+def _worst_of_each_image(found: Suspects, group: Group) -> list[tuple[int, float]]:
+    views = group.observations.index["view"].tolist()
+    worst: dict[int, tuple[int, float]] = {}
+    for row, test in zip(found.rows.tolist(), found.tests.tolist(), strict=True):
+        if test > worst.get(views[row], (0, 0.0))[1]:
+            worst[views[row]] = (row, test)
+    return list(worst.values())
+
+
+def _rejected(group: Group, dropped: Sequence[tuple[int, float]]) -> Table:
+    rows = [row for row, _ in dropped]
+    keys = group.observations.keys
+    return Table(
+        {
+            "image": np.array([keys["image"][i] for i in rows], dtype=str),
+            "target": np.array([keys["target"][i] for i in rows], dtype=str),
+            "u": group.observations.readings[0, rows],
+            "v": group.observations.readings[1, rows],
+            "w": np.array([test for _, test in dropped], dtype=float),
+        },
+        {"u": "px", "v": "px"},
+    )

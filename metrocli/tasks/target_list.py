@@ -1,0 +1,86 @@
+"""The targets of an image job: read from a list or taken from a printed pattern, and what is known of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from metrocli.adjust.blocks import Array, Block
+from metrocli.adjust.groups import Group, prior
+from metrocli.adjust.observations import Mask
+from metrocli.errors import Fault, InputError
+from metrocli.table import TEXT, Column, Columns, Table
+from metrocli.targets.pattern import Pattern, pattern_points
+
+TARGETS = Columns(
+    (
+        Column("target", TEXT),
+        Column("x", "length"),
+        Column("y", "length"),
+        Column("z", "length"),
+        *(
+            Column(name, "length", required=False, may_be_empty=True)
+            for name in ("sigma", "sigma_x", "sigma_y", "sigma_z", "radius")
+        ),
+    ),
+    key=("target",),
+    description="coordinates of targets",
+)
+
+
+@dataclass(frozen=True)
+class Targets:
+    """A list of targets and how well each coordinate is known."""
+
+    names: tuple[str, ...]
+    points: Array
+    """(m, 3) mm"""
+    sigma: Array
+    """(m, 3) mm: 0 exact, nan unknown"""
+    radius: Array
+    """(m,) mm, nan where it is not given"""
+
+
+def known_targets(pattern: Pattern | None, targets: Table | None, unknown_sigma: float) -> Targets:
+    """Return the targets of the list, or of the printed pattern where there is none.
+
+    Where the list has no radius, that of the pattern holds.
+    """
+    if targets is not None:
+        known = read_targets(targets, unknown_sigma)
+    elif pattern is not None:
+        known = targets_of(pattern)
+    else:
+        raise InputError("there is no list of targets")
+    if pattern is not None and pattern.diameter is not None:
+        known = replace(known, radius=np.where(np.isnan(known.radius), pattern.diameter / 2, known.radius))
+    return known
+
+
+def read_targets(table: Table, default_sigma: float = 0.0) -> Targets:
+    """Return the targets of a list; where no sigma column is given, `default_sigma` (nan: unknown)."""
+    common = table.numbers("sigma", default_sigma)
+    sigma = np.stack([table.numbers(f"sigma_{axis}") if f"sigma_{axis}" in table else common for axis in "xyz"], axis=1)
+    negative = np.flatnonzero((sigma < 0).any(axis=1))
+    if negative.size:
+        raise InputError([Fault("a standard deviation is negative", table.file, table.lines[i]) for i in negative])
+    return Targets(tuple(table.texts("target")), table.stacked(("x", "y", "z")), sigma, table.numbers("radius", np.nan))
+
+
+def targets_of(pattern: Pattern) -> Targets:
+    """Return the targets of a printed pattern, taken as exact."""
+    names, points = pattern_points(pattern)
+    return Targets(tuple(names), points, np.zeros_like(points), np.full(len(names), np.nan))
+
+
+def target_priors(targets: Block, sigma: Array, free: Mask) -> list[Group]:
+    """Return what is known of the targets beforehand: one group for each set of axes that has a standard deviation."""
+    known = free & np.isfinite(sigma) & (sigma > 0)
+    groups = []
+    for pattern in np.unique(known, axis=0):
+        axes = np.flatnonzero(pattern)
+        members = np.flatnonzero((known == pattern).all(axis=1))
+        if axes.size and members.size:
+            groups.append(prior(targets, members, sigma[np.ix_(members, axes)], columns=tuple(axes.tolist())))
+    return groups
