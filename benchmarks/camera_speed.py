@@ -9,6 +9,7 @@ from __future__ import annotations
 import resource
 import time
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -97,12 +98,13 @@ def main() -> None:
     )
     for views in (100, 200, 500, 1000):
         sighted, targets = scene(views, views)
-        seconds = best(lambda s=sighted: ours(s), 3)  # type: ignore[misc]
-        other = best(lambda s=sighted, t=targets: opencv(s, t), 3)  # type: ignore[misc]
+        seconds = best(partial(ours, sighted), 3)
+        other = best(partial(opencv, sighted, targets), 3)
         f, std = ours(sighted)
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         print(
-            f"{views:>6} {seconds:>15.3f} {other:>13.3f} {seconds / other:>6.2f} {peak:>8.0f} {(f - TRUTH['fx']) / std:>15.2f}"
+            f"{views:>6} {seconds:>15.3f} {other:>13.3f} {seconds / other:>6.2f} {peak:>8.0f} "
+            f"{(f - TRUTH['fx']) / std:>15.2f}"
         )
 
 

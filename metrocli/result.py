@@ -29,7 +29,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Result:
-    """The outcome of one job (contract section 4)."""
+    """The outcome of one job."""
 
     kind: str
     title: str

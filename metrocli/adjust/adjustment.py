@@ -221,7 +221,7 @@ def _in_eliminated_datum(frame: Frame, name: str, normals: Normals, inverse: Arr
     """
     free = len(inverse)
     h = frame.of_members(normals.d.shape[1])
-    share = np.linalg.solve(normals.d, np.swapaxes(h, 1, 2))
+    share: Array = np.asarray(np.linalg.solve(normals.d, np.swapaxes(h, 1, 2)), dtype=float)
     transform = np.eye(free) + frame.reduced[:free] @ np.einsum("mks,msw->kw", h, normals.weights[:, :, :free])
     noise = frame.reduced[:free] @ np.einsum("mks,msl->kl", h, share) @ frame.reduced[:free].T
     return transform @ inverse @ transform.T + noise, Gauge(frame.moves[name], share, frame.reduced)

@@ -1,4 +1,4 @@
-"""align-part: where a part stands in the machine, seen by a camera in the spindle, with the clamping angle self-calibrated."""
+"""align-part: where a part stands in the machine, seen by a camera in the spindle whose clamping angle is found too."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from metrocli.settings import Choice, Either, FileOf, ImageFiles, ListOf, Quanti
 from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import TEXT, Column, Columns, Table
 from metrocli.targets.pattern import Pattern
-from metrocli.tasks.align_problem import Problem, build, spindle_poses
+from metrocli.tasks.align_problem import build, spindle_poses
 from metrocli.tasks.align_report import KIND, explained, predicted, report
-from metrocli.tasks.camera_model import CameraModel, camera_of_file, camera_of_result
+from metrocli.tasks.camera_model import camera_of
 from metrocli.tasks.camera_settings import CameraFile, Extrinsics
 from metrocli.tasks.image_adjustment import Options, adjust_images, must_converge
 from metrocli.tasks.image_settings import eccentricity_setting, image_faults
@@ -73,7 +73,7 @@ class AlignSimulation:
 
 @dataclass(frozen=True)
 class Settings:
-    """Locate a part in the machine from images of a camera in the spindle (6D), with the clamping angle of its holder (7D)."""
+    """Locate a part in the machine from images of a camera in the spindle (6D), with its clamping angle (7D)."""
 
     inputs: Inputs = setting(Section(Inputs), "the files of the job")
     noise: float | str = setting(
@@ -110,7 +110,11 @@ def run(
     images: ImageSet | None = None,
 ) -> Result:
     """Locate the part; raises InputError, UndeterminedError or NotConvergedError."""
-    problem = prepared(settings, camera, poses, targets, observations, images)
+    model = camera_of(camera)
+    sighted = sightings(settings, observations, targets, images, Needs(fewest=1))
+    if images is not None:
+        model.must_fit(images)
+    problem = build(model, sighted, poses, free_angle="clamping-angle" in settings.estimate)
     prediction = predicted(problem)
     options = Options(settings.outliers == "remove", settings.noise == "estimated")
     adjusted = adjust_images(problem.blocks, problem.images, problem.others, None, options)
@@ -121,22 +125,6 @@ def run(
     return report(problem, adjusted, prediction)
 
 
-def prepared(
-    settings: Settings,
-    camera: Result | CameraFile,
-    poses: Table,
-    targets: Table,
-    observations: Table | None,
-    images: ImageSet | None,
-) -> Problem:
-    """Return the adjustment with its starting values."""
-    model: CameraModel = camera_of_file(camera) if isinstance(camera, CameraFile) else camera_of_result(camera)
-    sighted = sightings(settings, observations, targets, images, Needs(fewest=1))
-    if images is not None:
-        model.must_fit(images)
-    return build(model, sighted, poses, free_angle="clamping-angle" in settings.estimate)
-
-
 def simulate(
     settings: Settings,
     options: SimulationOptions,
@@ -145,11 +133,11 @@ def simulate(
     targets: Table,
     **_: object,
 ) -> Simulation:
-    """Return what the camera sees of the part of `simulation:` from each pose, with noise, and pictures if they are asked for."""
+    """Return what the camera sees of the part of `simulation:` from each pose, with noise; pictures if asked for."""
     truth = settings.simulation
     if truth is None:
         raise InputError("simulate needs the truth: give `simulation: {part: {x: 10 mm, ...}, clamping_angle: 1 mm/m}`")
-    model = camera_of_file(camera) if isinstance(camera, CameraFile) else camera_of_result(camera)
+    model = camera_of(camera)
     rng = np.random.default_rng(options.seed)
     known = true_targets(known_targets(settings.pattern, targets, 0.0), rng)
     at = np.array([getattr(truth.part, name) for name in EULER])

@@ -1,4 +1,4 @@
-"""The adjustment of a part's alignment, from a camera, spindle poses and sightings to blocks and groups with starting values."""
+"""The adjustment of a part's alignment: from camera, spindle poses and sightings to blocks with starting values."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from metrocli.adjust.blocks import Array, Block
 from metrocli.adjust.chain import Chain
 from metrocli.adjust.groups import Group
+from metrocli.adjust.observations import Index
 from metrocli.errors import Fault, InputError
 from metrocli.geometry import poses
 from metrocli.instruments import spindle_camera as spindle
@@ -101,7 +101,7 @@ def _spindle_poses(sighted: Sighted, table: Table) -> tuple[Array, tuple[str, ..
     return spindle_poses(table, rows), warnings, replace(sighted, observations=observations)
 
 
-def spindle_poses(table: Table, rows: Sequence[int] | npt.NDArray[np.intp]) -> Array:
+def spindle_poses(table: Table, rows: Sequence[int] | Index) -> Array:
     """Return the commanded poses (rows, 6) of the spindle."""
     chosen = np.asarray(rows, dtype=np.intp)
     angles = np.stack([table.numbers(name, 0.0) for name in "abc"], axis=1)[chosen]
@@ -109,7 +109,7 @@ def spindle_poses(table: Table, rows: Sequence[int] | npt.NDArray[np.intp]) -> A
 
 
 def _start(camera: CameraModel, sighted: Sighted, held: Array, free_angle: bool) -> tuple[Array, float]:
-    """Return the pose of the part and the clamping angle to start from: 0, or the best of twelve where 0 fits nothing."""
+    """Return the pose of the part and the clamping angle to start from: 0, or the best of twelve if 0 fits nothing."""
     uv = sighted.observations.readings
     ideal = np.nan_to_num(np.stack(ideal_point(camera.lens, uv[0], uv[1], camera.convention)))
     points = sighted.targets.points[sighted.target]

@@ -44,7 +44,10 @@ class Prediction:
 
 
 def predicted(problem: Problem) -> Prediction | None:
-    """Return the predicted standard uncertainty of gamma_s and its correlation with the part's rotation; None for 6D or where nothing is determined."""
+    """Return the predicted standard uncertainty of gamma_s and its correlation with the part's rotation.
+
+    None for 6D, or where nothing is determined.
+    """
     if not problem.free_angle:
         return None
     design = covariance_at(problem.blocks.values(), [problem.images, *problem.others])
@@ -137,7 +140,8 @@ def _warnings(problem: Problem, adjusted: Adjusted, views: Table, prediction: Pr
         lines.append("the camera is taken as exact: its file states no covariance")
     if prediction is not None and abs(prediction.correlation) > HIGH:
         lines.append(
-            f"gamma_s and the part's {prediction.partner} are correlated {prediction.correlation:+.3f}: the images hardly tell them apart; "
+            f"gamma_s and the part's {prediction.partner} are correlated {prediction.correlation:+.3f}: "
+            "the images hardly tell them apart; "
             "take images from positions further apart, or with the spindle turned by 90 or 180 degrees"
         )
     lines += suspect_images(problem.sighted.images, views.numbers("rms"), views.numbers("readings"))
@@ -155,13 +159,15 @@ def explained(problem: Problem, solution: Solution) -> str:
     if "gamma_s" in columns:
         lines += [
             "  why: the clamping angle and the part's rotation turn the images alike",
-            "  what would determine it: images from several positions of the spindle, far apart across its axis, or `estimate: [part-pose]`",
+            "  what would determine it: images from several positions of the spindle, far apart across its axis, "
+            "or `estimate: [part-pose]`",
         ]
     else:
         targets = len(np.unique(problem.sighted.target))
         lines += [
             f"  why: {targets} targets in {len(problem.sighted.images)} images",
-            "  what would determine it: three or more targets not on a line, each seen from two places or two or more of them in one image",
+            "  what would determine it: three or more targets not on a line, "
+            "each seen from two places or two or more of them in one image",
         ]
     return "\n".join(lines)
 

@@ -1,4 +1,4 @@
-"""calibrate-camera: the model of a camera from a board, from targets placed by a CMM, or from a network of unknown points."""
+"""calibrate-camera: the model of a camera from a board, from targets placed by a CMM, or from a network."""
 
 from __future__ import annotations
 
@@ -10,20 +10,16 @@ import numpy as np
 
 from metrocli.adjust.blocks import Array
 from metrocli.adjust.outcome import Outcome
-from metrocli.adjust.solution import Solution
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.geometry import poses
 from metrocli.geometry.rotations import rotation_from_euler, rotation_from_vector
 from metrocli.imageset import ImageSet
-from metrocli.instruments import camera
-from metrocli.instruments.camera_start import plane_frame
-from metrocli.instruments.conventions import projection_range
-from metrocli.instruments.lens import RATIONAL
 from metrocli.result import Result
 from metrocli.settings import Choice, Either, ImageFiles, Quantity, Section, TableFile, setting
 from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import TEXT, Column, Columns, Table
 from metrocli.targets.pattern import Pattern
+from metrocli.tasks.camera_advice import explained, pole
 from metrocli.tasks.camera_compare import compare_models
 from metrocli.tasks.camera_problem import Problem, build
 from metrocli.tasks.camera_report import KIND, report
@@ -43,7 +39,6 @@ SCALE_BARS = Columns(
 )
 _FEWEST = {"board": 4, "cmm": 1, "network": 4}
 """Targets an image needs"""
-_PARALLEL = np.radians(3.0)
 
 
 @dataclass(frozen=True)
@@ -90,7 +85,8 @@ class Settings:
         if self.inputs.observations is not None and self.camera.image_size is None:
             yield (
                 "camera",
-                "image_size is missing: observations do not say how large the images are; write e.g. image_size: [2592, 1944]",
+                "image_size is missing: observations do not say how large the images are; "
+                "write e.g. image_size: [2592, 1944]",
             )
         if self.inputs.scale_bars is not None and self.rig != "network":
             yield "inputs.scale_bars", "scale bars belong to rig: network"
@@ -139,78 +135,11 @@ def solved(settings: Settings, problem: Problem) -> Result:
     options = Options(settings.outliers == "remove", settings.noise == "estimated")
     adjusted = adjust_images(problem.blocks, problem.images, problem.others, problem.datum, options)
     solution = adjusted.solution
-    lost = not solution.outcome.good and _pole(problem, solution) is not None
+    lost = not solution.outcome.good and pole(problem, solution) is not None
     if solution.undetermined or solution.outcome is Outcome.TOO_FEW or lost:
         raise UndeterminedError(explained(problem, solution))
     must_converge(solution)
     return report(problem, settings.camera, adjusted)
-
-
-def explained(problem: Problem, solution: Solution) -> str:
-    """Say what is undetermined, why, and what would determine it."""
-    lines = [f"{solution.outcome.value}: {solution.observations} readings, {solution.unknowns} unknowns"]
-    lines += [f"  undetermined: {_in_words(str(combination))}" for combination in solution.undetermined[:3]]
-    if len(solution.undetermined) > 3:
-        lines.append(f"  and {len(solution.undetermined) - 3} more combinations")
-    return "\n".join([*lines, *_advice(problem, solution)])
-
-
-def _in_words(text: str) -> str:
-    return (
-        text.replace(f" of {camera.LENS}", "")
-        .replace(f" of {camera.VIEW} ", " of ")
-        .replace(f" of {camera.TARGET} ", " of ")
-    )
-
-
-def _advice(problem: Problem, solution: Solution) -> list[str]:
-    columns = {
-        column
-        for combination in solution.undetermined
-        for block, column, _, _ in combination.parts
-        if block == camera.LENS
-    }
-    if problem.rig == "board" and not _tilted(problem):
-        return [
-            "  why: all views are parallel to the board",
-            "  what would determine it: views tilted by 20 to 45 degrees about both axes of the image",
-        ]
-    if problem.rig == "cmm" and plane_frame(problem.sighted.targets.points[np.unique(problem.sighted.target)])[1]:
-        return [
-            "  why: all targets lie in one plane",
-            "  what would determine it: targets at several distances along the camera's axis",
-        ]
-    pole = _pole(problem, solution)
-    if pole is not None and (columns & set(RATIONAL) or not columns):
-        return [
-            f"  why: the rational terms drive the model into a pole at {pole:.0f} px from the principal point, where they fit noise",
-            "  what would determine it: fewer distortion parameters (metrocli calibrate-camera --compare shows which help)",
-        ]
-    if columns & {"cx", "cy"}:
-        return ["  what would determine it: views turned by 90 degrees about the camera's axis, and tilted ones"]
-    if solution.outcome is Outcome.TOO_FEW:
-        return ["  what would determine it: more views, more targets, or fewer parameters in camera.estimate"]
-    return [
-        "  what would determine it: more views from different directions and distances, or fewer parameters in camera.estimate"
-    ]
-
-
-def _pole(problem: Problem, solution: Solution) -> float | None:
-    """Return the radius [px] where estimated rational terms fold the model over inside the image, else None."""
-    lens = solution.blocks[camera.LENS]
-    if problem.convention != "forward" or not lens.free[0, np.isin(lens.columns, RATIONAL)].any():
-        return None
-    return projection_range(dict(zip(lens.columns, lens.values[0].tolist(), strict=True)), problem.image_size)
-
-
-def _tilted(problem: Problem) -> bool:
-    """Tell whether any view of the board is tilted by more than 3 degrees against the others or the image plane."""
-    frame, planar = plane_frame(problem.sighted.targets.points[np.unique(problem.sighted.target)])
-    if not planar:
-        return True
-    normal = poses.rotation_of(frame)[2]
-    cosine = np.abs(poses.rotation_of(problem.blocks[camera.VIEW].values)[:, 2] @ normal)
-    return bool((np.arccos(np.clip(cosine, -1, 1)) > _PARALLEL).any())
 
 
 def simulate(settings: Settings, options: SimulationOptions, targets: Table | None = None, **_: object) -> Simulation:

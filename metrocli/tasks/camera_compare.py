@@ -1,12 +1,12 @@
-"""Choice of a lens model by evidence: training and held-out RMS, significance, and how far each model moves the camera."""
+"""Choice of a lens model by evidence: training and held-out RMS, significance, and how far each moves the camera."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
-import scipy.special
 
 from metrocli.adjust.adjustment import Control, adjust
 from metrocli.adjust.blocks import Array
@@ -56,7 +56,10 @@ class Fitted:
 
 
 def compare_models(problem: Problem) -> Table:
-    """Fit the ladder of nested models and return a row for each; the least model within one standard error of the best is marked."""
+    """Fit the ladder of nested models and return a row for each.
+
+    The least model within one standard error of the best is marked as chosen.
+    """
     fitted = list(_climb(problem))
     chosen = _chosen(fitted)
     moves = [_moved(model, fitted[chosen]) for model in fitted]
@@ -66,7 +69,7 @@ def compare_models(problem: Problem) -> Table:
         "unknowns": np.array([model.solution.unknowns for model in fitted]),
         "rms": np.array([model.rms for model in fitted]),
         "held_out": np.array([model.held_out for model in fitted]),
-        "p_value": np.array([float("nan"), *(_significance(a, b) for a, b in zip(fitted, fitted[1:], strict=False))]),
+        "p_value": np.array([float("nan"), *(_significance(a, b) for a, b in pairwise(fitted))]),
         "camera_moves": np.array([find_unit("um", "length").outside(move) for move, _ in moves]),
         "camera_turns": np.array([find_unit("arcsec", "angle").outside(turn) for _, turn in moves]),
         "remark": np.array(remarks),
@@ -87,7 +90,10 @@ def _climb(problem: Problem) -> Iterator[Fitted]:
 
 
 def _held_out(problem: Problem) -> Array:
-    """Return the sum of squares and number of readings of each fold, fitted without it; its own poses are fitted to it."""
+    """Return the sum of squares and number of readings of each fold, with the lens fitted without it.
+
+    The poses of its images are fitted to the fold itself.
+    """
     views = len(problem.sighted.images)
     folds = views if views <= _ALL_FOLDS else _FOLDS
     fold_of = np.arange(views) % folds
@@ -112,9 +118,10 @@ def _held_out(problem: Problem) -> Array:
 
 
 def _chosen(fitted: list[Fitted]) -> int:
-    """Return the first model whose held-out square error exceeds the best one's by less than one standard error of their difference.
+    """Return the first model whose held-out square error is that of the best one, to one standard error.
 
-    Models that are not determined by the readings are not chosen.
+    The standard error is that of their difference over the folds. Models that are not determined by the readings are
+    not chosen.
     """
     sound = [i for i, model in enumerate(fitted) if model.solution.outcome.good] or [0]
     best = min(sound, key=lambda i: fitted[i].held_out)
@@ -128,15 +135,17 @@ def _chosen(fitted: list[Fitted]) -> int:
 
 def _significance(simple: Fitted, rich: Fitted) -> float:
     """Return the probability of a fall of the sum of squares this large by chance (F test of nested models)."""
+    from scipy.special import fdtrc
+
     more, dof = rich.solution.unknowns - simple.solution.unknowns, rich.solution.dof
     if dof <= 0 or rich.solution.cost <= 0:
         return float("nan")
     statistic = (simple.solution.cost - rich.solution.cost) / more / (rich.solution.cost / dof)
-    return float(scipy.special.fdtrc(more, dof, max(statistic, 0.0)))
+    return float(fdtrc(more, dof, max(statistic, 0.0)))
 
 
 def _moved(model: Fitted, reference: Fitted) -> tuple[float, float]:
-    """Return how far the camera moves [mm] and turns [rad] against the reference model, root mean square over the images."""
+    """Return how far the camera moves [mm] and turns [rad] against the reference model, RMS over the images."""
     name = camera.view_name(model.problem.rig)
     here, there = (m.problem.blocks[name].values for m in (model, reference))
     if model.problem.rig == "board":
@@ -151,8 +160,7 @@ def _remark(model: Fitted, chosen: bool) -> str:
         words.append("not determined by these readings")
     elif not model.solution.outcome.good:
         words.append("did not converge")
-    lens = model.problem.blocks[camera.LENS]
-    fold = projection_range(dict(zip(lens.columns, lens.values[0].tolist(), strict=True)), model.problem.image_size)
+    fold = projection_range(model.problem.blocks[camera.LENS].named(), model.problem.image_size)
     if model.problem.convention == "forward" and fold is not None:
         words.append(f"folds over at {fold:.0f} px")
     if chosen and model.held_out > _LOST:

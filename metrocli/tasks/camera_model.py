@@ -37,7 +37,8 @@ class CameraModel:
         if tuple(images.size) != self.image_size:
             w, h = images.size
             raise InputError(
-                f"the images are {w} x {h} px, the camera was calibrated with {self.image_size[0]} x {self.image_size[1]} px"
+                f"the images are {w} x {h} px, "
+                f"the camera was calibrated with {self.image_size[0]} x {self.image_size[1]} px"
             )
 
     def blocks(self) -> tuple[Block, Block]:
@@ -61,11 +62,17 @@ class CameraModel:
         return [joint_prior([lens, taper], [order, tuple(range(6))], to_step @ self.covariance @ to_step.T)]
 
 
+def camera_of(source: Result | CameraFile) -> CameraModel:
+    """Return the camera of a calibration or of a YAML file."""
+    return camera_of_file(source) if isinstance(source, CameraFile) else camera_of_result(source)
+
+
 def camera_of_file(file: CameraFile) -> CameraModel:
     """Return the camera of a YAML file, exact."""
     if file.extrinsics is None:
         raise InputError(
-            "the camera file has no extrinsics: where the camera is in the taper, e.g. extrinsics: {x: -2.1 mm, y: .., z: .., alpha: -0.003 rad, ..}"
+            "the camera file has no extrinsics: where the camera is in the taper, "
+            "e.g. extrinsics: {x: -2.1 mm, y: .., z: .., alpha: -0.003 rad, ..}"
         )
     width, height = file.image_size
     lens = {"cx": (width - 1) / 2, "cy": (height - 1) / 2, **file.given()}
@@ -80,7 +87,8 @@ def camera_of_result(result: Result) -> CameraModel:
     """Return the camera of a calibration with rig cmm, with its covariance."""
     if result.statistics.get("rig") != "cmm":
         raise InputError(
-            f"the camera was calibrated with rig {result.statistics.get('rig')}; its place in the taper is known from rig cmm only"
+            f"the camera was calibrated with rig {result.statistics.get('rig')}; "
+            "its place in the taper is known from rig cmm only"
         )
     table = result.tables["camera"]
     lens = dict(zip(table.texts("parameter"), table.numbers("value").tolist(), strict=True))

@@ -12,7 +12,7 @@ from metrocli.adjust.blocks import Array, Block
 from metrocli.adjust.chain import Chain
 from metrocli.adjust.datum import Datum
 from metrocli.adjust.groups import Group
-from metrocli.adjust.observations import Observations
+from metrocli.adjust.observations import Index, Mask, Observations
 from metrocli.errors import Fault, InputError
 from metrocli.geometry import poses
 from metrocli.instruments import camera
@@ -54,9 +54,12 @@ class Problem:
         )
 
     def with_lens(self, values: Mapping[str, float]) -> Problem:
-        """Return the problem with these lens parameters at these values, not free where they are new; others keep theirs."""
+        """Return the problem with these lens parameters at these values; others keep theirs.
+
+        Parameters that the problem did not have are not free.
+        """
         lens = self.blocks[camera.LENS]
-        known = {**dict(zip(lens.columns, lens.values[0].tolist(), strict=True)), **values}
+        known = {**lens.named(), **values}
         free = [name for name, is_free in zip(lens.columns, lens.free[0], strict=True) if is_free]
         return replace(self, blocks={**self.blocks, camera.LENS: camera.lens_block(known, free, self.image_size)})
 
@@ -64,7 +67,7 @@ class Problem:
         """Return the problem at other values."""
         return replace(self, blocks=blocks)
 
-    def of_images(self, chosen: Array) -> Problem:
+    def of_images(self, chosen: Mask) -> Problem:
         """Return the problem of some of its images (a mask over them), with their readings and poses only."""
         keep = chosen[self.images.observations.index["view"]]
         numbers = np.cumsum(chosen) - 1
@@ -129,8 +132,9 @@ def _check_inside(sighted: Sighted, size: tuple[int, int]) -> None:
         i = int(np.flatnonzero(outside)[0])
         keys = sighted.observations.keys
         raise InputError(
-            f"{outside.sum()} of {outside.size} readings lie far outside an image of {size[0]} x {size[1]} px, the first: image {keys['image'][i]}, "
-            f"target {keys['target'][i]} at ({uv[0, i]:.1f}, {uv[1, i]:.1f}); check image_size and the columns"
+            f"{outside.sum()} of {outside.size} readings lie far outside an image of {size[0]} x {size[1]} px, "
+            f"the first: image {keys['image'][i]}, target {keys['target'][i]} at ({uv[0, i]:.1f}, {uv[1, i]:.1f}); "
+            "check image_size and the columns"
         )
 
 
@@ -159,7 +163,7 @@ def _start(rig: str, sighted: Sighted, values: Mapping[str, float], size: Sequen
     return focal, found if rig == "board" else poses.inverse(found)
 
 
-def _readings(sighted: Sighted, seen: Array, least: int, rig: str) -> Observations:
+def _readings(sighted: Sighted, seen: Index, least: int, rig: str) -> Observations:
     observations = sighted.observations.selected(seen[sighted.target] >= least)
     index = dict(observations.index)
     if rig == "cmm":
@@ -167,14 +171,15 @@ def _readings(sighted: Sighted, seen: Array, least: int, rig: str) -> Observatio
     return replace(observations, index=index)
 
 
-def _scale_bars(bars: Table | None, names: tuple[str, ...], seen: Array) -> list[Group]:
+def _scale_bars(bars: Table | None, names: tuple[str, ...], seen: Index) -> list[Group]:
     if bars is None:
         return []
     place = {name: i for i, name in enumerate(names)}
     ends = [bars.texts("from"), bars.texts("to")]
     faults = [
         Fault(
-            f"scale bar end '{name}' is {'seen in fewer than two images' if name in place else 'not in the list of targets'}",
+            f"scale bar end '{name}' is "
+            + ("seen in fewer than two images" if name in place else "not in the list of targets"),
             bars.file,
             bars.lines[row] if bars.lines else None,
         )
@@ -197,9 +202,10 @@ def _scale_bars(bars: Table | None, names: tuple[str, ...], seen: Array) -> list
 
 
 def _better_start(problem: Problem, settings: Camera) -> Problem:
-    """Try other focal lengths where the first start ends far from the readings; then add rational and prism terms in steps.
+    """Try other focal lengths where the first start ends far from the readings.
 
-    The steps make sure that a richer model starts from the solution of the model it contains.
+    Then rational and prism terms are added in steps, so that a richer model starts from the solution of the model it
+    contains.
     """
     simple = [name for name in settings.estimate if name not in (*RATIONAL, *PRISM)]
     best = _roughly(problem.with_estimate(simple))
@@ -233,7 +239,7 @@ def _rms(problem: Problem) -> float:
 def _retried(problem: Problem, focal: float) -> Problem:
     lens = problem.blocks[camera.LENS]
     values = {
-        **dict(zip(lens.columns, lens.values[0].tolist(), strict=True)),
+        **lens.named(),
         **{name: focal for name in lens.columns if name in ("f", "fx", "fy")},
     }
     _, views = _start(problem.rig, problem.sighted, {**values, **dict.fromkeys(DISTORTION, 0.0)}, problem.image_size)

@@ -14,7 +14,7 @@ _ESTIMATED = tuple(name for name in PARAMETERS)
 
 @dataclass(frozen=True, kw_only=True)
 class LensValues:
-    """Lens parameters as in section 1 of the conventions; what is not given is 0 (cx, cy: the image centre)."""
+    """Lens parameters; what is not given is 0 (cx, cy: the image centre)."""
 
     f: float | None = setting(_PX, "focal length, one for both axes", default=None)
     fx: float | None = setting(_PX, "focal length along u", default=None)

@@ -24,7 +24,10 @@ _ROUNDS = 3
 
 
 def shift(group: Group, blocks: Mapping[str, Block], radius: Array) -> Array:
-    """Return measured centre minus image of the centre, (2, n) px, for targets of `radius` (targets,) mm lying in z = const."""
+    """Return measured centre minus image of the centre, (2, n) px.
+
+    Targets are discs of `radius` (targets,) mm lying in z = const.
+    """
     targets = blocks[TARGET]
     turn = np.arange(_RIM) * (2 * np.pi / _RIM)
     offsets = (
@@ -49,7 +52,10 @@ def shift(group: Group, blocks: Mapping[str, Block], radius: Array) -> Array:
 def corrected(
     group: Group, blocks: Mapping[str, Block], others: tuple[Group, ...], datum: Datum | None, radius: Array
 ) -> tuple[Group, dict[str, Block]]:
-    """Return the group with readings freed of eccentricity, and blocks that fit them; the shift is found with the solution itself."""
+    """Return the group with readings freed of eccentricity, and blocks that fit them.
+
+    The shift depends on the solution, so both are found in turn.
+    """
     measured = group.observations.readings
     state = dict(blocks)
     for _ in range(_ROUNDS):

@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from metrocli.adjust.blocks import Array
+from metrocli.adjust.observations import Index, Mask
 from metrocli.errors import InputError
 from metrocli.geometry import poses
 from metrocli.instruments.lens import ideal_point, image_point
 from metrocli.table import Table
-from metrocli.targets import render
-from metrocli.targets.codes import codes
 from metrocli.targets.pattern import Pattern
 from metrocli.tasks.target_list import Targets
 
@@ -28,13 +27,13 @@ _MARGIN = 2.0
 
 @dataclass(frozen=True)
 class Shown:
-    """A camera with its true values in front of targets: the pose that carries targets into the camera for each image."""
+    """A camera with its true values in front of targets."""
 
     lens: Mapping[str, float]
     image_size: tuple[int, int]
     images: tuple[str, ...]
     to_camera: Array
-    """(images, 6)"""
+    """The pose that carries targets into the camera for each image, (images, 6)"""
     targets: Targets
     convention: str = "forward"
 
@@ -52,24 +51,23 @@ def sightings_table(
     """Return the image points of the targets inside each image, with noise; `only` names the targets of each image."""
     rows: list[tuple[str, str, float, float]] = []
     for i, image in enumerate(shown.images):
-        chosen = np.arange(len(shown.targets.names)) if only is None else np.array(only(i), dtype=int)
+        chosen = np.arange(len(shown.targets.names)) if only is None else np.array(only(i), dtype=np.intp)
         uv, inside = _projected(shown, i, chosen)
         uv = uv + rng.normal(0.0, sigma, uv.shape)
         rows += [
-            (image, shown.targets.names[t], float(u), float(v))
-            for t, (u, v), good in zip(chosen, uv, inside, strict=True)
-            if good
+            (image, shown.targets.names[t], u, v)
+            for t, (u, v) in zip(chosen[inside].tolist(), uv[inside].tolist(), strict=True)
         ]
     if not rows:
         raise InputError("simulation: no target is inside any image; check the poses and the distance")
-    image, target, u, v = zip(*rows, strict=True)
-    return Table(
-        {"image": np.array(image), "target": np.array(target), "u": np.array(u), "v": np.array(v)},
-        {"u": "px", "v": "px"},
-    )
+    columns = {
+        name: np.array(values)
+        for name, values in zip(("image", "target", "u", "v"), zip(*rows, strict=True), strict=True)
+    }
+    return Table(columns, {"u": "px", "v": "px"})
 
 
-def _projected(shown: Shown, image: int, chosen: Array) -> tuple[Array, Array]:
+def _projected(shown: Shown, image: int, chosen: Index) -> tuple[Array, Mask]:
     """Return image points (n, 2) and whether each is inside with its target, its radius included."""
     points = poses.apply(shown.to_camera[image], shown.targets.points[chosen])
     front = points[:, 2] > 0
@@ -100,46 +98,9 @@ def pictures(
     shown: Shown, pattern: Pattern, rng: np.random.Generator, only: Callable[[int], list[int]] | None = None
 ) -> Iterator[tuple[str, Draw]]:
     """Yield for each image its path and what renders it."""
+    from metrocli.tasks.image_rendering import drawer
+
     seeds = rng.integers(0, 2**63, len(shown.images))
     for i, image in enumerate(shown.images):
         chosen = list(range(len(shown.targets.names))) if only is None else only(i)
-        yield f"images/{image}", _drawer(shown, pattern, i, chosen, int(seeds[i]))
-
-
-def _drawer(shown: Shown, pattern: Pattern, image: int, chosen: list[int], seed: int) -> Draw:
-    def draw() -> Picture:
-        scene = _scene(shown, pattern, image, chosen)
-        look = render.RETRO_REFLECTIVE if pattern.type in ("dot", "coded-rings") else replace(render.Look(), noise=2.0)
-        return render.render(shown.image_size, lambda uv: _rays(shown, uv), scene, look, np.random.default_rng(seed))
-
-    return draw
-
-
-def _rays(shown: Shown, uv: Array) -> Array:
-    x, y = ideal_point(shown.lens, uv[:, 0], uv[:, 1], shown.convention)
-    both = np.column_stack([x, y, np.ones_like(x)])
-    unit: Array = both / np.linalg.norm(both, axis=1, keepdims=True)
-    return unit
-
-
-def _scene(shown: Shown, pattern: Pattern, image: int, chosen: list[int]) -> list[render.Placed]:
-    rotation = poses.rotation_of(shown.to_camera[image])
-    if pattern.type not in ("dot", "coded-rings"):
-        return [render.Placed(render.board(pattern), rotation, shown.to_camera[image, :3])]
-    points = poses.apply(shown.to_camera[image], shown.targets.points)
-    return [render.Placed(_drawing(shown, pattern, i), rotation, points[i]) for i in chosen if points[i, 2] > 0]
-
-
-def _drawing(shown: Shown, pattern: Pattern, target: int) -> render.Drawing:
-    radius = float(shown.targets.radius[target])
-    if not np.isfinite(radius):
-        raise InputError(
-            "rendering needs the targets' size: give pattern: diameter, or a column radius_mm in the targets file"
-        )
-    name = shown.targets.names[target]
-    if pattern.type == "dot":
-        return render.Dot(radius)
-    if not name.isdigit() or int(name) not in codes():
-        known = ", ".join(str(code) for code in codes()[:6])
-        raise InputError(f"target '{name}' is not a 12-bit code; coded targets are named by their code: {known}, ...")
-    return render.CodedRing(int(name), radius)
+        yield f"images/{image}", drawer(shown, pattern, i, chosen, int(seeds[i]))
