@@ -454,8 +454,15 @@ def read_sections(node: Node, sections: Sequence[type], faults: list[Fault]) -> 
     known = [wanted.key for section in sections for wanted, _ in settings_of(section).values()]
     place = f" in '{node.path}'" if node.path else ""
     unknown = [key for key, _ in node.entries if key.text not in known]
-    faults.extend(key.fault(f"unknown key '{key.text}'{place}", suggestion(key.text, known)) for key in unknown)
+    faults.extend(key.fault(f"unknown key '{key.text}'{place}", _hint_for_key(key.text, known)) for key in unknown)
     return [_read_section(node, section, faults) for section in sections]
+
+
+def _hint_for_key(key: str, known: Sequence[str]) -> str:
+    """Return the nearest key, or the reason where a comma in {...} cut a value in two."""
+    if re.fullmatch(r"[0-9]+\s*[^\W\d_]*", key):
+        return "a comma ends a value here; write a decimal point, and the value in quotes if it must hold a comma"
+    return suggestion(key, known)
 
 
 def _read_section(node: Node, section: type, faults: list[Fault]) -> Any:

@@ -205,8 +205,8 @@ class Wishes:
 def load(path: Path, wishes: Wishes | None = None) -> Job:
     """Return a job; raise InputError with all faults of the file and its YAML inputs, UsageError for another kind."""
     wishes = wishes or Wishes()
-    root, text = _root(path, wishes.overrides)
     faults: list[Fault] = []
+    root, text = _root(path, wishes.overrides, faults)
     kind = _kind(root, path, wishes.kind)
     if kind is None:
         read_sections(_only(root, settings_of(Heading)), (Heading,), faults)
@@ -224,13 +224,13 @@ def load(path: Path, wishes: Wishes | None = None) -> Job:
 
 def kind_of_job(path: Path) -> str | None:
     """Return the kind of a job file, None where it names none that is known."""
-    return _kind(_root(path, ())[0], path, None)
+    return _kind(_root(path, (), [])[0], path, None)
 
 
-def _root(path: Path, overrides: Sequence[str]) -> tuple[Node, str]:
-    """Return the tree of a job file with the overrides in it, and the text that says the same."""
+def _root(path: Path, overrides: Sequence[str], faults: list[Fault]) -> tuple[Node, str]:
+    """Return the tree of a job file with the overrides in it, and the text that says the same; add repeated keys to faults."""
     text = yaml_text.read_text(path, str(path))
-    root = yaml_text.parse(text, str(path), path.parent)
+    root = yaml_text.parse(text, str(path), path.parent, faults)
     if root.kind != "mapping":
         raise InputError([root.fault("a job file is a mapping of keys", "write 'metrocli: 1', 'job: KIND', ...")])
     for override in overrides:

@@ -55,8 +55,12 @@ def read_text(path: Path, shown: str) -> str:
         raise InputError([Fault("the file is not text in UTF-8", shown, line, 1)]) from error
 
 
-def parse(text: str, file: str, folder: Path) -> Node:
-    """Return the root of a YAML text; raise InputError with every fault of its form."""
+def parse(text: str, file: str, folder: Path, repeated: list[Fault] | None = None) -> Node:
+    """Return the root of a YAML text; raise InputError with every fault of its form.
+
+    Where `repeated` is given, keys that stand twice are added to it instead of being raised, so that they are told
+    together with the faults of the content; the first value counts.
+    """
     source = Source(file, tuple(text.splitlines()), folder)
     odd = next((at for at, c in enumerate(text) if ord(c) < ord(" ") and c not in "\n\r\t"), None)
     if odd is not None:
@@ -73,8 +77,10 @@ def parse(text: str, file: str, folder: Path) -> Node:
         raise InputError([Fault(f"this is not YAML: {error}", file)]) from error
     if builder.root is None and not builder.faults:
         raise InputError([Fault("the file is empty", file, 1, 1)])
-    if builder.faults or builder.root is None:
-        raise InputError(builder.faults)
+    if builder.faults or builder.root is None or (builder.repeated and repeated is None):
+        raise InputError([*builder.faults, *builder.repeated])
+    if repeated is not None:
+        repeated.extend(builder.repeated)
     return builder.root
 
 
@@ -109,6 +115,7 @@ class _Builder:
     def __init__(self, source: Source) -> None:
         self.source = source
         self.faults: list[Fault] = []
+        self.repeated: list[Fault] = []
         self.root: Node | None = None
         self.stack: list[_Open] = []
         self.documents = 0
@@ -156,9 +163,10 @@ class _Builder:
                 self.faults.append(key.fault("a key must be one word"))
             elif key.text in seen:
                 first = seen[key.text].line
-                self.faults.append(key.fault(f"the key '{key.text}' stands here twice", f"first in line {first}"))
+                self.repeated.append(key.fault(f"the key '{key.text}' stands here twice", f"first in line {first}"))
             seen.setdefault(key.text, key)
-        return replace(opened.node, entries=tuple(pairs))
+        firsts = {id(key) for key in seen.values()}
+        return replace(opened.node, entries=tuple(pair for pair in pairs if id(pair[0]) in firsts))
 
     def _node(self, event: Any, kind: Any, text: str = "", quoted: bool = False) -> Node:
         mark = event.start_mark
