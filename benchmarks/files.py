@@ -11,6 +11,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,6 +19,9 @@ from metrocli.formats import csv, hdf5
 from metrocli.record import Record
 from metrocli.result import Result
 from metrocli.table import TEXT, Column, Columns, Table
+
+if TYPE_CHECKING:
+    from metrocli.table import Values
 
 ROWS = 300_000
 COLUMNS = Columns(
@@ -57,9 +61,13 @@ def readings() -> Table:
     """Return a table as an image measurement has it."""
     random = np.random.default_rng(0)
     rows = np.arange(ROWS)
-    names = {"image": np.char.add("I", (rows // 100).astype(str)), "target": np.char.add("T", (rows % 100).astype(str))}
-    points = {name: random.uniform(0, 2000, ROWS) for name in ("u", "v")}
-    return Table(names | points, {"u": "px", "v": "px"})
+    columns: dict[str, Values] = {
+        "image": np.char.add("I", (rows // 100).astype(str)),
+        "target": np.char.add("T", (rows % 100).astype(str)),
+        "u": random.uniform(0, 2000, ROWS),
+        "v": random.uniform(0, 2000, ROWS),
+    }
+    return Table(columns, {"u": "px", "v": "px"})
 
 
 def idle_project(folder: Path) -> Path:

@@ -80,9 +80,13 @@ def test_a_criterion_on_nothing_writes_nothing(
 
 
 def test_set_changes_the_job_and_the_stored_text(job: Path, metrocli: Metrocli) -> None:
-    ran = metrocli("straight-line", job, "--set", "noise=0.2 mm", "--set", "limits.range=[0 mm, 1 m]", "--set", "title=a: b")
+    ran = metrocli(
+        "straight-line", job, "--set", "noise=0.2 mm", "--set", "limits.range=[0 mm, 1 m]", "--set", "title=a: b"
+    )
     assert ran.code == 3  # a title is not a mapping
-    ran = metrocli("straight-line", job, "--set", "noise=0.2 mm", "--set", "limits.range=[0 mm, 1 m]", "--set", "title='a: b'")
+    ran = metrocli(
+        "straight-line", job, "--set", "noise=0.2 mm", "--set", "limits.range=[0 mm, 1 m]", "--set", "title='a: b'"
+    )
     assert ran.code == 0
     with h5py.File("results/line.h5") as file:
         text = file["job"].asstr()[()]

@@ -24,7 +24,9 @@ sys.exit(code)
 """
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["align-part", "--help"], ["run", "--help"], ["nonsense"]])
+@pytest.mark.parametrize(
+    "arguments", [["--help"], ["--version"], ["align-part", "--help"], ["run", "--help"], ["nonsense"]]
+)
 def test_nothing_heavy_is_imported(arguments: list[str]) -> None:
     script = IMPORTED.format(heavy=HEAVY)
     done = subprocess.run([sys.executable, "-c", script, *arguments], capture_output=True, text=True, check=False)

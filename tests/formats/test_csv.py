@@ -65,9 +65,7 @@ def test_forms_of_the_same_table(tmp_path: Path, text: str) -> None:
     assert table.warnings == ()
 
 
-@pytest.mark.parametrize(
-    ("unit", "factor"), [("mm", 1.0), ("m", 1e3), ("um", 1e-3), ("nm", 1e-6)]
-)
+@pytest.mark.parametrize(("unit", "factor"), [("mm", 1.0), ("m", 1e3), ("um", 1e-3), ("nm", 1e-6)])
 def test_each_unit_of_a_length(tmp_path: Path, unit: str, factor: float) -> None:
     table = read(tmp_path, f"l_{unit}\n3\n", Columns((Column("l", "length"),)))
     assert table.numbers("l") == pytest.approx([3 * factor], rel=1e-15)
@@ -161,7 +159,11 @@ FINITE = st.floats(allow_nan=False, allow_infinity=False)
 NAMES = st.text(st.characters(codec="utf-8", exclude_categories=["Cc", "Z"]), min_size=1, max_size=8)
 
 
-@given(st.integers(1, 6).flatmap(lambda n: st.tuples(arrays(float, n, elements=FINITE), st.lists(NAMES, min_size=n, max_size=n))))
+@given(
+    st.integers(1, 6).flatmap(
+        lambda n: st.tuples(arrays(float, n, elements=FINITE), st.lists(NAMES, min_size=n, max_size=n))
+    )
+)
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
 def test_what_is_written_reads_back_exactly(tmp_path: Path, columns: tuple[np.ndarray, list[str]]) -> None:
     numbers, names = columns

@@ -25,7 +25,14 @@ RESULT = Result(
     title="Gehäuse µ",
     estimates=(Estimate("x", 1.5, 0.1, "mm"), Estimate("gamma_s", 0.1, 0.001, "rad")),
     covariance=np.array([[0.01, 1e-5], [1e-5, 1e-6]]),
-    statistics={"observations": 10, "sigma0": 1.25, "p_value": 0.5, "rms": {"px": 0.1}, "robust": True, "datum": "points"},
+    statistics={
+        "observations": 10,
+        "sigma0": 1.25,
+        "p_value": 0.5,
+        "rms": {"px": 0.1},
+        "robust": True,
+        "datum": "points",
+    },
     tables={
         "residuals": Table(
             {"image": np.array(["a", "ß"]), "residual": np.array([0.1, np.nan]), "used": np.array([True, False])},
@@ -90,9 +97,10 @@ def test_the_layout_is_plain_hdf5(tmp_path: Path) -> None:
         assert file["inputs"].dtype.names == ("path", "sha256", "bytes")
         assert file["parameters"].dtype.names == ("name", "value", "std", "unit")
         assert file["parameters"]["name"].tolist() == [b"x", b"gamma_s"]
-        assert file["parameters"].dtype["name"].metadata == {"h5py_encoding": "utf-8"} or h5py.check_string_dtype(
-            file["parameters"].dtype["name"]
-        ).encoding == "utf-8"
+        assert (
+            file["parameters"].dtype["name"].metadata == {"h5py_encoding": "utf-8"}
+            or h5py.check_string_dtype(file["parameters"].dtype["name"]).encoding == "utf-8"
+        )
         assert file["covariance"].shape == (2, 2)
         assert list(file["residuals"].attrs["units"]) == ["", "px", ""]
         assert dict(file["statistics"].attrs)["sigma0"] == 1.25

@@ -21,8 +21,10 @@ effects: []
 require: {sigma0: ["< 1.5", "> 0.5"]}
 output: o.h5
 """
-PIECES = st.sampled_from([": ", "\n", "  ", "[", "]", "{", "}", "- ", "'", '"', "&a", "*a", "!!x", "|", ">", "?", "#", ",", "\t", "0", "nan", "µ", "\0", "---\n", "~", "<<", "%", "\u2028", "\ufeff"])
-EDITS = st.lists(st.tuples(st.integers(0, len(GOOD)), st.integers(0, 12), PIECES | st.text(max_size=4)), min_size=1, max_size=4)
+PIECES = st.sampled_from([": ", "\n", "  ", "[", "]", "{", "}", "- ", "'", '"', "&a", "*a", "!!x", "|", ">", "?", "#", ",", "\t", "0", "nan", "µ", "\0", "---\n", "~", "<<", "%", "\u2028", "\ufeff"])  # fmt: skip
+EDITS = st.lists(
+    st.tuples(st.integers(0, len(GOOD)), st.integers(0, 12), PIECES | st.text(max_size=4)), min_size=1, max_size=4
+)
 
 
 @given(EDITS)

@@ -111,7 +111,9 @@ def test_random_changes_never_leave_a_stale_result(project: Path, metrocli: Call
     for _ in range(25):
         name = chance.choice(sorted(CHANGES))
         change, expected, _ = CHANGES[name]
-        before = {path: path.read_bytes() for path in (Path("more.csv"), Path("jobs/first.yaml"), Path("jobs/third.yaml"))}
+        before = {
+            path: path.read_bytes() for path in (Path("more.csv"), Path("jobs/first.yaml"), Path("jobs/third.yaml"))
+        }
         change()
         same = all(path.read_bytes() == content for path, content in before.items()) and not name.startswith("output")
         assert kinds(metrocli("run")) == ("" if same else expected), name
@@ -164,9 +166,7 @@ FAULTS = {
 
 @pytest.mark.parametrize("name", FAULTS)
 @pytest.mark.parametrize("command", ["run", "status", "check"])
-def test_a_broken_project_runs_nothing(
-    name: str, command: str, project: Path, metrocli: Callable[..., Any]
-) -> None:
+def test_a_broken_project_runs_nothing(name: str, command: str, project: Path, metrocli: Callable[..., Any]) -> None:
     file, text, message = FAULTS[name]
     Path(file).write_text(text)
     ran = metrocli(command, project)
