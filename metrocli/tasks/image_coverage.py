@@ -9,6 +9,7 @@ import numpy as np
 from metrocli.adjust.blocks import Array
 
 _CELLS = 10
+_DIRECTIONS = 32
 
 
 def coverage(uv: Array, image_size: Sequence[int], centre: tuple[float, float]) -> dict[str, float]:
@@ -29,7 +30,7 @@ def coverage(uv: Array, image_size: Sequence[int], centre: tuple[float, float]) 
 
 def hull_area(uv: Array) -> float:
     """Return the area of the convex hull of image points (2, n), by the monotone chain of Andrew (1979)."""
-    points = np.unique(uv.T, axis=0)
+    points = np.unique(_outer(uv.T), axis=0)
     hull: list[Array] = []
     for ordered in (points, points[::-1]):
         side: list[Array] = []
@@ -40,6 +41,17 @@ def hull_area(uv: Array) -> float:
         hull += side[:-1]
     x, y = np.array(hull).T if hull else np.zeros((2, 1))
     return float(abs(np.dot(x, np.roll(y, 1)) - np.dot(y, np.roll(x, 1))) / 2)
+
+
+def _outer(points: Array) -> Array:
+    """Return the points (m, 2) of (n, 2) that can be corners of the hull: none strictly inside the farthest ones."""
+    angle = np.arange(_DIRECTIONS) * (2 * np.pi / _DIRECTIONS)
+    corners = points[(points @ np.stack([np.cos(angle), np.sin(angle)])).argmax(axis=0)]
+    inside = np.ones(len(points), dtype=bool)
+    for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        if (a != b).any():
+            inside &= (b[0] - a[0]) * (points[:, 1] - a[1]) > (b[1] - a[1]) * (points[:, 0] - a[0])
+    return np.concatenate([corners, points[~inside]])
 
 
 def _turn(a: Array, b: Array, c: Array) -> float:
