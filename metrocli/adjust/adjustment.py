@@ -108,7 +108,7 @@ def _descend(
         try:
             step_r, frame = _solve(problem, state, damped)
             step_e = damped.back(step_r)
-        except (np.linalg.LinAlgError, ValueError):
+        except np.linalg.LinAlgError:
             damping = max(damping * 10, _DAMPING_START)
             continue
         fall = float(normals.right_r @ step_r + np.vdot(normals.right_e, step_e))
@@ -151,6 +151,8 @@ def _held(matrix: Array, frame: Frame | None) -> Array:
 def _cholesky_solve(matrix: Array, right: Array) -> Array:
     from scipy.linalg import cho_factor, cho_solve
 
+    if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
+        raise np.linalg.LinAlgError("the normal equations have entries that are no numbers")
     scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     factor = cho_factor(matrix * scale[:, None] * scale, lower=True)
     solved: Array = cho_solve(factor, (right.T * scale).T)

@@ -77,7 +77,7 @@ class Link(Protocol):
 
 def through(outer: Array, inner: Array) -> Array:
     """Return the product of derivatives at each reading: (a, b, n), (b, c, n) -> (a, c, n)."""
-    n = max(outer.shape[-1], inner.shape[-1])
+    n = outer.shape[-1] if inner.shape[-1] == 1 else inner.shape[-1]
     product = np.empty((outer.shape[0], inner.shape[1], n))
     for a, row in enumerate(outer):
         for c in range(inner.shape[1]):

@@ -57,9 +57,9 @@ class Covariance:
     def between(self, name: str, other: str) -> Array:
         """Return the covariance between all entries of two blocks, (members*size, members*size)."""
         if self.layout.eliminated == name == other:
-            flat = self.weights.reshape(-1, self.layout.width)
-            full = flat @ self.reduced @ flat.T
             m, s = self.shapes[name]
+            flat = self.weights.reshape(m * s, self.layout.width)
+            full = flat @ self.reduced @ flat.T
             view = full.reshape(m, s, m, s)
             view[np.arange(m), :, np.arange(m), :] += self.inverse
             if self.gauge is not None:
@@ -69,7 +69,8 @@ class Covariance:
         if other == self.layout.eliminated:
             return self.between(other, name).T
         rows = -self._cross if name == self.layout.eliminated else self._rows(name, self.reduced)
-        return self.factor * self._columns(other, rows.reshape(-1, self.layout.width))
+        m, s = self.shapes[name]
+        return self.factor * self._columns(other, rows.reshape(m * s, self.layout.width))
 
     def members(self, name: str) -> Array:
         """Return the covariance of each member of a block, (members, size, size)."""

@@ -16,6 +16,8 @@ from metrocli.adjust.layout import Layout
 
 _OPEN = 1e-11
 """A movement is open where its share of the normal matrix is rounding"""
+_LOOSE = 1e-12
+"""The members of a datum do not hold a movement that moves them by less than this against the others"""
 
 Movements = Callable[[Mapping[str, Block]], Mapping[str, Array]]
 
@@ -80,11 +82,19 @@ def open_frame(datum: Datum, blocks: Mapping[str, Block], layout: Layout, matrix
     if not open_ones.any():
         return None
     mix = basis[:, open_ones] / lengths[:, None]
-    chosen = {name: move @ mix for name, move in moves.items()}
+    chosen = {name: (move @ mix) * blocks[name].free[:, :, None] for name, move in moves.items()}
     movements = chosen[datum.block]
     at_reference = (
         datum.movements({**blocks, datum.block: blocks[datum.block].with_values(datum.reference)})[datum.block] @ mix
     )
     g = (at_reference * datum.members[:, None, None]).reshape(-1, mix.shape[1])
-    constraint = np.linalg.solve(g.T @ movements.reshape(g.shape), g.T)
-    return Frame(full @ mix, chosen, constraint)
+    return Frame(full @ mix, chosen, _constraint(g, movements.reshape(g.shape)))
+
+
+def _constraint(g: Array, e: Array) -> Array:
+    """Return `(G' E)^-1 G'`; LinAlgError where the members of the datum do not hold every open movement."""
+    held = e * (g != 0).any(axis=1)[:, None]
+    g_unit, e_unit = (part / np.maximum(np.linalg.norm(part, axis=0), 1e-300) for part in (g, held))
+    if np.linalg.svd(g_unit.T @ e_unit, compute_uv=False).min() < _LOOSE:
+        raise np.linalg.LinAlgError("the members of the datum leave a movement open")
+    return np.asarray(np.linalg.solve(g.T @ e, g.T), dtype=float)

@@ -45,8 +45,8 @@ class Normals:
         """Return `S = N - B' W` and its right side."""
         if not self.d.size:
             return self.n, self.right_r
-        flat = self.b.reshape(-1, self.b.shape[2])
-        weights = self.weights.reshape(flat.shape)
+        members, size, width = self.b.shape
+        flat, weights = self.b.reshape(members * size, width), self.weights.reshape(members * size, width)
         return self.n - flat.T @ weights, self.right_r - weights.T @ self.right_e.ravel()
 
     def damped(self, factor: float) -> Normals:
@@ -123,9 +123,10 @@ class _Parts:
 
 def _add(normals: Normals, parts: _Parts) -> None:
     s, places = parts.size_e, parts.places
-    rows = np.ascontiguousarray(parts.dense.reshape(-1, parts.dense.shape[2]).T).reshape(-1, *parts.dense.shape[:2])
+    d, c, n = parts.dense.shape
+    rows = np.ascontiguousarray(parts.dense.reshape(d * c, n).T).reshape(n, d, c)
     if parts.index_e is None:
-        flat = rows.reshape(-1, rows.shape[2])
+        flat = rows.reshape(n * d, c)
         gram = flat.T @ flat
     else:
         each = grams(rows, parts.index_e, len(normals.d))
@@ -178,7 +179,7 @@ def _add_several(normals: Normals, parts: _Parts, rows: Array) -> None:
     pointers = np.arange(0, value.size + 1, value.shape[2])
     matrix = csr_matrix((value.ravel(), column.ravel(), pointers), shape=(n * d, width))
     normals.n += (matrix.T @ matrix).toarray()
-    flat = rows.reshape(n * d, -1)
+    flat = rows.reshape(n * d, rows.shape[2])
     cross = matrix.T @ flat[:, s:]
     normals.n[:, parts.places] += cross[:, :-1]
     normals.n[parts.places, :] += cross[:, :-1].T
