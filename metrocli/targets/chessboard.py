@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float64]
 
+LEAST_SIDE = 32
+"""Images with a shorter side hold no chessboard, and OpenCV's search fails on them."""
+
 
 def find(pattern: Pattern, picture: Picture) -> Sightings:
     """Return the inner corners of a chessboard, all but those whose grey values show none, or nothing with the reason.
@@ -47,6 +50,8 @@ def find(pattern: Pattern, picture: Picture) -> Sightings:
 def _coarse(pattern: Pattern, grey: npt.NDArray[np.uint8]) -> Array | None:
     """Return the corners (n, 2) to a pixel or so, by OpenCV's quick search or else by its thorough one."""
     rows, columns = pattern.shape
+    if min(grey.shape) < LEAST_SIDE:
+        return None
     flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
     found, corners = cv2.findChessboardCorners(grey, (columns, rows), flags=flags)
     if not found:

@@ -36,16 +36,9 @@ CLEAR = 0.2
 
 def find(pattern: Pattern, picture: Picture) -> Sightings:
     """Return the coded targets of an image, named by their code; a code that occurs twice is left out and told."""
-    read: list[tuple[int, Fitted]] = []
-    for start in blobs.ellipses(picture, pattern.polarity):
-        if not _worth_fitting(picture, start):
-            continue
-        fitted = ellipses.fit(picture, start, REACH)
-        if fitted is None or not ellipses.is_good(fitted):
-            continue
-        code = decode(picture, fitted)
-        if code is not None:
-            read.append((code, fitted))
+    starts = (start for start in blobs.ellipses(picture, pattern.polarity) if _worth_fitting(picture, start))
+    fits = ellipses.fit_all(picture, starts, REACH)
+    read = [(code, fitted) for fitted in fits if (code := decode(picture, fitted)) is not None]
     counts = Counter(code for code, _ in read)
     twice = sorted(code for code, count in counts.items() if count > 1)
     single = sorted((item for item in read if counts[item[0]] == 1), key=lambda item: item[0])

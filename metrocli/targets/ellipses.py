@@ -184,9 +184,15 @@ def is_good(fitted: Fitted | None) -> bool:
 
 
 def fit_all(picture: Picture, starts: Iterable[Ellipse], reach: float = np.inf) -> list[Fitted]:
-    """Return the fits that look like blurred ellipses."""
-    fits = (fit(picture, start, reach) for start in starts)
-    return [fitted for fitted in fits if fitted is not None and is_good(fitted)]
+    """Return the fits that look like blurred ellipses, each once, though several starts may lead to it."""
+    found: list[Fitted] = []
+    for start in starts:
+        fitted = fit(picture, start, reach)
+        if fitted is None or not is_good(fitted):
+            continue
+        if not any(_is_near(fitted.ellipse, other.ellipse) for other in found):
+            found.append(fitted)
+    return found
 
 
 def _pixels(picture: Picture, start: Ellipse, reach: float) -> tuple[Array, Array]:

@@ -13,9 +13,9 @@ Whole = npt.NDArray[np.int64]
 
 NEAR = 0.3
 """A neighbour is expected within this part of the step to it."""
-GATE = 0.25
+GATE = 0.2
 """Largest root mean square distance from a homography, in steps of the lattice: lens distortion stays far below."""
-BENT = 0.35
+BENT = 0.2
 """Largest distance of a point from the middle of its two neighbours, in steps."""
 UNORDERED = "the order of the points is not that of a flat board"
 FEWEST = 0.75
@@ -47,7 +47,7 @@ def projected(h: Array, plane: Array) -> Array:
 def order_fault(steps: Whole, uv: Array) -> str:
     """Return why the points (n, 2) cannot stand at these places (n, 2) of a flat lattice; empty where they can.
 
-    Two gates that pass any lens: all points lie on one homography to within a quarter of a step, root mean square, and
+    Two gates that pass any lens: all points lie on one homography to within a fifth of a step, root mean square, and
     every point between two neighbours lies near their middle.
     """
     if len(np.unique(steps, axis=0)) < len(steps):

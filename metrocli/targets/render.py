@@ -137,8 +137,11 @@ class Circles:
     def ink(self, x: Field, y: Field) -> Field:
         from scipy.spatial import KDTree
 
-        distance = KDTree(self.centres).query(np.stack([x, y], axis=-1))[0]
-        return _inside(self.radius - distance)
+        # One nearest circle serves a block of samples: midway between circles it does not matter which it is.
+        blocks = np.stack([x[::FINE, ::FINE], y[::FINE, ::FINE]], axis=-1)
+        nearest = self.centres[KDTree(self.centres).query(blocks)[1]]
+        nearest = np.repeat(np.repeat(nearest, FINE, axis=0), FINE, axis=1)[: x.shape[0], : x.shape[1]]
+        return _inside(self.radius - np.hypot(x - nearest[..., 0], y - nearest[..., 1]))
 
 
 @dataclass(frozen=True)
@@ -220,7 +223,7 @@ def render(size: tuple[int, int], rays: Rays, scene: Sequence[Placed], look: Loo
     Only the surroundings of each drawing are computed; their edges are exact to about 0.001 px.
     """
     width, height = size
-    image = np.full((height, width), look.background)
+    image = np.full((height, width), float(look.background))
     u, v = np.arange(-COARSE, width + 2 * COARSE, COARSE), np.arange(-COARSE, height + 2 * COARSE, COARSE)
     coarse = _ray_grid(rays, u, v)
     for placed in scene:

@@ -53,12 +53,12 @@ def test_codes_at_six_pixels_ring_width_up_to_sixty_degrees(look: Look) -> None:
 
 def test_every_code_is_read_in_any_turn() -> None:
     rng = np.random.default_rng(8)
-    camera = Camera((1400, 700), 1500.0)
-    places = [(x, y) for x in np.arange(-7, 8) * 28.0 for y in np.arange(-3, 4) * 28.0]
+    camera = Camera((1000, 620), 1500.0)
+    places = [(x, y) for x in np.arange(-7, 8) * 20.0 for y in np.arange(-4, 5) * 20.0]
     for first in range(0, len(codes()), len(places)):
         chosen = codes()[first : first + len(places)]
         placed = [
-            Placed(CodedRing(code, 2.5), about_z(rng.uniform(0, 7)), np.array([x, y, 500.0]))
+            Placed(CodedRing(code, 2.0), about_z(rng.uniform(0, 7)), np.array([x, y, 500.0]))
             for code, (x, y) in zip(chosen, places, strict=False)
         ]
         found = find(RINGS, render(camera.size, camera.rays, placed, Look(), rng))
