@@ -44,6 +44,6 @@ class Result:
     """By name: points_covariance, ..."""
     warnings: tuple[str, ...] = ()
     shown: tuple[str, ...] = ()
-    """Names of the tables that the terminal shows after the estimates."""
+    """Tables that the terminal shows after the estimates: `name`, or `name: column, column` for a part of one."""
     notes: tuple[str, ...] = ()
     """Lines of plain text for the reader of the result, such as a rotation matrix or what was rejected."""

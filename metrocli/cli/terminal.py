@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ def result_text(result: Result, record: Record, path: Path) -> str:
     parts += [columns_text(_estimate_rows(result.estimates))] if result.estimates else []
     parts += [_statistics_line(result.statistics)]
     parts += result.notes
-    parts += [f"\n{name}\n{table_text(result.tables[name])}" for name in result.shown if name in result.tables]
+    parts += [_shown(result, entry) for entry in result.shown if entry.partition(":")[0] in result.tables]
     parts += [_verdict_line(verdict) for verdict in record.verdicts]
     return "\n".join([*parts, f"result: {path}"])
 
@@ -67,6 +68,15 @@ def _statistics_line(statistics: Mapping[str, Any]) -> str:
         elif value is not None:
             parts.append(f"{name.replace('_value', '')} {value:.4g}" if isinstance(value, float) else f"{name} {value}")
     return ", ".join(parts)
+
+
+def _shown(result: Result, entry: str) -> str:
+    """Return a table of the result, or the columns of it that `name: column, column` names."""
+    name, _, chosen = entry.partition(":")
+    table = result.tables[name]
+    wanted = [column.strip() for column in chosen.split(",")] if chosen else list(table)
+    part = replace(table, columns={column: table.columns[column] for column in wanted if column in table})
+    return f"\n{name}\n{table_text(part)}"
 
 
 def table_text(table: Table) -> str:

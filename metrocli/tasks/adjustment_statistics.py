@@ -34,7 +34,7 @@ def with_noise(statistics: Statistics, solution: Solution, noise: float) -> Stat
     sigma0 is then for a unit weight of 1 px, and there is no global test.
     """
     kept = {name: value for name, value in statistics.items() if name not in ("p_value", "sigma0_low", "sigma0_high")}
-    return {**kept, "noise": noise, "sigma0": noise, "chi2": solution.dof * noise**2}
+    return {**kept, "noise_estimated": True, "noise": noise, "sigma0": noise, "chi2": solution.dof * noise**2}
 
 
 def chi_interval(solution: Solution) -> tuple[float, float]:

@@ -99,13 +99,13 @@ def report(problem: Problem, adjusted: Adjusted, prediction: Prediction | None) 
         statistics |= {"predicted_std_gamma_s": prediction.std, "predicted_correlation_gamma_s": prediction.correlation}
     images, targets = problem.sighted.images, problem.sighted.targets.names
     index = adjusted.group.observations.index
-    views = rms_table("image", images, index["view"], found.values)
+    views = rms_table(found.values, adjusted.group, "image", index["view"], images)
     correlation = covariance / std[:, None] / std
     arrays = {"rotation": poses.rotation_of(solution.blocks[spindle.PART].values[0]), "correlation": correlation}
     tables = {
         "residuals": residual_table(found, adjusted.group),
         "views": views,
-        "targets": rms_table("target", targets, index[TARGET], found.values),
+        "targets": rms_table(found.values, adjusted.group, "target", index[TARGET], targets),
         "rejected": adjusted.rejected,
     }
     return Result(
@@ -117,7 +117,7 @@ def report(problem: Problem, adjusted: Adjusted, prediction: Prediction | None) 
         tables=tables,
         arrays=arrays,
         warnings=tuple(_warnings(problem, adjusted, views, prediction)),
-        shown=("views",),
+        shown=("views: image, readings, rms, largest, largest_target",),
         notes=tuple(_notes(solution, adjusted, prediction)),
     )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,8 +12,11 @@ from metrocli.adjust.covariance import Covariance
 from metrocli.adjust.solution import Solution
 from metrocli.geometry import poses
 from metrocli.instruments import camera
-from metrocli.instruments.lens import PIXELS
+from metrocli.instruments.lens import DISTORTION, PIXELS
 from metrocli.table import Table
+
+if TYPE_CHECKING:
+    from metrocli.table import Values
 
 HIGH = 0.95
 """A correlation beyond this is flagged."""
@@ -39,6 +43,26 @@ class Parameters:
         std = np.where(self.std > 0, self.std, 1.0)
         matrix: Array = self.covariance / std[:, None] / std
         return matrix
+
+    def significance(self) -> Table:
+        """Return each parameter with its expanded uncertainty (k = 2).
+
+        For distortion also the probability of a value this far from 0 by chance.
+        """
+        from scipy.special import ndtr
+
+        std = np.where(self.std > 0, self.std, np.nan)
+        neutral = np.isin(self.names, (*DISTORTION, "skew", "aspect"))
+        by_chance = np.where(neutral, 2 * ndtr(-np.abs(self.values / std)), np.nan)
+        columns: dict[str, Values] = {
+            "parameter": np.array(self.names, dtype=str),
+            "value": self.values,
+            "std": self.std,
+            "U": 2 * self.std,
+            "unit": np.array(self.units, dtype=str),
+            "p_value": by_chance,
+        }
+        return Table(columns)
 
     def high_correlations(self) -> Table:
         """Return the pairs whose correlation is flagged."""

@@ -66,6 +66,9 @@ class _Calibration:
     def index(self, name: str) -> Index:
         return self.adjusted.group.observations.index[name]
 
+    def rms_table(self, label: str, index: Index, names: tuple[str, ...]) -> Table:
+        return rms_table(self.residuals.values, self.adjusted.group, label, index, names)
+
 
 def report(problem: Problem, settings: Camera, adjusted: Adjusted) -> Result:
     """Return the result of a solved calibration."""
@@ -82,9 +85,10 @@ def report(problem: Problem, settings: Camera, adjusted: Adjusted) -> Result:
     names = problem.sighted.targets.names
     tables = {
         "residuals": residual_table(solved.residuals, adjusted.group),
-        "targets": rms_table("target", names, solved.index(camera.TARGET), solved.residuals.values),
+        "targets": solved.rms_table("target", solved.index(camera.TARGET), names),
         "rejected": adjusted.rejected,
         "correlations": p.high_correlations(),
+        "significance": p.significance(),
         "conventions": conventions_table(problem, settings, solution, covariance),
         "camera": _camera(solved),
     }
@@ -104,7 +108,7 @@ def report(problem: Problem, settings: Camera, adjusted: Adjusted) -> Result:
         tables=tables,
         arrays=arrays,
         warnings=tuple(_warnings(solved, views)),
-        shown=("views",) if problem.rig == "board" else (),
+        shown=("views: image, readings, rms, largest, largest_target",) if problem.rig == "board" else (),
         notes=tuple(adjustment_notes(adjusted)),
     )
 
@@ -119,6 +123,8 @@ def _statistics(solved: _Calibration) -> Statistics:
     pixel = solved.settings.pixel_size
     statistics: Statistics = {
         **basic_statistics(solution, {"px": root_mean_square(values)}),
+        "rank": solution.unknowns,
+        "datum": "inner constraints on the targets" if solution.conditions else "given by known targets",
         "rms_u": u_rms,
         "rms_v": v_rms,
         "readings": observations.count,
@@ -139,7 +145,7 @@ def _statistics(solved: _Calibration) -> Statistics:
 
 
 def _views(solved: _Calibration) -> Table:
-    table = rms_table("image", solved.problem.sighted.images, solved.index("view"), solved.residuals.values)
+    table = solved.rms_table("image", solved.index("view"), solved.problem.sighted.images)
     if solved.problem.rig == "cmm":
         return table
     columns, units = dict(table.columns), dict(table.units)
@@ -177,7 +183,23 @@ def _points(solved: _Calibration) -> tuple[Table, Array]:
     columns: dict[str, Values] = {"point": np.array(block.members)[known]}
     columns |= {name: block.values[known, i] for i, name in enumerate("xyz")}
     columns |= {f"s{name}": std[known, i] for i, name in enumerate("xyz")}
-    return Table(columns, dict.fromkeys(("x", "y", "z", "sx", "sy", "sz"), "mm")), each[known]
+    columns["rays"] = np.bincount(solved.index(camera.TARGET), minlength=len(block.members))[known]
+    columns["ray_angle"] = _ray_angles(solved)[known]
+    units = {**dict.fromkeys(("x", "y", "z", "sx", "sy", "sz"), "mm"), "ray_angle": "rad"}
+    return Table(columns, units), each[known]
+
+
+def _ray_angles(solved: _Calibration) -> Array:
+    """Return for each target the largest angle between two of its rays, 0 for a single ray."""
+    points = solved.solution.blocks[camera.TARGET].values
+    origins = solved.solution.blocks[camera.VIEW].values[:, :3]
+    target, view = solved.index(camera.TARGET), solved.index("view")
+    angles = np.zeros(len(points))
+    for i in np.unique(target):
+        rays = origins[view[target == i]] - points[i]
+        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        angles[i] = np.arccos(np.clip((rays @ rays.T).min(), -1.0, 1.0))
+    return angles
 
 
 def _warnings(solved: _Calibration, views: Table) -> list[str]:

@@ -47,22 +47,30 @@ def residual_table(residuals: Residuals, group: Group) -> Table:
     return Table(columns, dict.fromkeys(("reading", "residual", "sigma"), observations.unit))
 
 
-def rms_table(label: str, names: Sequence[str], index: Index, residuals: Array) -> Table:
-    """Return for each member, an image or a target, the number of readings, their RMS and the largest residual."""
-    return Table({label: np.array(names), **rms_by(names, index, residuals)}, {"rms": "px", "largest": "px"})
+def rms_table(residuals: Array, group: Group, label: str, index: Index, names: Sequence[str]) -> Table:
+    """Return for each member, an image or a target, how many readings it has and how they fit.
 
-
-def rms_by(names: Sequence[str], index: Index, residuals: Array) -> dict[str, Array]:
-    """Return for each member the number of readings, their RMS and the largest residual, in pixels."""
-    square = (residuals**2).sum(axis=0)
+    Readings, RMS of the points and of each coordinate, the largest residual and the reading it belongs to.
+    """
+    square = residuals**2
+    distance = np.sqrt(square.sum(axis=0))
     counts = np.bincount(index, minlength=len(names))
-    largest = np.zeros(len(names))
-    np.maximum.at(largest, index, np.sqrt(square))
-    return {
-        "readings": counts.astype(float),
-        "rms": np.sqrt(np.bincount(index, square, len(names)) / np.maximum(counts, 1)),
-        "largest": largest,
+    u, v = (np.sqrt(np.bincount(index, row, len(names)) / np.maximum(counts, 1)) for row in square)
+    by_size = np.argsort(distance, kind="stable")
+    worst = np.full(len(names), -1, dtype=np.intp)
+    worst[index[by_size]] = by_size
+    other = "target" if label == "image" else "image"
+    keys = group.observations.keys[other]
+    columns: dict[str, Values] = {
+        label: np.array(names),
+        "readings": counts,
+        "rms": np.hypot(u, v),
+        "rms_u": u,
+        "rms_v": v,
+        "largest": np.where(worst >= 0, distance[worst], 0.0),
+        f"largest_{other}": np.array([keys[i] if i >= 0 else "" for i in worst], dtype=str),
     }
+    return Table(columns, dict.fromkeys(("rms", "rms_u", "rms_v", "largest"), "px"))
 
 
 def suspect_images(names: Sequence[str], rms: Array, counts: Array) -> list[str]:
