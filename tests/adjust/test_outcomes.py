@@ -299,9 +299,10 @@ def test_a_richer_model_never_ends_higher(seed: int) -> None:
     last = np.inf
     for free in LADDER:
         block = camera.lens_block(dict(zip(state["lens"].columns, state["lens"].values[0], strict=True)), free, SIZE)
-        solution = adjust({**state, "lens": block}.values(), [group])
+        solution = adjust({**state, "lens": block}.values(), [group], control=Control(limit=100))
         assert solution.cost <= last * (1 + 1e-12), free
-        assert solution.outcome in (Outcome.CONVERGED, Outcome.UNDETERMINED), free
+        if "k4" not in free:
+            assert solution.outcome is Outcome.CONVERGED, free
         last, state = solution.cost, dict(solution.blocks)
 
 
