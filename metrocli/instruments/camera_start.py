@@ -8,12 +8,13 @@ from itertools import permutations, product
 import numpy as np
 import numpy.typing as npt
 
-from metrocli.adjust.normals import grams
 from metrocli.geometry import poses
 from metrocli.geometry.rotations import nearest_rotation
+from metrocli.instruments.linear_maps import linear_maps
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
+Mask = npt.NDArray[np.bool_]
 
 _FLAT = 1e-3
 """Targets whose thickness is below this share of their extent are taken as one plane."""
@@ -30,6 +31,10 @@ class Scene:
     target: Index
     view: Index
     views: int
+
+    def selected(self, keep: Mask) -> Scene:
+        """Return the scene with some of its readings."""
+        return Scene(self.points, self.uv[:, keep], self.target[keep], self.view[keep], self.views)
 
 
 def plane_frame(points: Array) -> tuple[Array, bool]:
@@ -51,41 +56,15 @@ def start(scene: Scene, centre: Array, focal: float | None, guess: float) -> tup
     scale = float(np.abs(local).max()) or 1.0
     local = local / scale
     rays = (scene.uv - centre[:, None]) / guess
-    maps = _homographies(scene, local, rays) if planar else _projections(scene, local, rays)
+    seen = local[scene.target, :2] if planar else local[scene.target]
+    maps, keep = linear_maps(np.column_stack([seen, np.ones(len(seen))]), rays, scene.view, scene.views)
     ratio = focal / guess if focal else (_focal_of_homographies(maps) if planar else _focal_of_projections(maps))
-    maps = maps.copy()
     maps[:, :2] /= ratio
     found = _poses_of_homographies(maps) if planar else _poses_of_projections(maps)
     if not planar:
-        found = _resected(scene, local, rays / ratio, found)
+        found = _resected(scene.selected(keep), local, rays[:, keep] / ratio, found)
     found[:, :3] *= scale
     return ratio * guess, poses.compose(found, np.broadcast_to(to_plane, found.shape))
-
-
-def _null_vectors(rows: Array, scene: Scene) -> Array:
-    """Return the vector that each view's equations (n, 2, c) nearly annul, (views, c)."""
-    _, vectors = np.linalg.eigh(grams(rows, scene.view, scene.views))
-    nulls: Array = vectors[:, :, 0]
-    return nulls
-
-
-def _homographies(scene: Scene, local: Array, rays: Array) -> Array:
-    flat = np.column_stack([local[scene.target, :2], np.ones(len(scene.target))])
-    return _linear_maps(scene, flat, rays).reshape(-1, 3, 3)
-
-
-def _projections(scene: Scene, local: Array, rays: Array) -> Array:
-    full = np.column_stack([local[scene.target], np.ones(len(scene.target))])
-    return _linear_maps(scene, full, rays).reshape(-1, 3, 4)
-
-
-def _linear_maps(scene: Scene, points: Array, rays: Array) -> Array:
-    c = points.shape[1]
-    rows = np.zeros((len(points), 2, 3 * c))
-    rows[:, 0, :c] = rows[:, 1, c : 2 * c] = points
-    rows[:, 0, 2 * c :] = -rays[0][:, None] * points
-    rows[:, 1, 2 * c :] = -rays[1][:, None] * points
-    return _null_vectors(rows, scene)
 
 
 def _focal_of_homographies(maps: Array) -> float:

@@ -228,7 +228,10 @@ def kind_of_job(path: Path) -> str | None:
 
 
 def _root(path: Path, overrides: Sequence[str], faults: list[Fault]) -> tuple[Node, str]:
-    """Return the tree of a job file with the overrides in it, and the text that says the same; add repeated keys to faults."""
+    """Return the tree of a job file with the overrides in it, and the text that says the same.
+
+    Keys that stand twice are added to `faults`.
+    """
     text = yaml_text.read_text(path, str(path))
     root = yaml_text.parse(text, str(path), path.parent, faults)
     if root.kind != "mapping":

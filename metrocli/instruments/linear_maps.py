@@ -1,0 +1,86 @@
+"""Homographies and projections of many views at once, by linear equations, with gross errors held off."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from metrocli.adjust.normals import grams
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+Mask = npt.NDArray[np.bool_]
+
+_SUSPECT = 5.0
+"""A view is looked into where its largest misfit is this many times its median: more than noise and distortion make"""
+_GROSS = 12.0
+"""A reading is left out where its misfit is this many times the median of the best map"""
+_ROUNDS = 60
+"""Samples drawn for each view that is looked into: one without an error is certain up to a third of wrong readings"""
+
+
+def linear_maps(points: Array, rays: Array, view: Index, views: int) -> tuple[Array, Mask]:
+    """Return the map (views, 3, c) of homogeneous points (n, c) onto image points (2, n), and the readings it rests on.
+
+    Views with readings that do not fit are mapped by the least median of squares over samples of the fewest readings
+    that give a map (Rousseeuw 1984), then again from all readings that agree with the best.
+    """
+    maps = _fitted(points, rays, view, views)
+    keep = np.ones(len(points), dtype=bool)
+    gap = _misfit(maps, points, rays, view)
+    largest = np.zeros(views)
+    np.maximum.at(largest, view, gap)
+    doubtful = np.flatnonzero(largest > _SUSPECT * _medians(gap, view, views))
+    if doubtful.size:
+        chosen = np.flatnonzero(np.isin(view, doubtful))
+        part = (points[chosen], rays[:, chosen], np.searchsorted(doubtful, view[chosen]))
+        gap = _misfit(_sampled(*part, len(doubtful)), *part)
+        keep[chosen] = gap <= _GROSS * _medians(gap, part[2], len(doubtful))[part[2]]
+        inside = keep[chosen]
+        maps[doubtful] = _fitted(part[0][inside], part[1][:, inside], part[2][inside], len(doubtful))
+    return maps, keep
+
+
+def _fitted(points: Array, rays: Array, view: Index, views: int) -> Array:
+    """Return the maps whose equations `u (m3 X) = m1 X`, `v (m3 X) = m2 X` are nearest to zero, (views, 3, c)."""
+    n, c = points.shape
+    rows = np.zeros((n, 2, 3 * c))
+    rows[:, 0, :c] = rows[:, 1, c : 2 * c] = points
+    rows[:, 0, 2 * c :] = -rays[0][:, None] * points
+    rows[:, 1, 2 * c :] = -rays[1][:, None] * points
+    _, vectors = np.linalg.eigh(grams(rows, view, views))
+    nulls: Array = np.ascontiguousarray(vectors[:, :, 0]).reshape(views, 3, c)
+    return nulls
+
+
+def _misfit(maps: Array, points: Array, rays: Array, view: Index) -> Array:
+    """Return the distance of each reading from its mapped point, (n,)."""
+    x, y, w = np.einsum("nac,nc->an", maps[view], points)
+    away = np.where(w == 0, 1e-300, w)
+    return np.asarray(np.hypot(x / away - rays[0], y / away - rays[1]), dtype=float)
+
+
+def _medians(values: Array, view: Index, views: int) -> Array:
+    """Return the median of the values of each view, 0 for a view without any."""
+    order = np.lexsort((values, view))
+    counts = np.bincount(view, minlength=views)
+    middle = np.cumsum(counts) - counts + counts // 2
+    found = np.zeros(views)
+    found[counts > 0] = values[order][middle[counts > 0]]
+    return found
+
+
+def _sampled(points: Array, rays: Array, view: Index, views: int) -> Array:
+    """Return for each view the map through a sample of readings that leaves the least median misfit."""
+    rng = np.random.default_rng(0)
+    size = (3 * points.shape[1] - 1 + 1) // 2
+    best, least = np.zeros((views, 3, points.shape[1])), np.full(views, np.inf)
+    starts = np.concatenate([[0], np.cumsum(np.bincount(view, minlength=views))])[:-1]
+    for _ in range(_ROUNDS):
+        order = np.lexsort((rng.uniform(size=len(view)), view))
+        taken = order[np.arange(len(view)) - starts[view[order]] < size]
+        maps = _fitted(points[taken], rays[:, taken], view[taken], views)
+        median = _medians(_misfit(maps, points, rays, view), view, views)
+        better = median < least
+        best[better], least[better] = maps[better], median[better]
+    return best

@@ -1,0 +1,89 @@
+"""Tracking interferometers: the length from a tracer's reference point to a reflector (Härtig et al. eq. 1)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrocli.adjust.blocks import Array, Block, Mask
+from metrocli.adjust.chain import Chain, Local, Step
+from metrocli.adjust.datum import Datum
+from metrocli.adjust.quantities import Quantity
+from metrocli.geometry.rotations import cross_matrix
+from metrocli.instruments.frames import PointOf
+
+POINT, TRACER = "point", "tracer"
+"""Blocks: reflector positions, and for each tracer x0 y0 z0, dead path and scale"""
+COLUMNS = ("x", "y", "z", "dead_path", "scale")
+FREEDOMS = (
+    "shift along x",
+    "shift along y",
+    "shift along z",
+    "rotation about x",
+    "rotation about y",
+    "rotation about z",
+)
+
+
+@dataclass(frozen=True)
+class LengthFrom:
+    """Length change read by a tracer: `l = s |x - x0| - l0`, after Härtig et al. eq. 1."""
+
+    block: str = TRACER
+    takes = Quantity.POINT_IN_MACHINE
+    gives = Quantity.LENGTH
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """The tracers."""
+        return (self.block,)
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the length (1, n) with derivatives by the point (1, 3, n) and the tracer (1, 5, n)."""
+        tracer = local.rows(self.block)
+        from_tracer = value - tracer[:3]
+        distance = np.sqrt(np.einsum("an,an->n", from_tracer, from_tracer))
+        scale = tracer[4]
+        towards = from_tracer * (scale / distance)
+        by_tracer = np.empty((1, 5, len(distance)))
+        by_tracer[0, :3] = -towards
+        by_tracer[0, 3] = -1.0
+        by_tracer[0, 4] = distance
+        return Step((scale * distance - tracer[3])[None], towards[None], {self.block: by_tracer})
+
+
+def chain() -> Chain:
+    """Return the forward model of a length."""
+    return Chain((PointOf(POINT, Quantity.POINT_IN_MACHINE), LengthFrom(TRACER)))
+
+
+def point_block(points: Array, names: Sequence[str], free: Mask | bool, extent: float) -> Block:
+    """Return reflector positions (points, 3), plausible within a tenth of the measured volume."""
+    return Block(
+        POINT, points, ("x", "y", "z"), tuple(names), free=np.asarray(free), reach=np.array(extent / 10), noun="point"
+    )
+
+
+def tracer_block(values: Array, names: Sequence[str], free: Mask, extent: float) -> Block:
+    """Return tracers (tracers, 5), plausible within a tenth of the measured volume."""
+    reach = np.array([extent / 10] * 4 + [1e-2])
+    return Block(TRACER, values, COLUMNS, tuple(names), free=free, reach=reach, noun="tracer")
+
+
+def datum(points: Block, takes_part: Array) -> Datum:
+    """Return the inner constraints of a free network on the points (Härtig et al. eq. 8)."""
+    return Datum(POINT, points.values, takes_part, _movements, FREEDOMS)
+
+
+def _movements(blocks: Mapping[str, Block]) -> dict[str, Array]:
+    """Return how points and tracers move when the network is shifted and turned."""
+    moves = {}
+    for name in (POINT, TRACER):
+        places = blocks[name].values[:, :3]
+        move = np.zeros((*blocks[name].values.shape, 6))
+        move[:, :3, :3] = np.eye(3)
+        move[:, :3, 3:] = -cross_matrix(places)
+        moves[name] = move
+    return moves

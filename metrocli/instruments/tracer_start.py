@@ -1,0 +1,76 @@
+"""Starting values of tracers: where they stand and their dead paths, from lengths to points roughly known."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+_STEPS = 60
+_FLAT = 1e-4
+"""Points thinner than this share of their extent are taken as one plane"""
+
+
+def start(points: Array, lengths: Array, absolute: bool = False) -> Array:
+    """Return (x0, y0, z0, dead path) of one tracer from lengths (n,) to points (n, 3); nan where they do not tell.
+
+    Squaring `l + l0 = |x - x0|` gives `|x|^2 - l^2 = 2 x.x0 + 2 l l0 - (|x0|^2 - l0^2)`, linear in five unknowns;
+    points in one plane leave two mirrored places, of which both are refined and the better is taken. Gauss-Newton
+    steps follow.
+    """
+    centre = points.mean(axis=0)
+    local = points - centre
+    scale = float(np.abs(local).max()) or 1.0
+    local, reading = local / scale, lengths / scale
+    candidates = [_refined(local, reading, guess, absolute) for guess in _guesses(local, reading, absolute)]
+    best = min(candidates, key=lambda found: found[1], default=(np.full(4, np.nan), np.inf))[0]
+    return np.concatenate([best[:3] * scale + centre, best[3:] * scale])
+
+
+def _guesses(local: Array, reading: Array, absolute: bool) -> list[Array]:
+    _, spread, axes = np.linalg.svd(local, full_matrices=False)
+    rank = int((spread > _FLAT * spread[0]).sum())
+    plane = local @ axes[:rank].T
+    columns = [2 * plane, *([] if absolute else [2 * reading[:, None]]), -np.ones((len(local), 1))]
+    matrix = np.concatenate(columns, axis=1)
+    if len(local) < matrix.shape[1]:
+        return []
+    solved = np.linalg.lstsq(matrix, (local**2).sum(axis=1) - reading**2, rcond=None)[0]
+    inside, dead, constant = solved[:rank], 0.0 if absolute else float(solved[rank]), float(solved[-1])
+    across = np.sqrt(max(constant + dead**2 - float(inside @ inside), 0.0))
+    guesses = []
+    for sign in (1.0, -1.0) if rank < 3 else (0.0,):
+        place = inside @ axes[:rank]
+        if rank < 3:
+            place = place + sign * max(across, 0.1) * (axes[rank] if rank < len(axes) else np.array([0.0, 0.0, 1.0]))
+        guesses.append(np.array([*place, dead]))
+    return guesses
+
+
+def _refined(local: Array, reading: Array, guess: Array, absolute: bool) -> tuple[Array, float]:
+    """Return the solution near a guess and its root mean square residual, by damped Gauss-Newton steps."""
+    state, damping = guess.copy(), 0.0
+    residual, jacobian = _residual(local, reading, state, absolute)
+    for _ in range(_STEPS):
+        normal = jacobian.T @ jacobian
+        normal[np.diag_indices_from(normal)] += damping * np.diag(normal) + 1e-15
+        step = np.zeros(4)
+        step[: jacobian.shape[1]] = np.linalg.solve(normal, jacobian.T @ residual)
+        moved, by = _residual(local, reading, state + step, absolute)
+        if moved @ moved <= residual @ residual:
+            state, residual, jacobian, damping = state + step, moved, by, damping / 10
+            if np.abs(step).max() < 1e-13:
+                break
+        else:
+            damping = max(10 * damping, 1e-6)
+    return state, float(np.sqrt(np.mean(residual**2)))
+
+
+def _residual(local: Array, reading: Array, state: Array, absolute: bool) -> tuple[Array, Array]:
+    """Return `l + l0 - |x - x0|` and the derivatives of the prediction by the free unknowns."""
+    away = local - state[:3]
+    distance = np.maximum(np.linalg.norm(away, axis=1), 1e-12)
+    towards = -away / distance[:, None]
+    jacobian = towards if absolute else np.column_stack([towards, -np.ones(len(distance))])
+    return reading + state[3] - distance, jacobian
