@@ -73,7 +73,7 @@ def _medians(values: Array, view: Index, views: int) -> Array:
 def _sampled(points: Array, rays: Array, view: Index, views: int) -> Array:
     """Return for each view the map through a sample of readings that leaves the least median misfit."""
     rng = np.random.default_rng(0)
-    size = (3 * points.shape[1] - 1 + 1) // 2
+    size = 3 * points.shape[1] // 2
     best, least = np.zeros((views, 3, points.shape[1])), np.full(views, np.inf)
     starts = np.concatenate([[0], np.cumsum(np.bincount(view, minlength=views))])[:-1]
     for _ in range(_ROUNDS):
