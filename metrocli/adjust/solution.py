@@ -60,10 +60,6 @@ class Solution:
             raise RuntimeError(self.outcome.value)
         return self.covariance
 
-    def scaled(self, factor: float) -> Solution:
-        """Return the solution with its covariance multiplied by `factor`: sigma0^2 where the noise is estimated."""
-        return replace(self, covariance=self.known().scaled(factor))
-
     def std(self, block: str) -> Array:
         """Return the standard uncertainties of a block, (members, size)."""
         std: Array = np.sqrt(np.maximum(np.einsum("mii->mi", self.known().members(block)), 0.0))

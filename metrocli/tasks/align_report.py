@@ -78,8 +78,6 @@ def _estimates(solution: Solution) -> tuple[tuple[str, ...], Array, Array]:
 def report(problem: Problem, adjusted: Adjusted, prediction: Prediction | None) -> Result:
     """Return the result of a solved alignment."""
     solution = adjusted.solution
-    if adjusted.noise is not None:
-        solution = solution.scaled(solution.sigma0**2)
     found = residuals_of(solution, adjusted.group)
     names, values, covariance = _estimates(solution)
     std = np.sqrt(np.diag(covariance))

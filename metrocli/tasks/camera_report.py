@@ -73,8 +73,7 @@ class _Calibration:
 def report(problem: Problem, settings: Camera, adjusted: Adjusted) -> Result:
     """Return the result of a solved calibration."""
     solution = adjusted.solution
-    factor = solution.sigma0**2 if adjusted.noise is not None and solution.dof > 0 else 1.0
-    covariance = solution.known().scaled(factor)
+    covariance = solution.known()
     p = parameters(problem.rig, solution, covariance)
     solved = _Calibration(problem, settings, adjusted, residuals_of(solution, adjusted.group), covariance, p)
     views = _views(solved)

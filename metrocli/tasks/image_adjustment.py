@@ -20,6 +20,14 @@ IMAGES = "images"
 """Name of the group of image points"""
 
 
+_SETTLED = 1e-7
+"""The noise is found when another round would change it by less than this share"""
+_LEAST = 1e-7
+"""Noise [px] below which readings are exact to the arithmetic; nothing smaller is claimed"""
+_ROUNDS = 60
+"""Rounds at most: with priors of the targets' size the noise settles slowly"""
+
+
 @dataclass(frozen=True)
 class Options:
     """How readings are treated."""
@@ -54,14 +62,18 @@ def adjust_images(
         dropped += [(int(i), float("nan")) for i in rows[bad]]
         rows, group = rows[~bad], group.selected(~bad)
     original = group.observations.sigma
+    rounds = 0
     while True:
         solution = adjust(state.values(), [group, *others], datum)
         if not solution.outcome.good:
             nothing = Suspects(np.zeros(0, dtype=np.intp), np.zeros(0), 0.0)
             return Adjusted(solution, group, _rejected(everything, []), nothing)
         noise = _noise(solution, group) if options.estimate_noise else None
-        if noise is not None and abs(noise - 1) > 1e-9:
-            group = group.with_observations(replace(group.observations, sigma=group.observations.sigma * noise))
+        if noise is not None and abs(noise - 1) > _SETTLED and rounds < _ROUNDS:
+            rounds += 1
+            sigma = np.maximum(group.observations.sigma * noise, _LEAST)
+            rounds = _ROUNDS if (sigma == _LEAST).any() else rounds
+            group = group.with_observations(replace(group.observations, sigma=sigma))
             state = dict(solution.blocks)
             continue
         unit = 1.0 if options.estimate_noise else max(1.0, solution.sigma0 if np.isfinite(solution.sigma0) else 1.0)

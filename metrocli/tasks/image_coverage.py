@@ -19,7 +19,8 @@ def coverage(uv: Array, image_size: Sequence[int], centre: tuple[float, float]) 
     """
     w, h = image_size
     cx, cy = centre
-    cells = np.unique((uv / np.array([[w], [h]]) * _CELLS).astype(int), axis=1)
+    inside = (uv[0] >= 0) & (uv[0] < w) & (uv[1] >= 0) & (uv[1] < h)
+    cells = np.unique((uv[:, inside] / np.array([[w], [h]]) * _CELLS).astype(int), axis=1)
     corner = max(np.hypot(cx - x, cy - y) for x in (0, w - 1) for y in (0, h - 1))
     return {
         "coverage_cells": cells.shape[1] / _CELLS**2,

@@ -107,7 +107,7 @@ def adjustment_notes(adjusted: Adjusted) -> list[str]:
     """Return what the reader is told of the noise found and the readings rejected."""
     lines = []
     if adjusted.noise is not None:
-        lines.append(f"noise of an image coordinate found: {adjusted.noise:.4f} px; covariances are scaled by it")
+        lines.append(f"noise of an image coordinate found: {adjusted.noise:.3g} px; covariances are scaled by it")
     if len(adjusted.rejected):
         lines.append(
             f"{len(adjusted.rejected)} readings rejected as outliers (table 'rejected' has each with its test value)"

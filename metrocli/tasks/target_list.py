@@ -63,9 +63,12 @@ def read_targets(table: Table, default_sigma: float = 0.0) -> Targets:
     common = table.numbers("sigma", default_sigma)
     sigma = np.stack([table.numbers(f"sigma_{axis}") if f"sigma_{axis}" in table else common for axis in "xyz"], axis=1)
     negative = np.flatnonzero((sigma < 0).any(axis=1))
-    if negative.size:
-        raise InputError([Fault("a standard deviation is negative", table.file, table.lines[i]) for i in negative])
-    return Targets(tuple(table.texts("target")), table.stacked(("x", "y", "z")), sigma, table.numbers("radius", np.nan))
+    faults = [Fault("a standard deviation is negative", table.file, table.lines[i]) for i in negative]
+    radius = table.numbers("radius", np.nan)
+    faults += [Fault("a radius is not above zero", table.file, table.lines[i]) for i in np.flatnonzero(radius <= 0)]
+    if faults:
+        raise InputError(faults)
+    return Targets(tuple(table.texts("target")), table.stacked(("x", "y", "z")), sigma, radius)
 
 
 def targets_of(pattern: Pattern) -> Targets:
