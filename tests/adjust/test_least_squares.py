@@ -104,7 +104,7 @@ def test_pairs_are_taken_from_the_whole(make: str) -> None:
 def test_covariance_scales(make: str) -> None:
     problem, solution, _ = both(make)
     blocks = list(problem.blocks)
-    scaled = solution.scaled(4.0).known()
+    scaled = solution.known().scaled(4.0)
     assert np.allclose(whole(scaled, blocks), 4 * whole(solution.known(), blocks), rtol=1e-12)
     for name in blocks:
         assert np.allclose(scaled.members(name), 4 * solution.known().members(name), rtol=1e-12)
