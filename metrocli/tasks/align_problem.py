@@ -20,7 +20,7 @@ from metrocli.table import Table
 from metrocli.tasks.camera_model import CameraModel
 from metrocli.tasks.eccentricity import corrected
 from metrocli.tasks.image_adjustment import IMAGES
-from metrocli.tasks.sightings import Sighted
+from metrocli.tasks.sightings import Sighted, check_inside
 from metrocli.tasks.target_list import target_priors
 
 _ANGLES = np.linspace(-np.pi, np.pi, 12, endpoint=False)
@@ -48,6 +48,7 @@ class Problem:
 
 def build(camera: CameraModel, sighted: Sighted, table: Table, free_angle: bool) -> Problem:
     """Return the adjustment with its starting values, found from the sightings alone."""
+    check_inside(sighted, camera.image_size)
     held, warnings, sighted = _spindle_poses(sighted, table)
     targets = sighted.targets
     seen = np.bincount(sighted.target, minlength=len(targets.names)) > 0

@@ -13,7 +13,7 @@ from metrocli.adjust.chain import Chain
 from metrocli.adjust.datum import Datum
 from metrocli.adjust.groups import Group
 from metrocli.adjust.observations import Index, Mask, Observations
-from metrocli.errors import Fault, InputError
+from metrocli.errors import Fault, InputError, UndeterminedError
 from metrocli.geometry import poses
 from metrocli.instruments import camera
 from metrocli.instruments.camera_start import Scene, start
@@ -24,9 +24,14 @@ from metrocli.tasks.camera_settings import Camera
 from metrocli.tasks.eccentricity import corrected
 from metrocli.tasks.image_adjustment import IMAGES
 from metrocli.tasks.image_tables import root_mean_square
-from metrocli.tasks.sightings import Sighted
+from metrocli.tasks.sightings import Sighted, check_inside, listed
 from metrocli.tasks.target_list import target_priors
 
+_STRANGE = "not in the list of targets"
+_FEWEST_READINGS = 4
+"""Readings that the pose of one camera needs"""
+_ON_A_LINE = 1e-9
+"""Extent across a line of targets, as a share of the extent along it, that is rounding"""
 _GUESSES = (1.0, 0.5, 2.0, 4.0, 8.0)
 """Focal lengths to try, in widths of the image, where the views do not give one"""
 _LOST = 0.02
@@ -89,7 +94,8 @@ def build(rig: str, settings: Camera, sighted: Sighted, bars: Table | None = Non
     size = settings.image_size
     if size is None:
         raise InputError("camera: image_size is missing; give the width and height of the images, e.g. [2592, 1944]")
-    _check_inside(sighted, size)
+    check_inside(sighted, size)
+    _check_targets(rig, sighted)
     targets = sighted.targets
     values = _lens_values(settings, size)
     focal, views = _start(rig, sighted, values, size)
@@ -100,6 +106,7 @@ def build(rig: str, settings: Camera, sighted: Sighted, bars: Table | None = Non
     seen = np.bincount(sighted.target, minlength=len(targets.names))
     least = 2 if rig == "network" else 1
     free = (targets.sigma != 0) & (seen >= least)[:, None]
+    sighted = _seen_once(sighted, seen, least)
     distance = float(np.median(np.linalg.norm(views[:, :3], axis=1)))
     images: tuple[str, ...] = sighted.images if rig != "cmm" else ("",)
     blocks = {
@@ -124,17 +131,18 @@ def build(rig: str, settings: Camera, sighted: Sighted, bars: Table | None = Non
     return replace(started, images=group, blocks=found)
 
 
-def _check_inside(sighted: Sighted, size: tuple[int, int]) -> None:
-    """Raise InputError where readings lie far outside the image: another size, or columns exchanged."""
-    uv = sighted.observations.readings
-    outside = ((uv < -0.5 * np.array(size)[:, None]) | (uv > 1.5 * np.array(size)[:, None])).any(axis=0)
-    if outside.any():
-        i = int(np.flatnonzero(outside)[0])
-        keys = sighted.observations.keys
-        raise InputError(
-            f"{outside.sum()} of {outside.size} readings lie far outside an image of {size[0]} x {size[1]} px, "
-            f"the first: image {keys['image'][i]}, target {keys['target'][i]} at ({uv[0, i]:.1f}, {uv[1, i]:.1f}); "
-            "check image_size and the columns"
+def _check_targets(rig: str, sighted: Sighted) -> None:
+    """Raise UndeterminedError where the targets that are seen cannot give the pose of a camera."""
+    points = sighted.targets.points[np.unique(sighted.target)]
+    if rig == "cmm" and sighted.observations.count < _FEWEST_READINGS:
+        raise UndeterminedError(
+            f"{sighted.observations.count} readings in all: the place of a camera needs at least {_FEWEST_READINGS}"
+        )
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    if spread[1] <= _ON_A_LINE * max(spread[0], 1.0):
+        raise UndeterminedError(
+            f"all {len(points)} targets that are seen lie on one line or at one place: they give no pose of a camera\n"
+            "  what would determine it: targets spread over a plane or in space; check the columns of the targets file"
         )
 
 
@@ -163,6 +171,15 @@ def _start(rig: str, sighted: Sighted, values: Mapping[str, float], size: Sequen
     return focal, found if rig == "board" else poses.inverse(found)
 
 
+def _seen_once(sighted: Sighted, seen: Index, least: int) -> Sighted:
+    """Return the sightings with a warning of targets that too few images show."""
+    once = [name for name, n in zip(sighted.targets.names, seen, strict=True) if 0 < n < least]
+    if not once:
+        return sighted
+    line = f"{len(once)} targets are seen in one image only, which does not place them: left out: {listed(once)}"
+    return replace(sighted, warnings=(*sighted.warnings, line))
+
+
 def _readings(sighted: Sighted, seen: Index, least: int, rig: str) -> Observations:
     observations = sighted.observations.selected(seen[sighted.target] >= least)
     index = dict(observations.index)
@@ -176,17 +193,18 @@ def _scale_bars(bars: Table | None, names: tuple[str, ...], seen: Index) -> list
         return []
     place = {name: i for i, name in enumerate(names)}
     ends = [bars.texts("from"), bars.texts("to")]
-    faults = [
-        Fault(
-            f"scale bar end '{name}' is "
-            + ("seen in fewer than two images" if name in place else "not in the list of targets"),
-            bars.file,
-            bars.lines[row] if bars.lines else None,
-        )
+    wrong = [
+        (row, f"scale bar end '{name}' is {'seen in fewer than two images' if name in place else _STRANGE}")
         for column in ends
         for row, name in enumerate(column)
         if name not in place or seen[place[name]] < 2
     ]
+    for name in ("length", "sigma"):
+        wrong += [
+            (int(row), f"the {name} of the scale bar is not above zero")
+            for row in np.flatnonzero(bars.numbers(name) <= 0)
+        ]
+    faults = [Fault(text, bars.file, bars.lines[row] if bars.lines else None) for row, text in wrong]
     if faults:
         raise InputError(faults)
     index = np.array([[place[name] for name in column] for column in ends], dtype=np.intp)

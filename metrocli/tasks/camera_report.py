@@ -133,7 +133,7 @@ def _statistics(solved: _Calibration) -> Statistics:
         **coverage(observations.readings, problem.image_size, (lens["cx"], lens["cy"])),
         "sigma0_low": low,
         "sigma0_high": high,
-        "condition": float(np.sqrt(eigenvalues[-1] / max(eigenvalues[0], 1e-300))),
+        "condition": float(np.sqrt(eigenvalues.max(initial=1.0) / max(eigenvalues.min(initial=1.0), 1e-300))),
         "image_width": problem.image_size[0],
         "image_height": problem.image_size[1],
         "pixel_size": pixel if pixel is not None else float("nan"),

@@ -11,6 +11,7 @@ from metrocli.adjust.adjustment import adjust
 from metrocli.adjust.blocks import Block
 from metrocli.adjust.datum import Datum
 from metrocli.adjust.groups import Group
+from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.robust import Suspects, gross, robust_start, suspects
 from metrocli.adjust.solution import Solution, residuals_of
 from metrocli.errors import NotConvergedError
@@ -20,6 +21,10 @@ IMAGES = "images"
 """Name of the group of image points"""
 
 
+_NO_START = (
+    "\n  check that image points and targets belong together (names, order, units), "
+    "and that image_size and the poses are right"
+)
 _SETTLED = 1e-7
 """The noise is found when another round would change it by less than this share"""
 _LEAST = 1e-7
@@ -93,7 +98,8 @@ def adjust_images(
 def must_converge(solution: Solution) -> None:
     """Raise NotConvergedError unless the adjustment ended well or is undetermined (which the task explains)."""
     if not solution.outcome.good and not solution.undetermined:
-        raise NotConvergedError(f"{solution.outcome.value} ({solution.iterations} steps)")
+        hint = _NO_START if solution.outcome is Outcome.NO_START else ""
+        raise NotConvergedError(f"{solution.outcome.value} ({solution.iterations} steps){hint}")
 
 
 def _noise(solution: Solution, group: Group) -> float:

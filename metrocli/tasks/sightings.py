@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from metrocli.adjust.blocks import Array
-from metrocli.adjust.observations import Index, Observations
+from metrocli.adjust.observations import Index, Mask, Observations
 from metrocli.errors import Fault, InputError, UndeterminedError
 from metrocli.imageset import ImageSet
 from metrocli.table import TEXT, Column, Columns, Table
@@ -32,6 +32,9 @@ OBSERVATIONS = Columns(
 )
 START_NOISE = 0.1
 """Noise [px] to start from where it is estimated"""
+
+_BEYOND = 0.01
+"""How far beyond the border a reading may lie, as a share of the image"""
 
 
 @dataclass(frozen=True)
@@ -141,6 +144,7 @@ def join(table: Table, targets: Targets, sigma: float, fewest: int) -> Sighted:
         names = listed([targets.names[i] for i in unseen])
         warnings.append(f"{unseen.size} targets of the list are seen in no image: {names}")
     spread = table.numbers("sigma", sigma)
+    _refuse(table, spread <= 0, "the standard deviation of an image point is not above zero")
     numbers = np.cumsum(enough) - 1
     conditions = {name: table.numbers(name)[keep] for name in ("t", "temp") if name in table}
     observations = Observations(
@@ -155,6 +159,20 @@ def join(table: Table, targets: Targets, sigma: float, fewest: int) -> Sighted:
     return Sighted(tuple(images[enough].tolist()), targets, observations, tuple(warnings))
 
 
+def check_inside(sighted: Sighted, size: tuple[int, int]) -> None:
+    """Raise InputError where readings lie outside the image: another size, or columns exchanged."""
+    uv, extent = sighted.observations.readings, np.array(size)[:, None]
+    outside = ((uv < -_BEYOND * extent) | (uv > (1 + _BEYOND) * extent)).any(axis=0)
+    if outside.any():
+        i = int(np.flatnonzero(outside)[0])
+        keys = sighted.observations.keys
+        raise InputError(
+            f"{outside.sum()} of {outside.size} readings lie outside an image of {size[0]} x {size[1]} px, "
+            f"the first: image {keys['image'][i]}, target {keys['target'][i]} at ({uv[0, i]:.1f}, {uv[1, i]:.1f}); "
+            "check image_size and the columns"
+        )
+
+
 def _matched(table: Table, targets: Targets) -> tuple[np.ndarray[tuple[int], np.dtype[np.str_]], Index]:
     """Return the name of each reading's target and its place in the list."""
     place = {name: i for i, name in enumerate(targets.names)}
@@ -165,6 +183,12 @@ def _matched(table: Table, targets: Targets) -> tuple[np.ndarray[tuple[int], np.
     if strange.size:
         raise InputError([_strange(table, int(row), str(of_target[row])) for row in strange[:20]])
     return of_target, found
+
+
+def _refuse(table: Table, rows: Mask, text: str) -> None:
+    if rows.any():
+        lines = [table.lines[row] if table.lines else None for row in np.flatnonzero(rows)[:20]]
+        raise InputError([Fault(text, table.file, line) for line in lines])
 
 
 def _strange(table: Table, row: int, name: str) -> Fault:
