@@ -178,6 +178,12 @@ def _is_near(a: Ellipse, b: Ellipse) -> bool:
     return moved < SAME and abs(a.long - b.long) < SAME and abs(a.short - b.short) < SAME
 
 
+def _leads_to(start: Ellipse, found: Ellipse) -> bool:
+    """Tell whether a start is an outline of an ellipse that has been found."""
+    near = abs(start.u - found.u) + abs(start.v - found.v) < 0.5 * found.short
+    return near and 0.5 < start.short / found.short < 2
+
+
 def is_good(fitted: Fitted | None) -> bool:
     """Tell whether there is a fit, and it looks like a blurred ellipse."""
     return fitted is not None and fitted.misfit < MISFIT
@@ -187,6 +193,8 @@ def fit_all(picture: Picture, starts: Iterable[Ellipse], reach: float = np.inf) 
     """Return the fits that look like blurred ellipses, each once, though several starts may lead to it."""
     found: list[Fitted] = []
     for start in starts:
+        if any(_leads_to(start, other.ellipse) for other in found):
+            continue
         fitted = fit(picture, start, reach)
         if fitted is None or not is_good(fitted):
             continue

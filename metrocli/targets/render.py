@@ -21,6 +21,8 @@ Field = npt.NDArray[np.floating]
 Rays = Callable[[Array], Array]
 """Pixel coordinates (n, 2) to unit directions (n, 3) in the camera frame: projection and distortion, inverted."""
 
+Size = tuple[int, int]
+
 FINE = 4
 """Samples per pixel and axis; edges within a sample are covered in part, so this is far finer than it sounds."""
 FAR = 1e6
@@ -217,7 +219,7 @@ def board(pattern: Pattern) -> Drawing:
     return Circles(lattice(pattern).astype(float) * pattern.pitch, radius, 1.5 * pattern.pitch)
 
 
-def render(size: tuple[int, int], rays: Rays, scene: Sequence[Placed], look: Look, rng: np.random.Generator) -> Picture:
+def render(size: Size, rays: Rays, scene: Sequence[Placed], look: Look, rng: np.random.Generator) -> Picture:
     """Return the image (height, width) of a scene; later drawings lie before earlier ones.
 
     Only the surroundings of each drawing are computed; their edges are exact to about 0.001 px.
@@ -227,12 +229,10 @@ def render(size: tuple[int, int], rays: Rays, scene: Sequence[Placed], look: Loo
     u, v = np.arange(-COARSE, width + 2 * COARSE, COARSE), np.arange(-COARSE, height + 2 * COARSE, COARSE)
     coarse = _ray_grid(rays, u, v)
     for placed in scene:
-        box = _box(coarse, placed)
-        if box is None:
-            continue
-        u0, v0, u1, v1 = max(u[box[0]], 0), max(v[box[1]], 0), min(u[box[2]], width), min(v[box[3]], height)
-        if u0 < u1 and v0 < v1:
-            paper, ink = _coverage(rays, placed, (int(u0), int(v0), int(u1), int(v1)), look.blur)
+        box = _close_box(rays, coarse, placed, (width, height), _around(look.blur))
+        if box is not None:
+            u0, v0, u1, v1 = box
+            paper, ink = _coverage(rays, placed, box, look.blur)
             part = image[v0:v1, u0:u1]
             image[v0:v1, u0:u1] = part * (1 - paper) + look.paper * (paper - ink) + look.ink * ink
     if look.noise:
@@ -286,13 +286,33 @@ def _box(coarse: Array, placed: Placed) -> tuple[int, int, int, int] | None:
     )
 
 
+def _close_box(rays: Rays, coarse: Array, placed: Placed, size: Size, around: int) -> tuple[int, int, int, int] | None:
+    """Return the pixels (u0, v0, u1, v1) of the image that the sheet and its blur touch; None where there are none."""
+    box = _box(coarse, placed)
+    if box is None:
+        return None
+    u0, v0 = (COARSE * box[0] - COARSE, COARSE * box[1] - COARSE)
+    u, v = np.arange(u0, COARSE * box[2]), np.arange(v0, COARSE * box[3])
+    fine = _box(_ray_grid(rays, u, v), placed)
+    if fine is None:
+        return None
+    left, top = max(u0 + fine[0] - around, 0), max(v0 + fine[1] - around, 0)
+    right, bottom = min(u0 + fine[2] + around, size[0]), min(v0 + fine[3] + around, size[1])
+    return (left, top, right, bottom) if left < right and top < bottom else None
+
+
+def _around(blur: float) -> int:
+    """Return how many pixels the blur of an edge reaches."""
+    return int(np.ceil(4 * blur)) + 2
+
+
 def _coverage(rays: Rays, placed: Placed, box: tuple[int, int, int, int], blur: float) -> tuple[Field, Field]:
     """Return which part of each pixel of a box (u0, v0, u1, v1) is sheet and which is ink, after the lens' blur.
 
     Plane coordinates are computed at pixels and interpolated in between, which is exact to 1e-4 px.
     """
     u0, v0, u1, v1 = box
-    around = int(np.ceil(4 * blur)) + 2
+    around = _around(blur)
     u, v = np.arange(u0 - around, u1 + around), np.arange(v0 - around, v1 + around)
     at = _on_plane(_ray_grid(rays, u, v), placed)
     at[~np.isfinite(at)] = FAR

@@ -39,7 +39,7 @@ def test_every_type_has_its_module() -> None:
 def test_corners_rest_on_the_edges(pattern: Pattern) -> None:
     """Also pins the pixel convention: half a pixel would be 500 times the limit."""
     rng = np.random.default_rng(1)
-    for _ in range(3):
+    for _ in range(2):
         image, true = seen(pattern, rng, Look())
         found = find(pattern, image)
         rows = [names(pattern).index(name) for name in found.targets]
@@ -55,7 +55,7 @@ def test_corners_rest_on_the_edges(pattern: Pattern) -> None:
 def test_corners_know_their_scatter(pattern: Pattern) -> None:
     rng = np.random.default_rng(2)
     scores = []
-    for _ in range(3):
+    for _ in range(2):
         image, true = seen(pattern, rng, Look(noise=3.0))
         found = find(pattern, image)
         rows = [names(pattern).index(name) for name in found.targets]
@@ -78,7 +78,7 @@ def test_circles_have_their_names(pattern: Pattern) -> None:
 def test_a_chessboard_upside_down_keeps_its_names() -> None:
     rng = np.random.default_rng(4)
     _, xyz = pattern_points(CHESS)
-    for turn in (0.0, np.pi / 2, np.pi, -np.pi / 2):
+    for turn in (0.0, np.pi / 2, np.pi):
         rotation = about_z(turn)
         origin = np.array([0, 0, 400.0]) - rotation @ xyz.mean(0)
         image = render(CAMERA.size, CAMERA.rays, [Placed(board(CHESS), rotation, origin)], Look(), rng)
