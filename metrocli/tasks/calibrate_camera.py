@@ -19,7 +19,7 @@ from metrocli.settings import Choice, Either, ImageFiles, Quantity, Section, Tab
 from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import TEXT, Column, Columns, Table
 from metrocli.targets.pattern import Pattern
-from metrocli.tasks.camera_advice import explained, pole
+from metrocli.tasks.camera_advice import explained, ran_out
 from metrocli.tasks.camera_compare import compare_models
 from metrocli.tasks.camera_problem import Problem, build
 from metrocli.tasks.camera_report import KIND, report
@@ -135,8 +135,7 @@ def solved(settings: Settings, problem: Problem) -> Result:
     options = Options(settings.outliers == "remove", settings.noise == "estimated")
     adjusted = adjust_images(problem.blocks, problem.images, problem.others, problem.datum, options)
     solution = adjusted.solution
-    lost = not solution.outcome.good and pole(problem, solution) is not None
-    if solution.undetermined or solution.outcome is Outcome.TOO_FEW or lost:
+    if solution.undetermined or solution.outcome is Outcome.TOO_FEW or ran_out(problem, solution):
         raise UndeterminedError(explained(problem, solution))
     must_converge(solution)
     return report(problem, settings.camera, adjusted)

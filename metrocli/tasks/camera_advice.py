@@ -40,17 +40,9 @@ def _advice(problem: Problem, solution: Solution) -> list[str]:
         for block, column, _, _ in combination.parts
         if block == camera.LENS
     }
-    if problem.rig == "board" and not _tilted(problem):
-        return [
-            "  why: all views are parallel to the board",
-            "  what would determine it: views tilted by 20 to 45 degrees about both axes of the image",
-        ]
-    if problem.rig == "cmm" and plane_frame(problem.sighted.targets.points[np.unique(problem.sighted.target)])[1]:
-        return [
-            "  why: all targets lie in one plane",
-            "  what would determine it: targets at several distances along the camera's axis",
-        ]
-    radius = pole(problem, solution)
+    if flat := _flat(problem):
+        return flat
+    radius = _pole(problem, solution)
     if radius is not None and (columns & set(RATIONAL) or not columns):
         return [
             f"  why: the rational terms drive the model into a pole at {radius:.0f} px from the principal point, "
@@ -68,7 +60,27 @@ def _advice(problem: Problem, solution: Solution) -> list[str]:
     ]
 
 
-def pole(problem: Problem, solution: Solution) -> float | None:
+def ran_out(problem: Problem, solution: Solution) -> bool:
+    """Tell whether the steps ran out over a weakness that has a name."""
+    return solution.outcome is Outcome.ITERATION_LIMIT and bool(_pole(problem, solution) or _flat(problem))
+
+
+def _flat(problem: Problem) -> list[str]:
+    """Return the advice where nothing has depth: views parallel to a board, or targets in one plane; else nothing."""
+    if problem.rig == "board" and not _tilted(problem):
+        return [
+            "  why: all views are parallel to the board",
+            "  what would determine it: views tilted by 20 to 45 degrees about both axes of the image",
+        ]
+    if problem.rig == "cmm" and plane_frame(problem.sighted.targets.points[np.unique(problem.sighted.target)])[1]:
+        return [
+            "  why: all targets lie in one plane",
+            "  what would determine it: targets at several distances along the camera's axis",
+        ]
+    return []
+
+
+def _pole(problem: Problem, solution: Solution) -> float | None:
     """Return the radius [px] where estimated rational terms fold the model over inside the image, else None."""
     lens = solution.blocks[camera.LENS]
     if problem.convention != "forward" or not lens.free[0, np.isin(lens.columns, RATIONAL)].any():
