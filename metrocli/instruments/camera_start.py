@@ -40,7 +40,7 @@ class Scene:
 def plane_frame(points: Array) -> tuple[Array, bool]:
     """Return the pose that carries the targets' best plane to z = 0, and whether they lie in it."""
     centre = points.mean(axis=0)
-    _, spread, axes = np.linalg.svd(points - centre, full_matrices=False)
+    spread, axes = np.linalg.svd(np.concatenate([points - centre, np.zeros((3, 3))]), full_matrices=False)[1:]
     rotation = nearest_rotation(axes if np.linalg.det(axes) > 0 else np.diag([1.0, 1.0, -1.0]) @ axes)
     return poses.pose(rotation, -rotation @ centre), bool(spread[2] <= _FLAT * spread[1] or len(points) < 4)
 
@@ -58,7 +58,8 @@ def start(scene: Scene, centre: Array, focal: float | None, guess: float) -> tup
     rays = (scene.uv - centre[:, None]) / guess
     seen = local[scene.target, :2] if planar else local[scene.target]
     maps, keep = linear_maps(np.column_stack([seen, np.ones(len(seen))]), rays, scene.view, scene.views)
-    ratio = focal / guess if focal else (_focal_of_homographies(maps) if planar else _focal_of_projections(maps))
+    telling = maps[2 * np.bincount(scene.view[keep], minlength=scene.views) >= maps[0].size - 1]
+    ratio = focal / guess if focal else (_focal_of_homographies(telling) if planar else _focal_of_projections(telling))
     maps[:, :2] /= ratio
     found = _poses_of_homographies(maps) if planar else _poses_of_projections(maps)
     if not planar:
@@ -114,13 +115,16 @@ def _poses_of_projections(maps: Array) -> Array:
 _ITERATIONS = 60
 _ASTRAY = 3.0
 """A view whose misfit is this many times the median is tried again from other rotations"""
+_PROJECTION = 6
+"""and so is one with fewer readings than this, too few for a projection to start from"""
 
 
 def _resected(scene: Scene, local: Array, rays: Array, start_poses: Array) -> Array:
     """Return poses refined in object space; views that end behind the camera or astray start anew in 24 rotations."""
     best = _orthogonal_iteration(scene, local, rays, start_poses)
     misfit = _misfit(scene, local, rays, best)
-    astray = np.flatnonzero(misfit > _ASTRAY * np.median(misfit))
+    few = np.bincount(scene.view, minlength=scene.views) < _PROJECTION
+    astray = np.flatnonzero(few | ~np.isfinite(misfit) | (misfit > _ASTRAY * np.median(misfit)))
     if not astray.size:
         return best
     chosen = np.isin(scene.view, astray)

@@ -129,11 +129,10 @@ def projection_range(values: Mapping[str, float], image_size: Sequence[int]) -> 
         [[0, 0], [image_size[0] - 1, 0], [0, image_size[1] - 1], [image_size[0] - 1, image_size[1] - 1]], dtype=float
     )
     reach = float(np.hypot((corners[:, 0] - values["cx"]) / fx, (corners[:, 1] - values["cy"]) / fy).max())
-    x = np.linspace(0, 1.5 * reach, 3001)
+    x = np.linspace(0, 10 * reach, 20001)
     d = distort(x, np.zeros_like(x), {name: values.get(name, 0.0) for name in (*RADIAL, "k4", "k5", "k6")})
-    inside = d.x <= reach
-    falling = np.flatnonzero((np.diff(d.x) <= 0) & inside[:-1])
-    if not falling.size:
+    falling = np.flatnonzero(np.diff(d.x) <= 0)
+    if not falling.size or d.x[: falling[0] + 1].max() > reach:
         return None
     u, _ = image_point({**values, "p1": 0.0, "p2": 0.0}, x[falling[:1]], np.zeros(1))
     return float(u[0] - values["cx"])
