@@ -111,9 +111,9 @@ def run(
 ) -> Result:
     """Locate the part; raises InputError, UndeterminedError or NotConvergedError."""
     model = camera_of(camera)
-    sighted = sightings(settings, observations, targets, images, Needs(fewest=1))
     if images is not None:
         model.must_fit(images)
+    sighted = sightings(settings, observations, targets, images, Needs(fewest=1))
     problem = build(model, sighted, poses, free_angle="clamping-angle" in settings.estimate)
     prediction = predicted(problem)
     options = Options(settings.outliers == "remove", settings.noise == "estimated")
