@@ -123,8 +123,13 @@ def prepared(
     scale_bars: Table | None,
 ) -> tuple[Settings, Problem]:
     """Return the adjustment with its starting values, and the settings with the size of the images."""
-    if images is not None and settings.camera.image_size is None:
-        settings = replace(settings, camera=replace(settings.camera, image_size=images.size))
+    if images is not None:
+        declared, size = settings.camera.image_size or images.size, images.size
+        if tuple(declared) != tuple(size):
+            raise InputError(
+                f"the images are {size[0]} x {size[1]} px, but camera: image_size says {declared[0]} x {declared[1]} px"
+            )
+        settings = replace(settings, camera=replace(settings.camera, image_size=size))
     needs = Needs(_FEWEST[settings.rig], float("nan") if settings.rig == "network" else 0.0)
     sighted = sightings(settings, observations, targets, images, needs)
     return settings, build(settings.rig, settings.camera, sighted, scale_bars)
