@@ -1,0 +1,105 @@
+"""The sample projects run from images to results that hold the truth their images were rendered from."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from metrocli.geometry.poses import EULER
+
+Metrocli = Callable[..., Any]
+BOUND = 3.5
+"""Standard uncertainties that an estimate may be off"""
+
+
+@pytest.fixture(scope="module")
+def spindle(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return _run("spindle-camera", tmp_path_factory)
+
+
+@pytest.fixture(scope="module")
+def board(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return _run("board-camera", tmp_path_factory)
+
+
+def _run(name: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    from metrocli.cli.commands import run
+
+    project = tmp_path_factory.mktemp("sample") / name
+    assert run(["init", str(project), "--sample", name]) == 0
+    assert run(["run", str(project)]) == 0
+    return project
+
+
+def truth(job: Path) -> dict[str, float]:
+    """Return the values of the job's simulation by the name of their estimate."""
+    from metrocli.project.job import load
+
+    simulation = load(job).settings.simulation
+    if hasattr(simulation, "part"):
+        values = {name: getattr(simulation.part, name) for name in EULER}
+        return {**values, "gamma_s": simulation.clamping_angle}
+    values = dict(simulation.lens.given())
+    if simulation.extrinsics is not None:
+        values |= {name: getattr(simulation.extrinsics, name) for name in EULER}
+    return values
+
+
+def assert_true(job: Path, result: Path) -> None:
+    from metrocli.formats import hdf5
+
+    found, _ = hdf5.read(result)
+    true = truth(job)
+    assert {estimate.name for estimate in found.estimates} == set(true)
+    for estimate in found.estimates:
+        assert abs(estimate.value - true[estimate.name]) < BOUND * estimate.std, estimate.name
+
+
+@pytest.mark.slow
+def test_the_board_camera_is_the_true_one(board: Path) -> None:
+    assert_true(board / "jobs" / "calibrate.yaml", board / "results" / "camera.h5")
+
+
+@pytest.mark.slow
+def test_the_spindle_camera_is_the_true_one(spindle: Path) -> None:
+    assert_true(spindle / "jobs" / "calibrate.yaml", spindle / "results" / "camera.h5")
+
+
+@pytest.mark.slow
+def test_the_part_is_where_it_is(spindle: Path) -> None:
+    assert_true(spindle / "jobs" / "align.yaml", spindle / "results" / "part.h5")
+
+
+@pytest.mark.slow
+def test_the_part_is_known_to_some_micrometres(spindle: Path) -> None:
+    from metrocli.formats import hdf5
+
+    std = {estimate.name: estimate.std for estimate in hdf5.read(spindle / "results" / "part.h5")[0].estimates}
+    assert all(std[name] < 0.02 for name in "xyz")
+    assert all(std[name] < 2e-5 for name in ("alpha", "beta", "gamma", "gamma_s"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("project", ["spindle", "board"])
+def test_a_project_that_ran_is_up_to_date(project: str, request: pytest.FixtureRequest, metrocli: Metrocli) -> None:
+    folder = request.getfixturevalue(project)
+    ran = metrocli("status", folder)
+    assert ran.code == 0
+    assert all(line.endswith("up to date") for line in ran.out.splitlines())
+    again = metrocli("run", folder)
+    assert again.code == 0
+    assert ": ran" not in again.out + again.err
+
+
+@pytest.mark.slow
+def test_results_are_shown(spindle: Path, metrocli: Metrocli) -> None:
+    ran = metrocli("show", spindle / "results" / "part.h5")
+    assert ran.code == 0
+    assert "gamma_s" in ran.out and "mm/m" in ran.out and "R_P" in ran.out
+    summary = json.loads(metrocli("show", spindle / "results" / "camera.h5", "--json").out)
+    assert summary["kind"] == "calibrate-camera"
+    assert set(summary["estimates"]) == {"f", "cx", "cy", "k1", "k2", "p1", "p2", *EULER}
