@@ -48,7 +48,7 @@ class Problem:
 
 def build(camera: CameraModel, sighted: Sighted, table: Table, free_angle: bool) -> Problem:
     """Return the adjustment with its starting values, found from the sightings alone."""
-    check_inside(sighted, camera.image_size)
+    sighted = check_inside(sighted, camera.image_size)
     held, warnings, sighted = _spindle_poses(sighted, table)
     targets = sighted.targets
     seen = np.bincount(sighted.target, minlength=len(targets.names)) > 0

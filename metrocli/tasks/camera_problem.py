@@ -94,7 +94,7 @@ def build(rig: str, settings: Camera, sighted: Sighted, bars: Table | None = Non
     size = settings.image_size
     if size is None:
         raise InputError("camera: image_size is missing; give the width and height of the images, e.g. [2592, 1944]")
-    check_inside(sighted, size)
+    sighted = check_inside(sighted, size)
     _check_targets(rig, sighted)
     targets = sighted.targets
     values = _lens_values(settings, size)

@@ -35,6 +35,8 @@ START_NOISE = 0.1
 
 _BEYOND = 0.01
 """How far beyond the border a reading may lie, as a share of the image"""
+_FAR, _MANY = 0.5, 0.01
+"""One reading this far outside, as a share of the image, or this share of all readings outside, is refused"""
 
 
 @dataclass(frozen=True)
@@ -159,18 +161,26 @@ def join(table: Table, targets: Targets, sigma: float, fewest: int) -> Sighted:
     return Sighted(tuple(images[enough].tolist()), targets, observations, tuple(warnings))
 
 
-def check_inside(sighted: Sighted, size: tuple[int, int]) -> None:
-    """Raise InputError where readings lie outside the image: another size, or columns exchanged."""
+def check_inside(sighted: Sighted, size: tuple[int, int]) -> Sighted:
+    """Return the sightings, with a warning where single readings lie outside the image.
+
+    Raises InputError where many do, or one lies far outside: another image size, or columns exchanged.
+    """
     uv, extent = sighted.observations.readings, np.array(size)[:, None]
     outside = ((uv < -_BEYOND * extent) | (uv > (1 + _BEYOND) * extent)).any(axis=0)
-    if outside.any():
-        i = int(np.flatnonzero(outside)[0])
-        keys = sighted.observations.keys
-        raise InputError(
-            f"{outside.sum()} of {outside.size} readings lie outside an image of {size[0]} x {size[1]} px, "
-            f"the first: image {keys['image'][i]}, target {keys['target'][i]} at ({uv[0, i]:.1f}, {uv[1, i]:.1f}); "
-            "check image_size and the columns"
-        )
+    if not outside.any():
+        return sighted
+    i = int(np.flatnonzero(outside)[0])
+    keys = sighted.observations.keys
+    told = (
+        f"{outside.sum()} of {outside.size} readings lie outside an image of {size[0]} x {size[1]} px, "
+        f"the first: image {keys['image'][i]}, target {keys['target'][i]} at ({uv[0, i]:.1f}, {uv[1, i]:.1f}); "
+        "check image_size and the columns"
+    )
+    far = ((uv < -_FAR * extent) | (uv > (1 + _FAR) * extent)).any()
+    if far or outside.mean() > _MANY:
+        raise InputError(told)
+    return replace(sighted, warnings=(*sighted.warnings, told))
 
 
 def _matched(table: Table, targets: Targets) -> tuple[np.ndarray[tuple[int], np.dtype[np.str_]], Index]:
