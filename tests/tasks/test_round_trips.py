@@ -121,3 +121,30 @@ def test_tilted_rings_are_freed_of_eccentricity(tmp_path: Path, metrocli: Metroc
     ]
     assert max(away.values()) < 0.01
     assert abs(ignored["z"]["value"] - truth["z"]) > 0.01
+
+
+@pytest.mark.parametrize("clamping", ["0.1 deg", "35 deg", "-170 deg"])
+def test_a_camera_that_looks_down_finds_the_part_at_any_clamping_angle(
+    clamping: str, tmp_path: Path, metrocli: Metrocli
+) -> None:
+    """The camera looks along -z of the taper, the spindle is turned for some images, and no start is given."""
+    job = small_jobs.align(tmp_path)
+    camera = (tmp_path / "camera.yaml").read_text()
+    (tmp_path / "camera.yaml").write_text(
+        camera[: camera.index("extrinsics")]
+        + "extrinsics: {x: 1 mm, y: 40 mm, z: -120 mm, alpha: 179 deg, beta: 1 deg, gamma: 20 deg}\n"
+    )
+    turn = float(clamping.split()[0])
+    rows = ["image,x_mm,y_mm,z_mm,c_deg"]
+    for i, (x, y) in enumerate([(500, 400), (2000, 400), (2000, 1400), (500, 1400)]):
+        for j, c in enumerate((turn, turn + 90.0)):  # turned back by what the clamping turns, so that targets are seen
+            lever = np.radians(c - turn)
+            down = np.array([x - 1 + 40 * np.sin(lever), y - 40 * np.cos(lever)]) + 25 * j
+            rows.append(f"image{2 * i + j + 1},{down[0]:.3f},{down[1]:.3f},470,{c}")
+    (tmp_path / "poses.csv").write_text("\n".join(rows) + "\n")
+    part = "{x: 500 mm, y: 400 mm, z: 50 mm, alpha: 0.3 deg, beta: -0.2 deg, gamma: 0.1 deg}"
+    job.write_text(job.read_text() + f"simulation: {{part: {part}, clamping_angle: {clamping}}}\n")
+    truth = simulated(tmp_path, job, metrocli)
+    ran = metrocli("align-part", job, "--json", "--set", "inputs.observations=new/observations.csv")
+    assert ran.code == 0, ran.err
+    assert_true(json.loads(ran.out), truth)
