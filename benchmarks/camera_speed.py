@@ -14,7 +14,6 @@ from functools import partial
 import numpy as np
 
 from metrocli.adjust.observations import Observations
-from metrocli.adjust.solution import residuals_of
 from metrocli.geometry import poses
 from metrocli.instruments.lens import image_point
 from metrocli.tasks.camera_problem import build
@@ -64,7 +63,7 @@ def ours(sighted: Sighted) -> tuple[float, float]:
     """Return f and its standard uncertainty."""
     problem = build("board", Camera(image_size=SIZE, estimate=tuple(TRUTH)), sighted)
     adjusted = adjust_images(problem.blocks, problem.images, problem.others, None, Options())
-    residuals_of(adjusted.solution, adjusted.group)
+    adjusted.known_residuals()
     adjusted.solution.std("view")
     return float(adjusted.solution.blocks["lens"].values[0, 0]), float(adjusted.solution.std("lens")[0, 0])
 

@@ -12,7 +12,7 @@ from metrocli.adjust.blocks import Array, Block
 from metrocli.adjust.datum import Datum
 from metrocli.adjust.groups import Group
 from metrocli.adjust.observations import Index, Mask
-from metrocli.adjust.solution import Solution, residuals_of
+from metrocli.adjust.solution import Residuals
 
 _MAD = 1.4826
 """Standard deviation of a normal sample over its median absolute deviation."""
@@ -80,13 +80,12 @@ class Suspects:
     critical: float
 
 
-def suspects(solution: Solution, group: Group, unit: float = 1.0) -> Suspects:
+def suspects(found: Residuals, unit: float = 1.0) -> Suspects:
     """Return the readings whose largest |w| exceeds the critical value for their number, at 5 % in all.
 
     `unit` divides w: the standard deviation of unit weight that is taken for right.
     """
-    found = residuals_of(solution, group)
     w = np.abs(found.normalised).max(axis=0) / unit
-    bound = critical_value(group.observations.readings.size)
+    bound = critical_value(found.values.size)
     rows = np.flatnonzero(w > bound)
     return Suspects(rows, w[rows], bound)

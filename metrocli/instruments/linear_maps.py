@@ -13,6 +13,8 @@ Mask = npt.NDArray[np.bool_]
 
 _SUSPECT = 5.0
 """A view is looked into where its largest misfit is this many times its median: more than noise and distortion make"""
+_MIXED = 0.3
+"""and more than this share of the distance of neighbouring points: a lens bends less, a wrong name moves more"""
 _GROSS = 12.0
 """A reading is left out where its misfit is this many times the median of the best map"""
 _ROUNDS = 60
@@ -30,7 +32,9 @@ def linear_maps(points: Array, rays: Array, view: Index, views: int) -> tuple[Ar
     gap = _misfit(maps, points, rays, view)
     largest = np.zeros(views)
     np.maximum.at(largest, view, gap)
-    doubtful = np.flatnonzero(largest > _SUSPECT * _medians(gap, view, views))
+    doubtful = np.flatnonzero(
+        (largest > _SUSPECT * _medians(gap, view, views)) & (largest > _MIXED * _spacing(rays, view, views))
+    )
     if doubtful.size:
         chosen = np.flatnonzero(np.isin(view, doubtful))
         part = (points[chosen], rays[:, chosen], np.searchsorted(doubtful, view[chosen]))
@@ -58,6 +62,14 @@ def _misfit(maps: Array, points: Array, rays: Array, view: Index) -> Array:
     x, y, w = np.einsum("nac,nc->an", maps[view], points)
     away = np.where(w == 0, 1e-300, w)
     return np.asarray(np.hypot(x / away - rays[0], y / away - rays[1]), dtype=float)
+
+
+def _spacing(rays: Array, view: Index, views: int) -> Array:
+    """Return the distance of neighbouring image points of each view if they filled a square evenly, (views,)."""
+    counts = np.maximum(np.bincount(view, minlength=views), 1)
+    middle, square = (np.stack([np.bincount(view, row, views) for row in part]) / counts for part in (rays, rays**2))
+    side = np.sqrt(6 * np.maximum((square - middle**2).sum(axis=0), 0.0))
+    return np.asarray(side / np.sqrt(counts), dtype=float)
 
 
 def _medians(values: Array, view: Index, views: int) -> Array:

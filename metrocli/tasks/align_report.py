@@ -8,7 +8,7 @@ import numpy as np
 
 from metrocli.adjust.adjustment import covariance_at
 from metrocli.adjust.blocks import Array
-from metrocli.adjust.solution import Solution, residuals_of
+from metrocli.adjust.solution import Solution
 from metrocli.geometry import poses
 from metrocli.instruments import spindle_camera as spindle
 from metrocli.instruments.camera import TARGET
@@ -78,7 +78,7 @@ def _estimates(solution: Solution) -> tuple[tuple[str, ...], Array, Array]:
 def report(problem: Problem, adjusted: Adjusted, prediction: Prediction | None) -> Result:
     """Return the result of a solved alignment."""
     solution = adjusted.solution
-    found = residuals_of(solution, adjusted.group)
+    found = adjusted.known_residuals()
     names, values, covariance = _estimates(solution)
     std = np.sqrt(np.diag(covariance))
     estimates = tuple(

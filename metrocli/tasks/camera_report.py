@@ -10,7 +10,7 @@ import numpy as np
 from metrocli.adjust.blocks import Array, Block
 from metrocli.adjust.covariance import Covariance
 from metrocli.adjust.observations import Index
-from metrocli.adjust.solution import Residuals, Solution, residuals_of
+from metrocli.adjust.solution import Residuals, Solution
 from metrocli.geometry import poses
 from metrocli.instruments import camera
 from metrocli.instruments.conventions import projection_range
@@ -75,7 +75,7 @@ def report(problem: Problem, settings: Camera, adjusted: Adjusted) -> Result:
     solution = adjusted.solution
     covariance = solution.known()
     p = parameters(problem.rig, solution, covariance)
-    solved = _Calibration(problem, settings, adjusted, residuals_of(solution, adjusted.group), covariance, p)
+    solved = _Calibration(problem, settings, adjusted, adjusted.known_residuals(), covariance, p)
     views = _views(solved)
     arrays: dict[str, Array] = {"correlation": p.correlation}
     form = photogrammetric_form(problem, settings, solution)

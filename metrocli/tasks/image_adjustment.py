@@ -13,7 +13,7 @@ from metrocli.adjust.datum import Datum
 from metrocli.adjust.groups import Group
 from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.robust import Suspects, gross, robust_start, suspects
-from metrocli.adjust.solution import Solution, residuals_of
+from metrocli.adjust.solution import Residuals, Solution, residuals_of
 from metrocli.errors import NotConvergedError
 from metrocli.table import Table
 
@@ -48,10 +48,34 @@ class Adjusted:
     solution: Solution
     group: Group
     """The image points that were used"""
+    residuals: Residuals | None
+    """None where the adjustment did not end well"""
     rejected: Table
     suspects: Suspects
     noise: float | None = None
     """Standard deviation of an image coordinate found from the residuals, where it was estimated [px]"""
+
+    def known_residuals(self) -> Residuals:
+        """Return the residuals; RuntimeError where the outcome gave none (ask it first)."""
+        if self.residuals is None:
+            raise RuntimeError(self.solution.outcome.value)
+        return self.residuals
+
+
+@dataclass(frozen=True)
+class _Settled:
+    """A solution whose noise, where it is estimated, agrees with its residuals."""
+
+    solution: Solution
+    group: Group
+    residuals: Residuals | None
+
+    @property
+    def suspects(self) -> Suspects:
+        if self.residuals is None:
+            return Suspects(np.zeros(0, dtype=np.intp), np.zeros(0), 0.0)
+        sigma0 = self.solution.sigma0
+        return suspects(self.residuals, max(1.0, sigma0) if np.isfinite(sigma0) else 1.0)
 
 
 def adjust_images(
@@ -59,40 +83,40 @@ def adjust_images(
 ) -> Adjusted:
     """Adjust image points with a robust start; remove outliers and estimate the noise as the options ask."""
     state = robust_start(blocks.values(), [group, *others], group.name, datum)
-    everything = group
-    dropped: list[tuple[int, float]] = []
-    rows = np.arange(group.observations.count)
-    if options.remove_outliers:
-        bad = gross(group, state)
-        dropped += [(int(i), float("nan")) for i in rows[bad]]
-        rows, group = rows[~bad], group.selected(~bad)
-    original = group.observations.sigma
-    rounds = 0
+    bad = gross(group, state) if options.remove_outliers else np.zeros(group.observations.count, dtype=bool)
+    dropped = [(int(i), float("nan")) for i in np.flatnonzero(bad)]
+    rows = np.flatnonzero(~bad)
+    used = group if not bad.any() else group.selected(rows)
     while True:
-        solution = adjust(state.values(), [group, *others], datum)
-        if not solution.outcome.good:
-            nothing = Suspects(np.zeros(0, dtype=np.intp), np.zeros(0), 0.0)
-            return Adjusted(solution, group, _rejected(everything, []), nothing)
-        noise = _noise(solution, group) if options.estimate_noise else None
-        if noise is not None and abs(noise - 1) > _SETTLED and rounds < _ROUNDS:
-            rounds += 1
-            sigma = np.maximum(group.observations.sigma * noise, _LEAST)
-            rounds = _ROUNDS if (sigma == _LEAST).any() else rounds
-            group = group.with_observations(replace(group.observations, sigma=sigma))
-            state = dict(solution.blocks)
-            continue
-        unit = 1.0 if options.estimate_noise else max(1.0, solution.sigma0 if np.isfinite(solution.sigma0) else 1.0)
-        found = suspects(solution, group, unit)
-        if not (options.remove_outliers and found.rows.size):
+        settled = _settled(state, used, others, datum, options.estimate_noise)
+        worst = _worst_of_each_image(settled.suspects, settled.group) if options.remove_outliers else []
+        if not worst:
             break
-        worst = _worst_of_each_image(found, group)
-        dropped += [(int(rows[i]), t) for i, t in worst]
+        dropped += [(int(rows[i]), test) for i, test in worst]
         keep = np.ones(len(rows), dtype=bool)
         keep[[i for i, _ in worst]] = False
-        rows, group, state, original = rows[keep], group.selected(keep), dict(solution.blocks), original[:, keep]
-    factor = float(np.mean(group.observations.sigma / original)) if options.estimate_noise else None
-    ratio = None if factor is None else factor * float(np.sqrt(np.mean(original**2)))
-    return Adjusted(solution, group, _rejected(everything, dropped), found, ratio)
+        rows, used, state = rows[keep], settled.group.selected(keep), dict(settled.solution.blocks)
+    noise = float(np.sqrt(np.mean(settled.group.observations.sigma**2))) if options.estimate_noise else None
+    rejected = _rejected(group, dropped)
+    return Adjusted(settled.solution, settled.group, settled.residuals, rejected, settled.suspects, noise)
+
+
+def _settled(
+    state: Mapping[str, Block], group: Group, others: Sequence[Group], datum: Datum | None, estimate_noise: bool
+) -> _Settled:
+    """Adjust; where the noise is estimated, again with the noise found, until it no longer changes."""
+    for _ in range(_ROUNDS):
+        solution = adjust(state.values(), [group, *others], datum)
+        if not solution.outcome.good:
+            return _Settled(solution, group, None)
+        found = residuals_of(solution, group)
+        noise = _noise(found, group) if estimate_noise else 1.0
+        sigma = np.maximum(group.observations.sigma * noise, _LEAST)
+        if abs(noise - 1) <= _SETTLED or (group.observations.sigma <= _LEAST).any():
+            break
+        group = group.with_observations(replace(group.observations, sigma=sigma))
+        state = solution.blocks
+    return _Settled(solution, group, found)
 
 
 def must_converge(solution: Solution) -> None:
@@ -102,9 +126,8 @@ def must_converge(solution: Solution) -> None:
         raise NotConvergedError(f"{solution.outcome.value} ({solution.iterations} steps){hint}")
 
 
-def _noise(solution: Solution, group: Group) -> float:
+def _noise(found: Residuals, group: Group) -> float:
     """Return sigma0 of the image points alone: `sqrt(v'Pv / sum r)` (variance component)."""
-    found = residuals_of(solution, group)
     whitened = group.observations.whitened(found.values)
     controlled = float(found.redundancy.sum())
     return float(np.sqrt((whitened**2).sum() / controlled)) if controlled > 0 else 1.0

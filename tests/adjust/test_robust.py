@@ -13,7 +13,7 @@ from simulated_camera import LENS, SIZE, Seen, board, look
 from metrocli.adjust.adjustment import adjust
 from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.robust import critical_value, gross, robust_start, suspects
-from metrocli.adjust.solution import Solution
+from metrocli.adjust.solution import Solution, residuals_of
 from metrocli.instruments import camera
 from metrocli.instruments.camera_start import Scene, start
 
@@ -47,7 +47,7 @@ def cleaned(seen: Seen) -> Cleaned:
         now = group.selected(left)
         solution = adjust(blocks.values(), [now])
         assert solution.outcome is Outcome.CONVERGED
-        found = suspects(solution, now)
+        found = suspects(residuals_of(solution, now))
         if not found.rows.size:
             break
         left, blocks = np.delete(left, found.rows[found.tests > 0.7 * found.tests.max()]), dict(solution.blocks)
@@ -115,8 +115,8 @@ def test_w_is_in_units_of_the_noise_found() -> None:
     made = problem(look(board(9, 7), VIEWS, 31).noisy(3 * NOISE, 32))
     solution = adjust(made.blocks.values(), made.groups)
     assert solution.sigma0 == pytest.approx(3, rel=0.1)
-    assert suspects(solution, made.groups[0]).rows.size > 10
-    assert suspects(solution, made.groups[0], unit=solution.sigma0).rows.size <= 1
+    assert suspects(residuals_of(solution, made.groups[0])).rows.size > 10
+    assert suspects(residuals_of(solution, made.groups[0]), unit=solution.sigma0).rows.size <= 1
 
 
 def test_the_lens_of_the_tests_is_the_true_one() -> None:

@@ -77,7 +77,8 @@ def _points() -> Any:
 
 
 def test_the_network_takes_few_seconds(found: Found) -> None:
-    assert found.cpu_s < 6
+    # About 4 s alone (python -m benchmarks references); a dense solution would take minutes, a busy machine twice this.
+    assert found.cpu_s < 12
 
 
 @pytest.mark.parametrize("name", PUBLISHED)
