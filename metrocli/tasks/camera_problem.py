@@ -16,7 +16,7 @@ from metrocli.adjust.observations import Index, Mask, Observations
 from metrocli.errors import Fault, InputError, UndeterminedError
 from metrocli.geometry import poses
 from metrocli.instruments import camera
-from metrocli.instruments.camera_start import Scene, start
+from metrocli.instruments.camera_start import Scene, plane_frame, start
 from metrocli.instruments.frames import DistanceBetween
 from metrocli.instruments.lens import DISTORTION, PRISM, RATIONAL, plane_point, undistort
 from metrocli.table import Table
@@ -24,6 +24,7 @@ from metrocli.tasks.camera_settings import Camera
 from metrocli.tasks.eccentricity import corrected
 from metrocli.tasks.image_adjustment import IMAGES
 from metrocli.tasks.image_tables import root_mean_square
+from metrocli.tasks.mirrored_views import better_poses
 from metrocli.tasks.sightings import Sighted, check_inside, listed
 from metrocli.tasks.target_list import target_priors
 
@@ -234,9 +235,25 @@ def _better_start(problem: Problem, settings: Camera) -> Problem:
             retried = _retried(problem, guess * max(problem.image_size))
             attempt = _roughly(retried.with_estimate(simple))
             best = min(best, attempt, key=_rms)
+    best = _unmirrored(best)
     if set(RATIONAL) & set(settings.estimate) and set(PRISM) & set(settings.estimate):
         best = _roughly(best.with_estimate([name for name in settings.estimate if name not in PRISM]), steps=1000)
     return best.with_estimate(settings.estimate)
+
+
+def _unmirrored(problem: Problem) -> Problem:
+    """Take the better of the two poses of each view of a flat board, and tell of views where neither is better."""
+    board = problem.sighted.targets.points[np.unique(problem.sighted.target)]
+    frame, planar = plane_frame(board)
+    if problem.rig != "board" or not planar:
+        return problem
+    turned = better_poses(dict(problem.blocks), problem.images, board, poses.rotation_of(frame)[2])
+    told = (
+        f"the tilt of {len(turned.undecided)} views is not told from its mirror image (the board is small or far "
+        f"away): {listed(turned.undecided)}",
+    )
+    sighted = replace(problem.sighted, warnings=problem.sighted.warnings + (told if turned.undecided else ()))
+    return replace(problem, sighted=sighted, blocks={**problem.blocks, camera.VIEW: turned.views})
 
 
 def _roughly(problem: Problem, steps: int = 15) -> Problem:
