@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -30,8 +32,9 @@ def _run(name: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
     from metrocli.cli.commands import run
 
     project = tmp_path_factory.mktemp("sample") / name
-    assert run(["init", str(project), "--sample", name]) == 0
-    assert run(["run", str(project)]) == 0
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+        assert run(["init", str(project), "--sample", name]) == 0
+        assert run(["run", str(project)]) == 0
     return project
 
 
