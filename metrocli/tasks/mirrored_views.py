@@ -46,7 +46,8 @@ def better_poses(blocks: dict[str, Block], images: Group, board: Array, normal: 
     here, there = (_costs({**blocks, VIEW: views_}, images) for views_ in (views, other))
     better = far & (there < here)
     apart = np.linalg.norm(poses.difference(views.values, other.values)[:, 3:], axis=1) > 0.1
-    undecided = far & apart & (np.abs(there - here) < ALIKE)
+    seen = np.isfinite(here) & np.isfinite(there)
+    undecided = far & apart & (np.abs(np.where(seen, there, np.inf) - np.where(seen, here, 0.0)) < ALIKE)
     return Turned(replaced(views, other.values, better), tuple(np.array(views.members)[undecided].tolist()))
 
 
