@@ -62,7 +62,12 @@ def adjust(
     unknowns = sum(int(block.free.sum()) for block in state.values())
     linears = problem.linear(state)
     if not np.isfinite(sum(linear.cost for linear in linears)):
-        return Solution(Outcome.NO_START, state, tuple(groups), float("inf"), 0, unknowns)
+        lost = Solution(Outcome.NO_START, state, tuple(groups), float("inf"), 0, unknowns)
+        return (
+            replace(lost, outcome=Outcome.TOO_FEW)
+            if lost.observations < unknowns - len(datum.names if datum else ())
+            else lost
+        )
     damping, iterations, outcome = 0.0, 0, Outcome.ITERATION_LIMIT if control.limit else Outcome.CONVERGED
     while iterations < control.limit:
         normals = assemble(groups, linears, state, problem.layout)

@@ -11,7 +11,7 @@ from metrocli.adjust.adjustment import Control, adjust
 from metrocli.adjust.blocks import Array, Block
 from metrocli.adjust.datum import Datum
 from metrocli.adjust.groups import Group
-from metrocli.adjust.observations import Index, Mask
+from metrocli.adjust.observations import Index
 from metrocli.adjust.solution import Residuals
 
 _MAD = 1.4826
@@ -21,34 +21,75 @@ _GROSS = 8.0
 _TUKEY = 4.685
 """Tuning constant of the biweight: 95 % efficiency for normal errors."""
 _ROUNDS = 12
+_ENOUGH = 8
+"""Readings that give a member a scale of its own"""
 
 
 def robust_start(
-    blocks: Iterable[Block], groups: Sequence[Group], name: str, datum: Datum | None = None
+    blocks: Iterable[Block], groups: Sequence[Group], name: str, datum: Datum | None = None, within: str = ""
 ) -> dict[str, Block]:
     """Return blocks near the solution, with gross errors among the readings of group `name` held off.
 
-    A few steps of least squares, then, where residuals beyond 8 robust standard deviations are left, rounds of
-    reweighting: first 1/|v| (least absolute deviations), then Tukey's biweight, each with the scale of the median.
+    A few steps with weights 1/|v| for readings that are far off at the start; then, where residuals beyond 8 robust
+    standard deviations are left, rounds of reweighting: first 1/|v| (least absolute deviations), then Tukey's
+    biweight, each with the scale of the median. `within` names an index of the readings, such as the image, whose
+    members have a scale of their own: an image still astray is not thrown out as a whole.
     """
-    state = adjust(blocks, groups, datum, Control(limit=15, covariance=False)).blocks
+    state: Mapping[str, Block] = {block.name: block for block in blocks}
     group = next(group for group in groups if group.name == name)
-    distance = _distances(group, state)
-    if distance.max(initial=0.0) <= _GROSS * _scale(distance):
+    held = _reweighted(groups, name, _least_absolute(_share(group, state, within)))
+    state = adjust(state.values(), held, datum, Control(limit=15, covariance=False)).blocks
+    if _share(group, state).max(initial=0.0) <= _GROSS:
         return dict(state)
+    share = _share(group, state, within)
     for turn in range(_ROUNDS):
-        distance = _distances(group, state)
-        share = distance / max(_scale(distance), 1e-12)
-        weights = 1 / np.maximum(share, 1.0) if turn < _ROUNDS // 2 else np.maximum(1 - (share / _TUKEY) ** 2, 0.0) ** 2
-        weighted = [replace(g, weights=np.maximum(weights, 1e-12)) if g.name == name else g for g in groups]
-        state = adjust(state.values(), weighted, datum, Control(limit=8, covariance=False)).blocks
+        weights = _least_absolute(share) if turn < _ROUNDS // 2 else np.maximum(1 - (share / _TUKEY) ** 2, 0.0) ** 2
+        held = _reweighted(groups, name, weights)
+        state = adjust(state.values(), held, datum, Control(limit=8, covariance=False)).blocks
+        share = _share(group, state, within)
     return dict(state)
 
 
-def gross(group: Group, blocks: Mapping[str, Block]) -> Mask:
-    """Return (n,) True for readings beyond 8 robust standard deviations."""
+def _least_absolute(share: Array) -> Array | None:
+    """Return weights 1/|v|, at most 1; None where no reading is far off."""
+    return None if share.max(initial=0.0) <= _GROSS else 1 / np.maximum(share, 1.0)
+
+
+def _reweighted(groups: Sequence[Group], name: str, weights: Array | None) -> list[Group]:
+    kept = None if weights is None else np.maximum(weights, 1e-12)
+    return [replace(group, weights=kept) if group.name == name else group for group in groups]
+
+
+def _share(group: Group, blocks: Mapping[str, Block], within: str = "") -> Array:
+    """Return the length of each residual in robust standard deviations, of its own member where that is larger."""
     distance = _distances(group, blocks)
-    return distance > _GROSS * _scale(distance)
+    scale = max(_scale(distance), 1e-12)
+    index = group.observations.index.get(within)
+    if index is None:
+        return np.asarray(distance / scale, dtype=float)
+    return np.asarray(distance / np.maximum(scale, _member_scales(distance, index)[index]), dtype=float)
+
+
+def _member_scales(distance: Array, index: Index) -> Array:
+    """Return the robust standard deviation of each member with enough readings, 0 for the others."""
+    counts = np.bincount(index)
+    enough = counts >= _ENOUGH
+    middle = np.cumsum(counts) - counts + counts // 2
+    scales = np.zeros(len(counts))
+    scales[enough] = _MAD * distance[np.lexsort((distance, index))][middle[enough]]
+    return scales
+
+
+def gross(group: Group, blocks: Mapping[str, Block]) -> Array:
+    """Return the distance of each reading in robust standard deviations where it is beyond 8 of them, else 0, (n,)."""
+    share = _share(group, blocks)
+    return np.where(share > _GROSS, share, 0.0)
+
+
+def typical(group: Group, blocks: Mapping[str, Block]) -> float:
+    """Return the median length of the residuals of a group, in the unit of its readings."""
+    residual = group.residuals(blocks)
+    return float(np.median(np.nan_to_num(np.sqrt((residual**2).sum(axis=0)), nan=np.inf)))
 
 
 def _distances(group: Group, blocks: Mapping[str, Block]) -> Array:
@@ -76,16 +117,42 @@ class Suspects:
     rows: Index
     """Indices (k,) into the group"""
     tests: Array
-    """Baarda's w of each, the larger of its components, in units of the noise found (k,)"""
+    """The larger |w| of each over the noise of the others, scaled so that `critical` is its bound (k,)"""
     critical: float
 
 
-def suspects(found: Residuals, unit: float = 1.0) -> Suspects:
-    """Return the readings whose largest |w| exceeds the critical value for their number, at 5 % in all.
+@dataclass(frozen=True)
+class Fit:
+    """How well an adjustment fits: what the tests of single readings are held against."""
 
-    `unit` divides w: the standard deviation of unit weight that is taken for right.
+    cost: float
+    dof: int
+    noise_known: bool
+    """Whether sigma0 may not be below 1: the noise is declared, not estimated"""
+
+
+def suspects(found: Residuals, fit: Fit) -> Suspects:
+    """Return the readings whose largest |w| is too large for chance, at 5 % over all readings.
+
+    Each reading is judged by the noise of the others, `s_i^2 = (v'Pv - w_i'w_i) / (dof - d)` (external studentisation),
+    so that one gross error cannot hide in the sigma0 that it makes; with declared noise s_i is at least 1.
     """
-    w = np.abs(found.normalised).max(axis=0) / unit
+    w = np.abs(found.normalised).max(axis=0)
+    rest = fit.dof - found.values.shape[0]
     bound = critical_value(found.values.size)
-    rows = np.flatnonzero(w > bound)
-    return Suspects(rows, w[rows], bound)
+    if rest < 1:
+        return Suspects(np.zeros(0, dtype=np.intp), np.zeros(0), bound)
+    own = np.minimum((found.normalised**2).sum(axis=0), fit.cost)
+    others = np.sqrt((fit.cost - own) / rest)
+    unit = np.maximum(others, 1.0) if fit.noise_known else np.maximum(others, 1e-12)
+    declared = fit.noise_known & (others <= 1.0)
+    tests = w / unit * np.where(declared, 1.0, bound / _student_bound(found.values.size, rest))
+    rows = np.flatnonzero(tests > bound)
+    return Suspects(rows, tests[rows], bound)
+
+
+def _student_bound(tests: int, dof: int, level: float = 0.05) -> float:
+    """Return the bound of the largest of `tests` values of Student's t (Bonferroni)."""
+    from scipy.special import stdtrit
+
+    return float(stdtrit(dof, 1 - level / (2 * max(tests, 1))))

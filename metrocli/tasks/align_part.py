@@ -77,7 +77,7 @@ class Settings:
 
     inputs: Inputs = setting(Section(Inputs), "the files of the job")
     noise: float | str = setting(
-        Either(Quantity("pixel", positive=True), Choice("estimated")),
+        Either(Quantity("pixel", positive=True, minimum=1e-9), Choice("estimated")),
         "standard deviation of an image coordinate, or 'estimated'",
     )
     estimate: tuple[str, ...] = setting(
@@ -116,7 +116,7 @@ def run(
     sighted = sightings(settings, observations, targets, images, Needs(fewest=1))
     problem = build(model, sighted, poses, free_angle="clamping-angle" in settings.estimate)
     prediction = predicted(problem)
-    options = Options(settings.outliers == "remove", settings.noise == "estimated")
+    options = Options(settings.outliers == "remove", settings.noise == "estimated", problem.camera.image_size)
     adjusted = adjust_images(problem.blocks, problem.images, problem.others, None, options)
     solution = adjusted.solution
     if solution.undetermined or solution.outcome is Outcome.TOO_FEW:

@@ -65,7 +65,7 @@ class Settings:
     )
     inputs: Inputs = setting(Section(Inputs), "the files of the job")
     noise: float | str = setting(
-        Either(Quantity("pixel", positive=True), Choice("estimated")),
+        Either(Quantity("pixel", positive=True, minimum=1e-9), Choice("estimated")),
         "standard deviation of an image coordinate, or 'estimated'",
     )
     camera: Camera = setting(Section(Camera), "the camera", default=Camera())
@@ -137,7 +137,7 @@ def prepared(
 
 def solved(settings: Settings, problem: Problem) -> Result:
     """Adjust a problem and report it."""
-    options = Options(settings.outliers == "remove", settings.noise == "estimated")
+    options = Options(settings.outliers == "remove", settings.noise == "estimated", problem.image_size)
     adjusted = adjust_images(problem.blocks, problem.images, problem.others, problem.datum, options)
     solution = adjusted.solution
     if solution.undetermined or solution.outcome is Outcome.TOO_FEW or ran_out(problem, solution):

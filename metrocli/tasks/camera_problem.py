@@ -13,6 +13,7 @@ from metrocli.adjust.chain import Chain
 from metrocli.adjust.datum import Datum
 from metrocli.adjust.groups import Group
 from metrocli.adjust.observations import Index, Mask, Observations
+from metrocli.adjust.robust import robust_start, typical
 from metrocli.errors import Fault, InputError, UndeterminedError
 from metrocli.geometry import poses
 from metrocli.instruments import camera
@@ -23,7 +24,6 @@ from metrocli.table import Table
 from metrocli.tasks.camera_settings import Camera
 from metrocli.tasks.eccentricity import corrected
 from metrocli.tasks.image_adjustment import IMAGES
-from metrocli.tasks.image_tables import root_mean_square
 from metrocli.tasks.mirrored_views import better_poses
 from metrocli.tasks.sightings import Sighted, check_inside, listed
 from metrocli.tasks.target_list import target_priors
@@ -227,14 +227,14 @@ def _better_start(problem: Problem, settings: Camera) -> Problem:
     contains.
     """
     simple = [name for name in settings.estimate if name not in (*RATIONAL, *PRISM)]
-    best = _roughly(problem.with_estimate(simple))
+    best = _robustly(problem.with_estimate(simple))
     if "f" not in settings.given() and "fx" not in settings.given():
         for guess in _GUESSES:
-            if _rms(best) < _LOST * max(problem.image_size):
+            if _misfit(best) < _LOST * max(problem.image_size):
                 break
             retried = _retried(problem, guess * max(problem.image_size))
-            attempt = _roughly(retried.with_estimate(simple))
-            best = min(best, attempt, key=_rms)
+            attempt = _robustly(retried.with_estimate(simple))
+            best = min(best, attempt, key=_misfit)
     best = _unmirrored(best)
     if set(RATIONAL) & set(settings.estimate) and set(PRISM) & set(settings.estimate):
         best = _roughly(best.with_estimate([name for name in settings.estimate if name not in PRISM]), steps=1000)
@@ -266,9 +266,14 @@ def _roughly(problem: Problem, steps: int = 15) -> Problem:
     return problem.with_blocks({**problem.blocks, **solution.blocks})
 
 
-def _rms(problem: Problem) -> float:
-    rms = root_mean_square(problem.images.residuals(problem.blocks))
-    return rms if np.isfinite(rms) else float("inf")
+def _robustly(problem: Problem) -> Problem:
+    found = robust_start(problem.blocks.values(), [problem.images, *problem.others], IMAGES, problem.datum, "view")
+    return problem.with_blocks({**problem.blocks, **found})
+
+
+def _misfit(problem: Problem) -> float:
+    """Return the median residual, which gross errors do not raise."""
+    return typical(problem.images, problem.blocks)
 
 
 def _retried(problem: Problem, focal: float) -> Problem:

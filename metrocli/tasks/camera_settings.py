@@ -9,6 +9,7 @@ from metrocli.instruments.lens import PARAMETERS
 from metrocli.settings import Choice, ListOf, Number, Quantity, Section, Whole, setting
 
 _PX = Quantity("pixel")
+_FOCAL = Quantity("pixel", minimum=1.0)
 _ESTIMATED = tuple(name for name in PARAMETERS)
 
 
@@ -16,9 +17,9 @@ _ESTIMATED = tuple(name for name in PARAMETERS)
 class LensValues:
     """Lens parameters; what is not given is 0 (cx, cy: the image centre)."""
 
-    f: float | None = setting(_PX, "focal length, one for both axes", default=None)
-    fx: float | None = setting(_PX, "focal length along u", default=None)
-    fy: float | None = setting(_PX, "focal length along v", default=None)
+    f: float | None = setting(_FOCAL, "focal length, one for both axes", default=None)
+    fx: float | None = setting(_FOCAL, "focal length along u", default=None)
+    fy: float | None = setting(_FOCAL, "focal length along v", default=None)
     aspect: float | None = setting(Number(), "fx = f (1 + aspect)", default=None)
     cx: float | None = setting(_PX, "principal point", default=None)
     cy: float | None = setting(_PX, "principal point", default=None)
@@ -76,6 +77,8 @@ class Camera(LensValues):
             yield "estimate", "f is one focal length for both axes: name either f, or fx and fy"
         if "aspect" in chosen and chosen & {"fx", "fy"}:
             yield "estimate", "aspect goes with f; fx and fy have their ratio already"
+        if not chosen & {"f", "fx", "fy"}:
+            yield "estimate", "the focal length is neither estimated nor given: add f to estimate, or give f: ... px"
         if len(chosen & {"fx", "fy"}) == 1:
             yield "estimate", "fx and fy come together"
         if self.reference_radius is not None and self.pixel_size is None:

@@ -12,9 +12,9 @@ from metrocli.adjust.blocks import Block
 from metrocli.adjust.datum import Datum
 from metrocli.adjust.groups import Group
 from metrocli.adjust.outcome import Outcome
-from metrocli.adjust.robust import Suspects, gross, robust_start, suspects
+from metrocli.adjust.robust import Fit, Suspects, gross, robust_start, suspects, typical
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
-from metrocli.errors import NotConvergedError
+from metrocli.errors import InputError, NotConvergedError
 from metrocli.table import Table
 
 IMAGES = "images"
@@ -27,6 +27,8 @@ _NO_START = (
 )
 _SETTLED = 1e-7
 """The noise is found when another round would change it by less than this share"""
+_LOST = 0.01
+"""A median residual above this share of the image size is a mistake in the files"""
 _LEAST = 1e-7
 """Noise [px] below which readings are exact to the arithmetic; nothing smaller is claimed"""
 _ROUNDS = 60
@@ -39,6 +41,8 @@ class Options:
 
     remove_outliers: bool = False
     estimate_noise: bool = False
+    image_size: tuple[int, int] = (0, 0)
+    """Width and height in pixels, to tell a misfit from a mistake"""
 
 
 @dataclass(frozen=True)
@@ -70,35 +74,47 @@ class _Settled:
     group: Group
     residuals: Residuals | None
 
-    @property
-    def suspects(self) -> Suspects:
+    def suspects(self, noise_known: bool) -> Suspects:
         if self.residuals is None:
             return Suspects(np.zeros(0, dtype=np.intp), np.zeros(0), 0.0)
-        sigma0 = self.solution.sigma0
-        return suspects(self.residuals, max(1.0, sigma0) if np.isfinite(sigma0) else 1.0)
+        return suspects(self.residuals, Fit(self.solution.cost, self.solution.dof, noise_known))
 
 
 def adjust_images(
     blocks: Mapping[str, Block], group: Group, others: Sequence[Group], datum: Datum | None, options: Options
 ) -> Adjusted:
     """Adjust image points with a robust start; remove outliers and estimate the noise as the options ask."""
-    state = robust_start(blocks.values(), [group, *others], group.name, datum)
-    bad = gross(group, state) if options.remove_outliers else np.zeros(group.observations.count, dtype=bool)
-    dropped = [(int(i), float("nan")) for i in np.flatnonzero(bad)]
-    rows = np.flatnonzero(~bad)
-    used = group if not bad.any() else group.selected(rows)
+    state = robust_start(blocks.values(), [group, *others], group.name, datum, "view")
+    far = gross(group, state) if options.remove_outliers else np.zeros(group.observations.count)
+    dropped = [(int(i), float(far[i])) for i in np.flatnonzero(far)]
+    rows = np.flatnonzero(far == 0)
+    used = group if not dropped else group.selected(rows)
     while True:
         settled = _settled(state, used, others, datum, options.estimate_noise)
-        worst = _worst_of_each_image(settled.suspects, settled.group) if options.remove_outliers else []
+        found = settled.suspects(not options.estimate_noise)
+        worst = _worst_of_each_image(found, settled.group) if options.remove_outliers else []
         if not worst:
             break
         dropped += [(int(rows[i]), test) for i, test in worst]
         keep = np.ones(len(rows), dtype=bool)
         keep[[i for i, _ in worst]] = False
         rows, used, state = rows[keep], settled.group.selected(keep), dict(settled.solution.blocks)
+    if settled.solution.outcome.good:
+        _must_fit(settled.group, settled.solution.blocks, options.image_size)
     noise = float(np.sqrt(np.mean(settled.group.observations.sigma**2))) if options.estimate_noise else None
     rejected = _rejected(group, dropped)
-    return Adjusted(settled.solution, settled.group, settled.residuals, rejected, settled.suspects, noise)
+    return Adjusted(settled.solution, settled.group, settled.residuals, rejected, found, noise)
+
+
+def _must_fit(group: Group, blocks: Mapping[str, Block], image_size: tuple[int, int]) -> None:
+    """Raise InputError where most readings are far from any pose: a mistake in the files, not noise."""
+    middle = typical(group, blocks)
+    if image_size[0] and np.isfinite(middle) and middle > _LOST * max(image_size):
+        raise InputError(
+            f"the readings fit no pose: half of them are off by more than {middle:.0f} px; check the names of the "
+            "targets, units (mm or m, rad or deg), axes exchanged or mirrored, the camera file and the poses; for a "
+            "gross error among few readings, `outliers: remove`"
+        )
 
 
 def _settled(

@@ -13,7 +13,7 @@ from metrocli.geometry import poses
 from metrocli.geometry.rotations import rotation_from_vector
 from metrocli.instruments.camera import VIEW
 
-_FAR = 0.5
+_FAR = 0.2
 """Boards smaller than this share of their distance are looked into; nearer ones show their perspective."""
 ALIKE = 4.0
 """Sums of squares (in declared noise) that differ by less do not decide between the two poses."""

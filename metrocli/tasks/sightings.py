@@ -35,8 +35,8 @@ START_NOISE = 0.1
 
 _BEYOND = 0.01
 """How far beyond the border a reading may lie, as a share of the image"""
-_FAR, _MANY = 0.5, 0.01
-"""One reading this far outside, as a share of the image, or this share of all readings outside, is refused"""
+_MANY = 0.25
+"""More readings outside than this share are refused; fewer may be gross errors"""
 
 
 @dataclass(frozen=True)
@@ -164,7 +164,7 @@ def join(table: Table, targets: Targets, sigma: float, fewest: int) -> Sighted:
 def check_inside(sighted: Sighted, size: tuple[int, int]) -> Sighted:
     """Return the sightings, with a warning where single readings lie outside the image.
 
-    Raises InputError where many do, or one lies far outside: another image size, or columns exchanged.
+    Raises InputError where many do, or where all would lie inside with u and v exchanged.
     """
     uv, extent = sighted.observations.readings, np.array(size)[:, None]
     outside = ((uv < -_BEYOND * extent) | (uv > (1 + _BEYOND) * extent)).any(axis=0)
@@ -177,8 +177,10 @@ def check_inside(sighted: Sighted, size: tuple[int, int]) -> Sighted:
         f"the first: image {keys['image'][i]}, target {keys['target'][i]} at ({uv[0, i]:.1f}, {uv[1, i]:.1f}); "
         "check image_size and the columns"
     )
-    far = ((uv < -_FAR * extent) | (uv > (1 + _FAR) * extent)).any()
-    if far or outside.mean() > _MANY:
+    exchanged = ((uv >= -_BEYOND * extent[::-1]) & (uv <= (1 + _BEYOND) * extent[::-1])).all()
+    if exchanged:
+        raise InputError(f"{told}: with u and v exchanged all would lie inside")
+    if outside.mean() > _MANY:
         raise InputError(told)
     return replace(sighted, warnings=(*sighted.warnings, told))
 

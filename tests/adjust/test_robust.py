@@ -12,8 +12,8 @@ from simulated_camera import LENS, SIZE, Seen, board, look
 
 from metrocli.adjust.adjustment import adjust
 from metrocli.adjust.outcome import Outcome
-from metrocli.adjust.robust import critical_value, gross, robust_start, suspects
-from metrocli.adjust.solution import Solution, residuals_of
+from metrocli.adjust.robust import Fit, critical_value, gross, robust_start, suspects
+from metrocli.adjust.solution import Residuals, Solution, residuals_of
 from metrocli.instruments import camera
 from metrocli.instruments.camera_start import Scene, start
 
@@ -42,12 +42,12 @@ def cleaned(seen: Seen) -> Cleaned:
     made = problem(seen)
     group = made.groups[0]
     blocks = robust_start(made.blocks.values(), made.groups, "images")
-    left = np.flatnonzero(~gross(group, blocks))
+    left = np.flatnonzero(gross(group, blocks) == 0)
     for _ in range(30):
         now = group.selected(left)
         solution = adjust(blocks.values(), [now])
         assert solution.outcome is Outcome.CONVERGED
-        found = suspects(residuals_of(solution, now))
+        found = suspects(residuals_of(solution, now), Fit(solution.cost, solution.dof, True))
         if not found.rows.size:
             break
         left, blocks = np.delete(left, found.rows[found.tests > 0.7 * found.tests.max()]), dict(solution.blocks)
@@ -115,8 +115,20 @@ def test_w_is_in_units_of_the_noise_found() -> None:
     made = problem(look(board(9, 7), VIEWS, 31).noisy(3 * NOISE, 32))
     solution = adjust(made.blocks.values(), made.groups)
     assert solution.sigma0 == pytest.approx(3, rel=0.1)
-    assert suspects(residuals_of(solution, made.groups[0])).rows.size > 10
-    assert suspects(residuals_of(solution, made.groups[0]), unit=solution.sigma0).rows.size <= 1
+    found = residuals_of(solution, made.groups[0])
+    assert (np.abs(found.normalised) > critical_value(found.values.size)).sum() > 10
+    for noise_known in (True, False):
+        assert suspects(found, Fit(solution.cost, solution.dof, noise_known)).rows.size <= 1
+
+
+def test_one_gross_error_does_not_hide_in_the_sigma0_that_it_makes() -> None:
+    # Nine degrees of freedom: w over sigma0 can never exceed 3, which is below its bound.
+    rng = np.random.default_rng(7)
+    w = rng.normal(size=(2, 8))
+    w[:, 3] = 200.0, -150.0
+    found = Residuals(w, np.ones_like(w), np.full_like(w, 9 / 16), w)
+    for noise_known in (True, False):
+        assert suspects(found, Fit(float((w**2).sum()), 9, noise_known)).rows.tolist() == [3]
 
 
 def test_the_lens_of_the_tests_is_the_true_one() -> None:
