@@ -158,12 +158,36 @@ def _cycle(name: str, needs: Mapping[str, tuple[str, ...]], ordered: Sequence[st
 
 def states(steps: Iterable[Step]) -> Iterator[State]:
     """Tell of each step whether it would run, and why: also because a job runs whose result it uses."""
+    steps = tuple(steps)
+    _refuse_lost(steps)
     would_run: set[str] = set()
     for step in steps:
         state = _state(step, would_run)
         if state.reason:
             would_run.add(step.name)
         yield state
+
+
+def _refuse_lost(steps: Sequence[Step]) -> None:
+    """Raise InputError for every input that a result was made from and that is gone, such as one image of a pattern."""
+    from metrocli.formats import hdf5
+
+    faults = []
+    made = {_absolute(step.job.output) for step in steps}
+    for step in steps:
+        try:
+            _, record = hdf5.read_record(step.job.output) if step.job.output.exists() else ("", None)
+        except InputError:
+            continue
+        if record is not None and record.job_text == step.job.text:
+            paths = [item.path for item in record.inputs if _absolute(step.job.folder / item.path) not in made]
+            lost = [path for path in paths if not (step.job.folder / path).is_file()]
+            hint = "restore it; or run with --force to do without it"
+            faults += [
+                Fault(f"the input {path} of the last result is gone", str(step.job.file), hint=hint) for path in lost
+            ]
+    if faults:
+        raise InputError(faults)
 
 
 def _state(step: Step, would_run: set[str]) -> State:
@@ -199,6 +223,8 @@ def _difference(job: Job, record: Record) -> str:
 
 def run(steps: Sequence[Step], force: bool, say: Say, tell: Callable[[Report], Any]) -> list[Report]:
     """Bring every result up to date and `tell` of each; a job that fails stops those that need it, the others go on."""
+    if not force:
+        _refuse_lost(steps)
     reports: dict[str, Report] = {}
     ran: set[str] = set()
     for step in steps:
