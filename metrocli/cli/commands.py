@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Sequence
 from importlib import import_module
 
@@ -44,6 +45,10 @@ class Commands(click.Group):
         formatter.write(help_text())
 
 
+_CANNOT_WRITE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO)
+"""A full or read-only disk, also behind stdout"""
+
+
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, message=version_text())
 def commands() -> None:
@@ -67,7 +72,10 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except MetrocliError as error:
         click.echo(f"error: {error}", err=True)
         return error.exit_code
-    except Exception:
+    except Exception as error:
+        if isinstance(error, OSError) and error.errno in _CANNOT_WRITE:
+            click.echo(f"error: the output cannot be written: {error.strerror}", err=True)
+            return InputError.exit_code
         import traceback
 
         traceback.print_exc()

@@ -9,6 +9,9 @@ import numpy as np
 from metrocli.adjust.solution import Solution
 from metrocli.result import Scalar
 
+_ABSURD = 10.0
+"""A sigma0 beyond this is not a matter of noise"""
+
 Statistics = dict[str, Scalar | Mapping[str, float]]
 
 
@@ -52,6 +55,11 @@ def noise_warnings(solution: Solution) -> list[str]:
     low, high = chi_interval(solution)
     if not np.isfinite(solution.sigma0) or low <= solution.sigma0 <= high:
         return []
+    if solution.sigma0 > _ABSURD:
+        return [
+            f"sigma0 = {solution.sigma0:.1f}: the model does not fit the readings, do not use this result; gross errors "
+            "(`outliers: remove`), wrong names or units, or a noise declared far too small"
+        ]
     word = "larger" if solution.sigma0 > high else "smaller"
     return [
         f"sigma0 = {solution.sigma0:.3f} is outside {low:.3f} ... {high:.3f}: "

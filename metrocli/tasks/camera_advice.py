@@ -22,7 +22,8 @@ def explained(problem: Problem, solution: Solution) -> str:
     lines += [f"  undetermined: {_in_words(str(combination))}" for combination in solution.undetermined[:3]]
     if len(solution.undetermined) > 3:
         lines.append(f"  and {len(solution.undetermined) - 3} more combinations")
-    return "\n".join([*lines, *_advice(problem, solution)])
+    noticed = [f"  noticed: {line}" for line in problem.sighted.warnings[:8]]
+    return "\n".join([*lines, *_advice(problem, solution), *noticed])
 
 
 def _in_words(text: str) -> str:
@@ -69,7 +70,7 @@ def _flat(problem: Problem) -> list[str]:
     """Return the advice where nothing has depth: views parallel to a board, or targets in one plane; else nothing."""
     if problem.rig == "board" and not _tilted(problem):
         return [
-            "  why: all views are parallel to the board",
+            "  why: all views are parallel to the board, or nearly so",
             "  what would determine it: views tilted by 20 to 45 degrees about both axes of the image",
         ]
     if problem.rig == "cmm" and plane_frame(problem.sighted.targets.points[np.unique(problem.sighted.target)])[1]:
