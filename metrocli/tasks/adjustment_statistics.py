@@ -57,8 +57,8 @@ def noise_warnings(solution: Solution) -> list[str]:
         return []
     if solution.sigma0 > _ABSURD:
         return [
-            f"sigma0 = {solution.sigma0:.1f}: the model does not fit the readings, do not use this result; gross errors "
-            "(`outliers: remove`), wrong names or units, or a noise declared far too small"
+            f"sigma0 = {solution.sigma0:.1f}: the model does not fit the readings, do not use this result; "
+            "gross errors (`outliers: remove`), wrong names or units, or a noise declared far too small"
         ]
     word = "larger" if solution.sigma0 > high else "smaller"
     return [
