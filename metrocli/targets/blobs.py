@@ -48,9 +48,7 @@ def _masks(grey: npt.NDArray[np.uint8]) -> list[npt.NDArray[np.uint8]]:
     step = max(6.0, STEP * spread)
     masks = [cv2.threshold(grey, 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)[1]]
     for width in {max(min(grey.shape) // 8, 11) | 1, 41}:
-        masks.append(
-            cv2.adaptiveThreshold(grey, 255, cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY, width, -step)
-        )
+        masks.append(cv2.adaptiveThreshold(grey, 255, cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY, width, -step))
     return [mask.astype(np.uint8, copy=False) for mask in masks]
 
 
