@@ -23,7 +23,7 @@ _FIRST = ("observations", "unknowns", "dof", "sigma0", "chi2", "p_value", "itera
 def result_text(result: Result, record: Record, path: Path) -> str:
     """Return the whole summary of a result."""
     parts = [f"{result.kind}{f': {result.title}' if result.title else ''}"]
-    parts += [columns_text(_estimate_rows(result.estimates))] if result.estimates else []
+    parts += [estimates_text(result.estimates)] if result.estimates else []
     parts += [_statistics_line(result.statistics)]
     parts += result.notes
     parts += [_shown(result, entry) for entry in result.shown if entry.partition(":")[0] in result.tables]
@@ -45,8 +45,9 @@ def _verdict_line(verdict: Verdict) -> str:
     return f"required {verdict.name} {verdict.condition}: {outcome} ({value})"
 
 
-def _estimate_rows(estimates: Iterable[Estimate]) -> list[list[str]]:
-    return [_estimate_row(estimate) for estimate in estimates]
+def estimates_text(estimates: Iterable[Estimate]) -> str:
+    """Return a line for each estimate: name, value, standard uncertainty and unit."""
+    return columns_text([_estimate_row(estimate) for estimate in estimates])
 
 
 def _estimate_row(estimate: Estimate) -> list[str]:

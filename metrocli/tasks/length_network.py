@@ -12,21 +12,18 @@ from metrocli.adjust.blocks import Array, Block
 from metrocli.adjust.chain import Chain
 from metrocli.adjust.datum import Datum
 from metrocli.adjust.groups import Group, prior
-from metrocli.adjust.noise import Noise, adjust_with_noise
+from metrocli.adjust.noise import Noise
 from metrocli.adjust.observations import Index, Mask, Observations
-from metrocli.adjust.robust import Suspects, gross, robust_start, suspects
-from metrocli.adjust.solution import Solution
-from metrocli.errors import Fault, InputError, UndeterminedError
+from metrocli.errors import Fault, InputError
 from metrocli.instruments import tracer as t
 from metrocli.instruments.frames import DistanceBetween
-from metrocli.instruments.tracer_start import start
 from metrocli.table import Table
+from metrocli.tasks.length_readings import Readings, join, matched
 from metrocli.tasks.sightings import listed
+from metrocli.tasks.tracer_places import places_of
 
-LENGTHS = "lengths"
-"""Name of the group of lengths"""
-_FEWEST = {"changes": 4, "absolute": 3}
-"""Points that a tracer of unknown place needs"""
+LENGTHS, DISTANCES = "lengths", "distances"
+"""Names of the groups: lengths from tracers, and calibrated distances between points"""
 
 
 class NoiseSettings(Protocol):
@@ -80,44 +77,52 @@ class Network:
     noise: Noise
     nominal: Array
     """The mover's readings of the points (points, 3)"""
+    absolute: bool
     warnings: tuple[str, ...] = ()
 
+    @property
+    def seen(self) -> Index:
+        """Number of lengths to each point."""
+        return np.bincount(self.lengths.observations.index[t.POINT], minlength=len(self.nominal))
 
-@dataclass(frozen=True)
-class Solved:
-    """An adjusted network with what was rejected on the way."""
+    @property
+    def unknown(self) -> Mask:
+        """Points of which nothing is known but the lengths."""
+        held = np.zeros(len(self.nominal), dtype=bool)
+        for group in self.others:
+            if t.POINT in group.observations.index:
+                held[group.observations.index[t.POINT].ravel()] = True
+        return self.blocks[t.POINT].free.all(axis=1) & ~held
 
-    network: Network
-    solution: Solution
-    group: Group
-    """The lengths that were used"""
-    rejected: tuple[tuple[int, float], ...]
-    suspects: Suspects
+    def only(self, keep: Mask) -> Network:
+        """Return the network with some of its lengths; points without any are no unknowns any more."""
+        lengths = self.lengths.selected(keep)
+        left = np.bincount(lengths.observations.index[t.POINT], minlength=len(self.nominal)) > 0
+        points = self.blocks[t.POINT]
+        fewer = replace(points, free=points.free & left[:, None])
+        others = tuple(_without(group, left) for group in self.others)
+        datum = None if self.datum is None else replace(self.datum, members=self.datum.members * left)
+        return replace(self, lengths=lengths, blocks={**self.blocks, t.POINT: fewer}, others=others, datum=datum)
+
+
+def _without(group: Group, left: Mask) -> Group:
+    index = group.observations.index.get(t.POINT)
+    return group if index is None else group.selected(np.asarray(left[np.atleast_2d(index)].all(axis=0)))
 
 
 def build(
     settings: NetworkSettings, lengths: Table, points: Table, tracers: Table | None, distances: Table | None
 ) -> Network:
     """Return the adjustment with its starting values."""
-    if len(lengths) == 0:
-        raise InputError([Fault("the file has no lengths", lengths.file)])
-    names = points.texts("point")
-    point = _places(lengths, "point", names, points.file)
-    stations = tracers.texts("tracer") if tracers is not None else sorted(set(lengths.texts("tracer")))
-    station = _places(lengths, "tracer", stations, tracers.file if tracers is not None else "")
-    _check_paths(settings, lengths)
-    seen = np.bincount(point, minlength=len(names))
-    sigma = _sigmas(points, np.nan)
-    nominal = points.stacked("xyz")
-    extent = float(np.ptp(nominal[seen > 0], axis=0).max()) or 1.0
-    free = (sigma != 0) & (seen > 0)[:, None]
-    point_block = t.point_block(nominal, names, free, extent)
-    tracer_block = _tracers(settings, lengths, _Stations(stations, station, point, nominal, extent), tracers)
-    readings = lengths.numbers("length")[None]
+    readings = join(lengths, points, tracers, settings.measures == "absolute")
+    names, sigma = points.texts("point"), readings.point_sigma
+    free = (sigma != 0) & (readings.seen > 0)[:, None]
+    point_block = t.point_block(readings.nominal, names, free, readings.extent)
+    tracer_block = _tracers(settings, readings)
     observations = Observations(
-        readings,
+        readings.length[None],
         np.array(settings.noise.constant),
-        {t.POINT: point, t.TRACER: station},
+        {t.POINT: readings.point, t.TRACER: readings.station},
         keys={"point": tuple(lengths.texts("point")), "tracer": tuple(lengths.texts("tracer"))},
         conditions={name: lengths.numbers(name) for name in ("t", "temp") if name in lengths},
         components=("length",),
@@ -127,127 +132,33 @@ def build(
     blocks = {t.POINT: point_block, t.TRACER: tracer_block}
     group = Group(LENGTHS, t.chain(), observations)
     group = group.with_observations(replace(observations, sigma=noise(group, blocks)))
+    tracer_sigma = np.column_stack([readings.tracer_sigma, np.full((len(readings.stations), 2), np.nan)])
     others = (
         *_known(point_block, sigma, free),
-        *_known(tracer_block, _padded(tracers), tracer_block.free),
+        *_known(tracer_block, tracer_sigma, tracer_block.free),
         *_scales(settings, tracer_block),
-        *_distances(distances, names, seen),
+        *_distances(distances, names, readings.seen),
     )
-    unseen = [name for name, n in zip(names, seen, strict=True) if n == 0]
-    warnings = (f"{len(unseen)} points have no length: {listed(unseen)}",) if unseen else ()
-    inner = settings.datum != "points" and bool(free.any())
+    inner = settings.datum != "points" and bool(tracer_block.free[:, :3].any()) and bool(free.any())
     datum = t.datum(point_block, free.all(axis=1).astype(float)) if inner else None
-    return Network(blocks, group, others, datum, noise, nominal, warnings)
-
-
-def solve(network: Network, remove: bool) -> Solved:
-    """Adjust with weights from the adjusted paths and a robust start; leave outliers out where `remove` says so."""
-    group, dropped = network.lengths, []
-    state = robust_start(network.blocks.values(), [group, *network.others], LENGTHS, network.datum)
-    rows = np.arange(group.observations.count)
-    if remove:
-        bad = gross(group, state)
-        dropped += [(int(i), float("nan")) for i in rows[bad]]
-        rows, group = rows[~bad], group.selected(~bad)
-    while True:
-        solution = adjust_with_noise(state.values(), [group, *network.others], (LENGTHS, network.noise), network.datum)
-        group = next(g for g in solution.groups if g.name == LENGTHS)
-        if solution.cofactor is None:
-            nothing = Suspects(np.zeros(0, dtype=np.intp), np.zeros(0), 0.0)
-            return Solved(network, solution, group, tuple(dropped), nothing)
-        found = suspects(solution, group, max(1.0, solution.sigma0 if np.isfinite(solution.sigma0) else 1.0))
-        if not (remove and found.rows.size):
-            return Solved(network, solution, group, tuple(dropped), found)
-        worst = int(found.rows[np.argmax(found.tests)])
-        dropped.append((int(rows[worst]), float(found.tests.max())))
-        keep = np.arange(len(rows)) != worst
-        rows, group, state = rows[keep], group.selected(keep), dict(solution.blocks)
-
-
-def _places(table: Table, column: str, names: Sequence[str], file: str) -> Index:
-    place = {name: i for i, name in enumerate(names)}
-    values = table.texts(column)
-    strange = [row for row, name in enumerate(values) if name not in place]
-    if strange:
-        where = f"in {file}" if file else "in the list"
-        raise InputError(
-            [
-                Fault(f"{column} '{values[row]}' is not {where}", table.file, table.lines[row] if table.lines else None)
-                for row in strange[:20]
-            ]
-        )
-    return np.array([place[name] for name in values], dtype=np.intp)
-
-
-def _check_paths(settings: NetworkSettings, lengths: Table) -> None:
-    values = lengths.numbers("length")
-    if settings.measures == "absolute" and (values <= 0).any():
-        rows = np.flatnonzero(values <= 0)[:20]
-        text = "an absolute distance is not above zero"
-        raise InputError([Fault(text, lengths.file, lengths.lines[i]) for i in rows])
-    if len(values) > 1 and np.ptp(values) == 0:
-        raise InputError([Fault("all lengths are equal", lengths.file, hint="is this the right column?")])
-
-
-def _sigmas(table: Table, default: float) -> Array:
-    common = table.numbers("sigma", default)
-    sigma = np.stack([table.numbers(f"sigma_{axis}") if f"sigma_{axis}" in table else common for axis in "xyz"], axis=1)
-    negative = np.flatnonzero((sigma < 0).any(axis=1))
-    if negative.size:
-        raise InputError([Fault("a standard deviation is negative", table.file, table.lines[i]) for i in negative])
-    return sigma
-
-
-@dataclass(frozen=True)
-class _Stations:
-    names: Sequence[str]
-    station: Index
-    point: Index
-    nominal: Array
-    extent: float
-
-
-def _tracers(settings: NetworkSettings, lengths: Table, given: _Stations, table: Table | None) -> Block:
     absolute = settings.measures == "absolute"
-    sigma = _padded(table) if table is not None else np.full((len(given.names), 5), np.nan)
-    reading = lengths.numbers("length")
-    values = np.zeros((len(given.names), 5))
-    values[:, 4] = 1.0
-    for i, name in enumerate(given.names):
-        mine = given.station == i
-        fixed = table is not None and bool((sigma[i, :3] == 0).all())
-        if mine.sum() < _FEWEST[settings.measures] and not fixed:
-            raise UndeterminedError(
-                f"tracer {name} reads {mine.sum()} lengths; its place and dead path need {_FEWEST[settings.measures]} "
-                "points at least, not in one plane"
-            )
-        values[i, :4] = _start_of(given.nominal[given.point[mine]], reading[mine], absolute, _row(table, i))
-    free = np.ones((len(given.names), 5), dtype=bool)
-    free[:, :3] = sigma[:, :3] != 0
-    free[:, 3] = not absolute
+    return Network(blocks, group, others, datum, noise, readings.nominal, absolute, _unused(readings))
+
+
+def _unused(readings: Readings) -> tuple[str, ...]:
+    """Return warnings of points without a length and of tracers that read nothing."""
+    unseen = [name for name, n in zip(readings.names, readings.seen, strict=True) if n == 0]
+    warnings = (f"{len(unseen)} points have no length: {listed(unseen)}",) if unseen else ()
+    return warnings + ((f"tracers that read nothing are left out: {listed(readings.idle)}",) if readings.idle else ())
+
+
+def _tracers(settings: NetworkSettings, readings: Readings) -> Block:
+    """Return the tracers where the data say they stand."""
+    free = np.ones((len(readings.stations), 5), dtype=bool)
+    free[:, :3] = readings.tracer_sigma != 0
+    free[:, 3] = settings.measures != "absolute"
     free[:, 4] = settings.scale is not None
-    return t.tracer_block(values, given.names, free, given.extent)
-
-
-def _row(table: Table | None, i: int) -> Array | None:
-    return None if table is None else table.stacked("xyz")[i]
-
-
-def _start_of(points: Array, reading: Array, absolute: bool, given: Array | None) -> Array:
-    """Return the start of one tracer: as given, with the dead path that fits it, or found from the data."""
-    if given is None:
-        found = start(points, reading, absolute)
-        return np.where(np.isfinite(found), found, 0.0)
-    dead = 0.0 if absolute else float(np.median(np.linalg.norm(points - given, axis=1) - reading))
-    return np.array([*given, dead])
-
-
-def _padded(table: Table | None) -> Array:
-    """Return the standard deviations of the tracers' columns (tracers, 5), nan for dead path and scale."""
-    if table is None:
-        return np.zeros((0, 5))
-    sigma = _sigmas(table, np.nan)
-    return np.column_stack([sigma, np.full((len(sigma), 2), np.nan)])
+    return t.tracer_block(places_of(readings), readings.stations, free, readings.extent)
 
 
 def _known(block: Block, sigma: Array, free: Mask) -> list[Group]:
@@ -274,11 +185,15 @@ def _scales(settings: NetworkSettings, block: Block) -> list[Group]:
 def _distances(table: Table | None, names: Sequence[str], seen: Index) -> list[Group]:
     if table is None:
         return []
-    ends = np.stack([_places(table, column, names, "the points") for column in ("from", "to")])
+    ends = np.stack([matched(table, column, names, "the points") for column in ("from", "to")])
+    unseen = np.flatnonzero((seen[ends] == 0).any(axis=0))
+    if unseen.size:
+        text = "a distance to a point that no tracer reads"
+        raise InputError([Fault(text, table.file, table.lines[i] if table.lines else None) for i in unseen])
     observations = Observations(
         table.numbers("length")[None], table.numbers("sigma")[None], {t.POINT: ends}, components=("length",), unit="mm"
     )
-    return [Group("distances", Chain((DistanceBetween(t.POINT),)), observations)]
+    return [Group(DISTANCES, Chain((DistanceBetween(t.POINT),)), observations)]
 
 
 def _path_noise(settings: NoiseSettings) -> Noise:

@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from metrocli.adjust.outcome import Outcome
-from metrocli.errors import NotConvergedError, UndeterminedError
 from metrocli.result import Result
 from metrocli.settings import Choice, Quantity, Section, TableFile, setting
 from metrocli.table import TEXT, Column, Columns, Table
-from metrocli.tasks.length_network import Network, build, solve
-from metrocli.tasks.network_report import KIND, explained, report
+from metrocli.tasks.length_network import build
+from metrocli.tasks.network_report import KIND, report
+from metrocli.tasks.network_solve import solve
 
 SUMMARY = "reflector positions from length changes of 4+ tracers"
 _SIGMAS = tuple(
@@ -101,13 +100,7 @@ def run(
     distances: Table | None = None,
 ) -> Result:
     """Find the points; raises InputError, UndeterminedError or NotConvergedError."""
-    network: Network = build(settings, lengths, points, tracers, distances)
-    solved = solve(network, settings.outliers == "remove")
-    solution = solved.solution
-    if solution.undetermined or solution.outcome is Outcome.TOO_FEW:
-        raise UndeterminedError(explained(network, solution))
-    if not solution.outcome.good:
-        raise NotConvergedError(f"{solution.outcome.value} ({solution.iterations} steps)")
+    solved = solve(build(settings, lengths, points, tracers, distances), settings.outliers == "remove")
     return report(solved, probing, settings.tolerance)
 
 

@@ -7,14 +7,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from metrocli.adjust.blocks import Array
-from metrocli.adjust.solution import Residuals, Solution, residuals_of
-from metrocli.errors import Fault, InputError
+from metrocli.adjust.solution import Solution
 from metrocli.instruments import tracer as t
 from metrocli.result import Estimate, Result
 from metrocli.table import Table
 from metrocli.tasks.adjustment_statistics import basic_statistics, noise_warnings
-from metrocli.tasks.length_network import Network, Solved
+from metrocli.tasks.layout_faults import WEAK, reasons, weakness
+from metrocli.tasks.network_correction import corrected, distant
+from metrocli.tasks.network_distance import factors
+from metrocli.tasks.network_solve import Solved
 from metrocli.tasks.sightings import listed
+from metrocli.tasks.uncontrolled import uncontrolled
+from metrocli.units import format_quantity
 
 if TYPE_CHECKING:
     from metrocli.table import Values
@@ -25,32 +29,50 @@ _DELTA0 = 4.13
 """Non-centrality of a w-test at 0.1 % with 80 % power (Baarda 1968): the least detectable bias is 4.13 s / sqrt(r)"""
 
 
+_REASONS = {
+    "gross": "far off before the adjustment",
+    "outlier": "outlier",
+    "alike": "one of the point's lengths is wrong; which cannot be told",
+    "point": "too few lengths of the point are left to be checked",
+}
+_SINGULAR = 1e-6
+"""Redundancy below which a length is not controlled at all"""
+
+
 def report(solved: Solved, probing: Table | None, tolerance: float) -> Result:
     """Return the result of a solved network."""
     solution = solved.solution
-    found = residuals_of(solution, solved.group)
     names, values, covariance, units = _tracer_estimates(solution)
     std = np.sqrt(np.diag(covariance))
-    points, point_covariance = _points(solved)
+    points, arrays = _points(solved)
+    hidden = uncontrolled(solved.network)
     tables = {
         "points": points,
-        "residuals": _residuals(solved, found),
+        "residuals": _residuals(solved),
         "tracers": _tracers(solution),
+        "suspects": _suspects(solved),
         "rejected": _rejected(solved),
+        "not_controlled": hidden,
     }
     if probing is not None:
-        tables["corrected"] = corrected(solved, probing, tolerance)
-    rms = float(np.sqrt((found.values**2).mean()))
+        tables["corrected"] = corrected(solved.network, solution, probing, tolerance)
+    rms = float(np.sqrt((solved.residuals.values**2).mean()))
+    statistics = basic_statistics(solution, {"mm": rms}) | {
+        "rejected": len(solved.rejected),
+        "critical_w": solved.critical,
+        "weakness": weakness(solved.network, solution),
+    }
     return Result(
         kind=KIND,
         title="",
         estimates=tuple(Estimate(*row) for row in zip(names, values.tolist(), std.tolist(), units, strict=True)),
         covariance=covariance,
-        statistics=basic_statistics(solution, {"mm": rms}) | {"rejected": len(solved.rejected)},
+        statistics=statistics,
         tables=tables,
-        arrays={"points_covariance": point_covariance},
-        warnings=tuple(_warnings(solved)),
-        shown=("points: point, x, y, z, sx, sy, sz",),
+        arrays=arrays,
+        warnings=(*_warnings(solved), *distant(solved.network, probing, tolerance)),
+        shown=("points: point, x, y, z, sx, sy, sz", *(("suspects",) if solved.suspects else ())),
+        notes=_notes(hidden),
     )
 
 
@@ -63,18 +85,19 @@ def _tracer_estimates(solution: Solution) -> tuple[list[str], Array, Array, list
     return [names[i] for i in free], block.values.ravel()[free], covariance, [units[i] for i in free]
 
 
-def _points(solved: Solved) -> tuple[Table, Array]:
-    solution = solved.solution
-    block = solution.blocks[t.POINT]
-    seen = np.bincount(solved.group.observations.index[t.POINT], minlength=len(block.members)) > 0
+def _points(solved: Solved) -> tuple[Table, dict[str, Array]]:
+    """Return /points, with the mover's error at each (its reading minus the point), and their covariances."""
+    solution, network = solved.solution, solved.network
+    block, seen = solution.blocks[t.POINT], network.seen > 0
     each = solution.known().members(t.POINT)[seen]
-    std = np.sqrt(np.einsum("mii->mi", each))
-    error = solved.network.nominal[seen] - block.values[seen]
+    std = np.sqrt(np.maximum(np.einsum("mii->mi", each), 0.0))
+    error = network.nominal[seen] - block.values[seen]
     columns: dict[str, Values] = {"point": np.array(block.members)[seen]}
     columns |= {name: block.values[seen, i] for i, name in enumerate("xyz")}
     columns |= {f"s{name}": std[:, i] for i, name in enumerate("xyz")}
     columns |= {f"error_{name}": error[:, i] for i, name in enumerate("xyz")}
-    return Table(columns, {name: "mm" for name in columns if name != "point"}), each
+    arrays = {"points_covariance": each, **factors(solution.known(), seen)}
+    return Table(columns, {name: "mm" for name in columns if name != "point"}), arrays
 
 
 def _tracers(solution: Solution) -> Table:
@@ -87,12 +110,12 @@ def _tracers(solution: Solution) -> Table:
     return Table(columns, units)
 
 
-def _residuals(solved: Solved, found: Residuals) -> Table:
-    """Return /residuals with the minimal detectable bias of each length and how far it could move its point unseen."""
-    observations = solved.group.observations
+def _residuals(solved: Solved) -> Table:
+    """Return /residuals with the least detectable error of each length, and how far it could move its point unseen."""
+    observations, found = solved.group.observations, solved.residuals
     redundancy = found.redundancy[0]
-    sure = np.maximum(redundancy, 1e-12)
-    detectable = np.where(redundancy > 1e-6, _DELTA0 * found.sigma[0] / np.sqrt(sure), np.inf)
+    controlled = redundancy > _SINGULAR
+    detectable = np.where(controlled, _DELTA0 * found.sigma[0] / np.sqrt(np.where(controlled, redundancy, 1.0)), np.inf)
     columns: dict[str, Values] = {name: np.array(values) for name, values in observations.keys.items()}
     columns |= {
         "reading": observations.readings[0],
@@ -122,96 +145,62 @@ def _point_shift(solved: Solved) -> Array:
 
 
 def _rejected(solved: Solved) -> Table:
-    rows = [row for row, _ in solved.rejected]
-    observations = solved.network.lengths.observations
+    observations = solved.whole.lengths.observations
+    chosen = sorted(solved.rejected, key=lambda one: one.row)
+    rows = [one.row for one in chosen]
     return Table(
         {
             **{key: np.array([values[i] for i in rows], dtype=str) for key, values in observations.keys.items()},
             "reading": observations.readings[0, rows],
-            "w": np.array([test for _, test in solved.rejected], dtype=float),
+            "w": np.array([one.test for one in chosen], dtype=float),
+            "reason": np.array([_REASONS[one.reason] for one in chosen], dtype=str),
         },
         {"reading": "mm"},
     )
 
 
-def corrected(solved: Solved, probing: Table, tolerance: float) -> Table:
-    """Return the probing points with the mover's error at their replayed points taken off, in the shape they came.
-
-    A probing point belongs to the point of its name, else to the nearest nominal point within the tolerance. Raises
-    InputError that lists every probing point without a replayed one.
-    """
-    block = solved.solution.blocks[t.POINT]
-    seen = np.bincount(solved.group.observations.index[t.POINT], minlength=len(block.members)) > 0
-    place = {name: i for i, name in enumerate(block.members) if seen[i]}
-    at = probing.stacked("xyz")
-    usable = np.flatnonzero(seen)
-    match = np.array([place.get(name, -1) for name in probing.texts("point")], dtype=np.intp)
-    for row in np.flatnonzero(match < 0):
-        gap = np.linalg.norm(solved.network.nominal[usable] - at[row], axis=1)
-        if gap.size and gap.min() <= tolerance:
-            match[row] = usable[int(gap.argmin())]
-    lost = np.flatnonzero(match < 0)
-    if lost.size:
-        names = probing.texts("point")
-        raise InputError(
-            [
-                Fault(
-                    f"probing point '{names[row]}' has no replayed point of its name or within {tolerance:g} mm",
-                    probing.file,
-                    probing.lines[row] if probing.lines else None,
-                )
-                for row in lost
-            ]
-        )
-    moved = at + block.values[match] - solved.network.nominal[match]
-    columns: dict[str, Values] = {name: probing.columns[name] for name in ("feature", "point")}
-    columns |= {name: moved[:, i] for i, name in enumerate("xyz")}
-    return Table(columns, dict.fromkeys("xyz", "mm"))
+def _suspects(solved: Solved) -> Table:
+    found = solved.suspects
+    return Table(
+        {
+            "point": np.array([one.point for one in found], dtype=str),
+            "tracer": np.array([one.tracer or "cannot be told" for one in found], dtype=str),
+            "w": np.array([one.test for one in found], dtype=float),
+        }
+    )
 
 
 def _warnings(solved: Solved) -> list[str]:
     lines = [*solved.network.warnings, *noise_warnings(solved.solution)]
-    keys = solved.group.observations.keys
-    order = np.argsort(-solved.suspects.tests)
-    worst = [
-        f"{keys['point'][i]}/{keys['tracer'][i]} (w = {w:.1f})"
-        for i, w in zip(solved.suspects.rows[order].tolist(), solved.suspects.tests[order].tolist(), strict=True)
-    ]
-    if worst:
+    told = [f"{one.point}/{one.tracer} (w = {one.test:.1f})" for one in solved.suspects if one.tracer]
+    alike = [f"{one.point} (w = {one.test:.1f})" for one in solved.suspects if not one.tracer]
+    bound = f"the outlier bound |w| = {solved.critical:.2f}"
+    if told:
+        lines.append(f"{len(told)} lengths exceed {bound}: {listed(told, 5)}; `outliers: remove` leaves such out")
+    if alike:
         lines.append(
-            f"{len(worst)} lengths exceed the outlier bound |w| = {solved.suspects.critical:.2f}: {listed(worst, 5)}; "
-            "`outliers: remove` leaves such lengths out"
+            f"{len(alike)} points have a wrong length beyond {bound}: {listed(alike, 5)}; whose it is cannot be told, "
+            "since all |w| of a point with four lengths are equal: a fifth tracer would tell"
         )
+    gone = [name for name, n, before in _lost(solved) if n == 0 < before]
+    if gone:
+        lines.append(f"{len(gone)} points are left out, since their lengths cannot be checked: {listed(gone)}")
+    ratio = weakness(solved.network, solved.solution)
+    if ratio > WEAK:
+        lines += [
+            f"the layout is weak, points are {ratio:.2g} times less certain than lengths: {reason}"
+            for reason in reasons(solved.network, solved.solution)
+        ]
     return lines
 
 
-def explained(network: Network, solution: Solution) -> str:
-    """Say what is undetermined, why, and what would determine it."""
-    lines = [f"{solution.outcome.value}: {solution.observations} readings, {solution.unknowns} unknowns"]
-    lines += [f"  undetermined: {combination}" for combination in solution.undetermined[:3]]
-    lines += [f"  why: {reason}" for reason in _reasons(network)]
-    return "\n".join(lines)
+def _lost(solved: Solved) -> list[tuple[str, int, int]]:
+    names = solved.network.blocks[t.POINT].members
+    return list(zip(names, solved.network.seen.tolist(), solved.whole.seen.tolist(), strict=True))
 
 
-def _reasons(network: Network) -> list[str]:
-    index = network.lengths.observations.index
-    points, tracers = network.blocks[t.POINT], network.blocks[t.TRACER]
-    reasons = []
-    if len(tracers.members) < 4:
-        reasons.append(f"there are {len(tracers.members)} tracers; positions from length changes need four or more")
-    places = tracers.values[:, :3]
-    if len(places) >= 4 and _thin(places):
-        reasons.append("the tracers stand in one plane: points are known up to a mirror image and loosely across it")
-    seen = np.unique(index[t.POINT])
-    if _thin(points.values[seen]):
-        reasons.append("the points lie in one plane")
-    counts = np.bincount(index[t.POINT], minlength=len(points.members))
-    few = [name for name, n in zip(points.members, counts, strict=True) if 0 < n < 3]
-    if few:
-        reasons.append(f"points seen by fewer than three tracers: {listed(few)}")
-    return reasons or ["the layout carries too few independent lengths: add tracers or points away from the others"]
-
-
-def _thin(points: Array) -> bool:
-    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    return bool(len(spread) < 3 or spread[2] < 1e-3 * spread[0])
+def _notes(hidden: Table) -> tuple[str, ...]:
+    """Return what no residual of this measurement shows, in words."""
+    rows = zip(*(hidden.texts(name) for name in ("effect", "assumed")), hidden.numbers("hides"), strict=True)
+    lines = [f"  {effect}: {format_quantity(size, 'mm')} by {assumed}" for effect, assumed, size in rows]
+    return ("", "not controlled by this design (table not_controlled says what would):", *lines)
