@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,17 +13,16 @@ from metrocli.adjust.groups import Group
 from metrocli.adjust.noise import adjust_with_noise
 from metrocli.adjust.observations import Mask
 from metrocli.adjust.outcome import Outcome
-from metrocli.adjust.robust import critical_value, gross, robust_start
+from metrocli.adjust.robust import critical_value, robust_start
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
 from metrocli.errors import NotConvergedError, UndeterminedError
 from metrocli.instruments import tracer as t
 from metrocli.tasks.layout_faults import TOO_WEAK, explained, weakness
+from metrocli.tasks.length_blunders import CHECKED, Rejected, far_off
 from metrocli.tasks.length_network import LENGTHS, Network
 
 _EQUAL = 1e-4
 """Tests of a point that differ by less than this share are the same test"""
-_CHECKED = 4
-"""Lengths that a point needs so that a wrong one shows"""
 _INNOCENT = 3.0
 """A length left out at the start comes back if it misses by less than this many standard deviations"""
 _ROUNDS = 30
@@ -41,16 +41,6 @@ class Suspect:
     """|w|"""
     rows: tuple[int, ...]
     """The lengths that it could be"""
-
-
-@dataclass(frozen=True)
-class Rejected:
-    """A length that was left out."""
-
-    row: int
-    test: float
-    """|w|, nan where it was left out before there was one"""
-    reason: str
 
 
 @dataclass(frozen=True)
@@ -81,23 +71,19 @@ def solve(network: Network, remove: bool) -> Solved:
     state = robust_start(network.blocks.values(), groups, LENGTHS, network.datum)
     if len(network.nominal) <= _SMALL_ENOUGH:
         _must_carry(network, covariance_at(state.values(), groups, network.datum))
-    suspicious = gross(network.lengths, state) if remove else np.zeros(network.lengths.observations.count, dtype=bool)
-    out = {int(row): Rejected(int(row), float("nan"), "gross") for row in np.flatnonzero(suspicious)}
+    out = far_off(network, state) if remove else {}
     back = bool(out)
     for _ in range(_ROUNDS):
         solved = _adjusted(network, state, out)
-        if back:
-            out = _without_innocent(solved, out)
-            back = False
-            continue
+        state = dict(solved.solution.blocks)
         worst = _worst(solved) if remove else {}
-        if not worst:
+        if not (worst or back):
             break
-        out, state = out | worst, dict(solved.solution.blocks)
+        out, back = (out | worst, back) if worst else (_without_innocent(solved, out), False)
     return solved
 
 
-def _adjusted(network: Network, state: dict[str, Block], out: dict[int, Rejected]) -> Solved:
+def _adjusted(network: Network, state: Mapping[str, Block], out: dict[int, Rejected]) -> Solved:
     keep = np.ones(network.lengths.observations.count, dtype=bool)
     keep[list(out)] = False
     lost = _unchecked(network, keep) & keep
@@ -127,7 +113,7 @@ def _unchecked(network: Network, keep: Mask) -> Mask:
     """Return the lengths of points that lost some and have too few left to tell whether those are right, (n,)."""
     point = network.lengths.observations.index[t.POINT]
     left = np.bincount(point, keep, minlength=len(network.nominal))
-    gone = (left < network.seen) & (left < _CHECKED) & network.unknown
+    gone = (left < network.seen) & (left < CHECKED) & network.unknown
     return np.asarray(gone[point])
 
 
