@@ -67,7 +67,7 @@ def _refined(local: Array, reading: Array, guess: Array, absolute: bool) -> tupl
         normal = jacobian.T @ jacobian
         normal[np.diag_indices_from(normal)] += damping * np.diag(normal) + 1e-15
         step = np.zeros(4)
-        step[: jacobian.shape[1]] = np.linalg.solve(normal, jacobian.T @ residual)
+        step[: jacobian.shape[1]] = np.linalg.lstsq(normal, jacobian.T @ residual, rcond=None)[0]
         moved, by = _residual(local, reading, state + step, absolute)
         if moved @ moved <= residual @ residual:
             state, residual, jacobian, damping = state + step, moved, by, damping / 10

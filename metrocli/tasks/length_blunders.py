@@ -18,6 +18,8 @@ _GROSS = 8.0
 """Misfit beyond all chance, in standard deviations"""
 _MAD = 1.4826
 """Standard deviation of a normal sample over its median absolute deviation"""
+_STEPS = 6
+"""Gauss-Newton steps from the mover's reading to the point"""
 _MOST = 3
 """Wrong lengths of one point that are looked for"""
 
@@ -43,49 +45,52 @@ def far_off(network: Network, state: Mapping[str, Block]) -> dict[int, Rejected]
     miss = network.lengths.residuals(state)[0] / observations.sigma[0]
     bound = (_GROSS * max(1.0, _MAD * float(np.median(np.abs(miss))))) ** 2
     suspicious = np.flatnonzero((np.bincount(point, miss**2, len(network.nominal)) > bound) & network.unknown)
-    towards = _towards(network, state)
+    tracers = state[t.TRACER].values[observations.index[t.TRACER]]
     out: dict[int, Rejected] = {}
     for i in suspicious:
         rows = np.flatnonzero(point == i)
-        wrong = _wrong(towards[rows], miss[rows], bound)
+        sight = _Sight(network.nominal[i], tracers[rows], observations.readings[0, rows], observations.sigma[0, rows])
+        wrong = _wrong(sight, bound)
         reason = "gross" if len(wrong) < len(rows) else "alike"
         out |= {int(row): Rejected(int(row), float("nan"), reason) for row in rows[wrong]}
     return out
 
 
-def _towards(network: Network, state: Mapping[str, Block]) -> Array:
-    """Return the derivatives of the lengths by their points in standard deviations, (n, 3)."""
-    observations = network.lengths.observations
-    tracer = state[t.TRACER].values[observations.index[t.TRACER]]
-    away = state[t.POINT].values[observations.index[t.POINT]] - tracer[:, :3]
-    size = tracer[:, 4] / (np.linalg.norm(away, axis=1) * observations.sigma[0])
-    return np.asarray(away * size[:, None])
+@dataclass(frozen=True)
+class _Sight:
+    """The lengths to one point from tracers of known place."""
+
+    near: Array
+    """Where the point is about, (3,)"""
+    tracers: Array
+    """(m, 5)"""
+    lengths: Array
+    sigma: Array
+
+    def misfit(self, chosen: list[int]) -> float:
+        """Return the sum of squares of the chosen lengths in the place where they meet best."""
+        place, tracers, sigma = self.near, self.tracers[chosen], self.sigma[chosen]
+        for _ in range(_STEPS):
+            away = place - tracers[:, :3]
+            distance = np.linalg.norm(away, axis=1)
+            miss = (self.lengths[chosen] + tracers[:, 3] - tracers[:, 4] * distance) / sigma
+            towards = away * (tracers[:, 4] / (distance * sigma))[:, None]
+            step = np.linalg.lstsq(towards, miss, rcond=None)[0]
+            place = place + step
+        return float(((miss - towards @ step) ** 2).sum())
 
 
-def _wrong(towards: Array, miss: Array, bound: float) -> list[int]:
-    """Return the lengths of a point (m,) without which the rest meet within the bound; all if that cannot be told.
-
-    With R the projector onto the residuals, v = R miss, leaving out the set S lowers the sum of squares by
-    `v_S' R_SS^-1 v_S`.
-    """
-    m = len(miss)
-    basis, _ = np.linalg.qr(towards)
-    projector = np.eye(m) - basis @ basis.T
-    v = projector @ miss
-    total = float(v @ v)
-    if total <= bound:
+def _wrong(sight: _Sight, bound: float) -> list[int]:
+    """Return the fewest lengths of a point without which the rest meet within the bound; all if that cannot be told."""
+    everything = list(range(len(sight.lengths)))
+    if sight.misfit(everything) <= bound:
         return []
-    for size in range(1, min(_MOST, m - CHECKED) + 1):
+    for size in range(1, min(_MOST, len(everything) - CHECKED) + 1):
         serving = [
-            list(chosen)
-            for chosen in combinations(range(m), size)
-            if total - _lowered(projector, v, list(chosen)) <= bound
+            chosen
+            for chosen in combinations(everything, size)
+            if sight.misfit([i for i in everything if i not in chosen]) <= bound
         ]
         if serving:
-            return serving[0] if len(serving) == 1 else list(range(m))
-    return list(range(m))
-
-
-def _lowered(projector: Array, v: Array, chosen: list[int]) -> float:
-    part, inner = v[chosen], projector[np.ix_(chosen, chosen)]
-    return float(part @ np.linalg.lstsq(inner, part, rcond=None)[0])
+            return list(serving[0]) if len(serving) == 1 else everything
+    return everything

@@ -5,13 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
+from metrocli.errors import InputError
 from metrocli.result import Result
 from metrocli.settings import Choice, Quantity, Section, TableFile, setting
+from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import TEXT, Column, Columns, Table
 from metrocli.tasks.length_network import build
+from metrocli.tasks.length_simulation import simulated
 from metrocli.tasks.network_report import KIND, report
 from metrocli.tasks.network_solve import solve
 
+SIMULATED = ("lengths",)
 SUMMARY = "reflector positions from length changes of 4+ tracers"
 _SIGMAS = tuple(
     Column(name, "length", required=False, may_be_empty=True) for name in ("sigma", "sigma_x", "sigma_y", "sigma_z")
@@ -35,7 +41,9 @@ TRACERS = Columns(
     "approximate places of the tracers",
 )
 PROBING = Columns(
-    (Column("feature", TEXT), Column("point", TEXT), *_PLACE), (), "the mover's readings on the workpiece"
+    (Column("feature", TEXT), Column("point", TEXT, may_be_empty=True), *_PLACE),
+    (),
+    "the mover's readings on the workpiece",
 )
 DISTANCES = Columns(
     (Column("from", TEXT), Column("to", TEXT), Column("length", "length"), Column("sigma", "length")),
@@ -73,6 +81,19 @@ class Scale:
 
 
 @dataclass(frozen=True)
+class LengthSimulation:
+    """The truth that `metrocli simulate` starts from, with the tracers where their list says."""
+
+    mover_error: float = setting(
+        Quantity("length", minimum=0.0), "standard deviation of the mover's readings", default=0.0
+    )
+    mover_scale: float = setting(Quantity("ratio"), "how much too long the mover reads distances", default=0.0)
+    tracer_error: float = setting(
+        Quantity("length", minimum=0.0), "standard deviation of the places that are written", default=0.0
+    )
+
+
+@dataclass(frozen=True)
 class Settings:
     """Find reflector positions from lengths, with the tracers' places, dead paths and scales (multilateration)."""
 
@@ -89,6 +110,9 @@ class Settings:
     tolerance: float = setting(
         Quantity("length", positive=True), "how near a probing point must be to its replayed point", default=1.0
     )
+    simulation: LengthSimulation | None = setting(
+        Section(LengthSimulation), "the truth for `metrocli simulate`", default=None
+    )
 
 
 def run(
@@ -104,4 +128,16 @@ def run(
     return report(solved, probing, settings.tolerance)
 
 
-__all__ = ["KIND", "SUMMARY", "Inputs", "Settings", "run"]
+def simulate(
+    settings: Settings, options: SimulationOptions, points: Table, tracers: Table | None = None, **_: object
+) -> Simulation:
+    """Return the lengths of a measurement with the mover and tracers of `simulation:`."""
+    if settings.simulation is None or tracers is None:
+        raise InputError(
+            "simulate needs the truth: the tracers' places in `inputs: tracers`, "
+            "and `simulation: {mover_error: 5 um, mover_scale: -25 um/m, tracer_error: 5 mm}`"
+        )
+    return simulated(settings, settings.simulation, points, tracers, np.random.default_rng(options.seed))
+
+
+__all__ = ["KIND", "SIMULATED", "SUMMARY", "Inputs", "Settings", "run", "simulate"]

@@ -18,7 +18,7 @@ from metrocli.tasks.network_distance import factors
 from metrocli.tasks.network_solve import Solved
 from metrocli.tasks.sightings import listed
 from metrocli.tasks.uncontrolled import uncontrolled
-from metrocli.units import format_quantity
+from metrocli.units import find_unit
 
 if TYPE_CHECKING:
     from metrocli.table import Values
@@ -202,5 +202,6 @@ def _lost(solved: Solved) -> list[tuple[str, int, int]]:
 def _notes(hidden: Table) -> tuple[str, ...]:
     """Return what no residual of this measurement shows, in words."""
     rows = zip(*(hidden.texts(name) for name in ("effect", "assumed")), hidden.numbers("hides"), strict=True)
-    lines = [f"  {effect}: {format_quantity(size, 'mm')} by {assumed}" for effect, assumed, size in rows]
+    unit = find_unit("um", "length")
+    lines = [f"  {effect}: {unit.outside(size):.2g} um by {assumed}" for effect, assumed, size in rows]
     return ("", "not controlled by this design (table not_controlled says what would):", *lines)
