@@ -1,7 +1,9 @@
 """Wrong lengths: how often the right one is named, how often a good one, and how far gross errors move the points.
 
-Each case is a network of its own of 60 points with one length off. Located: the first suspect is the wrong length (with
-four tracers: its point, since no tracer can be told there). False: other suspects, a case.
+Each case is a network of its own of 100 points in 2 m x 1 m x 1 m with one length off, tracers well spread around it. The
+rates depend on that: with 60 points and tracers moved about by 200 mm at random, six tracers locate 86 % of 2 um.
+Located: the first suspect is the wrong length (with four tracers: its point, since no tracer can be told there).
+False: other suspects, a case.
 
     python -m benchmarks.blunders [CASES]
 """
@@ -30,7 +32,7 @@ PLACES = np.array(
         [1.3, 1.5, 1.2], [-0.3, 1.3, 1.4], [-0.3, -0.6, 1.8], [1.4, 0.6, 0.5],
     ]
 )  # fmt: skip
-POINTS = 60
+POINTS = 100
 
 
 @dataclass(frozen=True)
@@ -59,7 +61,7 @@ class Measured:
 def measured(m: int, rng: np.random.Generator) -> Measured:
     """Return a network at random."""
     points = rng.uniform(0, 1, (POINTS, 3)) * VOLUME
-    tracers = (PLACES[:m] + rng.normal(0, 0.1, (m, 3))) * VOLUME
+    tracers = (PLACES[:m] + rng.normal(0, 0.02, (m, 3))) * VOLUME
     distance = np.linalg.norm(points[:, None] - tracers, axis=2)
     sigma = np.sqrt(NOISE.constant**2 + (NOISE.proportional * distance) ** 2)
     readings = distance - rng.uniform(200, 900, m) + rng.normal(size=distance.shape) * sigma

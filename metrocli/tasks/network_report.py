@@ -165,6 +165,7 @@ def _suspects(solved: Solved) -> Table:
         {
             "point": np.array([one.point for one in found], dtype=str),
             "tracer": np.array([one.tracer or "cannot be told" for one in found], dtype=str),
+            "or": np.array([" ".join(one.others) for one in found], dtype=str),
             "w": np.array([one.test for one in found], dtype=float),
         }
     )
@@ -172,7 +173,11 @@ def _suspects(solved: Solved) -> Table:
 
 def _warnings(solved: Solved) -> list[str]:
     lines = [*solved.network.warnings, *noise_warnings(solved.solution)]
-    told = [f"{one.point}/{one.tracer} (w = {one.test:.1f})" for one in solved.suspects if one.tracer]
+    told = [
+        f"{one.point}/{one.tracer} (w = {one.test:.1f}{', or ' + ' or '.join(one.others) if one.others else ''})"
+        for one in solved.suspects
+        if one.tracer
+    ]
     alike = [f"{one.point} (w = {one.test:.1f})" for one in solved.suspects if not one.tracer]
     bound = f"the outlier bound |w| = {solved.critical:.2f}"
     if told:

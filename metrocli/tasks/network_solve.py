@@ -23,6 +23,8 @@ from metrocli.tasks.length_network import LENGTHS, Network
 
 _EQUAL = 1e-4
 """Tests of a point that differ by less than this share are the same test"""
+_ODDS = 4.0
+"""Tests whose squares differ by less leave odds below e^2 = 7 to 1 between two lengths"""
 _INNOCENT = 3.0
 """A length left out at the start comes back if it misses by less than this many standard deviations"""
 _ROUNDS = 30
@@ -39,6 +41,8 @@ class Suspect:
     """Empty where it cannot be told"""
     test: float
     """|w|"""
+    others: tuple[str, ...]
+    """Tracers whose length explains the point nearly as well"""
     rows: tuple[int, ...]
     """The lengths that it could be"""
 
@@ -97,7 +101,7 @@ def _adjusted(network: Network, state: Mapping[str, Block], out: dict[int, Rejec
     rejected = [*out.values(), *(Rejected(int(row), float("nan"), "point") for row in np.flatnonzero(lost))]
     group = next(group for group in solution.groups if group.name == LENGTHS)
     residuals, critical = residuals_of(solution, group), critical_value(group.observations.count)
-    suspects = _suspects(group, residuals, critical * max(1.0, np.nan_to_num(solution.sigma0, nan=1.0)))
+    suspects = _suspects(group, residuals, critical, _unit(solution, residuals))
     rows = np.flatnonzero(keep)
     suspects = tuple(replace(one, rows=tuple(rows[list(one.rows)].tolist())) for one in suspects)
     return Solved(used, network, solution, residuals, tuple(rejected), suspects, critical)
@@ -117,9 +121,17 @@ def _unchecked(network: Network, keep: Mask) -> Mask:
     return np.asarray(gone[point])
 
 
-def _suspects(group: Group, found: Residuals, bound: float) -> tuple[Suspect, ...]:
+def _unit(solution: Solution, found: Residuals) -> float:
+    """Return the standard deviation of unit weight that w counts in, at least 1, the worst length left out."""
+    worst = float((found.normalised**2).max(initial=0.0))
+    if solution.dof < 2:
+        return 1.0
+    return max(1.0, float(np.sqrt(max(solution.cost - worst, 0.0) / (solution.dof - 1))))
+
+
+def _suspects(group: Group, found: Residuals, bound: float, unit: float) -> tuple[Suspect, ...]:
     """Return the worst length of each point that has one beyond the bound, the largest first."""
-    w, point = np.abs(found.normalised[0]), group.observations.index[t.POINT]
+    w, point = np.abs(found.normalised[0]) / unit, group.observations.index[t.POINT]
     keys = group.observations.keys
     suspects = []
     for i in np.unique(point[w > bound]):
@@ -133,6 +145,9 @@ def _suspects(group: Group, found: Residuals, bound: float) -> tuple[Suspect, ..
                 keys["point"][worst],
                 keys["tracer"][worst] if told else "",
                 float(tests.max()),
+                tuple(
+                    keys["tracer"][row] for row in rows[alike | (tests**2 > tests.max() ** 2 - _ODDS)] if row != worst
+                ),
                 (worst,) if told else tuple(rows[alike].tolist()),
             )
         )
