@@ -101,7 +101,7 @@ def _adjusted(network: Network, state: Mapping[str, Block], out: dict[int, Rejec
     rejected = [*out.values(), *(Rejected(int(row), float("nan"), "point") for row in np.flatnonzero(lost))]
     group = next(group for group in solution.groups if group.name == LENGTHS)
     residuals, critical = residuals_of(solution, group), critical_value(group.observations.count)
-    suspects = _suspects(group, residuals, critical, _unit(solution, residuals))
+    suspects = _suspects(group, _tests(solution, residuals), critical)
     rows = np.flatnonzero(keep)
     suspects = tuple(replace(one, rows=tuple(rows[list(one.rows)].tolist())) for one in suspects)
     return Solved(used, network, solution, residuals, tuple(rejected), suspects, critical)
@@ -121,17 +121,19 @@ def _unchecked(network: Network, keep: Mask) -> Mask:
     return np.asarray(gone[point])
 
 
-def _unit(solution: Solution, found: Residuals) -> float:
-    """Return the standard deviation of unit weight that w counts in, at least 1, the worst length left out."""
-    worst = float((found.normalised**2).max(initial=0.0))
-    if solution.dof < 2:
-        return 1.0
-    return max(1.0, float(np.sqrt(max(solution.cost - worst, 0.0) / (solution.dof - 1))))
+def _tests(solution: Solution, found: Residuals) -> Array:
+    """Return |w| (n,) in units of sigma0 where that is above 1; the largest in units of that of all the others."""
+    w = np.abs(found.normalised[0])
+    units = np.full(len(w), max(1.0, np.nan_to_num(solution.sigma0, nan=1.0)))
+    if solution.dof > 1 and len(w):
+        worst = w >= (1 - _EQUAL) * w.max()
+        units[worst] = max(1.0, np.sqrt(max(solution.cost - w.max() ** 2, 0.0) / (solution.dof - 1)))
+    return np.asarray(w / units)
 
 
-def _suspects(group: Group, found: Residuals, bound: float, unit: float) -> tuple[Suspect, ...]:
+def _suspects(group: Group, w: Array, bound: float) -> tuple[Suspect, ...]:
     """Return the worst length of each point that has one beyond the bound, the largest first."""
-    w, point = np.abs(found.normalised[0]) / unit, group.observations.index[t.POINT]
+    point = group.observations.index[t.POINT]
     keys = group.observations.keys
     suspects = []
     for i in np.unique(point[w > bound]):
