@@ -14,6 +14,7 @@ COMMANDS = {
     "check": "validate a job or project without computing",
     "simulate": "the measurement that a job's model predicts",
     "show": "a result on the terminal",
+    "export": "a result in another format: CSV",
     "schema": "JSON schema of a job, for editors",
 }
 """The commands that are not kinds of job; each is the module of its name in this package."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 
 import click
@@ -12,9 +13,12 @@ from metrocli.cli import options
 @click.command("show", help="A result on the terminal.")
 @click.argument("result", type=click.Path(path_type=Path), metavar="RESULT.h5")
 @click.option("--table", "name", metavar="NAME", help="Print one table, whole, as CSV.")
+@click.option(
+    "--distance", nargs=2, metavar="POINT POINT", help="Print the distance of two points with its uncertainty."
+)
 @options.JSON
-def command(result: Path, name: str | None, as_json: bool) -> int:
-    """Print a result as its job did, or one of its tables."""
+def command(result: Path, name: str | None, distance: tuple[str, str] | None, as_json: bool) -> int:
+    """Print a result as its job did, one of its tables, or the distance of two of its points."""
     from metrocli.cli import summary, terminal
     from metrocli.errors import UsageError
     from metrocli.formats import csv, hdf5
@@ -26,6 +30,12 @@ def command(result: Path, name: str | None, as_json: bool) -> int:
             raise UsageError(f"{result} has no table '{name}'; {suggestion(name, found.tables)}")
         table = found.tables[name]
         click.echo(summary.json_of_table(table) if as_json else csv.to_text(table), nl=as_json)
+        return 0
+    if distance is not None:
+        from metrocli.tasks.network_distance import distance as between
+
+        estimate = between(found, *distance)
+        click.echo(summary.as_json(asdict(estimate)) if as_json else terminal.estimates_text((estimate,)))
         return 0
     if as_json:
         click.echo(summary.json_of(found, record, result))

@@ -23,7 +23,7 @@ _FIRST = ("observations", "unknowns", "dof", "sigma0", "chi2", "p_value", "itera
 def result_text(result: Result, record: Record, path: Path) -> str:
     """Return the whole summary of a result."""
     parts = [f"{result.kind}{f': {result.title}' if result.title else ''}"]
-    parts += [columns_text(_estimate_rows(result.estimates))] if result.estimates else []
+    parts += [estimates_text(result.estimates)] if result.estimates else []
     parts += [_statistics_line(result.statistics)]
     parts += result.notes
     parts += [_shown(result, entry) for entry in result.shown if entry.partition(":")[0] in result.tables]
@@ -45,8 +45,9 @@ def _verdict_line(verdict: Verdict) -> str:
     return f"required {verdict.name} {verdict.condition}: {outcome} ({value})"
 
 
-def _estimate_rows(estimates: Iterable[Estimate]) -> list[list[str]]:
-    return [_estimate_row(estimate) for estimate in estimates]
+def estimates_text(estimates: Iterable[Estimate]) -> str:
+    """Return a line for each estimate: name, value, standard uncertainty and unit."""
+    return columns_text([_estimate_row(estimate) for estimate in estimates])
 
 
 def _estimate_row(estimate: Estimate) -> list[str]:
@@ -82,19 +83,26 @@ def _shown(result: Result, entry: str) -> str:
 def table_text(table: Table) -> str:
     """Return a table in columns with units, its first rows only where it is long."""
     heads = [f"{name} [{table.units[name]}]" if table.units.get(name) else name for name in table]
-    columns = [_column_texts(table.columns[name][:MOST_ROWS].tolist()) for name in table]
+    columns = [_column_texts(table.columns[name][:MOST_ROWS].tolist(), _digits_of(table, name)) for name in table]
     rows = [list(row) for row in zip(*columns, strict=True)]
     more = [f"... {len(table) - MOST_ROWS} more rows (show --table prints all)"] if len(table) > MOST_ROWS else []
     return "\n".join([columns_text([heads, *rows]), *more])
 
 
-def _column_texts(values: Sequence[Any]) -> list[str]:
-    """Return a column as text, all its numbers to the digits that the largest needs for five."""
+def _digits_of(table: Table, name: str) -> int | None:
+    """Return the decimals to the second digit of the least standard uncertainty beside a column; None without one."""
+    beside = next((column for column in (f"s{name}", f"s_{name}") if column in table), None)
+    stds = [std for std in table.numbers(beside).tolist() if std > 0] if beside else []
+    return max(1 - math.floor(math.log10(min(stds))), 0) if stds else None
+
+
+def _column_texts(values: Sequence[Any], decimals: int | None = None) -> list[str]:
+    """Return a column as text, all its numbers to `decimals`, or to those that the largest needs for five digits."""
     numbers = [abs(value) for value in values if isinstance(value, float) and math.isfinite(value)]
     largest = max(numbers, default=0.0)
     whole = all(number == round(number) for number in numbers)
     digits = 0 if whole else min(max(4 - math.floor(math.log10(largest)), 0), 12)
-    return [_cell(value, digits) for value in values]
+    return [_cell(value, digits if decimals is None else decimals) for value in values]
 
 
 def _cell(value: Any, digits: int) -> str:

@@ -10,21 +10,32 @@ Array = npt.NDArray[np.float64]
 _STEPS = 60
 _FLAT = 1e-4
 """Points thinner than this share of their extent are taken as one plane"""
+_AS_GOOD, _ROUNDING = 1.5, 1e-9
+"""A place fits as well as the best where its misfit is not larger by more than this"""
 
 
-def start(points: Array, lengths: Array, absolute: bool = False) -> Array:
+def start(points: Array, lengths: Array, absolute: bool = False, near: Array | None = None) -> Array:
     """Return (x0, y0, z0, dead path) of one tracer from lengths (n,) to points (n, 3); nan where they do not tell.
 
     Squaring `l + l0 = |x - x0|` gives `|x|^2 - l^2 = 2 x.x0 + 2 l l0 - (|x0|^2 - l0^2)`, linear in five unknowns;
-    points in one plane leave two mirrored places, of which both are refined and the better is taken. Gauss-Newton
-    steps follow.
+    points in one plane leave two mirrored places. All are refined by Gauss-Newton steps, and so is the place `near`
+    which the tracer is said to be; of those that fit as well as the best, the nearest to it is taken.
     """
     centre = points.mean(axis=0)
     local = points - centre
     scale = float(np.abs(local).max()) or 1.0
     local, reading = local / scale, lengths / scale
-    candidates = [_refined(local, reading, guess, absolute) for guess in _guesses(local, reading, absolute)]
-    best = min(candidates, key=lambda found: found[1], default=(np.full(4, np.nan), np.inf))[0]
+    guesses = _guesses(local, reading, absolute)
+    said = None if near is None else (near - centre) / scale
+    if said is not None:
+        dead = 0.0 if absolute else float(np.median(np.linalg.norm(local - said, axis=1) - reading))
+        guesses.append(np.array([*said, dead]))
+    candidates = [_refined(local, reading, guess, absolute) for guess in guesses]
+    if not candidates:
+        return np.full(4, np.nan)
+    least = min(misfit for _, misfit in candidates)
+    good = [state for state, misfit in candidates if misfit <= _AS_GOOD * least + _ROUNDING]
+    best = good[0] if said is None else min(good, key=lambda state: float(np.linalg.norm(state[:3] - said)))
     return np.concatenate([best[:3] * scale + centre, best[3:] * scale])
 
 
@@ -56,7 +67,7 @@ def _refined(local: Array, reading: Array, guess: Array, absolute: bool) -> tupl
         normal = jacobian.T @ jacobian
         normal[np.diag_indices_from(normal)] += damping * np.diag(normal) + 1e-15
         step = np.zeros(4)
-        step[: jacobian.shape[1]] = np.linalg.solve(normal, jacobian.T @ residual)
+        step[: jacobian.shape[1]] = np.linalg.lstsq(normal, jacobian.T @ residual, rcond=None)[0]
         moved, by = _residual(local, reading, state + step, absolute)
         if moved @ moved <= residual @ residual:
             state, residual, jacobian, damping = state + step, moved, by, damping / 10

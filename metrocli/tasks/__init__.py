@@ -26,6 +26,7 @@ KINDS: dict[str, Kind] = {
         {"compare": "Fit each lens model and print what it would gain, without writing a result."},
     ),
     "align-part": Kind("metrocli.tasks.align_part", "part location and orientation in the machine (6D/7D)"),
+    "multilaterate": Kind("metrocli.tasks.multilaterate", "reflector positions from length changes of 4+ tracers"),
 }
 
 

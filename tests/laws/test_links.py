@@ -15,10 +15,11 @@ from metrocli.adjust.groups import Group, ReadBlock, ReadBlocks
 from metrocli.adjust.observations import Observations
 from metrocli.adjust.quantities import Quantity
 from metrocli.geometry import poses
-from metrocli.instruments import frames, lens, spindle_camera
+from metrocli.instruments import frames, lens, spindle_camera, tracer
 from metrocli.instruments.frames import DistanceBetween, Into, OutOf, PointOf
 from metrocli.instruments.lens import PARAMETERS, Lens, LensBackward
 from metrocli.instruments.spindle_camera import Coupling
+from metrocli.instruments.tracer import LengthFrom
 
 N = 9
 ON_TARGETS, IN_CAMERA = Quantity.POINT_ON_TARGETS, Quantity.POINT_IN_CAMERA
@@ -29,6 +30,7 @@ COEFFICIENTS = {"k1": -0.2, "k2": 0.11, "k3": -0.03, "p1": 2e-3, "p2": -1e-3}
 RATIONAL = {"k4": 0.05, "k5": -0.04, "k6": 0.02}
 PRISM = {"s1": 3e-3, "s2": -2e-3, "s3": 1e-3, "s4": 4e-3}
 CENTRE = {"cx": 1200.0, "cy": 890.0}
+TRACERS = np.array([[-900.0, 40.0, 300.0, 0.3, 1.0], [800.0, -500.0, 100.0, -200.0, 1.02], [400.0, 900.0, 2e3, 10.0, 0.98]])
 ONE_F, TWO_F = {"f": 2500.0}, {"fx": 2510.0, "fy": 2490.0}
 ALL = {**ONE_F, "aspect": 0.02, **CENTRE, "skew": 0.01, **COEFFICIENTS, **RATIONAL, **PRISM}
 
@@ -91,6 +93,7 @@ CASES: dict[str, Case] = {
     "Into": Case(Into("pose", ON_TARGETS, IN_CAMERA), (pose_block("pose", 4),)),
     "Into, one": Case(Into("pose", ON_TARGETS, IN_CAMERA), (pose_block("pose", 1),)),
     "DistanceBetween": Case(DistanceBetween("points"), (point_block(5),), touched=2),
+    "LengthFrom": Case(LengthFrom(), (Block("tracer", TRACERS, tracer.COLUMNS, tuple("abc")),)),
     "Coupling": Case(Coupling("coupling"), (Block("coupling", np.array([[0.4]]), ("gamma_s",)),)),
     "Coupling, several": Case(Coupling("coupling"), (Block("coupling", np.array([[0.4], [-0.2]]), ("gamma_s",), ("a", "b")),)),
     "ReadBlock": Case(reading(point_block(5), (0, 2)), (point_block(5),)),
@@ -133,7 +136,7 @@ def close(found: Array, expected: Array, scale: float) -> bool:
 
 
 def test_the_table_has_every_link() -> None:
-    modules = (frames, lens, spindle_camera, groups)
+    modules = (frames, lens, spindle_camera, groups, tracer)
     classes = {c.__name__ for module in modules for c in vars(module).values() if isinstance(c, type) and hasattr(c, "step") and hasattr(c, "gives") and c is not Link}
     assert classes | {"Coupling"} <= {type(case.link).__name__ for case in CASES.values()} | {"PointOf"}
     assert {name for case in CASES.values() for block in case.blocks if block.name == "lens" for name in block.columns} == set(PARAMETERS)

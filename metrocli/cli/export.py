@@ -1,0 +1,35 @@
+"""metrocli export: a result in the formats of others."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from metrocli.cli import options
+from metrocli.exports import FORMATS
+
+
+@click.command("export", help="Write a result in another format, and print the paths.")
+@click.argument("result", type=click.Path(path_type=Path), metavar="RESULT.h5")
+@click.option("--to", "form", required=True, type=click.Choice(list(FORMATS)), help="The format.")
+@click.option(
+    "--out", type=click.Path(path_type=Path), metavar="DIR", help="Folder to write; beside the result unless given."
+)
+@options.QUIET
+def command(result: Path, form: str, out: Path | None, quiet: bool) -> int:
+    """Write what a format makes of a result: NAME in the folder given, else RESULT.NAME beside the result."""
+    from metrocli.exports import export
+    from metrocli.formats import aside, csv, hdf5
+    from metrocli.table import Table
+
+    found, _ = hdf5.read(result)
+    for name, content in export(form, found).items():
+        path = out / name if out is not None else result.with_name(f"{result.stem}.{name}")
+        if isinstance(content, Table):
+            csv.write(path, content)
+        else:
+            with aside.written_aside(path) as temporary:
+                temporary.write_text(content, encoding="utf-8", newline="\n")
+        options.Voice(quiet).line(str(path))
+    return 0

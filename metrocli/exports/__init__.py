@@ -1,0 +1,34 @@
+"""Results in the formats of others. A format is one module here and one line in the table."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from metrocli.result import Result
+    from metrocli.table import Table
+
+Exported = Mapping[str, "Table | str"]
+"""By file name: a table, to be written as CSV, or the text of the file"""
+
+
+@dataclass(frozen=True)
+class Format:
+    """What the command line knows of a format without importing its module."""
+
+    module: str
+    summary: str
+
+
+FORMATS: dict[str, Format] = {
+    "csv": Format("metrocli.exports.csv_tables", "each table of the result, its units in the header"),
+}
+
+
+def export(name: str, result: Result) -> Exported:
+    """Return the files of a result in a format; raises InputError where the result has nothing for it."""
+    files: Callable[[Result], Exported] = import_module(FORMATS[name].module).files
+    return files(result)

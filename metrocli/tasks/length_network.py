@@ -1,0 +1,207 @@
+"""The adjustment of a network of lengths, from readings to blocks and groups with starting values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from metrocli.adjust.blocks import Array, Block
+from metrocli.adjust.chain import Chain
+from metrocli.adjust.datum import Datum
+from metrocli.adjust.groups import Group, prior
+from metrocli.adjust.noise import Noise
+from metrocli.adjust.observations import Index, Mask, Observations
+from metrocli.errors import Fault, InputError
+from metrocli.instruments import tracer as t
+from metrocli.instruments.frames import DistanceBetween
+from metrocli.table import Table
+from metrocli.tasks.length_readings import Readings, join, matched
+from metrocli.tasks.sightings import listed
+from metrocli.tasks.tracer_places import places_of
+
+LENGTHS, DISTANCES = "lengths", "distances"
+"""Names of the groups: lengths from tracers, and calibrated distances between points"""
+
+
+class NoiseSettings(Protocol):
+    """Standard deviation of a length."""
+
+    @property
+    def constant(self) -> float:
+        """a [mm]"""
+
+    @property
+    def proportional(self) -> float:
+        """b"""
+
+
+class ScaleSettings(Protocol):
+    """What is known of the scales."""
+
+    @property
+    def uncertainty(self) -> float:
+        """Standard uncertainty of each"""
+
+
+class NetworkSettings(Protocol):
+    """The settings that the network needs."""
+
+    @property
+    def noise(self) -> NoiseSettings:
+        """Standard deviation of a length"""
+
+    @property
+    def measures(self) -> str:
+        """changes or absolute"""
+
+    @property
+    def scale(self) -> ScaleSettings | None:
+        """None: scales are 1"""
+
+    @property
+    def datum(self) -> str | None:
+        """inner-constraints, points, or None"""
+
+
+@dataclass(frozen=True)
+class Network:
+    """A network of lengths ready to adjust."""
+
+    blocks: Mapping[str, Block]
+    lengths: Group
+    others: tuple[Group, ...]
+    datum: Datum | None
+    noise: Noise
+    nominal: Array
+    """The mover's readings of the points (points, 3)"""
+    absolute: bool
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def seen(self) -> Index:
+        """Number of lengths to each point."""
+        return np.bincount(self.lengths.observations.index[t.POINT], minlength=len(self.nominal))
+
+    @property
+    def unknown(self) -> Mask:
+        """Points of which nothing is known but the lengths."""
+        held = np.zeros(len(self.nominal), dtype=bool)
+        for group in self.others:
+            if t.POINT in group.observations.index:
+                held[group.observations.index[t.POINT].ravel()] = True
+        return self.blocks[t.POINT].free.all(axis=1) & ~held
+
+    def only(self, keep: Mask) -> Network:
+        """Return the network with some of its lengths; points without any are no unknowns any more."""
+        lengths = self.lengths.selected(keep)
+        left = np.bincount(lengths.observations.index[t.POINT], minlength=len(self.nominal)) > 0
+        points = self.blocks[t.POINT]
+        fewer = replace(points, free=points.free & left[:, None])
+        others = tuple(_without(group, left) for group in self.others)
+        datum = None if self.datum is None else replace(self.datum, members=self.datum.members * left)
+        return replace(self, lengths=lengths, blocks={**self.blocks, t.POINT: fewer}, others=others, datum=datum)
+
+
+def _without(group: Group, left: Mask) -> Group:
+    index = group.observations.index.get(t.POINT)
+    return group if index is None else group.selected(np.asarray(left[np.atleast_2d(index)].all(axis=0)))
+
+
+def build(
+    settings: NetworkSettings, lengths: Table, points: Table, tracers: Table | None, distances: Table | None
+) -> Network:
+    """Return the adjustment with its starting values."""
+    readings = join(lengths, points, tracers, settings.measures == "absolute")
+    names, sigma = points.texts("point"), readings.point_sigma
+    free = (sigma != 0) & (readings.seen > 0)[:, None]
+    point_block = t.point_block(readings.nominal, names, free, readings.extent)
+    tracer_block = _tracers(settings, readings)
+    observations = Observations(
+        readings.length[None],
+        np.array(settings.noise.constant),
+        {t.POINT: readings.point, t.TRACER: readings.station},
+        keys={"point": tuple(lengths.texts("point")), "tracer": tuple(lengths.texts("tracer"))},
+        conditions={name: lengths.numbers(name) for name in ("t", "temp") if name in lengths},
+        components=("length",),
+        unit="mm",
+    )
+    noise = _path_noise(settings.noise)
+    blocks = {t.POINT: point_block, t.TRACER: tracer_block}
+    group = Group(LENGTHS, t.chain(), observations)
+    group = group.with_observations(replace(observations, sigma=noise(group, blocks)))
+    tracer_sigma = np.column_stack([readings.tracer_sigma, np.full((len(readings.stations), 2), np.nan)])
+    others = (
+        *_known(point_block, sigma, free),
+        *_known(tracer_block, tracer_sigma, tracer_block.free),
+        *_scales(settings, tracer_block),
+        *_distances(distances, names, readings.seen),
+    )
+    inner = settings.datum != "points" and bool(tracer_block.free[:, :3].any()) and bool(free.any())
+    datum = t.datum(point_block, free.all(axis=1).astype(float)) if inner else None
+    absolute = settings.measures == "absolute"
+    return Network(blocks, group, others, datum, noise, readings.nominal, absolute, _unused(readings))
+
+
+def _unused(readings: Readings) -> tuple[str, ...]:
+    """Return warnings of points without a length and of tracers that read nothing."""
+    unseen = [name for name, n in zip(readings.names, readings.seen, strict=True) if n == 0]
+    warnings = (f"{len(unseen)} points have no length: {listed(unseen)}",) if unseen else ()
+    return warnings + ((f"tracers that read nothing are left out: {listed(readings.idle)}",) if readings.idle else ())
+
+
+def _tracers(settings: NetworkSettings, readings: Readings) -> Block:
+    """Return the tracers where the data say they stand."""
+    free = np.ones((len(readings.stations), 5), dtype=bool)
+    free[:, :3] = readings.tracer_sigma != 0
+    free[:, 3] = settings.measures != "absolute"
+    free[:, 4] = settings.scale is not None
+    return t.tracer_block(places_of(readings), readings.stations, free, readings.extent)
+
+
+def _known(block: Block, sigma: Array, free: Mask) -> list[Group]:
+    """Return what is known of places beforehand, as observations of their own."""
+    if len(sigma) == 0:
+        return []
+    known = free & np.isfinite(sigma) & (sigma > 0)
+    groups = []
+    for pattern in np.unique(known, axis=0):
+        axes = tuple(int(i) for i in np.flatnonzero(pattern))
+        members = np.flatnonzero((known == pattern).all(axis=1))
+        if axes and members.size:
+            groups.append(prior(block, members, sigma[members][:, list(axes)], columns=axes))
+    return groups
+
+
+def _scales(settings: NetworkSettings, block: Block) -> list[Group]:
+    if settings.scale is None:
+        return []
+    members = np.arange(len(block.members))
+    return [prior(block, members, np.full((len(members), 1), settings.scale.uncertainty), columns=(4,))]
+
+
+def _distances(table: Table | None, names: Sequence[str], seen: Index) -> list[Group]:
+    if table is None:
+        return []
+    ends = np.stack([matched(table, column, names, "the points") for column in ("from", "to")])
+    unseen = np.flatnonzero((seen[ends] == 0).any(axis=0))
+    if unseen.size:
+        text = "a distance to a point that no tracer reads"
+        raise InputError([Fault(text, table.file, table.lines[i] if table.lines else None) for i in unseen])
+    observations = Observations(
+        table.numbers("length")[None], table.numbers("sigma")[None], {t.POINT: ends}, components=("length",), unit="mm"
+    )
+    return [Group(DISTANCES, Chain((DistanceBetween(t.POINT),)), observations)]
+
+
+def _path_noise(settings: NoiseSettings) -> Noise:
+    """Return `sigma = sqrt(a^2 + b^2 (l + l0)^2)` with the adjusted dead paths."""
+
+    def sigma(group: Group, blocks: Mapping[str, Block]) -> Array:
+        observations = group.observations
+        path = observations.readings[0] + blocks[t.TRACER].values[observations.index[t.TRACER], 3]
+        return np.asarray(np.sqrt(settings.constant**2 + (settings.proportional * path) ** 2)[None])
+
+    return sigma

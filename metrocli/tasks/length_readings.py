@@ -1,0 +1,130 @@
+"""Readings of tracers joined to their points and tracers, with what the files say is known of these."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrocli.adjust.blocks import Array
+from metrocli.adjust.observations import Index
+from metrocli.errors import Fault, InputError
+from metrocli.table import Table
+
+_MOST = 20
+"""Faults of one kind that are told"""
+
+
+@dataclass(frozen=True)
+class Readings:
+    """Lengths with their places in the lists of points and tracers."""
+
+    names: tuple[str, ...]
+    stations: tuple[str, ...]
+    """Tracers that read something"""
+    idle: tuple[str, ...]
+    """Tracers of the list that read nothing"""
+    length: Array
+    point: Index
+    station: Index
+    nominal: Array
+    """(points, 3)"""
+    said: Array
+    """Where the tracers are said to be, (tracers, 3), nan where nothing is said"""
+    point_sigma: Array
+    """(points, 3), nan where nothing is known"""
+    tracer_sigma: Array
+    """(tracers, 3)"""
+    absolute: bool
+    file: str = ""
+
+    @property
+    def seen(self) -> Index:
+        """Number of lengths to each point."""
+        return np.bincount(self.point, minlength=len(self.names))
+
+    @property
+    def extent(self) -> float:
+        """Largest side of the box around the points that are read."""
+        return float(np.ptp(self.nominal[self.seen > 0], axis=0).max()) or 1.0
+
+
+def join(lengths: Table, points: Table, tracers: Table | None, absolute: bool) -> Readings:
+    """Match lengths to points and tracers; InputError for every length that has none, and for impossible readings."""
+    if len(lengths) == 0:
+        raise InputError([Fault("the file has no lengths", lengths.file)])
+    used = sorted(set(lengths.texts("tracer")))
+    listed = used if tracers is None else tracers.texts("tracer")
+    stations = [name for name in listed if name in set(used)]
+    names = points.texts("point")
+    point = matched(lengths, "point", names, points.file or "the list of points")
+    station = matched(lengths, "tracer", stations, tracers.file if tracers is not None else "")
+    if tracers is None:
+        said = sigma = np.full((len(stations), 3), np.nan)
+    else:
+        rows = [listed.index(name) for name in stations]
+        said, sigma = tracers.stacked("xyz")[rows], sigmas(tracers)[rows]
+        _refuse_negative_paths(lengths, station, tracers, rows)
+    _refuse_readings(lengths, absolute)
+    return Readings(
+        tuple(names),
+        tuple(stations),
+        tuple(name for name in listed if name not in set(used)),
+        lengths.numbers("length"),
+        point,
+        station,
+        points.stacked("xyz"),
+        said,
+        sigmas(points),
+        sigma,
+        absolute,
+        lengths.file,
+    )
+
+
+def matched(table: Table, column: str, names: Sequence[str], where: str) -> Index:
+    """Return for each row the place of its name in `names`; InputError for every name that is not there."""
+    place = {name: i for i, name in enumerate(names)}
+    different, which = np.unique(np.asarray(table.columns[column], dtype=str), return_inverse=True)
+    found = np.array([place.get(str(name), -1) for name in different], dtype=np.intp)[which]
+    strange = np.flatnonzero(found < 0)
+    if strange.size:
+        values = table.texts(column)
+        raise InputError(
+            [_fault(table, row, f"{column} '{values[row]}' is not in {where}") for row in strange[:_MOST].tolist()]
+        )
+    return found
+
+
+def sigmas(table: Table) -> Array:
+    """Return standard deviations of places (rows, 3): 0 exact, nan unknown; InputError where one is negative."""
+    common = table.numbers("sigma", float("nan"))
+    sigma = np.stack([table.numbers(f"sigma_{axis}") if f"sigma_{axis}" in table else common for axis in "xyz"], axis=1)
+    negative = np.flatnonzero((sigma < 0).any(axis=1))
+    if negative.size:
+        raise InputError([_fault(table, row, "a standard deviation is negative") for row in negative.tolist()])
+    return sigma
+
+
+def _refuse_readings(lengths: Table, absolute: bool) -> None:
+    values = lengths.numbers("length")
+    if absolute and (values <= 0).any():
+        rows = np.flatnonzero(values <= 0)[:_MOST].tolist()
+        raise InputError([_fault(lengths, row, "an absolute distance is not above zero") for row in rows])
+    if len(values) > 1 and np.ptp(values) == 0:
+        raise InputError([Fault("all lengths are equal", lengths.file, hint="is this the right column?")])
+
+
+def _refuse_negative_paths(lengths: Table, station: Index, tracers: Table, rows: Sequence[int]) -> None:
+    """Raise InputError where a length and the dead path that is given for its tracer make no path."""
+    dead = tracers.numbers("dead_path", float("nan"))[list(rows)][station]
+    path = lengths.numbers("length") + dead
+    bad = np.flatnonzero(path <= 0)
+    if bad.size:
+        text = "length and dead path together make a path of {:g} mm, which is not above zero"
+        raise InputError([_fault(lengths, row, text.format(path[row])) for row in bad[:_MOST].tolist()])
+
+
+def _fault(table: Table, row: int, text: str) -> Fault:
+    return Fault(text, table.file, table.lines[row] if table.lines else None)

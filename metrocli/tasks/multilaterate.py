@@ -1,0 +1,143 @@
+"""multilaterate: reflector positions from the lengths of four or more tracking interferometers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from metrocli.errors import InputError
+from metrocli.result import Result
+from metrocli.settings import Choice, Quantity, Section, TableFile, setting
+from metrocli.simulation import Simulation, SimulationOptions
+from metrocli.table import TEXT, Column, Columns, Table
+from metrocli.tasks.length_network import build
+from metrocli.tasks.length_simulation import simulated
+from metrocli.tasks.network_report import KIND, report
+from metrocli.tasks.network_solve import solve
+
+SIMULATED = ("lengths",)
+SUMMARY = "reflector positions from length changes of 4+ tracers"
+_SIGMAS = tuple(
+    Column(name, "length", required=False, may_be_empty=True) for name in ("sigma", "sigma_x", "sigma_y", "sigma_z")
+)
+_PLACE = tuple(Column(axis, "length") for axis in "xyz")
+LENGTHS = Columns(
+    (
+        Column("point", TEXT),
+        Column("tracer", TEXT),
+        Column("length", "length"),
+        Column("t", "time", required=False),
+        Column("temp", "temperature", required=False),
+    ),
+    ("point", "tracer"),
+    "lengths read by the tracers",
+)
+POINTS = Columns((Column("point", TEXT), *_PLACE, *_SIGMAS), ("point",), "approximate points: the mover's readings")
+TRACERS = Columns(
+    (Column("tracer", TEXT), *_PLACE, Column("dead_path", "length", required=False, may_be_empty=True), *_SIGMAS),
+    ("tracer",),
+    "approximate places of the tracers",
+)
+PROBING = Columns(
+    (Column("feature", TEXT), Column("point", TEXT, may_be_empty=True), *_PLACE),
+    (),
+    "the mover's readings on the workpiece",
+)
+DISTANCES = Columns(
+    (Column("from", TEXT), Column("to", TEXT), Column("length", "length"), Column("sigma", "length")),
+    ("from", "to"),
+    "calibrated distances between points",
+)
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What the tracers read, and where the mover says the points are."""
+
+    lengths: Path = setting(TableFile(LENGTHS), "lengths read by the tracers")
+    points: Path = setting(TableFile(POINTS), "approximate points: the mover's readings")
+    tracers: Path | None = setting(TableFile(TRACERS), "approximate places of the tracers", default=None)
+    probing: Path | None = setting(TableFile(PROBING), "the mover's readings on the workpiece", default=None)
+    distances: Path | None = setting(TableFile(DISTANCES), "calibrated distances between points", default=None)
+
+
+@dataclass(frozen=True)
+class LengthNoise:
+    """Standard deviation of a length, `sqrt(a^2 + b^2 (l + l0)^2)` (Härtig et al., weights of eq. 2)."""
+
+    constant: float = setting(Quantity("length", positive=True), "a: the part that does not depend on the length")
+    proportional: float = setting(Quantity("ratio", minimum=0.0), "b: the part proportional to the path", default=0.0)
+
+
+@dataclass(frozen=True)
+class Scale:
+    """What is known of the tracers' scales."""
+
+    uncertainty: float = setting(
+        Quantity("ratio", positive=True), "standard uncertainty of each tracer's scale about 1 (eq. 4)"
+    )
+
+
+@dataclass(frozen=True)
+class LengthSimulation:
+    """The truth that `metrocli simulate` starts from, with the tracers where their list says."""
+
+    mover_error: float = setting(
+        Quantity("length", minimum=0.0), "standard deviation of the mover's readings", default=0.0
+    )
+    mover_scale: float = setting(Quantity("ratio"), "how much too long the mover reads distances", default=0.0)
+    tracer_error: float = setting(
+        Quantity("length", minimum=0.0), "standard deviation of the places that are written", default=0.0
+    )
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Find reflector positions from lengths, with the tracers' places, dead paths and scales (multilateration)."""
+
+    inputs: Inputs = setting(Section(Inputs), "the files of the job")
+    noise: LengthNoise = setting(Section(LengthNoise), "standard deviation of a length")
+    measures: str = setting(
+        Choice("changes", "absolute"), "interferometer (dead paths unknown) or absolute distance", default="changes"
+    )
+    scale: Scale | None = setting(Section(Scale), "estimate the tracers' scales; fixed at 1 without it", default=None)
+    datum: str | None = setting(
+        Choice("inner-constraints", "points"), "what fixes the frame; by the points' sigma unless given", default=None
+    )
+    outliers: str = setting(Choice("report", "remove"), "name outliers, or leave them out", default="report")
+    tolerance: float = setting(
+        Quantity("length", positive=True), "how near a probing point must be to its replayed point", default=1.0
+    )
+    simulation: LengthSimulation | None = setting(
+        Section(LengthSimulation), "the truth for `metrocli simulate`", default=None
+    )
+
+
+def run(
+    settings: Settings,
+    lengths: Table,
+    points: Table,
+    tracers: Table | None = None,
+    probing: Table | None = None,
+    distances: Table | None = None,
+) -> Result:
+    """Find the points; raises InputError, UndeterminedError or NotConvergedError."""
+    solved = solve(build(settings, lengths, points, tracers, distances), settings.outliers == "remove")
+    return report(solved, probing, settings.tolerance)
+
+
+def simulate(
+    settings: Settings, options: SimulationOptions, points: Table, tracers: Table | None = None, **_: object
+) -> Simulation:
+    """Return the lengths of a measurement with the mover and tracers of `simulation:`."""
+    if settings.simulation is None or tracers is None:
+        raise InputError(
+            "simulate needs the truth: the tracers' places in `inputs: tracers`, "
+            "and `simulation: {mover_error: 5 um, mover_scale: -25 um/m, tracer_error: 5 mm}`"
+        )
+    return simulated(settings, settings.simulation, points, tracers, np.random.default_rng(options.seed))
+
+
+__all__ = ["KIND", "SIMULATED", "SUMMARY", "Inputs", "Settings", "run", "simulate"]

@@ -1,0 +1,171 @@
+"""Solving a network of lengths: weights from the adjusted paths, gross errors held off, named or left out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from metrocli.adjust.adjustment import covariance_at
+from metrocli.adjust.blocks import Array, Block
+from metrocli.adjust.groups import Group
+from metrocli.adjust.noise import adjust_with_noise
+from metrocli.adjust.observations import Mask
+from metrocli.adjust.outcome import Outcome
+from metrocli.adjust.robust import critical_value, robust_start
+from metrocli.adjust.solution import Residuals, Solution, residuals_of
+from metrocli.errors import NotConvergedError, UndeterminedError
+from metrocli.instruments import tracer as t
+from metrocli.tasks.layout_faults import TOO_WEAK, explained, weakness
+from metrocli.tasks.length_blunders import CHECKED, Rejected, far_off
+from metrocli.tasks.length_network import LENGTHS, Network
+
+_EQUAL = 1e-4
+"""Tests of a point that differ by less than this share are the same test"""
+_ODDS = 4.0
+"""Tests whose squares differ by less leave odds below e^2 = 7 to 1 between two lengths"""
+_INNOCENT = 3.0
+"""A length left out at the start comes back if it misses by less than this many standard deviations"""
+_ROUNDS = 30
+_SMALL_ENOUGH = 1000
+"""Networks of up to so many points are looked at before they are adjusted"""
+
+
+@dataclass(frozen=True)
+class Suspect:
+    """A length that is wrong, or a point of which one length is and none can be told."""
+
+    point: str
+    tracer: str
+    """Empty where it cannot be told"""
+    test: float
+    """|w|"""
+    others: tuple[str, ...]
+    """Tracers whose length explains the point nearly as well"""
+    rows: tuple[int, ...]
+    """The lengths that it could be"""
+
+
+@dataclass(frozen=True)
+class Solved:
+    """An adjusted network with what was left out on the way."""
+
+    network: Network
+    """Of the lengths that were used"""
+    whole: Network
+    solution: Solution
+    residuals: Residuals
+    rejected: tuple[Rejected, ...]
+    suspects: tuple[Suspect, ...]
+    critical: float
+
+    @property
+    def group(self) -> Group:
+        """The lengths that were used, with the weights they were given."""
+        return next(group for group in self.solution.groups if group.name == LENGTHS)
+
+
+def solve(network: Network, remove: bool) -> Solved:
+    """Adjust with a robust start; leave outliers out where `remove` says so.
+
+    Raises UndeterminedError where the layout cannot carry the answer, NotConvergedError where no solution was found.
+    """
+    groups = [network.lengths, *network.others]
+    state = robust_start(network.blocks.values(), groups, LENGTHS, network.datum)
+    if len(network.nominal) <= _SMALL_ENOUGH:
+        _must_carry(network, covariance_at(state.values(), groups, network.datum))
+    out = far_off(network, state) if remove else {}
+    back = bool(out)
+    for _ in range(_ROUNDS):
+        solved = _adjusted(network, state, out)
+        state = dict(solved.solution.blocks)
+        worst = _worst(solved) if remove else {}
+        if not (worst or back):
+            break
+        out, back = (out | worst, back) if worst else (_without_innocent(solved, out), False)
+    return solved
+
+
+def _adjusted(network: Network, state: Mapping[str, Block], out: dict[int, Rejected]) -> Solved:
+    keep = np.ones(network.lengths.observations.count, dtype=bool)
+    keep[list(out)] = False
+    lost = _unchecked(network, keep) & keep
+    keep &= ~lost
+    used = network.only(keep)
+    blocks = {name: replace(block, free=used.blocks[name].free) for name, block in state.items()}
+    solution = adjust_with_noise(blocks.values(), [used.lengths, *used.others], (LENGTHS, network.noise), used.datum)
+    _must_carry(used, solution)
+    if not solution.outcome.good:
+        raise NotConvergedError(f"{solution.outcome.value} ({solution.iterations} steps)")
+    rejected = [*out.values(), *(Rejected(int(row), float("nan"), "point") for row in np.flatnonzero(lost))]
+    group = next(group for group in solution.groups if group.name == LENGTHS)
+    residuals, critical = residuals_of(solution, group), critical_value(group.observations.count)
+    suspects = _suspects(group, _tests(solution, residuals), critical)
+    rows = np.flatnonzero(keep)
+    suspects = tuple(replace(one, rows=tuple(rows[list(one.rows)].tolist())) for one in suspects)
+    return Solved(used, network, solution, residuals, tuple(rejected), suspects, critical)
+
+
+def _must_carry(network: Network, solution: Solution) -> None:
+    failed = bool(solution.undetermined) or solution.outcome is Outcome.TOO_FEW
+    if failed or (solution.covariance is not None and weakness(network, solution) > TOO_WEAK):
+        raise UndeterminedError(explained(network, solution))
+
+
+def _unchecked(network: Network, keep: Mask) -> Mask:
+    """Return the lengths of points that lost some and have too few left to tell whether those are right, (n,)."""
+    point = network.lengths.observations.index[t.POINT]
+    left = np.bincount(point, keep, minlength=len(network.nominal))
+    gone = (left < network.seen) & (left < CHECKED) & network.unknown
+    return np.asarray(gone[point])
+
+
+def _tests(solution: Solution, found: Residuals) -> Array:
+    """Return |w| (n,) in units of sigma0 where that is above 1; the largest in units of that of all the others."""
+    w = np.abs(found.normalised[0])
+    units = np.full(len(w), max(1.0, np.nan_to_num(solution.sigma0, nan=1.0)))
+    if solution.dof > 1 and len(w):
+        worst = w >= (1 - _EQUAL) * w.max()
+        units[worst] = max(1.0, np.sqrt(max(solution.cost - w.max() ** 2, 0.0) / (solution.dof - 1)))
+    return np.asarray(w / units)
+
+
+def _suspects(group: Group, w: Array, bound: float) -> tuple[Suspect, ...]:
+    """Return the worst length of each point that has one beyond the bound, the largest first."""
+    point = group.observations.index[t.POINT]
+    keys = group.observations.keys
+    suspects = []
+    for i in np.unique(point[w > bound]):
+        rows = np.flatnonzero(point == i)
+        tests = w[rows]
+        worst = int(rows[np.argmax(tests)])
+        alike = tests >= (1 - _EQUAL) * tests.max()
+        told = alike.sum() == 1
+        suspects.append(
+            Suspect(
+                keys["point"][worst],
+                keys["tracer"][worst] if told else "",
+                float(tests.max()),
+                tuple(
+                    keys["tracer"][row] for row in rows[alike | (tests**2 > tests.max() ** 2 - _ODDS)] if row != worst
+                ),
+                (worst,) if told else tuple(rows[alike].tolist()),
+            )
+        )
+    return tuple(sorted(suspects, key=lambda one: -one.test))
+
+
+def _worst(solved: Solved) -> dict[int, Rejected]:
+    """Return the lengths to leave out next: the worst suspects, whose errors hide behind no larger ones."""
+    most = max((one.test for one in solved.suspects), default=0.0)
+    chosen = [one for one in solved.suspects if one.test >= most / 2]
+    return {row: Rejected(row, one.test, "outlier" if one.tracer else "alike") for one in chosen for row in one.rows}
+
+
+def _without_innocent(solved: Solved, out: dict[int, Rejected]) -> dict[int, Rejected]:
+    """Return what stays out: lengths left out at the start that fit the solution come back."""
+    observations = solved.whole.lengths.observations
+    miss: Array = solved.whole.lengths.residuals(solved.solution.blocks)[0] / observations.sigma[0]
+    alive = solved.network.seen[observations.index[t.POINT]] > 0
+    return {row: one for row, one in out.items() if not (alive[row] and abs(miss[row]) < _INNOCENT)}
