@@ -77,8 +77,9 @@ def _points() -> Any:
 
 
 def test_the_network_takes_few_seconds(found: Found) -> None:
-    # About 4 s alone (python -m benchmarks references); a dense solution would take minutes, a busy machine twice this.
-    assert found.cpu_s < 12
+    # 3 s of one thread alone (python -m benchmarks references prints it). This only guards against a dense solution,
+    # which takes minutes; several threads on a busy machine count four times over.
+    assert found.cpu_s < 40
 
 
 @pytest.mark.parametrize("name", PUBLISHED)
