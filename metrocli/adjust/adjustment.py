@@ -18,8 +18,8 @@ from metrocli.adjust.portions import Split, split
 from metrocli.adjust.rank import open_combinations
 from metrocli.adjust.solution import Solution
 
-_ROUNDING = 1e-13
-"""A fall of the sum of squares below this share of it is rounding."""
+_ROUNDING, _NOISE = 1e-13, 5e-13
+"""A fall, and a rise in the last step, of the sum of squares below this share of it is rounding."""
 _DAMPING_START, _DAMPING_END, _DAMPING_LIMIT = 1e-9, 1e-11, 1e8
 
 
@@ -123,7 +123,7 @@ class _Descent:
             last = fall <= small + _ROUNDING * self.cost
             found = None if last else self.problem.normals(moved)
             cost = found.cost if found else self.problem.cost(moved)
-            if cost <= self.cost or (last and cost <= self.cost * (1 + _ROUNDING) + small):
+            if cost <= self.cost or (last and cost <= self.cost * (1 + _NOISE) + small):
                 done = last and self.damping <= 1e-4
                 self.state, self.normals, self.cost, self.damping = moved, found, cost, _relaxed(self.damping)
                 return Outcome.CONVERGED if done else Outcome.ITERATION_LIMIT
@@ -188,7 +188,7 @@ def _moved(
         name: np.where(columns >= 0, step_r[np.maximum(columns, 0)], 0.0) for name, columns in layout.columns.items()
     }
     if layout.eliminated:
-        steps[layout.eliminated] = np.where(state[layout.eliminated].free, step_e, 0.0)
+        steps[layout.eliminated] = step_e if state[layout.eliminated].all_free else step_e * state[layout.eliminated].free
     if frame is not None:
         block = state[frame.datum.block]
         shifts = frame.steps(state, block.values + steps.get(block.name, np.zeros_like(block.values)))

@@ -66,9 +66,12 @@ class Frame:
     def steps(self, blocks: Mapping[str, Block], values: Array) -> dict[str, Array]:
         """Return the step (members, size) of each block that restores the condition at `values` of the datum block."""
         datum = self.datum
-        off = (values - datum.reference) * datum.members[:, None]
+        off = values - datum.reference
+        if not (datum.members == 1).all():
+            off *= datum.members[:, None]
         by = -self.amounts @ self.reference.dot(datum.reference, off)
-        return {name: move.step(blocks[name].values, by) * blocks[name].free for name, move in self.moves.items()}
+        steps = {name: move.step(blocks[name].values, by) for name, move in self.moves.items()}
+        return {name: step if blocks[name].all_free else step * blocks[name].free for name, step in steps.items()}
 
     def constraint(self, members: Index) -> Array:
         """Return `(G' E)^-1 G'` of some members of the datum block, (members, size, k)."""
@@ -97,7 +100,8 @@ def open_frame(datum: Datum, blocks: Mapping[str, Block], layout: Layout, matrix
         return None
     reference = datum.at_reference(blocks).mixed(mix)
     mixed = {name: move.mixed(mix) for name, move in moves.items()}
-    return Frame(datum, full @ mix, mixed, reference, _amounts(datum, blocks[datum.block], reference, mixed[datum.block]))
+    amounts = _amounts(datum, blocks[datum.block], reference, mixed[datum.block])
+    return Frame(datum, full @ mix, mixed, reference, amounts)
 
 
 def _open(full: Array, matrix: Array) -> Array:
@@ -117,13 +121,10 @@ def _open(full: Array, matrix: Array) -> Array:
 
 def _amounts(datum: Datum, block: Block, reference: Movement, moves: Movement) -> Array:
     """Return `(G' E)^-1`; LinAlgError where the members of the datum do not hold every open movement."""
-    takes_part = np.broadcast_to(datum.members[:, None], block.values.shape)
-    held = (takes_part != 0) * block.free
-    product = reference.gram(datum.reference, moves, block.values, takes_part * block.free)
-    g = reference.gram(datum.reference, reference, datum.reference, takes_part**2)
-    e = moves.gram(block.values, moves, block.values, held)
-    g_length, e_length = (np.sqrt(np.maximum(np.diag(gram), 1e-300)) for gram in (g, e))
-    share = product / g_length[:, None] / e_length
+    seen = datum.members if block.all_free else datum.members[:, None] * block.free
+    product = reference.gram(datum.reference, moves, block.values, seen)
+    own = np.diag(reference.gram(datum.reference, reference, datum.reference, datum.members**2))
+    share = product / np.sqrt(np.maximum(own[:, None] * own, 1e-300))
     if not np.isfinite(share).all() or np.linalg.svd(share, compute_uv=False).min() < _LOOSE:
         raise np.linalg.LinAlgError("the members of the datum leave a movement open")
     return np.asarray(np.linalg.inv(product), dtype=float)

@@ -57,8 +57,8 @@ class Rows:
         for touch in linear.touches:
             jacobian = touch.jacobian.reshape(d, touch.jacobian.shape[1], -1, k)
             if touch.block == layout.eliminated:
-                free = blocks[touch.block].free[members]
-                own = jacobian if free.all() else jacobian * free.T[:, None, :]
+                block = blocks[touch.block]
+                own = jacobian if block.all_free else jacobian * block.free[members].T[:, None, :]
             else:
                 places = layout.columns[touch.block]
                 slots = places if len(places) == 1 else places[touch.index.reshape(-1, k)[:, 0]]
@@ -94,7 +94,7 @@ class Eliminated:
     def factor(self) -> Array:
         """L with the inverses of its diagonal on the diagonal, (s, s, k); LinAlgError where a member is singular."""
         s, k = self.free.shape
-        factor = np.zeros((s, s, k))
+        factor = np.empty((s, s, k))
         for a in range(s):
             for b in range(a + 1):
                 rest = self.normal[a, b].copy()

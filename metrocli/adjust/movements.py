@@ -28,7 +28,7 @@ class Movement(Protocol):
         """Return `E' change`, of a change (members, size), (f,)."""
 
     def gram(self, values: Array, other: Self, others: Array, weights: Array) -> Array:
-        """Return `E' P E'` with the other at its values, weights (members, size), (f, f')."""
+        """Return `E' P E'` with the other at its values, weights (members,) or (members, size), (f, f')."""
 
     def mixed(self, mix: Array) -> Self:
         """Return the freedoms combined, mix (f, k)."""
@@ -49,27 +49,24 @@ class Affine:
 
     def step(self, values: Array, amounts: Array) -> Array:
         """Return `E amounts`, (members, size)."""
-        return np.asarray(values @ np.tensordot(amounts, self.matrix, 1).T + amounts @ self.shift)
+        step = values @ np.tensordot(amounts, self.matrix, 1).T
+        step += amounts @ self.shift
+        return step
 
     def dot(self, values: Array, change: Array) -> Array:
         """Return `E' change`, (f,)."""
-        return np.asarray(np.tensordot(self.matrix, change.T @ values, 2) + self.shift @ change.sum(axis=0))
+        moments = np.column_stack([change.T @ values, np.ones(len(change)) @ change])
+        return np.asarray(np.tensordot(self._columns(), moments, 2))
 
     def gram(self, values: Array, other: Affine, others: Array, weights: Array) -> Array:
-        """Return `E' P E'` from the moments of the values, those of each column by its weights."""
+        """Return `E' P E'` from the moments of the values; with weights (members, size) column by column."""
         mine, theirs = self._columns(), other._columns()
-        if (weights == weights[:, :1]).all():
-            columns = [np.arange(weights.shape[1])]
-        else:
-            columns = [np.array([a]) for a in range(weights.shape[1])]
+        if weights.ndim == 1:
+            moments = _moments(values, others, weights)
+            return np.asarray(np.einsum("fab,bc,gac->fg", mine, moments, theirs, optimize=True))
         total = np.zeros((len(mine), len(theirs)))
-        for some in columns:
-            p = weights[:, some[0]]
-            weighted = values.T * p
-            moments = np.empty((values.shape[1] + 1, others.shape[1] + 1))
-            moments[:-1, :-1], moments[:-1, -1] = weighted @ others, weighted.sum(axis=1)
-            moments[-1, :-1], moments[-1, -1] = p @ others, p.sum()
-            total += np.einsum("fab,bc,gac->fg", mine[:, some], moments, theirs[:, some], optimize=True)
+        for a, column in enumerate(weights.T):
+            total += mine[:, a] @ _moments(values, others, column) @ theirs[:, a].T
         return total
 
     def mixed(self, mix: Array) -> Affine:
@@ -79,6 +76,15 @@ class Affine:
     def _columns(self) -> Array:
         """Return (M, t), (f, size, size + 1)."""
         return np.concatenate([self.matrix, self.shift[:, :, None]], axis=2)
+
+
+def _moments(values: Array, others: Array, weights: Array) -> Array:
+    """Return the sums of `w (v, 1) (v', 1)'` over the members, (size + 1, size' + 1)."""
+    weighted = values if (weights == 1).all() else values * weights[:, None]
+    moments = np.empty((values.shape[1] + 1, others.shape[1] + 1))
+    moments[:-1, :-1], moments[-1, -1] = weighted.T @ others, weights.sum()
+    moments[:-1, -1], moments[-1, :-1] = np.ones(len(weighted)) @ weighted, weights @ others
+    return moments
 
 
 @dataclass(frozen=True)
@@ -102,6 +108,7 @@ class Listed:
 
     def gram(self, values: Array, other: Listed, others: Array, weights: Array) -> Array:
         """Return `E' P E'`."""
+        weights = weights if weights.ndim == 2 else weights[:, None] * np.ones(self.moves.shape[1])
         return np.asarray(np.einsum("naf,na,nag->fg", self.moves, weights, other.moves, optimize=True))
 
     def mixed(self, mix: Array) -> Listed:
