@@ -68,9 +68,9 @@ def adjust(
     layout = arrange(state, groups, _kept(state, datum))
     problem = _Problem(groups, layout, datum, split(groups, state, layout.eliminated))
     unknowns = sum(int(block.free.sum()) for block in state.values())
-    descent = _Descent(problem, state)
+    descent = _Descent(problem, state, control.covariance)
     lost = Solution(Outcome.NO_START, state, tuple(groups), float("inf"), 0, unknowns)
-    if not np.isfinite(descent.normals.cost):
+    if not np.isfinite(descent.cost):
         few = lost.observations < unknowns - len(datum.names if datum else ())
         return replace(lost, outcome=Outcome.TOO_FEW) if few else lost
     outcome = Outcome.ITERATION_LIMIT if control.limit else Outcome.CONVERGED
@@ -96,8 +96,9 @@ def covariance_at(blocks: Iterable[Block], groups: Sequence[Group], datum: Datum
 class _Descent:
     """The way down: where it stands, with the normal equations there."""
 
-    def __init__(self, problem: _Problem, state: Mapping[str, Block]) -> None:
-        self.problem, self.state, self.damping = problem, dict(state), 0.0
+    def __init__(self, problem: _Problem, state: Mapping[str, Block], wanted: bool) -> None:
+        """Stand at `state`; `wanted` says whether the normal equations of the last place are needed."""
+        self.problem, self.state, self.damping, self.wanted = problem, dict(state), 0.0, wanted
         self.normals: Normals | None = problem.normals(self.state)
         self.cost = self.normals.cost
 
@@ -121,7 +122,7 @@ class _Descent:
                 continue
             self.normals = None
             last = fall <= small + _ROUNDING * self.cost
-            found = None if last else self.problem.normals(moved)
+            found = None if last and not self.wanted else self.problem.normals(moved)
             cost = found.cost if found else self.problem.cost(moved)
             if cost <= self.cost or (last and cost <= self.cost * (1 + _NOISE) + small):
                 done = last and self.damping <= 1e-4
@@ -244,10 +245,11 @@ def _in_eliminated_datum(frame: Frame, normals: Normals, inverse: Array) -> tupl
     `r' = (I + E A) r - E sum H_i n_i`.
     """
     free = len(inverse)
-    found = [part.moments(frame.constraint(part.members), normals.n.shape[0]) for part in normals.parts]
+    found = [part.moments(frame.constraint(part.members)) for part in normals.parts]
     e = frame.reduced[:free]
-    transform = np.eye(free) + e @ sum(coupled for coupled, _, _ in found)[:, :free]
-    noise = e @ sum(gram for _, gram, _ in found) @ e.T
+    coupled, gram = (np.sum([one[i] for one in found], axis=0) for i in (0, 1))
+    transform = np.eye(free) + e @ coupled[:, :free]
+    noise = e @ gram @ e.T
     return transform @ inverse @ transform.T + noise, tuple(share for _, _, share in found)
 
 

@@ -46,6 +46,13 @@ class Local:
         index = self.observations.index.get(block)
         return np.zeros(self.observations.count, dtype=np.intp) if index is None else index
 
+    def slots(self, block: str) -> Index:
+        """Return which member each reading touches, or each slot of a lattice; one for the block of its members."""
+        lattice = self.observations.lattice
+        if lattice is None:
+            return self.index(block)
+        return lattice.slots.get(block, np.zeros(1, dtype=np.intp))
+
     def rows(self, block: str) -> Array:
         """Return the values touched by each reading, (size, n), or (size, 1) for a block of one member."""
         values = self.blocks[block].values

@@ -32,7 +32,7 @@ class Gauge:
     shares: tuple[Array, ...]
     """`D^-1 H'` of each part: the covariance of its own noise with the movement, (k, s, f)"""
 
-    def moves_of(self, members: Index) -> Array:
+    def moves_of(self, members: Index | slice) -> Array:
         """Return E of some members, (k, s, f)."""
         moves = self.frame.moves[self.block.name].at(self.block.values, members)
         return np.asarray(moves * self.block.free[members, :, None])
@@ -69,7 +69,7 @@ class Covariance:
     @cached_property
     def weights(self) -> Array:
         """W, (members, s, width)."""
-        return self._collected([part.weights(self.layout.width) for part in self.parts])
+        return self._collected([part.weights() for part in self.parts])
 
     @cached_property
     def inverse(self) -> Array:

@@ -73,10 +73,10 @@ class Frame:
         steps = {name: move.step(blocks[name].values, by) for name, move in self.moves.items()}
         return {name: step if blocks[name].all_free else step * blocks[name].free for name, step in steps.items()}
 
-    def constraint(self, members: Index) -> Array:
+    def constraint(self, members: Index | slice) -> Array:
         """Return `(G' E)^-1 G'` of some members of the datum block, (members, size, k)."""
-        g = self.reference.at(self.datum.reference, members) * self.datum.members[members, None, None]
-        return np.asarray(g @ self.amounts.T)
+        g = self.reference.mixed(self.amounts.T).at(self.datum.reference, members)
+        return np.asarray(g * self.datum.members[members, None, None])
 
     def transform(self, layout: Layout) -> Array:
         """Return the S-transformation `I - E H` of the reduced system that holds the datum block, (width, width)."""

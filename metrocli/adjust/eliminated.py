@@ -49,9 +49,9 @@ class Rows:
     beside: tuple[Beside, ...]
 
     @staticmethod
-    def of(linear: Linear, members: Index, blocks: Mapping[str, Block], layout: Layout) -> Rows:
+    def of(linear: Linear, members: Index | slice, blocks: Mapping[str, Block], layout: Layout) -> Rows:
         """Return the readings of `members` of the eliminated block in the order of a lattice."""
-        k, d = len(members), len(linear.residual)
+        d, k = len(linear.residual), len(blocks[layout.eliminated or ""].free[members])
         beside: list[Beside] = []
         own = np.zeros(0)
         for touch in linear.touches:
@@ -61,34 +61,30 @@ class Rows:
                 own = jacobian if block.all_free else jacobian * block.free[members].T[:, None, :]
             else:
                 places = layout.columns[touch.block]
-                slots = places if len(places) == 1 else places[touch.index.reshape(-1, k)[:, 0]]
-                beside.append(Beside(jacobian, slots))
+                beside.append(Beside(jacobian, places[touch.index]))
         return Rows(own, linear.residual.reshape(d, -1, k), tuple(beside))
 
 
 class Eliminated:
     """A portion whose members are eliminated."""
 
-    def __init__(self, members: Index, free: Mask, rows: Sequence[Rows], damping: float = 0.0) -> None:
-        self.members, self.free, self.rows = members, free.T, tuple(rows)
+    def __init__(self, members: Index | slice, free: Mask, rows: Sequence[Rows], width: int, damping: float = 0) -> None:
+        self.members, self.free, self.rows, self.width = members, free.T, tuple(rows), width
         s, k = self.free.shape
-        self.normal = np.zeros((s, s, k))
-        """D, (s, s, k)"""
-        self.right = np.zeros((s, k))
+        self.normal, self.right = np.zeros((s, s, k)), np.zeros((s, k))
+        """D (s, s, k), and its right side"""
         for part in self.rows:
-            for a in range(s):
-                for b in range(a + 1):
-                    self.normal[a, b] += np.einsum("dmk,dmk->k", part.own[:, a], part.own[:, b])
-                self.right[a] += np.einsum("dmk,dmk->k", part.own[:, a], part.residual)
-        for a in range(s):
-            self.normal[:a, a] = self.normal[a, :a]
-            self.normal[a, a][~self.free[a]] = 1.0
-            if damping:
-                self.normal[a, a] += damping * np.where(self.normal[a, a] > 0, self.normal[a, a], 1.0)
+            self.normal += np.einsum("damk,dbmk->abk", part.own, part.own)
+            self.right += np.einsum("damk,dmk->ak", part.own, part.residual)
+        diagonal = np.einsum("aak->ak", self.normal)
+        if not self.free.all():
+            diagonal[~self.free] = 1.0
+        if damping:
+            diagonal += damping * np.where(diagonal > 0, diagonal, 1.0)
 
     def damped(self, factor: float) -> Eliminated:
         """Return the same with the diagonal of D enlarged by `1 + factor`."""
-        return Eliminated(self.members, self.free.T, self.rows, factor)
+        return Eliminated(self.members, self.free.T, self.rows, self.width, factor)
 
     @cached_property
     def factor(self) -> Array:
@@ -162,9 +158,10 @@ class Eliminated:
         for part in self.rows:
             _add(part, matrix, right)
 
-    def loss(self, width: int) -> tuple[Array, Array]:
-        """Return `Y'Y` and `Y' U residual`, which the reduced system loses, (width, width) and (width,)."""
-        matrix, right = np.zeros((width + 1, width + 1)), np.zeros(width + 1)
+    @cached_property
+    def loss(self) -> tuple[Array, Array]:
+        """`Y'Y` and `Y' U residual`, which the reduced system loses, (width, width) and (width,)."""
+        matrix, right = np.zeros((self.width + 1,) * 2), np.zeros(self.width + 1)
         rows, places = self.coupling()
         flat = _flat(rows)
         np.add.at(matrix, (places[:, None], places), flat @ flat.T)
@@ -183,7 +180,7 @@ class Eliminated:
 
     def fall(self, step: Array) -> float:
         """Return the right side times a step (k, s)."""
-        return float(np.vdot(self.right, step.T))
+        return float(np.einsum("sk,ks->", self.right, step))
 
     def normals(self) -> Array:
         """Return D, (k, s, s)."""
@@ -201,20 +198,20 @@ class Eliminated:
         """Return matrices (s, s, k) with zeros at fixed entries as (k, s, s)."""
         return np.moveaxis(matrices * self.free * self.free[:, None], -1, 0)
 
-    def weights(self, width: int) -> Array:
+    def weights(self) -> Array:
         """Return `W = D^-1 B`, (k, s, width)."""
         rows, places = self.coupling()
         solved = self.backward(np.ascontiguousarray(rows.swapaxes(0, 1)))
-        full = np.zeros((width + 1, *rows.shape[1:]))
+        full = np.zeros((self.width + 1, *rows.shape[1:]))
         np.add.at(full, places, solved.swapaxes(0, 1))
         return np.ascontiguousarray(full[:-1].transpose(2, 1, 0))
 
-    def moments(self, fields: Array, width: int) -> tuple[Array, Array, Array]:
-        """Return `H' W`, `H' D^-1 H` and `D^-1 H` of fields H (k, s, f) on the members: (f, width), (f, f), (k, s, f)."""
-        through = self.forward(np.ascontiguousarray(fields.transpose(1, 2, 0)))
+    def moments(self, fields: Array) -> tuple[Array, Array, Array]:
+        """Return `H' W`, `H' D^-1 H` and `D^-1 H` of fields H (k, s, f): (f, width), (f, f), (k, s, f)."""
+        through = self.forward(fields.transpose(1, 2, 0))
         rows, places = self.coupling()
         flat = _flat(np.ascontiguousarray(through.swapaxes(0, 1)))
-        coupled = np.zeros((width + 1, len(flat)))
+        coupled = np.zeros((self.width + 1, len(flat)))
         np.add.at(coupled, places, _flat(rows) @ flat.T)
         return coupled[:-1].T, flat @ flat.T, self.backward(through).transpose(2, 0, 1)
 
@@ -254,9 +251,10 @@ class Eliminated:
             for beside in part.beside:
                 slots, size = beside.places.shape
                 mine = product[at : at + slots * size].reshape(slots, size, len(u), -1)
+                mine = np.broadcast_to(mine, (u.shape[2], *mine.shape[1:]))
                 at += slots * size
                 for c in range(size):
-                    along = np.einsum("admk,mak->dmk", u, np.broadcast_to(mine[:, c], (u.shape[2], *mine[:, c].shape[1:])))
+                    along = np.einsum("admk,mak->dmk", u, mine[:, c])
                     total -= 2 * along * beside.jacobian[:, c]
             for first in part.beside:
                 for second in part.beside:

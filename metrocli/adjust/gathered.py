@@ -36,9 +36,10 @@ class Gathered:
         """Return the same with the diagonal of D enlarged by `1 + factor`."""
         return replace(self, d=self.d + factor * _diagonal(self.d))
 
-    def loss(self, width: int) -> tuple[Array, Array]:
-        """Return `B' D^-1 B` and `B' D^-1 right`, which the reduced system loses, (width, width) and (width,)."""
-        flat, weights = (x.reshape(self.right.size, width) for x in (self.b, self._weights))
+    @cached_property
+    def loss(self) -> tuple[Array, Array]:
+        """`B' D^-1 B` and `B' D^-1 right`, which the reduced system loses, (width, width) and (width,)."""
+        flat, weights = (x.reshape(self.right.size, self.b.shape[2]) for x in (self.b, self._weights))
         return flat.T @ weights, weights.T @ self.right.ravel()
 
     def back(self, step: Array) -> Array:
@@ -62,20 +63,20 @@ class Gathered:
             return self.d
         return np.asarray(np.linalg.inv(self.d), dtype=float) * self.free[:, :, None] * self.free[:, None, :]
 
-    def weights(self, width: int) -> Array:
+    def weights(self) -> Array:
         """Return `W = D^-1 B`, (members, s, width)."""
-        return self._weights.reshape(*self.right.shape, width) * self.free[:, :, None]
+        return self._weights * self.free[:, :, None]
 
     def covariance(self, reduced: Array) -> Array:
         """Return `D^-1 + W Q W'` of each member, (members, s, s)."""
-        weights = self.weights(len(reduced))
+        weights = self.weights()
         return self.inverse() + (weights @ reduced) @ np.swapaxes(weights, 1, 2)
 
-    def moments(self, fields: Array, width: int) -> tuple[Array, Array, Array]:
+    def moments(self, fields: Array) -> tuple[Array, Array, Array]:
         """Return `H' W`, `H' D^-1 H` and `D^-1 H` of fields H (members, s, f): (f, width), (f, f), (members, s, f)."""
         share = np.asarray(np.linalg.solve(self.d, fields), dtype=float)
         flat = fields.reshape(self.right.size, fields.shape[2])
-        return flat.T @ self._weights.reshape(len(flat), width), flat.T @ share.reshape(flat.shape), share
+        return flat.T @ self._weights.reshape(len(flat), self.b.shape[2]), flat.T @ share.reshape(flat.shape), share
 
 
 def _diagonal(matrix: Array) -> Array:

@@ -18,7 +18,7 @@ from metrocli.geometry.rotations import cross_matrix
 class Movement(Protocol):
     """The changes of the members of a block by f freedoms, E (members, size, f)."""
 
-    def at(self, values: Array, members: Index) -> Array:
+    def at(self, values: Array, members: Index | slice) -> Array:
         """Return E of some members, (k, size, f)."""
 
     def step(self, values: Array, amounts: Array) -> Array:
@@ -43,9 +43,12 @@ class Affine:
     shift: Array
     """(f, size)"""
 
-    def at(self, values: Array, members: Index) -> Array:
+    def at(self, values: Array, members: Index | slice) -> Array:
         """Return E of some members, (k, size, f)."""
-        return np.asarray(np.einsum("fab,nb->naf", self.matrix, values[members], optimize=True) + self.shift.T)
+        f, size = self.shift.shape
+        full = self.matrix.reshape(f * size, size) @ values[members].T
+        full += self.shift.reshape(f * size, 1)
+        return full.reshape(f, size, -1).transpose(2, 1, 0)
 
     def step(self, values: Array, amounts: Array) -> Array:
         """Return `E amounts`, (members, size)."""
@@ -94,7 +97,7 @@ class Listed:
     moves: Array
     """(members, size, f)"""
 
-    def at(self, values: Array, members: Index) -> Array:
+    def at(self, values: Array, members: Index | slice) -> Array:
         """Return E of some members, (k, size, f)."""
         return np.asarray(self.moves[members])
 
@@ -127,7 +130,7 @@ def of_points(scale: bool = False) -> Affine:
 
 
 def of_members(size: int, points: Affine, turns: slice | None = None) -> Affine:
-    """Return the movements of members whose first three values are a point, and those at `turns` a turn from the left."""
+    """Return the movements of members whose first three values are a point, those at `turns` a turn from the left."""
     f = len(points.matrix)
     matrix, shift = np.zeros((f, size, size)), np.zeros((f, size))
     matrix[:, :3, :3], shift[:, :3] = points.matrix, points.shift

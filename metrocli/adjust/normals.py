@@ -7,6 +7,7 @@ the reduced system is `S = N - B' D^-1 B`. Cost grows linearly with readings and
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -25,14 +26,15 @@ class Part(Protocol):
     """Members of the eliminated block, with what their elimination takes from the reduced system and gives back."""
 
     @property
-    def members(self) -> Index:
+    def members(self) -> Index | slice:
         """Which members, (k,)"""
 
     def damped(self, factor: float) -> Part:
         """Return the same with the diagonal of D enlarged by `1 + factor`."""
 
-    def loss(self, width: int) -> tuple[Array, Array]:
-        """Return `B' D^-1 B` and `B' D^-1 right`; LinAlgError where D is singular."""
+    @property
+    def loss(self) -> tuple[Array, Array]:
+        """`B' D^-1 B` and `B' D^-1 right`; LinAlgError where D is singular."""
 
     def back(self, step: Array) -> Array:
         """Return the members' own step, `D^-1 (right - B step)`, (k, s)."""
@@ -46,13 +48,13 @@ class Part(Protocol):
     def inverse(self) -> Array:
         """Return D^-1 with zeros at fixed entries, (k, s, s)."""
 
-    def weights(self, width: int) -> Array:
+    def weights(self) -> Array:
         """Return `W = D^-1 B`: what the members lose for each unit of the others, (k, s, width)."""
 
     def covariance(self, reduced: Array) -> Array:
         """Return `D^-1 + W Q W'` of each member, (k, s, s)."""
 
-    def moments(self, fields: Array, width: int) -> tuple[Array, Array, Array]:
+    def moments(self, fields: Array) -> tuple[Array, Array, Array]:
         """Return `H' W`, `H' D^-1 H` and `D^-1 H` of fields H (k, s, f): (f, width), (f, f), (k, s, f)."""
 
 
@@ -73,9 +75,8 @@ class Normals:
         """Return `S = N - B' D^-1 B` and its right side; LinAlgError where a member is singular."""
         matrix, right = self.n.copy(), self.right.copy()
         for part in self.parts:
-            lost, lost_right = part.loss(len(matrix))
-            matrix -= lost
-            right -= lost_right
+            matrix -= part.loss[0]
+            right -= part.loss[1]
         return matrix, right
 
     def damped(self, factor: float) -> Normals:
@@ -95,11 +96,11 @@ class Normals:
         """Return `W step`: how far the eliminated unknowns go against a step of the others, (members, s)."""
         steps = np.zeros(self.shape)
         for part in self.parts:
-            steps[part.members] = part.weights(len(step)) @ step
+            steps[part.members] = part.weights() @ step
         return steps
 
     def fall(self, step: Array, steps: Array) -> float:
-        """Return the right side times a step (width,) and (members, s): twice the fall of the sum of squares it promises."""
+        """Return the right side times a step (width,) and (members, s): the fall that the step promises, twofold."""
         return float(self.right @ step) + sum(part.fall(steps[part.members]) for part in self.parts)
 
 
@@ -115,14 +116,16 @@ def assemble(groups: Sequence[Group], split: Split, blocks: Mapping[str, Block],
         sums.add(linear, blocks, layout)
     matrix, right = np.pad(sums.n, (0, 1)), np.append(sums.right_r, 0.0)
     parts: list[Part] = []
-    for portion in split.portions if name else ():
+    for portion in split.portions:
         linears = [piece.group.linear(blocks, layout.wanted) for piece in portion.pieces]
         cost += sum(linear.cost for linear in linears)
         if not np.isfinite(cost):
             break
         rows = [Rows.of(linear, portion.members, blocks, layout) for linear in linears]
-        part = Eliminated(portion.members, blocks[name].free[portion.members], rows)
+        part = Eliminated(portion.members, blocks[name or ""].free[portion.members], rows, layout.width)
         part.add(matrix, right)
+        with suppress(np.linalg.LinAlgError):  # told when it is asked for; found here, while the rows are in the cache
+            _ = part.loss
         parts.append(part)
     if not split.portions:
         parts.append(sums.gathered(blocks[name].free if name else np.zeros((0, 0), dtype=bool)))

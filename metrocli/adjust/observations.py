@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -22,26 +23,28 @@ class Lattice:
     """
 
     block: str
-    members: Index
+    members: Index | slice
     """(k,)"""
     slots: Mapping[str, Index]
     """(m,) for each other block"""
-    count: int
-    """m, readings of each member"""
+    shape: tuple[int, int]
+    """(m, k)"""
 
     def index(self, block: str) -> Index:
         """Return which member of a block each reading touches, (m k,)."""
         if block == self.block:
-            return np.tile(self.members, self.count)
-        return np.repeat(self.slots[block], len(self.members))
+            members = self.members
+            here = np.arange(members.start, members.stop) if isinstance(members, slice) else members
+            return np.tile(here, self.shape[0])
+        return np.repeat(self.slots[block], self.shape[1])
 
     def spread(self, per_member: Array, block: str) -> Array:
         """Return values of the members (members, ...) at each reading, (..., m k)."""
         along_members = block == self.block
         chosen = np.moveaxis(per_member[self.members if along_members else self.slots[block]], 0, -1)
-        full = np.empty((*chosen.shape[:-1], self.count, len(self.members)))
+        full = np.empty((*chosen.shape[:-1], *self.shape))
         full[...] = chosen[..., None, :] if along_members else chosen[..., None]
-        return full.reshape(*chosen.shape[:-1], -1)
+        return full.reshape(*chosen.shape[:-1], self.shape[0] * self.shape[1])
 
 
 @dataclass(frozen=True)
@@ -86,8 +89,12 @@ class Observations:
             decorrelated: Array = np.einsum("nab,b...n->a...n", self._whitening, values)
             return decorrelated
         between = (1,) * (values.ndim - 2)
-        scaled: Array = values / self.sigma.reshape(self.sigma.shape[0], *between, self.sigma.shape[1])
+        scaled: Array = values * self._weight.reshape(self.sigma.shape[0], *between, self.sigma.shape[1])
         return scaled
+
+    @cached_property
+    def _weight(self) -> Array:
+        return np.asarray(1 / self.sigma)
 
     def selected(self, keep: Mask | Index) -> Observations:
         """Return the readings chosen by a mask or by indices (n,)."""
@@ -103,7 +110,7 @@ class Observations:
         """Return the readings chosen by indices (n,), which are in the regular order of `lattice`; without keys."""
         return replace(self, **self._numbers(chosen), index={}, keys={}, lattice=lattice)
 
-    def _numbers(self, chosen: Index) -> dict[str, Any]:
+    def _numbers(self, chosen: Mask | Index) -> dict[str, Any]:
         return {
             "readings": self.readings[:, chosen],
             "sigma": self.sigma[:, chosen],

@@ -40,7 +40,8 @@ class Piece:
 class Portion:
     """Some members of the eliminated block with all their readings."""
 
-    members: Index
+    members: Index | slice
+    """Which members; a slice where they stand side by side"""
     pieces: tuple[Piece, ...]
 
 
@@ -144,18 +145,23 @@ def _portions(
     number = max(1, round(len(members) * readings / _READINGS))
     return [
         Portion(
-            some,
+            _side_by_side(some),
             tuple(_piece(order, groups[order.place], some, eliminated) for order in orders if order.counts[some[0]]),
         )
         for some in np.array_split(members, number)
     ]
 
 
+def _side_by_side(members: Index) -> Index | slice:
+    first, last = int(members[0]), int(members[-1])
+    return slice(first, last + 1) if last - first + 1 == len(members) else members
+
+
 def _piece(order: _Order, group: Group, members: Index, eliminated: str) -> Piece:
     rows = order.rows[order.at(members)]
     slots = {name: index[rows[:, 0]] for name, index in order.others.items()}
     flat = rows.ravel()
-    lattice = Lattice(eliminated, members, slots, len(rows))
+    lattice = Lattice(eliminated, _side_by_side(members), slots, rows.shape)
     weights: Array | None = None if group.weights is None else group.weights[flat]
     observations = group.observations.in_lattice(flat, lattice)
     return Piece(replace(group, observations=observations, weights=weights), order.place, flat)

@@ -80,6 +80,9 @@ def _open_in(block: Block, part: Part) -> list[Combination]:
     reach = np.where(
         free, _limited(np.broadcast_to(block.reach, diagonal.shape), np.where(free, diagonal, 0.0)), 1.0
     )
+    if _all_determined(part, reach):
+        return []
+    names = np.arange(len(block.members))[part.members]
     scaled = matrices * reach[:, :, None] * reach[:, None, :] + np.eye(block.size) * ~free[:, None, :] * 2
     values, vectors = np.linalg.eigh(scaled)
     bad = np.flatnonzero(values[:, 0] < 1)
@@ -87,12 +90,22 @@ def _open_in(block: Block, part: Part) -> list[Combination]:
     for member in bad:
         vector = np.abs(vectors[member, :, 0]) * free[member]
         parts = [
-            (block.name, column, f"{block.noun} {block.members[part.members[member]]}".strip(), float(share))
+            (block.name, column, f"{block.noun} {block.members[names[member]]}".strip(), float(share))
             for column, share in zip(block.columns, vector / vector.max(), strict=True)
             if share > _SHARE
         ]
         found.append(Combination(tuple(parts), _spread(float(values[member, 0]))))
     return found
+
+
+def _all_determined(part: Part, reach: Array) -> bool:
+    """Whether the trace of the inverse of every member is below 1, so that none can be open."""
+    try:
+        inverse = part.inverse()
+    except np.linalg.LinAlgError:
+        return False
+    traces = np.einsum("mii,mi->m", inverse, 1 / reach**2)
+    return bool((traces < 1).all() and (np.einsum("mii->mi", inverse) >= 0).all())
 
 
 def _combination(
