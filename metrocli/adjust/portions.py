@@ -16,7 +16,7 @@ from metrocli.adjust.blocks import Array, Block
 from metrocli.adjust.groups import Group
 from metrocli.adjust.observations import Index, Lattice
 
-_READINGS = 24576
+_READINGS = 12288
 """Readings of a portion, about: their derivatives take half a megabyte"""
 _MOST = 64
 """Scalar readings that a member of a lattice may have; beyond it matrix products member by member are faster"""
