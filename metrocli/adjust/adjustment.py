@@ -51,7 +51,8 @@ class _Problem:
             return cost_of(self.groups, self.split, blocks)
 
     def frame(self, blocks: Mapping[str, Block], matrix: Array) -> Frame | None:
-        return open_frame(self.datum, blocks, self.layout, matrix) if self.datum else None
+        with np.errstate(all="ignore"):
+            return open_frame(self.datum, blocks, self.layout, matrix) if self.datum else None
 
 
 def adjust(
@@ -139,29 +140,32 @@ class _Descent:
     def _moved(self) -> tuple[dict[str, Block], float]:
         """Return the blocks after the damped step, and the fall of the sum of squares that the model promises."""
         normals = self.here()
-        damped = normals.damped(self.damping) if self.damping else normals
-        step, frame = _solve(self.problem, self.state, damped)
-        steps = damped.back(step)
-        return _moved(self.problem, self.state, step, steps, frame), normals.fall(step, steps)
+        with np.errstate(all="ignore"):  # what is absurd ends as LinAlgError or as a step that is not taken
+            damped = normals.damped(self.damping) if self.damping else normals
+            step, fall, frame = _solve(self.problem, self.state, damped)
+            return _moved(self.problem, self.state, step, damped.back(step), frame), fall
 
 
 def _relaxed(damping: float) -> float:
     return damping / 10 if damping / 10 > _DAMPING_END else 0.0
 
 
-def _solve(problem: _Problem, state: Mapping[str, Block], normals: Normals) -> tuple[Array, Frame | None]:
+def _solve(
+    problem: _Problem, state: Mapping[str, Block], normals: Normals
+) -> tuple[Array, float, Frame | None]:
+    """Return the step of the reduced unknowns, the fall that all promise, `g' H^-1 g`, and the open movements."""
     free = problem.layout.free
-    matrix, right = normals.reduced()
+    matrix, right, alone = normals.reduced()
     frame = problem.frame(state, matrix)
     step = np.zeros(problem.layout.width)
     if free:
         step[:free] = _cholesky_solve(_held(matrix, frame)[:free, :free], right[:free])
-    return step, frame
+    return step, alone + float(right @ step), frame
 
 
 def _held(matrix: Array, frame: Frame | None) -> Array:
     """Add stiffness along the open movements of the frame, so that the matrix can be factored."""
-    if frame is None:
+    if frame is None or not len(matrix):
         return matrix
     unit, _ = np.linalg.qr(frame.reduced)
     held: Array = matrix + np.trace(matrix) / len(matrix) * (unit @ unit.T)
@@ -203,7 +207,7 @@ def _moved(
 def _with_covariance(solution: Solution, problem: _Problem, normals: Normals) -> Solution:
     blocks, layout = solution.blocks, problem.layout
     try:
-        matrix, _ = normals.reduced()
+        matrix = normals.reduced()[0]
         frame = problem.frame(blocks, matrix)
     except np.linalg.LinAlgError:
         matrix, frame = np.full((layout.width, layout.width), np.nan), None

@@ -98,7 +98,7 @@ class Covariance:
         if not any(piece.place == place for portion in self.portions for piece in portion.pieces):
             return None
         full = np.empty(group_readings)
-        for part, portion in zip(self.parts, self.portions, strict=True):
+        for part, portion in zip(self.parts, self.portions, strict=False):
             if not isinstance(part, Eliminated):
                 return None
             for piece, values in zip(portion.pieces, part.explained(self.invariant), strict=True):

@@ -1,6 +1,6 @@
 """The unknowns of a portion's members eliminated: Cholesky factors and products in arrays that run along the members.
 
-With D = L L' the normal matrix of a member, J its derivatives by its own unknowns and K those by the others, both in
+With `D = L L'` the normal matrix of a member, J its derivatives by its own unknowns and K those by the others, both in
 whitened readings: `U = L^-1 J'`, `Y = U K = L^-1 B`, and the reduced system loses `Y'Y`. All arrays have the members as
 last axis, so that each operation is one sweep over numbers that lie side by side.
 """
@@ -17,10 +17,7 @@ from metrocli.adjust.blocks import Array, Block, Mask
 from metrocli.adjust.groups import Linear
 from metrocli.adjust.layout import Layout
 from metrocli.adjust.observations import Index
-
-_SINGULAR = 1e-15
-"""A pivot below this share of its diagonal element is rounding"""
-
+from metrocli.adjust.side_by_side import backward, cholesky, complement, forward
 
 @dataclass(frozen=True)
 class Beside:
@@ -69,60 +66,40 @@ class Eliminated:
     """A portion whose members are eliminated."""
 
     def __init__(self, members: Index | slice, free: Mask, rows: Sequence[Rows], width: int, damping: float = 0) -> None:
-        self.members, self.free, self.rows, self.width = members, free.T, tuple(rows), width
-        s, k = self.free.shape
-        self.normal, self.right = np.zeros((s, s, k)), np.zeros((s, k))
-        """D (s, s, k), and its right side"""
+        self.members, self.free, self.rows, self.width, self.damping = members, free.T, tuple(rows), width, damping
+        self.right = np.zeros(self.free.shape)
+        """J' residual, (s, k)"""
         for part in self.rows:
-            self.normal += np.einsum("damk,dbmk->abk", part.own, part.own)
             self.right += np.einsum("damk,dmk->ak", part.own, part.residual)
-        diagonal = np.einsum("aak->ak", self.normal)
-        if not self.free.all():
-            diagonal[~self.free] = 1.0
-        if damping:
-            diagonal += damping * np.where(diagonal > 0, diagonal, 1.0)
 
     def damped(self, factor: float) -> Eliminated:
         """Return the same with the diagonal of D enlarged by `1 + factor`."""
         return Eliminated(self.members, self.free.T, self.rows, self.width, factor)
 
+    def _normal(self) -> Array:
+        """Return D with 1 on the diagonal of fixed entries, (s, s, k)."""
+        s, k = self.free.shape
+        normal = np.zeros((s, s, k))
+        for part in self.rows:
+            normal += np.einsum("damk,dbmk->abk", part.own, part.own)
+        diagonal = np.einsum("aak->ak", normal)
+        diagonal[~self.free] = 1.0
+        if self.damping:
+            diagonal += self.damping * np.where(diagonal > 0, diagonal, 1.0)
+        return normal
+
     @cached_property
     def factor(self) -> Array:
-        """L with the inverses of its diagonal on the diagonal, (s, s, k); LinAlgError where a member is singular."""
-        s, k = self.free.shape
-        factor = np.empty((s, s, k))
-        for a in range(s):
-            for b in range(a + 1):
-                rest = self.normal[a, b].copy()
-                for c in range(b):
-                    rest -= factor[a, c] * factor[b, c]
-                if a == b:
-                    if not (rest > _SINGULAR * self.normal[a, a]).all():
-                        raise np.linalg.LinAlgError("a member is not determined by its own readings")
-                    factor[a, a] = 1 / np.sqrt(rest)
-                else:
-                    factor[a, b] = rest * factor[b, b]
-        return factor
+        """L of `D = L L'`, (s, s, k); LinAlgError where a member is singular."""
+        return cholesky(self._normal())
 
     def forward(self, right: Array) -> Array:
         """Return `L^-1` times right, (s, ..., k)."""
-        solved = np.empty_like(right)
-        for a in range(len(right)):
-            rest = right[a]
-            for b in range(a):
-                rest = rest - self.factor[a, b] * solved[b]
-            np.multiply(rest, self.factor[a, a], out=solved[a])
-        return solved
+        return forward(self.factor, right)
 
     def backward(self, right: Array) -> Array:
         """Return `L'^-1` times right, (s, ..., k)."""
-        solved = np.empty_like(right)
-        for a in reversed(range(len(right))):
-            rest = right[a]
-            for b in range(a + 1, len(right)):
-                rest = rest - self.factor[b, a] * solved[b]
-            np.multiply(rest, self.factor[a, a], out=solved[a])
-        return solved
+        return backward(self.factor, right)
 
     def whitened(self, part: Rows) -> Array:
         """Return `U = L^-1 J'` of the readings of one group, (s, d, m, k)."""
@@ -133,40 +110,74 @@ class Eliminated:
 
         A column may stand in several rows.
         """
-        s, k = self.free.shape
-        pairs = [(part, beside) for part in self.rows for beside in part.beside]
+        return self._combined(len(self.free), [self.whitened(part) for part in self.rows])
+
+    def _combined(self, w: int, weights: Sequence[Array]) -> tuple[Array, Index]:
+        """Return the sums over the readings of weights (w, d, m, k) times K, (rows, w, k), and the columns (rows,)."""
+        pairs = [(weight, beside) for weight, part in zip(weights, self.rows, strict=True) for beside in part.beside]
         places = [beside.places.ravel() for _, beside in pairs]
-        rows = np.empty((sum(len(place) for place in places), s, k))
+        rows = np.empty((sum(len(place) for place in places), w, self.free.shape[1]))
         at = 0
-        for part in self.rows:
-            whitened = self.whitened(part)
-            for beside in part.beside:
-                size = beside.places.size
-                out = rows[at : at + size].reshape(*beside.places.shape, s, k)
-                at += size
-                if len(out) == 1 < beside.jacobian.shape[2]:
-                    np.einsum("admk,dcmk->cak", whitened, beside.jacobian, out=out[0])
-                    continue
-                first, second = whitened.transpose(1, 2, 0, 3), beside.jacobian.swapaxes(1, 2)
-                np.multiply(first[0][:, None], second[0][:, :, None], out=out)
-                for d in range(1, len(first)):
-                    out += first[d][:, None] * second[d][:, :, None]
+        for weight, beside in pairs:
+            out = rows[at : at + beside.places.size].reshape(*beside.places.shape, *rows.shape[1:])
+            at += beside.places.size
+            if len(out) == 1 < beside.jacobian.shape[2]:
+                np.einsum("admk,dcmk->cak", weight, beside.jacobian, out=out[0])
+                continue
+            first, second = weight.transpose(1, 2, 0, 3), beside.jacobian.swapaxes(1, 2)
+            np.multiply(first[0][:, None], second[0][:, :, None], out=out)
+            for d in range(1, len(first)):
+                out += first[d][:, None] * second[d][:, :, None]
         return rows, np.concatenate([*places, np.zeros(0, dtype=np.intp)])
 
-    def add(self, matrix: Array, right: Array) -> None:
-        """Add `K'K` and `K' residual` to a matrix and a right side with a place more for fixed unknowns, the last."""
-        for part in self.rows:
-            _add(part, matrix, right)
-
     @cached_property
-    def loss(self) -> tuple[Array, Array]:
-        """`Y'Y` and `Y' U residual`, which the reduced system loses, (width, width) and (width,)."""
+    def reduced(self) -> tuple[Array, Array, float]:
+        """What the readings say of the reduced unknowns alone: matrix, right side, and the fall by the members alone.
+
+        LinAlgError where a member is singular. Where there are few readings to spare, combinations of readings that
+        the members do not act on are taken (Z of `complement`), else `K'K - Y'Y`.
+        """
+        scalars = sum(part.own.shape[0] * part.own.shape[2] for part in self.rows)
         matrix, right = np.zeros((self.width + 1,) * 2), np.zeros(self.width + 1)
-        rows, places = self.coupling()
+        s = len(self.free)
+        if s <= scalars <= 2 * s and self.free.all() and not self.damping:
+            self._add_spare(matrix, right)
+        else:
+            for part in self.rows:
+                _add(part, matrix, right)
+            rows, places = self.coupling()
+            flat = _flat(rows)
+            np.subtract.at(matrix, (places[:, None], places), flat @ flat.T)
+            np.subtract.at(right, places, flat @ self.forward(self.right).ravel())
+        fall = self.forward(self.right)
+        return matrix[:-1, :-1], right[:-1], float(np.vdot(fall, fall))
+
+    def _add_spare(self, matrix: Array, right: Array) -> None:
+        """Add `X'X` and `X' Z' residual`, with `X = Z'K`."""
+        s, k = self.free.shape
+        columns = [part.own.swapaxes(1, 2).reshape(-1, s, k) for part in self.rows]
+        self.factor, spare = complement(columns[0] if len(columns) == 1 else np.concatenate(columns))
+        weights, residual, at = [], np.zeros((spare.shape[1], k)), 0
+        for part, column in zip(self.rows, columns, strict=True):
+            own = spare[at : at + len(column)]
+            at += len(column)
+            residual += np.einsum("pqk,pk->qk", own, part.residual.reshape(len(column), k))
+            weights.append(own.swapaxes(0, 1).reshape(spare.shape[1], *part.residual.shape))
+        rows, places = self._combined(spare.shape[1], weights)
         flat = _flat(rows)
         np.add.at(matrix, (places[:, None], places), flat @ flat.T)
-        np.add.at(right, places, flat @ self.forward(self.right).ravel())
-        return matrix[:-1, :-1], right[:-1]
+        np.add.at(right, places, flat @ residual.ravel())
+
+    @property
+    def diagonal(self) -> Array:
+        """The diagonal of `K'K`, (width,)."""
+        diagonal = np.zeros(self.width + 1)
+        for part in self.rows:
+            for beside in part.beside:
+                squares = np.einsum("dcmk,dcmk->mc", beside.jacobian, beside.jacobian)
+                shared = len(beside.places) < len(squares)
+                np.add.at(diagonal, beside.places, squares.sum(axis=0, keepdims=True) if shared else squares)
+        return diagonal[:-1]
 
     def back(self, step: Array) -> Array:
         """Return the members' own step, `D^-1 J' (residual - K step)`, (k, s)."""
@@ -178,13 +189,9 @@ class Eliminated:
                     right[a] -= np.einsum("dmk,dmk->k", part.own[:, a], seen)
         return self.backward(self.forward(right)).T
 
-    def fall(self, step: Array) -> float:
-        """Return the right side times a step (k, s)."""
-        return float(np.einsum("sk,ks->", self.right, step))
-
     def normals(self) -> Array:
         """Return D, (k, s, s)."""
-        return np.moveaxis(self.normal, -1, 0)
+        return np.moveaxis(self._normal(), -1, 0)
 
     def inverse(self) -> Array:
         """Return D^-1 with zeros at fixed entries, (k, s, s)."""

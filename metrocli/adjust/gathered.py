@@ -27,6 +27,10 @@ class Gathered:
     """(members, s, width)"""
     right: Array
     """(members, s)"""
+    n: Array
+    """Of the reduced unknowns, (width, width)"""
+    right_r: Array
+    """(width,)"""
 
     @cached_property
     def _weights(self) -> Array:
@@ -37,21 +41,25 @@ class Gathered:
         return replace(self, d=self.d + factor * _diagonal(self.d))
 
     @cached_property
-    def loss(self) -> tuple[Array, Array]:
-        """`B' D^-1 B` and `B' D^-1 right`, which the reduced system loses, (width, width) and (width,)."""
-        flat, weights = (x.reshape(self.right.size, self.b.shape[2]) for x in (self.b, self._weights))
-        return flat.T @ weights, weights.T @ self.right.ravel()
+    def reduced(self) -> tuple[Array, Array, float]:
+        """What the readings say of the reduced unknowns alone: matrix, right side, and the fall by the members alone."""
+        flat, weights = (x.reshape(self.right.size, len(self.n)) for x in (self.b, self._weights))
+        alone = float(np.vdot(self.right, self._solved())) if self.d.size else 0.0
+        return self.n - flat.T @ weights, self.right_r - weights.T @ self.right.ravel(), alone
+
+    @property
+    def diagonal(self) -> Array:
+        """The diagonal of `K'K`, (width,)."""
+        return np.diag(self.n)
+
+    def _solved(self) -> Array:
+        return np.asarray(np.linalg.solve(self.d, self.right[:, :, None])[:, :, 0], dtype=float)
 
     def back(self, step: Array) -> Array:
         """Return the members' own step, `D^-1 (right - B step)`, (members, s)."""
         if not self.d.size:
             return self.right
-        solved: Array = np.linalg.solve(self.d, self.right[:, :, None])[:, :, 0] - self._weights @ step
-        return solved
-
-    def fall(self, step: Array) -> float:
-        """Return the right side times a step (members, s)."""
-        return float(np.vdot(self.right, step))
+        return self._solved() - self._weights @ step
 
     def normals(self) -> Array:
         """Return D, (members, s, s)."""
@@ -109,7 +117,7 @@ class Sums:
         """Return the members, with 1 on the diagonal of fixed entries."""
         fixed = np.nonzero(~free)
         self.d[fixed[0], fixed[1], fixed[1]] = 1.0
-        return Gathered(np.arange(len(free)), free, self.d, self.b, self.right_e)
+        return Gathered(np.arange(len(free)), free, self.d, self.b, self.right_e, self.n, self.right_r)
 
 
 @dataclass(frozen=True)

@@ -33,14 +33,18 @@ class Part(Protocol):
         """Return the same with the diagonal of D enlarged by `1 + factor`."""
 
     @property
-    def loss(self) -> tuple[Array, Array]:
-        """`B' D^-1 B` and `B' D^-1 right`; LinAlgError where D is singular."""
+    def reduced(self) -> tuple[Array, Array, float]:
+        """What the readings say of the reduced unknowns alone: `N - B' D^-1 B`, right side, and `right' D^-1 right`.
+
+        LinAlgError where D is singular.
+        """
+
+    @property
+    def diagonal(self) -> Array:
+        """The diagonal of N, (width,)."""
 
     def back(self, step: Array) -> Array:
         """Return the members' own step, `D^-1 (right - B step)`, (k, s)."""
-
-    def fall(self, step: Array) -> float:
-        """Return the right side times a step (k, s)."""
 
     def normals(self) -> Array:
         """Return D, (k, s, s)."""
@@ -63,27 +67,32 @@ class Normals:
     """The parts of the normal matrix and of the right side `J' r`, all in whitened readings."""
 
     parts: tuple[Part, ...]
+    """Those of the portions, then that of the other readings"""
     shape: tuple[int, int]
     """Of the eliminated block, (members, s)"""
-    n: Array
-    """(width, width)"""
-    right: Array
-    """Right side of the reduced unknowns before elimination, (width,)"""
     cost: float
+    damping: float = 0.0
 
-    def reduced(self) -> tuple[Array, Array]:
-        """Return `S = N - B' D^-1 B` and its right side; LinAlgError where a member is singular."""
-        matrix, right = self.n.copy(), self.right.copy()
-        for part in self.parts:
-            matrix -= part.loss[0]
-            right -= part.loss[1]
-        return matrix, right
+    @property
+    def diagonal(self) -> Array:
+        """The diagonal of N, (width,)."""
+        return np.asarray(np.sum([part.diagonal for part in self.parts], axis=0))
+
+    def reduced(self) -> tuple[Array, Array, float]:
+        """Return `S = N - B' D^-1 B`, its right side, and the fall of the sum of squares by the members alone.
+
+        LinAlgError where a member is singular.
+        """
+        matrices, rights, alone = zip(*(part.reduced for part in self.parts), strict=True)
+        matrix, right = np.sum(matrices, axis=0), np.sum(rights, axis=0)
+        if self.damping:
+            diagonal = self.diagonal
+            matrix[np.diag_indices_from(matrix)] += self.damping * np.where(diagonal > 0, diagonal, 1.0)
+        return matrix, right, sum(alone)
 
     def damped(self, factor: float) -> Normals:
         """Return the normals with their diagonal enlarged by `1 + factor` (Marquardt)."""
-        n, diagonal = self.n.copy(), np.diag(self.n)
-        n[np.diag_indices_from(n)] += factor * np.where(diagonal > 0, diagonal, 1.0)
-        return replace(self, parts=tuple(part.damped(factor) for part in self.parts), n=n)
+        return replace(self, parts=tuple(part.damped(factor) for part in self.parts), damping=factor)
 
     def back(self, step: Array) -> Array:
         """Return the step of the eliminated unknowns, `D^-1 (right - B step)`, (members, s)."""
@@ -99,10 +108,6 @@ class Normals:
             steps[part.members] = part.weights() @ step
         return steps
 
-    def fall(self, step: Array, steps: Array) -> float:
-        """Return the right side times a step (width,) and (members, s): the fall that the step promises, twofold."""
-        return float(self.right @ step) + sum(part.fall(steps[part.members]) for part in self.parts)
-
 
 def assemble(groups: Sequence[Group], split: Split, blocks: Mapping[str, Block], layout: Layout) -> Normals:
     """Linearise all groups and sum their normal equations; a cost that is no number ends it before the sums."""
@@ -114,7 +119,6 @@ def assemble(groups: Sequence[Group], split: Split, blocks: Mapping[str, Block],
         linear = groups[place].linear(blocks, layout.wanted)
         cost += linear.cost
         sums.add(linear, blocks, layout)
-    matrix, right = np.pad(sums.n, (0, 1)), np.append(sums.right_r, 0.0)
     parts: list[Part] = []
     for portion in split.portions:
         linears = [piece.group.linear(blocks, layout.wanted) for piece in portion.pieces]
@@ -123,13 +127,12 @@ def assemble(groups: Sequence[Group], split: Split, blocks: Mapping[str, Block],
             break
         rows = [Rows.of(linear, portion.members, blocks, layout) for linear in linears]
         part = Eliminated(portion.members, blocks[name or ""].free[portion.members], rows, layout.width)
-        part.add(matrix, right)
         with suppress(np.linalg.LinAlgError):  # told when it is asked for; found here, while the rows are in the cache
-            _ = part.loss
+            _ = part.reduced
         parts.append(part)
-    if not split.portions:
-        parts.append(sums.gathered(blocks[name].free if name else np.zeros((0, 0), dtype=bool)))
-    return Normals(tuple(parts), shape, matrix[:-1, :-1], right[:-1], float(cost))
+    free = blocks[name].free if name else np.zeros((0, 0), dtype=bool)
+    rest = sums.gathered(free[:0] if split.portions else free)
+    return Normals((*parts, rest), shape, float(cost))
 
 
 def cost_of(groups: Sequence[Group], split: Split, blocks: Mapping[str, Block]) -> float:

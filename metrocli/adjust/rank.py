@@ -29,7 +29,7 @@ def open_combinations(
     single = _open_members(blocks, layout, normals)
     if single or not layout.free:
         return single
-    reach = _reach(blocks, layout, np.diag(normals.n))[: layout.free]
+    reach = _reach(blocks, layout, normals.diagonal)[: layout.free]
     scaled = matrix[: layout.free, : layout.free] * reach[:, None] * reach
     if _surely_determined(scaled):
         return ()
