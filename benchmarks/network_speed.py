@@ -21,6 +21,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -28,7 +29,7 @@ from metrocli.adjust.adjustment import Control, adjust, covariance_at
 from metrocli.adjust.blocks import Array
 from metrocli.adjust.groups import Group, prior
 from metrocli.adjust.observations import Observations
-from metrocli.adjust.solution import residuals_of
+from metrocli.adjust.solution import Solution, residuals_of
 from metrocli.instruments import tracer
 
 A, B, SCALE = 1e-4, 1e-7, 5e-7
@@ -40,8 +41,8 @@ CORNERS = np.array(
     ]
 )  # fmt: skip
 VOLUME = np.array([2000.0, 1000.0, 1000.0])
-PATIENCE = 10_000
-"""Points up to which the slow ones are asked"""
+LARGE = 100_000
+"""Points up to which Ceres is asked"""
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,7 @@ class Problem:
         sigma = np.sqrt(A**2 + (B * (lengths + dead)) ** 2)
         return Problem(lengths, sigma, near, np.column_stack([about, dead, np.ones(m)]))
 
-    def ours(self) -> dict[str, object]:
+    def ours(self) -> dict[str, Any]:
         """Return it as keywords of `adjust`."""
         n, m = self.lengths.shape
         points = tracer.point_block(self.points, tuple(map(str, range(n))), True, 2000.0)
@@ -97,15 +98,22 @@ class Problem:
         n, m = self.lengths.shape
         with path.open("wb") as file:
             np.array([m, n], dtype=np.int64).tofile(file)
-            for values in (np.array([SCALE]), self.lengths, 1 / self.sigma, self.points, self.tracers, self.conditions()):
+            for values in (
+                np.array([SCALE]),
+                self.lengths,
+                1 / self.sigma,
+                self.points,
+                self.tracers,
+                self.conditions(),
+            ):
                 np.ascontiguousarray(values).tofile(file)
 
 
-def cpu(task: Callable[[], object]) -> float:
-    """Return the CPU seconds of a call."""
+def timed(task: Callable[[], Solution | None]) -> tuple[Any, float]:
+    """Return what a call gives, and its CPU seconds."""
     before = time.process_time()
-    task()
-    return time.process_time() - before
+    found = task()
+    return found, time.process_time() - before
 
 
 def peak() -> float:
@@ -116,49 +124,61 @@ def peak() -> float:
 def measured(n: int, m: int, runs: int, covariance: bool) -> dict[str, float]:
     """Adjust in this process and return what it took."""
     problem = Problem.draw(n, m).ours()
-    found = []
-    control = Control(covariance=False)
-    seconds = [cpu(lambda: found.append(adjust(**problem, control=control)) or found[:-1].clear()) for _ in range(runs)]  # type: ignore[arg-type, func-returns-value]
-    solution = found[-1]
+    seconds = []
+    for _ in range(runs):
+        solution, used = timed(lambda: adjust(**problem, control=Control(covariance=False)))
+        seconds.append(used)
     taken = {"first": seconds[0], "solve": min(seconds), "cost": solution.cost, "steps": solution.iterations}
     taken["peak"] = peak()
     if covariance:
-        def statistics() -> None:
-            known = covariance_at(solution.blocks.values(), problem["groups"], problem["datum"])  # type: ignore[arg-type]
-            known.known().members(tracer.POINT)
-            residuals_of(known, known.groups[0])
-
-        taken |= {"covariance": min(cpu(statistics) for _ in range(runs)), "all": peak()}
+        used = min(timed(lambda: statistics(solution, problem))[1] for _ in range(runs))
+        taken |= {"covariance": used, "all": peak()}
     return taken
+
+
+def statistics(solution: Solution, problem: dict[str, Any]) -> None:
+    """Find the covariance of every point, redundancy numbers and w-tests at a solution."""
+    known = covariance_at(solution.blocks.values(), problem["groups"], problem["datum"])
+    known.known().members(tracer.POINT)
+    residuals_of(known, known.groups[0])
 
 
 def in_a_process(n: int, m: int, runs: int, covariance: bool = True) -> dict[str, float]:
     """Return what `measured` says in a process of its own."""
-    call = f"import json; from benchmarks.network_speed import measured; print(json.dumps(measured({n}, {m}, {runs}, {covariance})))"
-    done = subprocess.run([sys.executable, "-c", call], check=True, capture_output=True, text=True, env=os.environ | {"OMP_NUM_THREADS": "1"})
+    call = (
+        f"import json; from benchmarks.network_speed import measured as f; print(json.dumps(f{n, m, runs, covariance}))"
+    )
+    return output([sys.executable, "-c", call])
+
+
+def output(command: list[str]) -> dict[str, float]:
+    """Return what a program prints, on one thread."""
+    one = os.environ | {"OMP_NUM_THREADS": "1"}
+    done = subprocess.run(command, check=True, capture_output=True, text=True, env=one)
     return dict(json.loads(done.stdout))
 
 
 def ceres_program(folder: Path) -> Path | None:
     """Build the program of Ceres; None, saying why, where that cannot be."""
-    compiler, source, program = shutil.which("g++"), Path(__file__).with_name("network_ceres.cpp"), folder / "network_ceres"
+    compiler, program = shutil.which("g++"), folder / "network_ceres"
     if compiler is None:
         print("Ceres: skipped, no g++")
         return None
     flags = ["-O3", "-march=native", "-std=c++17", "-I/usr/include/eigen3"]
-    done = subprocess.run([compiler, *flags, str(source), "-o", str(program), "-lceres", "-lglog", "-lpthread"], capture_output=True, text=True, check=False)
+    source = str(Path(__file__).with_name("network_ceres.cpp"))
+    call = [compiler, *flags, source, "-o", str(program), "-lceres", "-lglog", "-lpthread"]
+    done = subprocess.run(call, capture_output=True, text=True, check=False)
     if done.returncode:
         print("Ceres: skipped, its program cannot be built:", next(iter(done.stderr.splitlines()), ""))
         return None
     return program
 
 
-def ceres(program: Path, folder: Path, problem: Problem, mode: str, runs: int = 3, task: str = "solve") -> dict[str, float]:
+def ceres(program: Path, problem: Problem, mode: str, runs: int = 3, task: str = "solve") -> dict[str, float]:
     """Return the best of several runs of Ceres."""
-    path = folder / "problem"
+    path = program.with_name("problem")
     problem.write(path)
-    found = [json.loads(subprocess.run([str(program), str(path), mode, task], check=True, capture_output=True, text=True).stdout) for _ in range(runs)]
-    return min(found, key=lambda one: float(one["solve"]))
+    return min((output([str(program), str(path), mode, task]) for _ in range(runs)), key=lambda one: one["solve"])
 
 
 def scipy_least_squares(problem: Problem) -> float:
@@ -172,7 +192,9 @@ def scipy_least_squares(problem: Problem) -> float:
     i, j = np.divmod(np.arange(n * m), m)
     columns = np.concatenate([3 * i[:, None] + np.arange(3), 3 * n + 5 * j[:, None] + np.arange(5)], axis=1).ravel()
     columns = np.concatenate([columns, 3 * n + 5 * np.arange(m) + 4, (3 * owners[:, None] + np.arange(3)).ravel()])
-    rows = np.concatenate([np.repeat(np.arange(n * m), 8), n * m + np.arange(m), np.repeat(n * m + m + np.arange(6), 3)])
+    rows = np.concatenate(
+        [np.repeat(np.arange(n * m), 8), n * m + np.arange(m), np.repeat(n * m + m + np.arange(6), 3)]
+    )
 
     def parts(z: Array) -> tuple[Array, Array, Array, Array]:
         points, tracers = z[: 3 * n].reshape(n, 3), z[3 * n :].reshape(m, 5)
@@ -195,14 +217,16 @@ def scipy_least_squares(problem: Problem) -> float:
     start = np.concatenate([problem.points.ravel(), problem.tracers.ravel()])
     stop = {"ftol": 1e-15, "xtol": 1e-15, "gtol": 1e-15, "max_nfev": 100}
     lsmr = {"atol": 1e-14, "btol": 1e-14, "conlim": 1e16, "maxiter": 2000}
-    return cpu(lambda: least_squares(residual, start, jac=jacobian, method="trf", tr_solver="lsmr", x_scale="jac", tr_options=lsmr, **stop))
+    how = {"method": "trf", "tr_solver": "lsmr", "x_scale": "jac", "tr_options": lsmr}
+    return timed(lambda: least_squares(residual, start, jac=jacobian, **how, **stop))[1]
 
 
 def command() -> tuple[float, float]:
     """Return wall and CPU seconds of `metrocli multilaterate` on 100 points and 4 tracers, the best of five."""
     with tempfile.TemporaryDirectory() as name:
         folder, problem = Path(name), Problem.draw(100, 4)
-        rows = [f"P{i},T{j},{length!r}" for i, read in enumerate(problem.lengths.tolist()) for j, length in enumerate(read)]
+        readings = [(i, j, length) for i, read in enumerate(problem.lengths.tolist()) for j, length in enumerate(read)]
+        rows = [f"P{i},T{j},{length!r}" for i, j, length in readings]
         (folder / "lengths.csv").write_text("\n".join(["point,tracer,length_mm", *rows, ""]))
         places = [f"P{i},{x!r},{y!r},{z!r}" for i, (x, y, z) in enumerate(problem.points.tolist())]
         (folder / "points.csv").write_text("\n".join(["point,x_mm,y_mm,z_mm", *places, ""]))
@@ -213,39 +237,53 @@ def command() -> tuple[float, float]:
         found = []
         for _ in range(5):
             before, used = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
-            subprocess.run([sys.executable, "-m", "metrocli", "multilaterate", str(folder / "job.yaml")], check=True, capture_output=True)
+            call = [sys.executable, "-m", "metrocli", "multilaterate", str(folder / "job.yaml")]
+            subprocess.run(call, check=True, capture_output=True)
             after = resource.getrusage(resource.RUSAGE_CHILDREN)
-            found.append((time.perf_counter() - before, after.ru_utime + after.ru_stime - used.ru_utime - used.ru_stime))
+            found.append(
+                (time.perf_counter() - before, after.ru_utime + after.ru_stime - used.ru_utime - used.ru_stime)
+            )
     return min(wall for wall, _ in found), min(used for _, used in found)
+
+
+def compared(m: int, n: int, program: Path | None) -> str:
+    """Return the line of the first table for one size."""
+    mine = in_a_process(n, m, 3 if n > LARGE else 7, covariance=False)
+    text = f"{m:>2} {n:>8} {mine['solve']:>7.3f} {mine['first']:>7.3f} {mine['peak']:>5.0f}  "
+    if program is None or n > LARGE:
+        return text
+    for mode in ("auto", "analytic", "pairs"):
+        other = ceres(program, Problem.draw(n, m), mode)
+        ratio = (other["build"] + other["solve"]) / mine["solve"]
+        agrees = abs(other["cost"] / mine["cost"] - 1) < 1e-8
+        text += f" {mode} {other['build']:.2f} + {other['solve']:.2f} ({ratio:.1f}, {other['peak']:.0f}"
+        text += ")" if agrees else ", OTHER MINIMUM)"
+    return text
 
 
 def main() -> None:
     """Print the tables."""
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        program = ceres_program(folder)
-        print("adjustment, CPU s; ratio: Ceres' time over ours (best of several in one process; 'first' is the first)")
-        print(f"{'m':>2} {'n':>8} {'ours':>7} {'first':>7} {'MB':>5}   Ceres: build + solve (ratio, MB), same sum of squares")
+        program = ceres_program(Path(name))
+        print("adjustment, CPU s (best, first of its process), peak memory in MB")
+        print("Ceres: build + solve (times ours, MB); ends at the same sum of squares")
+        print(f"{'m':>2} {'n':>8} {'ours':>7} {'first':>7} {'MB':>5}")
         for m, n in ((4, 1000), (4, 10_000), (4, 100_000), (8, 100_000), (4, 1_000_000)):
-            mine = in_a_process(n, m, 3 if n > 500_000 else 7, covariance=False)
-            text = f"{m:>2} {n:>8} {mine['solve']:>7.3f} {mine['first']:>7.3f} {mine['peak']:>5.0f}  "
-            for mode in ("auto", "analytic", "pairs") if program and n <= 100_000 else ():
-                other = ceres(program, folder, Problem.draw(n, m), mode)
-                seconds = other["build"] + other["solve"]
-                agrees = abs(other["cost"] / mine["cost"] - 1) < 1e-8
-                text += f" {mode} {other['build']:.2f} + {other['solve']:.2f} ({seconds / mine['solve']:.1f}, {other['peak']:.0f}{'' if agrees else ', OTHER MINIMUM'})"
-            print(text, flush=True)
-        print("covariance of every point, redundancy numbers and w-tests at the solution, CPU s, and as a share of the adjustment")
+            print(compared(m, n, program), flush=True)
+        print(
+            "covariance of every point, redundancy numbers and w-tests at the solution: CPU s, times the adjustment, MB"
+        )
         for m, n in ((4, 1000), (4, 100_000), (8, 100_000), (4, 1_000_000)):
-            mine = in_a_process(n, m, 2 if n > 500_000 else 5)
-            print(f"{m:>2} {n:>8} {mine['covariance']:>7.3f} {mine['covariance'] / mine['solve']:>6.2f}   {mine['all']:.0f} MB", flush=True)
+            mine = in_a_process(n, m, 2 if n > LARGE else 5)
+            ratio = mine["covariance"] / mine["solve"]
+            print(f"{m:>2} {n:>8} {mine['covariance']:>7.3f} {ratio:>6.2f} {mine['all']:>6.0f}", flush=True)
         if program:
-            other = ceres(program, folder, Problem.draw(1000, 4), "pairs", 1, "covariance")
-            print(f"Ceres, covariance of every point (SPARSE_QR), m = 4, n = 1000: {other['covariance']:.2f} s")
-    problem = Problem.draw(1000, 4)
-    print(f"scipy least_squares (trf, lsmr), m = 4, n = 1000: {scipy_least_squares(problem):.2f} s")
+            seconds = ceres(program, Problem.draw(1000, 4), "pairs", 1, "covariance")["covariance"]
+            print(f"Ceres, covariance of every point (SPARSE_QR), m = 4, n = 1000: {seconds:.2f} s")
+    seconds = scipy_least_squares(Problem.draw(1000, 4))
+    print(f"scipy least_squares (trf, lsmr), m = 4, n = 1000: {seconds:.2f} s")
     wall, used = command()
-    print(f"metrocli multilaterate, n = 100, m = 4, reading and writing included: {wall:.2f} s, CPU {used:.2f} s")
+    print(f"metrocli multilaterate, m = 4, n = 100, reading and writing included: {wall:.2f} s, CPU {used:.2f} s")
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -18,8 +19,10 @@ from metrocli.adjust.portions import Split, split
 from metrocli.adjust.rank import open_combinations
 from metrocli.adjust.solution import Solution
 
-_ROUNDING, _NOISE = 1e-13, 5e-13
-"""A fall, and a rise in the last step, of the sum of squares below this share of it is rounding."""
+_ROUNDING = 1e-13
+"""A fall of the sum of squares below this share of it is rounding."""
+_LAST_DIGITS = 4 * float(np.finfo(float).eps)
+"""What rounding leaves unsure of a predicted reading, as a share of it"""
 _DAMPING_START, _DAMPING_END, _DAMPING_LIMIT = 1e-9, 1e-11, 1e8
 
 
@@ -41,6 +44,12 @@ class _Problem:
     layout: Layout
     datum: Datum | None
     split: Split
+
+    @cached_property
+    def size(self) -> float:
+        """Root of the sum of squares of the readings in their standard deviations."""
+        whitened = (group.observations.whitened(group.observations.readings) for group in self.groups)
+        return float(np.sqrt(sum(np.vdot(values, values) for values in whitened)))
 
     def normals(self, blocks: Mapping[str, Block]) -> Normals:
         with np.errstate(all="ignore"):
@@ -125,7 +134,7 @@ class _Descent:
             last = fall <= small + _ROUNDING * self.cost
             found = None if last and not self.wanted else self.problem.normals(moved)
             cost = found.cost if found else self.problem.cost(moved)
-            if cost <= self.cost or (last and cost <= self.cost * (1 + _NOISE) + small):
+            if cost <= self.cost or (last and cost <= self.cost + small + self._rounding()):
                 done = last and self.damping <= 1e-4
                 self.state, self.normals, self.cost, self.damping = moved, found, cost, _relaxed(self.damping)
                 return Outcome.CONVERGED if done else Outcome.ITERATION_LIMIT
@@ -133,6 +142,10 @@ class _Descent:
                 return Outcome.CONVERGED
             self._damp()
         return Outcome.DIVERGED
+
+    def _rounding(self) -> float:
+        """Return how much of a sum of squares may be rounding (Cauchy, Schwarz): `2 |residual| |readings| eps`."""
+        return 2 * float(np.sqrt(self.cost)) * _LAST_DIGITS * self.problem.size + _ROUNDING * self.cost
 
     def _damp(self) -> None:
         self.damping = max(self.damping * 10, _DAMPING_START)
@@ -150,9 +163,7 @@ def _relaxed(damping: float) -> float:
     return damping / 10 if damping / 10 > _DAMPING_END else 0.0
 
 
-def _solve(
-    problem: _Problem, state: Mapping[str, Block], normals: Normals
-) -> tuple[Array, float, Frame | None]:
+def _solve(problem: _Problem, state: Mapping[str, Block], normals: Normals) -> tuple[Array, float, Frame | None]:
     """Return the step of the reduced unknowns, the fall that all promise, `g' H^-1 g`, and the open movements."""
     free = problem.layout.free
     matrix, right, alone = normals.reduced()
@@ -193,7 +204,9 @@ def _moved(
         name: np.where(columns >= 0, step_r[np.maximum(columns, 0)], 0.0) for name, columns in layout.columns.items()
     }
     if layout.eliminated:
-        steps[layout.eliminated] = step_e if state[layout.eliminated].all_free else step_e * state[layout.eliminated].free
+        steps[layout.eliminated] = (
+            step_e if state[layout.eliminated].all_free else step_e * state[layout.eliminated].free
+        )
     if frame is not None:
         block = state[frame.datum.block]
         shifts = frame.steps(state, block.values + steps.get(block.name, np.zeros_like(block.values)))
@@ -243,7 +256,7 @@ def _widened(inverse: Array, layout: Layout) -> Array:
 
 
 def _in_eliminated_datum(frame: Frame, normals: Normals, inverse: Array) -> tuple[Array, tuple[Array, ...]]:
-    """Return the reduced covariance in a datum of inner constraints on the eliminated block, and `D^-1 H'` of each part.
+    """Return the reduced covariance in a datum of inner constraints on the eliminated block, and each part's `D^-1 H'`.
 
     With `h = H e = -A r + sum H_i n_i`, `A = sum H_i W_i`, n_i the noise of member i of covariance D_i^-1:
     `r' = (I + E A) r - E sum H_i n_i`.

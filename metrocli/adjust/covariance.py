@@ -91,7 +91,7 @@ class Covariance:
         return full
 
     def explained(self, place: int, group_readings: tuple[int, int]) -> Array | None:
-        """Return the variance of the adjusted readings of the group at `place`, `diag(J Q J')`, in whitened units, (d, n).
+        """Return the variance of the adjusted, whitened readings of the group at `place`, `diag(J Q J')`, (d, n).
 
         It is the same in every frame. None where its readings are not in portions.
         """

@@ -19,6 +19,7 @@ from metrocli.adjust.layout import Layout
 from metrocli.adjust.observations import Index
 from metrocli.adjust.side_by_side import backward, cholesky, complement, forward
 
+
 @dataclass(frozen=True)
 class Beside:
     """Derivatives of the readings of a portion by another block."""
@@ -65,7 +66,9 @@ class Rows:
 class Eliminated:
     """A portion whose members are eliminated."""
 
-    def __init__(self, members: Index | slice, free: Mask, rows: Sequence[Rows], width: int, damping: float = 0) -> None:
+    def __init__(
+        self, members: Index | slice, free: Mask, rows: Sequence[Rows], width: int, damping: float = 0
+    ) -> None:
         self.members, self.free, self.rows, self.width, self.damping = members, free.T, tuple(rows), width, damping
         self.right = np.zeros(self.free.shape)
         """J' residual, (s, k)"""

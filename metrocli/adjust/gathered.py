@@ -42,7 +42,7 @@ class Gathered:
 
     @cached_property
     def reduced(self) -> tuple[Array, Array, float]:
-        """What the readings say of the reduced unknowns alone: matrix, right side, and the fall by the members alone."""
+        """What readings say of the reduced unknowns alone: matrix, right side, and the fall by the members alone."""
         flat, weights = (x.reshape(self.right.size, len(self.n)) for x in (self.b, self._weights))
         alone = float(np.vdot(self.right, self._solved())) if self.d.size else 0.0
         return self.n - flat.T @ weights, self.right_r - weights.T @ self.right.ravel(), alone

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -89,12 +88,8 @@ class Observations:
             decorrelated: Array = np.einsum("nab,b...n->a...n", self._whitening, values)
             return decorrelated
         between = (1,) * (values.ndim - 2)
-        scaled: Array = values * self._weight.reshape(self.sigma.shape[0], *between, self.sigma.shape[1])
+        scaled: Array = values / self.sigma.reshape(self.sigma.shape[0], *between, self.sigma.shape[1])
         return scaled
-
-    @cached_property
-    def _weight(self) -> Array:
-        return np.asarray(1 / self.sigma)
 
     def selected(self, keep: Mask | Index) -> Observations:
         """Return the readings chosen by a mask or by indices (n,)."""

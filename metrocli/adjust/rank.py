@@ -77,9 +77,7 @@ def _open_members(blocks: Mapping[str, Block], layout: Layout, normals: Normals)
 def _open_in(block: Block, part: Part) -> list[Combination]:
     matrices, free = part.normals(), block.free[part.members]
     diagonal = np.einsum("mii->mi", matrices)
-    reach = np.where(
-        free, _limited(np.broadcast_to(block.reach, diagonal.shape), np.where(free, diagonal, 0.0)), 1.0
-    )
+    reach = np.where(free, _limited(np.broadcast_to(block.reach, diagonal.shape), np.where(free, diagonal, 0.0)), 1.0)
     if _all_determined(part, reach):
         return []
     names = np.arange(len(block.members))[part.members]

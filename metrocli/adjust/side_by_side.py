@@ -56,7 +56,7 @@ def backward(factor: Array, right: Array) -> Array:
 
 
 def complement(columns: Array) -> tuple[Array, Array]:
-    """Return L of `J'J = L L'` as `cholesky` does, and Z with `Z'J = 0`, `Z'Z = I`, of columns J (p, s, k): (p, p - s, k).
+    """Return L of `J'J = L L'` as `cholesky` does, and Z with `Z'J = 0`, `Z'Z = I`, of J (p, s, k): (p, p - s, k).
 
     By Householder's reflections, so that J is not squared. Raises LinAlgError where columns depend on each other.
     """

@@ -80,4 +80,3 @@ def datum(points: Block, takes_part: Array) -> Datum:
     places = of_points()
     tracers = of_members(len(COLUMNS), places)
     return Datum(POINT, points.values, takes_part, {POINT: places, TRACER: tracers}, FREEDOMS)
-
