@@ -139,6 +139,11 @@ class ErrorTables:
         return error
 
 
+def has(result: Result) -> bool:
+    """Tell whether a result holds error tables."""
+    return any(name.startswith("tables/") for name in result.tables)
+
+
 def of(result: Result) -> ErrorTables:
     """Return the determined error tables of a result of calibrate-machine; raises InputError for any other result."""
     from metrocli.errors import InputError
