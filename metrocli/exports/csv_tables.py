@@ -1,4 +1,4 @@
-"""A result as CSV: a file for each of its tables, which reads back as it is; error tables of a machine also together."""
+"""A result as CSV: a file for each of its tables, which reads back as it is; error tables of a machine together."""
 
 from __future__ import annotations
 
