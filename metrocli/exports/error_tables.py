@@ -79,6 +79,18 @@ class ErrorTables:
     squareness_std: Mapping[str, float] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
     """Errors that the measurement did not determine; they are in no file."""
+    together: tuple[str, ...] = ()
+    """Errors that are known only together with those left out: right for the tool of the measurement alone"""
+
+    def notes(self) -> list[str]:
+        """Return what every file says of its errors."""
+        lines = [SIGN]
+        if self.left_out:
+            lines.append("not determined by the measurement, and left out: " + " ".join(self.left_out))
+        if self.together:
+            tool = " ".join(f"{offset:g}" for offset in self.tool)
+            lines.append(f"right for the tool ({tool}) mm of the measurement only: " + " ".join(self.together))
+        return lines
 
     def only(self, curves: Iterator[str] | tuple[str, ...], squareness: bool = False) -> ErrorTables:
         """Return some of the curves, with the squareness or without."""
@@ -151,21 +163,31 @@ def of(result: Result) -> ErrorTables:
     named = {name.removeprefix("tables/"): table for name, table in result.tables.items() if name.startswith("tables/")}
     if not named:
         raise InputError("the result has no error tables; this format needs a result of calibrate-machine")
-    left_out = tuple(str(result.statistics.get("undetermined", "")).split())
+    axes = result.tables["axes"]
+    places = dict(zip(axes.texts("axis"), axes.numbers("place").tolist(), strict=True))
+    ranges = dict(
+        zip(places, zip(axes.numbers("low").tolist(), axes.numbers("high").tolist(), strict=True), strict=True)
+    )
+    left_out, together = (tuple(str(result.statistics.get(key, "")).split()) for key in ("undetermined", "together"))
     curves = {
         name: Curve(table.numbers("position"), table.numbers("value"), table.numbers("std"))
         for name, table in named.items()
         if name not in left_out
     }
-    found = {estimate.name: estimate for estimate in result.estimates if estimate.name in _SQUARENESS_NAMES}
-    kept = {name: estimate for name, estimate in found.items() if name not in left_out}
+    known = {
+        estimate.name: estimate
+        for estimate in result.estimates
+        if estimate.name in _SQUARENESS_NAMES and estimate.name not in left_out
+    }
     return ErrorTables(
         curves,
-        {name: estimate.value for name, estimate in kept.items()},
-        str(result.statistics["order"]),
+        {name: estimate.value for name, estimate in known.items()},
+        "".join(sorted(places, key=lambda axis: places[axis])),
         _tool(result),
-        squareness_std={name: estimate.std for name, estimate in kept.items()},
+        ranges,
+        squareness_std={name: estimate.std for name, estimate in known.items()},
         left_out=left_out,
+        together=together,
     )
 
 

@@ -11,14 +11,14 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from metrocli.errors import InputError
 from metrocli.exports.compensation import Control, Texts, files_of
-from metrocli.exports.error_tables import AXES, SIGN, Array, Curve, ErrorTables
+from metrocli.exports.error_tables import AXES, Array, Curve, ErrorTables
 from metrocli.exports.grids import evenly
 from metrocli.result import Result
 
@@ -58,7 +58,7 @@ def carried(tables: ErrorTables) -> ErrorTables:
     """Return the positioning errors, on the even grid through machine position 0 that the control can hold."""
     held = tables.only(tuple(f"E{axis}{axis}" for axis in AXES))
     curves = {name: _even(name, curve) for name, curve in held.curves.items()}
-    return ErrorTables(curves, {}, tables.order, ranges=tables.ranges)
+    return replace(held, curves=curves)
 
 
 def _even(name: str, curve: Curve) -> Curve:
@@ -118,14 +118,14 @@ def written(tables: ErrorTables) -> Texts:
         first = pitches[-1].first + len(pitches[-1].increments) if pitches else 0
         pitches.append(_pitch(name[2], curve, first))
     lines = [line for pitch in pitches for line in _lines(pitch)]
-    return {_FILE: "\n".join(["%", *(f"({line})" for line in _head(pitches[0])), *lines, "%", ""])}
+    return {_FILE: "\n".join(["%", *(f"({line})" for line in _head(pitches[0], tables.notes())), *lines, "%", ""])}
 
 
-def _head(pitch: Pitch) -> list[str]:
+def _head(pitch: Pitch, notes: list[str]) -> list[str]:
     curve = pitch.curve
     k = int(np.argmax(np.abs(curve.values)))
     return [
-        f"{SIGN.upper()}",
+        *(line.upper() for line in notes),
         f"VALUE = MINUS THE ERROR, INCREMENTS SEEN FROM THE NEGATIVE SIDE, DETECTION UNIT {UNIT} MM",
         "NO PUBLIC MANUAL CONFIRMS THE SIGN. TEST MOVE: AFTER REFERENCE RETURN GO TO "
         f"{pitch.axis} = {curve.positions[k]:.3f} MM: THE AXIS MUST MOVE BY {curve.values[k]:+.3f} MM MORE THAN "

@@ -9,12 +9,13 @@ Products of two axes need the KinematicsComp option and are left out; the note s
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from metrocli.errors import InputError
 from metrocli.exports.compensation import Control, Texts, files_of
-from metrocli.exports.error_tables import AXES, SIGN, Array, Curve, ErrorTables
+from metrocli.exports.error_tables import AXES, Array, Curve, ErrorTables
 from metrocli.result import Result
 
 MOST_POINTS = 256
@@ -25,12 +26,7 @@ _NOTE, _ASSIGNED = "heidenhain.txt", "config.CMA"
 def carried(tables: ErrorTables) -> ErrorTables:
     """Return what depends on one axis: positioning, straightness and squareness, angles with the tool as lever."""
     kept = {f"E{direction}{moves}": curve for (moves, direction), curve in tables.of_one_axis().items()}
-    return ErrorTables(kept, {}, tables.order, ranges=tables.ranges, left_out=tuple(_turning(tables)))
-
-
-def _turning(tables: ErrorTables) -> list[str]:
-    """Return the names of the angles whose lever is another axis."""
-    return [name for name in tables.curves if name[1] not in AXES and tables.order.index(name[2]) < len(AXES) - 1]
+    return replace(tables, curves=kept, squareness={})
 
 
 def written(tables: ErrorTables) -> Texts:
@@ -62,14 +58,14 @@ def _note(tables: ErrorTables) -> str:
     name, curve = next(iter(tables.curves.items()))
     k = int(np.argmax(np.abs(curve.values)))
     lines = [
-        f"{SIGN}; values in mm are errors: positive where the travel is too long",
+        *tables.notes(),
+        "values in mm are errors: positive where the travel is too long",
         "no public manual confirms the sign of nonlinear tables. Test move: with the line of config.CMA active go to "
         f"{name[2]} = {curve.positions[k]:.3f} mm: {name[1]} must move by {-curve.values[k]:+.4f} mm; else change the "
         "sign of all columns",
         "the layout of the header line differs between controls; the columns are those of MANUALplus 620 and iTNC 530",
     ]
-    if tables.left_out:
-        lines.append("not in these tables, since another axis is their lever: " + " ".join(tables.left_out))
+    lines.append("angles that have another axis as lever are not in these tables: they need the option KinematicsComp")
     return "\n".join([*lines, ""])
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from metrocli.errors import InputError
 from metrocli.exports.compensation import Control, Texts, files_of
-from metrocli.exports.error_tables import AXES, SIGN, Array, Curve, ErrorTables
+from metrocli.exports.error_tables import AXES, Array, Curve, ErrorTables
 from metrocli.result import Result
 
 MOST_POINTS = 256
@@ -39,7 +39,7 @@ def written(tables: ErrorTables) -> Texts:
         raise InputError("the result determines no positioning error: nothing for COMP_FILE")
     lines = [f"[JOINT_{AXES.index(name[0].upper())}] COMP_FILE = {name}, COMP_FILE_TYPE = 0" for name in texts]
     note = [
-        f"{SIGN}",
+        *tables.notes(),
         "each line of a .comp file: nominal, reached going forward, reached in reverse, in mm",
         "BACKLASH of the joint is ignored where a COMP_FILE is set",
         *lines,

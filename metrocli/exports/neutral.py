@@ -8,7 +8,7 @@ import numpy as np
 
 from metrocli import units
 from metrocli.exports.compensation import Texts
-from metrocli.exports.error_tables import AXES, SIGN, Array, ErrorTables
+from metrocli.exports.error_tables import AXES, Array, ErrorTables
 
 _UNITS = {"um": ("length", "errors.csv"), "urad": ("angle", "errors-angles.csv")}
 
@@ -33,11 +33,9 @@ def texts_of(tables: ErrorTables) -> Texts:
 
 
 def _head(tables: ErrorTables) -> Iterable[str]:
-    yield SIGN
+    yield from tables.notes()
     yield f"axes from the workpiece to the tool: {tables.order}; tool {tables.tool} mm"
     yield "straightness is free of its end-point line; squareness is the angle of these lines"
-    if tables.left_out:
-        yield "not determined by the measurement, and left out: " + " ".join(tables.left_out)
 
 
 def _rows(tables: ErrorTables, name: str, unit: units.Unit) -> Iterable[str]:

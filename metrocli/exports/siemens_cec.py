@@ -17,7 +17,7 @@ import numpy as np
 from metrocli import units
 from metrocli.errors import InputError
 from metrocli.exports.compensation import Control, Texts, files_of
-from metrocli.exports.error_tables import AXES, SIGN, Array, Curve, ErrorTables
+from metrocli.exports.error_tables import AXES, Array, Curve, ErrorTables
 from metrocli.exports.grids import evenly
 from metrocli.result import Result
 
@@ -86,17 +86,18 @@ def written(tables: ErrorTables) -> Texts:
         raise InputError("the result determines nothing but positioning errors: nothing for $AN_CEC")
     if len(found) > MOST_TABLES:
         raise InputError(f"$AN_CEC takes at most {MOST_TABLES} tables; these errors need {len(found)}")
-    most = max(len(table.curve.positions) for table in found)
     body = [line for index, table in enumerate(found) for line in _lines(index, table)]
-    return {"NC_CEC.INI": "\n".join(["%_N_NC_CEC_INI", *_head(found, most), "CHANDATA(1)", *body, "M17", ""])}
+    return {"NC_CEC.INI": "\n".join(["%_N_NC_CEC_INI", *_head(tables, found), "CHANDATA(1)", *body, "M17", ""])}
 
 
-def _head(found: Sequence[CecTable], most: int) -> list[str]:
+def _head(tables: ErrorTables, found: Sequence[CecTable]) -> list[str]:
     first = found[0]
+    most = max(len(table.curve.positions) for table in found)
     k = int(np.argmax(np.abs(first.curve.values)))
     where, value = first.curve.positions[k], first.curve.values[k]
     lines = [
-        f"{SIGN}; value = minus the error in mm, added to the setpoint of the output axis",
+        *tables.notes(),
+        "value = minus the error in mm, added to the setpoint of the output axis",
         "no public manual confirms this sign. Test move: enable table 1 only, go to "
         f"{first.input_axis} = {where:.3f} mm: {first.output_axis} must move by {value:+.4f} mm; else set "
         "SD41310 $SN_CEC_TABLE_WEIGHT of all tables that are not multiplied by another to -1",

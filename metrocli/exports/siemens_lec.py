@@ -13,7 +13,7 @@ import numpy as np
 
 from metrocli.errors import InputError
 from metrocli.exports.compensation import Control, Texts, files_of
-from metrocli.exports.error_tables import AXES, SIGN, Array, Curve, ErrorTables
+from metrocli.exports.error_tables import AXES, Array, Curve, ErrorTables
 from metrocli.exports.grids import evenly
 from metrocli.result import Result
 
@@ -36,18 +36,19 @@ def written(tables: ErrorTables) -> Texts:
         even = evenly(curve, MOST_POINTS)
         if even is None:
             raise InputError(f"{name} is on no even grid of {MOST_POINTS} points, the most that $AA_ENC_COMP takes")
-        texts[f"{axis}_EEC.INI"] = _text(axis, even)
+        texts[f"{axis}_EEC.INI"] = _text(axis, even, tables.notes())
     if not texts:
         raise InputError("the result determines no positioning error: nothing for leadscrew error compensation")
     return texts
 
 
-def _text(axis: str, curve: Curve) -> str:
+def _text(axis: str, curve: Curve, notes: list[str]) -> str:
     count = len(curve.positions)
     step = (curve.positions[-1] - curve.positions[0]) / max(count - 1, 1)
     head = [
         f"%_N_{axis}_EEC_INI",
-        f"; {SIGN}; value = E{axis}{axis} in mm, which the control adds to the actual position",
+        *(f"; {line}" for line in notes),
+        f"; value = E{axis}{axis} in mm, which the control adds to the actual position",
         f"; needs MD38000 $MA_MM_ENC_COMP_MAX_POINTS >= {count}; load while MD32700 = 0, then reference the axis",
         "; SINUMERIK 808D takes at most 200 points",
         "CHANDATA(1)",
