@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from metrocli.table import Values
 
 KIND = "locate-launch-unit"
-_UNITS = ("mm", "mm", "mm", "rad")
+UNITS = ("mm", "mm", "mm", "rad")
 _DELTA0 = 4.13
 """Non-centrality of a w-test at 0.1 % with 80 % power (Baarda 1968): the least detectable bias is 4.13 s / sqrt(r)"""
 _CONTROLLED = 1e-6
@@ -32,7 +32,7 @@ _TABLES = {"angles": (lu.LAUNCH, lu.BACK), "distances": (lu.DISTANCE,)}
 def report(located: Located, method: str) -> Result:
     """Return the result of a located unit."""
     std = np.sqrt(np.diag(located.covariance))
-    rows = zip(lu.COLUMNS, located.values.tolist(), std.tolist(), _UNITS, strict=True)
+    rows = zip(lu.COLUMNS, located.values.tolist(), std.tolist(), UNITS, strict=True)
     beams = _beams(located)
     solution, problem = located.solution, located.problem
     if solution is None or problem is None:

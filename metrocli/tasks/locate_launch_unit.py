@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from metrocli.errors import InputError, MetrocliError
+from metrocli.plan import Plan
 from metrocli.result import Result
 from metrocli.settings import Choice, Flag, ListOf, Quantity, Section, TableFile, setting
 from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import Table
+from metrocli.tasks.launch_plan import figures, planned_measurement
+from metrocli.tasks.launch_plan_settings import Planned
 from metrocli.tasks.launch_readings import PLACES, POSES, read
 from metrocli.tasks.launch_report import KIND, report
 from metrocli.tasks.launch_simulation import simulated
@@ -57,6 +60,7 @@ class Settings:
     inputs: Inputs = setting(Section(Inputs), "the files of the job")
     noise: Noise = setting(Section(Noise), "standard deviations of the readings")
     method: str = setting(Choice(*METHODS), "adjustment, or one of the paper's two", default="adjustment")
+    plan: Planned | None = setting(Section(Planned), "the lines to measure from there", default=None)
     outliers: str = setting(Choice("report", "remove"), "name outliers, or leave them out", default="report")
     simulation: Truth | None = setting(Section(Truth), "the truth for `metrocli simulate`", default=None)
 
@@ -106,4 +110,28 @@ def simulate(
     return simulated(settings.simulation, settings.noise, where, np.random.default_rng(options.seed))
 
 
-__all__ = ["KIND", "SIMULATED", "SUMMARY", "Inputs", "Settings", "compare", "run", "simulate"]
+def plan(settings: Settings, poses: Table | None = None, places: Table | None = None) -> Plan:
+    """Return the lines to measure from the located unit, with their margins and NC programs.
+
+    Before the poses are measured: what the listed places will determine of a unit at the place of `simulation:`.
+    """
+    if poses is not None:
+        located = locate(read(poses), settings.noise, settings.method, settings.outliers == "remove")
+        first = f"located from {len(poses)} measured poses"
+    elif places is not None and settings.simulation is not None:
+        exact = replace(settings.noise, encoder=0.0, distance=0.0)
+        expected = simulated(settings.simulation, exact, places, np.random.default_rng(0)).files["poses.csv"]
+        located = locate(read(expected), settings.noise, settings.method)
+        first = f"expected of {len(places)} poses that are still to be measured"
+    else:
+        raise InputError(
+            "plan needs measured poses, or before they are measured `inputs: {places: places.csv}` and "
+            "`simulation: {place: [0 mm, 1 m, 1.5 m]}`, about where the unit stands"
+        )
+    if settings.plan is None:
+        return Plan(KIND, (first,), figures(located))
+    made = planned_measurement(located, settings.plan, settings.noise)
+    return replace(made, notes=(first, *made.notes))
+
+
+__all__ = ["KIND", "SIMULATED", "SUMMARY", "Inputs", "Settings", "compare", "plan", "run", "simulate"]
