@@ -56,7 +56,7 @@ def simulated(
     said = places + rng.normal(0.0, 1.0, places.shape) * truth.tracer_error
     names = tracers.texts("tracer")
     files = {
-        "lengths.csv": _lengths(points.texts("point"), names, reading),
+        "lengths.csv": length_table(points.texts("point"), names, reading),
         "tracers.csv": _listed("tracer", names, said),
         "true_points.csv": _listed("point", points.texts("point"), actual),
     }
@@ -65,7 +65,8 @@ def simulated(
     return Simulation(files, true)
 
 
-def _lengths(points: list[str], tracers: list[str], reading: Array) -> Table:
+def length_table(points: list[str], tracers: list[str], reading: Array) -> Table:
+    """Return readings (points, tracers) as a file of lengths has them."""
     n, m = reading.shape
     columns: dict[str, Values] = {
         "point": np.repeat(np.array(points), m),

@@ -12,12 +12,11 @@ from metrocli.adjust.blocks import Array, Block
 from metrocli.adjust.groups import Group
 from metrocli.adjust.noise import adjust_with_noise
 from metrocli.adjust.observations import Mask
-from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.robust import critical_value, robust_start
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
 from metrocli.errors import NotConvergedError, UndeterminedError
 from metrocli.instruments import tracer as t
-from metrocli.tasks.layout_faults import TOO_WEAK, explained, weakness
+from metrocli.tasks.layout_faults import carries, explained
 from metrocli.tasks.length_blunders import CHECKED, Rejected, far_off
 from metrocli.tasks.length_network import LENGTHS, Network
 
@@ -108,8 +107,7 @@ def _adjusted(network: Network, state: Mapping[str, Block], out: dict[int, Rejec
 
 
 def _must_carry(network: Network, solution: Solution) -> None:
-    failed = bool(solution.undetermined) or solution.outcome is Outcome.TOO_FEW
-    if failed or (solution.covariance is not None and weakness(network, solution) > TOO_WEAK):
+    if not carries(network, solution):
         raise UndeterminedError(explained(network, solution))
 
 
