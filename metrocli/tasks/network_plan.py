@@ -16,7 +16,6 @@ from metrocli.plan import Plan
 from metrocli.result import Estimate
 from metrocli.table import Table
 from metrocli.tasks import layout_faults
-from metrocli.tasks.length_blunders import CHECKED
 from metrocli.tasks.network_distance import between_two, factors
 from metrocli.tasks.network_reliability import UNITS, reliability
 from metrocli.tasks.network_report import KIND
@@ -29,6 +28,8 @@ if TYPE_CHECKING:
     from metrocli.table import Values
 
 _HEAD = "tracers, and distances of points along lines through the volume:"
+_FEWEST_CHECKED = 4
+"""Lengths of a point that show that one is wrong, and not which"""
 _TOLD = 3
 """Places for one more tracer that are told"""
 _UNCONTROLLED = 0.01
@@ -122,7 +123,7 @@ def _of_lengths(layout: Layout, lengths: Table) -> Iterator[str]:
     poor = int((lengths.numbers("redundancy") < _UNCONTROLLED).sum())
     if poor:
         yield f"{poor} lengths are hardly controlled by the others (redundancy below {_UNCONTROLLED:g}), such as {name}"
-    if (layout.network.seen[layout.network.unknown] == CHECKED).any():
+    if (layout.network.seen[layout.network.unknown] == _FEWEST_CHECKED).any():
         yield "a wrong length will show in its point, but with four tracers nobody can tell whose it is: a fifth would"
 
 

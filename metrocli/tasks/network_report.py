@@ -33,6 +33,7 @@ _REASONS = {
     "outlier": "outlier",
     "alike": "one of the point's lengths is wrong; which cannot be told",
     "point": "too few lengths of the point are left to be checked",
+    "doubt": "the point lost a length, and the others do not meet either",
 }
 
 def report(solved: Solved, probing: Table | None, tolerance: float) -> Result:
@@ -154,14 +155,15 @@ def _warnings(solved: Solved) -> list[str]:
         for one in solved.suspects
         if one.tracer
     ]
-    alike = [f"{one.point} (w = {one.test:.1f})" for one in solved.suspects if not one.tracer]
+    untold = [one for one in solved.suspects if not one.tracer]
+    alike = [f"{one.point} (w = {one.test:.1f}: {' or '.join(one.others)})" for one in untold]
     bound = f"the outlier bound |w| = {solved.critical:.2f}"
     if told:
         lines.append(f"{len(told)} lengths exceed {bound}: {listed(told, 5)}; `outliers: remove` leaves such out")
     if alike:
         lines.append(
             f"{len(alike)} points have a wrong length beyond {bound}: {listed(alike, 5)}; whose it is cannot be told, "
-            "since all |w| of a point with four lengths are equal: a fifth tracer would tell"
+            "since their |w| are alike (of a point with four lengths all are equal): one more tracer would tell"
         )
     gone = [name for name, n, before in _lost(solved) if n == 0 < before]
     if gone:
