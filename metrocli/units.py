@@ -269,6 +269,12 @@ def format_quantity(value: float, unit: str, std: float | None = None) -> str:
     return f"{number} ± {spread}{unit}"
 
 
+def roughly(value: float, unit: str) -> str:
+    """Return a length (mm) to two digits in another unit, for sentences: "0.21 um"."""
+    number = float(f"{find_unit(unit, 'length').outside(value):.2g}")
+    return f"{number:g} {unit}"
+
+
 def as_slope(angle: float) -> tuple[float, str]:
     """Return a small angle (rad) as the slope people read on a machine, in mm/m."""
     return angle * _KILO, "mm/m"

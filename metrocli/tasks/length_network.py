@@ -135,10 +135,17 @@ def build(
 ) -> Network:
     """Return the adjustment with its starting values."""
     readings = join(lengths, points, tracers, settings.measures == "absolute")
-    names, sigma = points.texts("point"), readings.point_sigma
+    return network_of(settings, readings, places_of(readings), lengths, distances)
+
+
+def network_of(
+    settings: NetworkSettings, readings: Readings, places: Array, lengths: Table, distances: Table | None
+) -> Network:
+    """Return the adjustment of readings from tracers that start at `places` (tracers, 5)."""
+    names, sigma = readings.names, readings.point_sigma
     free = (sigma != 0) & (readings.seen > 0)[:, None]
     point_block = t.point_block(readings.nominal, names, free, readings.extent)
-    tracer_block = _tracers(settings, readings)
+    tracer_block = _tracers(settings, readings, places)
     observations = Observations(
         readings.length[None],
         np.array(settings.noise.constant),
@@ -172,13 +179,12 @@ def _unused(readings: Readings) -> tuple[str, ...]:
     return warnings + ((f"tracers that read nothing are left out: {listed(readings.idle)}",) if readings.idle else ())
 
 
-def _tracers(settings: NetworkSettings, readings: Readings) -> Block:
-    """Return the tracers where the data say they stand."""
+def _tracers(settings: NetworkSettings, readings: Readings, places: Array) -> Block:
     free = np.ones((len(readings.stations), 5), dtype=bool)
     free[:, :3] = readings.tracer_sigma != 0
     free[:, 3] = settings.measures != "absolute"
     free[:, 4] = settings.scale is not None
-    return t.tracer_block(places_of(readings), readings.stations, free, readings.extent)
+    return t.tracer_block(places, readings.stations, free, readings.extent)
 
 
 def _scales(settings: NetworkSettings, block: Block) -> list[Group]:
