@@ -24,3 +24,4 @@ class Quantity(Enum):
     BEAM_AT_RECEIVER = "beam in the frame of the receiver"
     LAUNCH_ANGLES = "encoder angles of the launch unit"
     RECEIVER_ANGLES = "encoder angles of the receiver"
+    ANGLE = "angle read by one encoder"

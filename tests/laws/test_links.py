@@ -17,7 +17,7 @@ from metrocli.adjust.quantities import Quantity
 from metrocli.geometry import poses
 from metrocli.instruments import frames, launch_unit, lens, spindle_camera, tracer
 from metrocli.instruments.frames import DistanceBetween, Into, OutOf, PointOf
-from metrocli.instruments.launch_unit import AboutBase, BeamBack, BeamLength, BeamOut, Encoders
+from metrocli.instruments.launch_unit import AboutBase, BeamBack, BeamLength, BeamOut, Encoders, Reading
 from metrocli.instruments.lens import PARAMETERS, Lens, LensBackward
 from metrocli.instruments.spindle_camera import Coupling
 from metrocli.instruments.tracer import LengthFrom
@@ -61,6 +61,8 @@ class Case:
     touched: int = 1
     largest: float = 2400.0
     """Of the readings"""
+    value_size: int = 3
+    """Components of what comes in"""
 
     def local(self, blocks: tuple[Block, ...]) -> Local:
         rng = np.random.default_rng(5)
@@ -79,6 +81,8 @@ class Case:
         rng = np.random.default_rng(6)
         if self.link.takes is None:
             return np.zeros((0, N))
+        if self.value_size == 2:
+            return rng.normal(size=(2, N))
         point = rng.normal(size=(3, N)) * 150
         return point + np.array([0, 0, 700.0])[:, None]
 
@@ -108,7 +112,8 @@ CASES: dict[str, Case] = {
         AboutBase("spindle", 0, Quantity.BEAM_BACK, Quantity.BEAM_AT_RECEIVER),
         (Block("spindle", np.array([[0.4], [-2.9]]), ("psi",), ("a", "b")),),
     ),
-    "Encoders": Case(Encoders(Quantity.BEAM_AT_LAUNCH, Quantity.LAUNCH_ANGLES), (), largest=8.0),
+    "Encoders": Case(Encoders(Quantity.BEAM_AT_LAUNCH, Quantity.LAUNCH_ANGLES), ()),
+    "Reading": Case(Reading(Quantity.LAUNCH_ANGLES, 0), (), value_size=2, largest=8.0),
     "BeamLength": Case(BeamLength(), ()),
     "Coupling": Case(Coupling("coupling"), (Block("coupling", np.array([[0.4]]), ("gamma_s",)),)),
     "Coupling, several": Case(Coupling("coupling"), (Block("coupling", np.array([[0.4], [-0.2]]), ("gamma_s",), ("a", "b")),)),
