@@ -74,24 +74,24 @@ def test_distances_on_some_poses_only() -> None:
 
 @pytest.mark.parametrize(("n", "distances"), [(3, False), (3, True), (5, False), (5, True), (20, False), (20, True)])
 def test_the_covariance_is_honest(n: int, distances: bool) -> None:
-    """400 draws: chi-square of the error in the stated covariance, and sigma0, are as they should be."""
+    """250 draws: chi-square of the error in the stated covariance, and sigma0, are as they should be."""
     exact = anywhere(n, 11, distances)
     squares, sigma0 = [], []
-    for _ in range(400):
+    for _ in range(250):
         result = located(exact.noisy(RNG))
         error = off(result, exact.truth)
         squares.append(error @ np.linalg.solve(result.covariance, error))
         sigma0.append(result.statistics["sigma0"])
-    # 400 draws of chi-square with 4 degrees of freedom: mean 4 +- 0.14
-    assert np.mean(squares) == pytest.approx(4, abs=0.5)
-    assert np.mean(np.square(sigma0)) == pytest.approx(1, abs=0.1)
+    # 250 draws of chi-square with 4 degrees of freedom: mean 4 +- 0.18; sigma0^2 with 8 of them 1 +- 0.03
+    assert np.mean(squares) == pytest.approx(4, abs=0.6)
+    assert np.mean(np.square(sigma0)) == pytest.approx(1, abs=0.11)
 
 
 @pytest.mark.parametrize("method", ["lines", "closed-loop"])
 def test_the_methods_of_the_paper_state_what_they_scatter(method: str) -> None:
     exact = anywhere(4, 5, distances=True)
     noise = Noise(PAPER_ENCODER, 0.01)
-    results = [located(exact.noisy(RNG, noise), method, noise) for _ in range(1500)]
+    results = [located(exact.noisy(RNG, noise), method, noise) for _ in range(1000)]
     errors = np.array([off(result, exact.truth) for result in results])
     stated = np.sqrt(np.diag(results[0].covariance))
     assert errors.std(axis=0) == pytest.approx(stated, rel=0.07)
