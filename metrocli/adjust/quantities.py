@@ -18,3 +18,6 @@ class Quantity(Enum):
     IDEAL_IMAGE_POINT = "image point without distortion, in the plane at distance 1"
     IMAGE_POINT = "image point in pixels"
     LENGTH = "length"
+    ERROR_MOTION = "displacement and rotation of a machine's tool against its workpiece"
+    POINT_IN_TRACKER = "point in the frame of the laser tracker"
+    ACROSS_LEG = "displacement across a leg of the path"
