@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from metrocli.errors import InputError
 from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import Table
+from metrocli.tasks.machine_on_the_fly import on_the_fly
 from metrocli.tasks.machine_report import KIND, report
 from metrocli.tasks.machine_settings import Inputs, Settings
 from metrocli.tasks.machine_solve import solve
@@ -14,10 +16,19 @@ SIMULATED = ("points", "track", "lines")
 SUMMARY = "geometric errors of a 3-axis machine from tracker or 6-DoF data"
 
 
-def run(settings: Settings, points: Table | None = None, **_: Table) -> Result:
+def run(
+    settings: Settings,
+    points: Table | None = None,
+    path: Table | None = None,
+    track: Table | None = None,
+    lines: Table | None = None,
+) -> Result:
     """Find the errors; raises InputError, UndeterminedError or NotConvergedError."""
-    assert points is not None
-    return report(solve(standstill(settings, points), settings.outliers == "remove"), settings)
+    if path is not None and track is not None:
+        return report(on_the_fly(settings, path, track), settings)
+    if points is not None:
+        return report(solve(standstill(settings, points), settings.outliers == "remove"), settings)
+    raise InputError(f"method {settings.method} has no readings")
 
 
 __all__ = ["KIND", "SIMULATED", "SUMMARY", "Inputs", "Settings", "run"]

@@ -57,6 +57,12 @@ def solve(problem: Problem, remove: bool) -> Solved:
     return Solved(problem, identified, solution, found, doubtful, tuple(rejected))
 
 
+def solved_again(solved: Solved, problem: Problem) -> Solved:
+    """Return the solution of the same readings linearised anew; what is determined is taken over."""
+    solution, found, doubtful = _adjusted(problem.blocks, problem)
+    return replace(solved, problem=problem, solution=solution, residuals=found, suspects=doubtful)
+
+
 def adjusted(blocks: Mapping[str, Block], groups: tuple[Group, ...]) -> Solution:
     """Return the adjustment, or raise why there is none."""
     solution = adjust(blocks.values(), groups)

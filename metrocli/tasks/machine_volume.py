@@ -11,7 +11,7 @@ from metrocli.adjust.blocks import Array, Block
 from metrocli.adjust.chain import Chain
 from metrocli.adjust.design import Unknowns, rows
 from metrocli.adjust.groups import Group
-from metrocli.adjust.observations import Observations
+from metrocli.adjust.observations import Index, Observations
 from metrocli.geometry.rotations import cross_matrix
 from metrocli.instruments.machine import POSITION, TOOL, ErrorMotion, Machine
 
@@ -22,8 +22,8 @@ def grid_of(machine: Machine, counts: Sequence[int]) -> Array:
     return np.stack([part.ravel() for part in np.meshgrid(*lines, indexing="ij")])
 
 
-def grid_group(machine: Machine, position: Array, tool: int) -> Group:
-    """Return the error motion at commanded positions (3, n), as if it were read without noise."""
+def grid_group(machine: Machine, position: Array, tool: int | Index) -> Group:
+    """Return the error motion of a tool, or of one for each, at commanded positions (3, n), as if it were read."""
     n = position.shape[1]
     index = machine.index(position) | {TOOL: np.full(n, tool)}
     conditions = dict(zip(POSITION, position, strict=True))
