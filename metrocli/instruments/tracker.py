@@ -15,7 +15,8 @@ from metrocli.instruments.machine import ErrorMotion, Machine, ReachedPoint
 
 TRACKER, LEG = "tracker", "leg"
 """Blocks: pose of the tracker in the machine, and the two directions across each leg of a path"""
-_REACH = np.array([1e3] * 3 + [0.3] * 3)
+_REACH = np.array([1.0] * 3 + [1e-3] * 3)
+"""What could be left of the pose after the rough alignment [mm, rad]; large reaches cost digits"""
 
 
 @dataclass(frozen=True)

@@ -17,13 +17,15 @@ from metrocli.adjust.design import Unknowns, normal_matrix, rows, unit_noise, un
 from metrocli.errors import UndeterminedError
 from metrocli.instruments.machine import ALL_NAMES, ANGLES, AXES, Machine, errors_of
 from metrocli.tasks.machine_problem import Problem
-from metrocli.tasks.machine_volume import grid_group, grid_of, without_rigid_motion
+from metrocli.tasks.machine_volume import grid_group, spread_over, without_rigid_motion
 
 _HARMLESS = 1e-4
 """Displacement in the volume [mm] by an open direction of its full plausible size that does not matter: 0.1 um"""
 _TOUCHED = 1e-6
 """Share of an open direction below which a table has no part in it"""
 _NAMED = 0.2
+_POINTS = 300
+"""Points over which the volume's error is taken"""
 DETERMINED, TOGETHER, UNDETERMINED, NOT_ESTIMATED = "determined", "together", "undetermined", "not estimated"
 
 
@@ -109,7 +111,7 @@ def identify(problem: Problem) -> Identifiability:
 def _grid_rows(problem: Problem, tool: str, unknowns: Unknowns) -> Array:
     """Return the displacement of a tool over the volume by the unknowns, (3, n, unknowns), free of rigid motion."""
     machine, blocks = problem.machine, problem.blocks
-    position = grid_of(machine, (4, 4, 4))
+    position = spread_over(machine, _POINTS)
     group = grid_group(machine, position, blocks["tool"].members.index(tool))
     return without_rigid_motion(rows(group, blocks, unknowns), position)
 

@@ -22,6 +22,22 @@ def grid_of(machine: Machine, counts: Sequence[int]) -> Array:
     return np.stack([part.ravel() for part in np.meshgrid(*lines, indexing="ij")])
 
 
+def spread_over(machine: Machine, count: int) -> Array:
+    """Return points spread evenly over the volume and in line with nothing, (3, n) (Halton 1960)."""
+    numbers = np.arange(1, count + 1)
+    unit = np.stack([_radical_inverse(numbers, base) for base in (2, 3, 5)])
+    return np.asarray(machine.low[:, None] + (machine.high - machine.low)[:, None] * unit)
+
+
+def _radical_inverse(numbers: Index, base: int) -> Array:
+    result, factor, left = np.zeros(len(numbers)), 1.0, numbers.copy()
+    while left.any():
+        factor /= base
+        result += factor * (left % base)
+        left = left // base
+    return result
+
+
 def grid_group(machine: Machine, position: Array, tool: int | Index) -> Group:
     """Return the error motion of a tool, or of one for each, at commanded positions (3, n), as if it were read."""
     n = position.shape[1]
