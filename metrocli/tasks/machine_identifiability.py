@@ -238,12 +238,9 @@ def worst_ratio(problem: Problem) -> float:
     unknowns = unknowns_of(blocks, names)
     if unknowns.size == 0:
         return 0.0
-    reach = unknowns.reach(blocks)
     weight = problem.per_reading / problem.per_reading.sum()
     path = normal_matrix([unit_noise(problem.readings, 1 / np.sqrt(weight))], blocks, unknowns)
-    grids = np.concatenate([_grid_rows(problem, tool, unknowns) for tool in problem.tools_used], axis=1)
-    flat = grids.reshape(-1, unknowns.size)
-    volume = flat.T @ flat / grids.shape[1]
+    volume = volume_matrix(problem, unknowns)
     scale = 1 / np.sqrt(np.maximum(np.diag(path), 1e-300))
     last = unknowns.size - 1
     try:
@@ -256,3 +253,10 @@ def worst_ratio(problem: Problem) -> float:
     except np.linalg.LinAlgError:
         return float("inf")
     return float(np.sqrt(max(top[0], 0.0)))
+
+
+def volume_matrix(problem: Problem, unknowns: Unknowns) -> Array:
+    """Return the mean square of the measured tools' displacement over the volume as a form of the unknowns."""
+    grids = np.concatenate([_grid_rows(problem, tool, unknowns) for tool in problem.tools_used], axis=1)
+    flat = grids.reshape(-1, unknowns.size)
+    return np.asarray(flat.T @ flat / grids.shape[1])
