@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from metrocli.errors import InputError
+from metrocli.plan import Plan
 from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import Table
 from metrocli.tasks.machine_on_the_fly import on_the_fly
+from metrocli.tasks.machine_plan import plan as planned
 from metrocli.tasks.machine_report import KIND, report
 from metrocli.tasks.machine_settings import Inputs, Settings
+from metrocli.tasks.machine_simulation import simulated
 from metrocli.tasks.machine_solve import solve
 from metrocli.tasks.machine_standstill import standstill
 
 SIMULATED = ("points", "track", "lines")
+PLANNED = ("points", "path", "track", "lines")
 SUMMARY = "geometric errors of a 3-axis machine from tracker or 6-DoF data"
 
 
@@ -31,4 +35,14 @@ def run(
     raise InputError(f"method {settings.method} has no readings")
 
 
-__all__ = ["KIND", "SIMULATED", "SUMMARY", "Inputs", "Settings", "run"]
+def simulate(settings: Settings, options: SimulationOptions, **tables: Table) -> Simulation:
+    """Return the measurement of a machine with the random errors of `simulation:`."""
+    return simulated(settings, tables, options.seed)
+
+
+def plan(settings: Settings, path: Table | None = None, **_: Table) -> Plan:
+    """Return what the job's path will determine, and a better one."""
+    return planned(settings, path)
+
+
+__all__ = ["KIND", "SIMULATED", "SUMMARY", "Inputs", "PLANNED", "Settings", "plan", "run", "simulate"]

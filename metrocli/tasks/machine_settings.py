@@ -186,6 +186,7 @@ class PathPlan:
     feed: float = setting(Quantity("speed", positive=True), "feed of the NC program", default=40.0)
     sampling: float = setting(Quantity("time", positive=True), "time between points of the tracker", default=0.002)
     tracker: tuple[float, ...] | None = setting(_VECTOR, "place of the tracker in the machine", default=None)
+    seed: int = setting(Whole(0), "of the random chords", default=1)
 
 
 @dataclass(frozen=True)
