@@ -69,9 +69,7 @@ def condense(x: Array, values: Array, cell: Index) -> Condensed:
     misfit = np.maximum(total - ((found - about) ** 2 * weight).sum(axis=1), 0.0)
     used = np.where(few, counts, np.where(fit, _NODES, 1)).sum()
     inside = np.lexsort((where, index))
-    return Condensed(
-        index[inside], where[inside], found[:, inside], weight[inside], misfit, int(counts.sum() - used)
-    )
+    return Condensed(index[inside], where[inside], found[:, inside], weight[inside], misfit, int(counts.sum() - used))
 
 
 @dataclass(frozen=True)

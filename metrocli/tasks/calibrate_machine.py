@@ -12,7 +12,8 @@ from metrocli.tasks.machine_plan import plan as planned
 from metrocli.tasks.machine_report import KIND, report
 from metrocli.tasks.machine_settings import Inputs, Settings
 from metrocli.tasks.machine_simulation import simulated
-from metrocli.tasks.machine_solve import solve
+from metrocli.tasks.machine_six_dof import six_dof
+from metrocli.tasks.machine_solve import Solved, solve
 from metrocli.tasks.machine_standstill import standstill
 
 SIMULATED = ("points", "track", "lines")
@@ -28,10 +29,20 @@ def run(
     lines: Table | None = None,
 ) -> Result:
     """Find the errors; raises InputError, UndeterminedError or NotConvergedError."""
+    return report(_solved(settings, points, (path, track), lines), settings)
+
+
+def _solved(
+    settings: Settings, points: Table | None, flight: tuple[Table | None, Table | None], lines: Table | None
+) -> Solved:
+    path, track = flight
+    remove = settings.outliers == "remove"
     if path is not None and track is not None:
-        return report(on_the_fly(settings, path, track), settings)
+        return on_the_fly(settings, path, track)
     if points is not None:
-        return report(solve(standstill(settings, points), settings.outliers == "remove"), settings)
+        return solve(standstill(settings, points), remove)
+    if lines is not None:
+        return solve(six_dof(settings, lines), remove)
     raise InputError(f"method {settings.method} has no readings")
 
 

@@ -239,7 +239,8 @@ def worst_ratio(problem: Problem) -> float:
     if unknowns.size == 0:
         return 0.0
     weight = problem.per_reading / problem.per_reading.sum()
-    path = normal_matrix([unit_noise(problem.readings, 1 / np.sqrt(weight))], blocks, unknowns)
+    unit = _angles_as_lengths(problem)[:, None] / np.sqrt(weight)
+    path = normal_matrix([unit_noise(problem.readings, unit)], blocks, unknowns)
     volume = volume_matrix(problem, unknowns)
     scale = 1 / np.sqrt(np.maximum(np.diag(path), 1e-300))
     last = unknowns.size - 1
@@ -253,6 +254,14 @@ def worst_ratio(problem: Problem) -> float:
     except np.linalg.LinAlgError:
         return float("inf")
     return float(np.sqrt(max(top[0], 0.0)))
+
+
+def _angles_as_lengths(problem: Problem) -> Array:
+    """Return the size of each component that counts as 1 mm: angles at a lever of half the volume's diagonal."""
+    lever = float(np.linalg.norm(problem.machine.high - problem.machine.low)) / 2
+    return np.array(
+        [1 / lever if name in ("ea", "eb", "ec") else 1.0 for name in problem.readings.observations.components]
+    )
 
 
 def volume_matrix(problem: Problem, unknowns: Unknowns) -> Array:

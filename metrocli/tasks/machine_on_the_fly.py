@@ -224,5 +224,8 @@ def _without_wild(whole: Measurement, state: Mapping[str, Block]) -> Measurement
         return whole
     count = int((~keep).sum())
     facts = {**track.facts, "cut_off_path": count, "points_used": int(keep.sum())}
-    warnings = (*track.warnings, f"{count} points of the track are off the predicted path by {_WILD:g} sigma, and are cut")
+    warnings = (
+        *track.warnings,
+        f"{count} points of the track are off the predicted path by {_WILD:g} sigma, and are cut",
+    )
     return replace(whole, track=replace(track.selected(keep), facts=facts, warnings=warnings))

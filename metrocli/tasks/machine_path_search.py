@@ -113,7 +113,9 @@ def search(machine: Machine, planned: Planned, wanted: Wanted) -> Found:
         if ratio <= wanted.ratio and now == wanted.tools - 1:
             break
         ends = _on_walls(machine, rng)
-        choice = Path(np.repeat(vertices[-1][None], len(ends), axis=0), ends, np.full(len(ends), now), np.arange(len(ends)))
+        choice = Path(
+            np.repeat(vertices[-1][None], len(ends), axis=0), ends, np.full(len(ends), now), np.arange(len(ends))
+        )
         keep = (choice.lengths > _LEAST * np.linalg.norm(machine.high - machine.low)) & (
             choice.lengths <= wanted.length - length
         )
@@ -131,9 +133,7 @@ def search(machine: Machine, planned: Planned, wanted: Wanted) -> Found:
     return Found(np.array(vertices), np.array(tool), ratio)
 
 
-def _begin(
-    machine: Machine, planned: Planned, wanted: Wanted, rng: np.random.Generator
-) -> tuple[_Volume, Array]:
+def _begin(machine: Machine, planned: Planned, wanted: Wanted, rng: np.random.Generator) -> tuple[_Volume, Array]:
     """Return what paths are judged by, and a floor under what they see, from many random chords."""
     ends = np.concatenate([_on_walls(machine, rng) for _ in range(1 + _DENSE // _CHOICE)])
     tool = np.arange(len(ends)) % wanted.tools

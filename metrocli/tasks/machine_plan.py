@@ -111,9 +111,13 @@ def plan(settings: Settings, table: Table | None) -> Plan:
     tables = tables_of(machine, solution)
     volume = volume_tables(tables, identified, settings.volume.grid, problem.tools_used)["volumetric"]
     time = float(travelled_time(path, wanted.feed))
-    warnings = [] if identified.ratio <= wanted.ratio else [
-        f"the best path found has a ratio of {identified.ratio:.1f}, more than {wanted.ratio:g}: allow a longer one"
-    ]
+    warnings = (
+        []
+        if identified.ratio <= wanted.ratio
+        else [
+            f"the best path found has a ratio of {identified.ratio:.1f}, more than {wanted.ratio:g}: allow a longer one"
+        ]
+    )
     return Plan(
         KIND,
         tuple(

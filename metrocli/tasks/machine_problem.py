@@ -46,6 +46,8 @@ class Problem:
     warnings: tuple[str, ...] = ()
     facts: Mapping[str, float] = field(default_factory=dict)
     """Statistics of the method"""
+    tables: Mapping[str, Table] = field(default_factory=dict)
+    """What the readings say without the model, such as figures of ISO 230-2"""
 
     @property
     def groups(self) -> tuple[Group, ...]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from metrocli.adjust.blocks import Array
 from metrocli.instruments.machine import AXES, ERRORS, SQUARENESS_NAMES, TOOL
+from metrocli.instruments.six_dof import LINE
 from metrocli.instruments.tracker import TRACKER
 from metrocli.result import Estimate, Result
 from metrocli.table import Table
@@ -49,6 +50,8 @@ def report(solved: Solved, settings: Settings) -> Result:
             "axes": _axes(tables),
             "tools": _tools(solved),
             **_tracker(solved),
+            **_lines(solved),
+            **solved.problem.tables,
             **volume,
             "residuals": _residuals(solved),
             "suspects": _suspects(solved),
@@ -173,6 +176,19 @@ def _tracker(solved: Solved) -> dict[str, Table]:
         "unit": np.array(units),
     }
     return {"tracker": Table(columns)}
+
+
+def _lines(solved: Solved) -> dict[str, Table]:
+    """Return the misalignment of each six-dof line: offsets of the channels, and slopes across the beam."""
+    if LINE not in solved.solution.blocks:
+        return {}
+    block, std = solved.solution.blocks[LINE], solved.solution.std(LINE)
+    columns: dict[str, Values] = {"line": np.array(block.members)}
+    units: dict[str, str] = {}
+    for i, name in enumerate(block.columns):
+        columns |= {name: block.values[:, i], f"s_{name}": std[:, i]}
+        units |= dict.fromkeys((name, f"s_{name}"), "mm" if name in ("ex", "ey", "ez") else "rad")
+    return {"lines": Table(columns, units)}
 
 
 def _residuals(solved: Solved) -> Table:

@@ -14,7 +14,6 @@ from metrocli.errors import InputError
 from metrocli.geometry import poses
 from metrocli.geometry.rotations import rotation_from_euler
 from metrocli.instruments.machine import (
-    ERRORS,
     SQUARENESS_NAMES,
     TOOL,
     Axis,
@@ -69,7 +68,9 @@ def truth_of(settings: Settings, simulation: MachineSimulation, rng: np.random.G
         axes = tuple(Axis(axis.letter, np.linspace(axis.knots[0], axis.knots[-1], _FINE)) for axis in machine.axes)
         machine = Machine(machine.order, (axes[0], axes[1], axes[2]))
     lever = float(np.max(machine.high - machine.low)) / 2
-    tables = {name: _drawn(axis, name, simulation.smooth, rng) for axis in machine.axes for name in errors_of(axis.letter)}
+    tables = {
+        name: _drawn(axis, name, simulation.smooth, rng) for axis in machine.axes for name in errors_of(axis.letter)
+    }
     tables = {name: table / (lever if is_angle(name) else 1.0) for name, table in tables.items()}
     square = {name: float(rng.normal()) / lever for name in SQUARENESS_NAMES}
     unit = Truth(machine, _blocks(settings, machine, tables, square))
@@ -115,7 +116,7 @@ def simulated(settings: Settings, tables: Mapping[str, Table], seed: int) -> Sim
     elif settings.method == ON_THE_FLY:
         files = {"track.csv": _track(settings, truth, tables["path"], rng)}
     else:
-        files = {"lines.csv": simulated_lines(settings, truth.error, rng)}
+        files = {"lines.csv": simulated_lines(settings, truth.error, settings.simulation.step, rng)}
     square = dict(zip(SQUARENESS_NAMES, truth.blocks["squareness"].values[0].tolist(), strict=True))
     return Simulation({**files, "true_errors.csv": true_errors(settings, truth)}, square)
 
@@ -206,7 +207,3 @@ def travelled(path: Path, feeds: Array, sampling: float) -> tuple[Array, Index, 
     early = ramped**2 * _ACCELERATION / 2 + np.maximum(left - ramp[leg], 0.0) * top[leg]
     along = np.where(since <= moving[leg] / 2, early, path.lengths[leg] - early)
     return path.at(leg, along), path.tool[leg], time
-
-
-ALL_ERRORS = ERRORS
-"""Names of the 18 tables"""

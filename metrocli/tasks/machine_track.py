@@ -142,7 +142,10 @@ def _breaks(points: Array, wild: Mask) -> tuple[Mask, Index]:
     at = np.flatnonzero(step > limit)
     near = np.zeros(points.shape[1], dtype=bool)
     for k in at.tolist():
-        for end, side in ((rows[k], slice(max(rows[k] - _REACH, 0), rows[k] + 1)), (rows[k + 1], slice(rows[k + 1], rows[k + 1] + _REACH))):
+        for end, side in (
+            (rows[k], slice(max(rows[k] - _REACH, 0), rows[k] + 1)),
+            (rows[k + 1], slice(rows[k + 1], rows[k + 1] + _REACH)),
+        ):
             near[side] |= np.linalg.norm(points[:, side] - points[:, end, None], axis=0) < _SETTLE
     return near, rows[at]
 
@@ -158,7 +161,9 @@ def _told(breaks: Index, leg: Index, along: Array, wild: Mask) -> list[str]:
         more = f" and {len(breaks) - 5} more" if len(breaks) > 5 else ""
         lines.append(f"the beam broke {len(breaks)} times, on {', '.join(places)}{more}: what is near is cut")
     if wild.any():
-        lines.append(f"{int(wild.sum())} points of the track are off the path by more than a machine can be, and are cut")
+        lines.append(
+            f"{int(wild.sum())} points of the track are off the path by more than a machine can be, and are cut"
+        )
     return lines
 
 
