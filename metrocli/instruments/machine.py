@@ -101,7 +101,7 @@ class Axis:
         return np.array([lower[0], lower[0] + 1]), np.array([1 - share[0], share[0]])
 
     def places(self, position: Array) -> tuple[Index, Array]:
-        """Return the knots that an error at each position depends on, (k, n), and their weights, (k, 6, n) or (k, 1, n).
+        """Return the knots that an error depends on at each position, (k, n), and their weights, (k, 6, n) or (k, 1, n).
 
         k is 2, or 4 where the reference lies between two knots.
         """
@@ -121,9 +121,9 @@ class Axis:
         """Return which raw values are unknown, (knots, 6)."""
         free = np.ones((len(self.knots), 6), dtype=bool)
         knots, weights = self._at_reference
-        free[np.ix_([0, -1], self.straightness)] = False
+        free[[[0], [-1]], self.straightness] = False
         free[knots[np.argmax(weights)], ~self.straightness] = False
-        return free & np.array([name in estimated for name in errors_of(self.letter)])
+        return np.asarray(free & np.array([name in estimated for name in errors_of(self.letter)]))
 
     def block_of(self, tables: Mapping[str, Array], estimated: Collection[str]) -> Block:
         """Return the block that gives tables (by name, at the knots, in the gauge); zero for those not named."""

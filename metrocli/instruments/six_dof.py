@@ -1,4 +1,4 @@
-"""Laser with six degrees of freedom: displacement, two straightness channels and three angles along a line of the machine."""
+"""Laser with six degrees of freedom: displacement, straightness in two directions and three angles along a line."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def line_block(names: Sequence[str]) -> Block:
 
 @dataclass(frozen=True)
 class Misaligned:
-    """What the laser reads of an error motion: with its own zero in each channel, and a beam that is not quite parallel.
+    """What the laser reads of an error motion: with its own zero in each channel, and a beam not quite parallel.
 
     A slope across the beam only: that along it is a cosine error, `1 - cos a`, 0.5 um/m at 1 mrad.
     """

@@ -1,4 +1,4 @@
-"""Where along a path each point of a track was taken, without synchronisation: a start by length, then matching in order.
+"""Where along a path each point of a track was taken, without synchronisation: by length first, then in order.
 
 The start lays the track onto the path by equal shares of their lengths: first to first, last to last and all between
 (for which Sanders et al. 1.2.3 take start, end and centroid). Then points are matched to the path in the order of
@@ -84,7 +84,7 @@ def _by_length(points: Array, nominal: Array, way: Array) -> Array:
 def _distances(points: Array, nominal: Array, other: Mask | None) -> Array:
     """Return squared distances (points, samples), much larger where the tool is another."""
     squares = (points**2).sum(axis=0)[:, None] + (nominal**2).sum(axis=0) - 2 * points.T @ nominal
-    return squares if other is None else np.where(other, squares + squares.max(), squares)
+    return np.asarray(squares if other is None else np.where(other, squares + squares.max(), squares))
 
 
 def _in_order(cost: Array) -> Index:

@@ -36,7 +36,7 @@ class TrackerNoise:
         distance = np.sqrt((points**2).sum(axis=0))
         beam = points / np.maximum(distance, 1e-300)
         lateral = self.lateral(distance) ** 2
-        return np.eye(3)[:, :, None] * lateral + (self.beam**2 - lateral) * beam[:, None] * beam[None]
+        return np.asarray(np.eye(3)[:, :, None] * lateral + (self.beam**2 - lateral) * beam[:, None] * beam[None])
 
     def drawn(self, points: Array, rng: np.random.Generator) -> Array:
         """Return noise of points (3, n), along and square to the beam."""

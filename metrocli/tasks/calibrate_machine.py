@@ -56,4 +56,4 @@ def plan(settings: Settings, path: Table | None = None, **_: Table) -> Plan:
     return planned(settings, path)
 
 
-__all__ = ["KIND", "SIMULATED", "SUMMARY", "Inputs", "PLANNED", "Settings", "plan", "run", "simulate"]
+__all__ = ["KIND", "PLANNED", "SIMULATED", "SUMMARY", "Inputs", "Settings", "plan", "run", "simulate"]

@@ -1,8 +1,8 @@
 """What a measurement determines of the 21 errors, before any number: rank, what is open, and the worst amplification.
 
-Directions of the unknowns whose standard uncertainty would exceed every plausible size (1 mm, 1 mrad) are open. Those that
-do not move the measured tools anywhere in the volume are harmless: some tables are then held at zero, and the others
-are known only together with them. Those that do move the volume leave the job without an answer.
+Directions of the unknowns whose standard uncertainty would exceed every plausible size (1 mm, 1 mrad) are open. Those
+that do not move the measured tools anywhere in the volume are harmless: some tables are then held at zero, and the
+others are known only together with them. Those that do move the volume leave the job without an answer.
 """
 
 from __future__ import annotations
@@ -130,12 +130,13 @@ def _refuse_harmful(opened: _Open, grids: Sequence[Array]) -> None:
     raise UndeterminedError(
         "\n".join(
             [
-                f"the measurement leaves {count} combination{'s' * (count > 1)} of errors open that move{'s' * (count == 1)} "
-                "the tool in the volume:",
+                f"the measurement leaves {count} combinations of errors open that move the tool in the volume:"
+                if count > 1
+                else "the measurement leaves a combination of errors open that moves the tool in the volume:",
                 *lines,
                 *more,
-                "measure lines in other directions (`metrocli plan` proposes a path), use fewer knots or knots that differ "
-                "between the axes, or leave errors out of `estimate`",
+                "measure lines in other directions (`metrocli plan` proposes a path), use fewer knots or knots that "
+                "differ between the axes, or leave errors out of `estimate`",
             ]
         )
     )

@@ -1,10 +1,10 @@
 """On-the-fly: a track without synchronisation, condensed along its path and linearised where the machine really was.
 
-Only what lies across each leg is used (Sanders et al. 1.2.4-1.2.5). A point is taken for the commanded position that the
-predicted path passes it at, so that the error along the path, which is not measured, does not enter: the closest
-point of the commanded path is off by it. Within a cell, between the knots that a leg passes, all errors are parabolas of
-the way, so three condensed points stand for all. Their weights are those of the directions across the leg:
-`A C A'`, with the beam's direction in C (eq. 8-9; eq. for W22 has the path's direction in its place, where it has no part).
+Only what lies across each leg is used (Sanders et al. 1.2.4-1.2.5). A point is taken for the commanded position at
+which the predicted path passes it, so that the error along the path, which is not measured, does not enter: the
+closest point of the commanded path is off by it. Within a cell, between the knots that a leg passes, all errors are
+parabolas of the way, so three condensed points stand for all. Their weights are those of the directions across the
+leg, `A C A'` with the beam's direction in C (eq. 8-9); the equation for W22 has the path's direction in its place.
 """
 
 from __future__ import annotations
@@ -140,11 +140,11 @@ def _line(whole: Measurement, state: Mapping[str, Block]) -> tuple[Array, Array]
 
 def _offset(whole: Measurement, state: Mapping[str, Block]) -> Array:
     """Return the two coordinates across each leg of its commanded line, (legs, 2)."""
-    return np.einsum("lab,lb->la", _across(whole, state), _line(whole, state)[0])
+    return np.asarray(np.einsum("lab,lb->la", _across(whole, state), _line(whole, state)[0]))
 
 
 def _channels(whole: Measurement, state: Mapping[str, Block]) -> Array:
-    """Return the two coordinates of every point across its leg, from the commanded line; and time where there is one."""
+    """Return the coordinates of every point across its leg, from the commanded line; and time where there is one."""
     leg, points, time = whole.track.leg, whole.track.points, whole.track.time
     across = _across(whole, state)[leg]
     values = np.einsum("nab,bn->an", across, points) - _offset(whole, state)[leg].T
@@ -161,7 +161,7 @@ def ways(whole: Measurement, state: Mapping[str, Block]) -> Array:
 
 
 def _apart(path: Path, leg: Index) -> Array:
-    """Return the way before a leg, with a gap of 1 mm between legs so that the end of one is not the start of the next."""
+    """Return the way before a leg, with a gap of 1 mm between legs: the end of one is not the start of the next."""
     return np.asarray(path.before[leg] + leg)
 
 

@@ -1,4 +1,4 @@
-"""A path of chords between the walls of the volume that determines it: each next chord is the one that sees the worst best.
+"""A path of chords between the walls of the volume that determines it: each chord is the one that sees the worst best.
 
 At every step the combinations of errors with the largest ratio of volume error to path misfit are found, and of random
 chords from the present vertex the one is taken that sees them best for its length (greedy E-optimal design).
@@ -13,6 +13,7 @@ import numpy as np
 
 from metrocli.adjust.blocks import Array, Block
 from metrocli.adjust.design import Unknowns, rows, unit_noise, unknowns_of
+from metrocli.adjust.observations import Index
 from metrocli.instruments.machine import TOOL, Machine
 from metrocli.instruments.machine_path import Path
 from metrocli.instruments.tracker import LEG
@@ -36,7 +37,7 @@ class Found:
 
     vertices: Array
     """(n, 3)"""
-    tool: Array
+    tool: Index
     ratio: float
 
 
@@ -80,7 +81,7 @@ class _Volume:
     unknowns: Unknowns
     matrix: Array
 
-    def seen(self, path: Path) -> tuple[Array, Array]:
+    def seen(self, path: Path) -> tuple[Array, Index]:
         """Return the rows of a path's readings, weighted by length, (2, n, unknowns), and the leg of each reading."""
         problem = self.planned(path)
         group = unit_noise(problem.readings, 1 / np.sqrt(problem.per_reading))
@@ -130,7 +131,7 @@ def search(machine: Machine, planned: Planned, wanted: Wanted) -> Found:
         if now != tool[-1]:
             vertices, tool = [*vertices, vertices[-1]], [*tool, now]
         vertices, tool = [*vertices, choice.end[best]], [*tool, now]
-    return Found(np.array(vertices), np.array(tool), ratio)
+    return Found(np.array(vertices), np.array(tool, dtype=np.intp), ratio)
 
 
 def _begin(machine: Machine, planned: Planned, wanted: Wanted, rng: np.random.Generator) -> tuple[_Volume, Array]:

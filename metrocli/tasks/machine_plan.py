@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from metrocli.adjust.adjustment import covariance_at
-
 from metrocli.adjust.blocks import Array, Block
 from metrocli.adjust.groups import Group
-from metrocli.adjust.observations import Observations
+from metrocli.adjust.observations import Index, Observations
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.geometry import poses
 from metrocli.instruments.machine import ALL_NAMES, TOOL, Machine
@@ -80,7 +79,7 @@ def _tracker_pose(machine: Machine, plan: PathPlan) -> Array:
     return np.concatenate([place, np.zeros(3)])
 
 
-def _nodes(machine: Machine, path: Path, corner: float) -> tuple[Array, Array, Array]:
+def _nodes(machine: Machine, path: Path, corner: float) -> tuple[Index, Array, Array]:
     """Return leg, way along it and length of path of the three Gauss nodes of every cell, corners cut."""
     low, high = path.cells(machine)[:-1], path.cells(machine)[1:]
     leg = path.leg_of((low + high) / 2)
@@ -120,12 +119,10 @@ def plan(settings: Settings, table: Table | None) -> Plan:
     )
     return Plan(
         KIND,
-        tuple(
-            [
-                *own,
-                f"proposed: {len(path.lengths)} legs, {path.length:.0f} mm of at most {longest:.0f} mm, {time:.0f} s",
-                *identifiability_notes(identified)[1:],
-            ]
+        (
+            *own,
+            f"proposed: {len(path.lengths)} legs, {path.length:.0f} mm of at most {longest:.0f} mm, {time:.0f} s",
+            *identifiability_notes(identified)[1:],
         ),
         (
             Estimate("ratio", identified.ratio, 0.0, "1"),

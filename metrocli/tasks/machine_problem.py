@@ -144,7 +144,7 @@ def must_support(machine: Machine, position: Array, blocks: Mapping[str, Block])
     """Raise UndeterminedError where a knot has no reading in the intervals next to it."""
     told = []
     for axis in machine.axes:
-        free: Mask = blocks[axis.block].free.any(axis=1)
+        free: Mask = np.asarray(blocks[axis.block].free.any(axis=1))
         index, weight = axis.places(position[axis.number])
         seen = np.zeros(len(axis.knots))
         for knots, weights in zip(index[:2], weight[:2, 0], strict=True):

@@ -211,7 +211,7 @@ def _residuals(solved: Solved) -> Table:
 def _sigma(solved: Solved, component: int) -> Array:
     observations = solved.problem.readings.observations
     if observations.covariance is None:
-        return observations.sigma[component]
+        return np.asarray(observations.sigma[component])
     return np.asarray(np.sqrt(observations.covariance[component, component]))
 
 
@@ -283,8 +283,8 @@ def _warnings(solved: Solved) -> list[str]:
         worst = sorted(zip(tests, [names[i] for i in rows], strict=True), reverse=True)
         told = [f"{name} (w = {test:.1f})" for test, name in worst]
         lines.append(
-            f"{len(told)} readings exceed the outlier bound |w| = {solved.suspects.critical:.2f}: {key} {listed(told, 5)}; "
-            "`outliers: remove` leaves such out"
+            f"{len(told)} readings exceed the outlier bound |w| = {solved.suspects.critical:.2f}: "
+            f"{key} {listed(told, 5)}; `outliers: remove` leaves such out"
         )
     return lines
 

@@ -78,7 +78,7 @@ class Prediction:
     @property
     def std(self) -> Array:
         """Standard uncertainties, (3, n)."""
-        return np.sqrt(np.maximum(np.einsum("aan->an", self.covariance), 0.0))
+        return np.asarray(np.sqrt(np.maximum(np.einsum("aan->an", self.covariance), 0.0)))
 
 
 def predict(
