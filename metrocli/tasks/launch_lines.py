@@ -30,7 +30,7 @@ class Line:
     points: Array
     """(n, 3)"""
     position: Array
-    """Distance from where the line enters the machine's volume; for an axis from its low end, (n,)"""
+    """Of the axis; for a diagonal the distance from where it enters the machine's volume, (n,)"""
     distance: Array
     """From the unit, (n,)"""
 
@@ -74,7 +74,8 @@ def measurable(place: Array, names: Sequence[str], reach: Reach) -> tuple[list[L
             refused[name] = "fewer than two points are far enough from the unit and within the axes"
             continue
         points = np.clip(place + chosen[:, None] * vector, *reach.box.T)
-        lines.append(Line(name, sign * vector, points, chosen - first, np.abs(chosen)))
+        position = points[:, AXES.index(name)] if name in AXES else chosen - first
+        lines.append(Line(name, sign * vector, points, position, np.abs(chosen)))
     return lines, refused
 
 

@@ -68,7 +68,7 @@ def planned_measurement(located: Located, planned: Planned, noise: NoiseSettings
         kind=KIND,
         notes=(*_notes(prospect, more), *_told(prospect, more)),
         figures=figures(located),
-        tables={"lines": margins, "points": _points(lines), "further_poses": _further_table(prospect, more)},
+        tables={"lines": margins, "points": _points(lines), **_further_table(prospect, more)},
         files=files,
         warnings=(*reasons, *blocked),
         shown=(
@@ -111,10 +111,12 @@ def _margins(prospect: Prospect) -> Table:
 
 
 def _points(lines: Sequence[Line]) -> Table:
-    """Return /points: every receiver position, in the order of the programs."""
+    """Return /points: every receiver position, in the order of the programs, as calibrate-machine takes lines."""
     points = np.concatenate([line.points for line in lines])
+    name = np.concatenate([np.repeat(line.name, len(line.points)) for line in lines])
     columns: dict[str, Values] = {
-        "line": np.concatenate([np.repeat(line.name, len(line.points)) for line in lines]),
+        "line": name,
+        "axis": name,
         "position": np.concatenate([line.position for line in lines]),
         **{axis: points[:, i] for i, axis in enumerate(AXES)},
         "distance": np.concatenate([line.distance for line in lines]),
@@ -132,17 +134,20 @@ def _further(prospect: Prospect, reach: Reach) -> list[Further]:
     return further(located.covariance, prospect.wanted, noise.encoder, places, tells)
 
 
-def _further_table(prospect: Prospect, more: Sequence[Further]) -> Table:
+def _further_table(prospect: Prospect, more: Sequence[Further]) -> dict[str, Table]:
+    """Return /further_poses, where there are any, with the probabilities of the least certain line after each."""
+    if not more:
+        return {}
     wanted, encoder = prospect.wanted, prospect.noise.encoder
     known = [Uncertainty(one.location, encoder) for one in more]
-    places = np.array([one.receiver for one in more]).reshape(-1, 3)
+    places = np.array([one.receiver for one in more])
     columns: dict[str, Values] = {
         "poses": len(prospect.located.readings.names) + 1 + np.arange(len(more)),
         **{axis: places[:, i] for i, axis in enumerate(AXES)},
         "probability": np.array([wanted.worst(each) for each in known], dtype=float),
         "probability_aligned": np.array([wanted.worst_aligned(each) for each in known], dtype=float),
     }
-    return Table(columns, dict.fromkeys(AXES, "mm"))
+    return {"further_poses": Table(columns, dict.fromkeys(AXES, "mm"))}
 
 
 def _programs(prospect: Prospect) -> tuple[dict[str, Table | str], list[str]]:

@@ -73,7 +73,7 @@ def line_program(line: Line, values: Array, psi: float, motion: Motion) -> str |
 def _remarks(line: Line, values: Array, psi: float) -> list[str]:
     degree = find_unit("deg", "angle")
     aim = commanded(line.beam, float(values[3]), psi)
-    angle = {name: f"{name.upper()} = {degree.outside(value):.5f} deg" for name, value in aim.items()}
+    angle = {name: f"{name.upper()} = {round(degree.outside(value), 5) + 0.0:.5f} deg" for name, value in aim.items()}
     return [
         "positions of the receiver's control point in the machine frame of the location",
         f"launch unit at {_words(values[:3])}",

@@ -19,6 +19,7 @@ _PLACE = (
     *(Column(axis, "length") for axis in "xyz"),
     Column("spindle", "angle"),
 )
+_CONDITIONS = (Column("t", "time", required=False), Column("temp", "temperature", required=False))
 _SIGMAS = tuple(
     Column(name, "length", required=False, may_be_empty=True) for name in ("sigma", "sigma_x", "sigma_y", "sigma_z")
 )
@@ -27,14 +28,13 @@ POSES = Columns(
         *_PLACE,
         *(Column(angle, "angle") for angle in ANGLES),
         Column("distance", "length", required=False, may_be_empty=True),
-        Column("t", "time", required=False),
-        Column("temp", "temperature", required=False),
+        *_CONDITIONS,
         *_SIGMAS,
     ),
     ("pose",),
     "receiver positions and encoder angles of aligned poses",
 )
-PLACES = Columns(_PLACE, ("pose",), "receiver positions to measure at")
+PLACES = Columns((*_PLACE, *_CONDITIONS), ("pose",), "receiver positions to measure at")
 _STEEP = 1.7e-3
 """Cosine of the tilt of the steepest beam that has a usable base angle, 0.1 degrees from vertical"""
 

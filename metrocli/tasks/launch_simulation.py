@@ -45,6 +45,9 @@ def simulated(truth: Truth, noise: NoiseSettings, places: Table, rng: np.random.
     if truth.distances:
         columns["distance"] = distance + rng.normal(size=distance.shape) * (noise.distance or 0.0)
         units["distance"] = "mm"
+    conditions = {"t": "s", "temp": "degC"}
+    columns |= {name: places.numbers(name) for name in conditions if name in places}
+    units |= {name: unit for name, unit in conditions.items() if name in places}
     true = dict(zip("xyz", truth.place, strict=True)) | {"gamma": float(wrapped(truth.gamma))}
     return Simulation({"poses.csv": Table(columns, units)}, true)
 

@@ -48,9 +48,12 @@ def test_lines_are_parallel_to_axes_and_diagonals_and_pass_through_the_unit() ->
         assert distance == pytest.approx(points.numbers("distance")[name == line])
         assert distance.min() >= 300 - 1e-6 and distance.max() <= 4000 + 1e-6
     assert (at >= [-1200 - 1e-6, -1e-6, -1e-6]).all() and (at <= np.array([4200, 1200, 1600]) + 1e-6).all()
-    # axis positions count from the low end, so that tables of several set-ups share their points
-    x = name == "x"
-    assert points.numbers("position")[x] == pytest.approx(at[x, 0] + 1200)
+    # positions of an axis are steps from its low end, so that several set-ups share their points
+    x, xy = name == "x", name == "xy"
+    assert points.numbers("position")[x] == pytest.approx(at[x, 0])
+    assert (at[x, 0] + 1200) % 50 == pytest.approx(0, abs=1e-6)
+    assert np.diff(points.numbers("position")[xy]) == pytest.approx(50)
+    assert points.texts("axis") == points.texts("line")
 
 
 def test_the_commanded_angles_aim_both_units_along_the_line() -> None:
