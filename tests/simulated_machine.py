@@ -192,3 +192,12 @@ def truth_of(machine: Machine, name: str) -> Array:
     if name in ("A0Z", "B0Z", "C0Y"):
         return np.array([machine.squareness[("A0Z", "B0Z", "C0Y").index(name)]])
     return machine.tables[name]
+
+
+def without_motion(moved: Array, at: Array) -> Array:
+    """Displacements (n, 3) of points after the best small shift and turn (least squares)."""
+    centred = at - at.mean(axis=0)
+    columns = [np.tile(unit, (len(at), 1)) for unit in np.eye(3)] + [np.cross(unit, centred) for unit in np.eye(3)]
+    design = np.stack([column.ravel() for column in columns], axis=1)
+    motion, *_ = np.linalg.lstsq(design, moved.ravel(), rcond=None)
+    return moved - (design @ motion).reshape(moved.shape)
