@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -286,17 +286,24 @@ def _in_order(faults: Iterable[Fault]) -> list[Fault]:
 
 def _inputs(root: Node, settings: type, faults: list[Fault]) -> tuple[Input, ...]:
     """Return the inputs of a job, those whose own text has no fault; files in YAML are read and checked at once."""
-    node = root.get("inputs")
-    outer, _ = settings_of(settings).get("inputs", (None, False))
-    if node is None or outer is None or not isinstance(outer.spec, Section):
-        return ()
-    found = []
-    for name, (wanted, _) in settings_of(outer.spec.section).items():
-        below = node.get(wanted.key)
-        value = BAD if below is None else wanted.spec.read(below, [])
-        if below is not None and value is not BAD and _names_files(wanted.spec):
-            found.append(_with_content(Input(name, wanted.spec, value, below), faults))
-    return tuple(found)
+    return tuple(_with_content(item, faults) for item in _files_in(Section(settings), root))
+
+
+def _files_in(spec: Any, node: Node | None) -> Iterator[Input]:
+    """Yield what names files under a node: keys of `inputs:` by their name, others by their path."""
+    if node is None or not spec.fits(node):
+        return
+    if _names_files(spec):
+        value = spec.read(node, [])
+        if value is not BAD:
+            yield Input(node.path.removeprefix("inputs."), spec, value, node)
+    elif isinstance(spec, Section):
+        for wanted, _ in settings_of(spec.section).values():
+            yield from _files_in(wanted.spec, node.get(wanted.key))
+    else:
+        for inner in (getattr(spec, name, None) for name in ("spec", "value", "item")):
+            for below in (node.items or [value for _, value in node.entries] or [node]) if inner is not None else ():
+                yield from _files_in(inner, below)
 
 
 def _names_files(spec: Any) -> bool:
@@ -322,14 +329,14 @@ def _missing(inputs: Iterable[Input], wishes: Wishes) -> list[Fault]:
     for item in inputs:
         if isinstance(item.spec, ImageFiles) and item.key not in wishes.not_needed:
             for odd in item.spec.unmatched(item.node):
-                faults.append(odd.fault(f"inputs.{item.key}: no file matches '{odd.text}'", f"in {odd.source.folder}"))
+                faults.append(odd.fault(f"{item.node.path}: no file matches '{odd.text}'", f"in {odd.source.folder}"))
         places = item.node.items or [value for _, value in item.node.entries] or [item.node]
         for n, path in enumerate(item.paths):
             if path.is_file() or item.key in wishes.not_needed or Path(os.path.abspath(path)) in wishes.made:
                 continue
             found = "a folder, not a file" if path.is_dir() else "no such file"
             place = places[n] if len(places) == len(item.paths) else item.node
-            faults.append(place.fault(f"inputs.{item.key}: {found}: {path}", _neighbour(path)))
+            faults.append(place.fault(f"{item.node.path}: {found}: {path}", _neighbour(path)))
     return faults
 
 
