@@ -15,8 +15,11 @@ from metrocli.project import yaml_text
 from metrocli.project.requirements import Requirement, Requirements
 from metrocli.settings import (
     BAD,
+    At,
+    Either,
     FileOf,
     ImageFiles,
+    ListOf,
     MapOf,
     Schema,
     Section,
@@ -286,24 +289,34 @@ def _in_order(faults: Iterable[Fault]) -> list[Fault]:
 
 def _inputs(root: Node, settings: type, faults: list[Fault]) -> tuple[Input, ...]:
     """Return the inputs of a job, those whose own text has no fault; files in YAML are read and checked at once."""
-    return tuple(_with_content(item, faults) for item in _files_in(Section(settings), root))
+    found = []
+    for name, (wanted, _) in settings_of(settings).items():
+        for item in _files_in(wanted.spec, root.get(wanted.key), within_inputs=name == "inputs"):
+            found.append(_with_content(item, faults))
+    return tuple(found)
 
 
-def _files_in(spec: Any, node: Node | None) -> Iterator[Input]:
-    """Yield what names files under a node: keys of `inputs:` by their name, others by their path."""
+def _files_in(spec: Any, node: Node | None, within_inputs: bool = False) -> Iterator[Input]:
+    """Yield what names files at a node: a key of `inputs:` under its name, anything else under its path."""
     if node is None or not spec.fits(node):
         return
     if _names_files(spec):
         value = spec.read(node, [])
         if value is not BAD:
-            yield Input(node.path.removeprefix("inputs."), spec, value, node)
+            yield Input(node.path, spec, value, node)
     elif isinstance(spec, Section):
-        for wanted, _ in settings_of(spec.section).values():
-            yield from _files_in(wanted.spec, node.get(wanted.key))
-    else:
-        for inner in (getattr(spec, name, None) for name in ("spec", "value", "item")):
-            for below in (node.items or [value for _, value in node.entries] or [node]) if inner is not None else ():
-                yield from _files_in(inner, below)
+        for name, (wanted, _) in settings_of(spec.section).items():
+            below = _files_in(wanted.spec, node.get(wanted.key))
+            yield from (replace(item, key=name) if within_inputs else item for item in below)
+    elif isinstance(spec, At):
+        yield from _files_in(spec.spec, node)
+    elif isinstance(spec, Either):
+        for one in spec.specs:
+            yield from _files_in(one, node)
+    elif isinstance(spec, MapOf | ListOf):
+        inner = spec.value if isinstance(spec, MapOf) else spec.item
+        for part in node.items or [value for _, value in node.entries]:
+            yield from _files_in(inner, part)
 
 
 def _names_files(spec: Any) -> bool:
