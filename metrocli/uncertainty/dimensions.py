@@ -71,7 +71,9 @@ def _atom(symbol: str, whole: str) -> tuple[float, Powers]:
         raise units.QuantityError(f"'{whole}' has degC in a compound", "a difference of temperature is in K")
     known = tuple({unit.symbol for dimension in units.DIMENSIONS.values() for unit in dimension.units})
     near = units.nearest(plain, known)
-    raise units.QuantityError(f"unknown unit '{symbol}'", f"did you mean '{near}'?" if near else "see docs/conventions.md")
+    raise units.QuantityError(
+        f"unknown unit '{symbol}'", f"did you mean '{near}'?" if near else "see docs/conventions.md"
+    )
 
 
 def _powers(text: str) -> Powers:
@@ -222,5 +224,3 @@ def _to_the(a: Compound, power: Fraction) -> Compound:
 def unit_of(expression: Expression, names: Mapping[str, Compound]) -> Compound:
     """Return the unit of a model in base units; raises ExpressionError where its terms do not fit together."""
     return expression.carried_out(_Units(expression, names)).unit
-
-

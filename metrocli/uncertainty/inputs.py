@@ -74,7 +74,9 @@ class Inputs:
 
     def sources(self) -> tuple[Callable[[np.random.Generator, int], Sequence[tuple[int, Array]]], ...]:
         """Return what draws deviations, one for each group, in the order of the quantities."""
-        return tuple(self._source(group) for group in self.groups if self.covariance[group[0], group[0]] > 0 or len(group) > 1)
+        return tuple(
+            self._source(group) for group in self.groups if self.covariance[group[0], group[0]] > 0 or len(group) > 1
+        )
 
     def _source(self, group: tuple[int, ...]) -> Dependent | Ellipse | _Single:
         shapes = [in_trials(self._shape(i), self.quantities[i].dof) for i in group]

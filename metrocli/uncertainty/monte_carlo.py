@@ -71,7 +71,9 @@ class Plan:
         return found
 
 
-def plan_of(models: Mapping[str, Expression], inputs: Inputs, seed: int, probability: float, trials: int | None) -> Plan:
+def plan_of(
+    models: Mapping[str, Expression], inputs: Inputs, seed: int, probability: float, trials: int | None
+) -> Plan:
     """Return the plan of a run; raises UnreachableError where correlations cannot be drawn."""
     values = inputs.values
     centres = [float(evaluate(model, values)) for model in models.values()]
@@ -122,6 +124,17 @@ class Batch:
     """(m, trials), where all are kept"""
     counts: Counts | None
     """(m, BINS + 2), where they are counted"""
+
+    def arrays(self) -> dict[str, Any]:
+        """Return a counted batch as arrays by name."""
+        tally = self.tally
+        return {"count": tally.count, "mean": tally.mean, "products": tally.products, "counts": self.counts}
+
+    @classmethod
+    def restored(cls, arrays: Mapping[str, Any]) -> Batch:
+        """Return the batch of such arrays."""
+        tally = Tally(int(arrays["count"]), arrays["mean"], arrays["products"])
+        return cls(tally, np.array([]), None, arrays["counts"])
 
 
 @dataclass(frozen=True)
@@ -226,7 +239,8 @@ def _edges(plan: Plan) -> tuple[Edges, ...]:
 def _resumed(work: _Work, workers: Workers, numbers: Sequence[int]) -> Iterator[Batch]:
     """Yield all batches in order: those that an earlier run has finished as they were kept, the others done now."""
     key = hashlib.sha256(pickle.dumps((work, np.__version__), protocol=4)).hexdigest()[:16]
-    held = {number: batch for number in numbers if (batch := workers.finished.get(key, number)) is not None}
+    kept = ((number, workers.finished.get(key, number)) for number in numbers)
+    held = {number: Batch.restored(arrays) for number, arrays in kept if arrays is not None}
     missing = [number for number in numbers if number not in held]
     done = workers.ordered(work, missing)
     for number in numbers:
@@ -234,7 +248,7 @@ def _resumed(work: _Work, workers: Workers, numbers: Sequence[int]) -> Iterator[
             yield held.pop(number)
         else:
             batch = next(done)
-            workers.finished.put(key, number, batch)
+            workers.finished.put(key, number, batch.arrays())
             yield batch
 
 

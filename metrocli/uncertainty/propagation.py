@@ -9,9 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from metrocli.uncertainty.derivatives import Jets
+from metrocli.uncertainty.derivatives import Jets, NoValueError
 from metrocli.uncertainty.expression import Expression
 from metrocli.uncertainty.inputs import Inputs
+from metrocli.uncertainty.numbers import evaluate
 
 Array = npt.NDArray[np.float64]
 GUARD = 1e-2
@@ -44,7 +45,11 @@ class Linear:
     """NaN where the second-order terms make the variance negative"""
     nonlinear: float
     """Share of the second-order variance that the first order lacks"""
+    used: tuple[int, ...] = ()
+    """Quantities that the model names"""
     notes: tuple[str, ...] = ()
+    replaced: bool = False
+    """The law of propagation does not apply: there is no derivative at the best estimates"""
 
 
 @dataclass(frozen=True)
@@ -56,14 +61,29 @@ class Propagated:
 
 
 def propagate(models: Mapping[str, Expression], inputs: Inputs) -> Propagated:
-    """Return each measurand by `u^2 = g' V g`, and to the second order; raises NoValueError.
+    """Return each measurand by `u^2 = g' V g`, and to the second order; raises NoValueError without a value.
+
+    A model that has a value and no derivative at the best estimates is marked as `replaced`.
 
     Second order (JCGM 100, 5.1.2 note, with correlations): `y = f + tr(H V)/2`,
     `u^2 = g'Vg + tr(HVHV)/2 + sum_i (Vg)_i sum_jk f_ijk V_jk`.
     """
-    found = {name: _linear(model, inputs) for name, model in models.items()}
+    found = {name: _attempt(model, inputs) for name, model in models.items()}
     slopes = np.array([linear.sensitivities for linear in found.values()])
     return Propagated(found, slopes @ inputs.covariance @ slopes.T)
+
+
+def _attempt(model: Expression, inputs: Inputs) -> Linear:
+    try:
+        return _linear(model, inputs)
+    except NoValueError as error:
+        value = float(evaluate(model, inputs.values))
+        if not error.differentiable or not math.isfinite(value):
+            raise
+        nothing = np.zeros(len(inputs.names))
+        return Linear(
+            value, 0.0, nothing, nothing, math.inf, math.nan, math.nan, 0.0, notes=(error.message,), replaced=True
+        )
 
 
 def _linear(model: Expression, inputs: Inputs) -> Linear:
@@ -92,6 +112,7 @@ def _linear(model: Expression, inputs: Inputs) -> Linear:
         second_value=float(jet.value) + 0.5 * float(np.trace(turned)),
         second_std=second,
         nonlinear=abs(more) / max(variance + more, variance) if max(variance + more, variance) > 0 else 0.0,
+        used=tuple(used),
         notes=notes,
     )
 
@@ -112,7 +133,9 @@ def effective_dof(inputs: Inputs, slopes: Array) -> tuple[float, tuple[str, ...]
         dofs = {inputs.quantities[i].dof for i in acting}
         if len(dofs) > 1:
             names = ", ".join(inputs.quantities[i].name for i in acting)
-            notes.append(f"{names} are correlated with different degrees of freedom; the least, {min(dofs):g}, is taken")
+            notes.append(
+                f"{names} are correlated with different degrees of freedom; the least, {min(dofs):g}, is taken"
+            )
         if dofs and math.isfinite(min(dofs)):
             weighted += variance**2 / min(dofs)
     return (total**2 / weighted if weighted > 0 else math.inf), tuple(notes)
@@ -147,5 +170,5 @@ def ellipsoid_factor(probability: float, measurands: int) -> float:
 
 
 def budget_order(linear: Linear) -> Sequence[int]:
-    """Return the contributors from the largest to the smallest."""
-    return [int(i) for i in np.argsort(-linear.contributions, kind="stable") if linear.sensitivities[i] != 0]
+    """Return the contributors of a model from the largest to the smallest."""
+    return sorted(linear.used, key=lambda i: -float(linear.contributions[i]))

@@ -22,11 +22,11 @@ PATIENCE_S = 4.0
 class Finished(Protocol):
     """Chunks that an earlier run has finished, by the key of the computation and their number."""
 
-    def get(self, key: str, number: int) -> Any | None:
-        """Return what was kept, None where nothing was."""
+    def get(self, key: str, number: int) -> dict[str, Any] | None:
+        """Return the arrays that were kept, None where nothing was."""
 
-    def put(self, key: str, number: int, value: Any) -> None:
-        """Keep a finished chunk."""
+    def put(self, key: str, number: int, value: dict[str, Any]) -> None:
+        """Keep the arrays of a finished chunk."""
 
     def clear(self) -> None:
         """Forget everything: the computation is done."""
@@ -36,10 +36,10 @@ class Finished(Protocol):
 class Nothing:
     """No chunks are kept."""
 
-    def get(self, key: str, number: int) -> Any | None:
+    def get(self, key: str, number: int) -> dict[str, Any] | None:
         return None
 
-    def put(self, key: str, number: int, value: Any) -> None:
+    def put(self, key: str, number: int, value: dict[str, Any]) -> None:
         return None
 
     def clear(self) -> None:
