@@ -514,7 +514,7 @@ def _read_section(node: Node, section: type, faults: list[Fault]) -> Any:
 
 
 def _checked(value: Any, node: Node, faults: list[Fault]) -> Any:
-    """Add the faults that a section finds across its keys: `(key path, message)`, or a Fault with a place of its own."""
+    """Add the faults that a section finds across its keys: `(key path, message[, hint])`, or a Fault with its place."""
     check = getattr(value, "faults", None)
     said = list(check()) if check else []
     found = [item if isinstance(item, Fault) else node.at(item[0]).fault(*item[1:]) for item in said]

@@ -18,8 +18,8 @@ def command(place: Path, overrides: tuple[str, ...], quiet: bool) -> int:
     from metrocli.errors import Fault, InputError, UsageError
     from metrocli.project.inputs import read_inputs
     from metrocli.project.job import Job, Wishes, load
-    from metrocli.project.runner import verify
     from metrocli.project.pipeline import FILE, load_project
+    from metrocli.project.runner import verify
 
     if place.is_dir() or place.name == FILE:
         if overrides:

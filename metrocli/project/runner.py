@@ -11,8 +11,8 @@ from typing import Any
 from metrocli import __version__, tasks
 from metrocli.errors import Fault, InputError, UsageError
 from metrocli.plan import Plan
-from metrocli.project.inputs import input_files, read_inputs
 from metrocli.project.chunks import ChunkFolder
+from metrocli.project.inputs import input_files, read_inputs
 from metrocli.project.job import Job
 from metrocli.record import Record, Verdict
 from metrocli.result import Result
@@ -20,6 +20,8 @@ from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import Table
 from metrocli.uncertainty.workers import Workers
 
+HERE = Workers()
+"""All cores of this machine"""
 Say = Callable[[str], None]
 """Takes a line of progress."""
 
@@ -33,7 +35,7 @@ class Done:
     path: Path
 
 
-def carry_out(job: Job, force: bool = False, say: Say = lambda line: None, workers: Workers = Workers()) -> Done:
+def carry_out(job: Job, force: bool = False, say: Say = lambda line: None, workers: Workers = HERE) -> Done:
     """Read the inputs, run the task, judge and write; nothing is written where anything is wrong.
 
     The chunks that `workers` finish are kept beside the output until the job is done, so that a killed run goes on.

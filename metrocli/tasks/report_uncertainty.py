@@ -30,7 +30,7 @@ def run(
     if settings.volume is not None:
         from metrocli.tasks import volume_report
 
-        return volume_report.run(settings, results or {})
+        return volume_report.run(settings, results or {}, workers or Workers())
     problem = _problem(settings, results or {}, files or {})
     wanted = settings.coverage
     coverage = Coverage(wanted.probability or 0.95, wanted.k)

@@ -101,7 +101,7 @@ def decide(limits: Limits, found: Measured, factor: float) -> dict[str, Any]:
     }
     if math.isfinite(ends.width):
         decision |= {"T": ends.width / factor, "U_over_T": found.U / ends.width}
-        decision["capable"] = bool(found.U <= GOLDEN * ends.width)
+        decision["capable"] = bool(GOLDEN * ends.width >= found.U)
     if found.sample is not None:
         above = found.sample.below(ends.high - found.centre) if math.isfinite(ends.high) else 1.0
         under = found.sample.below(ends.low - found.centre) if math.isfinite(ends.low) else 0.0
@@ -147,22 +147,19 @@ def _shown(interval: Interval, factor: float) -> list[float]:
 def lines(decision: Mapping[str, Any], unit: str) -> list[str]:
     """Return a decision in words."""
     low, high = decision["limits"]
-    said = [
-        f"tolerance {low:.10g} to {high:.10g} {unit}: {decision['zone']} with U (ISO 14253-1), {decision['zone_2017']} with 1.65 u"
-    ]
+    zones = f"{decision['zone']} with U (ISO 14253-1), {decision['zone_2017']} with 1.65 u"
+    said = [f"tolerance {low:.10g} to {high:.10g} {unit}: {zones}"]
     if "T" in decision:
         capable = "capable" if decision["capable"] else "not capable"
         said.append(f"U/T = {100 * decision['U_over_T']:.1f} %: {capable} by the 20 % of Berndt")
     mc = f", by Monte Carlo {decision['conformance_mc']:.6g}" if "conformance_mc" in decision else ""
     said.append(f"probability of conformity {decision['conformance']:.6g} (JCGM 106){mc}")
     if "consumer" in decision:
-        said.append(
-            f"global risks: consumer {decision['consumer']:.4g} ({decision['consumer_of_accepted']:.4g} of those accepted), "
-            f"producer {decision['producer']:.4g}"
-        )
+        of_accepted = f"{decision['consumer_of_accepted']:.4g} of those accepted"
+        risks = f"consumer {decision['consumer']:.4g} ({of_accepted}), producer {decision['producer']:.4g}"
+        said.append(f"global risks: {risks}")
     if "guard_band" in decision:
         a, b = decision["acceptance_guarded"]
-        said.append(
-            f"guard band {decision['guard_band']:.4g} {unit} for a risk of {decision['wanted_risk']:g}: accept {a:.10g} to {b:.10g}"
-        )
+        band = f"guard band {decision['guard_band']:.4g} {unit} for a risk of {decision['wanted_risk']:g}"
+        said.append(f"{band}: accept {a:.10g} to {b:.10g}")
     return said

@@ -67,8 +67,8 @@ def build(settings: Settings, results: Mapping[str, Result], files: Mapping[str,
 
 def _heavy_tails(inputs: Inputs) -> list[str]:
     few = [q.name for q in inputs.quantities if q.dof <= 2 and isinstance(q.distribution, Normal)]
-    said = "has 2 degrees of freedom or fewer: its t distribution has no standard deviation, so mean and std of Monte Carlo"
-    return [f"{name} {said} depend on chance; its intervals do not" for name in few]
+    said = "has 2 degrees of freedom or fewer, and a t distribution of these no standard deviation"
+    return [f"{name} {said}: mean and std of Monte Carlo depend on chance, its intervals do not" for name in few]
 
 
 @dataclass
@@ -264,14 +264,14 @@ def _keyword(name: str) -> bool:
 
 
 def _example(unit: Compound) -> str:
-    found = next((d for d in units.DIMENSIONS.values() if dimensions.described(unit) == d.phrase), None)
-    if unit.point:
-        return "degC"
-    return f"'{found.unit}'" if found is not None else "1" if unit.number else f"'{dimensions.base_unit(unit.powers)}'"
+    if unit.point or unit.number:
+        return "'degC'" if unit.point else "1"
+    found = next((d for d in units.DIMENSIONS.values() if described(unit) == d.phrase), None)
+    return f"'{found.unit if found is not None else dimensions.base_unit(unit.powers)}'"
 
 
 def degrees_of_freedom(result: Result, index: int) -> float:
-    """Return the degrees of freedom of an estimate: those that it states, those of an estimated noise, else infinite."""
+    """Return the degrees of freedom of an estimate: as it states them, those of an estimated noise, or infinite."""
     stated = result.details.get(result.estimates[index].name, {}).get("dof")
     if isinstance(stated, int | float) and math.isfinite(stated):
         return float(stated)

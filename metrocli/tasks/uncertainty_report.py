@@ -11,6 +11,7 @@ import numpy as np
 
 from metrocli.result import Estimate, Result
 from metrocli.table import Table
+from metrocli.tasks.aligned_text import aligned
 from metrocli.tasks.uncertainty_decisions import PLAIN as DECIDED
 from metrocli.tasks.uncertainty_decisions import Measured, decide, limits_of, lines
 from metrocli.tasks.uncertainty_problem import Problem
@@ -254,16 +255,8 @@ def _budget_lines(found: Found, measurand: _Measurand) -> list[str]:
         scale = item.unit.factor
         share = 100 * linear.sensitivities[i] * along[i] / linear.std**2 if linear.std > 0 else 0.0
         dof = f"{item.dof:.4g}" if math.isfinite(item.dof) else "-"
-        rows.append((
-            item.name, *rounded(item.value / scale, item.std / scale), item.unit.text,
-            f"{linear.sensitivities[i] * scale / factor:.4g}", f"{linear.contributions[i] / factor:.3g}", f"{share:.1f}", dof,
-        ))  # fmt: skip
-    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    left = (0, 3)
-    said = [
-        "  ".join(
-            cell.ljust(w) if k in left else cell.rjust(w) for k, (cell, w) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in rows
-    ]
+        slope, brings = linear.sensitivities[i] * scale / factor, linear.contributions[i] / factor
+        value, std = rounded(item.value / scale, item.std / scale)
+        rows.append((item.name, value, std, item.unit.text, f"{slope:.4g}", f"{brings:.3g}", f"{share:.1f}", dof))
+    said = aligned(rows, left=(0, 3))
     return said + ([f"... {len(order) - 20} more (show --table budget)"] if len(order) > 20 else [])

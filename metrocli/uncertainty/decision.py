@@ -138,7 +138,7 @@ def _integral(items: Items, chance: Callable[[Array], Array], part: Interval, st
 
 
 def guard_for_specific(std: float, risk: float, dof: float = math.inf) -> float:
-    """Return the guard band at which a value on the acceptance limit has this risk of not conforming, one limit alone."""
+    """Return the guard band at which a value on the acceptance limit has this risk of not conforming."""
     from scipy.special import ndtri, stdtrit
 
     factor = float(stdtrit(dof, 1 - risk)) if math.isfinite(dof) else float(ndtri(1 - risk))

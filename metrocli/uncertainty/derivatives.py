@@ -1,7 +1,7 @@
 """Expressions carried out with exact first and second derivatives, and the third in one direction.
 
-Forward mode: each step of an expression takes value, gradient and Hessian of its arguments to its own by the chain rule.
-Derivatives stand in the first axes, points of evaluation in the last: value (...), gradient (n, ...), Hessian
+Forward mode: each step of an expression takes value, gradient and Hessian of its arguments to its own by the chain
+rule. Derivatives stand in the first axes, points of evaluation in the last: value (...), gradient (n, ...), Hessian
 (n, n, ...).
 """
 

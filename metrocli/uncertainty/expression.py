@@ -249,7 +249,7 @@ def _dotted(node: ast.expr) -> str:
 
 
 def _folded(parts: list[Part]) -> Iterator[Part]:
-    """Yield the steps with every operation on plain numbers carried out, so that 9**9**9**9 is refused where it stands."""
+    """Yield the steps with every operation on plain numbers carried out; 9**9**9**9 is refused where it stands."""
     stack: list[list[Part]] = []
     for part in parts:
         if part.arity == 0:

@@ -148,21 +148,25 @@ class _Work:
     """Of each measurand; empty where all values are kept"""
 
     def __call__(self, number: int) -> Batch:
-        outcomes, spread, places = [], [], []
+        tally: Tally | None = None
+        kept: list[Array] = []
+        spread: list[Array] = []
+        places: list[list[npt.NDArray[np.int32]]] = []
         for chunk in range(number * self.chunks, (number + 1) * self.chunks):
             if self.plan.count(chunk) <= 0:
                 break
             found = self.plan.outcomes(chunk)
             _refuse_lost(found, self.plan)
-            tally = Tally.of(found) if not outcomes else tally + Tally.of(found)
+            tally = Tally.of(found) if tally is None else tally + Tally.of(found)
             if self.plan.trials is None:
                 spread.append(_spread(found, self.plan.probability))
             if self.edges:
                 places.append([edges.places(row) for edges, row in zip(self.edges, found, strict=True)])
-            outcomes.append(found if not self.edges else found[:, :0])
-        counts = _counted(places) if places else None
-        kept = None if self.edges else np.concatenate(outcomes, axis=1)
-        return Batch(tally, np.array(spread), kept, counts)
+            else:
+                kept.append(found)
+        assert tally is not None
+        values = np.concatenate(kept, axis=1) if kept else None
+        return Batch(tally, np.array(spread), values, _counted(places) if places else None)
 
 
 def _counted(places: Sequence[Sequence[npt.NDArray[np.int32]]]) -> Counts:
@@ -359,7 +363,6 @@ def _unsettled(tally: Tally, spread: Array, digits: int) -> str:
     errors = 2 * _errors(spread)
     std = np.sqrt(np.diag(tally.covariance))
     worst = np.array([errors[:, m].max() / (tolerance_of(float(s), digits) or 1.0) for m, s in enumerate(std)])
-    return (
-        f"after {tally.count} trials the results are known {worst.max():.1f} times less well than {digits} digits of the "
-        "standard uncertainty ask for\n  ask for fewer digits, allow more trials (`most`), or fix their number (`trials`)"
-    )
+    less = f"{worst.max():.1f} times less well than {digits} digits of the standard uncertainty ask for"
+    hint = "ask for fewer digits, allow more trials (`most`), or fix their number (`trials`)"
+    return f"after {tally.count} trials the results are known {less}\n  {hint}"

@@ -91,8 +91,9 @@ class Binned:
 
     def _cumulative(self) -> tuple[Array, Array]:
         """Return the inner edges of the bins and the share of values below each."""
-        share = np.cumsum(self.counts)[:-1] / self.counts.sum()
-        return self.edges.low + self.edges.width * np.arange(BINS + 1), share
+        share: Array = np.cumsum(self.counts)[:-1] / float(self.counts.sum())
+        at: Array = self.edges.low + self.edges.width * np.arange(BINS + 1, dtype=float)
+        return at, share
 
     def symmetric(self, probability: float) -> tuple[float, float]:
         at, share = self._cumulative()

@@ -1,4 +1,4 @@
-"""Whether the law of propagation may be used for a model: its interval against that of Monte Carlo (JCGM 101, clause 8)."""
+"""Whether the law of propagation may be used: its interval against that of Monte Carlo (JCGM 101, clause 8)."""
 
 from __future__ import annotations
 
@@ -70,9 +70,8 @@ def _reasons(found: Judged) -> Sequence[str]:
         half = (found.interval[1] - found.interval[0]) / 2
         factor = half / found.mc_std
         if abs(factor / found.normal_factor - 1) > _NOTABLE / 2:
-            lines.append(
-                f"the distribution is not normal: k = {factor:.2f} covers what takes {found.normal_factor:.2f} in a normal one"
-            )
+            normal = f"what takes {found.normal_factor:.2f} in a normal one"
+            lines.append(f"the distribution is not normal: k = {factor:.2f} covers {normal}")
         skew = (found.interval[1] + found.interval[0]) / 2 - found.mean
         if abs(skew) > 2 * _NOTABLE * half:
             lines.append(
