@@ -60,9 +60,10 @@ class Jets:
         return self._with_zeros(self.values[part.name], unit)
 
     def _with_zeros(self, value: Any, gradient: Array) -> Jet:
-        shape = (len(self.names), len(self.names), *(1,) * np.ndim(value))
-        zeros = np.zeros(shape) if self.order > 1 else None
-        gradient = gradient.reshape(-1, *(1,) * np.ndim(value))
+        # One axis for each axis of the points, also for a value that is the same at all of them.
+        points = (1,) * max(map(np.ndim, self.values.values()), default=0)
+        zeros = np.zeros((len(self.names), len(self.names), *points)) if self.order > 1 else None
+        gradient = gradient.reshape(-1, *points)
         return Jet(value, gradient, zeros, zeros if self.direction is not None else None)
 
     def apply(self, part: Part, arguments: Sequence[Jet]) -> Jet:
@@ -96,7 +97,7 @@ class Jets:
         return self._composed(first, _FUNCTIONS[operation](first.value))
 
     def _raised(self, base: Jet, exponent: Jet) -> Jet:
-        if not exponent.gradient.any() and np.ndim(exponent.value) == 0:
+        if np.ndim(exponent.value) == 0 and not exponent.gradient.any():
             return self._composed(base, _power(base.value, float(exponent.value)))
         logarithm = self._composed(base, _FUNCTIONS["log"](base.value))
         product = self._product(exponent, logarithm)
