@@ -102,6 +102,15 @@ _SPEEDS = (
     Unit("m/s", _KILO),
     Unit("m/min", _KILO, 60.0),
 )
+_RATES = (
+    Unit("1/s"),
+    Unit("1/min", over=60.0),
+    Unit("1/h", over=3600.0),
+    Unit("ppm/min", over=60.0 * _MILLION),
+    Unit("ppm/h", over=3600.0 * _MILLION),
+)
+_CURVATURES = (Unit("1/mm"), Unit("1/m", over=_KILO))
+_IMAGE_SPEEDS = (Unit("px/s"), Unit("px/min", over=60.0), Unit("px/h", over=3600.0))
 
 
 def _scaled(symbol: str, **prefixes: float) -> tuple[Unit, ...]:
@@ -137,6 +146,9 @@ _ALL = (
     Dimension("humidity", "a relative humidity", "50 percent", (Unit("percent"),), coherent=0.01),
     Dimension("pixel", "a distance in the image", "0.1 px", (Unit("px"),), "px"),
     Dimension("speed", "a speed", "0.5 um/min", _SPEEDS, "mm s-1"),
+    Dimension("rate", "a change of a ratio with time", "1 ppm/h", _RATES, "s-1"),
+    Dimension("curvature", "a curvature", "1e-6 1/mm", _CURVATURES, "mm-1"),
+    Dimension("image speed", "a speed in the image", "0.1 px/h", _IMAGE_SPEEDS, "px s-1"),
     Dimension("mass", "a mass", "0.5 kg", _MASSES, "kg"),
     Dimension("voltage", "a voltage", "5 mV", _si("V"), "kg mm2 s-3 A-1", _MILLION),
     Dimension("current", "a current", "5 mA", _si("A"), "A"),
@@ -284,6 +296,12 @@ def format_quantity(value: float, unit: str, std: float | None = None) -> str:
         return f"{value:.6g}{unit}"
     number, spread = rounded(value, std)
     return f"{number} ± {spread}{unit}"
+
+
+def roughly(value: float, unit: str) -> str:
+    """Return a length (mm) to two digits in another unit, for sentences: "0.21 um"."""
+    number = float(f"{find_unit(unit, 'length').outside(value):.2g}")
+    return f"{number:g} {unit}"
 
 
 def as_slope(angle: float) -> tuple[float, str]:

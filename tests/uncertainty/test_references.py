@@ -27,7 +27,8 @@ def others(kind: str) -> list[Any]:
 def quantity(given: dict[str, Any]) -> dict[str, Any]:
     """One input of a case in the words of a job."""
     said: dict[str, Any] = {"value": given["mean"], "distribution": SHAPES[given["dist"]]}
-    said |= {"std": given[key] for key in ("sd", "scale") if key in given}
+    spread = given.get("sd", given.get("scale"))
+    said |= {} if spread is None else {"std": spread}
     said |= {key: given[key] for key in ("half_width", "dof") if key in given}
     return said | ({"inexactness": given["d"]} if "d" in given else {})
 
