@@ -200,9 +200,10 @@ def squareness_block(values: Mapping[str, float], estimated: Collection[str]) ->
     return Block(SQUARENESS, row, SQUARENESS_NAMES, free=free, reach=np.array(10 * _MOST_ANGLE))
 
 
-def tool_block(vectors: Array, names: Sequence[str], free: bool) -> Block:
-    """Return tool vectors (tools, 3)."""
-    return Block(TOOL, vectors, ("x", "y", "z"), tuple(names), free=np.array(free), noun="tool")
+def tool_block(vectors: Array, names: Sequence[str], uncertainty: float) -> Block:
+    """Return tool vectors (tools, 3), unknown where they are uncertain."""
+    reach = np.array(10 * max(uncertainty, _MOST_LENGTH))
+    return Block(TOOL, vectors, ("x", "y", "z"), tuple(names), free=np.array(uncertainty > 0), reach=reach, noun="tool")
 
 
 @dataclass(frozen=True)

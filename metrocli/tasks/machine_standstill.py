@@ -57,7 +57,7 @@ def standstill(settings: Settings, points: Table) -> Problem:
     names = list(settings.tools)
     return Problem(
         machine,
-        {**blocks, "tracker": tracker_block(pose)},
+        {**blocks, "tracker": tracker_block(pose, settings.machine.tool_uncertainty)},
         readings,
         tool_prior(blocks, settings),
         np.ones(position.shape[1]),
