@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -222,7 +223,7 @@ def displacements(machine: Machine, positions: Array, tools: Array) -> Array:
 def travel(vertices: Array, spacing: float, rng: np.random.Generator) -> Array:
     """Commanded positions along a path: uneven spacing about `spacing`, slower at the vertices, a rest at each."""
     parts = [np.repeat(vertices[:1], 20, axis=0)]
-    for start, end in zip(vertices[:-1], vertices[1:], strict=True):
+    for start, end in pairwise(vertices):
         length = float(np.linalg.norm(end - start))
         if length == 0:
             continue
@@ -295,3 +296,41 @@ def left_in_volume(result_volume: Table, machine: Machine, tool: Sequence[float]
     predicted = result_volume.stacked(("ex", "ey", "ez"))
     whole, left = (np.linalg.norm(without_motion(part, at), axis=1).mean() for part in (truth, predicted - truth))
     return float(whole), float(left)
+
+
+CHANNELS = ("ex", "ey", "ez", "ea", "eb", "ec")
+SPAN = HIGH - LOW
+
+
+def rotations(machine: Machine, positions: Array) -> Array:
+    return sum(np.stack([machine.errors(a, p) for p in positions[:, i]])[:, 3:] for i, a in enumerate("XYZ"))  # type: ignore[return-value]
+
+
+def line(machine: Machine, axis: str, rng: np.random.Generator, noise: float = 1.0, n: int = 25, **where: float) -> dict[str, Array]:
+    """One line: the machine's error, an offset in every channel, a slope across the beam, noise."""
+    moving = ["xyz".index(letter) for letter in axis]
+    length = float(np.linalg.norm(SPAN[moving]))
+    distance = np.linspace(0, length, n)
+    at = np.zeros((n, 3))
+    for letter, value in where.items():
+        at[:, "xyz".index(letter)] = value
+    along = np.zeros(3)
+    along[moving] = SPAN[moving] / length
+    at[:, moving] = LOW[moving] + np.outer(distance, along[moving])
+    channels = np.concatenate([displacements(machine, at, np.zeros(3)), rotations(machine, at)], axis=1)
+    channels += rng.normal(size=6) * ([0.05] * 3 + [2e-4] * 3)
+    slope = rng.normal(size=3) * 5e-5
+    channels[:, :3] += np.outer(distance, slope - slope @ along * along)
+    beam = rng.normal(size=(n, 1)) * 5e-4
+    square = rng.normal(size=(n, 3)) * 1e-3
+    channels[:, :3] += noise * (square + (beam - square @ along[:, None]) * along)
+    channels[:, 3:] += noise * rng.normal(size=(n, 3)) * 1e-6
+    shown = at[:, moving[0]] if len(moving) == 1 else distance
+    return {"axis": np.repeat(axis, n), "position": shown, **dict(zip(CHANNELS, channels.T, strict=True)), **dict(zip("xyz", at.T, strict=True))}
+
+
+def line_table(lines: list[dict[str, Array]], keep: tuple[str, ...] = ()) -> Table:
+    names = np.concatenate([np.repeat(f"L{i}", len(one["position"])) for i, one in enumerate(lines)])
+    columns = {"line": names} | {name: np.concatenate([one[name] for one in lines]) for name in ("axis", "position", *CHANNELS, *keep)}
+    units = {"position": "mm", **dict.fromkeys(("ex", "ey", "ez", *keep), "mm"), **dict.fromkeys(("ea", "eb", "ec"), "rad")}
+    return Table(columns, units, "lines.csv", tuple(range(2, len(names) + 2)))

@@ -101,7 +101,7 @@ class Axis:
         return np.array([lower[0], lower[0] + 1]), np.array([1 - share[0], share[0]])
 
     def places(self, position: Array) -> tuple[Index, Array]:
-        """Return the knots that an error depends on at each position, (k, n), and their weights, (k, 6, n) or (k, 1, n).
+        """Return the knots that errors depend on at each position, (k, n), and their weights, (k, 6, n) or (k, 1, n).
 
         k is 2, or 4 where the reference lies between two knots.
         """

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import simulated_machine as sim
+from simulated_machine import line, line_table
 
-from metrocli.adjust.blocks import Array
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.table import Table
 from metrocli.tasks import calibrate_machine
@@ -14,46 +14,11 @@ from metrocli.tasks.iso230 import Run, figures, positioning
 from metrocli.tasks.machine_settings import Noise, Settings
 
 KNOTS = (5, 6, 5)
-CHANNELS = ("ex", "ey", "ez", "ea", "eb", "ec")
 SPAN = sim.HIGH - sim.LOW
 
 
 def job(**more: object) -> Settings:
     return sim.settings("six-dof", tools={"": (0.0, 0.0, 0.0)}, knots=KNOTS, noise=Noise(displacement=5e-4, straightness=1e-3, angle=1e-6), **more)
-
-
-def rotations(machine: sim.Machine, positions: Array) -> Array:
-    return sum(np.stack([machine.errors(a, p) for p in positions[:, i]])[:, 3:] for i, a in enumerate("XYZ"))  # type: ignore[return-value]
-
-
-def line(machine: sim.Machine, axis: str, rng: np.random.Generator, noise: float = 1.0, n: int = 25, **where: float) -> dict[str, Array]:
-    """One line: the machine's error, an offset in every channel, a slope across the beam, noise."""
-    moving = ["xyz".index(letter) for letter in axis]
-    length = float(np.linalg.norm(SPAN[moving]))
-    distance = np.linspace(0, length, n)
-    at = np.zeros((n, 3))
-    for letter, value in where.items():
-        at[:, "xyz".index(letter)] = value
-    along = np.zeros(3)
-    along[moving] = SPAN[moving] / length
-    at[:, moving] = sim.LOW[moving] + np.outer(distance, along[moving])
-    channels = np.concatenate([sim.displacements(machine, at, np.zeros(3)), rotations(machine, at)], axis=1)
-    channels += rng.normal(size=6) * ([0.05] * 3 + [2e-4] * 3)
-    slope = rng.normal(size=3) * 5e-5
-    channels[:, :3] += np.outer(distance, slope - slope @ along * along)
-    beam = rng.normal(size=(n, 1)) * 5e-4
-    square = rng.normal(size=(n, 3)) * 1e-3
-    channels[:, :3] += noise * (square + (beam - square @ along[:, None]) * along)
-    channels[:, 3:] += noise * rng.normal(size=(n, 3)) * 1e-6
-    shown = at[:, moving[0]] if len(moving) == 1 else distance
-    return {"axis": np.repeat(axis, n), "position": shown, **dict(zip(CHANNELS, channels.T, strict=True)), **dict(zip("xyz", at.T, strict=True))}
-
-
-def table(lines: list[dict[str, Array]], keep: tuple[str, ...] = ()) -> Table:
-    names = np.concatenate([np.repeat(f"L{i}", len(one["position"])) for i, one in enumerate(lines)])
-    columns = {"line": names} | {name: np.concatenate([one[name] for one in lines]) for name in ("axis", "position", *CHANNELS, *keep)}
-    units = {"position": "mm", **dict.fromkeys(("ex", "ey", "ez", *keep), "mm"), **dict.fromkeys(("ea", "eb", "ec"), "rad")}
-    return Table(columns, units, "lines.csv", tuple(range(2, len(names) + 2)))
 
 
 AXES, DIAGONALS = ("x", "y", "z"), ("xy", "yz", "xz")
@@ -66,7 +31,7 @@ def machine() -> sim.Machine:
 
 def test_without_noise_misalignment_goes_and_the_machine_stays(machine: sim.Machine) -> None:
     rng = np.random.default_rng(52)
-    result = calibrate_machine.run(job(), lines=table([line(machine, axis, rng, 0.0) for axis in (*AXES, *DIAGONALS)]))
+    result = calibrate_machine.run(job(), lines=line_table([line(machine, axis, rng, 0.0) for axis in (*AXES, *DIAGONALS)]))
     assert result.statistics["undetermined"] == ""
     for name in sim.NAMES:
         angle = name[1] in "ABC"
@@ -94,12 +59,12 @@ def test_uncertainties_are_honest(machine: sim.Machine) -> None:
     scores, sigma0 = [], []
     for seed in range(20):
         rng = np.random.default_rng(200 + seed)
-        result = calibrate_machine.run(job(), lines=table([line(machine, axis, rng) for axis in (*AXES, *DIAGONALS)]))
+        result = calibrate_machine.run(job(), lines=line_table([line(machine, axis, rng) for axis in (*AXES, *DIAGONALS)]))
         sigma0.append(result.statistics["sigma0"])
         for name in sim.NAMES:
             found = result.tables[f"tables/{name}"]
             std = found.numbers("std")
-            scores.append(((found.numbers("value") - machine.tables[name])[std > 1e-15] / std[std > 1e-15]))
+            scores.append((found.numbers("value") - machine.tables[name])[std > 1e-15] / std[std > 1e-15])
         scores.append(np.array([(e.value - true) / e.std for e, true in zip(result.estimates, machine.squareness, strict=True)]))
     z = np.concatenate(scores)
     assert 0.9 < np.sqrt((z**2).mean()) < 1.1
@@ -112,15 +77,15 @@ def test_lines_may_stand_elsewhere(machine: sim.Machine) -> None:
     rng = np.random.default_rng(53)
     lines = [line(machine, "x", rng, 0.0, y=100.0, z=-200.0), line(machine, "y", rng, 0.0, x=300.0), line(machine, "z", rng, 0.0)]
     lines += [line(machine, axis, rng, 0.0) for axis in DIAGONALS]
-    result = calibrate_machine.run(job(), lines=table(lines, ("x", "y", "z")))
+    result = calibrate_machine.run(job(), lines=line_table(lines, ("x", "y", "z")))
     assert np.abs(result.tables["tables/EYX"].numbers("value") - machine.tables["EYX"]).max() < 1e-9
-    without = calibrate_machine.run(job(), lines=table(lines))
+    without = calibrate_machine.run(job(), lines=line_table(lines))
     assert np.abs(without.tables["tables/EYX"].numbers("value") - machine.tables["EYX"]).max() > 1e-4
 
 
 def test_without_diagonals_squareness_is_not_determined(machine: sim.Machine) -> None:
     rng = np.random.default_rng(54)
-    lines = table([line(machine, axis, rng) for axis in AXES])
+    lines = line_table([line(machine, axis, rng) for axis in AXES])
     with pytest.raises(UndeterminedError, match="3 combinations of errors open") as told:
         calibrate_machine.run(job(), lines=lines)
     assert all(name in str(told.value) for name in ("A0Z", "B0Z", "C0Y"))
@@ -131,7 +96,7 @@ def test_without_diagonals_squareness_is_not_determined(machine: sim.Machine) ->
 def test_one_missing_axis_is_told(machine: sim.Machine) -> None:
     rng = np.random.default_rng(55)
     with pytest.raises(UndeterminedError, match="no reading is near 4 of the 5 knots of Z"):
-        calibrate_machine.run(job(), lines=table([line(machine, axis, rng) for axis in ("x", "y", "xy")]))
+        calibrate_machine.run(job(), lines=line_table([line(machine, axis, rng) for axis in ("x", "y", "xy")]))
 
 
 @pytest.mark.parametrize(
@@ -144,7 +109,7 @@ def test_one_missing_axis_is_told(machine: sim.Machine) -> None:
     ],
 )
 def test_wrong_rows_are_told(machine: sim.Machine, change, said: str) -> None:  # type: ignore[no-untyped-def]
-    whole = table([line(machine, axis, np.random.default_rng(56)) for axis in AXES])
+    whole = line_table([line(machine, axis, np.random.default_rng(56)) for axis in AXES])
     bad = Table({**whole.columns, **change(whole)}, whole.units, whole.file, whole.lines)
     with pytest.raises(InputError) as told:
         calibrate_machine.run(job(), lines=bad)
@@ -182,7 +147,7 @@ def test_backlash_shows_in_the_figures(machine: sim.Machine) -> None:
     down = {name: values[::-1] for name, values in down.items()}
     down["ex"] = down["ex"] - down["ex"][-1] + up["ex"][0] - 0.004
     lines = [up, down, *(line(machine, axis, rng) for axis in (*AXES[1:], *DIAGONALS))]
-    result = calibrate_machine.run(job(), lines=table(lines))
+    result = calibrate_machine.run(job(), lines=line_table(lines))
     found = result.tables["positioning"]
     assert found.texts("axis") == ["X"]
     assert found.numbers("B")[0] == pytest.approx(0.004, abs=0.0005)
