@@ -15,7 +15,7 @@ import numpy.typing as npt
 from metrocli.tasks.launch_lines import Line, Reach, across, commanded, measurable
 from metrocli.tasks.launch_margin import Margin, Uncertainty, Window, beam_position
 from metrocli.tasks.launch_readings import Readings
-from metrocli.tasks.launch_solve import Located, locate
+from metrocli.tasks.launch_solve import How, Located, locate
 from metrocli.tasks.locate_launch_unit import Noise
 from metrocli.units import find_unit
 
@@ -72,7 +72,7 @@ def ideal() -> None:
     still = Noise(5 * ARCSEC, 1e-3)
     readings = paper.read(Noise(0.0, 0.0), np.random.default_rng(0))
     for method in ("adjustment", "lines", "closed-loop"):
-        off = np.abs(error(locate(readings, still, method), paper))
+        off = np.abs(error(locate(readings, still, How(method)), paper))
         print(f"ideal scenario (table 1), {method}: off by at most {off[:3].max():.1e} mm, {off[3]:.1e} rad")
 
 
@@ -81,8 +81,8 @@ def scatter(draws: int = 1000) -> None:
     paper, rng = Truth(PAPER, PAPER_RECEIVERS, False), np.random.default_rng(1)
     exact = paper.read(Noise(0.0), rng)
     for method in ("adjustment", "lines"):
-        stated = locate(exact, PAPER_NOISE, method).covariance
-        located = [locate(paper.read(PAPER_NOISE, rng), PAPER_NOISE, method) for _ in range(draws)]
+        stated = locate(exact, PAPER_NOISE, How(method)).covariance
+        located = [locate(paper.read(PAPER_NOISE, rng), PAPER_NOISE, How(method)) for _ in range(draws)]
         errors = np.array([error(one, paper) for one in located])
         ratio = errors.std(axis=0) / np.sqrt(np.diag(stated))
         square = np.einsum("ni,ij,nj->n", errors, np.linalg.inv(stated), errors)
@@ -125,7 +125,7 @@ def methods() -> None:
         without = Truth(truth.unit, truth.receivers, False).read(Noise(0.0), np.random.default_rng(0))
         angles = np.sqrt(np.diag(locate(without, noise).covariance))
         for method in ("lines", "closed-loop"):
-            worse = np.sqrt(np.diag(locate(exact, noise, method).covariance))
+            worse = np.sqrt(np.diag(locate(exact, noise, How(method)).covariance))
             over = angles if method == "lines" else best
             print(
                 f"{n:2d} poses, {method}: standard uncertainties of x y z gamma over those of the adjustment "

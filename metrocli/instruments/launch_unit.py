@@ -21,6 +21,13 @@ UNIT, RECEIVER, SPINDLE = "launch unit", "receiver", "spindle"
 COLUMNS = ("x", "y", "z", "gamma")
 LAUNCH, BACK, DISTANCE = "launch", "receiver", "distance"
 """Names of the groups"""
+ENCODERS = {
+    "phi1": (Quantity.LAUNCH_ANGLES, 0),
+    "phi2": (Quantity.LAUNCH_ANGLES, 1),
+    "phi3": (Quantity.RECEIVER_ANGLES, 1),
+    "phi4": (Quantity.RECEIVER_ANGLES, 0),
+}
+"""What each encoder reads: which angles of a chain, and which of the two"""
 _GAMMA = COLUMNS.index("gamma")
 _TURN = 2 * np.pi
 _REACH = 0.01

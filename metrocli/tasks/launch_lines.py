@@ -74,7 +74,7 @@ def measurable(place: Array, names: Sequence[str], reach: Reach) -> tuple[list[L
             refused[name] = "fewer than two points are far enough from the unit and within the axes"
             continue
         points = np.clip(place + chosen[:, None] * vector, *reach.box.T)
-        position = points[:, AXES.index(name)] if name in AXES else chosen - first
+        position = points[:, AXES.index(name)] if len(name) == 1 else chosen - first
         lines.append(Line(name, sign * vector, points, position, np.abs(chosen)))
     return lines, refused
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -11,6 +11,8 @@ import numpy as np
 from metrocli.adjust.blocks import Array, Block
 from metrocli.adjust.groups import Group, priors
 from metrocli.adjust.observations import Index, Observations
+from metrocli.effects.locate_launch_unit import AXES, PAIRS, UNITS
+from metrocli.effects.model import Added, Model, Place
 from metrocli.instruments import launch_unit as lu
 from metrocli.instruments.launch_start import nearest, set_up_angle, spread
 from metrocli.tasks.launch_readings import Readings
@@ -43,11 +45,29 @@ class Problem:
     """Of the launch unit's angles, of the receiver's, of the distances; none without readings"""
     others: tuple[Group, ...]
     warnings: tuple[str, ...] = ()
+    effects: tuple[Added, ...] = ()
 
     @property
     def all_groups(self) -> tuple[Group, ...]:
         """The readings, and what is known beforehand."""
         return (*self.groups, *self.others)
+
+    def model(self) -> Model:
+        """Return the location as a model that effects can be added to."""
+        places = {
+            "encoder": Place(tuple(lu.ENCODERS)),
+            "unit": Place(UNITS),
+            "axis": Place(AXES),
+            "pair": Place(PAIRS),
+            "pose": Place(self.readings.names, lu.RECEIVER),
+        }
+        measured = tuple(group.name for group in self.groups)
+        return Model(self.blocks, self.all_groups, None, measured, places, added=self.effects)
+
+    def with_model(self, model: Model) -> Problem:
+        """Return the location with the blocks, groups and effects of a model made from it."""
+        others = tuple(group for group in model.groups if group.name not in model.measured)
+        return replace(self, blocks=model.blocks, groups=model.readings, others=others, effects=model.added)
 
 
 def build(readings: Readings, noise: NoiseSettings) -> Problem:
@@ -94,12 +114,15 @@ _CHAINS = {lu.LAUNCH: lu.launch_chain(), lu.BACK: lu.receiver_chain(), lu.DISTAN
 def _group(readings: Readings, name: str, rows: Index, values: Array, sigma: Array) -> Group:
     """Return the group of some of the poses' readings (d, n)."""
     chain, index = _CHAINS[name], {lu.RECEIVER: rows, lu.SPINDLE: rows}
+    conditions = {key: value[rows] for key, value in readings.conditions.items()}
+    if name == lu.DISTANCE:
+        conditions["distance"] = values[0, rows]
     observations = Observations(
         values[:, rows],
         sigma,
         {block: index[block] for block in chain.blocks if block in index},
         keys={"pose": tuple(readings.names[i] for i in rows)},
-        conditions={key: value[rows] for key, value in readings.conditions.items()},
+        conditions=conditions,
         components=_COMPONENTS[name],
         unit="mm" if name == lu.DISTANCE else "rad",
     )

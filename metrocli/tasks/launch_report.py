@@ -9,6 +9,8 @@ import numpy as np
 from metrocli.adjust.blocks import Array
 from metrocli.adjust.groups import Group
 from metrocli.adjust.solution import Residuals, residuals_of
+from metrocli.effects.estimates import estimates, free_blocks
+from metrocli.effects.estimates import tables as effect_results
 from metrocli.instruments import launch_unit as lu
 from metrocli.result import Estimate, Result, Scalar
 from metrocli.table import Table
@@ -33,13 +35,14 @@ def report(located: Located, method: str) -> Result:
     """Return the result of a located unit."""
     std = np.sqrt(np.diag(located.covariance))
     rows = zip(lu.COLUMNS, located.values.tolist(), std.tolist(), UNITS, strict=True)
+    unit = tuple(Estimate(*row) for row in rows)
     beams = _beams(located)
     solution, problem = located.solution, located.problem
     if solution is None or problem is None:
         return Result(
             kind=KIND,
             title="",
-            estimates=tuple(Estimate(*row) for row in rows),
+            estimates=unit,
             covariance=located.covariance,
             statistics=_statistics_as_printed(located, method, beams),
             tables={"beams": beams},
@@ -53,6 +56,7 @@ def report(located: Located, method: str) -> Result:
         if not groups.keys().isdisjoint(names)
     }
     outliers = _outliers(located)
+    effects, arrays = effect_results(problem.effects, solution)
     rms = {
         table.units["residual"]: float(np.sqrt((table.numbers("residual") ** 2).mean())) for table in residuals.values()
     }
@@ -65,10 +69,11 @@ def report(located: Located, method: str) -> Result:
     return Result(
         kind=KIND,
         title="",
-        estimates=tuple(Estimate(*row) for row in rows),
-        covariance=located.covariance,
+        estimates=(*unit, *estimates(problem.effects, solution)),
+        covariance=solution.joint((lu.UNIT, *free_blocks(problem.effects))),
         statistics=statistics,
-        tables={"beams": beams, **residuals, "outliers": outliers},
+        tables={"beams": beams, **residuals, "outliers": outliers, **effects},
+        arrays=arrays,
         shown=("beams", *(("outliers",) if len(outliers) else ())),
         warnings=(
             *problem.warnings,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,9 @@ from metrocli.adjust.adjustment import adjust
 from metrocli.adjust.blocks import Array
 from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.solution import Solution
+from metrocli.effects.estimates import absorbed
+from metrocli.effects.model import extended
+from metrocli.effects.wanted import Wanted
 from metrocli.errors import InputError, MetrocliError, NotConvergedError, UndeterminedError
 from metrocli.geometry.angles import wrapped
 from metrocli.instruments import launch_unit as lu
@@ -24,6 +28,17 @@ _ABSURD = 100.0
 """A sigma0 that no noise makes"""
 _ENOUGH = 2
 """More poses than this can tell that the columns hold something else"""
+
+
+@dataclass(frozen=True)
+class How:
+    """How to locate a unit."""
+
+    method: str = "adjustment"
+    """adjustment, lines or closed-loop"""
+    remove: bool = False
+    """Leave outliers out"""
+    effects: Sequence[Wanted] = ()
 
 
 @dataclass(frozen=True)
@@ -48,10 +63,11 @@ class Located:
         return self.values[:3]
 
 
-def locate(readings: Readings, noise: NoiseSettings, method: str = "adjustment", remove: bool = False) -> Located:
+def locate(readings: Readings, noise: NoiseSettings, how: How | None = None) -> Located:
     """Return the located unit; InputError, UndeterminedError or NotConvergedError where there is none."""
+    how = how or How()
     try:
-        located = _located(readings, noise, method, remove)
+        located = _located(readings, noise, how)
     except MetrocliError as error:
         refusal: MetrocliError | None = error
     else:
@@ -66,23 +82,39 @@ def locate(readings: Readings, noise: NoiseSettings, method: str = "adjustment",
     return located
 
 
-def _located(readings: Readings, noise: NoiseSettings, method: str, remove: bool) -> Located:
-    _must_suffice(readings, noise, method)
+def _located(readings: Readings, noise: NoiseSettings, how: How) -> Located:
+    if how.effects and how.method != "adjustment":
+        raise InputError("effects: only `method: adjustment` can have effects in its model")
+    _must_suffice(readings, noise, how.method)
     _refuse_mirrored(readings, noise)
-    if method != "adjustment":
-        return _as_printed(readings, noise, method)
+    if how.method != "adjustment":
+        return _as_printed(readings, noise, how.method)
     problem = build(readings, noise)
+    if how.effects:
+        problem = problem.with_model(extended(problem.model(), how.effects))
     solution = adjust(problem.blocks.values(), problem.all_groups)
     if solution.undetermined or solution.outcome is Outcome.TOO_FEW:
-        found = f"undetermined: {solution.undetermined[0]}" if solution.undetermined else solution.outcome.value
-        raise UndeterminedError(explained(readings, found))
+        raise UndeterminedError(_undetermined(problem, solution))
     if not solution.outcome.good:
         raise NotConvergedError(f"{solution.outcome.value} ({solution.iterations} steps)")
     checked = screened(solution, [group.name for group in problem.groups])
-    used = checked.solution if remove else solution
+    used = checked.solution if how.remove else solution
     values = used.blocks[lu.UNIT].values[0].copy()
     values[3] = wrapped(values[3])
     return Located(values, used.known().of(lu.UNIT), readings, problem, used, checked.outliers, checked.critical)
+
+
+def _undetermined(problem: Problem, solution: Solution) -> str:
+    """Say what is undetermined: an effect that the other unknowns absorb, or the place itself."""
+    hidden = absorbed(problem.effects, solution, None)
+    if hidden:
+        return "\n".join(
+            f"{one.label} cannot be told from the other unknowns of this job, which absorb it; "
+            f"leave it out, or measure {one.effect.reveal}"
+            for one in hidden
+        )
+    found = f"undetermined: {solution.undetermined[0]}" if solution.undetermined else solution.outcome.value
+    return explained(problem.readings, found)
 
 
 def _must_suffice(readings: Readings, noise: NoiseSettings, method: str) -> None:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from metrocli.effects.wanted import Wanted
 from metrocli.errors import InputError, MetrocliError
 from metrocli.plan import Plan
 from metrocli.result import Result
@@ -19,7 +20,7 @@ from metrocli.tasks.launch_plan_settings import Planned
 from metrocli.tasks.launch_readings import PLACES, POSES, read
 from metrocli.tasks.launch_report import KIND, report
 from metrocli.tasks.launch_simulation import simulated
-from metrocli.tasks.launch_solve import locate
+from metrocli.tasks.launch_solve import How, locate
 
 SIMULATED = ("poses",)
 SUMMARY = "interferometer launch unit in the machine; measuring trajectories"
@@ -71,10 +72,13 @@ class Settings:
             yield "noise", "distances need their standard deviation: add `distance: 1 um`"
 
 
-def run(settings: Settings, poses: Table, **_: object) -> Result:
+def run(settings: Settings, poses: Table, effects: Sequence[Wanted] = (), **_: object) -> Result:
     """Locate the unit; raises InputError, UndeterminedError or NotConvergedError."""
-    located = locate(read(poses), settings.noise, settings.method, settings.outliers == "remove")
-    return report(located, settings.method)
+    return report(locate(read(poses), settings.noise, _how(settings, effects)), settings.method)
+
+
+def _how(settings: Settings, effects: Sequence[Wanted]) -> How:
+    return How(settings.method, settings.outliers == "remove", effects)
 
 
 def compare(settings: Settings, poses: Table, **_: object) -> Table:
@@ -84,7 +88,7 @@ def compare(settings: Settings, poses: Table, **_: object) -> Table:
     outcome = []
     for method in METHODS:
         try:
-            located = locate(readings, settings.noise, method)
+            located = locate(readings, settings.noise, How(method))
         except MetrocliError as error:
             rows.append([float("nan")] * 8)
             outcome.append(str(error).splitlines()[0].removeprefix("error: "))
@@ -98,30 +102,39 @@ def compare(settings: Settings, poses: Table, **_: object) -> Table:
 
 
 def simulate(
-    settings: Settings, options: SimulationOptions, poses: Table | None = None, places: Table | None = None
+    settings: Settings,
+    options: SimulationOptions,
+    poses: Table | None = None,
+    places: Table | None = None,
+    effects: Sequence[Wanted] = (),
 ) -> Simulation:
-    """Return the alignments of a unit at the place of `simulation:`, at the listed places or those of the poses."""
+    """Return the alignments of a unit at the place of `simulation:`, with effects in them.
+
+    They are made at the listed places, or at those of the poses.
+    """
     where = places if places is not None else poses
     if settings.simulation is None or where is None:
         raise InputError(
             "simulate needs the truth, `simulation: {place: [0 mm, 1 m, 1.5 m], gamma: 20 deg}`, and the receiver's "
             "positions, `inputs: {places: places.csv}` or those of the poses"
         )
-    return simulated(settings.simulation, settings.noise, where, np.random.default_rng(options.seed))
+    return simulated(settings.simulation, settings.noise, where, np.random.default_rng(options.seed), effects)
 
 
-def plan(settings: Settings, poses: Table | None = None, places: Table | None = None) -> Plan:
+def plan(
+    settings: Settings, poses: Table | None = None, places: Table | None = None, effects: Sequence[Wanted] = ()
+) -> Plan:
     """Return the lines to measure from the located unit, with their margins and NC programs.
 
     Before the poses are measured: what the listed places will determine of a unit at the place of `simulation:`.
     """
     if poses is not None:
-        located = locate(read(poses), settings.noise, settings.method, settings.outliers == "remove")
+        located = locate(read(poses), settings.noise, _how(settings, effects))
         first = f"located from {len(poses)} measured poses"
     elif places is not None and settings.simulation is not None:
         exact = replace(settings.noise, encoder=0.0, distance=0.0)
         expected = simulated(settings.simulation, exact, places, np.random.default_rng(0)).files["poses.csv"]
-        located = locate(read(expected), settings.noise, settings.method)
+        located = locate(read(expected), settings.noise, _how(settings, effects))
         first = f"expected of {len(places)} poses that are still to be measured"
     else:
         raise InputError(

@@ -40,6 +40,7 @@ ONLY_IN = {
     "click": {"cli"},
     "cv2": {"targets", "formats/images"},
     "matplotlib": {"plots"},
+    "distributed": {"uncertainty"},
 }
 FORBIDDEN = {"scipy.stats": "slow to import; scipy.special has the distributions"}
 VAGUE = {"utils", "util", "helpers", "helper", "common", "core", "base", "manager", "misc", "tools"}
