@@ -72,7 +72,7 @@ def on_the_fly(settings: Settings, path: Table, track: Table) -> Solved:
     vectors = blocks[TOOL].values
     measured = cut(track, legs, vectors, tool, settings.corner)
     whole = Measurement(machine, legs, measured, tracker_noise(settings), legs.cells(machine), settings)
-    state: Mapping[str, Block] = {**blocks, TRACKER: tracker_block(measured.pose)}
+    state: Mapping[str, Block] = {**blocks, TRACKER: tracker_block(measured.pose, settings.machine.tool_uncertainty)}
     return _settled(whole, state)
 
 

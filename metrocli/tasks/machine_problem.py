@@ -70,7 +70,7 @@ def error_blocks(machine: Machine, settings: Settings) -> dict[str, Block]:
     blocks = [axis.block_of({}, settings.estimated) for axis in machine.axes]
     blocks.append(squareness_block({}, settings.estimated))
     tools = settings.tools
-    blocks.append(tool_block(np.array(list(tools.values())), list(tools), settings.machine.tool_uncertainty > 0))
+    blocks.append(tool_block(np.array(list(tools.values())), list(tools), settings.machine.tool_uncertainty))
     return {block.name: block for block in blocks}
 
 

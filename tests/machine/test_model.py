@@ -23,7 +23,7 @@ def engine(machine: sim.Machine, positions: Array, tool: Array) -> Array:
     model = m.Machine(m.axis_order(machine.order), (axes[0], axes[1], axes[2]))
     blocks = {axis.block: axis.block_of(machine.tables, m.ALL_NAMES) for axis in axes}
     blocks[m.SQUARENESS] = m.squareness_block(dict(zip(m.SQUARENESS_NAMES, machine.squareness, strict=True)), m.ALL_NAMES)
-    blocks[m.TOOL] = m.tool_block(tool[None], [""], False)
+    blocks[m.TOOL] = m.tool_block(tool[None], [""], 0.0)
     n = len(positions)
     index = model.index(positions.T) | {m.TOOL: np.zeros(n, dtype=int)}
     observations = Observations(np.zeros((6, n)), np.ones(1), index, conditions=dict(zip("xyz", positions.T, strict=True)))
