@@ -13,6 +13,7 @@ COMMANDS = {
     "status": "what is up to date, what is not, and why",
     "check": "validate a job or project without computing",
     "simulate": "the measurement that a job's model predicts",
+    "plan": "what a planned measurement will determine, and a better one",
     "show": "a result on the terminal",
     "export": "a result in another format: CSV",
     "schema": "JSON schema of a job, for editors",

@@ -9,6 +9,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from metrocli.plan import Plan
+from metrocli.project.planned import SUMMARY, files_of
 from metrocli.record import Record
 from metrocli.result import Result
 from metrocli.table import Table
@@ -34,11 +36,30 @@ def json_of(result: Result, record: Record, path: Path) -> str:
     return as_json(summary(result, record, path))
 
 
+def json_of_plan(plan: Plan, folder: Path) -> str:
+    """Return a plan as JSON text, with the paths of the files it is written to."""
+    return as_json(
+        {
+            "kind": plan.kind,
+            "status": "planned",
+            "figures": {e.name: {"value": e.value, "std": e.std, "unit": e.unit} for e in plan.figures},
+            "notes": list(plan.notes),
+            "tables": {name: _listed(table) for name, table in plan.tables.items()},
+            "warnings": list(plan.warnings),
+            "files": [str(folder / name) for name in (*files_of(plan), SUMMARY)],
+        }
+    )
+
+
 def json_of_table(table: Table) -> str:
-    """Return a table as a JSON list with one object a row; its units beside it."""
+    """Return a table as JSON text: a list with one object a row; its units beside it."""
+    return as_json(_listed(table))
+
+
+def _listed(table: Table) -> dict[str, Any]:
     columns = [values.tolist() for values in table.columns.values()]
     rows = [dict(zip(table, row, strict=True)) for row in zip(*columns, strict=True)]
-    return as_json({"units": dict(table.units), "rows": rows})
+    return {"units": dict(table.units), "rows": rows}
 
 
 def as_json(value: Any) -> str:

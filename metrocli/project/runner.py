@@ -10,6 +10,7 @@ from typing import Any
 
 from metrocli import __version__, tasks
 from metrocli.errors import Fault, InputError, UsageError
+from metrocli.plan import Plan
 from metrocli.project.inputs import input_files, read_inputs
 from metrocli.project.job import Job
 from metrocli.record import Record, Verdict
@@ -65,6 +66,20 @@ def simulate(job: Job, options: SimulationOptions) -> Simulation:
         raise UsageError(f"{job.kind} has no simulation")
     simulation: Simulation = module.simulate(job.settings, options, **read_inputs(job, simulated_inputs(job.kind)))
     return simulation
+
+
+def planned_inputs(kind: str) -> tuple[str, ...]:
+    """Return the inputs that do not exist before a measurement of a kind is made."""
+    return tuple(getattr(tasks.load(kind), "PLANNED", simulated_inputs(kind)))
+
+
+def plan(job: Job) -> Plan:
+    """Return what the measurement that a job describes will determine."""
+    module = tasks.load(job.kind)
+    if not hasattr(module, "plan"):
+        raise UsageError(f"{job.kind} has no plan")
+    made: Plan = module.plan(job.settings, **read_inputs(job, planned_inputs(job.kind)))
+    return made
 
 
 def refuse_foreign(path: Path, kind: str, force: bool) -> None:

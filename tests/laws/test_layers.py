@@ -22,7 +22,7 @@ LAYERS = [
     {"formats"},
     {"adjust"},
     {"geometry"},
-    {"imageset", "result", "record", "simulation"},
+    {"imageset", "result", "record", "simulation", "plan"},
     {"settings"},
     {"table"},
     {"units", "nodes", "words"},
@@ -31,7 +31,7 @@ LAYERS = [
 ]
 """From the top down; parts in one layer do not import each other."""
 LEVEL = {part: n for n, layer in enumerate(LAYERS) for part in layer}
-ALLOWED_WITHIN = {("__main__", "cli"), ("simulation", "imageset"), ("result", "record")}
+ALLOWED_WITHIN = {("__main__", "cli"), ("simulation", "imageset"), ("result", "record"), ("plan", "result")}
 NOT_FORMATS = {"exports", "plots", "tasks", "diagnosis", "uncertainty", "simulate", "instruments", "effects", "targets"}
 ONLY_IN = {
     "h5py": {"formats"},
