@@ -4,8 +4,9 @@ The unknowns are of three sorts: `local` ones, of which no reading of the design
 those of the `net` (sparse Cholesky), and the few of the border (dense). With D, S and T the matrices left for each,
 `S = N_gg - N_gl D^-1 N_lg`, `T = N_bb - (N_bg, N_bl) (...)^-1 (N_gb, N_lb)`, the cost is that of the factor of S.
 
-The normal matrix is taken once, at a stated design; the gradient is exact, so the iteration ends at the minimum under the
-conditions of the datum. What the design leaves open is found before anything else, and fixed by those conditions only.
+The normal matrix is taken once, at a stated design; the gradient is exact, so the iteration ends at the minimum under
+the conditions of the datum. What the design leaves open is found before anything else, and fixed by those conditions
+only.
 """
 
 from __future__ import annotations
@@ -229,11 +230,11 @@ def _conditions(fields: Fields, parts: Partition) -> Array:
     for name, given in fields.conditions.items():
         columns = parts.columns[name]
         rows[:, columns[columns >= 0]] = given[:, columns >= 0]
-    return rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-300)
+    return np.asarray(rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-300))
 
 
 def _constraint(conditions: Array, null: Array) -> Array:
-    """Return H with `H Z = I`: the conditions as far as they fix something, least squares of all fields for the rest."""
+    """Return H with `H Z = I`: the conditions as far as they fix something, the shortest fields for the rest."""
     if not null.shape[1]:
         return np.zeros((0, len(null)))
     seen = conditions @ null

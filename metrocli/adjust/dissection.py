@@ -8,19 +8,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from metrocli.adjust.blocks import Array
 from metrocli.adjust.observations import Index, Mask
 
-if TYPE_CHECKING:
-    from scipy.sparse import csr_array
-
-    Sparse = csr_array
-else:
-    Sparse = Any
+Sparse = Any
+"""A scipy.sparse.csr_array; scipy is imported where it is used, and has no types"""
 
 _LEAF = 200
 """Parts of fewer unknowns are not cut"""
@@ -120,7 +116,7 @@ def _dissected(graph: _Graph, part: Index, border: Index, nodes: list[_Node]) ->
 def _touched(graph: _Graph, around: Index, part: Index) -> Index:
     inside = np.zeros(len(graph.weights))
     inside[part] = 1.0
-    return around[(graph.touching @ inside)[around] > 0]
+    return np.asarray(around[(graph.touching @ inside)[around] > 0])
 
 
 def _best_cut(graph: _Graph, part: Index, border: Index) -> _Cut | None:
@@ -132,7 +128,8 @@ def _best_cut(graph: _Graph, part: Index, border: Index) -> _Cut | None:
         for cut in _cuts(graph, part, border, (inner, outer), graph.places[part] @ direction)
     ]
     total = graph.weights[part].sum()
-    even = [cut for cut in found if min(graph.weights[cut.left].sum(), graph.weights[cut.right].sum()) > _BALANCE * total]
+    weights = graph.weights
+    even = [cut for cut in found if min(weights[cut.left].sum(), weights[cut.right].sum()) > _BALANCE * total]
     return min(even or found, key=lambda cut: cut.cost, default=None)
 
 

@@ -1,8 +1,8 @@
 """The normal matrix of an adjustment of fields, reduced step by step, with the directions that it leaves open.
 
-A net that is singular by itself (fields that move no view) has its open directions Z found by inverse iteration; as many
-unknowns P are then held, chosen so that P' Z is regular, and `(S + t P P')^-1` is an inverse of S in the sense that
-`S S^- S = S`. The border is small and has its eigenvalues.
+A net that is singular by itself (fields that move no view) has its open directions Z found by inverse iteration; as
+many unknowns P are then held, chosen so that P' Z is regular, and `(S + t P P')^-1` is an inverse of S in the sense
+that `S S^- S = S`. The border is small and has its eigenvalues.
 """
 
 from __future__ import annotations
@@ -69,19 +69,19 @@ class Reduction:
         net = (net - scaled @ self.towards_net).tocsr()
         own = np.asarray(scaled.multiply(local).sum(axis=1)).ravel()
         outer = border.toarray() - scaled @ self.towards_border - net @ self.weights
-        return own + self._spread(net) + np.einsum("nb,bc,nc->n", outer, self.border, outer, optimize=True)
+        return np.asarray(own + self._spread(net) + np.einsum("nb,nb->n", outer @ self.border, outer))
 
     def _spread(self, rows: Sparse) -> Array:
         """Return `diag(R S^-1 R')` from the entries of the inverse."""
-        counts = np.diff(rows.indptr)
+        counts, size = np.diff(rows.indptr), self.inverse.shape[0]
         total = np.zeros(rows.shape[0])
-        keys = np.repeat(np.arange(self.inverse.shape[0]), np.diff(self.inverse.indptr)) * self.inverse.shape[0]
-        keys = keys + self.inverse.indices
+        keys = np.repeat(np.arange(size), np.diff(self.inverse.indptr)) * size + self.inverse.indices
+        columns = rows.indices.astype(np.int64)
         for a in range(int(counts.max(initial=0))):
             for b in range(a + 1):
                 has = np.flatnonzero(counts > a)
                 first, second = rows.indptr[has] + a, rows.indptr[has] + b
-                at = np.searchsorted(keys, rows.indices[first].astype(np.int64) * self.inverse.shape[0] + rows.indices[second])
+                at = np.searchsorted(keys, columns[first] * size + columns[second])
                 product = rows.data[first] * rows.data[second] * self.inverse.data[np.minimum(at, len(keys) - 1)]
                 total[has] += product if a == b else 2 * product
         return total

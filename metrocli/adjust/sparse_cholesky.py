@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -76,7 +75,8 @@ class SparseCholesky:
         mirrored.sort_indices()
         upper.sort_indices()
         missing.sort_indices()
-        return csr_array((np.where(missing.data > 0, mirrored.data, upper.data), upper.indices, upper.indptr), shape=pattern.shape)
+        whole = np.where(missing.data > 0, mirrored.data, upper.data)
+        return csr_array((whole, upper.indices, upper.indptr), shape=pattern.shape)
 
     def _inverses(self) -> Iterator[tuple[int, Array]]:
         """Yield the inverse over the unknowns of each front (p + b, p), from the roots downwards."""
@@ -144,7 +144,9 @@ class _Square:
         if rows.start < p:
             return self.own[rows, columns]
         below = slice(rows.start - p, rows.stop - p)
-        return self.cross[below, columns] if columns.start < p else self.rest[below, columns.start - p : columns.stop - p]
+        if columns.start < p:
+            return self.cross[below, columns]
+        return self.rest[below, columns.start - p : columns.stop - p]
 
     def add(self, update: Array, runs: _Runs) -> None:
         """Add the lower triangle of a child's update."""
@@ -163,7 +165,8 @@ class _Square:
         known = np.empty((size, size), order="F")
         for there, here in runs:
             for other, own in runs:
-                known[here, own] = self.piece(there, other) if there.start >= other.start else self.piece(other, there).T
+                lower = there.start >= other.start
+                known[here, own] = self.piece(there, other) if lower else self.piece(other, there).T
         return known
 
 

@@ -1,7 +1,7 @@
 """A grid of balls that nobody calibrated, measured in several views by a machine that nobody calibrated.
 
-`reading = G(site) + d + R(w) (Rot (pitch b + A(b)) + pitch shift)`, site = Rot b + shift: G the error of the machine at a
-site, A that of the artefact at a ball b, Rot and shift the nominal mounting of the view, d and w what it is off
+`reading = G(site) + d + R(w) (Rot (pitch b + A(b)) + pitch shift)`, site = Rot b + shift: G the error of the machine at
+a site, A that of the artefact at a ball b, Rot and shift the nominal mounting of the view, d and w what it is off
 (Dang, Lee and Kim, eq. 1-5, with exact rotations instead of a small misalignment E).
 """
 
@@ -116,7 +116,7 @@ def chain(views: Sequence[View], balls: Index, pitch: float) -> Chain:
     turns, shifts = np.stack([view.turn for view in views]), np.stack([view.shift for view in views]) * pitch
     return Chain(
         (
-            BallOf(balls * pitch),
+            BallOf(np.asarray(balls * pitch, dtype=float)),
             Mounted(turns, shifts),
             OutOf(VIEW, Quantity.BALL_ON_TABLE, Quantity.POINT_IN_MACHINE),
             WithMachineError(),
@@ -136,6 +136,16 @@ def view_block(views: Sequence[View], values: Array) -> Block:
     return Block(VIEW, values, poses.COLUMNS, names, space=Space.POSE, noun="view")
 
 
+def numbers_at(known: Index, wanted: Index) -> Index:
+    """Return which of the known sites (or balls) (n, 3) each of the wanted ones (..., 3) is, -1 where it is none."""
+    low = known.min(axis=0)
+    box = np.full(known.max(axis=0) - low + 1, -1, dtype=np.intp)
+    box[tuple((known - low).T)] = np.arange(len(known))
+    place = wanted - low
+    inside = ((place >= 0) & (place < box.shape)).all(axis=-1)
+    return np.where(inside, box[tuple(np.moveaxis(np.where(inside[..., None], place, 0), -1, 0))], -1)
+
+
 @dataclass(frozen=True)
 class Grid:
     """Where things stand: the sites and balls that were measured, in pitches."""
@@ -147,6 +157,16 @@ class Grid:
     pitch: float
     half: Index
     """Largest index of the grid in each direction, (3,)"""
+
+    @property
+    def site_places(self) -> Array:
+        """Where the sites are, (sites, 3) [mm]."""
+        return np.asarray(self.sites * self.pitch, dtype=float)
+
+    @property
+    def ball_places(self) -> Array:
+        """Where the balls are in the artefact, nominally, (balls, 3) [mm]."""
+        return np.asarray(self.balls * self.pitch, dtype=float)
 
     @property
     def within(self) -> Array:
@@ -167,11 +187,12 @@ def _at_rest(blocks: Mapping[str, Block]) -> dict[str, Block]:
 def datum(grid: Grid, scale_given: bool) -> dict[str, Array]:
     """Return the conditions on G and A, each (12 or 13, members, 3)."""
     weights = grid.within[:, None, None]
-    machine, artefact = rigid(grid.sites * grid.pitch) * weights, rigid(grid.balls * grid.pitch)
+    sites, balls = grid.site_places, grid.ball_places
+    machine, artefact = rigid(sites) * weights, rigid(balls)
     none_g, none_a = np.zeros((*machine.shape[:2], 6)), np.zeros((*artefact.shape[:2], 6))
     rows = {
-        MACHINE: [machine, none_g, *([] if scale_given else [grid.sites[:, :, None] * grid.pitch * weights])],
-        ARTEFACT: [none_a, artefact, *([] if scale_given else [-grid.balls[:, :, None] * grid.pitch])],
+        MACHINE: [machine, none_g, *([] if scale_given else [sites[:, :, None] * weights])],
+        ARTEFACT: [none_a, artefact, *([] if scale_given else [-balls[:, :, None]])],
     }
     return {name: np.moveaxis(np.concatenate(parts, axis=2), 2, 0) for name, parts in rows.items()}
 

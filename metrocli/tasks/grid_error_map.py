@@ -15,6 +15,7 @@ import numpy as np
 from metrocli.adjust.blocks import Array
 from metrocli.adjust.observations import Index
 from metrocli.errors import InputError
+from metrocli.instruments.ball_grid import numbers_at
 from metrocli.table import Table
 
 _DEGREES = 6
@@ -67,9 +68,9 @@ def smooth(places: Array, errors: Array, covariance: Covariance) -> Smooth | Non
         design = _terms(scaled, degree)
         if design.shape[1] > len(places) / 2 or np.linalg.matrix_rank(design) < design.shape[1]:
             break
-        inverse = np.linalg.pinv(design)
+        inverse: Array = np.asarray(np.linalg.pinv(design), dtype=float)
         left = (errors - design @ (inverse @ errors)) / (1 - np.einsum("nt,tn->n", design, inverse))[:, None]
-        press = np.sqrt((left**2).mean(axis=0))
+        press: Array = np.sqrt((left**2).mean(axis=0))
         if best is None or float((press**2).sum()) < best[0]:
             best = (float((press**2).sum()), degree, inverse, inverse @ errors, press)
     if best is None:
@@ -78,15 +79,14 @@ def smooth(places: Array, errors: Array, covariance: Covariance) -> Smooth | Non
 
 
 def trilinear(sites: Index, pitch: float, points: Array) -> tuple[Index, Array]:
-    """Return the eight sites around each point and their weights, (n, 8) each; sites of -1 where the point is outside."""
-    place = {tuple(site): n for n, site in enumerate(sites.tolist())}
+    """Return the eight sites around each point and their weights, (n, 8) each; sites are -1 where it is outside."""
     scaled = points / pitch
     low, high = sites.min(axis=0), sites.max(axis=0)
     corner = np.clip(np.floor(scaled), low, np.maximum(high - 1, low)).astype(np.intp)
     share = scaled - corner
     steps = np.array(list(product((0, 1), repeat=3)))
     weights = np.where(steps[None] == 1, share[:, None], 1 - share[:, None]).prod(axis=2)
-    at = np.array([[place.get(tuple(c + s), -1) for s in steps.tolist()] for c in corner.tolist()]).reshape(-1, 8)
+    at = numbers_at(sites, corner[:, None] + steps)
     weights[np.abs(weights) < 1e-12] = 0.0
     lost = ((at < 0) & (weights != 0)).any(axis=1) | (weights < 0).any(axis=1)
     return np.where(lost[:, None], -1, np.maximum(at, 0)), weights
@@ -107,10 +107,8 @@ def error_map(points: Table, field: tuple[Index, float, Array], covariance: Cova
 
         low, high = sites.min(axis=0) * pitch, sites.max(axis=0) * pitch
         box = ", ".join(f"{'xyz'[a]} {low[a]:g} ... {high[a]:g} mm" for a in range(3))
-        names = points.texts("point")
-        raise InputError(
-            [fault(points, row, f"point '{names[row]}' is not between measured sites", box) for row in lost[:20].tolist()]
-        )
+        names, text = points.texts("point"), "is not between measured sites"
+        raise InputError([fault(points, row, f"point '{names[row]}' {text}", box) for row in lost[:20].tolist()])
     value, std = _trilinear_errors((at, weights), errors, covariance)
     bend = _bend(sites, errors)[np.maximum(at, 0)].max(axis=1) / np.sqrt(3)
     inner = (np.abs(weights).max(axis=1) < 1 - 1e-9)[:, None]
@@ -139,11 +137,9 @@ def _trilinear_errors(corners: tuple[Index, Array], errors: Array, covariance: C
 
 def _bend(sites: Index, errors: Array) -> Array:
     """Return an eighth of the second differences at each site, added over the directions, (sites, 3)."""
-    place = {tuple(site): n for n, site in enumerate(sites.tolist())}
     total = np.zeros_like(errors)
-    for axis in np.eye(3, dtype=int):
-        before = np.array([place.get(tuple(site), -1) for site in (sites - axis).tolist()])
-        after = np.array([place.get(tuple(site), -1) for site in (sites + axis).tolist()])
+    for axis in np.eye(3, dtype=np.intp):
+        before, after = numbers_at(sites, sites - axis), numbers_at(sites, sites + axis)
         both = (before >= 0) & (after >= 0)
         second = np.abs(errors[after[both]] - 2 * errors[both] + errors[before[both]]) / 8
         total[both] += second

@@ -55,7 +55,7 @@ def largest(places: Array, errors: Array) -> LengthError | None:
 
 
 def _thinned(places: Array) -> Index:
-    """Return all sites, or those of every second, third ... layer in each direction, the outermost always among them."""
+    """Return all sites, or those of every second, third ... layer in each direction, always with the outermost."""
     layers = [np.unique(places[:, a], return_inverse=True) for a in range(3)]
     for step in range(1, 200):
         keep = np.ones(len(places), dtype=bool)

@@ -1,8 +1,8 @@
 """How the artefact stood in each view according to the readings, against what the job says.
 
-An affine fit of the readings of a view to its balls is, but for errors far below a pitch, one of the 48 matrices that bring
-the grid onto itself. A rotation that is not the declared one is a wrong sense or a swapped view; a reflection an exchange
-of indices. So all alternatives are tried at once, and the one that the readings fit is named.
+An affine fit of the readings of a view to its balls is, but for errors far below a pitch, one of the 48 matrices that
+bring the grid onto itself. A rotation that is not the declared one is a wrong sense or a swapped view; a reflection an
+exchange of indices. So all alternatives are tried at once, and the one that the readings fit is named.
 """
 
 from __future__ import annotations
@@ -88,7 +88,8 @@ def _exchange(matrix: Array) -> str:
     order = [int(np.argmax(np.abs(row))) for row in matrix]
     swapped = [n for n in range(3) if order[n] != n]
     if len(swapped) == 2 and matrix.sum() == 3:
-        return f"{names[swapped[0]]} and {names[swapped[1]]} are exchanged: the readings fit the balls the other way round"
+        pair = f"{names[swapped[0]]} and {names[swapped[1]]}"
+        return f"{pair} are exchanged: the readings fit the balls the other way round"
     flipped = [names[n] for n in range(3) if order[n] == n and matrix[n, n] < 0]
     if not swapped:
         return f"{' and '.join(flipped)} counts against its axis: the readings fit balls of the opposite sign"

@@ -61,14 +61,17 @@ class Open:
 
     def sentences(self) -> list[str]:
         """Return what is undetermined and what would determine it, in words."""
-        scale = ", 1 common scale: give one calibrated length to fix it" if self.scale else "; the scale is that of the lengths"
-        lines = [f"{self.count} directions undetermined: 6 rigid motions of the machine error, 6 of the artefact error{scale}"]
+        fixed = "; the scale is that of the lengths"
+        scale = ", 1 common scale: give one calibrated length to fix it" if self.scale else fixed
+        rigid = "6 rigid motions of the machine error, 6 of the artefact error"
+        lines = [f"{self.count} directions undetermined: {rigid}{scale}"]
         if self.families:
-            lines.append("the views also leave open: " + "; ".join(f"{one.pattern} ({one.count})" for one in self.families))
+            families = "; ".join(f"{one.pattern} ({one.count})" for one in self.families)
+            lines.append(f"the views also leave open: {families}")
         if self.remedies:
             least = self.remedies[0].left
             best = [one.words for one in self.remedies if one.left == least]
-            lines.append(f"{' or '.join(best)} would leave {least}")
+            lines.append(f"a further view {' or '.join(best)} would leave {least}")
         return lines
 
 
@@ -100,7 +103,7 @@ def determined(problem: Problem, design: Design, block: str) -> Array:
 
 def _standard(problem: Problem) -> dict[str, Array]:
     """Return the directions that every set of views leaves open, in the blocks of the fields and views."""
-    sites, balls = (places * problem.grid.pitch for places in (problem.grid.sites, problem.grid.balls))
+    sites, balls = problem.grid.site_places, problem.grid.ball_places
     turns = np.stack([view.turn for view in problem.views])
     shifts = np.stack([view.shift for view in problem.views]) * problem.grid.pitch
     count = 13 if not problem.scale_given else 12
@@ -149,7 +152,9 @@ def _families(problem: Problem, basis: Array, fields: Array, extra: int) -> Iter
 
 def _within(basis: Array, fields: Array) -> Array:
     """Return an orthonormal basis of fields in the coordinates of `basis`."""
-    inside = basis.T @ (fields / np.linalg.norm(fields, axis=0))
+    inside = basis.T @ fields
+    lengths = np.linalg.norm(fields, axis=0)
+    inside = inside[:, lengths > 0] / lengths[lengths > 0]
     left, sizes, _ = np.linalg.svd(inside, full_matrices=False)
     return left[:, sizes > 1e-6]
 
@@ -165,6 +170,9 @@ def _patterns(problem: Problem) -> Iterator[tuple[str, Projector]]:
         shear = np.zeros((len(sites), 3))
         shear[:, a], shear[:, b] = sites[:, b], sites[:, a]
         yield f"the squareness of {'xyz'[a]} and {'xyz'[b]}", _onto(shear)
+    for a in range(3):
+        twist: Array = np.asarray(np.cross(np.eye(3)[a], sites) * sites[:, a, None], dtype=float)
+        yield f"a twist about {'xyz'[a]}: planes across it turn in proportion to {'xyz'[a]}", _onto(twist)
     for a in range(3):
         for c in (a, (a + 1) % 3, (a + 2) % 3):
             yield f"each plane across {'xyz'[a]} moves by itself along {'xyz'[c]}", _planes(sites[:, [a]], (c,))
@@ -223,11 +231,9 @@ def _group(turns: list[Array]) -> list[Array]:
 
 
 def _symmetric(sites: Index, turns: list[Array]) -> Projector:
-    """Return the projector onto fields with `G(R q) = R G(q)`; sites whose images are not all there count as they are."""
-    place = {tuple(site): n for n, site in enumerate(sites.tolist())}
-    images = [[place.get(tuple(site), -1) for site in np.rint(sites @ turn.T).astype(int).tolist()] for turn in turns]
-    at = np.array(images)
-    whole = (at >= 0).all(axis=0)
+    """Return the projector onto fields with `G(R q) = R G(q)`; sites without all their images count as they are."""
+    at = np.stack([bg.numbers_at(sites, np.rint(sites @ turn.T).astype(np.intp)) for turn in turns])
+    whole = np.asarray((at >= 0).all(axis=0))
 
     def project(fields: Array) -> Array:
         total = sum(np.einsum("ba,nbk->nak", turn, fields[row]) for turn, row in zip(turns, at, strict=True))
@@ -239,7 +245,7 @@ def _symmetric(sites: Index, turns: list[Array]) -> Projector:
 def _remedies(problem: Problem, design: Design) -> Iterator[Remedy]:
     """Yield for each simple view more what would then be left open."""
     for words, view in candidates():
-        yield Remedy(f"a further view {words}", _left_with(problem, design, view))
+        yield Remedy(words, _left_with(problem, design, view))
 
 
 def candidates() -> Iterator[tuple[str, bg.View]]:
@@ -253,10 +259,10 @@ def candidates() -> Iterator[tuple[str, bg.View]]:
 
 def _left_with(problem: Problem, design: Design, view: bg.View) -> int:
     """Return how many directions stay open with one view more: Z c that a mounting of that view can follow."""
-    place = {tuple(site): n for n, site in enumerate(problem.grid.sites.tolist())}
-    at = np.array([place.get(tuple(site), -1) for site in view.sites(problem.grid.balls).tolist()])
+    at = bg.numbers_at(problem.grid.sites, view.sites(problem.grid.balls))
     balls = np.flatnonzero(at >= 0)
-    seen = _entries(design, bg.MACHINE)[at[balls]] + np.einsum("ab,nbk->nak", view.turn, _entries(design, bg.ARTEFACT)[balls])
+    artefact = np.einsum("ab,nbk->nak", view.turn, _entries(design, bg.ARTEFACT)[balls])
+    seen = _entries(design, bg.MACHINE)[at[balls]] + artefact
     flat = seen.reshape(-1, seen.shape[2])
     mounting = np.linalg.qr(bg.rigid(problem.grid.sites[at[balls]] / problem.grid.half.max()).reshape(len(flat), 6))[0]
     flat = flat - mounting @ (mounting.T @ flat)

@@ -1,14 +1,14 @@
-"""Which views determine what, before anything is measured: null space and noise gain of the views planned and of others."""
+"""Which views determine what, before anything is measured: null space and noise gain of planned and other views."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from metrocli.adjust.coupled import Design
+from metrocli.adjust.observations import Index
 from metrocli.errors import UndeterminedError
 from metrocli.instruments import ball_grid as bg
 from metrocli.plan import Plan
@@ -46,11 +46,7 @@ def plan(settings: Settings) -> Plan:
     views, half = views_of(settings), settings.grid.half
     small = np.minimum(half, _TRIED // 2)
     own = _worth(views, np.minimum(half, _WORKED_OUT // 2), settings)
-    rows = [("planned", _worth(views, small, settings))]
-    rows += [(f"with a view {words}", _worth([*views, view], small, settings)) for words, view in candidates()]
-    if len(views) > 2:
-        rows += [(f"without '{one.name}'", _worth([v for v in views if v is not one], small, settings)) for one in views]
-    table = _table(rows)
+    table = _table([(words, _tried(some, small, settings)) for words, some in _sets(views)])
     gain = Estimate("s_machine_error", 0.0, own.gain * settings.noise, "mm")
     most = Estimate("s_machine_error_max", 0.0, own.largest * settings.noise, "mm")
     size = " x ".join(str(2 * n + 1) for n in small.tolist())
@@ -60,24 +56,36 @@ def plan(settings: Settings) -> Plan:
         f"other sets of views, on a grid of {size}:",
     )
     figures = () if own.found.families else (gain, most)
-    return Plan(KIND, notes, figures, {"view_sets": table}, {"views_to_measure.csv": _sheet(settings, views)}, shown=("view_sets",))
+    files = {"views_to_measure.csv": _sheet(settings, views)}
+    return Plan(KIND, notes, figures, {"view_sets": table}, files, shown=("view_sets",))
 
 
-def _worth(views: Sequence[bg.View], half: np.ndarray, settings: Settings) -> _Worth | None:
-    problem = _problem(views, half, settings)
+def _sets(views: Sequence[bg.View]) -> Iterator[tuple[str, list[bg.View]]]:
+    """Yield the planned views, these with one more, and with one less."""
+    yield "planned", list(views)
+    for words, view in candidates():
+        yield f"with a view {words}", [*views, view]
+    for one in views if len(views) > 2 else ():
+        yield f"without '{one.name}'", [view for view in views if view is not one]
+
+
+def _tried(views: Sequence[bg.View], half: Index, settings: Settings) -> _Worth | None:
     try:
-        taken: Design = design(problem)
+        return _worth(views, half, settings)
     except UndeterminedError:
-        if len(views) == len(settings.views):
-            raise
         return None
+
+
+def _worth(views: Sequence[bg.View], half: Index, settings: Settings) -> _Worth:
+    problem = _problem(views, half, settings)
+    taken = design(problem)
     found = opened(problem, taken)
     std = np.where(determined(problem, taken, bg.MACHINE), taken.std(bg.MACHINE), np.inf)[problem.grid.within > 0]
     std = std / settings.noise
     return _Worth(found, float(np.sqrt((std**2).mean())), float(std.max()), problem.readings.observations.count)
 
 
-def _problem(views: Sequence[bg.View], half: np.ndarray, settings: Settings) -> Problem:
+def _problem(views: Sequence[bg.View], half: Index, settings: Settings) -> Problem:
     """Return the adjustment of views whose readings are those of a grid without errors."""
     balls = balls_of(half)
     named = [bg.View(f"{n}", view.turn, view.shift) for n, view in enumerate(views)]
@@ -87,19 +95,17 @@ def _problem(views: Sequence[bg.View], half: np.ndarray, settings: Settings) -> 
     ball = np.concatenate(each)
     columns: dict[str, Values] = {"view": np.repeat(np.array([view.name for view in named]), count)}
     columns |= {name: ball[:, n] for n, name in enumerate("ijk")}
-    readings = Readings(tuple(named), np.repeat(np.arange(len(named)), count), ball, np.concatenate(values), Table(columns))
+    view = np.repeat(np.arange(len(named)), count)
+    readings = Readings(tuple(named), view, ball, np.concatenate(values), Table(columns))
     return build(readings, (half, settings.grid.pitch), settings.noise)
 
 
 def _table(rows: Sequence[tuple[str, _Worth | None]]) -> Table:
-    def of(value: str) -> np.ndarray:
-        return np.array([getattr(worth, value) if worth else np.inf for _, worth in rows])
-
     columns: dict[str, Values] = {
         "views": np.array([words for words, _ in rows]),
         "undetermined": np.array([str(worth.found.count) if worth else "more" for _, worth in rows]),
-        "noise_gain": of("gain"),
-        "largest_gain": of("largest"),
+        "noise_gain": np.array([worth.gain if worth else np.inf for _, worth in rows]),
+        "largest_gain": np.array([worth.largest if worth else np.inf for _, worth in rows]),
     }
     return Table(columns)
 

@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from metrocli.adjust.blocks import Array, Block
+from metrocli.adjust.chain import Chain
 from metrocli.adjust.coupled import Fields
 from metrocli.adjust.groups import Group
 from metrocli.adjust.observations import Index, Mask, Observations
-from metrocli.adjust.chain import Chain
 from metrocli.errors import InputError
 from metrocli.geometry.poses import fit_pose
 from metrocli.instruments import ball_grid as bg
@@ -52,7 +53,8 @@ class Problem:
             seen = np.zeros(len(blocks[name].members), dtype=bool)
             seen[readings.observations.index[name]] = True
             blocks[name] = replace(blocks[name], free=blocks[name].free & seen[:, None])
-        others = [_touching(group, blocks[bg.ARTEFACT].free.all(axis=1)) for group in self.fields.groups[1:]]
+        known = np.asarray(blocks[bg.ARTEFACT].free.all(axis=1))
+        others = [_touching(group, known) for group in self.fields.groups[1:]]
         return replace(self, fields=_fields(self.grid, blocks, [readings, *others]))
 
 
@@ -60,10 +62,10 @@ def _touching(group: Group, known: Mask) -> Group:
     return group.selected(np.asarray(known[group.observations.index[bg.ARTEFACT]].all(axis=0)))
 
 
-def _fields(grid: bg.Grid, blocks: dict[str, bg.Block], groups: Sequence[Group]) -> Fields:
+def _fields(grid: bg.Grid, blocks: dict[str, Block], groups: Sequence[Group]) -> Fields:
     present = [group for group in groups if group.observations.count]
     fields = bg.fields(grid, blocks, present, len(present) > 1)
-    seen = {name: blocks[name].free.all(axis=1) for name in (bg.MACHINE, bg.ARTEFACT)}
+    seen = {name: np.asarray(blocks[name].free.all(axis=1)) for name in (bg.MACHINE, bg.ARTEFACT)}
     conditions = {name: given * seen[name][None, :, None] for name, given in fields.conditions.items()}
     return replace(fields, conditions=conditions)
 
@@ -105,21 +107,20 @@ def _keys(table: Table) -> dict[str, tuple[str, ...]]:
     return {name: tuple(table.texts(name)) for name in names}
 
 
-def _start(readings: Readings, n: int, pitch: float) -> bg.Array:
+def _start(readings: Readings, n: int, pitch: float) -> Array:
     """Return the mounting (6,) that fits a view if neither machine nor artefact had errors."""
     rows, view = readings.at(n), readings.views[n]
-    return fit_pose(view.sites(readings.balls[rows]) * pitch, readings.values[rows])
+    nominal: Array = np.asarray(view.sites(readings.balls[rows]) * pitch, dtype=float)
+    return fit_pose(nominal, readings.values[rows])
 
 
 def _lengths(table: Table, balls: Index, pitch: float) -> Group:
     """Return the calibrated distances; InputError for balls that no view has and for distances that cannot be."""
-    place = {tuple(ball): n for n, ball in enumerate(balls.tolist())}
     ends = [np.rint(table.stacked([f"{name}{end}" for name in "ijk"])).astype(np.intp) for end in "12"]
+    index = np.stack([bg.numbers_at(balls, end) for end in ends])
     faults = [
-        fault(table, row, f"{ball_name(ball)} is not in the views")
-        for row in range(len(table))
-        for ball in (ends[0][row], ends[1][row])
-        if tuple(ball.tolist()) not in place
+        fault(table, int(row), f"{ball_name(ends[end][row])} is not in the views")
+        for end, row in np.argwhere(index < 0).tolist()
     ]
     nominal = np.linalg.norm(ends[0] - ends[1], axis=1) * pitch
     given = table.numbers("length")
@@ -132,9 +133,8 @@ def _lengths(table: Table, balls: Index, pitch: float) -> Group:
             )
     if faults:
         raise InputError(faults)
-    index = np.array([[place[tuple(ball)] for ball in end.tolist()] for end in ends], dtype=np.intp)
     keys = {f"{name}{end}": tuple(table.texts(f"{name}{end}")) for end in "12" for name in "ijk"}
     observations = Observations(
         given[None], table.numbers("sigma"), {bg.ARTEFACT: index}, keys=keys, components=("length",), unit="mm"
     )
-    return Group(LENGTHS, Chain((bg.BallDistance(balls * pitch),)), observations)
+    return Group(LENGTHS, Chain((bg.BallDistance(np.asarray(balls * pitch, dtype=float)),)), observations)

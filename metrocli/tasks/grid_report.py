@@ -12,10 +12,10 @@ from metrocli.adjust.blocks import Array, Mask
 from metrocli.adjust.observations import Index
 from metrocli.geometry.poses import EULER, euler_form
 from metrocli.instruments import ball_grid as bg
-from metrocli.result import Estimate, Result, Scalar
+from metrocli.result import Estimate, Result
 from metrocli.table import Table
-from metrocli.tasks.adjustment_statistics import basic_statistics, noise_warnings
-from metrocli.tasks.grid_error_map import Smooth, error_map, smooth
+from metrocli.tasks.adjustment_statistics import Statistics, basic_statistics, noise_warnings
+from metrocli.tasks.grid_error_map import Covariance, Smooth, error_map, smooth
 from metrocli.tasks.grid_lengths import LengthError, largest
 from metrocli.tasks.grid_open import Open, determined
 from metrocli.tasks.grid_solve import LeftOut, Solved
@@ -45,13 +45,14 @@ class _Field:
 def report(solved: Solved, found: Open, left_out: Sequence[LeftOut], points: Table | None) -> Result:
     """Return the result of a solved self-calibration."""
     machine, artefact = _field(solved, bg.MACHINE), _field(solved, bg.ARTEFACT)
-    form = smooth(machine.indices * solved.problem.grid.pitch, machine.values, _of_machine(solved, machine))
-    length = largest(machine.indices * solved.problem.grid.pitch, machine.values)
+    places: Array = np.asarray(machine.indices * solved.problem.grid.pitch, dtype=float)
+    form, length = smooth(places, machine.values, _of_machine(solved)), largest(places, machine.values)
     names, values, covariance = _mountings(solved)
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     tables = {
         "machine_error": _table(machine),
         "artefact_error": _table(artefact),
+        "correction": _correction(solved, machine),
         "undetermined": _undetermined(found),
         "views": _views(solved, left_out),
         "residuals": residual_table(solved.residuals[0], solved.problem.readings),
@@ -80,7 +81,7 @@ def _field(solved: Solved, name: str) -> _Field:
     """Return a field where it was measured; the machine's on the sites of the grid and those outside alike."""
     block = solved.solution.blocks[name]
     indices = solved.problem.grid.sites if name == bg.MACHINE else solved.problem.grid.balls
-    seen: Mask = block.free.all(axis=1)
+    seen: Mask = np.asarray(block.free.all(axis=1))
     std = np.where(determined(solved.problem, solved.design, name), solved.design.std(name), np.inf)
     return _Field(indices[seen], block.values[seen], std[seen])
 
@@ -92,7 +93,16 @@ def _table(field: _Field) -> Table:
     return Table(columns, {name: "mm" for name in columns if name not in "ijk"})
 
 
-def _of_machine(solved: Solved, field: _Field):  # type: ignore[no-untyped-def]
+def _correction(solved: Solved, field: _Field) -> Table:
+    """Return what is to be added to a reading near each site: minus the machine error."""
+    places = field.indices * solved.problem.grid.pitch
+    columns: dict[str, Values] = {name: np.asarray(places[:, n], dtype=float) for n, name in enumerate("xyz")}
+    columns |= {f"add_{name}": -field.values[:, n] for n, name in enumerate("xyz")}
+    columns |= {f"s_add_{name}": field.std[:, n] for n, name in enumerate("xyz")}
+    return Table(columns, dict.fromkeys(columns, "mm"))
+
+
+def _of_machine(solved: Solved) -> Covariance:
     """Return what gives the covariance of weighted machine errors, component by component."""
     from scipy.sparse import csr_array
 
@@ -118,7 +128,8 @@ def _mountings(solved: Solved) -> tuple[list[str], Array, Array]:
     names = [f"{name}.{column}" for name in block.members for column in EULER]
     rows = eye_array(solved.design.partition.width, format="csr")[columns[columns >= 0]]
     values = euler_form(block.values).ravel()[columns >= 0]
-    return [name for name, column in zip(names, columns, strict=True) if column >= 0], values, solved.design.covariance(rows)
+    kept = [name for name, column in zip(names, columns, strict=True) if column >= 0]
+    return kept, values, solved.design.covariance(rows)
 
 
 def _undetermined(found: Open) -> Table:
@@ -176,13 +187,14 @@ def _rejected(solved: Solved) -> Table:
 
 def _map(solved: Solved, machine: _Field, points: Table, form: Smooth | None) -> Table:
     field = (machine.indices, solved.problem.grid.pitch, machine.values)
-    return error_map(points, field, _of_machine(solved, machine), form)
+    return error_map(points, field, _of_machine(solved), form)
 
 
 def _arrays(solved: Solved, machine: _Field, form: Smooth | None) -> dict[str, Array]:
     arrays: dict[str, Array] = {"pitch": np.array([solved.problem.grid.pitch])}
     if form is not None:
         arrays |= {
+            "smooth/degree": np.array([float(form.degree)]),
             "smooth/coefficients": form.coefficients,
             "smooth/covariance": form.covariance,
             "smooth/misfit": form.misfit,
@@ -200,12 +212,9 @@ def _arrays(solved: Solved, machine: _Field, form: Smooth | None) -> dict[str, A
     return arrays
 
 
-_Statistics = dict[str, "Scalar | dict[str, float]"]
-
-
 def _statistics(
     solved: Solved, found: Open, machine: _Field, length: LengthError | None
-) -> tuple[dict[str, object], tuple[str, ...]]:
+) -> tuple[Statistics, tuple[str, ...]]:
     rms = float(np.sqrt((solved.residuals[0].values ** 2).mean()))
     finite = np.isfinite(machine.std)
     noise = float(solved.problem.readings.observations.sigma.mean())
@@ -220,9 +229,9 @@ def _statistics(
         "rms_artefact_error": float(np.sqrt((solved.solution.blocks[bg.ARTEFACT].values ** 2).mean())),
     }
     um = find_unit("um", "length")
-    if length is None:
-        return dict(statistics), ()
-    std = _length_std(solved, machine, length)
+    std = _length_std(solved, machine, length) if length else float("inf")
+    if length is None or not np.isfinite(std):
+        return statistics, ()
     statistics |= {"largest_length_error": length.error, "largest_length_error_std": std}
     ends = [", ".join(map(str, machine.indices[n].tolist())) for n in (length.first, length.second)]
     reach = " apart from the common scale" if found.scale else ""
@@ -230,7 +239,7 @@ def _statistics(
         f"largest length error between sites{reach}: {um.outside(length.error):.2f} um, standard uncertainty "
         f"{um.outside(std):.2f} um, from ({ends[0]}) to ({ends[1]}); all pairs of {length.sites} sites"
     )
-    return dict(statistics), (note,)
+    return statistics, (note,)
 
 
 def _length_std(solved: Solved, machine: _Field, length: LengthError) -> float:
@@ -271,11 +280,15 @@ def _warnings(solved: Solved, found: Open, machine: _Field, left_out: Sequence[L
             f"{len(told)} readings exceed the outlier bound |w| = {solved.suspects.critical:.2f}: {listed(told, 5)}; "
             "`outliers: remove` leaves such out"
         )
+    return lines + _disagreeing(left_out)
+
+
+def _disagreeing(left_out: Sequence[LeftOut]) -> list[str]:
+    """Return a warning of the view without which the others fit, where there is one and they do not fit with it."""
     bound = 0.01 / max(len(left_out), 1)
-    for one in left_out:
-        if one.p_value < bound:
-            lines.append(
-                f"view '{one.view}' does not agree with the others: left out, the sum of squares falls by {one.chi2:.0f} "
-                f"for {one.dof} degrees of freedom (p = {one.p_value:.1g})"
-            )
-    return lines
+    odd = [one for one in left_out if one.p_value < bound and one.rest_p_value > bound]
+    return [
+        f"view '{one.view}' does not agree with the others, which fit without it: the sum of squares falls by "
+        f"{one.chi2:.0f} for {one.dof} degrees of freedom (p = {one.p_value:.1g})"
+        for one in sorted(odd, key=lambda one: one.p_value)[:1]
+    ]

@@ -10,7 +10,7 @@ import numpy as np
 from metrocli.adjust.blocks import Array
 from metrocli.adjust.observations import Index
 from metrocli.geometry.rotations import rotation_from_euler
-from metrocli.instruments.ball_grid import View, rigid
+from metrocli.instruments.ball_grid import View, numbers_at, rigid
 from metrocli.simulation import Simulation
 from metrocli.table import Table
 from metrocli.tasks.grid_settings import GridSimulation, Settings, views_of
@@ -41,15 +41,13 @@ def simulated(settings: Settings, truth: GridSimulation, rng: np.random.Generato
     """
     half, pitch = settings.grid.half, settings.grid.pitch
     balls = balls_of(half)
-    places = balls * pitch
+    places: Array = np.asarray(balls * pitch, dtype=float)
     artefact = rng.normal(0.0, 1.0, places.shape) * truth.artefact_error
     machine = smooth_error(places / (half.max() * pitch), rng)
     machine *= truth.machine_error / max(float(np.linalg.norm(machine, axis=1).max()), 1e-300)
     machine, artefact = in_gauge(places, machine, artefact)
-    at = {tuple(ball): n for n, ball in enumerate(balls.tolist())}
-    rows = [
-        _view(view, on_the_grid(view, balls, half), (machine, artefact, at, pitch), (truth, rng)) for view in views_of(settings)
-    ]
+    fields = (machine, artefact, balls, pitch)
+    rows = [_view(view, on_the_grid(view, balls, half), fields, (truth, rng)) for view in views_of(settings)]
     count = [len(one[0]) for one in rows]
     readings = np.concatenate([one[1] for one in rows])
     readings = readings + rng.normal(0.0, 1.0, readings.shape) * settings.noise
@@ -84,16 +82,15 @@ def _without(motions: Array, field: Array) -> Array:
 
 
 def _view(
-    view: View, balls: Index, fields: tuple[Array, Array, dict[tuple[int, ...], int], float],
+    view: View, balls: Index, fields: tuple[Array, Array, Index, float],
     drawn: tuple[GridSimulation, np.random.Generator],
 ) -> tuple[Index, Array, Array]:  # fmt: skip
     """Return balls, readings without noise, and the mounting of one view; repeats one after the other."""
-    machine, artefact, at, pitch = fields
+    machine, artefact, everywhere, pitch = fields
     truth, rng = drawn
     shift, angles = rng.normal(0.0, truth.shift, 3), rng.normal(0.0, truth.tilt, 3)
     rotation = rotation_from_euler(*angles)
-    n = np.array([at[tuple(ball)] for ball in balls.tolist()])
-    q = np.array([at[tuple(site)] for site in view.sites(balls).tolist()])
+    n, q = numbers_at(everywhere, balls), numbers_at(everywhere, view.sites(balls))
     mounted = (balls * pitch + artefact[n]) @ view.turn.T + view.shift * pitch
     readings = machine[q] + mounted @ rotation.T + shift
     return np.tile(balls, (truth.repeats, 1)), np.tile(readings, (truth.repeats, 1)), np.array([*shift, *angles])
@@ -107,7 +104,7 @@ def _table(settings: Settings, count: Sequence[int], balls: Index, read: tuple[A
     if repeats > 1:
         each = [np.repeat(np.arange(1, repeats + 1), n // repeats) for n in count]
         columns["repeat"] = np.concatenate(each).astype(np.str_)
-    columns["t"] = np.arange(len(balls)) * _SECONDS
+    columns["t"] = np.asarray(np.arange(len(balls)) * _SECONDS, dtype=float)
     return Table(columns, {"x": "mm", "y": "mm", "z": "mm", "t": "s"})
 
 

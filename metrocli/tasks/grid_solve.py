@@ -42,13 +42,25 @@ class LeftOut:
     view: str
     chi2: float
     dof: int
+    rest_chi2: float
+    """Of the other views alone"""
+    rest_dof: int
 
     @property
     def p_value(self) -> float:
         """Probability of a fall at least as large if the view is as the others."""
-        from scipy.special import chdtrc
+        return _tail(self.chi2, self.dof)
 
-        return float(chdtrc(self.dof, self.chi2)) if self.dof > 0 else float("nan")
+    @property
+    def rest_p_value(self) -> float:
+        """Probability of a sum of squares at least as large as that of the others alone."""
+        return _tail(self.rest_chi2, self.rest_dof)
+
+
+def _tail(chi2: float, dof: int) -> float:
+    from scipy.special import chdtrc
+
+    return float(chdtrc(dof, chi2)) if dof > 0 else float("nan")
 
 
 def design(problem: Problem) -> Design:
@@ -112,7 +124,8 @@ def leave_one_out(solved: Solved) -> list[LeftOut]:
         try:
             without = adjust_fields(rest.fields, design_of(rest.fields)).solution
         except OpenDesignError:
-            found.append(LeftOut(one.name, float("nan"), 0))
+            found.append(LeftOut(one.name, float("nan"), 0, float("nan"), 0))
             continue
-        found.append(LeftOut(one.name, solved.solution.cost - without.cost, solved.solution.dof - without.dof))
+        fall, dof = solved.solution.cost - without.cost, solved.solution.dof - without.dof
+        found.append(LeftOut(one.name, fall, dof, without.cost, without.dof))
     return found
