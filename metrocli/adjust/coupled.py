@@ -134,6 +134,11 @@ def design_of(fields: Fields) -> Design:
     return Design(parts, jacobian, reduction, _constraint(_conditions(fields, parts), reduction.null))
 
 
+def in_datum(fields: Fields, design: Design) -> Design:
+    """Return the design in the datum of these fields, which differ from its own in their conditions only."""
+    return replace(design, constraint=_constraint(_conditions(fields, design.partition), design.null))
+
+
 def adjust_fields(fields: Fields, design: Design | None = None) -> FieldSolution:
     """Minimise the sum of squares of the whitened residuals under the conditions of the datum."""
     design = design or design_of(fields)

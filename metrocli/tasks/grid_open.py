@@ -8,13 +8,13 @@ the eigenvalues 1 of `Q' P Q`, Q an orthonormal basis of the open machine errors
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from metrocli.adjust.blocks import Array
-from metrocli.adjust.coupled import Design
-from metrocli.adjust.observations import Index
+from metrocli.adjust.coupled import Design, in_datum
+from metrocli.adjust.observations import Index, Mask
 from metrocli.instruments import ball_grid as bg
 from metrocli.tasks.grid_problem import Problem
 from metrocli.tasks.grid_settings import Rotate, turn_in_words
@@ -22,6 +22,8 @@ from metrocli.tasks.grid_settings import Rotate, turn_in_words
 _ONE = 1e-6
 _NEGLIGIBLE = 1e-6
 _QUARTER = np.pi / 2
+_TURNS = 30
+_ENOUGH = 1 / 3
 
 Projector = Callable[[Array], Array]
 """From fields (sites, 3, k) to their part of a pattern"""
@@ -87,18 +89,49 @@ def opened(problem: Problem, design: Design) -> Open:
     return Open(scale, families, tuple(one for one in remedies if one.left < design.null.shape[1]))
 
 
-def determined(problem: Problem, design: Design, block: str) -> Array:
-    """Return which entries of a field are determined but for the datum, (members, 3) of bool."""
-    columns = design.partition.columns[block]
+def determined(problem: Problem, design: Design) -> dict[str, Mask]:
+    """Return which entries of both fields are determined but for rigid motion and scale, each (members, 3).
+
+    The open directions Z agree there with a combination of the standard ones E: `min sum_i |Z_i - E_i M|` over M, by
+    reweighted least squares, makes the rows that can agree do so. Where that holds for less than a third of the entries
+    the datum over all of them is kept: determined is what no direction moves in it.
+    """
+    columns = [design.partition.columns[name] for name in (bg.MACHINE, bg.ARTEFACT)]
+    rows = np.concatenate([places[places >= 0] for places in columns])
     standard = _standard(problem)
-    known = np.zeros((design.partition.width, standard[bg.MACHINE].shape[2]))
-    for name, moves in standard.items():
-        places = design.partition.columns[name]
-        known[places[places >= 0]] = moves[places >= 0]
-    null = design.null / np.maximum(np.linalg.norm(design.null, axis=0), 1e-300)
-    rest = null - known @ np.linalg.lstsq(known, null, rcond=None)[0]
-    size = np.abs(rest).max(axis=1)
-    return np.asarray(np.where(columns >= 0, size[columns] < _NEGLIGIBLE * max(size.max(), _NEGLIGIBLE), False))
+    moves = np.concatenate(
+        [standard[name][places >= 0] for name, places in zip((bg.MACHINE, bg.ARTEFACT), columns, strict=True)]
+    )
+    moves = moves / np.linalg.norm(moves, axis=0)
+    null = (design.null / np.linalg.norm(design.null[rows], axis=0))[rows]
+    left = _disagreement(null, moves)
+    agree = left < _NEGLIGIBLE * max(float(left.max()), _NEGLIGIBLE)
+    if agree.mean() < _ENOUGH:
+        rest = np.linalg.norm(null - moves @ np.linalg.lstsq(moves, null, rcond=None)[0], axis=1)
+        agree = rest < _NEGLIGIBLE * max(float(rest.max()), _NEGLIGIBLE)
+    known = np.zeros(design.partition.width, dtype=bool)
+    known[rows] = agree
+    both = zip((bg.MACHINE, bg.ARTEFACT), columns, strict=True)
+    return {name: np.asarray(known[places] & (places >= 0)) for name, places in both}
+
+
+def _disagreement(null: Array, moves: Array) -> Array:
+    """Return |Z_i - E_i M| (rows,) for the M with the least sum of them."""
+    weights = np.ones(len(null))
+    for turn in range(_TURNS):
+        fit = np.linalg.lstsq(moves * weights[:, None], null * weights[:, None], rcond=None)[0]
+        left: Array = np.linalg.norm(null - moves @ fit, axis=1)
+        weights = 1 / np.sqrt(np.maximum(left, max(float(left.max()), 1e-12) * 0.3**turn))
+    return left
+
+
+def with_determined_datum(problem: Problem, design: Design) -> Design:
+    """Return the design with its datum over the determined entries only, where the views leave more than 13 open."""
+    if design.null.shape[1] <= 13 - problem.scale_given:
+        return design
+    known = determined(problem, design)
+    conditions = {name: given * known[name] for name, given in problem.fields.conditions.items()}
+    return in_datum(replace(problem.fields, conditions=conditions), design)
 
 
 def _standard(problem: Problem) -> dict[str, Array]:
@@ -173,6 +206,11 @@ def _patterns(problem: Problem) -> Iterator[tuple[str, Projector]]:
     for a in range(3):
         twist: Array = np.asarray(np.cross(np.eye(3)[a], sites) * sites[:, a, None], dtype=float)
         yield f"a twist about {'xyz'[a]}: planes across it turn in proportion to {'xyz'[a]}", _onto(twist)
+    for a in range(3):
+        across = np.delete(np.eye(3), a, axis=0)
+        bowl = -sites[:, a, None] * (sites @ across.T) @ across
+        bowl[:, a] = ((sites @ across.T) ** 2).sum(axis=1) / 2
+        yield f"planes across {'xyz'[a]} bend to bowls, the wider the higher", _onto(bowl)
     for a in range(3):
         for c in (a, (a + 1) % 3, (a + 2) % 3):
             yield f"each plane across {'xyz'[a]} moves by itself along {'xyz'[c]}", _planes(sites[:, [a]], (c,))

@@ -80,7 +80,7 @@ def _worth(views: Sequence[bg.View], half: Index, settings: Settings) -> _Worth:
     problem = _problem(views, half, settings)
     taken = design(problem)
     found = opened(problem, taken)
-    std = np.where(determined(problem, taken, bg.MACHINE), taken.std(bg.MACHINE), np.inf)[problem.grid.within > 0]
+    std = np.where(determined(problem, taken)[bg.MACHINE], taken.std(bg.MACHINE), np.inf)[problem.grid.within > 0]
     std = std / settings.noise
     return _Worth(found, float(np.sqrt((std**2).mean())), float(std.max()), problem.readings.observations.count)
 

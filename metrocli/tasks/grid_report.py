@@ -82,7 +82,7 @@ def _field(solved: Solved, name: str) -> _Field:
     block = solved.solution.blocks[name]
     indices = solved.problem.grid.sites if name == bg.MACHINE else solved.problem.grid.balls
     seen: Mask = np.asarray(block.free.all(axis=1))
-    std = np.where(determined(solved.problem, solved.design, name), solved.design.std(name), np.inf)
+    std = np.where(determined(solved.problem, solved.design)[name], solved.design.std(name), np.inf)
     return _Field(indices[seen], block.values[seen], std[seen])
 
 
@@ -265,11 +265,11 @@ def _smooth_note(form: Smooth | None) -> tuple[str, ...]:
 def _warnings(solved: Solved, found: Open, machine: _Field, left_out: Sequence[LeftOut]) -> list[str]:
     lines = noise_warnings(solved.solution)
     if found.families:
-        open_share = float((~np.isfinite(machine.std)).any(axis=1).mean())
+        open_share = float((~np.isfinite(machine.std)).mean())
         lines += found.sentences()[1:]
         lines.append(
-            f"{open_share:.0%} of the sites have components that are not determined (standard uncertainty inf): their "
-            "values are those with the least sum of squares of machine and artefact error"
+            f"{open_share:.0%} of the machine error's components are not determined (standard uncertainty inf): their "
+            "values are those with the least sum of squares of machine and artefact error; the datum is over the others"
         )
     if len(solved.suspects.rows):
         observations = solved.problem.readings.observations

@@ -14,6 +14,7 @@ from metrocli.adjust.robust import Fit, Suspects, suspects
 from metrocli.adjust.solution import Residuals, Solution
 from metrocli.errors import NotConvergedError, UndeterminedError
 from metrocli.instruments import ball_grid as bg
+from metrocli.tasks.grid_open import with_determined_datum
 from metrocli.tasks.grid_problem import Problem
 
 _ROUNDS = 30
@@ -71,7 +72,7 @@ def design(problem: Problem) -> Design:
             "turned by 90 deg or shifted by one pitch"
         )
     try:
-        return design_of(problem.fields)
+        return with_determined_datum(problem, design_of(problem.fields))
     except OpenDesignError as error:
         raise UndeterminedError(
             f"the views leave machine and artefact error undetermined: {error}; views turned by 90 deg about two axes "
