@@ -227,15 +227,15 @@ def _statistics(
         "noise_gain": gain,
         "rejected": len(solved.rejected),
         "critical_w": solved.suspects.critical,
-        "largest_machine_error": float(np.linalg.norm(machine.values, axis=1).max()),
-        "rms_machine_error": float(np.sqrt((machine.values**2).mean())),
-        "rms_artefact_error": float(np.sqrt((solved.solution.blocks[bg.ARTEFACT].values ** 2).mean())),
+        "largest_machine_error": {"mm": float(np.linalg.norm(machine.values, axis=1).max())},
+        "rms_machine_error": {"mm": float(np.sqrt((machine.values**2).mean()))},
+        "rms_artefact_error": {"mm": float(np.sqrt((solved.solution.blocks[bg.ARTEFACT].values ** 2).mean()))},
     }
     um = find_unit("um", "length")
     std = _length_std(solved, machine, length) if length else float("inf")
     if length is None or not np.isfinite(std):
         return statistics, ()
-    statistics |= {"largest_length_error": length.error, "largest_length_error_std": std}
+    statistics |= {"largest_length_error": {"mm": length.error}, "largest_length_error_std": {"mm": std}}
     ends = [", ".join(map(str, machine.indices[n].tolist())) for n in (length.first, length.second)]
     reach = " apart from the common scale" if found.scale else ""
     note = (
