@@ -110,3 +110,12 @@ def without(table: Table, drop: Array) -> Table:
     """The table without some rows."""
     keep = ~drop
     return replace(table, columns={name: values[keep] for name, values in table.columns.items()}, lines=tuple(np.array(table.lines)[keep].tolist()))
+
+
+def repeated(table: Table) -> Table:
+    """The table with each view measured forth and back."""
+    views = np.array(table.texts("view"))
+    rows = np.concatenate([np.concatenate([np.flatnonzero(views == name), np.flatnonzero(views == name)[::-1]]) for name in dict.fromkeys(views.tolist())])
+    turn = np.concatenate([np.repeat(["1", "2"], (views == name).sum()) for name in dict.fromkeys(views.tolist())])
+    columns = {name: values[rows] for name, values in table.columns.items()}
+    return Table({**columns, "repeat": turn}, table.units, table.file, tuple(range(2, len(rows) + 2)))

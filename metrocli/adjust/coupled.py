@@ -110,6 +110,33 @@ class FieldSolution:
     solution: Solution
     design: Design
 
+    @property
+    def blocks(self) -> Mapping[str, Block]:
+        """All blocks at the solution."""
+        return self.solution.blocks
+
+    def std(self, block: str) -> Array:
+        """Return the standard uncertainties of a block, (members, size), 0 where it is not solved for."""
+        return np.nan_to_num(self.design.std(block))
+
+    def known(self) -> FieldSolution:
+        """Return what knows the covariances."""
+        return self
+
+    def of(self, name: str) -> Array:
+        """Return the covariance of a block, (members*size, members*size), zero where it is fixed."""
+        columns = self.design.partition.columns[name].ravel()
+        free = columns >= 0
+        full = np.zeros((len(columns), len(columns)))
+        full[np.ix_(free, free)] = self.between(columns[free])
+        return full
+
+    def between(self, places: Index) -> Array:
+        """Return the covariance of unknowns by their places, (n, n)."""
+        from scipy.sparse import eye_array
+
+        return self.design.covariance(eye_array(self.design.partition.width, format="csr")[places])
+
     def residuals(self) -> tuple[Residuals, ...]:
         """Return the residuals of each group, with redundancy and Baarda's w."""
         redundancy, at, found = self.design.redundancy(), 0, []

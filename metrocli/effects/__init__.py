@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 TABLES: dict[str, str] = {
     "multilaterate": "metrocli.effects.multilaterate",
     "locate-launch-unit": "metrocli.effects.locate_launch_unit",
+    "selfcal-grid": "metrocli.effects.selfcal_grid",
 }
 """For each kind of job the module that has its table"""
 

@@ -68,6 +68,8 @@ class Effect:
     """Parameters that no derivative finds, such as the time of a jump: a job gives them, `diagnose` searches them"""
     needs: tuple[str, ...] = ()
     """Conditions without which it cannot be modelled: t, temp, ..."""
+    not_first: tuple[str, ...] = ()
+    """Kinds of place whose first name is what the others are compared with, and therefore is none for this effect"""
     confused_with: tuple[str, ...] = ()
     reveal: str = ""
     """What to measure so that it is seen, or told from what it is confused with"""

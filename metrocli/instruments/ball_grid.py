@@ -16,7 +16,7 @@ from metrocli.adjust.blocks import Array, Block, Space
 from metrocli.adjust.chain import Chain, Local, Step
 from metrocli.adjust.coupled import Fields
 from metrocli.adjust.groups import Group
-from metrocli.adjust.observations import Index
+from metrocli.adjust.observations import Index, Observations
 from metrocli.adjust.quantities import Quantity
 from metrocli.geometry import poses
 from metrocli.geometry.rotations import cross_matrix
@@ -25,6 +25,8 @@ from metrocli.instruments.frames import OutOf
 MACHINE, ARTEFACT, VIEW = "machine_error", "artefact_error", "view"
 """Blocks: G at each site, A at each ball, and d, w of each view"""
 COLUMNS = ("ex", "ey", "ez")
+HOLLOW = "hollow"
+"""Condition of a reading [mm^2]: `rho^2 - mean rho^2` of its view, rho the ball's horizontal way from the centre"""
 
 
 @dataclass(frozen=True)
@@ -126,7 +128,7 @@ def chain(views: Sequence[View], balls: Index, pitch: float) -> Chain:
 
 def field_block(name: str, indices: Index, noun: str) -> Block:
     """Return an error field of zero at sites or balls (n, 3)."""
-    members = tuple(",".join(map(str, row)) for row in indices.tolist())
+    members = tuple(" ".join(map(str, row)) for row in indices.tolist())
     return Block(name, np.zeros((len(indices), 3)), COLUMNS, members, noun=noun)
 
 
@@ -134,6 +136,16 @@ def view_block(views: Sequence[View], values: Array) -> Block:
     """Return the mountings (views, 6), poses."""
     names = tuple(view.name for view in views)
     return Block(VIEW, values, poses.COLUMNS, names, space=Space.POSE, noun="view")
+
+
+def hollow(views: Sequence[View], view: Index, balls: Index, pitch: float) -> Array:
+    """Return the condition `HOLLOW` of readings (n,) of balls (n, 3)."""
+    found = np.empty(len(balls))
+    for n, one in enumerate(views):
+        rows = view == n
+        square: Array = ((balls[rows] @ one.turn.T)[:, :2] ** 2).sum(axis=1) * pitch**2
+        found[rows] = square - (square.mean() if square.size else 0.0)
+    return found
 
 
 def numbers_at(known: Index, wanted: Index) -> Index:
@@ -180,8 +192,47 @@ def fields(grid: Grid, blocks: Mapping[str, Block], groups: Sequence[Group], sca
 
 
 def _at_rest(blocks: Mapping[str, Block]) -> dict[str, Block]:
-    """Return the design: nominal mountings, no errors."""
-    return {name: block.with_values(np.zeros_like(block.values)) for name, block in blocks.items()}
+    """Return the design: nominal mountings, no errors; effects as they are."""
+    return {
+        name: block.with_values(np.zeros_like(block.values)) if name in (MACHINE, ARTEFACT, VIEW) else block
+        for name, block in blocks.items()
+    }
+
+
+@dataclass(frozen=True)
+class FieldSums:
+    """Sums over the machine error and the artefact error, the conditions of the datum; one reading for each."""
+
+    machine: Array
+    """(conditions, sites, 3)"""
+    artefact: Array
+    """(conditions, balls, 3)"""
+    takes = None
+    gives = Quantity.PARAMETERS
+    blocks = (MACHINE, ARTEFACT)
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the sums (1, conditions) and their derivatives by every member, (members, 1, 3, conditions)."""
+        machine, artefact = local.members(MACHINE), local.members(ARTEFACT)
+        sums = np.einsum("cna,na->c", self.machine, machine) + np.einsum("cna,na->c", self.artefact, artefact)
+        by_block = {
+            name: np.ascontiguousarray(np.moveaxis(rows, 0, -1))[:, None]
+            for name, rows in ((MACHINE, self.machine), (ARTEFACT, self.artefact))
+        }
+        return Step(sums[None], by_block=by_block)
+
+
+def as_readings(conditions: Mapping[str, Array], sigma: float) -> Group:
+    """Return the conditions of a datum as readings of zero: for an adjustment that knows no datum of two fields."""
+    length = np.sqrt(sum((rows**2).sum(axis=(1, 2)) for rows in conditions.values()))[:, None, None]
+    machine, artefact = (conditions[name] / length for name in (MACHINE, ARTEFACT))
+    count = len(machine)
+    index = {
+        name: np.repeat(np.arange(rows.shape[1])[:, None], count, axis=1)
+        for name, rows in ((MACHINE, machine), (ARTEFACT, artefact))
+    }
+    observations = Observations(np.zeros((1, count)), np.array(sigma), index, components=("condition",), unit="mm")
+    return Group("datum", Chain((FieldSums(machine, artefact),)), observations)
 
 
 def datum(grid: Grid, scale_given: bool) -> dict[str, Array]:

@@ -97,6 +97,8 @@ def determined(problem: Problem, design: Design) -> dict[str, Mask]:
     the datum over all of them is kept: determined is what no direction moves in it.
     """
     columns = [design.partition.columns[name] for name in (bg.MACHINE, bg.ARTEFACT)]
+    if design.null.shape[1] <= 13 - problem.scale_given:
+        return {name: places >= 0 for name, places in zip((bg.MACHINE, bg.ARTEFACT), columns, strict=True)}
     rows = np.concatenate([places[places >= 0] for places in columns])
     standard = _standard(problem)
     moves = np.concatenate(

@@ -12,12 +12,16 @@ from metrocli.adjust.chain import Chain
 from metrocli.adjust.coupled import Fields
 from metrocli.adjust.groups import Group
 from metrocli.adjust.observations import Index, Mask, Observations
+from metrocli.effects.model import Added, Model, Place
+from metrocli.effects.selfcal_grid import AXES
 from metrocli.errors import InputError
 from metrocli.geometry.poses import fit_pose
 from metrocli.instruments import ball_grid as bg
 from metrocli.table import Table
 from metrocli.tasks.grid_readings import Readings, ball_name, fault
 
+_EXACT = 1e-2
+"""Standard deviation of a condition of the datum where it stands among readings, over theirs"""
 READINGS, LENGTHS = "views", "lengths"
 """Names of the groups: readings of the views, and calibrated distances of balls"""
 
@@ -30,6 +34,27 @@ class Problem:
     views: tuple[bg.View, ...]
     fields: Fields
     warnings: tuple[str, ...] = ()
+    effects: tuple[Added, ...] = ()
+
+    def model(self) -> Model:
+        """Return the problem as a model that effects can be added to, its datum as readings."""
+        groups = (*self.fields.groups, bg.as_readings(self.fields.conditions, _EXACT * self.noise))
+        places = {
+            "view": Place(tuple(view.name for view in self.views), bg.VIEW),
+            "ball": Place(self.fields.blocks[bg.ARTEFACT].members, bg.ARTEFACT),
+            "axis": Place(AXES),
+        }
+        return Model(self.fields.blocks, groups, None, (READINGS,), places, added=self.effects)
+
+    def with_model(self, model: Model) -> Problem:
+        """Return the problem with the blocks, readings and effects of a model made from it."""
+        groups = tuple(group for group in model.groups if group.name in (READINGS, LENGTHS))
+        return replace(self, fields=replace(self.fields, blocks=model.blocks, groups=groups), effects=model.added)
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation of a coordinate that is read."""
+        return float(self.readings.observations.sigma.mean())
 
     @property
     def readings(self) -> Group:
@@ -92,7 +117,7 @@ def build(readings: Readings, size: tuple[Index, float], noise: float, lengths: 
         np.array(noise),
         index,
         keys=_keys(readings.table),
-        conditions={name: readings.table.numbers(name) for name in ("t", "temp") if name in readings.table},
+        conditions=_conditions(readings, pitch),
         components=("x", "y", "z"),
         unit="mm",
     )
@@ -100,6 +125,11 @@ def build(readings: Readings, size: tuple[Index, float], noise: float, lengths: 
     if lengths is not None:
         groups.append(_lengths(lengths, all_balls, pitch))
     return Problem(grid, readings.views, _fields(grid, blocks, groups))
+
+
+def _conditions(readings: Readings, pitch: float) -> dict[str, Array]:
+    given = {name: readings.table.numbers(name) for name in ("t", "temp") if name in readings.table}
+    return {**given, bg.HOLLOW: bg.hollow(readings.views, readings.view, readings.balls, pitch)}
 
 
 def _keys(table: Table) -> dict[str, tuple[str, ...]]:

@@ -10,6 +10,8 @@ import numpy as np
 
 from metrocli.adjust.blocks import Array, Mask
 from metrocli.adjust.observations import Index
+from metrocli.effects.estimates import estimates
+from metrocli.effects.estimates import tables as effect_results
 from metrocli.geometry.poses import EULER, euler_form
 from metrocli.instruments import ball_grid as bg
 from metrocli.result import Estimate, Result
@@ -47,8 +49,8 @@ def report(solved: Solved, found: Open, left_out: Sequence[LeftOut], points: Tab
     machine, artefact = _field(solved, bg.MACHINE), _field(solved, bg.ARTEFACT)
     places: Array = np.asarray(machine.indices * solved.problem.grid.pitch, dtype=float)
     form, length = smooth(places, machine.values, _of_machine(solved)), largest(places, machine.values)
-    names, values, covariance = _mountings(solved)
-    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    mountings, covariance = _mountings(solved)
+    effects, effect_arrays = effect_results(solved.problem.effects, solved.found)
     tables = {
         "machine_error": _table(machine),
         "artefact_error": _table(artefact),
@@ -58,19 +60,19 @@ def report(solved: Solved, found: Open, left_out: Sequence[LeftOut], points: Tab
         "residuals": residual_table(solved.residuals[0], solved.problem.readings),
         "suspects": _suspects(solved),
         "rejected": _rejected(solved),
+        **effects,
         **({"length_error": length.table} if length else {}),
         **({"map": _map(solved, machine, points, form)} if points is not None else {}),
     }
     statistics, length_note = _statistics(solved, found, machine, length)
-    estimates = zip(names, values.tolist(), std.tolist(), _UNITS * len(solved.problem.views), strict=False)
     return Result(
         kind=KIND,
         title="",
-        estimates=tuple(Estimate(*row) for row in estimates),
+        estimates=(*mountings, *estimates(solved.problem.effects, solved.found)),
         covariance=covariance,
         statistics=statistics,
         tables=tables,
-        arrays=_arrays(solved, machine, form),
+        arrays=_arrays(solved, machine, form) | effect_arrays,
         warnings=(*solved.problem.warnings, *_warnings(solved, found, machine, left_out)),
         shown=("views", *(("suspects",) if len(solved.suspects.rows) else ())),
         notes=(*found.sentences(), *length_note, *_smooth_note(form)),
@@ -120,16 +122,17 @@ def _of_machine(solved: Solved) -> Covariance:
     return covariance
 
 
-def _mountings(solved: Solved) -> tuple[list[str], Array, Array]:
-    from scipy.sparse import eye_array
-
-    block = solved.solution.blocks[bg.VIEW]
-    columns = solved.design.partition.columns[bg.VIEW].ravel()
-    names = [f"{name}.{column}" for name in block.members for column in EULER]
-    rows = eye_array(solved.design.partition.width, format="csr")[columns[columns >= 0]]
-    values = euler_form(block.values).ravel()[columns >= 0]
-    kept = [name for name, column in zip(names, columns, strict=True) if column >= 0]
-    return kept, values, solved.design.covariance(rows)
+def _mountings(solved: Solved) -> tuple[list[Estimate], Array]:
+    """Return the mountings, and the covariance of them and of the effects' parameters."""
+    columns = solved.design.partition.columns
+    block, places = solved.solution.blocks[bg.VIEW], columns[bg.VIEW].ravel()
+    effects = [columns[one.block].ravel() for one in solved.problem.effects]
+    covariance = solved.found.between(np.concatenate([part[part >= 0] for part in (places, *effects)]))
+    std = np.zeros(len(places))
+    std[places >= 0] = np.sqrt(np.diag(covariance))[: int((places >= 0).sum())]
+    values, names = euler_form(block.values).ravel(), [f"{view}.{name}" for view in block.members for name in EULER]
+    rows = zip(names, values.tolist(), std.tolist(), _UNITS * len(block.members), strict=True)
+    return [Estimate(*row) for row, place in zip(rows, places, strict=True) if place >= 0], covariance
 
 
 def _undetermined(found: Open) -> Table:
@@ -224,15 +227,15 @@ def _statistics(
         "noise_gain": gain,
         "rejected": len(solved.rejected),
         "critical_w": solved.suspects.critical,
-        "largest_machine_error": float(np.linalg.norm(machine.values, axis=1).max()),
-        "rms_machine_error": float(np.sqrt((machine.values**2).mean())),
-        "rms_artefact_error": float(np.sqrt((solved.solution.blocks[bg.ARTEFACT].values ** 2).mean())),
+        "largest_machine_error": {"mm": float(np.linalg.norm(machine.values, axis=1).max())},
+        "rms_machine_error": {"mm": float(np.sqrt((machine.values**2).mean()))},
+        "rms_artefact_error": {"mm": float(np.sqrt((solved.solution.blocks[bg.ARTEFACT].values ** 2).mean()))},
     }
     um = find_unit("um", "length")
     std = _length_std(solved, machine, length) if length else float("inf")
     if length is None or not np.isfinite(std):
         return statistics, ()
-    statistics |= {"largest_length_error": length.error, "largest_length_error_std": std}
+    statistics |= {"largest_length_error": {"mm": length.error}, "largest_length_error_std": {"mm": std}}
     ends = [", ".join(map(str, machine.indices[n].tolist())) for n in (length.first, length.second)]
     reach = " apart from the common scale" if found.scale else ""
     note = (

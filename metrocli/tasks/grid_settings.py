@@ -119,6 +119,7 @@ class GridSimulation:
     shift: float = setting(Quantity("length", minimum=0.0), "standard deviation of each mounting's shift", default=0.2)
     tilt: float = setting(Quantity("angle", minimum=0.0), "standard deviation of each mounting's turn", default=1e-3)
     repeats: int = setting(Whole(1, 100), "times that each ball is measured in each view", default=1)
+    interval: float = setting(Quantity("time", positive=True), "time from ball to ball", default=20.0)
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,8 @@ from metrocli.tasks.grid_open import with_determined_datum
 from metrocli.tasks.grid_problem import Problem
 
 _ROUNDS = 30
+_TAKEN = 1e-9
+"""Share of its reach that an effect may have in a direction that no reading sees"""
 
 
 @dataclass(frozen=True)
@@ -27,13 +29,22 @@ class Solved:
     problem: Problem
     """With the readings that were used"""
     whole: Problem
-    design: Design
-    solution: Solution
+    found: FieldSolution
     residuals: tuple[Residuals, ...]
     """Of each group"""
     suspects: Suspects
     rejected: tuple[tuple[int, float], ...]
     """Rows left out, with their |w|"""
+
+    @property
+    def design(self) -> Design:
+        """Rank and covariance."""
+        return self.found.design
+
+    @property
+    def solution(self) -> Solution:
+        """Values and statistics."""
+        return self.found.solution
 
 
 @dataclass(frozen=True)
@@ -72,12 +83,28 @@ def design(problem: Problem) -> Design:
             "turned by 90 deg or shifted by one pitch"
         )
     try:
-        return with_determined_datum(problem, design_of(problem.fields))
+        found = design_of(problem.fields)
     except OpenDesignError as error:
         raise UndeterminedError(
             f"the views leave machine and artefact error undetermined: {error}; views turned by 90 deg about two axes "
             "and one shifted by a pitch leave 13, all rigid motions or scale"
         ) from error
+    _refuse_absorbed(problem, found)
+    return with_determined_datum(problem, found)
+
+
+def _refuse_absorbed(problem: Problem, found: Design) -> None:
+    """Raise UndeterminedError for effects that the other unknowns can take the place of in these views."""
+    null = found.null / np.maximum(np.abs(found.null).max(axis=0), 1e-300) if found.null.size else found.null
+    for one in problem.effects:
+        columns = found.partition.columns[one.block]
+        block = problem.fields.blocks[one.block]
+        reach = np.broadcast_to(block.reach, columns.shape)[columns >= 0]
+        if (np.abs(null[columns[columns >= 0]]) > _TAKEN * reach[:, None]).any():
+            raise UndeterminedError(
+                f"these views do not determine {one.label}: machine and artefact error take its place; "
+                f"{one.effect.reveal} would"
+            )
 
 
 def solve(problem: Problem, remove: bool) -> Solved:
@@ -103,7 +130,7 @@ def _once(problem: Problem, whole: Problem, out: dict[int, float]) -> Solved:
         raise NotConvergedError(f"{solution.outcome.value} ({solution.iterations} steps)")
     residuals = found.residuals()
     tested = suspects(residuals[0], Fit(solution.cost, solution.dof, noise_known=True))
-    return Solved(problem, whole, found.design, solution, residuals, tested, tuple(sorted(out.items())))
+    return Solved(problem, whole, found, residuals, tested, tuple(sorted(out.items())))
 
 
 def _worst(solved: Solved, out: dict[int, float]) -> dict[int, float]:

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from metrocli.effects.model import extended
+from metrocli.effects.wanted import Wanted
 from metrocli.errors import InputError
 from metrocli.plan import Plan
 from metrocli.result import Result
@@ -24,15 +28,24 @@ _MANY = 20_000
 """Readings beyond which views are left out in turn only where the job asks for it"""
 
 
-def run(settings: Settings, views: Table, lengths: Table | None = None, map: Table | None = None) -> Result:
+def run(
+    settings: Settings,
+    views: Table,
+    lengths: Table | None = None,
+    map: Table | None = None,
+    effects: Sequence[Wanted] = (),
+    **_: object,
+) -> Result:
     """Find both fields; raises InputError, UndeterminedError or NotConvergedError."""
     problem = _problem(settings, views, lengths)
+    if effects:
+        problem = problem.with_model(extended(problem.model(), effects))
     solved = solve(problem, settings.outliers == "remove")
     wanted = settings.leave_one_out == "yes" or (settings.leave_one_out == "auto" and len(views) <= _MANY)
     return report(solved, opened(solved.problem, solved.design), leave_one_out(solved) if wanted else [], map)
 
 
-def compare(settings: Settings, views: Table, lengths: Table | None = None, map: Table | None = None) -> Table:
+def compare(settings: Settings, views: Table, lengths: Table | None = None, **_: object) -> Table:
     """Return the joint adjustment beside the sequence of the paper, views 1-3 fitted first."""
     return in_sequence(_problem(settings, views, lengths))
 
@@ -44,14 +57,23 @@ def _problem(settings: Settings, views: Table, lengths: Table | None) -> Problem
     return problem.warned(warnings)
 
 
-def simulate(settings: Settings, options: SimulationOptions, **_: object) -> Simulation:
-    """Return views of an artefact and a machine with the errors of `simulation:`."""
+def simulate(
+    settings: Settings,
+    options: SimulationOptions,
+    views: Table | None = None,
+    effects: Sequence[Wanted] = (),
+    **_: object,
+) -> Simulation:
+    """Return views of an artefact and a machine with the errors of `simulation:`, and with effects in them.
+
+    Where the job's views exist, their balls, times and temperatures are those of the simulation.
+    """
     if settings.simulation is None:
         raise InputError(
             "simulate needs the truth: write `simulation: {machine_error: 17 um, artefact_error: 0.3 mm, "
             "shift: 0.2 mm, tilt: 1 mrad}`"
         )
-    return simulated(settings, settings.simulation, np.random.default_rng(options.seed))
+    return simulated(settings, views, effects, np.random.default_rng(options.seed))
 
 
 def plan(settings: Settings, **_: object) -> Plan:
