@@ -13,13 +13,17 @@ import numpy as np
 import simulated_grid
 import simulated_launch
 import simulated_lengths
+import simulated_machine
 
+from metrocli.adjust.adjustment import adjust
+from metrocli.adjust.design import unit_noise
 from metrocli.effects.effect import Effect
 from metrocli.effects.model import Model, with_conditions
 from metrocli.geometry.poses import pose_from_euler
 from metrocli.tasks import grid_problem, grid_readings, launch_problem, launch_readings
 from metrocli.tasks.grid_settings import views_of
 from metrocli.tasks.length_network import build
+from metrocli.tasks.machine_standstill import standstill
 
 
 @dataclass(frozen=True)
@@ -76,7 +80,23 @@ def selfcal_grid(effect: Effect) -> Model:
     return with_conditions(model.with_blocks({name: block.with_values(values[name]) for name, block in model.blocks.items()}))
 
 
+def calibrate_machine(effect: Effect) -> Model:
+    """120 points with three tools that are known to 1 um, from all sides; times at random."""
+    rng = np.random.default_rng(6)
+    tools = simulated_machine.THREE
+    machine = simulated_machine.random_machine(rng)
+    table = simulated_machine.points(machine, rng, 120, tools, noise=0.0)
+    more = {f"from_{axis}": rng.choice([-1.0, 1.0], 120) for axis in "xyz"} | {"t": rng.uniform(100.0, 2000.0, 120)}
+    table = replace(table, columns={**table.columns, **more})
+    settings = simulated_machine.settings(tools=tools, tool_uncertainty=0.001)
+    problem = standstill(settings, table)
+    problem = replace(problem, readings=unit_noise(problem.readings, 0.002))
+    solved = adjust(problem.blocks.values(), problem.groups)
+    return with_conditions(problem.model().with_blocks(solved.blocks))
+
+
 MEASURED: dict[str, Measured] = {
+    "calibrate-machine": Measured(calibrate_machine, {"period": 37.0}),
     "multilaterate": Measured(multilaterate, {"at": 900.0}),
     "locate-launch-unit": Measured(locate_launch_unit, {}),
     "selfcal-grid": Measured(selfcal_grid, {"at": 1600.0, "from_view": 2.0}),

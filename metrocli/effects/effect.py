@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from metrocli import units
+from metrocli.adjust.blocks import Space
 from metrocli.adjust.chain import Link
 from metrocli.settings import Number, Quantity, Spec, Text
 
@@ -66,6 +67,8 @@ class Effect:
     """t or T, where it varies with one of them"""
     scanned: tuple[Parameter, ...] = ()
     """Parameters that no derivative finds, such as the time of a jump: a job gives them, `diagnose` searches them"""
+    space: Space = Space.FLAT
+    """How its parameters change by a step of the adjustment"""
     needs: tuple[str, ...] = ()
     """Conditions without which it cannot be modelled: t, temp, ..."""
     not_first: tuple[str, ...] = ()

@@ -196,7 +196,9 @@ def _block(
     if apart:
         rows[0], frees[0] = 0.0, False
     reach = np.array([_REACH * p.plausible for p in effect.all_parameters])
-    return Block(name, rows, tuple(p.name for p in effect.all_parameters), members, free=frees, reach=reach)
+    return Block(
+        name, rows, tuple(p.name for p in effect.all_parameters), members, frees, reach=reach, space=effect.space
+    )
 
 
 def _passes(group: Group, link: Link, model: Model) -> bool:

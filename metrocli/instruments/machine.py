@@ -229,12 +229,13 @@ class ErrorMotion:
             index, weight = axis.places(position[axis.number])
             values = local.members(axis.block)
             error = sum(w * values[i].T for i, w in zip(index, weight, strict=True))
-            by_error = _by_error(self.machine.lever(axis.number, position, tool))
-            motion[:3] += error[:3] + np.einsum("abn,bn->an", by_error[:3, 3:], error[3:])
+            lever = self.machine.lever(axis.number, position, tool)
+            motion[:3] += error[:3] + np.cross(error[3:], lever, axis=0)
             motion[3:] += error[3:]
-            by_tool[:3] += np.moveaxis(cross_matrix(error[3:].T), 0, -1)
+            if TOOL in local.wanted:
+                by_tool[:3] += np.moveaxis(cross_matrix(error[3:].T), 0, -1)
             if axis.block in local.wanted:
-                by_block[axis.block] = weight[:, None] * by_error
+                by_block[axis.block] = weight[:, None] * _by_error(lever)
         return Step(motion, by_block={**by_block, TOOL: by_tool})
 
 

@@ -115,9 +115,9 @@ def test_derivatives_are_differences(entry: tuple[str, Effect], share: float) ->
         parameter = next(p for p in effect.parameters if p.name == name)
 
         def moved(h: float, name: str = name) -> Array:
-            changed = values.copy()
-            changed[-1, block.column(name)] += h
-            return predicted(model.with_blocks({**model.blocks, block.name: block.with_values(changed)}))
+            step = np.zeros_like(values)
+            step[-1, block.column(name)] = h
+            return predicted(model.with_blocks({**model.blocks, block.name: block.with_values(values).moved(step)}))
 
         h = 0.2 * parameter.plausible
         near, far = moved(h) - moved(-h), moved(2 * h) - moved(-2 * h)

@@ -89,6 +89,53 @@ def columns_of_truth():  # type: ignore[no-untyped-def]
     return Columns((Column("error", TEXT), Column("position", "length"), Column("value", "length", may_be_empty=True), Column("turn", "angle", may_be_empty=True)))
 
 
+PLANTED = {
+    "backlash:axis=x,width=9um": ("backlash, axis: x", {"backlash.x.width": 0.009}),
+    "screw-pitch-error:axis=y,amplitude=5um,phase=2rad,period=27mm": (
+        "screw-pitch-error, axis: y, period: 27 mm",
+        {"screw-pitch-error.y.amplitude": 0.005, "screw-pitch-error.y.phase": 2.0},
+    ),
+    "load-sag:pair=yz,c=4e-7 1/mm": ("load-sag, pair: yz", {"load-sag.yz.c": 4e-7}),
+    "machine-drift:vx=3um/min,vy=-2um/min,vz=6um/min": (
+        "machine-drift",
+        {"machine-drift.vx": 5e-5, "machine-drift.vy": -2e-3 / 60, "machine-drift.vz": 1e-4},
+    ),
+}
+
+
+@pytest.mark.parametrize("planted", PLANTED)
+@pytest.mark.parametrize("text", [STANDSTILL, FLIGHT], ids=["standstill", "on-the-fly"])
+def test_an_effect_that_is_planted_is_estimated(folder: Path, text: str, planted: str, metrocli: Metrocli) -> None:
+    job = made(folder, text, metrocli)
+    assert metrocli("simulate", job, "--out", folder / "new", "--force", "--effect", planted).code == 0
+    for name in ("points.csv", "track.csv"):
+        if (folder / "new" / name).exists():
+            (folder / name).write_text((folder / "new" / name).read_text())
+    plain = json.loads(metrocli("calibrate-machine", job, "--json").out)
+    wanted, truth = PLANTED[planted]
+    job.write_text(f"{text}effects: [{{name: {wanted}}}]\n")
+    found = json.loads(metrocli("calibrate-machine", job, "--json").out)
+    assert plain["statistics"]["sigma0"] > 1.05 > found["statistics"]["sigma0"]
+    for name, value in truth.items():
+        estimate = found["estimates"][name]
+        off = estimate["value"] - value
+        if name.endswith("phase"):
+            off = (off + np.pi) % (2 * np.pi) - np.pi
+        assert abs(off) < 4.5 * estimate["std"], name
+        assert abs(value) > 4 * estimate["std"], name
+    true = json.loads((folder / "new" / "truth.json").read_text())
+    assert {name for name in truth} <= set(true)
+
+
+def test_what_cannot_be_told_apart_is_refused(folder: Path, metrocli: Metrocli) -> None:
+    """One tracker sees machine and tracker drift as one."""
+    job = made(folder, STANDSTILL, metrocli)
+    job.write_text(STANDSTILL + "effects: [{name: machine-drift}, {name: tracker-drift}]\n")
+    ran = metrocli("calibrate-machine", job)
+    assert ran.code == 4
+    assert "machine-drift" in ran.err and "tracker-drift" in ran.err
+
+
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
@@ -125,7 +172,7 @@ def test_faults_of_a_job_are_told(folder: Path, old: str, new: str, said: str, m
         (lambda lines: [lines[0].replace(",tool", ",kind"), *lines[1:]], 3, "the file has no column 'tool'"),
         (lambda lines: [*lines[:3], ""], 3, "2 points are too few"),
         (lambda lines: [*lines[:20], ""], 4, "combinations of errors open"),
-        (lambda lines: [lines[0], "A,700,0,0,0,0,0,T1", *lines[2:]], 3, "points.csv:2: error: x = 700 mm is outside the range of the axis, 0 to 600 mm"),
+        (lambda lines: [lines[0], "A,700," + lines[1].split(",", 2)[2], *lines[2:]], 3, "points.csv:2: error: x = 700 mm is outside the range of the axis, 0 to 600 mm"),
     ],
 )
 def test_wrong_points_are_told(folder: Path, change, code: int, said: str, metrocli: Metrocli) -> None:  # type: ignore[no-untyped-def]
