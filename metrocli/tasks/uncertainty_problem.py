@@ -154,7 +154,7 @@ class _Gathering:
             value = result.estimates[index].value * unit.factor
             self.quantities[name] = Quantity(name, value, shape, dof, unit)
             self.units[name] = unit
-        return Block(tuple(name for name, _, _ in held), (covariance + covariance.T) / 2, min(dofs))
+        return Block(tuple(name for name, _, _ in held), (covariance + covariance.T) / 2)
 
     def _names_of(self, model: Model) -> None:
         for part in model.expression.parts:
