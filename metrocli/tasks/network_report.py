@@ -14,7 +14,7 @@ from metrocli.instruments import tracer as t
 from metrocli.result import Estimate, Result
 from metrocli.table import Table
 from metrocli.tasks import layout_faults
-from metrocli.tasks.adjustment_statistics import basic_statistics, noise_warnings
+from metrocli.tasks.adjustment_statistics import REMOVE, basic_statistics, noise_warnings
 from metrocli.tasks.network_correction import corrected, distant
 from metrocli.tasks.network_distance import factors
 from metrocli.tasks.network_reliability import UNITS as RELIABILITY_UNITS
@@ -153,7 +153,7 @@ def _suspects(solved: Solved) -> Table:
 
 
 def _warnings(solved: Solved) -> list[str]:
-    lines = [*solved.network.warnings, *noise_warnings(solved.solution)]
+    lines = [*solved.network.warnings, *noise_warnings(solved.solution, cures=(REMOVE,))]
     told = [
         f"{one.point}/{one.tracer} (w = {one.test:.1f}{', or ' + ' or '.join(one.others) if one.others else ''})"
         for one in solved.suspects

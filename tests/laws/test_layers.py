@@ -23,7 +23,7 @@ LAYERS = [
     {"formats"},
     {"adjust"},
     {"geometry"},
-    {"imageset", "result", "record", "simulation", "plan"},
+    {"imageset", "result", "record", "simulation", "plan", "nc_program"},
     {"settings"},
     {"table"},
     {"units", "nodes", "words"},
