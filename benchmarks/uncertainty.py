@@ -1,8 +1,8 @@
 """Uncertainties: speed beside plain numpy and at the command line, memory, a volume, and a table that must hold.
 
 The table is one like Mendikute's Table 4, of simulated measurements: each repeat calibrates the camera anew, clamps it
-anew, locates the part (7D), takes the covariance to the corners of 1500 mm x 1000 mm x 500 mm, and adds the expansion of
-a part whose temperature is uniform within +-1 K. Printed: U (k = 2) and how often it holds the error of the corners.
+anew, locates the part (7D), takes the covariance to the corners of 1500 mm x 1000 mm x 500 mm, and adds the expansion
+of a part whose temperature is uniform within +-1 K. Printed: U (k = 2) and how often it holds the error of the corners.
 
     python -m benchmarks.uncertainty [REPEATS]
 """
@@ -58,11 +58,11 @@ monte_carlo: {{trials: TRIALS, seed: 1}}
 
 def gauge() -> Inputs:
     """Return the inputs of JCGM 101, 9.5."""
-    return join([
-        Quantity("Ls", 50000623.0, Normal(25.0), 18), Quantity("D", 215.0, Normal(6.0), 24), Quantity("d1", 0.0, Normal(4.0), 5),
-        Quantity("d2", 0.0, Normal(7.0), 8), Quantity("as_", 11.5e-6, Uniform(2e-6)), Quantity("t0", -0.1, Normal(0.2)),
-        Quantity("Delta", 0.0, Arcsine(0.5)), Quantity("da", 0.0, CurvilinearTrapezoid(1e-6, 1e-7)), Quantity("dt", 0.0, CurvilinearTrapezoid(0.05, 0.025)),
-    ])  # fmt: skip
+    known = [("Ls", 50000623.0, 25.0, 18), ("D", 215.0, 6.0, 24), ("d1", 0.0, 4.0, 5), ("d2", 0.0, 7.0, 8)]
+    quantities = [Quantity(name, value, Normal(std), dof) for name, value, std, dof in known]
+    quantities += [Quantity("as_", 11.5e-6, Uniform(2e-6)), Quantity("t0", -0.1, Normal(0.2))]
+    quantities += [Quantity("Delta", 0.0, Arcsine(0.5)), Quantity("da", 0.0, CurvilinearTrapezoid(1e-6, 1e-7))]
+    return join([*quantities, Quantity("dt", 0.0, CurvilinearTrapezoid(0.05, 0.025))])
 
 
 def plain_numpy(trials: int) -> tuple[float, float, float]:
@@ -112,7 +112,8 @@ def command(trials: int) -> Command:
     with tempfile.TemporaryDirectory() as folder:
         job = Path(folder) / "gauge.yaml"
         job.write_text(JOB.replace("TRIALS", str(trials)), encoding="utf-8")
-        code = "import resource, sys; from metrocli.cli.main import main\ntry: main()\nfinally: print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
+        peak = "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
+        code = f"import resource; from metrocli.cli.main import main\ntry: main()\nfinally: {peak}"
         spent = resource.getrusage(resource.RUSAGE_CHILDREN)
         before = time.perf_counter()
         arguments = [sys.executable, "-c", code, "report-uncertainty", str(job), "--quiet"]
@@ -128,9 +129,11 @@ def large_volume(points: int = 50, contributors: int = 20, parameters: int = 12)
     rng = np.random.default_rng(0)
     names = [f"e{n}" for n in range(parameters)]
     root = rng.normal(size=(parameters, parameters)) * 1e-3
-    estimates = tuple(Estimate(name, float(rng.normal()), 0.0, "mm" if n < 3 else "rad") for n, name in enumerate(names))
+    units = ["mm"] * 3 + ["rad"] * (parameters - 3)
+    estimates = tuple(Estimate(name, float(rng.normal()), 0.0, unit) for name, unit in zip(names, units, strict=True))
     result = Result("align-part", "", estimates, root @ root.T, {})
-    sums = [" + ".join([f"m.e{axis}"] + [f"m.e{n}*{'XYZ'[(n + axis) % 3]}" for n in range(3, parameters)]) for axis in range(3)]
+    turns = [[f"m.e{n}*{'XYZ'[(n + axis) % 3]}" for n in range(3, parameters)] for axis in range(3)]
+    sums = [" + ".join([f"m.e{axis}", *terms]) for axis, terms in enumerate(turns)]
     from metrocli.nodes import Node, Source
     from metrocli.tasks.uncertainty_values import Model
 
@@ -197,20 +200,24 @@ def main(count: int = 1000) -> None:
     """Print everything."""
     numpy_s, ours_s = cpu(lambda: plain_numpy(1_000_000)), cpu(lambda: ours(1_000_000))
     print("gauge block of JCGM 101, 9.5, 10^6 trials, shortest 99 % interval: std, interval, CPU s on one thread")
-    for name, found, seconds in (("plain numpy", plain_numpy(1_000_000), numpy_s), ("metrocli", ours(1_000_000), ours_s)):
-        print(f"  {name:<12} {found[0]:7.2f}   [{found[1]:.1f}, {found[2]:.1f}]   {seconds:.3f}")
+    for name, task, seconds in (("plain numpy", plain_numpy, numpy_s), ("metrocli", ours, ours_s)):
+        std, low, high = task(1_000_000)
+        print(f"  {name:<12} {std:7.2f}   [{low:.1f}, {high:.1f}]   {seconds:.3f}")
     print(f"  ratio {ours_s / numpy_s:.2f}")
     for trials in (1_000_000, 10_000_000, 100_000_000):
         took = command(trials)
-        print(f"  command line, {trials:>9} trials: {took.wall_s:.2f} s wall, {took.cpu_s:.2f} s CPU, {took.peak_mb:.0f} MB")
+        spent = f"{took.wall_s:.2f} s wall, {took.cpu_s:.2f} s CPU, {took.peak_mb:.0f} MB"
+        print(f"  command line, {trials:>9} trials: {spent}")
     print(f"volume of 50 x 50 x 50 points, 20 contributors, 12 parameters with covariance: {large_volume():.2f} s CPU")
     found = repeats(count)
     print(f"table of maxima of {count} simulated measurements (um): x, y, z")
     for name, row in zip(("part", "temperature"), found.largest, strict=True):
         print(f"  u {name:<12}" + "".join(f"{1e3 * value:8.1f}" for value in row))
     print("  U (k = 2)     " + "".join(f"{1e3 * value:8.1f}" for value in found.expanded))
-    print("  it held the error of the corners in at least" + "".join(f"{value:8.1%}" for value in found.held.min(axis=0)))
-    print("  U of each corner held its error in" + "".join(f"{value:8.1%}" for value in found.held_pointwise.mean(axis=0)))
+    for name, held in (("least of all corners", found.held.min(axis=0)), ("mean", found.held.mean(axis=0))):
+        print(f"  U held the error of a corner, {name}:" + "".join(f"{value:8.1%}" for value in held))
+    own = found.held_pointwise.mean(axis=0)
+    print("  U of each corner held its own error, mean:" + "".join(f"{value:8.1%}" for value in own))
 
 
 if __name__ == "__main__":
