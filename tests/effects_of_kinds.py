@@ -70,14 +70,18 @@ def selfcal_grid(effect: Effect) -> Model:
     one = simulated_grid.grid(3, "123456", seed=3)
     rng = np.random.default_rng(6)
     table = simulated_grid.repeated(one.read(rng, noise=0.0))
-    table = replace(table, columns={**table.columns, "t": 20.0 * np.arange(len(table)), "temp": 20 + rng.uniform(0, 1, len(table))})
+    table = replace(
+        table, columns={**table.columns, "t": 20.0 * np.arange(len(table)), "temp": 20 + rng.uniform(0, 1, len(table))}
+    )
     settings = one.settings()
     readings = grid_readings.read(views_of(settings), settings.grid.half, table)
     model = grid_problem.build(readings, (settings.grid.half, settings.grid.pitch), settings.noise).model()
     values = {"machine_error": one.machine, "artefact_error": one.artefact}
     mountings = np.array([np.concatenate(one.mountings[name]) for name in one.views])
     values["view"] = pose_from_euler(mountings[:, :3], mountings[:, 3:])
-    return with_conditions(model.with_blocks({name: block.with_values(values[name]) for name, block in model.blocks.items()}))
+    return with_conditions(
+        model.with_blocks({name: block.with_values(values[name]) for name, block in model.blocks.items()})
+    )
 
 
 def calibrate_machine(effect: Effect) -> Model:

@@ -91,7 +91,11 @@ class Grid:
 
 def table(names: list[str], balls: npt.NDArray[np.int64], values: Array) -> Table:
     """The table of `views.csv`."""
-    columns = {"view": np.array(names), **dict(zip("ijk", balls.T, strict=True)), **dict(zip("xyz", values.T, strict=True))}
+    columns = {
+        "view": np.array(names),
+        **dict(zip("ijk", balls.T, strict=True)),
+        **dict(zip("xyz", values.T, strict=True)),
+    }
     return Table(columns, dict.fromkeys("xyz", "mm"), "views.csv", tuple(range(2, len(names) + 2)))
 
 
@@ -101,7 +105,9 @@ def grid(n: int, views: str = "1234", seed: int = 0, scale: bool = True) -> Grid
     half = n // 2
     r = np.arange(-half, half + 1)
     balls = np.stack(np.meshgrid(r, r, r, indexing="ij"), axis=-1).reshape(-1, 3)
-    machine, artefact = in_gauge(balls * PITCH, rng.normal(0, 0.01, balls.shape), rng.normal(0, 0.05, balls.shape), scale)
+    machine, artefact = in_gauge(
+        balls * PITCH, rng.normal(0, 0.01, balls.shape), rng.normal(0, 0.05, balls.shape), scale
+    )
     mountings = {name: (rng.normal(0, 0.2, 3), rng.normal(0, 3e-3, 3)) for name in views}
     return Grid(n, views, balls, machine, artefact, mountings)
 
@@ -109,13 +115,22 @@ def grid(n: int, views: str = "1234", seed: int = 0, scale: bool = True) -> Grid
 def without(table: Table, drop: Array) -> Table:
     """The table without some rows."""
     keep = ~drop
-    return replace(table, columns={name: values[keep] for name, values in table.columns.items()}, lines=tuple(np.array(table.lines)[keep].tolist()))
+    return replace(
+        table,
+        columns={name: values[keep] for name, values in table.columns.items()},
+        lines=tuple(np.array(table.lines)[keep].tolist()),
+    )
 
 
 def repeated(table: Table) -> Table:
     """The table with each view measured forth and back."""
     views = np.array(table.texts("view"))
-    rows = np.concatenate([np.concatenate([np.flatnonzero(views == name), np.flatnonzero(views == name)[::-1]]) for name in dict.fromkeys(views.tolist())])
+    rows = np.concatenate(
+        [
+            np.concatenate([np.flatnonzero(views == name), np.flatnonzero(views == name)[::-1]])
+            for name in dict.fromkeys(views.tolist())
+        ]
+    )
     turn = np.concatenate([np.repeat(["1", "2"], (views == name).sum()) for name in dict.fromkeys(views.tolist())])
     columns = {name: values[rows] for name, values in table.columns.items()}
     return Table({**columns, "repeat": turn}, table.units, table.file, tuple(range(2, len(rows) + 2)))

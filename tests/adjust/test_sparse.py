@@ -18,7 +18,9 @@ def lattice(shape: tuple[int, ...], seed: int) -> tuple[csr_array, np.ndarray]:
     near[0, -1] = near[-1, 0] = True
     strength = np.triu(near * rng.normal(size=near.shape), 1)
     matrix = strength + strength.T
-    return csr_array(matrix + np.diag(np.abs(matrix).sum(axis=1) + rng.uniform(0.1, 1, len(matrix)))), places.astype(float)
+    return csr_array(matrix + np.diag(np.abs(matrix).sum(axis=1) + rng.uniform(0.1, 1, len(matrix)))), places.astype(
+        float
+    )
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (7, 3), (30, 30), (9, 9, 9), (900, 1), (1, 1, 400)])

@@ -20,7 +20,10 @@ simulation: {place: [950 mm, 430 mm, -250 mm], gamma: 80 deg, distances: true}
 output: result.h5
 """
 PLANTED = {
-    "encoder-eccentricity.phi4": ("encoder-eccentricity:encoder=phi4,c1=30arcsec,s1=-20arcsec", "{name: encoder-eccentricity, encoder: phi4}"),
+    "encoder-eccentricity.phi4": (
+        "encoder-eccentricity:encoder=phi4,c1=30arcsec,s1=-20arcsec",
+        "{name: encoder-eccentricity, encoder: phi4}",
+    ),
     "base-tilt.launch": ("base-tilt:unit=launch,tx=20arcsec,ty=-30arcsec", "{name: base-tilt, unit: launch}"),
     "beam-offset": ("beam-offset:h=0.2mm", "{name: beam-offset}"),
     "distance-scale": ("distance-scale:scale=20ppm", "{name: distance-scale}"),
@@ -33,7 +36,9 @@ PLANTED = {
 def job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     rng = np.random.default_rng(12)
     places = rng.uniform([0, 0, 50], [2000, 1000, 1000], (30, 3))
-    rows = [f"P{i}," + ",".join(f"{x:.4f}" for x in place) + f",{90 * (i % 4)},{60 * i}" for i, place in enumerate(places)]
+    rows = [
+        f"P{i}," + ",".join(f"{x:.4f}" for x in place) + f",{90 * (i % 4)},{60 * i}" for i, place in enumerate(places)
+    ]
     (tmp_path / "places.csv").write_text("\n".join(["pose,x_mm,y_mm,z_mm,spindle_deg,t_s", *rows, ""]))
     (tmp_path / "job.yaml").write_text(JOB)
     monkeypatch.chdir(tmp_path)
@@ -117,8 +122,15 @@ def test_the_sample_runs_and_holds_the_truth(tmp_path: Path, metrocli: Callable[
     planned = metrocli("plan", project / "jobs" / "table.yaml", "--json")
     assert planned.code == 0  # type: ignore[attr-defined]
     files = [Path(path) for path in json.loads(planned.out)["files"]]  # type: ignore[attr-defined]
-    assert {path.name for path in files if path.suffix == ".nc"} == {f"{name}.nc" for name in ("x", "y", "z", "xy", "yz", "xz")}
+    assert {path.name for path in files if path.suffix == ".nc"} == {
+        f"{name}.nc" for name in ("x", "y", "z", "xy", "yz", "xz")
+    }
     assert all(path.is_file() for path in files)
-    assert (project / "jobs" / "table.plan" / "points.csv").read_text().splitlines()[0].startswith("line,axis,position_mm,x_mm")
+    assert (
+        (project / "jobs" / "table.plan" / "points.csv")
+        .read_text()
+        .splitlines()[0]
+        .startswith("line,axis,position_mm,x_mm")
+    )
     compared = metrocli("locate-launch-unit", project / "jobs" / "table.yaml", "--compare")
     assert compared.code == 0 and "closed-loop" in compared.out  # type: ignore[attr-defined]

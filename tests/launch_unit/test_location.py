@@ -96,7 +96,9 @@ def test_the_methods_of_the_paper_state_what_they_scatter(method: str) -> None:
     stated = np.sqrt(np.diag(results[0].covariance))
     assert errors.std(axis=0) == pytest.approx(stated, rel=0.07)
     unit = errors / stated
-    assert np.corrcoef(unit.T) == pytest.approx(np.corrcoef(np.random.default_rng(1).multivariate_normal(np.zeros(4), results[0].covariance, 20000).T), abs=0.09)
+    assert np.corrcoef(unit.T) == pytest.approx(
+        np.corrcoef(np.random.default_rng(1).multivariate_normal(np.zeros(4), results[0].covariance, 20000).T), abs=0.09
+    )
 
 
 def test_the_scatter_of_the_paper_s_errors_is_the_stated_covariance() -> None:
@@ -130,7 +132,11 @@ def test_outliers_are_named() -> None:
     distance = noisy.distance + np.where(np.arange(12) == 5, 0.012, 0.0)
     result = located(replace(noisy, angles=angles, distance=distance))
     found = result.tables["outliers"]
-    assert set(zip(found.texts("pose"), found.texts("reading"), strict=True)) == {("P3", "phi1"), ("P8", "phi3"), ("P5", "distance")}
+    assert set(zip(found.texts("pose"), found.texts("reading"), strict=True)) == {
+        ("P3", "phi1"),
+        ("P8", "phi3"),
+        ("P5", "distance"),
+    }
     spoilt = replace(noisy, angles=angles, distance=distance).table()
     clean = locate_launch_unit.run(replace(settings(), outliers="remove"), spoilt)
     assert clean.statistics["rejected"] == 3 and clean.statistics["observations"] == 5 * 12 - 3

@@ -51,7 +51,9 @@ def exchanged(a: int, b: int, views: str = "1234") -> Callable[[Rows], Rows]:
 
 
 def set_cell(row: int, cell: int, text: str) -> Callable[[Rows], Rows]:
-    return lambda rows: [[text if (n, k) == (row, cell) else old for k, old in enumerate(line)] for n, line in enumerate(rows)]
+    return lambda rows: [
+        [text if (n, k) == (row, cell) else old for k, old in enumerate(line)] for n, line in enumerate(rows)
+    ]
 
 
 CASES: dict[str, tuple[str, Callable[[Rows], Rows], str]] = {

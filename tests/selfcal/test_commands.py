@@ -69,7 +69,9 @@ def test_between_sites_both_forms_agree_with_the_truth(tmp_path: Path) -> None:
     moved = Grid(5, "1234", one.balls, machine, artefact, one.mountings)
     rng = np.random.default_rng(3)
     places = rng.uniform(-129, 129, (300, 3))
-    points = Table({"point": np.arange(300).astype(str), **dict(zip("xyz", places.T, strict=True))}, dict.fromkeys("xyz", "mm"))
+    points = Table(
+        {"point": np.arange(300).astype(str), **dict(zip("xyz", places.T, strict=True))}, dict.fromkeys("xyz", "mm")
+    )
     result = selfcal_grid.run(moved.settings(leave_one_out="no"), moved.read(rng), None, points)
     basis = np.concatenate([np.ones((125, 1)), r], axis=1)
     # what the gauge took away is linear in the place
@@ -84,12 +86,21 @@ def test_between_sites_both_forms_agree_with_the_truth(tmp_path: Path) -> None:
 
 
 def test_effects_are_planted_and_found(project: Path, metrocli: Metrocli) -> None:
-    planted = ("artefact-expansion:view=3,scale=80um/m", "drift-in-view:view=2,vx=0um/h,vy=0um/h,vz=30um/h", "moved-ball:ball=1 0 -2,from_view=3,dx=0.1mm,dy=0mm,dz=-0.05mm")
+    planted = (
+        "artefact-expansion:view=3,scale=80um/m",
+        "drift-in-view:view=2,vx=0um/h,vy=0um/h,vz=30um/h",
+        "moved-ball:ball=1 0 -2,from_view=3,dx=0.1mm,dy=0mm,dz=-0.05mm",
+    )
     options = [word for text in planted for word in ("--effect", text)]
     ran = metrocli("simulate", "jobs/views.yaml", "--out", "new", "--seed", "5", "--set", "noise=0.5 um", *options)
     assert ran.code == 0, ran.err
     effects = '[{name: artefact-expansion, view: "3"}, {name: drift-in-view, view: "2"}, {name: moved-ball, ball: [1, 0, -2], from_view: "3"}]'
-    job = (project / "jobs" / "views.yaml").read_text().replace("noise: 5 um", f"effects: {effects}\nnoise: 0.5 um").replace("../data/views.csv", "../new/views.csv")
+    job = (
+        (project / "jobs" / "views.yaml")
+        .read_text()
+        .replace("noise: 5 um", f"effects: {effects}\nnoise: 0.5 um")
+        .replace("../data/views.csv", "../new/views.csv")
+    )
     (project / "jobs" / "more.yaml").write_text(job.replace("../results/views.h5", "../results/more.h5"))
     ran = metrocli("selfcal-grid", "jobs/more.yaml", "--json")
     assert ran.code == 0, ran.err
@@ -106,7 +117,11 @@ def test_an_effect_that_the_views_absorb_is_refused(project: Path, metrocli: Met
     rows = (project / "data" / "views.csv").read_text().splitlines()
     kept = [row for row in rows if row.split(",")[0] in ("view", "1", "2")]
     (project / "data" / "views.csv").write_text("\n".join(kept) + "\n")
-    job = (project / "jobs" / "views.yaml").read_text().replace("noise: 5 um", 'effects: [{name: moved-ball, ball: [0, 0, 1], from_view: "2"}]\nnoise: 5 um')
+    job = (
+        (project / "jobs" / "views.yaml")
+        .read_text()
+        .replace("noise: 5 um", 'effects: [{name: moved-ball, ball: [0, 0, 1], from_view: "2"}]\nnoise: 5 um')
+    )
     (project / "jobs" / "views.yaml").write_text(job)
     ran = metrocli("selfcal-grid", "jobs/views.yaml")
     assert ran.code == 4
@@ -118,15 +133,25 @@ def test_the_plan_says_what_other_views_would_give(project: Path, metrocli: Metr
     ran = metrocli("plan", "jobs/views.yaml", "--out", "planned")
     assert ran.code == 0, ran.err
     assert "13 directions undetermined" in ran.out
-    sets = csv.read(project / "planned" / "view_sets.csv", Columns((Column("views", TEXT), Column("undetermined", TEXT))))
+    sets = csv.read(
+        project / "planned" / "view_sets.csv", Columns((Column("views", TEXT), Column("undetermined", TEXT)))
+    )
     worth = dict(zip(sets.texts("views"), sets.texts("undetermined"), strict=True))
     assert worth["planned"] == "13"
     assert worth["without '4'"] == "27"
     assert worth["without '3'"] == "18"
     assert worth["without '2'"] == "31"
-    sheet = csv.read(project / "planned" / "views_to_measure.csv", Columns((Column("view", TEXT), *(Column(k, WHOLE) for k in "ijk"), *(Column(a, "length") for a in "xyz"))))
+    sheet = csv.read(
+        project / "planned" / "views_to_measure.csv",
+        Columns((Column("view", TEXT), *(Column(k, WHOLE) for k in "ijk"), *(Column(a, "length") for a in "xyz"))),
+    )
     assert len(sheet) == 475
-    row = np.flatnonzero((np.array(sheet.texts("view")) == "2") & (sheet.numbers("i") == 2) & (sheet.numbers("j") == 1) & (sheet.numbers("k") == 0))[0]
+    row = np.flatnonzero(
+        (np.array(sheet.texts("view")) == "2")
+        & (sheet.numbers("i") == 2)
+        & (sheet.numbers("j") == 1)
+        & (sheet.numbers("k") == 0)
+    )[0]
     assert [sheet.numbers(a)[row] for a in "xyz"] == [-65.0, 130.0, 0.0]
 
 

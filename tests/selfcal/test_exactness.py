@@ -143,9 +143,14 @@ def test_sites_outside_the_grid_and_repeats() -> None:
     error = rng.normal(0, 0.01, outer.shape)
     x = PITCH * (outer + [1, 0, 0]) + one.artefact[[place[tuple(b)] for b in outer.tolist()]]
     more = error + shift + x @ euler(angles).T
-    joined = {name: np.concatenate([table.columns[name], table.columns[name][:5], values]) for name, values in zip(("view", *"ijk", *"xyz"), (np.array(["4"] * 9), *outer.T, *more.T), strict=True)}
+    joined = {
+        name: np.concatenate([table.columns[name], table.columns[name][:5], values])
+        for name, values in zip(("view", *"ijk", *"xyz"), (np.array(["4"] * 9), *outer.T, *more.T), strict=True)
+    }
     repeat = np.array(["1"] * len(table) + ["2"] * 5 + ["1"] * 9)
-    result = selfcal_grid.run(one.settings(leave_one_out="no"), Table({**joined, "repeat": repeat}, dict.fromkeys("xyz", "mm")))
+    result = selfcal_grid.run(
+        one.settings(leave_one_out="no"), Table({**joined, "repeat": repeat}, dict.fromkeys("xyz", "mm"))
+    )
     found = result.tables["machine_error"]
     beyond = found.numbers("i") == 2
     assert beyond.sum() == 9

@@ -43,7 +43,11 @@ def test_families_are_named_with_their_remedy(views: str) -> None:
     _, result = run(views)
     table = result.tables["undetermined"]
     named = list(zip(table.texts("pattern"), table.numbers("directions").astype(int).tolist(), strict=True))
-    assert named[:3] == [("rigid motion of the machine error", 6), ("rigid motion of the artefact error", 6), ("common scale", 1)]
+    assert named[:3] == [
+        ("rigid motion of the machine error", 6),
+        ("rigid motion of the artefact error", 6),
+        ("common scale", 1),
+    ]
     assert named[3:] == FAMILIES[views]
     assert REMEDIES[views] in result.notes
     assert REMEDIES[views] in result.warnings
@@ -91,7 +95,12 @@ def test_a_ball_seen_once_at_a_site_seen_once() -> None:
     turned = one.balls[[tuple(b) == (1, 1, 1) for b in one.balls.tolist()]][0]
     drop = ball & (view != "1")
     for name, image in (("2", (1, -1, 1)), ("3", (1, 1, -1)), ("4", (0, 1, 1))):
-        drop |= (view == name) & (table.numbers("i") == image[0]) & (table.numbers("j") == image[1]) & (table.numbers("k") == image[2])
+        drop |= (
+            (view == name)
+            & (table.numbers("i") == image[0])
+            & (table.numbers("j") == image[1])
+            & (table.numbers("k") == image[2])
+        )
     assert turned.tolist() == [1, 1, 1]
     result = selfcal_grid.run(one.settings(leave_one_out="no"), without(table, drop))
     table = result.tables["undetermined"]
@@ -111,7 +120,13 @@ def test_outliers_are_named_and_left_out() -> None:
     for row in rows:
         table.columns["y"][row] += 40 * NOISE
     reported = selfcal_grid.run(one.settings(leave_one_out="no"), table)
-    names = list(zip(reported.tables["suspects"].texts("view"), *(reported.tables["suspects"].numbers(k).astype(int).tolist() for k in "ijk"), strict=True))
+    names = list(
+        zip(
+            reported.tables["suspects"].texts("view"),
+            *(reported.tables["suspects"].numbers(k).astype(int).tolist() for k in "ijk"),
+            strict=True,
+        )
+    )
     wanted = [(table.texts("view")[row], *(int(table.numbers(k)[row]) for k in "ijk")) for row in rows]
     assert set(wanted) <= set(names)
     removed = selfcal_grid.run(one.settings(leave_one_out="no", outliers="remove"), table)
