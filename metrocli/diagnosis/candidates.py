@@ -9,10 +9,10 @@ from itertools import product
 import numpy as np
 
 from metrocli.adjust.blocks import Array
-from metrocli.diagnosis.projection import System, whitened_columns
+from metrocli.diagnosis.projection import System, signatures
 from metrocli.diagnosis.subject import Subject
 from metrocli.effects.effect import COLUMN, Effect
-from metrocli.effects.model import Model, can_act, with_effect
+from metrocli.effects.model import Model, can_act
 
 _FEWEST = 3
 """Readings that a candidate must touch, and leave alone where it acts on a part of a place; fewer are outliers"""
@@ -140,21 +140,11 @@ def _columns(
     model: Model, system: System, effect: Effect, places: Sequence[tuple[str, ...]], scanned: Mapping[str, float]
 ) -> list[tuple[Alternative, Array, Array]]:
     """Return for each place the visible columns of its parameters (rows, parameters) and their norms before."""
-    extended = with_effect(model, effect, places, scanned)
-    block = extended.blocks[extended.added[-1].block]
-    before = model.blocks.get(block.name)
-    chosen = block.free.copy()
-    if before is not None:
-        chosen[:, : before.size] &= ~before.free
+    full, block, chosen = signatures(model, system, effect, places, scanned)
     if not chosen.any():
         return []
     member, column = np.nonzero(chosen)
-    full = np.zeros((system.rows, len(member)))
-    for group in extended.readings:
-        found = whitened_columns(extended, group, block, chosen)
-        start = system.first[group.name]
-        factor = group.observations.sigma.T.ravel() / system.scale[start : start + len(found)]
-        full[start : start + len(found)] = found * factor[:, None]
+    before = model.blocks.get(block.name)
     seen = system.seen(full)
     kept = []
     for number, place in enumerate(places):

@@ -14,6 +14,8 @@ from metrocli.diagnosis.selection import Chosen, Selection, evidence
 _ODDS = 1 / 20
 _NEEDED = 0.01
 """Level below which an effect is still needed beside another, so that the other does not explain it"""
+_TOLD = 6.6
+"""Non-centrality that what only the named effect explains must have: without it the two are not told apart"""
 _NEAR = 0.9
 """Cosine above which a form with more parameters counts as another explanation"""
 _SIGNIFICANT = 0.05
@@ -98,8 +100,12 @@ def _rivals(selection: Selection, one: Chosen, given: Given, fitted: Array) -> t
 
 
 def _explains(selection: Selection, one: Chosen, given: Given, family: int, at: int, cosine: float, rank: int) -> bool:
-    """Whether with the rival in the model the named effect is not needed any more."""
+    """Whether with the rival in the model the named effect is not needed any more, or could not be."""
     field = selection.field
+    gain = field.score(one.family, given, [one.number]).gain[0]
+    noise = selection.given().squares / max(selection.given().dof, 1)
+    if (1 - cosine**2) * gain < _TOLD * noise:
+        return True
     columns = field.families[family].columns[:, at]
     beside = given.with_columns(columns)
     score = field.score(one.family, beside, [one.number])

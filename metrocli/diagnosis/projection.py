@@ -7,7 +7,7 @@ on the datum.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -18,7 +18,8 @@ from metrocli.adjust.datum import open_frame
 from metrocli.adjust.groups import Group, Linear
 from metrocli.adjust.layout import Layout, arrange
 from metrocli.adjust.observations import Index, Mask
-from metrocli.effects.model import Model
+from metrocli.effects.effect import Effect
+from metrocli.effects.model import Model, with_effect
 from metrocli.errors import InputError
 
 MOST_NUMBERS = 60_000_000
@@ -41,6 +42,8 @@ class System:
     """The first row of each group"""
     scale: Array
     """Standard deviation of each row in the unit of its reading, (rows,)"""
+    sizes: Array
+    """Norm of J's column of each unknown, (unknowns,)"""
 
     @property
     def rows(self) -> int:
@@ -119,8 +122,8 @@ def linearised(model: Model, weights: Mapping[str, Array] | None = None) -> Syst
         jacobians.append(jacobian.reshape(n * d, -1) * factor[:, None])
         scales.append(group.observations.sigma.T.ravel() / factor)
     residual, jacobian = np.concatenate(residuals), np.concatenate(jacobians)
-    basis, solver = _factored(model, layout, jacobian)
-    system = System(model, layout, residual, basis, solver, first, np.concatenate(scales))
+    basis, solver, sizes = _factored(model, layout, jacobian)
+    system = System(model, layout, residual, basis, solver, first, np.concatenate(scales), sizes)
     return replace(system, residual=system.seen(residual))
 
 
@@ -142,8 +145,8 @@ def scatter(full: Array, jacobian: Array, columns: Index) -> None:
         full[rows[kept], :, at[kept]] += jacobian[:, a, :].T[kept]
 
 
-def _factored(model: Model, layout: Layout, jacobian: Array) -> tuple[Array, Array]:
-    """Return basis and solver by a QR decomposition, with the conditions of the datum as rows of their own."""
+def _factored(model: Model, layout: Layout, jacobian: Array) -> tuple[Array, Array, Array]:
+    """Return basis, solver and sizes by a QR decomposition, with the conditions of the datum as rows of their own."""
     size = np.sqrt((jacobian**2).sum(axis=0))
     size = np.where(size > 0, size, 1.0)
     scaled = jacobian / size
@@ -158,7 +161,7 @@ def _factored(model: Model, layout: Layout, jacobian: Array) -> tuple[Array, Arr
             rows = np.concatenate([scaled, conditions / np.linalg.norm(conditions, axis=1, keepdims=True)])
     q, triangle = np.linalg.qr(rows)
     inverse = np.linalg.inv(triangle)
-    return q[: len(jacobian)], inverse / size[:, None]
+    return q[: len(jacobian)], inverse / size[:, None], size
 
 
 def whitened_columns(model: Model, group: Group, block: Block, chosen: Mask) -> Array:
@@ -171,3 +174,32 @@ def whitened_columns(model: Model, group: Group, block: Block, chosen: Mask) -> 
         for touch in group.linear(model.blocks, frozenset({block.name})).touches:
             scatter(full, touch.jacobian, numbers[touch.index])
     return full.reshape(n * d, -1)
+
+
+def signatures(
+    model: Model, system: System, effect: Effect, places: Sequence[tuple[str, ...]], scanned: Mapping[str, float]
+) -> tuple[Array, Block, Mask]:
+    """Return the whitened columns that an effect at some places adds (rows, entries), with its block and the entries.
+
+    Entries are those of the effect's block that the model did not estimate before, (members, size).
+    """
+    extended = with_effect(model, effect, places, scanned)
+    block = extended.blocks[extended.added[-1].block]
+    before = model.blocks.get(block.name)
+    chosen = block.free.copy()
+    if before is not None:
+        chosen[:, : before.size] &= ~before.free
+    full = np.zeros((system.rows, int(chosen.sum())))
+    for group in extended.readings:
+        found = whitened_columns(extended, group, block, chosen)
+        start = system.first[group.name]
+        factor = group.observations.sigma.T.ravel() / system.scale[start : start + len(found)]
+        full[start : start + len(found)] = found * factor[:, None]
+    return full, block, chosen
+
+
+def signature(
+    model: Model, system: System, effect: Effect, place: tuple[str, ...], scanned: Mapping[str, float]
+) -> Array:
+    """Return the whitened columns of an effect at one place, (rows, parameters)."""
+    return signatures(model, system, effect, [place], scanned)[0]

@@ -151,25 +151,42 @@ def _diagonal(field: Field, reading: int) -> Array:
 
 
 def levels_of(selection: Selection) -> list[float]:
-    """Return ln of the level of each chosen one given the others, from one joint solution."""
-    field, chosen = selection.field, selection.chosen
-    if not chosen:
-        return []
-    given = selection.given()
-    x = np.concatenate([one.columns for one in chosen], axis=1)
+    """Return ln of the level of each chosen one given the others."""
+    field, full = selection.field, selection.given()
+    gains = {id(one): selection.given(without=[one]) for one in selection.chosen if not one.outlier}
+    found = _outlier_gains(selection)
+    levels = []
+    for one in selection.chosen:
+        if one.outlier:
+            gain, q = found[id(one)]
+        else:
+            without = gains[id(one)]
+            gain, q = without.squares - full.squares, int(without.dof - full.dof)
+        share = np.array(gain / max(full.squares + gain, 1e-300))
+        log_p = float(log_tail(share, q, max(full.dof, 1))) if q else 0.0
+        levels.append(field.overall(field.level(one.family, log_p)))
+    return levels
+
+
+def _outlier_gains(selection: Selection) -> dict[int, tuple[float, int]]:
+    """Return by how much each outlier lowers the sum of squares beside all else, and its rank, from one solution."""
+    outliers = selection.outliers
+    if not outliers:
+        return {}
+    base = selection.given(without=outliers)
+    x = np.concatenate([one.columns for one in outliers], axis=1)
+    x = x - base.basis @ (base.basis.T @ x)
     size = np.maximum(np.linalg.norm(x, axis=0), 1e-300)
     inverse = np.linalg.pinv((x / size).T @ (x / size), rcond=1e-11, hermitian=True)
-    beta = inverse @ ((x / size).T @ selection.start.residual)
-    found, place = [], 0
-    for one in chosen:
+    beta = inverse @ ((x / size).T @ base.residual)
+    found, place = {}, 0
+    for one in outliers:
         own = slice(place, place + one.columns.shape[1])
         place = own.stop
         values, vectors = np.linalg.eigh(inverse[own, own])
-        good = values > 1e-9 * values[-1]
+        good = values > 1e-9 * max(float(values[-1]), 1e-300)
         gain = float((((vectors.T @ beta[own]) ** 2)[good] / values[good]).sum())
-        q = int(good.sum())
-        log_p = float(log_tail(np.array(gain / max(given.squares + gain, 1e-300)), q, max(given.dof, 1)))
-        found.append(field.overall(field.level(one.family, log_p)))
+        found[id(one)] = gain, int(good.sum())
     return found
 
 

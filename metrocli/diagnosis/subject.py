@@ -60,5 +60,7 @@ class Subject:
     """Adjusts a model made from this one to some of the readings of each group"""
     reading: tuple[str, str] = ("um", "length")
     """Unit and dimension in which held-out errors of readings are told"""
+    declared: str = ""
+    """The noise as the job declares it, in words"""
     offers: Callable[[Model], Iterable[tuple[str, Model]]] = field(default=lambda model: ())
     """What could be measured in addition, in words, with the model of that measurement"""
