@@ -114,11 +114,14 @@ def diagnose(subject: Subject, say: Say = lambda line: None) -> Diagnosis:
 
 def planned(subject: Subject) -> Design:
     """Return what a measurement can see, before or without looking at its residuals."""
-    field, not_tested = _field(subject, {}, np.random.default_rng(_SEED))
+    field, not_tested = field_of_job(subject, {}, np.random.default_rng(_SEED))
     return design(subject, field, not_tested)
 
 
-def _field(subject: Subject, weights: Mapping[str, Array], rng: np.random.Generator) -> tuple[Field, list[NotTested]]:
+def field_of_job(
+    subject: Subject, weights: Mapping[str, Array], rng: np.random.Generator
+) -> tuple[Field, list[NotTested]]:
+    """Return the race of everything that could be in a job, and the effects that its data do not allow to test."""
     system = linearised(subject.model, weights)
     families, not_tested = families_of(subject, system)
     return field_of(system, [*families, *smooth_families(subject, system)], rng), not_tested
@@ -129,7 +132,7 @@ def _selected(subject: Subject, rng: np.random.Generator) -> tuple[Field, list[N
     weights: Mapping[str, Array] = {}
     units: tuple[Unit, ...] = ()
     for _ in range(_ROUNDS + 1):
-        field, not_tested = _field(subject, weights, rng)
+        field, not_tested = field_of_job(subject, weights, rng)
         selection = select(field, nothing(field.system))
         unit = apart(subject, field.system, selection.given(), rng) if len(units) < _ROUNDS else None
         if unit is None:
