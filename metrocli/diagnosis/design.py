@@ -18,6 +18,8 @@ from metrocli.diagnosis.subject import Subject
 _POWER = 0.8
 _ALIKE = 0.9
 _SAME = 0.999
+_HELPS = 0.98
+"""Correlation above which an offer is not worth telling"""
 _NAMED_ABSORBERS = 3
 _PART = 0.1
 """Share of the largest below which an unknown is not named among those that absorb"""
@@ -204,5 +206,7 @@ def separations(subject: Subject, one: Alternative, other: Alternative) -> list[
     enough = [f"{words} (their correlation falls to {rho:.2f})" for rho, words in found if rho < _ALIKE]
     if enough:
         return enough[:2]
-    best = [f"{words} (their correlation falls to {rho:.2f} only)" for rho, words in sorted(found)[:1]]
-    return best or list(dict.fromkeys([one.effect.reveal, other.effect.reveal]))
+    helping = [
+        f"{words} (their correlation falls to {rho:.2f} only)" for rho, words in sorted(found)[:1] if rho < _HELPS
+    ]
+    return helping + list(dict.fromkeys([one.effect.reveal, other.effect.reveal]))

@@ -15,7 +15,7 @@ from metrocli.adjust.solution import Solution
 from metrocli.diagnosis.subject import Covariate, Delivered, Subject
 from metrocli.effects import effects_of
 from metrocli.effects.effect import ELAPSED, WARMING
-from metrocli.effects.model import Model, with_conditions
+from metrocli.effects.model import Model, Place, with_conditions
 from metrocli.instruments import tracer as t
 from metrocli.instruments.frames import DistanceBetween
 from metrocli.tasks.length_network import LENGTHS
@@ -24,6 +24,9 @@ from metrocli.tasks.network_solve import Solved, refitted
 from metrocli.units import parse_quantity
 
 FOLDS = 10
+_CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
+_BEYOND = 0.2
+"""By how much of its size the box of offered points goes beyond points and tracers"""
 _BAR = parse_quantity("1 um", "length")
 
 
@@ -103,6 +106,11 @@ def offers(model: Model) -> Iterator[tuple[str, Model]]:
             f"every {_CLOSING}th point again with the air 2 K warmer",
             _with_repeats(model, some, later=1.0, warmer=2.0),
         )
+    if ELAPSED in observations.conditions:
+        yield (
+            "eight points all around the tracers, by all of them, at the beginning and at the end",
+            _with_corners(model),
+        )
     ends = _far_apart(model.blocks[t.POINT].values)
     names = [model.blocks[t.POINT].members[i] for i in ends]
     yield f"a calibrated distance from {names[0]} to {names[1]} (to 1 um)", _with_bar(model, ends)
@@ -122,16 +130,61 @@ def _with_repeats(model: Model, rows: Index, later: float, warmer: float = 0.0) 
     if WARMING in conditions:
         last = float(old.conditions[WARMING][np.argmax(old.conditions.get(ELAPSED, np.zeros(1)))])
         conditions[WARMING] = np.full(len(rows), last + warmer)
-    joined = replace(
+    repeated = joined(old, replace(new, conditions=conditions))
+    groups = tuple(replace(one, observations=repeated) if one is group else one for one in model.groups)
+    return replace(model, groups=groups)
+
+
+def _with_corners(model: Model) -> Model:
+    """Return the model with new points at the corners of a box that holds tracers and points, read at two times."""
+    group, block, tracers = model.readings[0], model.blocks[t.POINT], model.blocks[t.TRACER]
+    places = np.concatenate([block.values, tracers.values[:, :3]])
+    low, high = places.min(axis=0), places.max(axis=0)
+    corners = low + (high - low) * (_CORNERS * (1 + 2 * _BEYOND) - _BEYOND)
+    names = tuple(f"corner {i}" for i in range(len(corners)))
+    points = replace(
+        block,
+        values=np.concatenate([block.values, corners]),
+        members=(*block.members, *names),
+        free=np.concatenate([block.free, np.ones((len(corners), 3), dtype=bool)]),
+    )
+    m, old = len(tracers.members), group.observations
+    corner, tracer = np.divmod(np.tile(np.arange(len(corners) * m), 2), m)
+    rows = np.array([int(np.flatnonzero(old.index[t.TRACER] == j)[0]) for j in range(m)])[tracer]
+    new = old.selected(rows)
+    late = np.repeat([0.0, 1.0], len(corners) * m)
+    span = {name: (values.min(), np.ptp(values)) for name, values in old.conditions.items() if name in ("t", ELAPSED)}
+    conditions = {name: start + width * late for name, (start, width) in span.items()}
+    changed = replace(
+        new,
+        index={**new.index, t.POINT: len(block.members) + corner},
+        keys={**new.keys, "point": tuple(names[i] for i in corner)},
+        conditions={**new.conditions, **conditions},
+    )
+    datum = model.datum
+    if datum is not None:
+        zeros = np.zeros(len(corners))
+        datum = replace(
+            datum,
+            reference=np.concatenate([datum.reference, corners]),
+            members=np.concatenate([datum.members, zeros]),
+        )
+    groups = tuple(replace(one, observations=joined(old, changed)) if one is group else one for one in model.groups)
+    places_ = {**model.places, "point": Place(points.members, t.POINT)}
+    whole = replace(model, blocks={**model.blocks, t.POINT: points}, groups=groups, datum=datum, places=places_)
+    return with_conditions(whole)
+
+
+def joined(old: Observations, new: Observations) -> Observations:
+    """Return observations of one kind, one after the other."""
+    return replace(
         old,
         readings=np.concatenate([old.readings, new.readings], axis=1),
         sigma=np.concatenate([old.sigma, new.sigma], axis=1),
         index={name: np.concatenate([index, new.index[name]], axis=-1) for name, index in old.index.items()},
         keys={name: (*values, *new.keys[name]) for name, values in old.keys.items()},
-        conditions={name: np.concatenate([values, conditions[name]]) for name, values in old.conditions.items()},
+        conditions={name: np.concatenate([values, new.conditions[name]]) for name, values in old.conditions.items()},
     )
-    groups = tuple(replace(one, observations=joined) if one is group else one for one in model.groups)
-    return replace(model, groups=groups)
 
 
 def _far_apart(points: Array) -> tuple[int, int]:
