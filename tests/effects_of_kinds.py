@@ -10,10 +10,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+import simulated_launch
 import simulated_lengths
 
 from metrocli.effects.effect import Effect
 from metrocli.effects.model import Model, with_conditions
+from metrocli.tasks import launch_problem, launch_readings
 from metrocli.tasks.length_network import build
 
 
@@ -46,8 +48,19 @@ def multilaterate(effect: Effect) -> Model:
     return with_conditions(model.with_blocks({**model.blocks, "tracer": model.blocks["tracer"].with_values(true)}))
 
 
+def locate_launch_unit(effect: Effect) -> Model:
+    """25 poses with distances around a unit; times and temperatures at random."""
+    exact = simulated_launch.anywhere(25, 7, distances=True)
+    rng = np.random.default_rng(5)
+    table = exact.table(t=rng.uniform(100.0, 2000.0, 25), temp=20 + rng.uniform(0, 1, 25))
+    model = launch_problem.build(launch_readings.read(table), simulated_launch.NOISE).model()
+    true = model.blocks["launch unit"].with_values(exact.truth[None])
+    return with_conditions(model.with_blocks({**model.blocks, "launch unit": true}))
+
+
 MEASURED: dict[str, Measured] = {
     "multilaterate": Measured(multilaterate, {"at": 900.0}),
+    "locate-launch-unit": Measured(locate_launch_unit, {}),
 }
 
 

@@ -13,6 +13,7 @@ from metrocli.tasks.multilaterate import Inputs, LengthNoise, Scale, Settings
 
 Array = npt.NDArray[np.float64]
 NOWHERE = Path("-")
+RNG = np.random.default_rng(3)
 NOISE = LengthNoise(1e-4, 1e-7)
 """0.1 um and 0.1 um/m"""
 VOLUME = np.array([1000.0, 600.0, 500.0])
@@ -88,6 +89,36 @@ def network(n: int, m: int, seed: int = 0, scale: float = 0.0, noise: float = 1.
     dead = rng.uniform(200, 900, m)
     empty = Network(points, points + rng.normal(0, 0.02, (n, 3)), tracers, dead, 1 + rng.normal(0, 1, m) * scale, np.zeros((n, m)))
     return empty.read(rng, noise)
+
+
+def on_plane(m: int) -> Network:
+    """Tracers in one plane."""
+    net = network(30, m, seed=m)
+    tracers = net.tracers.copy()
+    tracers[:, 2] = 100 + 0.2 * tracers[:, 0] - 0.1 * tracers[:, 1]
+    return replace(net, tracers=tracers).read(RNG)
+
+
+def on_line(m: int) -> Network:
+    """Points on one line."""
+    net = network(30, m, seed=m)
+    points = np.linspace(0, 1, 30)[:, None] * VOLUME
+    return replace(net, points=points, nominal=points + RNG.normal(0, 0.02, points.shape)).read(RNG)
+
+
+def all_in_one_plane() -> Network:
+    """Points and tracers in one plane."""
+    net = network(30, 5, seed=5)
+    points, tracers = net.points * [1, 1, 0], net.tracers * [1, 1, 0]
+    return replace(net, points=points, nominal=points + RNG.normal(0, 0.02, points.shape), tracers=tracers).read(RNG)
+
+
+def close_together() -> Network:
+    """Two of four tracers at one place."""
+    net = network(30, 4, seed=4)
+    tracers = net.tracers.copy()
+    tracers[1] = tracers[0] + [1.0, 0.5, 0.0]
+    return replace(net, tracers=tracers).read(RNG)
 
 
 def settings(

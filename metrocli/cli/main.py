@@ -14,6 +14,7 @@ COMMANDS = {
     "check": "validate a job or project without computing",
     "diagnose": "what the model of a job gets wrong, and why",
     "simulate": "the measurement that a job's model predicts",
+    "plan": "what a planned measurement will determine, and a better one",
     "show": "a result on the terminal",
     "export": "a result in another format: CSV",
     "schema": "JSON schema of a job, for editors",

@@ -16,7 +16,7 @@ ELAPSED, WARMING = "elapsed", "warming"
 """Conditions that effects vary with: time since the earliest reading [s], and temperature minus its value there [K]"""
 DRIVERS = {"t": ELAPSED, "T": WARMING}
 """What `by` may be, and the condition it stands for"""
-COLUMN = {"t": "t_s", "temp": "temp_degC"}
+COLUMN = {"t": "t_s", "temp": "temp_degC", "distance": "distance_mm"}
 """The column of a file that gives a condition which an effect needs"""
 MakeLink = Callable[[str, Mapping[str, str]], Link]
 """Makes the link from the name of its block and the place where it acts"""

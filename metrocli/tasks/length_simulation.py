@@ -123,6 +123,17 @@ def _named(names: Sequence[str], stations: Array) -> dict[str, float]:
     }
 
 
+def length_table(points: list[str], tracers: list[str], reading: Array) -> Table:
+    """Return readings (points, tracers) as a file of lengths has them."""
+    n, m = reading.shape
+    columns: dict[str, Values] = {
+        "point": np.repeat(np.array(points), m),
+        "tracer": np.tile(np.array(tracers), n),
+        "length": reading.ravel(),
+    }
+    return Table(columns, {"length": "mm"})
+
+
 def _model(design: Table, planned: Planned, points: Array, stations: Array) -> Model:
     """Return the forward model of the design at the truth, with readings of zero."""
     names, tracers = planned.points.texts("point"), planned.tracers.texts("tracer")

@@ -24,6 +24,13 @@ def uncontrolled(network: Network) -> Table:
     return Table(columns, {"hides": "mm"})
 
 
+def in_words(hidden: Table) -> tuple[str, ...]:
+    """Return what no residual of the measurement shows, as lines of text."""
+    rows = zip(*(hidden.texts(name) for name in ("effect", "assumed")), hidden.numbers("hides"), strict=True)
+    lines = [f"  {effect}: {units.roughly(size, 'um')} by {assumed}" for effect, assumed, size in rows]
+    return ("", "not controlled by this design (table not_controlled says what would):", *lines)
+
+
 def _rows(network: Network) -> Iterator[tuple[str, str, float, str]]:
     seen = network.nominal[network.seen > 0]
     extent = float(np.linalg.norm(np.ptp(seen, axis=0)))

@@ -15,8 +15,9 @@ from metrocli.adjust.groups import Group, ReadBlock, ReadBlocks
 from metrocli.adjust.observations import Observations
 from metrocli.adjust.quantities import Quantity
 from metrocli.geometry import poses
-from metrocli.instruments import frames, lens, spindle_camera, tracer
+from metrocli.instruments import frames, launch_unit, lens, spindle_camera, tracer
 from metrocli.instruments.frames import DistanceBetween, Into, OutOf, PointOf
+from metrocli.instruments.launch_unit import AboutBase, BeamBack, BeamLength, BeamOut, Encoders
 from metrocli.instruments.lens import PARAMETERS, Lens, LensBackward
 from metrocli.instruments.spindle_camera import Coupling
 from metrocli.instruments.tracer import LengthFrom
@@ -47,6 +48,10 @@ def lens_block(**values: float) -> Block:
     return Block("lens", np.array([list(values.values())]), tuple(values))
 
 
+def unit_block() -> Block:
+    return Block("launch unit", np.array([[-300.0, 400.0, 100.0, 2.5]]), launch_unit.COLUMNS)
+
+
 @dataclass(frozen=True)
 class Case:
     """A link at some values."""
@@ -54,6 +59,8 @@ class Case:
     link: Link
     blocks: tuple[Block, ...]
     touched: int = 1
+    largest: float = 2400.0
+    """Of the readings"""
 
     def local(self, blocks: tuple[Block, ...]) -> Local:
         rng = np.random.default_rng(5)
@@ -61,7 +68,7 @@ class Case:
         index = {block.name: rng.integers(len(block.members), size=shape) for block in blocks}
         if self.touched > 1:
             index = {name: np.stack([np.arange(N) % 5, (np.arange(N) + 2) % 5]) for name in index}
-        readings = np.stack([rng.uniform(0, 2400, N), rng.uniform(0, 1800, N)])
+        readings = np.stack([rng.uniform(0, self.largest, N), rng.uniform(0, self.largest * 0.75, N)])
         return Local({block.name: block for block in blocks}, Observations(readings, np.ones(1), index), self.wanted)
 
     @property
@@ -94,6 +101,15 @@ CASES: dict[str, Case] = {
     "Into, one": Case(Into("pose", ON_TARGETS, IN_CAMERA), (pose_block("pose", 1),)),
     "DistanceBetween": Case(DistanceBetween("points"), (point_block(5),), touched=2),
     "LengthFrom": Case(LengthFrom(), (Block("tracer", TRACERS, tracer.COLUMNS, tuple("abc")),)),
+    "BeamOut": Case(BeamOut(), (unit_block(),)),
+    "BeamBack": Case(BeamBack(), (unit_block(),)),
+    "AboutBase, one": Case(AboutBase("launch unit", 3, Quantity.BEAM_OUT, Quantity.BEAM_AT_LAUNCH), (unit_block(),)),
+    "AboutBase": Case(
+        AboutBase("spindle", 0, Quantity.BEAM_BACK, Quantity.BEAM_AT_RECEIVER),
+        (Block("spindle", np.array([[0.4], [-2.9]]), ("psi",), ("a", "b")),),
+    ),
+    "Encoders": Case(Encoders(Quantity.BEAM_AT_LAUNCH, Quantity.LAUNCH_ANGLES), (), largest=8.0),
+    "BeamLength": Case(BeamLength(), ()),
     "Coupling": Case(Coupling("coupling"), (Block("coupling", np.array([[0.4]]), ("gamma_s",)),)),
     "Coupling, several": Case(Coupling("coupling"), (Block("coupling", np.array([[0.4], [-0.2]]), ("gamma_s",), ("a", "b")),)),
     "ReadBlock": Case(reading(point_block(5), (0, 2)), (point_block(5),)),
@@ -136,7 +152,7 @@ def close(found: Array, expected: Array, scale: float) -> bool:
 
 
 def test_the_table_has_every_link() -> None:
-    modules = (frames, lens, spindle_camera, groups, tracer)
+    modules = (frames, lens, spindle_camera, groups, tracer, launch_unit)
     classes = {c.__name__ for module in modules for c in vars(module).values() if isinstance(c, type) and hasattr(c, "step") and hasattr(c, "gives") and c is not Link}
     assert classes | {"Coupling"} <= {type(case.link).__name__ for case in CASES.values()} | {"PointOf"}
     assert {name for case in CASES.values() for block in case.blocks if block.name == "lens" for name in block.columns} == set(PARAMETERS)

@@ -7,38 +7,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulated_lengths import VOLUME, Network, network, settings
+from simulated_lengths import (
+    RNG,
+    Network,
+    all_in_one_plane,
+    close_together,
+    network,
+    on_line,
+    on_plane,
+    settings,
+)
 
 from metrocli.errors import UndeterminedError
 from metrocli.tasks import multilaterate
-
-RNG = np.random.default_rng(3)
-
-
-def on_plane(m: int) -> Network:
-    net = network(30, m, seed=m)
-    tracers = net.tracers.copy()
-    tracers[:, 2] = 100 + 0.2 * tracers[:, 0] - 0.1 * tracers[:, 1]
-    return replace(net, tracers=tracers).read(RNG)
-
-
-def on_line(m: int) -> Network:
-    net = network(30, m, seed=m)
-    points = np.linspace(0, 1, 30)[:, None] * VOLUME
-    return replace(net, points=points, nominal=points + RNG.normal(0, 0.02, points.shape)).read(RNG)
-
-
-def all_in_one_plane() -> Network:
-    net = network(30, 5, seed=5)
-    points, tracers = net.points * [1, 1, 0], net.tracers * [1, 1, 0]
-    return replace(net, points=points, nominal=points + RNG.normal(0, 0.02, points.shape), tracers=tracers).read(RNG)
-
-
-def close_together() -> Network:
-    net = network(30, 4, seed=4)
-    tracers = net.tracers.copy()
-    tracers[1] = tracers[0] + [1.0, 0.5, 0.0]
-    return replace(net, tracers=tracers).read(RNG)
 
 
 def without(rows: slice, columns: slice) -> Network:
