@@ -26,7 +26,8 @@ PLACES = np.array(
 """Tracers around the volume, as shares of it"""
 EVERYWHERE = ("refraction-drift",)
 AT_ONE = ("tracer-scale", "dead-path-drift", "dead-path-jump", "tracer-drift", "sphere-form")
-NEAR_ALIAS = ("dead-path-drift", "tracer-drift")
+ALIKE = 0.9
+"""Cosine of what is visible of two effects from which they are near aliases"""
 OUTSIDE = ("_three-lobe", "_time-sine", "_common-sine", "_length-square", "_elevation-cube", "_warm-up")
 
 
@@ -154,8 +155,8 @@ _PARAMETERS = {
 }
 
 
-def strength(m: Measurement, change: Array) -> float:
-    """Return the norm of what points, tracers and dead paths leave of a change, in standard deviations."""
+def visible(m: Measurement, changes: Array) -> Array:
+    """Return what points, tracers and dead paths leave of changes (n, k), in standard deviations."""
     u = m.beam / m.distance[:, None]
     n, k = len(m.points), len(m.tracers)
     rows = np.arange(len(m.t))
@@ -164,8 +165,37 @@ def strength(m: Measurement, change: Array) -> float:
         jacobian[rows, 3 * m.point + a] = u[:, a]
         jacobian[rows, 3 * n + 4 * m.tracer + a] = -u[:, a]
     jacobian[rows, 3 * n + 4 * m.tracer + 3] = -1.0
-    left = np.linalg.lstsq(jacobian / m.sigma[:, None], change / m.sigma, rcond=1e-11)[0]
-    return float(np.linalg.norm(change / m.sigma - jacobian / m.sigma[:, None] @ left))
+    taken = np.linalg.lstsq(jacobian / m.sigma[:, None], changes / m.sigma[:, None], rcond=1e-11)[0]
+    return np.asarray((changes - jacobian @ taken) / m.sigma[:, None])
+
+
+def nearest(m: Measurement, name: str, at: int, change: Array) -> float:
+    """Return the largest cosine of what is visible of a change with another known effect on the same tracer."""
+    spans = {other: _span(m, other, at) for other in _PARAMETERS if other != name}
+    alone = _span(m, "refraction-drift", at)
+    spans |= {f"refraction by {i}": alone[:, [i]] for i in range(2) if name != "refraction-drift"}
+    spans.pop("refraction-drift", None)
+    jumps = spans.pop("dead-path-jump", np.zeros((len(m.t), 0)))
+    spans |= {f"jump {i}": jumps[:, [i]] for i in range(jumps.shape[1])}
+    seen = visible(m, np.column_stack([change, *spans.values()]))
+    mine, place, most = seen[:, 0] / np.linalg.norm(seen[:, 0]), 1, 0.0
+    for span in spans.values():
+        basis, _ = np.linalg.qr(seen[:, place : place + span.shape[1]])
+        most, place = max(most, float(np.linalg.norm(basis.T @ mine))), place + span.shape[1]
+    return most
+
+
+def _span(m: Measurement, name: str, at: int) -> Array:
+    """Return the changes by each parameter of an effect at some size, (n, k); jumps at 20 times."""
+    if name == "dead-path-jump":
+        times = np.quantile(m.t, np.linspace(0.05, 0.95, 20))
+        return np.stack([signature(name, at, {"step": 1e-3, "at": float(t)})(m) for t in times], axis=1)
+    if name == "refraction-drift":
+        return np.stack([signature(name, at, {"rate": 1e-8, "by": by})(m) for by in (1.0, 0.0)], axis=1)
+    keys = _PARAMETERS[name]
+    size = {"tracer-scale": 1e-6, "sphere-form": 1e-3}.get(name, 1e-7)
+    units = [{key: size * (key == one) for key in keys} for one in keys]
+    return np.stack([signature(name, at, one)(m) for one in units], axis=1)
 
 
 def planted(m: Measurement, rng: np.random.Generator, name: str, times: float) -> tuple[Measurement, Hidden]:
@@ -180,11 +210,12 @@ def planted(m: Measurement, rng: np.random.Generator, name: str, times: float) -
     direction = rng.normal(size=len(names))
     values |= dict(zip(names, (direction / np.linalg.norm(direction) * 1e-6).tolist(), strict=True))
     wanted = times * np.sqrt(stated(m.subject(), name, len(names)))
-    factor = wanted / strength(m, signature(name, at, values)(m))
+    unit = signature(name, at, values)(m)
+    factor = wanted / float(np.linalg.norm(visible(m, unit[:, None])))
     values |= {key: values[key] * factor for key in names}
     change = signature(name, at, values)(m)
     where = {"tracer": f"T{at}"} if name not in EVERYWHERE else {}
-    hidden = Hidden(name, where, values, distinct=name not in NEAR_ALIAS)
+    hidden = Hidden(name, where, values, distinct=nearest(m, name, at, change) < ALIKE)
     return replace(m, length=m.length + change), hidden
 
 

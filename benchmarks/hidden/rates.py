@@ -147,7 +147,9 @@ def rates(results: Sequence[Found]) -> Iterator[Rate]:
     yield Rate("95 % regions that hold the truth", sum(covered), len(covered), 0.92, 0.98)
     outside = [one for one in results if one.case.hidden and one.case.hidden[0].name[0] == "_"]
     wrong: Test = lambda one: one.diagnosis.verdict in ("explained", "indistinct")  # noqa: E731
-    yield _rate("wrong name with a clean bill, outside effect", outside, wrong, most=0.10)
+    apart = [one for one in outside if one.case.hidden[0].distinct]
+    yield _rate("wrong name with a clean bill, outside effect, no near alias", apart, wrong, most=0.10)
+    yield _rate("  the same, near aliases of a known effect included", outside, wrong)
     yield _rate("outside effect not noticed", outside, lambda one: one.diagnosis.verdict == "clean")
     true = [key for one in results for key in one.case.outliers]
     told = [

@@ -22,8 +22,8 @@ from metrocli.diagnosis.subject import Subject
 from metrocli.effects.model import Model, with_effect
 
 Say = Callable[[str], None]
-_AFTER = 0.02
-"""Level, counted over all smooth functions, of structure that is left when everything has been named"""
+_AFTER, _NOTHING_NAMED = 0.03, 0.005
+"""Levels, counted over all smooth functions, of structure that is left beside names, and where there is none"""
 _ROUNDS = 3
 _SEED = 20
 
@@ -124,7 +124,8 @@ def field_of_job(
     """Return the race of everything that could be in a job, and the effects that its data do not allow to test."""
     system = linearised(subject.model, weights)
     families, not_tested = families_of(subject, system)
-    return field_of(system, [*families, *smooth_families(subject, system)], rng), not_tested
+    everything = [*families, *smooth_families(subject, system)]
+    return field_of(system, everything, rng, subject.single_components), not_tested
 
 
 def _selected(subject: Subject, rng: np.random.Generator) -> tuple[Field, list[NotTested], tuple[Unit, ...], Selection]:
@@ -188,20 +189,23 @@ def _recentred(
     blocks = {name: block.with_values(solution.blocks[name].values) for name, block in model.blocks.items()}
     changed = replace(subject, model=model.with_blocks(blocks))
     system = linearised(changed.model, _weights(subject, units))
-    field = field_of(system, smooth_families(changed, system), rng)
+    field = field_of(system, smooth_families(changed, system), rng, subject.single_components)
     wrong = [field.of_reading(one.number) for one in selection.outliers]
     given = nothing(system)
     return field, given.with_columns(np.concatenate(wrong, axis=1)) if wrong else given
 
 
 def _kept(selection: Selection) -> dict[str, Mask]:
-    """Return for each group the readings that are not outliers."""
-    kept, first = {}, 0
-    wrong = {one.number for one in selection.outliers}
-    for group in selection.field.system.model.readings:
-        count = group.observations.count
-        kept[group.name] = np.array([first + i not in wrong for i in range(count)])
-        first += count
+    """Return for each group the readings that are not outliers, in any component."""
+    field = selection.field
+    wrong = np.zeros(field.system.rows)
+    for one in selection.outliers:
+        wrong[field.places[one.number][field.places[one.number] >= 0]] = 1.0
+    kept = {}
+    for group in field.system.model.readings:
+        d, n = group.observations.readings.shape
+        start = field.system.first[group.name]
+        kept[group.name] = wrong[start : start + n * d].reshape(n, d).max(axis=1) == 0
     return kept
 
 
@@ -220,12 +224,13 @@ def _left(selection: Selection, names: Sequence[Named], field: Field, given: Giv
             found.append((float(np.minimum(score.log_p[own].min() + np.log(len(own)), 0.0)), family.unknown))
     if not found:
         return (Left(0.0, tuple(unknown)) if unknown else None), 1.0
+    bound = _AFTER if names else _NOTHING_NAMED
     level = float(-np.expm1(field.unknowns * np.log1p(-min(np.exp(min(found)[0]), 1 - 1e-16))))
     if unknown:
         levels = dict(zip(map(id, selection.chosen), selection.levels(), strict=True))
         p = float(np.exp(min(levels[id(one)] for one in selection.unknown)))
-        return Left(p, tuple(dict.fromkeys([*unknown, *([min(found)[1]] if level < _AFTER else [])]))), level
-    return (Left(level, (min(found)[1],)) if level < _AFTER else None), level
+        return Left(p, tuple(dict.fromkeys([*unknown, *([min(found)[1]] if level < bound else [])]))), level
+    return (Left(level, (min(found)[1],)) if level < bound else None), level
 
 
 def _outliers(subject: Subject, selection: Selection) -> tuple[Outlier, ...]:
@@ -233,16 +238,27 @@ def _outliers(subject: Subject, selection: Selection) -> tuple[Outlier, ...]:
         return ()
     given = selection.given()
     sigma = np.sqrt(given.squares / max(given.dof, 1))
-    keys = [
-        {key: values[i] for key, values in group.observations.keys.items()}
-        for group in subject.model.readings
-        for i in range(group.observations.count)
-    ]
     found = []
     for one in selection.outliers:
         without = selection.given(without=[one])
-        found.append(Outlier(keys[one.number], float(np.sqrt(max(without.squares - given.squares, 0.0)) / sigma)))
+        found.append(
+            Outlier(
+                _keys(selection.field, one.number), float(np.sqrt(max(without.squares - given.squares, 0.0)) / sigma)
+            )
+        )
     return tuple(sorted(found, key=lambda one: -one.test))
+
+
+def _keys(field: Field, number: int) -> dict[str, str]:
+    """Return what identifies a reading, with its component where these go wrong one by one."""
+    row = int(field.places[number][0])
+    groups = field.system.model.readings
+    group = next(g for g in groups if 0 <= row - field.system.first[g.name] < g.observations.readings.size)
+    observations = group.observations
+    reading, component = divmod(row - field.system.first[group.name], len(observations.readings))
+    keys = {key: values[reading] for key, values in observations.keys.items()}
+    single = len(observations.readings) > 1 and field.places.shape[1] == 1
+    return keys | ({"component": observations.components[component]} if single else {})
 
 
 def _shift(subject: Subject, system: System, name: Named) -> float:

@@ -21,7 +21,8 @@ _VISIBLE = 1e-6
 """Share of a signature below which rounding is all that is left"""
 _DRAWS = 1000
 _MOST_WORK = 4e9
-OUTLIER = "outlier"
+PRIOR = 2.0
+"""Degrees of freedom for which the declared noise counts: with few readings it carries weight, with many it does not"""
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,7 @@ class Given:
     """(rows, k)"""
     residual: Array
     squares: float
+    """Sum of squares of the residual, and what the declared noise adds (`PRIOR`)"""
     dof: float
 
     def with_columns(self, columns: Array) -> Given:
@@ -43,13 +45,13 @@ class Given:
         new = u[:, s > _VISIBLE]
         residual = self.residual - new @ (new.T @ self.residual)
         basis = np.concatenate([self.basis, new], axis=1)
-        return Given(basis, residual, float(residual @ residual), self.dof - new.shape[1])
+        return Given(basis, residual, float(residual @ residual) + PRIOR, self.dof - new.shape[1])
 
 
 def nothing(system: System) -> Given:
     """Return the model as it is."""
     r = system.residual
-    return Given(np.zeros((system.rows, 0)), r, float(r @ r), system.dof)
+    return Given(np.zeros((system.rows, 0)), r, float(r @ r) + PRIOR, system.dof + PRIOR)
 
 
 @dataclass(frozen=True)
@@ -165,10 +167,14 @@ def quadratic(gram: Array, right: Array, scale: Array) -> tuple[Array, Array]:
     return (np.where(good, along**2 / np.where(good, values, 1.0), 0.0)).sum(axis=1), good.sum(axis=1)
 
 
-def field_of(system: System, families: Sequence[Family], rng: np.random.Generator) -> Field:
-    """Return the race of families and outliers, with its counts of independent tests found from white noise."""
+def field_of(system: System, families: Sequence[Family], rng: np.random.Generator, apart: bool = False) -> Field:
+    """Return the race of families and outliers, with its counts of independent tests found from white noise.
+
+    With `apart` the components of a reading go wrong one by one.
+    """
     grams = tuple(np.einsum("nkq,nkp->kqp", f.columns, f.columns) for f in families)
     places = _places(system)
+    places = places[places >= 0][:, None] if apart else places
     u = np.where((places >= 0)[:, :, None], system.basis[places], 0.0)
     there = (places >= 0).astype(float)
     blocks = np.eye(places.shape[1]) * there[:, :, None] - np.einsum("iak,ibk->iab", u, u)
@@ -195,15 +201,14 @@ def _calibrated(field_: Field, rng: np.random.Generator) -> Field:
     columns = sum(f.columns.shape[1] * f.columns.shape[2] for f in field_.families)
     draws = int(np.clip(_MOST_WORK / (system.rows * max(columns, 1)), 300, _DRAWS))
     noise = system.seen(rng.normal(size=(system.rows, draws)))
-    squares = (noise**2).sum(axis=0)
+    squares = (noise**2).sum(axis=0) + rng.chisquare(PRIOR, draws)
+    dof = system.dof + PRIOR
     least, tests = [], []
     for number, family in enumerate(field_.families):
-        least.append(
-            _least_in_noise(family.columns, field_.grams[number], field_.scales[number], noise, squares, system.dof)
-        )
+        least.append(_least_in_noise(family.columns, field_.grams[number], field_.scales[number], noise, squares, dof))
     rows = field_.places
     gram, right = field_.blocks, np.where((rows >= 0)[:, :, None], noise[rows], 0.0)
-    least.append(_least(gram, right, np.ones(rows.shape), squares, system.dof, ~field_.excluded))
+    least.append(_least(gram, right, np.ones(rows.shape), squares, dof, ~field_.excluded))
     tests = [independent(one) for one in least]
     levels = [log_family(one, count) for one, count in zip(least, tests, strict=True)]
     smooth = [level for level, family in zip(levels, field_.families, strict=False) if family.unknown]
@@ -211,13 +216,13 @@ def _calibrated(field_: Field, rng: np.random.Generator) -> Field:
     return replace(field_, tests=tuple(tests), causes=independent(np.min(levels, axis=0)), unknowns=unknowns)
 
 
-def _least_in_noise(columns: Array, gram: Array, scale: Array, noise: Array, squares: Array, dof: int) -> Array:
+def _least_in_noise(columns: Array, gram: Array, scale: Array, noise: Array, squares: Array, dof: float) -> Array:
     n, k, q = columns.shape
     right = (columns.reshape(n, k * q).T @ noise).reshape(k, q, -1)
     return _least(gram, right, scale, squares, dof, np.ones(k, dtype=bool))
 
 
-def _least(gram: Array, right: Array, scale: Array, squares: Array, dof: int, chosen: Mask) -> Array:
+def _least(gram: Array, right: Array, scale: Array, squares: Array, dof: float, chosen: Mask) -> Array:
     """Return ln of the least level of all alternatives for each draw."""
     s = np.where(scale > 0, scale, 1.0)
     values, vectors = np.linalg.eigh(gram / (s[:, :, None] * s[:, None, :]))

@@ -11,8 +11,11 @@ from metrocli.adjust.blocks import Array
 from metrocli.diagnosis.distributions import log_tail
 from metrocli.diagnosis.race import Field, Given, Score
 
-FIRST, LATER, UNKNOWN, WRONG_READING = 0.03, 0.01, 0.01, 0.01
-"""Levels, counted over all that is tried: of the first name, of further names, of smooth terms and of outliers"""
+FIRST, LATER, UNKNOWN, WRONG_READING = 0.03, 0.01, 0.005, 0.01
+"""Levels, counted over all that is tried: of the first name, of further names, of smooth terms and of outliers
+
+Beside outliers the first name has the level of further ones: where readings are wrong, more are than are found.
+"""
 _STEPS = 40
 _SHARE = 0.1
 """Readings that may be called outliers at most"""
@@ -118,7 +121,7 @@ def _allowed(selection: Selection, family: int) -> float:
         return WRONG_READING
     if selection.field.families[family].unknown:
         return UNKNOWN
-    return LATER if selection.named or selection.unknown else FIRST
+    return LATER if selection.chosen else FIRST
 
 
 def _with_outliers(selection: Selection, wrong: Score, given: Given) -> Selection:
@@ -207,7 +210,7 @@ def _dropped(selection: Selection) -> Selection:
 def _bound(selection: Selection, one: Chosen) -> float:
     if one.outlier:
         return WRONG_READING
-    return FIRST if len(selection.chosen) - len(selection.outliers) == 1 else 2 * LATER
+    return FIRST if len(selection.chosen) == 1 else 2 * LATER
 
 
 def evidence(field: Field, given: Given, family: int, score: Score) -> Array:
@@ -229,7 +232,11 @@ def _swapped(selection: Selection) -> Selection:
             own = best[one.family][one.number]
             family = int(np.argmax([values.max(initial=-np.inf) for values in best]))
             number = int(np.argmax(best[family]))
-            if best[family][number] > own + (_CLEARLY if family != one.family else 1e-6):
+            differs, old = family != one.family, scores[one.family].log_p[one.number]
+            worse = (
+                field.level(family, scores[family].log_p[number]) > field.level(one.family, old) if differs else False
+            )
+            if best[family][number] > own + (_CLEARLY if differs else 1e-6) and not worse:
                 new = Chosen(family, number, field.families[family].columns[:, number])
                 selection = selection.with_one(new, instead=one)
                 break

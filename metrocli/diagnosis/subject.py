@@ -60,6 +60,10 @@ class Subject:
     """Adjusts a model made from this one to some of the readings of each group"""
     reading: tuple[str, str] = ("um", "length")
     """Unit and dimension in which held-out errors of readings are told"""
+    fewest: int = 3
+    """Components of readings that an effect must touch; what touches fewer is an outlier"""
+    single_components: bool = False
+    """Whether the components of a reading (u, v) go wrong one by one"""
     declared: str = ""
     """The noise as the job declares it, in words"""
     offers: Callable[[Model], Iterable[tuple[str, Model]]] = field(default=lambda model: ())
