@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 _PI = math.pi
 _ARCSEC_PER_TURN = 1_296_000.0
 _KELVIN_AT_0_DEGC = 273.15
+INCH = 25.4
+"""Millimetres; not a unit of files here, but one that they are written in by mistake"""
 
 
 @dataclass(frozen=True)

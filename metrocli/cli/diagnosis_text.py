@@ -45,6 +45,9 @@ def of_design(subject: Subject, design: Design) -> str:
 
 
 def _sentences(diagnosis: Diagnosis, extended: Path | None) -> Iterator[str]:
+    if diagnosis.mistaken is not None:
+        likely = " or ".join(map(str, diagnosis.mistaken.mistakes[:_SHOWN]))
+        yield f"A file of this job is wrong: {likely}. Correct it; all that follows is for the job without that."
     if diagnosis.findings:
         yield f"The residuals hold structure beyond noise ({_chance(diagnosis.before)})."
     elif diagnosis.left is None:

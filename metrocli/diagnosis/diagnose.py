@@ -12,6 +12,7 @@ from metrocli.adjust.observations import Mask
 from metrocli.diagnosis.candidates import NotTested, families_of
 from metrocli.diagnosis.design import Design, design, separations
 from metrocli.diagnosis.gain import Gain, gains
+from metrocli.diagnosis.mistakes import Mistaken
 from metrocli.diagnosis.naming import Named, named
 from metrocli.diagnosis.noise import Noise, Unit, apart, noise_of, weighted
 from metrocli.diagnosis.projection import System, linearised, signature
@@ -71,15 +72,20 @@ class Diagnosis:
     """Level of the strongest smooth structure left"""
     design: Design
     separate_by: tuple[str, ...]
+    mistaken: Mistaken | None = None
+    """A mistake in the files, without which all else was found"""
 
     @property
     def verdict(self) -> str:
         """clean, explained, indistinct or unexplained."""
         if self.left is not None:
             return "unexplained"
-        if not self.findings:
+        sets: list[tuple[object, ...]] = [finding.named.rivals for finding in self.findings]
+        if self.mistaken is not None:
+            sets.append(self.mistaken.mistakes[1:])
+        if not sets:
             return "clean"
-        return "indistinct" if any(finding.named.rivals for finding in self.findings) else "explained"
+        return "indistinct" if any(sets) else "explained"
 
 
 def diagnose(subject: Subject, say: Say = lambda line: None) -> Diagnosis:

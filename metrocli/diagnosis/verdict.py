@@ -11,6 +11,7 @@ from metrocli import units
 from metrocli.diagnosis.candidates import Alternative, NotTested
 from metrocli.diagnosis.design import Candidate, Design
 from metrocli.diagnosis.diagnose import Diagnosis, Finding
+from metrocli.diagnosis.mistakes import Mistaken
 from metrocli.diagnosis.naming import Named, Rival
 from metrocli.diagnosis.subject import Subject
 
@@ -30,7 +31,10 @@ def as_data(diagnosis: Diagnosis) -> dict[str, Any]:
             "apart": [{unit.key: unit.name, "ratio": unit.ratio} for unit in diagnosis.apart],
         },
         "outliers": [{"observation": dict(one.keys), "w": one.test} for one in diagnosis.outliers],
-        "effects": [_effect(diagnosis.subject, finding) for finding in diagnosis.findings],
+        "effects": [
+            *([] if diagnosis.mistaken is None else [_mistake(diagnosis.mistaken)]),
+            *(_effect(diagnosis.subject, finding) for finding in diagnosis.findings),
+        ],
         "structure": {"before": diagnosis.before, "after": diagnosis.after},
         "unexplained": None if left is None else {"p_value": left.p_value, "depends_on": list(left.depends_on)},
         "candidates": candidates(diagnosis.subject, diagnosis.design, [f.named for f in diagnosis.findings]),
@@ -42,6 +46,23 @@ def as_data(diagnosis: Diagnosis) -> dict[str, Any]:
 def design_data(subject: Subject, design: Design) -> dict[str, Any]:
     """Return what a measurement can see, before it is looked at."""
     return {"candidates": candidates(subject, design, []), "alike": alike(design)}
+
+
+MISTAKE = "mistake-in-file"
+"""The name under which a mistake in the files stands among the effects"""
+
+
+def _mistake(mistaken: Mistaken) -> dict[str, Any]:
+    first, *others = mistaken.mistakes
+    return {
+        "name": MISTAKE,
+        "where": {"input": first.input},
+        "what": first.words,
+        "parameters": {},
+        "p_value": 0.0,
+        "alternatives": [{"name": MISTAKE, "where": {"input": one.input}, "what": one.words} for one in others],
+        "gain": None,
+    }
 
 
 def _effect(subject: Subject, finding: Finding) -> dict[str, Any]:

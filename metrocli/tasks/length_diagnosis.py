@@ -52,8 +52,25 @@ def subject(solved: Solved) -> Subject:
         {LENGTHS: folds(group.observations.index[t.POINT], group.observations.conditions)},
         Delivered(*delivered, (0, 1, 2), "um", "length"),
         refit,
+        astray=_astray(solved),
         offers=offers,
     )
+
+
+_POINTS_NEAR, _TRACERS_NEAR = 0.02, 0.5
+"""How far points and tracers may be from where their lists say, as shares of the measured volume"""
+
+
+def _astray(solved: Solved) -> float:
+    """Return how far places are from what the files say, over what is plausible, root mean square."""
+    network, blocks = solved.whole, solved.solution.blocks
+    seen = network.seen > 0
+    extent = float(np.ptp(network.nominal[seen], axis=0).max()) or 1.0
+    off = network.nominal[seen] - blocks[t.POINT].values[seen]
+    points = float(np.sqrt((off**2).sum(axis=1).mean())) / extent
+    apart = np.linalg.norm(network.said - blocks[t.TRACER].values[:, :3], axis=1)
+    tracers = float(np.nanmedian(apart)) / extent if np.isfinite(apart).any() else 0.0
+    return max(points / _POINTS_NEAR, tracers / _TRACERS_NEAR)
 
 
 def covariates(model: Model) -> list[Covariate]:
