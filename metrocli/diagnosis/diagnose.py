@@ -11,13 +11,14 @@ from metrocli.adjust.blocks import Array
 from metrocli.adjust.observations import Mask
 from metrocli.diagnosis.candidates import NotTested, families_of
 from metrocli.diagnosis.design import Design, design, separations
+from metrocli.diagnosis.distributions import log_family
 from metrocli.diagnosis.gain import Gain, gains
 from metrocli.diagnosis.mistakes import Mistaken
 from metrocli.diagnosis.naming import Named, named
 from metrocli.diagnosis.noise import Noise, Unit, apart, noise_of, weighted
 from metrocli.diagnosis.projection import System, linearised, signature
 from metrocli.diagnosis.race import Field, Given, field_of, nothing
-from metrocli.diagnosis.selection import Selection, select
+from metrocli.diagnosis.selection import Selection, carried_by_few, select
 from metrocli.diagnosis.smooth import smooth_families
 from metrocli.diagnosis.subject import Subject
 from metrocli.effects.model import Model, with_effect
@@ -25,6 +26,8 @@ from metrocli.effects.model import Model, with_effect
 Say = Callable[[str], None]
 _AFTER, _NOTHING_NAMED = 0.03, 0.005
 """Levels, counted over all smooth functions, of structure that is left beside names, and where there is none"""
+_CARRIED = 0.2
+"""Level that it must keep, counted over all that is tried, without the few readings that speak for it most"""
 _ROUNDS = 3
 _SEED = 20
 
@@ -224,19 +227,21 @@ def _left(selection: Selection, names: Sequence[Named], field: Field, given: Giv
         if not family.unknown:
             continue
         score = field.score(number, given)
-        found.append((field.level(number, score.log_p[score.best]), family.unknown))
+        found.append((field.level(number, score.log_p[score.best]), number, score.best))
         own = [i for i, a in enumerate(family.alternatives) if not a.instance or a.instance[0] in units]
         if units and own:
-            found.append((float(np.minimum(score.log_p[own].min() + np.log(len(own)), 0.0)), family.unknown))
-    if not found:
-        return (Left(0.0, tuple(unknown)) if unknown else None), 1.0
-    bound = _AFTER if names else _NOTHING_NAMED
-    level = float(-np.expm1(field.unknowns * np.log1p(-min(np.exp(min(found)[0]), 1 - 1e-16))))
+            best = own[int(np.argmin(score.log_p[own]))]
+            found.append((float(np.minimum(score.log_p[best] + np.log(len(own)), 0.0)), number, best))
+    log_level, number, best = min(found, default=(0.0, -1, 0))
+    level = float(np.exp(log_family(log_level, field.unknowns)))
+    stays = number >= 0 and level < (_AFTER if names else _NOTHING_NAMED)
+    stays = stays and carried_by_few(field, given, number, best) < np.log(_CARRIED)
+    after = [field.families[number].unknown] if stays else []
     if unknown:
         levels = dict(zip(map(id, selection.chosen), selection.levels(), strict=True))
         p = float(np.exp(min(levels[id(one)] for one in selection.unknown)))
-        return Left(p, tuple(dict.fromkeys([*unknown, *([min(found)[1]] if level < bound else [])]))), level
-    return (Left(level, (min(found)[1],)) if level < bound else None), level
+        return Left(p, tuple(dict.fromkeys([*unknown, *after]))), level
+    return (Left(level, tuple(after)) if after else None), level
 
 
 def _outliers(subject: Subject, selection: Selection) -> tuple[Outlier, ...]:

@@ -21,6 +21,7 @@ _SHARE = 0.1
 """Readings that may be called outliers at most"""
 _ALIKE = 0.3
 """Correlation of two outliers above which they are not taken in one step"""
+_FEW = 3
 _CLEARLY = 1.0
 """By how much the evidence (ln) of another name must be larger to take the place of one that is in the model"""
 
@@ -111,9 +112,27 @@ def _step(selection: Selection) -> Selection | None:
         if family < 0:
             return _with_outliers(selection, wrong, given)
         score = scores[family]
+        if field.families[family].unknown and carried_by_few(field, given, family, score.best) > np.log(UNKNOWN):
+            continue
         columns = field.families[family].columns[:, score.best]
         return selection.with_one(Chosen(family, score.best, columns))
     return None
+
+
+def carried_by_few(field: Field, given: Given, family: int, number: int) -> float:
+    """Return ln of the level of smooth terms without the few readings that speak for them most.
+
+    A polynomial of many terms follows two or three wrong readings; structure is what stays without them.
+    """
+    columns = field.families[family].columns[:, number]
+    left = columns - given.basis @ (given.basis.T @ columns)
+    size = np.maximum(np.linalg.norm(left, axis=0), 1e-300)
+    fitted = (left / size) @ np.linalg.lstsq(left / size, given.residual, rcond=1e-6)[0]
+    speaks = np.where(field.places >= 0, (fitted * given.residual)[field.places], 0.0).sum(axis=1)
+    few = np.argsort(-speaks)[:_FEW]
+    beside = given.with_columns(np.concatenate([field.of_reading(int(reading)) for reading in few], axis=1))
+    score = field.score(family, beside, [number])
+    return field.overall(field.level(family, float(score.log_p[0])))
 
 
 def _allowed(selection: Selection, family: int) -> float:
