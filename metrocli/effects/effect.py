@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from metrocli import units
-from metrocli.adjust.blocks import Space
-from metrocli.adjust.blocks import Array
+from metrocli.adjust.blocks import Array, Space
 from metrocli.adjust.chain import Link
 from metrocli.settings import Number, Quantity, Spec, Text
 

@@ -83,7 +83,7 @@ def tables(added: Sequence[Added], solution: Adjusted) -> tuple[dict[str, Table]
         chosen = [block.column(p.name) for p in one.effect.all_parameters]
         row = len(block.members) - 1
         places = row * block.size + np.array(chosen)
-        scale = solution.by_step(one.block).ravel()[places]
+        scale = block.space.by_step(block.values).ravel()[places]
         covariance = solution.known().of(one.block)[np.ix_(places, places)] * scale[:, None] * scale
         columns = {
             "name": np.array([p.name for p in one.effect.all_parameters]),
