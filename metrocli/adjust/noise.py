@@ -16,7 +16,7 @@ from metrocli.adjust.solution import Solution
 Noise = Callable[[Group, Mapping[str, Block]], Array]
 """Standard deviations (d, n) of a group's readings at the blocks' values"""
 
-_ROUNDS = 20
+_ROUNDS, _STEPS = 20, 200
 _SETTLED = 1e-9
 """Standard deviations are found when another round would change none of them by more than this share"""
 
@@ -31,7 +31,7 @@ def adjust_with_noise(
     name, sigma_of = noise
     state = {block.name: block for block in blocks}
     for _ in range(_ROUNDS):
-        solution = adjust(state.values(), groups, datum, Control(covariance=False))
+        solution = adjust(state.values(), groups, datum, Control(_STEPS, covariance=False))
         state = dict(solution.blocks)
         found = next(group for group in groups if group.name == name)
         sigma = sigma_of(found, state)
@@ -39,7 +39,7 @@ def adjust_with_noise(
         groups = [_with_sigma(group, sigma) if group.name == name else group for group in groups]
         if not solution.outcome.good or change < _SETTLED:
             break
-    return adjust(state.values(), groups, datum)
+    return adjust(state.values(), groups, datum, Control(_STEPS))
 
 
 def _with_sigma(group: Group, sigma: Array) -> Group:

@@ -13,7 +13,7 @@ from metrocli.result import Estimate, Result
 from metrocli.table import Table
 from metrocli.tasks import layout_faults
 from metrocli.tasks.adjustment_statistics import basic_statistics, noise_warnings
-from metrocli.tasks.network_correction import corrected, distant
+from metrocli.tasks.network_correction import corrected, distant, wrong_entries
 from metrocli.tasks.network_distance import factors
 from metrocli.tasks.network_reliability import UNITS as RELIABILITY_UNITS
 from metrocli.tasks.network_reliability import reliability
@@ -168,6 +168,7 @@ def _warnings(solved: Solved) -> list[str]:
     gone = [name for name, n, before in _lost(solved) if n == 0 < before]
     if gone:
         lines.append(f"{len(gone)} points are left out, since their lengths cannot be checked: {listed(gone)}")
+    lines += wrong_entries(solved.network, solved.solution)
     return lines + layout_faults.warnings(solved.network, solved.solution)
 
 

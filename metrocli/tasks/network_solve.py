@@ -26,6 +26,8 @@ _ODDS, _TOSS = 4.0, 0.5
 """Tests whose squares differ by less leave odds below e^2 = 7 to 1, or e^(1/4) = 1.3 to 1, between two lengths"""
 _INNOCENT = 3.0
 """A length left out at the start comes back if it misses by less than this many standard deviations"""
+_ASTRAY = 0.05
+"""Points further from the mover's readings than this share of the volume are a wrong solution"""
 _DOUBT = 0.05
 """Level at which the lengths left of a point that lost some must meet"""
 _ROUNDS = 30
@@ -103,6 +105,7 @@ def _adjusted(network: Network, state: Mapping[str, Block], out: dict[int, Rejec
     _must_carry(used, solution)
     if not solution.outcome.good:
         raise NotConvergedError(f"{solution.outcome.value} ({solution.iterations} steps)")
+    _must_be_near(used, solution)
     rejected = [*out.values(), *(Rejected(int(row), float("nan"), "point") for row in np.flatnonzero(lost))]
     group = next(group for group in solution.groups if group.name == LENGTHS)
     residuals, critical = residuals_of(solution, group), critical_value(group.observations.count)
@@ -115,6 +118,17 @@ def _adjusted(network: Network, state: Mapping[str, Block], out: dict[int, Rejec
 def _must_carry(network: Network, solution: Solution) -> None:
     if not carries(network, solution):
         raise UndeterminedError(explained(network, solution))
+
+
+def _must_be_near(network: Network, solution: Solution) -> None:
+    """Refuse a solution far from the mover's readings, such as the mirror image of the layout."""
+    seen = network.seen > 0
+    away = np.linalg.norm(solution.blocks[t.POINT].values[seen] - network.nominal[seen], axis=1)
+    if np.median(away) > _ASTRAY * np.ptp(network.nominal[seen], axis=0).max():
+        raise NotConvergedError(
+            f"the points found lie {np.median(away):.3g} mm from where their list says (median): the adjustment ended "
+            "in a wrong place, such as the mirror image; say about where the tracers stand in `inputs: tracers`"
+        )
 
 
 def _unchecked(network: Network, keep: Mask) -> Mask:
