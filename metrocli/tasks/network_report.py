@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -68,9 +69,16 @@ def report(solved: Solved, probing: Table | None, tolerance: float) -> Result:
         tables=tables,
         arrays=arrays,
         warnings=(*_warnings(solved), *distant(solved.network, probing, tolerance)),
-        shown=("points: point, x, y, z, sx, sy, sz", *(("suspects",) if solved.suspects else ())),
+        shown=tuple(_shown(solved)),
         notes=in_words(hidden),
     )
+
+
+def _shown(solved: Solved) -> Iterator[str]:
+    if solved.network.blocks[t.POINT].free.any():
+        yield "points: point, x, y, z, sx, sy, sz"
+    if solved.suspects:
+        yield "suspects"
 
 
 def _tracer_estimates(solution: Solution) -> tuple[list[str], Array, Array, list[str]]:

@@ -17,15 +17,16 @@ def uncontrolled(network: Network) -> Table:
 
     The sizes are those of plausible causes, named in `assumed`; they grow in proportion.
     """
-    rows = list(_rows(network))
-    columns = {
-        name: np.array([row[i] for row in rows]) for i, name in enumerate(("effect", "assumed", "hides", "control"))
-    }
+    rows = list(_rows(network)) if network.unknown[network.seen > 0].any() else []
+    types = {"effect": str, "assumed": str, "hides": float, "control": str}
+    columns = {name: np.array([row[i] for row in rows], dtype=kind) for i, (name, kind) in enumerate(types.items())}
     return Table(columns, {"hides": "mm"})
 
 
 def in_words(hidden: Table) -> tuple[str, ...]:
-    """Return what no residual of the measurement shows, as lines of text."""
+    """Return what no residual of the measurement shows, as lines of text; none where every point is known."""
+    if not len(hidden):
+        return ()
     rows = zip(*(hidden.texts(name) for name in ("effect", "assumed")), hidden.numbers("hides"), strict=True)
     lines = [f"  {effect}: {units.roughly(size, 'um')} by {assumed}" for effect, assumed, size in rows]
     return ("", "not controlled by this design (table not_controlled says what would):", *lines)
