@@ -40,7 +40,7 @@ def _point_shift(solution: Solution, group: Group) -> Array:
     index = group.observations.index[t.POINT]
     shift = np.zeros((3, len(index)))
     if not solution.blocks[t.POINT].free.any():
-        return shift[0]
+        return np.zeros(len(index))
     touches = group.linear(solution.blocks, cofactor.layout.wanted).touches
     for touch in touches:
         pair = cofactor.pairs(t.POINT, index, touch.block, touch.index)

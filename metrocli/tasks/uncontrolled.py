@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -10,6 +11,9 @@ from metrocli import units
 from metrocli.instruments import tracer as t
 from metrocli.table import Table
 from metrocli.tasks.length_network import DISTANCES, Network
+
+if TYPE_CHECKING:
+    from metrocli.table import Values
 
 
 def uncontrolled(network: Network) -> Table:
@@ -19,7 +23,9 @@ def uncontrolled(network: Network) -> Table:
     """
     rows = list(_rows(network)) if network.unknown[network.seen > 0].any() else []
     types = {"effect": str, "assumed": str, "hides": float, "control": str}
-    columns = {name: np.array([row[i] for row in rows], dtype=kind) for i, (name, kind) in enumerate(types.items())}
+    columns: dict[str, Values] = {
+        name: np.array([row[i] for row in rows], dtype=kind) for i, (name, kind) in enumerate(types.items())
+    }
     return Table(columns, {"hides": "mm"})
 
 
