@@ -50,8 +50,11 @@ def chi_interval(solution: Solution) -> tuple[float, float]:
     return float(np.sqrt(low / solution.dof)), float(np.sqrt(high / solution.dof))
 
 
-def noise_warnings(solution: Solution) -> list[str]:
-    """Return the warning that the residuals are not of the declared size, where they are not."""
+_SCALED = "`noise: estimated` scales them"
+
+
+def noise_warnings(solution: Solution, remedy: str = _SCALED) -> list[str]:
+    """Return the warning that the residuals are not of the declared size, where they are not, with what to do."""
     low, high = chi_interval(solution)
     if not np.isfinite(solution.sigma0) or low <= solution.sigma0 <= high:
         return []
@@ -64,5 +67,5 @@ def noise_warnings(solution: Solution) -> list[str]:
     return [
         f"sigma0 = {solution.sigma0:.3f} is outside {low:.3f} ... {high:.3f}: "
         f"the residuals are {word} than the declared noise says; "
-        "standard uncertainties are for the declared noise (`noise: estimated` scales them)"
+        f"standard uncertainties are for the declared noise ({remedy})"
     ]

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from metrocli.table import Values
 
 KIND = "multilaterate"
+_SCALED = "those of the residuals are sigma0 times as large"
 _UNITS = ("mm", "mm", "mm", "mm", "1")
 
 
@@ -36,6 +37,7 @@ _REASONS = {
     "outlier": "outlier",
     "alike": "one of the point's lengths is wrong; which cannot be told",
     "point": "too few lengths of the point are left to be checked",
+    "few": "fewer than three tracers read the point",
     "doubt": "the point lost a length, and the others do not meet either",
 }
 
@@ -161,7 +163,15 @@ def _suspects(solved: Solved) -> Table:
 
 
 def _warnings(solved: Solved) -> list[str]:
-    lines = [*solved.network.warnings, *noise_warnings(solved.solution)]
+    lines = [*solved.network.warnings, *noise_warnings(solved.solution, _SCALED)]
+    keys = solved.whole.lengths.observations.keys
+    wrong = [
+        f"{keys['point'][one.row]}/{keys['tracer'][one.row]}"
+        for one in solved.rejected
+        if one.reason in ("gross", "outlier")
+    ]
+    if wrong:
+        lines.append(f"{len(wrong)} lengths are left out as wrong: {listed(wrong)} (table rejected)")
     told = [
         f"{one.point}/{one.tracer} (w = {one.test:.1f}{', or ' + ' or '.join(one.others) if one.others else ''})"
         for one in solved.suspects
@@ -179,7 +189,7 @@ def _warnings(solved: Solved) -> list[str]:
         )
     gone = [name for name, n, before in _lost(solved) if n == 0 < before]
     if gone:
-        lines.append(f"{len(gone)} points are left out, since their lengths cannot be checked: {listed(gone)}")
+        lines.append(f"{len(gone)} points are left out, since too few of their lengths are left: {listed(gone)}")
     lines += wrong_entries(solved.network, solved.solution)
     return lines + layout_faults.warnings(solved.network, solved.solution)
 

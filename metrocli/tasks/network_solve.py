@@ -74,12 +74,14 @@ def solve(network: Network, remove: bool) -> Solved:
 
     Raises UndeterminedError where the layout cannot carry the answer, NotConvergedError where no solution was found.
     """
-    groups = [network.lengths, *network.others]
-    state = robust_start(network.blocks.values(), groups, LENGTHS, network.datum)
+    out = _too_few(network) if remove else {}
+    start = network.only(_kept(network, out))
+    groups = [start.lengths, *start.others]
+    state = robust_start(start.blocks.values(), groups, LENGTHS, start.datum)
     if len(network.nominal) <= _SMALL_ENOUGH:
-        _must_carry(network, covariance_at(state.values(), groups, network.datum))
-    out = far_off(network, state) if remove else {}
-    back = bool(out)
+        _must_carry(start, covariance_at(state.values(), groups, start.datum))
+    gross = far_off(network, state) if remove else {}
+    out, back = gross | out, bool(gross)
     for _ in range(_ROUNDS):
         solved = _adjusted(network, state, out)
         state = dict(solved.solution.blocks)
@@ -95,8 +97,7 @@ def solve(network: Network, remove: bool) -> Solved:
 
 
 def _adjusted(network: Network, state: Mapping[str, Block], out: dict[int, Rejected]) -> Solved:
-    keep = np.ones(network.lengths.observations.count, dtype=bool)
-    keep[list(out)] = False
+    keep = _kept(network, out)
     lost = _unchecked(network, keep) & keep
     keep &= ~lost
     used = network.only(keep)
@@ -114,6 +115,18 @@ def _adjusted(network: Network, state: Mapping[str, Block], out: dict[int, Rejec
     rows = np.flatnonzero(keep)
     suspects = tuple(replace(one, rows=tuple(rows[list(one.rows)].tolist())) for one in suspects)
     return Solved(used, network, solution, residuals, tuple(rejected), suspects, critical)
+
+
+def _kept(network: Network, out: Mapping[int, Rejected]) -> Mask:
+    keep = np.ones(network.lengths.observations.count, dtype=bool)
+    keep[list(out)] = False
+    return keep
+
+
+def _too_few(network: Network) -> dict[int, Rejected]:
+    """Return the lengths of points that too few tracers read to locate them."""
+    few = ((network.seen < 3) & network.unknown)[network.lengths.observations.index[t.POINT]]
+    return {int(row): Rejected(int(row), float("nan"), "few") for row in np.flatnonzero(few)}
 
 
 def _must_carry(network: Network, solution: Solution) -> None:

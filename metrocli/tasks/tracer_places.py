@@ -77,7 +77,7 @@ def _strange(readings: Readings, i: int, misfit: float, bad: int) -> Fault:
             hint = (
                 "they fit with the other sign: lengths grow with the distance"
                 if factor < 0
-                else f"they fit if their numbers are taken in {symbol} times the unit: check the units of both files"
+                else f"they fit if they are multiplied by {factor:g} ({symbol}): check the units of both files"
             )
             break
     return Fault(text, readings.file, hint=hint)
@@ -86,5 +86,5 @@ def _strange(readings: Readings, i: int, misfit: float, bad: int) -> Fault:
 def _factors() -> list[tuple[float, str]]:
     """Return what lengths may have been multiplied by: the sign, or units taken for others."""
     ones = {unit.symbol: unit.inside(1.0) for unit in units.DIMENSIONS["length"].units}
-    ratios = {f"{a}/{b}": ones[a] / ones[b] for a in ones for b in ones if a != b}
+    ratios = {f"{a} written as {b}": ones[a] / ones[b] for a in ones for b in ones if a != b}
     return [(-1.0, ""), *((ratio, name) for name, ratio in ratios.items())]

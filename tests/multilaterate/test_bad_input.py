@@ -122,6 +122,7 @@ def test_one_gross_error_is_not_taken_for_a_shuffle(folder: Path, metrocli: Metr
 
     rejected: Table = hdf5.read(folder / "o.h5")[0].tables["rejected"]
     assert (rejected.texts("point"), rejected.texts("tracer")) == (["P0"], ["T2"])
+    assert "1 lengths are left out as wrong: P0/T2" in ran.err
 
 
 def test_a_wrong_entry_among_the_points_is_named(folder: Path, metrocli: Metrocli) -> None:
