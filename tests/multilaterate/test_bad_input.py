@@ -119,6 +119,7 @@ def test_the_good_input_is_good(folder: Path, metrocli: Metrocli) -> None:
     """Or the tests above would pass whatever is refused."""
     ran = metrocli("multilaterate", "job.yaml")
     assert ran.code == 0, ran.err
+    assert ran.err == ""
 
 
 def test_the_shuffled_tracer_alone_is_named(folder: Path, metrocli: Metrocli) -> None:
@@ -151,3 +152,17 @@ def test_one_gross_error_is_not_taken_for_a_shuffle(folder: Path, metrocli: Metr
 
     rejected: Table = hdf5.read(folder / "o.h5")[0].tables["rejected"]
     assert (rejected.texts("point"), rejected.texts("tracer")) == (["P0"], ["T2"])
+    assert "1 lengths are left out as wrong: P0/T2" in ran.err
+
+
+def test_a_wrong_entry_among_the_points_is_named(folder: Path, metrocli: Metrocli) -> None:
+    """A typing error of 1 mm: the frame follows it by 1/25 of that, so it must not pass in silence."""
+
+    def edit(rows: list[str]) -> list[str]:
+        name, x, *rest = rows[9].split(",")
+        return [*rows[:9], ",".join([name, repr(float(x) + 1.0), *rest]), *rows[10:]]
+
+    change(folder / "points.csv", edit)
+    ran = metrocli("multilaterate", "job.yaml")
+    assert ran.code == 0, ran.err
+    assert "the entries of 1 points may be wrong: P8 lie up to 0.969 mm" in ran.err
