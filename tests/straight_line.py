@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from metrocli.errors import NotConvergedError, UndeterminedError
+from metrocli.plan import Plan
 from metrocli.result import Estimate, Result
 from metrocli.settings import (
     Choice,
@@ -134,3 +135,22 @@ def simulate(settings: Settings, options: SimulationOptions, **inputs: object) -
     table = Table({"point": np.array([f"p{k}" for k in range(5)]), "x": x, "y": y}, {"x": "mm", "y": "mm"})
     pictures = [("img/a.png", lambda: np.zeros((4, 5), dtype=np.uint8))] if options.images else []
     return Simulation({"readings.csv": table}, {"slope": 0.001, "offset": 2.0}, pictures)
+
+
+PLANNED = ("readings",)
+
+
+def plan(settings: Settings, **inputs: object) -> Plan:
+    """Say how well five readings at x = 0 ... 4 mm determine a line."""
+    x = np.arange(5.0)
+    noise = 1.0 if isinstance(settings.noise, str) else settings.noise
+    std = noise / float(np.sqrt(((x - x.mean()) ** 2).sum()))
+    return Plan(
+        KIND,
+        ("five readings determine the line",),
+        (Estimate("slope", 0.001, std, "rad"),),
+        {"places": Table({"x": x}, {"x": "mm"})},
+        {"program.nc": "G1 X0\n"},
+        ("the stylus is not in the plan",),
+        shown=("places",),
+    )

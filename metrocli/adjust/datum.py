@@ -78,12 +78,16 @@ class Frame:
         g = self.reference.mixed(self.amounts.T).at(self.datum.reference, members)
         return np.asarray(g * self.datum.members[members, None, None])
 
+    def conditions(self, layout: Layout) -> Array:
+        """Return the conditions `(G' E)^-1 G'` on a reduced system that holds the datum block, (k, width)."""
+        columns = layout.columns[self.datum.block]
+        conditions = np.zeros((layout.width, self.reduced.shape[1]))
+        conditions[columns[columns >= 0]] = self.constraint(np.arange(len(columns)))[columns >= 0]
+        return conditions.T
+
     def transform(self, layout: Layout) -> Array:
         """Return the S-transformation `I - E H` of the reduced system that holds the datum block, (width, width)."""
-        columns = layout.columns[self.datum.block]
-        reach = np.zeros((layout.width, self.reduced.shape[1]))
-        reach[columns[columns >= 0]] = self.constraint(np.arange(len(columns)))[columns >= 0]
-        transform: Array = np.eye(layout.width) - self.reduced @ reach.T
+        transform: Array = np.eye(layout.width) - self.reduced @ self.conditions(layout)
         return transform
 
 

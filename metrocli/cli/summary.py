@@ -9,8 +9,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from metrocli.plan import Plan
+from metrocli.project.planned import SUMMARY, files_of
 from metrocli.record import Record
-from metrocli.result import Result
+from metrocli.result import Estimate, Result
 from metrocli.table import Table
 
 
@@ -21,7 +23,7 @@ def summary(result: Result, record: Record, path: Path) -> dict[str, Any]:
         "title": result.title,
         "status": "done" if all(verdict.met for verdict in record.verdicts) else "requirements not met",
         "result": str(path),
-        "estimates": {e.name: {"value": e.value, "std": e.std, "unit": e.unit} for e in result.estimates},
+        "estimates": {e.name: _estimate(e) | dict(result.details.get(e.name, {})) for e in result.estimates},
         "statistics": dict(result.statistics),
         "warnings": list(result.warnings),
         "notes": list(result.notes),
@@ -29,16 +31,39 @@ def summary(result: Result, record: Record, path: Path) -> dict[str, Any]:
     }
 
 
+def _estimate(estimate: Estimate) -> dict[str, Any]:
+    return {"value": estimate.value, "std": estimate.std, "unit": estimate.unit}
+
+
 def json_of(result: Result, record: Record, path: Path) -> str:
     """Return the summary as JSON text."""
     return as_json(summary(result, record, path))
 
 
+def json_of_plan(plan: Plan, folder: Path) -> str:
+    """Return a plan as JSON text, with the paths of the files it is written to."""
+    return as_json(
+        {
+            "kind": plan.kind,
+            "status": "planned",
+            "figures": {e.name: {"value": e.value, "std": e.std, "unit": e.unit} for e in plan.figures},
+            "notes": list(plan.notes),
+            "tables": {name: _listed(table) for name, table in plan.tables.items()},
+            "warnings": list(plan.warnings),
+            "files": [str(folder / name) for name in (*files_of(plan), SUMMARY)],
+        }
+    )
+
+
 def json_of_table(table: Table) -> str:
-    """Return a table as a JSON list with one object a row; its units beside it."""
+    """Return a table as JSON text: a list with one object a row; its units beside it."""
+    return as_json(_listed(table))
+
+
+def _listed(table: Table) -> dict[str, Any]:
     columns = [values.tolist() for values in table.columns.values()]
     rows = [dict(zip(table, row, strict=True)) for row in zip(*columns, strict=True)]
-    return as_json({"units": dict(table.units), "rows": rows})
+    return {"units": dict(table.units), "rows": rows}
 
 
 def as_json(value: Any) -> str:

@@ -11,6 +11,7 @@ from typing import Any
 import click
 
 from metrocli import units
+from metrocli.plan import Plan
 from metrocli.project.pipeline import NOT_MET
 from metrocli.record import Record, Verdict
 from metrocli.result import Estimate, Result
@@ -26,9 +27,16 @@ def result_text(result: Result, record: Record, path: Path) -> str:
     parts += [estimates_text(result.estimates)] if result.estimates else []
     parts += [_statistics_line(result.statistics)]
     parts += result.notes
-    parts += [_shown(result, entry) for entry in result.shown if entry.partition(":")[0] in result.tables]
+    parts += [_shown(result.tables, entry) for entry in result.shown if entry.partition(":")[0] in result.tables]
     parts += [_verdict_line(verdict) for verdict in record.verdicts]
     return "\n".join([*parts, f"result: {path}"])
+
+
+def plan_text(plan: Plan) -> str:
+    """Return what people read of a plan."""
+    parts = [f"{plan.kind}: planned", *plan.notes]
+    parts += [estimates_text(plan.figures)] if plan.figures else []
+    return "\n".join([*parts, *(_shown(plan.tables, entry) for entry in plan.shown)])
 
 
 def tell_misses(record: Record, told: bool = False) -> int:
@@ -71,10 +79,10 @@ def _statistics_line(statistics: Mapping[str, Any]) -> str:
     return ", ".join(parts)
 
 
-def _shown(result: Result, entry: str) -> str:
-    """Return a table of the result, or the columns of it that `name: column, column` names."""
+def _shown(tables: Mapping[str, Table], entry: str) -> str:
+    """Return a table, or the columns of it that `name: column, column` names."""
     name, _, chosen = entry.partition(":")
-    table = result.tables[name]
+    table = tables[name]
     wanted = [column.strip() for column in chosen.split(",")] if chosen else list(table)
     part = replace(table, columns={column: table.columns[column] for column in wanted if column in table})
     return f"\n{name}\n{table_text(part)}"

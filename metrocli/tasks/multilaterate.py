@@ -2,22 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from metrocli.diagnosis.subject import Subject
+from metrocli.effects.model import extended
+from metrocli.effects.wanted import Wanted
 from metrocli.errors import InputError
+from metrocli.plan import Plan
 from metrocli.result import Result
 from metrocli.settings import Choice, Quantity, Section, TableFile, setting
 from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import TEXT, Column, Columns, Table
-from metrocli.tasks.length_network import build
+from metrocli.tasks.length_design import Planned
+from metrocli.tasks.length_diagnosis import subject
+from metrocli.tasks.length_network import Network, build
 from metrocli.tasks.length_simulation import simulated
+from metrocli.tasks.network_plan import planned
 from metrocli.tasks.network_report import KIND, report
 from metrocli.tasks.network_solve import solve
+from metrocli.tasks.planned_network import Layout
 
-SIMULATED = ("lengths",)
+SIMULATED, PLANNED = ("lengths",), ("lengths", "probing")
 SUMMARY = "reflector positions from length changes of 4+ tracers"
 _SIGMAS = tuple(
     Column(name, "length", required=False, may_be_empty=True) for name in ("sigma", "sigma_x", "sigma_y", "sigma_z")
@@ -40,6 +49,9 @@ TRACERS = Columns(
     ("tracer",),
     "approximate places of the tracers",
 )
+CANDIDATES = Columns(
+    (Column("candidate", TEXT), *_PLACE), ("candidate",), "places where one more tracer could stand, for `plan`"
+)
 PROBING = Columns(
     (Column("feature", TEXT), Column("point", TEXT, may_be_empty=True), *_PLACE),
     (),
@@ -61,6 +73,9 @@ class Inputs:
     tracers: Path | None = setting(TableFile(TRACERS), "approximate places of the tracers", default=None)
     probing: Path | None = setting(TableFile(PROBING), "the mover's readings on the workpiece", default=None)
     distances: Path | None = setting(TableFile(DISTANCES), "calibrated distances between points", default=None)
+    candidates: Path | None = setting(
+        TableFile(CANDIDATES), "places where one more tracer could stand, for `plan`", default=None
+    )
 
 
 @dataclass(frozen=True)
@@ -90,6 +105,12 @@ class LengthSimulation:
     mover_scale: float = setting(Quantity("ratio"), "how much too long the mover reads distances", default=0.0)
     tracer_error: float = setting(
         Quantity("length", minimum=0.0), "standard deviation of the places that are written", default=0.0
+    )
+    interval: float | None = setting(
+        Quantity("time", positive=True), "time from point to point; without it no times are written", default=None
+    )
+    warming: float = setting(
+        Quantity("temperature difference"), "how much the air warms up from the first point to the last", default=0.0
     )
 
 
@@ -122,22 +143,71 @@ def run(
     tracers: Table | None = None,
     probing: Table | None = None,
     distances: Table | None = None,
+    effects: Sequence[Wanted] = (),
+    **_: object,
 ) -> Result:
     """Find the points; raises InputError, UndeterminedError or NotConvergedError."""
-    solved = solve(build(settings, lengths, points, tracers, distances), settings.outliers == "remove")
-    return report(solved, probing, settings.tolerance)
+    network = _with(build(settings, lengths, points, tracers, distances), effects)
+    return report(solve(network, settings.outliers == "remove"), probing, settings.tolerance)
+
+
+def diagnosed(
+    settings: Settings,
+    lengths: Table,
+    points: Table,
+    tracers: Table | None = None,
+    distances: Table | None = None,
+    effects: Sequence[Wanted] = (),
+    **_: object,
+) -> Subject:
+    """Return the job as diagnosis sees it; raises as `run` does."""
+    network = _with(build(settings, lengths, points, tracers, distances), effects)
+    return subject(solve(network, remove=False))
+
+
+def _with(network: Network, effects: Sequence[Wanted]) -> Network:
+    return network.with_model(extended(network.model(), effects)) if effects else network
+
+
+def plan(
+    settings: Settings,
+    points: Table,
+    tracers: Table | None = None,
+    lengths: Table | None = None,
+    distances: Table | None = None,
+    candidates: Table | None = None,
+    effects: Sequence[Wanted] = (),
+    **_: object,
+) -> Plan:
+    """Tell what lengths from every listed tracer to every point will determine; UndeterminedError where they do not.
+
+    Where the job's lengths exist, only what they read is planned.
+    """
+    if tracers is None:
+        raise InputError("plan needs to know where the tracers will stand: `inputs: {tracers: tracers.csv}`")
+    return planned(Layout(settings, Planned(points, tracers, lengths), distances, effects), candidates)
 
 
 def simulate(
-    settings: Settings, options: SimulationOptions, points: Table, tracers: Table | None = None, **_: object
+    settings: Settings,
+    options: SimulationOptions,
+    points: Table,
+    tracers: Table | None = None,
+    lengths: Table | None = None,
+    effects: Sequence[Wanted] = (),
+    **_: object,
 ) -> Simulation:
-    """Return the lengths of a measurement with the mover and tracers of `simulation:`."""
+    """Return the lengths of a measurement with the mover and tracers of `simulation:`, and with effects in it.
+
+    Where the job's lengths exist, their times and temperatures are those of the simulation.
+    """
     if settings.simulation is None or tracers is None:
         raise InputError(
             "simulate needs the truth: the tracers' places in `inputs: tracers`, "
             "and `simulation: {mover_error: 5 um, mover_scale: -25 um/m, tracer_error: 5 mm}`"
         )
-    return simulated(settings, settings.simulation, points, tracers, np.random.default_rng(options.seed))
+    planned = Planned(points, tracers, lengths)
+    return simulated(settings, settings.simulation, planned, effects, np.random.default_rng(options.seed))
 
 
-__all__ = ["KIND", "SIMULATED", "SUMMARY", "Inputs", "Settings", "run", "simulate"]
+__all__ = ["KIND", "PLANNED", "SIMULATED", "SUMMARY", "Inputs", "Settings", "plan", "run", "simulate"]

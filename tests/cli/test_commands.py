@@ -269,3 +269,34 @@ def test_simulate_then_measure(job: Path, metrocli: Metrocli) -> None:
 
 def test_schema_of_every_kind(straight_line: str, metrocli: Metrocli) -> None:
     assert json.loads(metrocli("schema", straight_line).out)["properties"]["job"]["const"] == straight_line
+
+
+def test_a_plan_needs_no_readings_and_can_be_made_again(job: Path, metrocli: Metrocli) -> None:
+    Path("readings.csv").unlink()
+    ran = metrocli("plan", job)
+    assert (ran.code, ran.err) == (0, "warning: the stylus is not in the plan\n")
+    assert "five readings determine the line" in ran.out
+    assert "x [mm]" in ran.out
+    assert ran.out.splitlines()[-3:] == ["line.plan/places.csv", "line.plan/program.nc", "line.plan/plan.json"]
+    assert Path("line.plan/program.nc").read_text() == "G1 X0\n"
+    again = metrocli("plan", job, "--json", "--set", "noise=0.2 mm")
+    assert json.loads(again.out) == json.loads(Path("line.plan/plan.json").read_text())
+    assert json.loads(again.out)["figures"]["slope"]["std"] == pytest.approx(0.2 / 10**0.5)
+    assert len(json.loads(again.out)["tables"]["places"]["rows"]) == 5
+
+
+def test_a_plan_takes_no_folder_of_others(job: Path, metrocli: Metrocli) -> None:
+    Path("mine").mkdir()
+    Path("mine/notes.txt").write_text("keep\n")
+    ran = metrocli("plan", job, "--out", "mine")
+    assert ran.code == 3
+    assert "holds something else than a plan" in ran.err
+    assert metrocli("plan", job, "--out", "mine", "--force").code == 0
+    assert Path("mine/notes.txt").read_text() == "keep\n"
+
+
+def test_a_kind_without_a_plan_says_so(tmp_path: Path, job: Path, metrocli: Metrocli, monkeypatch: Any) -> None:
+    import straight_line
+
+    monkeypatch.delattr(straight_line, "plan")
+    assert metrocli("plan", job).code == 2

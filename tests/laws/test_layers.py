@@ -18,11 +18,12 @@ LAYERS = [
     {"tasks"},
     {"diagnosis", "uncertainty"},
     {"simulate"},
-    {"instruments", "effects", "targets"},
+    {"effects"},
+    {"instruments", "targets"},
     {"formats"},
     {"adjust"},
     {"geometry"},
-    {"imageset", "result", "record", "simulation"},
+    {"imageset", "result", "record", "simulation", "plan", "nc_program"},
     {"settings"},
     {"table"},
     {"units", "nodes", "words"},
@@ -31,7 +32,7 @@ LAYERS = [
 ]
 """From the top down; parts in one layer do not import each other."""
 LEVEL = {part: n for n, layer in enumerate(LAYERS) for part in layer}
-ALLOWED_WITHIN = {("__main__", "cli"), ("simulation", "imageset"), ("result", "record")}
+ALLOWED_WITHIN = {("__main__", "cli"), ("simulation", "imageset"), ("result", "record"), ("plan", "result")}
 NOT_FORMATS = {"exports", "plots", "tasks", "diagnosis", "uncertainty", "simulate", "instruments", "effects", "targets"}
 ONLY_IN = {
     "h5py": {"formats"},
@@ -39,6 +40,7 @@ ONLY_IN = {
     "click": {"cli"},
     "cv2": {"targets", "formats/images"},
     "matplotlib": {"plots"},
+    "distributed": {"uncertainty"},
 }
 FORBIDDEN = {"scipy.stats": "slow to import; scipy.special has the distributions"}
 VAGUE = {"utils", "util", "helpers", "helper", "common", "core", "base", "manager", "misc", "tools"}

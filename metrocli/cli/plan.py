@@ -1,0 +1,46 @@
+"""metrocli plan: what a planned measurement will determine, and a better one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from metrocli.cli import options
+
+
+@click.command("plan", help="Tell what a planned measurement will determine, how well, and what would be better.")
+@options.JOB
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="Folder to write; NAME.plan beside the job if left out.",
+)
+@options.SET
+@options.FORCE
+@options.JSON
+@options.QUIET
+def command(job: Path, out: Path | None, overrides: tuple[str, ...], force: bool, as_json: bool, quiet: bool) -> int:
+    """Plan, write tables and files, and print what it will be worth and their paths."""
+    from metrocli.cli import summary, terminal
+    from metrocli.project import planned, runner
+    from metrocli.project.job import Wishes, kind_of_job, load
+
+    voice = options.Voice(quiet)
+    folder = out if out is not None else job.with_name(f"{job.stem}.plan")
+    planned.refuse_foreign(folder, force)
+    kind = kind_of_job(job)
+    loaded = load(job, Wishes(overrides, not_needed=runner.planned_inputs(kind) if kind else ()))
+    plan = runner.plan(loaded)
+    text = summary.json_of_plan(plan, folder)
+    if not as_json:
+        voice.line(terminal.plan_text(plan))
+    for path in planned.write(planned.files_of(plan), text, folder):
+        if not as_json:
+            voice.line(str(path))
+    if as_json:
+        click.echo(text)
+    for line in plan.warnings:
+        voice.warning(line)
+    return 0
