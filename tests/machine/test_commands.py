@@ -124,7 +124,7 @@ def test_an_effect_that_is_planted_is_estimated(folder: Path, text: str, planted
         assert abs(off) < 4.5 * estimate["std"], name
         assert abs(value) > 4 * estimate["std"], name
     true = json.loads((folder / "new" / "truth.json").read_text())
-    assert {name for name in truth} <= set(true)
+    assert set(truth) <= set(true)
 
 
 def test_what_cannot_be_told_apart_is_refused(folder: Path, metrocli: Metrocli) -> None:
