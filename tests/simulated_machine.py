@@ -98,7 +98,9 @@ def rotation(vector: Array) -> Array:
     return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
 
 
-def random_machine(rng: np.random.Generator, order: str = "XYZ", knots: tuple[int, int, int] = (5, 5, 5), size: float = 0.05) -> Machine:
+def random_machine(
+    rng: np.random.Generator, order: str = "XYZ", knots: tuple[int, int, int] = (5, 5, 5), size: float = 0.05
+) -> Machine:
     """Random tables in the gauge of the contract: positioning and angles 0 at 0, straightness 0 at both ends."""
     machine = Machine(order, knots)
     tables = {}
@@ -154,7 +156,9 @@ def settings(
     axes = [AxisSettings((float(LOW[i]), float(HIGH[i])), knots[i]) for i in range(3)]
     keys = {"standstill": ("points",), "on-the-fly": ("path", "track"), "six-dof": ("lines",)}[method]
     vectors = {name: tuple(vector) for name, vector in (tools or ONE).items()}
-    machine = MachineSettings(chain, AxesSettings(*axes), tools=vectors, tool_uncertainty=more.pop("tool_uncertainty", 0.0))
+    machine = MachineSettings(
+        chain, AxesSettings(*axes), tools=vectors, tool_uncertainty=more.pop("tool_uncertainty", 0.0)
+    )
     noise = more.pop("noise", Noise(beam=1e-3, lateral=LateralNoise(2e-3, 3e-6)))
     return Settings(method, machine, Inputs(**dict.fromkeys(keys, NOWHERE)), noise, **more)
 
@@ -171,7 +175,11 @@ def commands(rng: np.random.Generator, n: int) -> Array:
 
 
 def points(
-    machine: Machine, rng: np.random.Generator, n: int = 226, tools: Mapping[str, Sequence[float]] | None = None, noise: float = 1.0
+    machine: Machine,
+    rng: np.random.Generator,
+    n: int = 226,
+    tools: Mapping[str, Sequence[float]] | None = None,
+    noise: float = 1.0,
 ) -> Table:
     """A standstill measurement."""
     tools = tools or ONE
@@ -185,7 +193,12 @@ def point_table(position: Array, seen: Array, tool: npt.NDArray[np.str_]) -> Tab
     """Commanded and measured points as a file would have them."""
     columns = {"point": np.array([f"P{i}" for i in range(len(position))]), "tool": tool}
     columns |= dict(zip("xyz", position.T, strict=True)) | dict(zip(("mx", "my", "mz"), seen.T, strict=True))
-    return Table(columns, dict.fromkeys(("x", "y", "z", "mx", "my", "mz"), "mm"), "points.csv", tuple(range(2, len(position) + 2)))
+    return Table(
+        columns,
+        dict.fromkeys(("x", "y", "z", "mx", "my", "mz"), "mm"),
+        "points.csv",
+        tuple(range(2, len(position) + 2)),
+    )
 
 
 def truth_of(machine: Machine, name: str) -> Array:
@@ -280,7 +293,10 @@ def flight(
     listed = {"tool": np.repeat(names, len(vertices))} if len(tools) > 1 else {}
     track = {"tool": names[tool]} if len(tools) > 1 else {}
     return Flight(
-        _table("path.csv", np.tile(vertices, (len(tools), 1)), listed), _table("track.csv", seen, track), commanded, tool
+        _table("path.csv", np.tile(vertices, (len(tools), 1)), listed),
+        _table("track.csv", seen, track),
+        commanded,
+        tool,
     )
 
 
@@ -306,7 +322,9 @@ def rotations(machine: Machine, positions: Array) -> Array:
     return sum(np.stack([machine.errors(a, p) for p in positions[:, i]])[:, 3:] for i, a in enumerate("XYZ"))  # type: ignore[return-value]
 
 
-def line(machine: Machine, axis: str, rng: np.random.Generator, noise: float = 1.0, n: int = 25, **where: float) -> dict[str, Array]:
+def line(
+    machine: Machine, axis: str, rng: np.random.Generator, noise: float = 1.0, n: int = 25, **where: float
+) -> dict[str, Array]:
     """One line: the machine's error, an offset in every channel, a slope across the beam, noise."""
     moving = ["xyz".index(letter) for letter in axis]
     length = float(np.linalg.norm(SPAN[moving]))
@@ -326,11 +344,22 @@ def line(machine: Machine, axis: str, rng: np.random.Generator, noise: float = 1
     channels[:, :3] += noise * (square + (beam - square @ along[:, None]) * along)
     channels[:, 3:] += noise * rng.normal(size=(n, 3)) * 1e-6
     shown = at[:, moving[0]] if len(moving) == 1 else distance
-    return {"axis": np.repeat(axis, n), "position": shown, **dict(zip(CHANNELS, channels.T, strict=True)), **dict(zip("xyz", at.T, strict=True))}
+    return {
+        "axis": np.repeat(axis, n),
+        "position": shown,
+        **dict(zip(CHANNELS, channels.T, strict=True)),
+        **dict(zip("xyz", at.T, strict=True)),
+    }
 
 
 def line_table(lines: list[dict[str, Array]], keep: tuple[str, ...] = ()) -> Table:
     names = np.concatenate([np.repeat(f"L{i}", len(one["position"])) for i, one in enumerate(lines)])
-    columns = {"line": names} | {name: np.concatenate([one[name] for one in lines]) for name in ("axis", "position", *CHANNELS, *keep)}
-    units = {"position": "mm", **dict.fromkeys(("ex", "ey", "ez", *keep), "mm"), **dict.fromkeys(("ea", "eb", "ec"), "rad")}
+    columns = {"line": names} | {
+        name: np.concatenate([one[name] for one in lines]) for name in ("axis", "position", *CHANNELS, *keep)
+    }
+    units = {
+        "position": "mm",
+        **dict.fromkeys(("ex", "ey", "ez", *keep), "mm"),
+        **dict.fromkeys(("ea", "eb", "ec"), "rad"),
+    }
     return Table(columns, units, "lines.csv", tuple(range(2, len(names) + 2)))

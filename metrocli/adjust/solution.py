@@ -34,8 +34,8 @@ class Solution:
 
     @property
     def observations(self) -> int:
-        """Number of scalar readings, priors included, without those of infinite standard deviation."""
-        return sum(int(np.isfinite(group.observations.sigma).sum()) for group in self.groups)
+        """Number of scalar readings, priors included."""
+        return sum(int(group.observations.readings.size) for group in self.groups)
 
     @property
     def dof(self) -> int:

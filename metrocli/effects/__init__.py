@@ -15,6 +15,7 @@ TABLES: dict[str, str] = {
     "calibrate-machine": "metrocli.effects.calibrate_machine",
     "multilaterate": "metrocli.effects.multilaterate",
     "locate-launch-unit": "metrocli.effects.locate_launch_unit",
+    "selfcal-grid": "metrocli.effects.selfcal_grid",
 }
 """For each kind of job the module that has its table"""
 

@@ -24,14 +24,24 @@ KNOTS = (4, 4, 3)
 def at_standstill() -> Problem:
     rng = np.random.default_rng(71)
     machine = sim.random_machine(rng, "ZXY", KNOTS)
-    return standstill(sim.settings(tools=sim.THREE, knots=KNOTS, chain="ZXY", tool_uncertainty=0.01), sim.points(machine, rng, 30, sim.THREE))
+    return standstill(
+        sim.settings(tools=sim.THREE, knots=KNOTS, chain="ZXY", tool_uncertainty=0.01),
+        sim.points(machine, rng, 30, sim.THREE),
+    )
 
 
 def along_a_path() -> Problem:
     rng = np.random.default_rng(72)
     machine = sim.random_machine(rng, "YXZ", KNOTS)
     flight = sim.flight(machine, sim.walls(rng, 30), rng, spacing=8.0)
-    settings = sim.settings("on-the-fly", tools={"": (5.0, -8.0, 120.0)}, knots=KNOTS, chain="YXZ", tool_uncertainty=0.01, noise=Noise(beam=1e-3, lateral=5e-3))
+    settings = sim.settings(
+        "on-the-fly",
+        tools={"": (5.0, -8.0, 120.0)},
+        knots=KNOTS,
+        chain="YXZ",
+        tool_uncertainty=0.01,
+        noise=Noise(beam=1e-3, lateral=5e-3),
+    )
     return on_the_fly(settings, flight.path, flight.track).problem
 
 
@@ -39,7 +49,12 @@ def with_six_channels() -> Problem:
     rng = np.random.default_rng(73)
     machine = sim.random_machine(rng, "XYZ", KNOTS)
     lines = sim.line_table([sim.line(machine, axis, rng, n=7) for axis in ("x", "y", "z", "xy", "yz", "xz")])
-    settings = sim.settings("six-dof", tools={"": (0.0, 0.0, 0.0)}, knots=KNOTS, noise=Noise(displacement=5e-4, straightness=1e-3, angle=1e-6))
+    settings = sim.settings(
+        "six-dof",
+        tools={"": (0.0, 0.0, 0.0)},
+        knots=KNOTS,
+        noise=Noise(displacement=5e-4, straightness=1e-3, angle=1e-6),
+    )
     return six_dof(settings, lines)
 
 
@@ -66,7 +81,12 @@ def moved(block: Block, rng: np.random.Generator) -> Block:
     """A block at plausible values that are not zero."""
     if block.space is Space.POSE or block.name in ("leg", "tool"):
         return block
-    size = np.array([1e-4 if column[1] in "ABC" or "0" in column or column.startswith(("slope", "ea", "eb", "ec")) else 0.05 for column in block.columns])
+    size = np.array(
+        [
+            1e-4 if column[1] in "ABC" or "0" in column or column.startswith(("slope", "ea", "eb", "ec")) else 0.05
+            for column in block.columns
+        ]
+    )
     return replace(block, values=block.values + rng.normal(size=block.values.shape) * size)
 
 

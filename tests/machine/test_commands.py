@@ -22,21 +22,33 @@ machine:
   tools: {T1: [0 mm, 0 mm, 120 mm], T2: [110 mm, 20 mm, 150 mm], T3: [-30 mm, 100 mm, 210 mm]}
 output: result.h5
 """
-STANDSTILL = HEAD + """method: standstill
+STANDSTILL = (
+    HEAD
+    + """method: standstill
 inputs: {points: points.csv}
 noise: {beam: 1 um, lateral: {constant: 2 um, proportional: 3 um/m}}
 simulation: {error: 80 um, points: 200}
 """
-FLIGHT = HEAD + """method: on-the-fly
+)
+FLIGHT = (
+    HEAD
+    + """method: on-the-fly
 inputs: {path: path.csv, track: track.csv}
 noise: {beam: 1 um, radial: 5 um}
 simulation: {error: 117 um, sampling: 50 ms}
 """
-LINES = HEAD.replace("tools: {T1: [0 mm, 0 mm, 120 mm], T2: [110 mm, 20 mm, 150 mm], T3: [-30 mm, 100 mm, 210 mm]}", "tool: [0 mm, 0 mm, 0 mm]") + """method: six-dof
+)
+LINES = (
+    HEAD.replace(
+        "tools: {T1: [0 mm, 0 mm, 120 mm], T2: [110 mm, 20 mm, 150 mm], T3: [-30 mm, 100 mm, 210 mm]}",
+        "tool: [0 mm, 0 mm, 0 mm]",
+    )
+    + """method: six-dof
 inputs: {lines: lines.csv}
 noise: {displacement: 0.5 um, straightness: 1 um, angle: 1 urad}
 simulation: {error: 50 um, step: 20 mm}
 """
+)
 
 
 @pytest.fixture
@@ -86,7 +98,14 @@ def test_what_is_simulated_is_found_again(folder: Path, text: str, metrocli: Met
 def columns_of_truth():  # type: ignore[no-untyped-def]
     from metrocli.table import TEXT, Column, Columns
 
-    return Columns((Column("error", TEXT), Column("position", "length"), Column("value", "length", may_be_empty=True), Column("turn", "angle", may_be_empty=True)))
+    return Columns(
+        (
+            Column("error", TEXT),
+            Column("position", "length"),
+            Column("value", "length", may_be_empty=True),
+            Column("turn", "angle", may_be_empty=True),
+        )
+    )
 
 
 PLANTED = {
@@ -145,7 +164,11 @@ def test_what_cannot_be_told_apart_is_refused(folder: Path, metrocli: Metrocli) 
         ("method: standstill", "method: on-the-fly", "method on-the-fly needs the input 'track'"),
         ("method: standstill", "method: six-dof", "method six-dof needs the noise 'displacement'"),
         ("noise: {beam: 1 um, ", "noise: {", "method standstill needs the noise 'beam'"),
-        ("lateral: {constant: 2 um, proportional: 3 um/m}", "lateral: 2 um, radial: 2 um", "lateral and radial are the same"),
+        (
+            "lateral: {constant: 2 um, proportional: 3 um/m}",
+            "lateral: 2 um, radial: 2 um",
+            "lateral and radial are the same",
+        ),
         ("method: standstill", "method: standstill\nestimate: [EXX, EXQ]", "unknown word 'EXQ'"),
         ("tools: {T1", "tool: [0 mm, 0 mm, 0 mm]\n  tools: {T1", "tool and tools say the same thing"),
         ("120 mm]", "120]", "120 has no unit"),
@@ -167,12 +190,31 @@ def test_faults_of_a_job_are_told(folder: Path, old: str, new: str, said: str, m
         (lambda lines: [lines[0], lines[1].replace(",T", ",X"), *lines[2:]], 3, "points.csv:2: error: tool 'X"),
         (lambda lines: [lines[0].replace("mx_mm,my_mm,mz_mm", "mx_m,my_m,mz_m"), *lines[1:]], 3, "1000 times as large"),
         (lambda lines: [lines[0].replace("mx_mm,my_mm", "my_mm,mx_mm"), *lines[1:]], 3, "mirror image"),
-        (lambda lines: [lines[0], lines[1].replace(lines[1].split(",")[4], "nan"), *lines[2:]], 3, "'nan' is not a finite number"),
-        (lambda lines: [lines[0], *[",".join([*row.split(",")[:1], *other.split(",")[1:4], *row.split(",")[4:]]) for row, other in zip(lines[1:-1], reversed(lines[1:-1]), strict=True)], ""], 3, "do not have the shape"),
+        (
+            lambda lines: [lines[0], lines[1].replace(lines[1].split(",")[4], "nan"), *lines[2:]],
+            3,
+            "'nan' is not a finite number",
+        ),
+        (
+            lambda lines: [
+                lines[0],
+                *[
+                    ",".join([*row.split(",")[:1], *other.split(",")[1:4], *row.split(",")[4:]])
+                    for row, other in zip(lines[1:-1], reversed(lines[1:-1]), strict=True)
+                ],
+                "",
+            ],
+            3,
+            "do not have the shape",
+        ),
         (lambda lines: [lines[0].replace(",tool", ",kind"), *lines[1:]], 3, "the file has no column 'tool'"),
         (lambda lines: [*lines[:3], ""], 3, "2 points are too few"),
         (lambda lines: [*lines[:20], ""], 4, "combinations of errors open"),
-        (lambda lines: [lines[0], "A,700," + lines[1].split(",", 2)[2], *lines[2:]], 3, "points.csv:2: error: x = 700 mm is outside the range of the axis, 0 to 600 mm"),
+        (
+            lambda lines: [lines[0], "A,700," + lines[1].split(",", 2)[2], *lines[2:]],
+            3,
+            "points.csv:2: error: x = 700 mm is outside the range of the axis, 0 to 600 mm",
+        ),
     ],
 )
 def test_wrong_points_are_told(folder: Path, change, code: int, said: str, metrocli: Metrocli) -> None:  # type: ignore[no-untyped-def]
@@ -202,5 +244,7 @@ def test_simulate_wants_a_truth(folder: Path, metrocli: Metrocli) -> None:
 
 def test_the_schema_names_what_a_job_may_say(metrocli: Metrocli) -> None:
     schema = json.loads(metrocli("schema", "calibrate-machine").out)
-    assert {"method", "machine", "estimate", "inputs", "noise", "volume", "simulation", "plan"} <= set(schema["properties"])
+    assert {"method", "machine", "estimate", "inputs", "noise", "volume", "simulation", "plan"} <= set(
+        schema["properties"]
+    )
     assert TRACK.columns[0].name == "x"

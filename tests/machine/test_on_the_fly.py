@@ -41,7 +41,12 @@ def changed(table: Table, values: Array) -> Table:
 
 
 def of_rows(table: Table, rows: Array) -> Table:
-    return Table({name: values[rows] for name, values in table.columns.items()}, table.units, table.file, tuple(np.array(table.lines)[rows].tolist()))
+    return Table(
+        {name: values[rows] for name, values in table.columns.items()},
+        table.units,
+        table.file,
+        tuple(np.array(table.lines)[rows].tolist()),
+    )
 
 
 def test_without_noise_nothing_is_left(machine: sim.Machine, vertices: Array) -> None:
@@ -68,7 +73,9 @@ def test_with_noise_the_prediction_is_right_and_its_uncertainty_honest(machine: 
         for name in ("EXX", "EYX", "ECX", "EYY", "EZY", "EAX", "EAY", "EZZ"):
             table = result.tables[f"tables/{name}"]
             known = table.numbers("std") > 1e-15
-            scores.append(((table.numbers("value") - machine.tables[name]) / np.where(known, table.numbers("std"), 1))[known])
+            scores.append(
+                ((table.numbers("value") - machine.tables[name]) / np.where(known, table.numbers("std"), 1))[known]
+            )
     z = np.concatenate(scores)
     assert 0.8 < np.sqrt((z**2).mean()) < 1.2
     assert 0.91 < (np.abs(z) < 1.96).mean() < 0.985
@@ -90,7 +97,9 @@ def test_a_rest_in_the_middle_of_a_leg_has_no_weight(machine: sim.Machine, verti
     flight = sim.flight(machine, vertices, rng)
     at = len(flight.track) // 2
     xyz = flight.track.stacked("xyz")
-    held = np.concatenate([xyz[:at], np.repeat(xyz[at : at + 1] + 0.02, 4000, axis=0) + rng.normal(0, 0.004, (4000, 3)), xyz[at:]])
+    held = np.concatenate(
+        [xyz[:at], np.repeat(xyz[at : at + 1] + 0.02, 4000, axis=0) + rng.normal(0, 0.004, (4000, 3)), xyz[at:]]
+    )
     track = Table(dict(zip("xyz", held.T, strict=True)), flight.track.units, "track.csv")
     result = calibrate_machine.run(job(), path=flight.path, track=track)
     assert result.statistics["cut_standing"] >= 3990
@@ -126,7 +135,9 @@ def test_points_off_the_path_while_the_beam_is_lost_are_cut(machine: sim.Machine
     assert left < 0.0015
 
 
-@pytest.mark.parametrize(("factor", "said"), [(1e-3, "0.001 times as large"), (1e3, "1000 times as large"), (1 / 25.4, "0.03937 times")])
+@pytest.mark.parametrize(
+    ("factor", "said"), [(1e-3, "0.001 times as large"), (1e3, "1000 times as large"), (1 / 25.4, "0.03937 times")]
+)
 def test_a_wrong_unit_is_told(machine: sim.Machine, vertices: Array, factor: float, said: str) -> None:
     flight = sim.flight(machine, vertices, np.random.default_rng(38), spacing=4.0)
     track = changed(flight.track, flight.track.stacked("xyz") * factor)
@@ -138,7 +149,9 @@ def test_a_wrong_unit_is_told(machine: sim.Machine, vertices: Array, factor: flo
 def test_a_mirrored_tracker_is_told(machine: sim.Machine, vertices: Array) -> None:
     flight = sim.flight(machine, vertices, np.random.default_rng(39), spacing=4.0)
     with pytest.raises(InputError, match="the track is a mirror image of the path"):
-        calibrate_machine.run(job(), path=flight.path, track=changed(flight.track, flight.track.stacked("xyz") * [1, -1, 1]))
+        calibrate_machine.run(
+            job(), path=flight.path, track=changed(flight.track, flight.track.stacked("xyz") * [1, -1, 1])
+        )
 
 
 def test_the_track_of_another_path_is_told(machine: sim.Machine, vertices: Array) -> None:
@@ -152,7 +165,9 @@ def test_a_path_outside_the_axes_is_told_with_its_line(machine: sim.Machine, ver
     flight = sim.flight(machine, vertices, np.random.default_rng(43), spacing=4.0)
     values = flight.path.stacked("xyz").copy()
     values[3, 1] = 261.0
-    with pytest.raises(InputError, match=r"path.csv:5: error: y = 261 mm is outside the range of the axis, -260 to 260 mm"):
+    with pytest.raises(
+        InputError, match=r"path.csv:5: error: y = 261 mm is outside the range of the axis, -260 to 260 mm"
+    ):
         calibrate_machine.run(job(), path=changed(flight.path, values), track=flight.track)
 
 

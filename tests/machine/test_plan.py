@@ -43,8 +43,12 @@ def test_the_promised_uncertainty_is_that_of_the_measurement() -> None:
     machine = sim.random_machine(np.random.default_rng(61))
     flight = sim.flight(machine, vertices, np.random.default_rng(62), spacing=2.0)
     result = calibrate_machine.run(settings, path=flight.path, track=flight.track)
-    promised = dict(zip(plan.tables["errors"].texts("error"), plan.tables["errors"].numbers("largest_std"), strict=True))
-    found = dict(zip(result.tables["errors"].texts("error"), result.tables["errors"].numbers("largest_std"), strict=True))
+    promised = dict(
+        zip(plan.tables["errors"].texts("error"), plan.tables["errors"].numbers("largest_std"), strict=True)
+    )
+    found = dict(
+        zip(result.tables["errors"].texts("error"), result.tables["errors"].numbers("largest_std"), strict=True)
+    )
     ratios = [found[name] / promised[name] for name in promised if np.isfinite(promised[name])]
     assert len(ratios) == 17
     assert min(ratios) > 0.8 and max(ratios) < 1.25

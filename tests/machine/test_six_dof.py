@@ -18,7 +18,13 @@ SPAN = sim.HIGH - sim.LOW
 
 
 def job(**more: object) -> Settings:
-    return sim.settings("six-dof", tools={"": (0.0, 0.0, 0.0)}, knots=KNOTS, noise=Noise(displacement=5e-4, straightness=1e-3, angle=1e-6), **more)
+    return sim.settings(
+        "six-dof",
+        tools={"": (0.0, 0.0, 0.0)},
+        knots=KNOTS,
+        noise=Noise(displacement=5e-4, straightness=1e-3, angle=1e-6),
+        **more,
+    )
 
 
 AXES, DIAGONALS = ("x", "y", "z"), ("xy", "yz", "xz")
@@ -31,11 +37,15 @@ def machine() -> sim.Machine:
 
 def test_without_noise_misalignment_goes_and_the_machine_stays(machine: sim.Machine) -> None:
     rng = np.random.default_rng(52)
-    result = calibrate_machine.run(job(), lines=line_table([line(machine, axis, rng, 0.0) for axis in (*AXES, *DIAGONALS)]))
+    result = calibrate_machine.run(
+        job(), lines=line_table([line(machine, axis, rng, 0.0) for axis in (*AXES, *DIAGONALS)])
+    )
     assert result.statistics["undetermined"] == ""
     for name in sim.NAMES:
         angle = name[1] in "ABC"
-        assert np.abs(result.tables[f"tables/{name}"].numbers("value") - machine.tables[name]).max() < (1e-12 if angle else 1e-9)
+        assert np.abs(result.tables[f"tables/{name}"].numbers("value") - machine.tables[name]).max() < (
+            1e-12 if angle else 1e-9
+        )
     values = np.array([estimate.value for estimate in result.estimates])
     assert np.abs(values - machine.squareness).max() < 1e-12
     assert result.tables["lines"].texts("line") == [f"L{i}" for i in range(6)]
@@ -49,7 +59,9 @@ def test_squareness_from_diagonals_alone_would_be_wrong(machine: sim.Machine) ->
     plain = (second**2 - first**2) / (4 * SPAN[0] * SPAN[1])
     # the solution with all lines knows it to 1.5 urad
     assert abs(plain - machine.squareness[2]) > 5 * 1.5e-6
-    square = sim.Machine("XYZ", KNOTS, {name: 0 * values for name, values in machine.tables.items()}, machine.squareness)
+    square = sim.Machine(
+        "XYZ", KNOTS, {name: 0 * values for name, values in machine.tables.items()}, machine.squareness
+    )
     reached = ends + sim.displacements(square, ends, np.zeros(3))
     first, second = np.linalg.norm(reached[1] - reached[0]), np.linalg.norm(reached[3] - reached[2])
     assert (second**2 - first**2) / (4 * SPAN[0] * SPAN[1]) == pytest.approx(machine.squareness[2], rel=1e-3)
@@ -59,13 +71,17 @@ def test_uncertainties_are_honest(machine: sim.Machine) -> None:
     scores, sigma0 = [], []
     for seed in range(20):
         rng = np.random.default_rng(200 + seed)
-        result = calibrate_machine.run(job(), lines=line_table([line(machine, axis, rng) for axis in (*AXES, *DIAGONALS)]))
+        result = calibrate_machine.run(
+            job(), lines=line_table([line(machine, axis, rng) for axis in (*AXES, *DIAGONALS)])
+        )
         sigma0.append(result.statistics["sigma0"])
         for name in sim.NAMES:
             found = result.tables[f"tables/{name}"]
             std = found.numbers("std")
             scores.append((found.numbers("value") - machine.tables[name])[std > 1e-15] / std[std > 1e-15])
-        scores.append(np.array([(e.value - true) / e.std for e, true in zip(result.estimates, machine.squareness, strict=True)]))
+        scores.append(
+            np.array([(e.value - true) / e.std for e, true in zip(result.estimates, machine.squareness, strict=True)])
+        )
     z = np.concatenate(scores)
     assert 0.9 < np.sqrt((z**2).mean()) < 1.1
     assert 0.93 < (np.abs(z) < 1.96).mean() < 0.97
@@ -75,7 +91,11 @@ def test_uncertainties_are_honest(machine: sim.Machine) -> None:
 def test_lines_may_stand_elsewhere(machine: sim.Machine) -> None:
     """The columns x, y, z say where the other axes are; the tables are the same."""
     rng = np.random.default_rng(53)
-    lines = [line(machine, "x", rng, 0.0, y=100.0, z=-200.0), line(machine, "y", rng, 0.0, x=300.0), line(machine, "z", rng, 0.0)]
+    lines = [
+        line(machine, "x", rng, 0.0, y=100.0, z=-200.0),
+        line(machine, "y", rng, 0.0, x=300.0),
+        line(machine, "z", rng, 0.0),
+    ]
     lines += [line(machine, axis, rng, 0.0) for axis in DIAGONALS]
     result = calibrate_machine.run(job(), lines=line_table(lines, ("x", "y", "z")))
     assert np.abs(result.tables["tables/EYX"].numbers("value") - machine.tables["EYX"]).max() < 1e-9
@@ -102,10 +122,22 @@ def test_one_missing_axis_is_told(machine: sim.Machine) -> None:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda t: {"axis": np.where(np.arange(len(t)) == 3, "u", t.columns["axis"])}, "lines.csv:5: error: 'u' is no direction of a line"),
-        (lambda t: {"axis": np.where(np.arange(len(t)) == 3, "y", t.columns["axis"])}, "line 'L0' has rows along x and y"),
-        (lambda t: {"line": np.where(np.arange(len(t)) == 3, "alone", t.columns["line"])}, "line 'alone' has fewer than 3 positions"),
-        (lambda t: {"position": np.where(np.arange(len(t)) == 3, 601.0, t.columns["position"])}, "lines.csv:5: error: x = 601 mm is outside"),
+        (
+            lambda t: {"axis": np.where(np.arange(len(t)) == 3, "u", t.columns["axis"])},
+            "lines.csv:5: error: 'u' is no direction of a line",
+        ),
+        (
+            lambda t: {"axis": np.where(np.arange(len(t)) == 3, "y", t.columns["axis"])},
+            "line 'L0' has rows along x and y",
+        ),
+        (
+            lambda t: {"line": np.where(np.arange(len(t)) == 3, "alone", t.columns["line"])},
+            "line 'alone' has fewer than 3 positions",
+        ),
+        (
+            lambda t: {"position": np.where(np.arange(len(t)) == 3, 601.0, t.columns["position"])},
+            "lines.csv:5: error: x = 601 mm is outside",
+        ),
     ],
 )
 def test_wrong_rows_are_told(machine: sim.Machine, change, said: str) -> None:  # type: ignore[no-untyped-def]
@@ -131,7 +163,10 @@ def test_figures_of_iso_230_2_by_hand() -> None:
 
 
 def test_one_run_each_way_has_no_repeatability() -> None:
-    runs = [Run("X", np.array([0.0, 1.0, 2.0]), np.array([0.0, 1.0, 3.0])), Run("X", np.array([2.0, 1.0, 0.0]), np.array([5.0, 2.0, 1.0]))]
+    runs = [
+        Run("X", np.array([0.0, 1.0, 2.0]), np.array([0.0, 1.0, 3.0])),
+        Run("X", np.array([2.0, 1.0, 0.0]), np.array([5.0, 2.0, 1.0])),
+    ]
     found = positioning(runs)
     assert found is not None
     assert found.texts("axis") == ["X"]

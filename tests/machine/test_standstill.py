@@ -35,11 +35,14 @@ def test_without_noise_the_truth_comes_back(order: str, knots: tuple[int, int, i
     rng = np.random.default_rng(11)
     machine = sim.random_machine(rng, order, knots)
     result = calibrate_machine.run(
-        sim.settings(tools=sim.THREE, knots=knots, chain=order), points=sim.points(machine, rng, 250, sim.THREE, noise=0.0)
+        sim.settings(tools=sim.THREE, knots=knots, chain=order),
+        points=sim.points(machine, rng, 250, sim.THREE, noise=0.0),
     )
     for name in sim.NAMES:
         angle = name[1] in "ABC"
-        assert np.abs(result.tables[f"tables/{name}"].numbers("value") - machine.tables[name]).max() < (1e-10 if angle else 1e-8)
+        assert np.abs(result.tables[f"tables/{name}"].numbers("value") - machine.tables[name]).max() < (
+            1e-10 if angle else 1e-8
+        )
     values = {estimate.name: estimate.value for estimate in result.estimates}
     assert np.abs(np.array([values[name] for name in SQUARENESS_NAMES]) - machine.squareness).max() < 1e-10
 
@@ -50,7 +53,9 @@ def test_uncertainties_are_honest() -> None:
     for seed in range(30):
         rng = np.random.default_rng(seed)
         machine = sim.random_machine(rng, knots=(4, 5, 4))
-        result = calibrate_machine.run(sim.settings(tools=sim.THREE, knots=(4, 5, 4)), points=sim.points(machine, rng, 150, sim.THREE))
+        result = calibrate_machine.run(
+            sim.settings(tools=sim.THREE, knots=(4, 5, 4)), points=sim.points(machine, rng, 150, sim.THREE)
+        )
         z = scores(result, machine)
         inside.append((np.abs(z) < 1.96).mean())
         squares.append((z**2).mean())
@@ -65,11 +70,20 @@ def test_squareness_between_least_squares_lines() -> None:
     """The reference lines differ from the end-point lines by the slopes of the straightness tables."""
     rng = np.random.default_rng(12)
     machine = sim.random_machine(rng)
-    result = calibrate_machine.run(sim.settings(tools=sim.THREE), points=sim.points(machine, rng, 250, sim.THREE, noise=0.0))
-    slope = {name: np.polyfit(machine.positions(name[2]), machine.tables[name], 1)[0] for name in ("EYX", "EZX", "EXY", "EZY", "EXZ", "EYZ")}
+    result = calibrate_machine.run(
+        sim.settings(tools=sim.THREE), points=sim.points(machine, rng, 250, sim.THREE, noise=0.0)
+    )
+    slope = {
+        name: np.polyfit(machine.positions(name[2]), machine.tables[name], 1)[0]
+        for name in ("EYX", "EZX", "EXY", "EZY", "EXZ", "EYZ")
+    }
     a, b, c = machine.squareness
     # directions of the axes' lines as small rotations: X turns by EYX about Z, Y by -EXY, and so on
-    expected = {"C0Y": c - slope["EXY"] - slope["EYX"], "B0Z": b + slope["EXZ"] + slope["EZX"], "A0Z": a - slope["EYZ"] - slope["EZY"]}
+    expected = {
+        "C0Y": c - slope["EXY"] - slope["EYX"],
+        "B0Z": b + slope["EXZ"] + slope["EZX"],
+        "A0Z": a - slope["EYZ"] - slope["EZY"],
+    }
     table = result.tables["squareness"]
     for name, value in zip(table.texts("error"), table.numbers("least_squares"), strict=True):
         assert value == pytest.approx(expected[name], abs=1e-10)
@@ -132,7 +146,9 @@ def test_a_knot_that_no_point_supports_is_named() -> None:
     table = sim.points(machine, rng, 300)
     keep = table.numbers("y") < 100
     short = Table({name: values[keep] for name, values in table.columns.items()}, table.units, table.file, table.lines)
-    with pytest.raises(UndeterminedError, match=r"no reading is near 1 of the 5 knots of Y \(at 260 mm\): give y fewer knots"):
+    with pytest.raises(
+        UndeterminedError, match=r"no reading is near 1 of the 5 knots of Y \(at 260 mm\): give y fewer knots"
+    ):
         calibrate_machine.run(sim.settings(), points=short)
 
 
@@ -168,4 +184,6 @@ def test_one_point_and_many_are_displaced_alike() -> None:
     rng = np.random.default_rng(19)
     machine = sim.random_machine(rng, "ZXY")
     positions, tool = sim.commands(rng, 20), np.array([1.0, 2.0, 30.0])
-    assert np.allclose(sim.displacements(machine, positions, tool), [machine.first_order(p, tool) for p in positions], atol=1e-15)
+    assert np.allclose(
+        sim.displacements(machine, positions, tool), [machine.first_order(p, tool) for p in positions], atol=1e-15
+    )
