@@ -40,6 +40,13 @@ class Delivered:
     unit: str
     """Unit for people, such as um"""
     dimension: str
+    also: tuple[str, ...] = ()
+    """More blocks of the same kind, with the same columns"""
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """All blocks."""
+        return (self.block, *self.also)
 
 
 @dataclass(frozen=True)
