@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from metrocli.adjust.blocks import Array, Block
 from metrocli.adjust.chain import Chain
 from metrocli.adjust.datum import Datum
-from metrocli.adjust.groups import Group, prior
+from metrocli.adjust.groups import Group, prior, priors
 from metrocli.adjust.noise import Aspect, Noise
 from metrocli.adjust.observations import Index, Mask, Observations
 from metrocli.effects.model import Added, Model, Place
@@ -79,6 +79,8 @@ class Network:
     nominal: Array
     """The mover's readings of the points (points, 3)"""
     absolute: bool
+    said: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    """Where the tracers are said to be (tracers, 3), nan where nothing is said"""
     warnings: tuple[str, ...] = ()
     effects: tuple[Added, ...] = ()
 
@@ -161,15 +163,15 @@ def network_of(
     group = group.with_observations(replace(observations, sigma=noise(group, blocks)))
     tracer_sigma = np.column_stack([readings.tracer_sigma, np.full((len(readings.stations), 2), np.nan)])
     others = (
-        *_known(point_block, sigma, free),
-        *_known(tracer_block, tracer_sigma, tracer_block.free),
+        *priors(point_block, sigma, free),
+        *priors(tracer_block, tracer_sigma, tracer_block.free),
         *_scales(settings, tracer_block),
         *_distances(distances, names, readings.seen),
     )
     inner = settings.datum != "points" and bool(tracer_block.free[:, :3].any()) and bool(free.any())
     datum = t.datum(point_block, free.all(axis=1).astype(float)) if inner else None
     absolute = settings.measures == "absolute"
-    return Network(blocks, group, others, datum, noise, readings.nominal, absolute, _unused(readings))
+    return Network(blocks, group, others, datum, noise, readings.nominal, absolute, readings.said, _unused(readings))
 
 
 def _unused(readings: Readings) -> tuple[str, ...]:
@@ -185,20 +187,6 @@ def _tracers(settings: NetworkSettings, readings: Readings, places: Array) -> Bl
     free[:, 3] = settings.measures != "absolute"
     free[:, 4] = settings.scale is not None
     return t.tracer_block(places, readings.stations, free, readings.extent)
-
-
-def _known(block: Block, sigma: Array, free: Mask) -> list[Group]:
-    """Return what is known of places beforehand, as observations of their own."""
-    if len(sigma) == 0:
-        return []
-    known = free & np.isfinite(sigma) & (sigma > 0)
-    groups = []
-    for pattern in np.unique(known, axis=0):
-        axes = tuple(int(i) for i in np.flatnonzero(pattern))
-        members = np.flatnonzero((known == pattern).all(axis=1))
-        if axes and members.size:
-            groups.append(prior(block, members, sigma[members][:, list(axes)], columns=axes))
-    return groups
 
 
 def _scales(settings: NetworkSettings, block: Block) -> list[Group]:

@@ -15,7 +15,7 @@ from metrocli.instruments import tracer as t
 from metrocli.result import Estimate, Result
 from metrocli.table import Table
 from metrocli.tasks import layout_faults
-from metrocli.tasks.adjustment_statistics import basic_statistics, noise_warnings
+from metrocli.tasks.adjustment_statistics import REMOVE, basic_statistics, noise_warnings
 from metrocli.tasks.network_correction import corrected, distant, wrong_entries
 from metrocli.tasks.network_distance import factors
 from metrocli.tasks.network_reliability import UNITS as RELIABILITY_UNITS
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from metrocli.table import Values
 
 KIND = "multilaterate"
-_SCALED = "those of the residuals are sigma0 times as large"
 _UNITS = ("mm", "mm", "mm", "mm", "1")
 
 
@@ -163,7 +162,7 @@ def _suspects(solved: Solved) -> Table:
 
 
 def _warnings(solved: Solved) -> list[str]:
-    lines = [*solved.network.warnings, *noise_warnings(solved.solution, _SCALED)]
+    lines = [*solved.network.warnings, *noise_warnings(solved.solution, cures=(REMOVE,))]
     keys = solved.whole.lengths.observations.keys
     wrong = [
         f"{keys['point'][one.row]}/{keys['tracer'][one.row]}"

@@ -144,6 +144,8 @@ def test_the_mirror_image_is_no_result() -> None:
         values[:, 0] *= -1
         turned[name] = block.with_values(values)
     datum = replace(built.datum, reference=turned["point"].values) if built.datum else None
-    with pytest.raises(NotConvergedError, match="mm from where their list says .median.: the adjustment ended in a wrong"):
+    with pytest.raises(
+        NotConvergedError, match="mm from where their list says .median.: the adjustment ended in a wrong"
+    ):
         solve(replace(built, blocks=turned, datum=datum), remove=False)
     assert solve(built, remove=False).solution.outcome.good
