@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -70,7 +71,8 @@ def _estimates(solution: Solution) -> tuple[tuple[str, ...], Array, Array]:
     if solution.blocks[spindle.COUPLING].free.any():
         cross = change @ known.between(spindle.PART, spindle.COUPLING)
         covariance = np.block([[covariance, cross], [cross.T, known.of(spindle.COUPLING)]])
-        values = np.concatenate([values, solution.blocks[spindle.COUPLING].values[0]])
+        turn = math.remainder(float(solution.blocks[spindle.COUPLING].values[0, 0]), math.tau)
+        values = np.concatenate([values, [turn]])
         names.append("gamma_s")
     return tuple(names), values, (covariance + covariance.T) / 2
 
