@@ -98,6 +98,15 @@ _SPEEDS = (
     Unit("m/s", _KILO),
     Unit("m/min", _KILO, 60.0),
 )
+_RATES = (
+    Unit("1/s"),
+    Unit("1/min", over=60.0),
+    Unit("1/h", over=3600.0),
+    Unit("ppm/min", over=60.0 * _MILLION),
+    Unit("ppm/h", over=3600.0 * _MILLION),
+)
+_CURVATURES = (Unit("1/mm"), Unit("1/m", over=_KILO))
+_IMAGE_SPEEDS = (Unit("px/s"), Unit("px/min", over=60.0), Unit("px/h", over=3600.0))
 
 
 def _scaled(symbol: str, **prefixes: float) -> tuple[Unit, ...]:
@@ -119,6 +128,9 @@ _ALL = (
     Dimension("humidity", "a relative humidity", "50 percent", (Unit("percent"),)),
     Dimension("pixel", "a distance in the image", "0.1 px", (Unit("px"),)),
     Dimension("speed", "a speed", "0.5 um/min", _SPEEDS),
+    Dimension("rate", "a change of a ratio with time", "1 ppm/h", _RATES),
+    Dimension("curvature", "a curvature", "1e-6 1/mm", _CURVATURES),
+    Dimension("image speed", "a speed in the image", "0.1 px/h", _IMAGE_SPEEDS),
     Dimension("mass", "a mass", "0.5 kg", (Unit("kg"), Unit("g", over=_KILO), Unit("mg", over=_MILLION))),
     Dimension("voltage", "a voltage", "5 mV", _scaled("V", m=_KILO, u=_MILLION)),
     Dimension("current", "a current", "5 mA", _scaled("A", m=_KILO, u=_MILLION)),

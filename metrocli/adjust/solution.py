@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,6 +59,16 @@ class Solution:
         if self.covariance is None:
             raise RuntimeError(self.outcome.value)
         return self.covariance
+
+    def joint(self, names: Sequence[str]) -> Array:
+        """Return the covariance of the free entries of several blocks, one block after the other, row by row."""
+        free = [np.flatnonzero(self.blocks[name].free.ravel()) for name in names]
+        known = self.known()
+        rows = [
+            np.concatenate([known.between(a, b)[np.ix_(free[i], free[j])] for j, b in enumerate(names)], axis=1)
+            for i, a in enumerate(names)
+        ]
+        return np.concatenate(rows, axis=0)
 
     def std(self, block: str) -> Array:
         """Return the standard uncertainties of a block, (members, size)."""

@@ -13,11 +13,18 @@ from metrocli.cli import options
 @options.JOB
 @click.option("--out", required=True, type=click.Path(path_type=Path), metavar="DIR", help="Folder to write.")
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of the noise.")
+@click.option(
+    "--effect",
+    "effects",
+    multiple=True,
+    metavar="NAME:KEY=VALUE,...",
+    help="Plant an effect, such as dead-path-drift:tracer=LT2,rate=0.5um/min.",
+)
 @click.option("--images", is_flag=True, help="Render pictures too.")
 @options.SET
 @options.FORCE
 @options.QUIET
-def command(job: Path, out: Path, seed: int, images: bool, overrides: tuple[str, ...], force: bool, quiet: bool) -> int:
+def command(job: Path, out: Path, seed: int, images: bool, quiet: bool, force: bool, **wishes: tuple[str, ...]) -> int:
     """Simulate, then write tables, pictures and truth.json, and print their paths."""
     from metrocli.errors import Fault, InputError
     from metrocli.project import runner
@@ -28,7 +35,8 @@ def command(job: Path, out: Path, seed: int, images: bool, overrides: tuple[str,
     if out.exists() and not force and (not out.is_dir() or any(out.iterdir())):
         raise InputError([Fault("the folder is not empty", str(out), hint="name a new one, or use --force")])
     kind = kind_of_job(job)
-    loaded = load(job, Wishes(overrides, not_needed=runner.simulated_inputs(kind) if kind else ()))
+    not_needed = runner.simulated_inputs(kind) if kind else ()
+    loaded = load(job, Wishes(wishes["overrides"], not_needed=not_needed, effects=wishes["effects"]))
     for path in write(runner.simulate(loaded, SimulationOptions(seed, images)), out):
         options.Voice(quiet).line(str(path))
     return 0

@@ -1,6 +1,28 @@
-"""Effects: physical causes that a model can leave out, and a job can add by name."""
+"""Effects: physical causes that a model can leave out, and a job can add by name.
+
+A kind of job has a module here with its table `EFFECTS`, and one line below; each effect has a page in docs/effects.
+"""
 
 from __future__ import annotations
 
-EFFECTS: dict[str, str] = {}
-"""The effects that a job may name under `effects:`, with the module of each."""
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from metrocli.effects.effect import Effect
+
+TABLES: dict[str, str] = {"multilaterate": "metrocli.effects.multilaterate"}
+"""For each kind of job the module that has its table"""
+
+
+def effects_of(kind: str) -> tuple[Effect, ...]:
+    """Return the effects that a job of this kind may name under `effects:`."""
+    if kind not in TABLES:
+        return ()
+    table: tuple[Effect, ...] = import_module(TABLES[kind]).EFFECTS
+    return table
+
+
+def forms(kind: str, name: str) -> tuple[Effect, ...]:
+    """Return the forms of the effect of this name; none where it is unknown."""
+    return tuple(effect for effect in effects_of(kind) if effect.name == name)

@@ -10,6 +10,8 @@ import numpy as np
 from metrocli.adjust.blocks import Array, Block, Mask
 from metrocli.adjust.chain import Chain, Local, Step
 from metrocli.adjust.datum import Datum
+from metrocli.adjust.noise import Aspect
+from metrocli.adjust.observations import Observations
 from metrocli.adjust.quantities import Quantity
 from metrocli.geometry.rotations import cross_matrix
 from metrocli.instruments.frames import PointOf
@@ -25,6 +27,10 @@ FREEDOMS = (
     "rotation about y",
     "rotation about z",
 )
+
+
+COS_2A, SIN_2A, INCIDENCE = "cos 2a", "sin 2a", "1 - cos i"
+"""Aspects of a beam: a its azimuth atan2(dy, dx), i its angle at the reflector against the axis of that"""
 
 
 @dataclass(frozen=True)
@@ -57,6 +63,32 @@ class LengthFrom:
 def chain() -> Chain:
     """Return the forward model of a length."""
     return Chain((PointOf(POINT, Quantity.POINT_IN_MACHINE), LengthFrom(TRACER)))
+
+
+def beams(blocks: Mapping[str, Block], observations: Observations) -> Array:
+    """Return the vectors from tracers to reflectors, (3, n)."""
+    ends = blocks[POINT].values[observations.index[POINT]] - blocks[TRACER].values[observations.index[TRACER], :3]
+    return np.ascontiguousarray(ends.T)
+
+
+def _double_azimuth(blocks: Mapping[str, Block], observations: Observations) -> tuple[Array, Array]:
+    x, y, _ = beams(blocks, observations)
+    flat = np.maximum(x**2 + y**2, 1e-300)
+    return (x**2 - y**2) / flat, 2 * x * y / flat
+
+
+def _incidence(blocks: Mapping[str, Block], observations: Observations) -> Array:
+    """Return 1 - cos i against an axis of the reflector along +z: the beam goes back along -b."""
+    beam = beams(blocks, observations)
+    return np.asarray(1 + beam[2] / np.sqrt((beam**2).sum(axis=0)))
+
+
+ASPECTS: dict[str, Aspect] = {
+    COS_2A: lambda blocks, observations: _double_azimuth(blocks, observations)[0],
+    SIN_2A: lambda blocks, observations: _double_azimuth(blocks, observations)[1],
+    INCIDENCE: _incidence,
+}
+"""What effects on a beam may depend on"""
 
 
 def point_block(points: Array, names: Sequence[str], free: Mask | bool, extent: float) -> Block:

@@ -8,9 +8,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from metrocli import effects, tasks
+from metrocli import tasks
+from metrocli.effects import wanted as effects
+from metrocli.effects.wanted import Wanted
 from metrocli.errors import Fault, InputError, UsageError
-from metrocli.nodes import Node
+from metrocli.nodes import Node, Source
 from metrocli.project import yaml_text
 from metrocli.project.requirements import Requirement, Requirements
 from metrocli.settings import (
@@ -71,16 +73,8 @@ class _KindOfJob:
         return {"enum": list(tasks.KINDS)}
 
 
-@dataclass(frozen=True)
-class EffectSetting:
-    """An effect named in a job: where it acts and its parameters are still nodes, read by the effect."""
-
-    name: str
-    keys: Mapping[str, Node]
-
-
 class _Effects:
-    """The value of `effects:`, a list of mappings with a name and the keys of that effect."""
+    """The value of `effects:`, a list of mappings; what each may hold depends on the kind of job."""
 
     expects = "a list such as [{name: target-eccentricity}]"
 
@@ -88,29 +82,13 @@ class _Effects:
         return node.kind == "list"
 
     def read(self, node: Node, faults: list[Fault]) -> Any:
-        if not self.fits(node):
-            faults.append(node.fault("effects: this is not a list", f"expected {self.expects}"))
-            return BAD
-        found = [_effect(item, faults) for item in node.items]
-        return BAD if None in found else tuple(found)
+        if self.fits(node):
+            return node.items
+        faults.append(node.fault("effects: this is not a list", f"expected {self.expects}"))
+        return BAD
 
     def schema(self) -> Schema:
-        name = {"enum": list(effects.EFFECTS)}
-        item = {"type": "object", "required": ["name"], "properties": {"name": name}}
-        return {"type": "array", "items": item}
-
-
-def _effect(node: Node, faults: list[Fault]) -> EffectSetting | None:
-    name = node.get("name")
-    if name is None or name.kind != "scalar":
-        faults.append(node.fault(f"{node.path}: an effect needs a name", "write {name: ..., ...}"))
-        return None
-    if name.text not in effects.EFFECTS:
-        none = "this version of metrocli can add no effect to a model"
-        hint = suggestion(name.text, effects.EFFECTS) if effects.EFFECTS else none
-        faults.append(name.fault(f"unknown effect '{name.text}'", hint))
-        return None
-    return EffectSetting(name.text, {key.text: value for key, value in node.entries if key.text != "name"})
+        return {"type": "array"}
 
 
 class _Output:
@@ -138,7 +116,7 @@ class Heading:
     metrocli: int = setting(_Version(), "version of the format of job files")
     job: str = setting(_KindOfJob(), "kind of the job")
     title: str = setting(Text(), "title, for people", default="")
-    effects: tuple[EffectSetting, ...] = setting(_Effects(), "extensions of the model, by name", default=())
+    effects: tuple[Node, ...] = setting(_Effects(), "extensions of the model, by name", default=())
     require: tuple[Requirement, ...] = setting(Requirements(), "acceptance criteria", default=())
     output: Path | None = setting(_Output(), "result file, relative to the job file", default=None)
 
@@ -175,6 +153,7 @@ class Job:
     text: str
     """As used, after --set."""
     root: Node
+    effects: tuple[Wanted, ...] = ()
 
     @property
     def kind(self) -> str:
@@ -200,6 +179,8 @@ class Wishes:
     """Absolute paths that other jobs will make."""
     not_needed: Collection[str] = ()
     """Inputs that need not exist."""
+    effects: tuple[str, ...] = ()
+    """More effects, each as `NAME:key=value,...`."""
 
 
 def load(path: Path, wishes: Wishes | None = None) -> Job:
@@ -207,11 +188,14 @@ def load(path: Path, wishes: Wishes | None = None) -> Job:
     wishes = wishes or Wishes()
     faults: list[Fault] = []
     root, text = _root(path, wishes.overrides, faults)
+    more = tuple(effect_node(effect, path.parent) for effect in wishes.effects)
     kind = _kind(root, path, wishes.kind)
     if kind is None:
         read_sections(_only(root, settings_of(Heading)), (Heading,), faults)
         raise InputError(_in_order(faults))
     heading, settings = read_sections(root, (Heading, tasks.load(kind).Settings), faults)
+    listed = heading.effects if heading is not BAD else ()
+    wanted = effects.read(kind, (*listed, *more), faults)
     inputs = _inputs(root, tasks.load(kind).Settings, faults)
     faults.extend(_missing(inputs, wishes))
     if faults:
@@ -219,7 +203,22 @@ def load(path: Path, wishes: Wishes | None = None) -> Job:
     output = wishes.output or heading.output or path.parent / "results" / f"{path.stem}.h5"
     if os.path.abspath(output) in {os.path.abspath(file) for item in inputs for file in item.paths}:
         raise InputError([root.at("output").fault(f"the output {output} is one of the inputs", "name another output")])
-    return Job(path, heading, settings, inputs, output, text, root)
+    return Job(path, heading, settings, inputs, output, text, root, wanted)
+
+
+def effect_node(text: str, folder: Path) -> Node:
+    """Return an effect given on the command line, `NAME:key=value,...`, as if it stood in a job; UsageError if not."""
+    name, _, rest = text.partition(":")
+    pairs = [part.partition("=") for part in rest.split(",") if part.strip()]
+    if not name.strip() or not all(key.strip() and equals for key, equals, _ in pairs):
+        raise UsageError(f"--effect {text}: write it as NAME:key=value,key=value, such as dead-path-drift:tracer=LT2")
+    source = Source(f"--effect {text}", (), folder)
+
+    def word(value: str) -> Node:
+        return Node("scalar", source, text=value.strip())
+
+    entries = tuple((word(key), word(value)) for key, value in (("name", name), *((k, v) for k, _, v in pairs)))
+    return yaml_text.with_paths(Node("mapping", source, entries=entries))
 
 
 def kind_of_job(path: Path) -> str | None:
@@ -347,5 +346,6 @@ def _neighbour(path: Path) -> str | None:
 def schema(kind: str) -> Schema:
     """Return the JSON schema (2020-12) of a kind of job, for editors."""
     own = sections_schema((Heading, tasks.load(kind).Settings))
+    own["properties"]["effects"] |= effects.schema(kind)
     own["properties"]["job"] = {"const": kind, "description": "kind of the job"}
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": f"metrocli {kind}", **own}

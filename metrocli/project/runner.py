@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from metrocli import __version__, tasks
+from metrocli.effects.wanted import planted
 from metrocli.errors import Fault, InputError, UsageError
 from metrocli.plan import Plan
 from metrocli.project.inputs import input_files, read_inputs
@@ -38,7 +39,7 @@ def carry_out(job: Job, force: bool = False, say: Say = lambda line: None) -> Do
     say(f"{job.file}: reading {len(files)} input files")
     held = read_inputs(job)
     say(f"{job.file}: {job.kind}")
-    result: Result = tasks.load(job.kind).run(job.settings, **held)
+    result: Result = tasks.load(job.kind).run(job.settings, **held, **_effects(job))
     result = replace(result, title=result.title or job.heading.title, warnings=_noticed(held) + result.warnings)
     created = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     record = Record(job.text, files, __version__, created, _judged(job, result))
@@ -50,7 +51,7 @@ def carry_out(job: Job, force: bool = False, say: Say = lambda line: None) -> Do
 
 def answer(job: Job, question: str) -> Table:
     """Return what a task's other function (`compare`, ...) says of a job; nothing is written."""
-    table: Table = getattr(tasks.load(job.kind), question)(job.settings, **read_inputs(job))
+    table: Table = getattr(tasks.load(job.kind), question)(job.settings, **read_inputs(job), **_effects(job))
     return table
 
 
@@ -64,7 +65,9 @@ def simulate(job: Job, options: SimulationOptions) -> Simulation:
     module = tasks.load(job.kind)
     if not hasattr(module, "simulate"):
         raise UsageError(f"{job.kind} has no simulation")
-    simulation: Simulation = module.simulate(job.settings, options, **read_inputs(job, simulated_inputs(job.kind)))
+    job = replace(job, effects=planted(job.effects))
+    held = read_inputs(job, simulated_inputs(job.kind))
+    simulation: Simulation = module.simulate(job.settings, options, **held, **_effects(job))
     return simulation
 
 
@@ -80,6 +83,11 @@ def plan(job: Job) -> Plan:
         raise UsageError(f"{job.kind} has no plan")
     made: Plan = module.plan(job.settings, **read_inputs(job, planned_inputs(job.kind)))
     return made
+
+
+def _effects(job: Job) -> dict[str, Any]:
+    """Return the keyword of a task that takes effects; none where the job names none."""
+    return {"effects": job.effects} if job.effects else {}
 
 
 def refuse_foreign(path: Path, kind: str, force: bool) -> None:

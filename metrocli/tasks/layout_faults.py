@@ -9,6 +9,7 @@ import numpy as np
 
 from metrocli.adjust.blocks import Array
 from metrocli.adjust.solution import Solution
+from metrocli.effects.estimates import absorbed
 from metrocli.instruments import tracer as t
 from metrocli.tasks.length_network import Network
 from metrocli.tasks.sightings import listed
@@ -45,6 +46,13 @@ def explained(network: Network, solution: Solution) -> str:
 
 def reasons(network: Network, solution: Solution) -> list[str]:
     """Return what is wrong with the layout of a network that is undetermined or weak."""
+    hidden = absorbed(network.effects, solution, network.datum) if solution.undetermined else ()
+    if hidden:
+        return [
+            f"{one.label} cannot be told from the other unknowns of this job, which absorb it; "
+            f"leave it out, or measure {one.effect.reveal}"
+            for one in hidden
+        ]
     found = [*_counts(network, solution), *_shapes(network, solution)]
     return found or ["the tracers see the points from too few directions; add tracers or points away from the others"]
 

@@ -12,8 +12,9 @@ from metrocli.adjust.blocks import Array, Block
 from metrocli.adjust.chain import Chain
 from metrocli.adjust.datum import Datum
 from metrocli.adjust.groups import Group, prior
-from metrocli.adjust.noise import Noise
+from metrocli.adjust.noise import Aspect, Noise
 from metrocli.adjust.observations import Index, Mask, Observations
+from metrocli.effects.model import Added, Model, Place
 from metrocli.errors import Fault, InputError
 from metrocli.instruments import tracer as t
 from metrocli.instruments.frames import DistanceBetween
@@ -79,6 +80,25 @@ class Network:
     """The mover's readings of the points (points, 3)"""
     absolute: bool
     warnings: tuple[str, ...] = ()
+    effects: tuple[Added, ...] = ()
+
+    def model(self) -> Model:
+        """Return the network as a model that effects can be added to."""
+        places = {"tracer": Place(self.blocks[t.TRACER].members, t.TRACER)}
+        places["point"] = Place(self.blocks[t.POINT].members, t.POINT)
+        groups = (self.lengths, *self.others)
+        return Model(self.blocks, groups, self.datum, (LENGTHS,), places, t.ASPECTS, self.effects)
+
+    def with_model(self, model: Model) -> Network:
+        """Return the network with the blocks, groups and effects of a model made from it."""
+        lengths = next(group for group in model.groups if group.name == LENGTHS)
+        others = tuple(group for group in model.groups if group.name != LENGTHS)
+        return replace(self, blocks=model.blocks, lengths=lengths, others=others, effects=model.added)
+
+    @property
+    def aspects(self) -> Mapping[str, Aspect]:
+        """What the effects in the network depend on and the solution decides."""
+        return t.ASPECTS if self.effects else {}
 
     @property
     def seen(self) -> Index:

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from metrocli.adjust.blocks import Array
+from metrocli.adjust.groups import Group
+from metrocli.adjust.observations import Observations
+from metrocli.effects.estimates import true_values
+from metrocli.effects.model import Model, Place, extended
+from metrocli.effects.wanted import Wanted
 from metrocli.errors import InputError
-from metrocli.instruments.tracer import COLUMNS
+from metrocli.instruments import tracer as t
 from metrocli.simulation import Simulation
 from metrocli.table import Table
-from metrocli.tasks.length_network import NetworkSettings
+from metrocli.tasks.length_network import LENGTHS, NetworkSettings
+from metrocli.tasks.length_readings import matched
 
 if TYPE_CHECKING:
     from metrocli.table import Values
@@ -32,16 +40,53 @@ class Truth(Protocol):
     def tracer_error(self) -> float:
         """Standard deviation of the places that are written as approximate"""
 
+    @property
+    def interval(self) -> float | None:
+        """Time from point to point"""
+
+    @property
+    def warming(self) -> float:
+        """How much the air warms up from the first point to the last"""
+
+
+_REFERENCE_DEGC = 20.0
+"""Temperature at the first point (ISO 1)"""
+
+
+@dataclass(frozen=True)
+class Planned:
+    """The measurement to simulate: where the mover is sent, where the tracers stand, and what is read when."""
+
+    points: Table
+    tracers: Table
+    lengths: Table | None = None
+    """Its points, tracers, times and temperatures are read again; without it every tracer reads every point"""
+
+    def design(self, truth: Truth) -> Table:
+        """Return point, tracer and the conditions of each reading."""
+        if self.lengths is not None:
+            kept = ("point", "tracer", "t", "temp")
+            columns = {name: values for name, values in self.lengths.columns.items() if name in kept}
+            return replace(self.lengths, columns=columns)
+        names, stations = self.points.texts("point"), self.tracers.texts("tracer")
+        turn = np.repeat(np.arange(len(names)), len(stations)).astype(float)
+        columns = {"point": np.repeat(np.array(names), len(stations)), "tracer": np.tile(stations, len(names))}
+        if truth.interval is not None:
+            columns["t"] = turn * truth.interval
+        if truth.warming:
+            columns["temp"] = _REFERENCE_DEGC + truth.warming * turn / max(len(names) - 1, 1)
+        return Table(columns)
+
 
 def simulated(
-    settings: NetworkSettings, truth: Truth, points: Table, tracers: Table, rng: np.random.Generator
+    settings: NetworkSettings, truth: Truth, planned: Planned, effects: Sequence[Wanted], rng: np.random.Generator
 ) -> Simulation:
-    """Return lengths to the points where they really are, from tracers at the places listed.
+    """Return lengths to the points where they really are, from tracers at the places listed, with effects in them.
 
     The mover's readings are the list of points; the points themselves are off by its error. Interferometers are set to
     zero at the first point; scales are off by their uncertainty.
     """
-    nominal, places = points.stacked("xyz"), tracers.stacked("xyz")
+    nominal, places = planned.points.stacked("xyz"), planned.tracers.stacked("xyz")
     if len(nominal) == 0 or len(places) == 0:
         raise InputError("simulation: there are no points or no tracers")
     centre = nominal.mean(axis=0)
@@ -51,28 +96,45 @@ def simulated(
     spread = 0.0 if settings.scale is None else settings.scale.uncertainty
     scale = 1 + rng.normal(0.0, 1.0, len(places)) * spread
     dead = np.zeros(len(places)) if settings.measures == "absolute" else scale * distance[0]
-    sigma = np.sqrt(settings.noise.constant**2 + (settings.noise.proportional * distance) ** 2)
-    reading = scale * distance - dead + rng.normal(0.0, 1.0, distance.shape) * sigma
+    stations = np.column_stack([places, dead, scale])
+    design = planned.design(truth)
+    model = _model(design, planned, actual, stations)
+    model = extended(model, effects) if effects else model
+    observations = model.groups[0].observations
+    path = distance[observations.index[t.POINT], observations.index[t.TRACER]]
+    sigma = np.sqrt(settings.noise.constant**2 + (settings.noise.proportional * path) ** 2)
+    reading = model.groups[0].chain.predict(model.blocks, observations)[0] + rng.normal(0.0, 1.0, path.shape) * sigma
     said = places + rng.normal(0.0, 1.0, places.shape) * truth.tracer_error
-    names = tracers.texts("tracer")
+    units = {"length": "mm", "t": "s", "temp": "degC"}
+    columns: dict[str, Values] = {"point": design.columns["point"], "tracer": design.columns["tracer"]}
+    columns |= {"length": reading} | {name: design.columns[name] for name in ("t", "temp") if name in design}
+    names = planned.tracers.texts("tracer")
     files = {
-        "lengths.csv": _lengths(points.texts("point"), names, reading),
+        "lengths.csv": Table(columns, {name: unit for name, unit in units.items() if name in columns}),
         "tracers.csv": _listed("tracer", names, said),
-        "true_points.csv": _listed("point", points.texts("point"), actual),
+        "true_points.csv": _listed("point", planned.points.texts("point"), actual),
     }
-    values = np.column_stack([places, dead, scale])
-    true = {f"{name}.{column}": float(values[i, k]) for i, name in enumerate(names) for k, column in enumerate(COLUMNS)}
-    return Simulation(files, true)
+    return Simulation(files, _named(names, stations) | true_values(model))
 
 
-def _lengths(points: list[str], tracers: list[str], reading: Array) -> Table:
-    n, m = reading.shape
-    columns: dict[str, Values] = {
-        "point": np.repeat(np.array(points), m),
-        "tracer": np.tile(np.array(tracers), n),
-        "length": reading.ravel(),
+def _named(names: Sequence[str], stations: Array) -> dict[str, float]:
+    return {
+        f"{name}.{column}": float(stations[i, k]) for i, name in enumerate(names) for k, column in enumerate(t.COLUMNS)
     }
-    return Table(columns, {"length": "mm"})
+
+
+def _model(design: Table, planned: Planned, points: Array, stations: Array) -> Model:
+    """Return the forward model of the design at the truth, with readings of zero."""
+    names, tracers = planned.points.texts("point"), planned.tracers.texts("tracer")
+    index = {t.POINT: matched(design, "point", names, "the points")}
+    index[t.TRACER] = matched(design, "tracer", tracers, "the tracers")
+    conditions = {name: design.numbers(name) for name in ("t", "temp") if name in design}
+    observations = Observations(np.zeros((1, len(design))), np.ones(1), index, conditions=conditions)
+    point = t.point_block(points, names, False, 1.0)
+    tracer = t.tracer_block(stations, tracers, np.zeros(stations.shape, dtype=bool), 1.0)
+    places = {"point": Place(tuple(names), t.POINT), "tracer": Place(tuple(tracers), t.TRACER)}
+    group = Group(LENGTHS, t.chain(), observations)
+    return Model({t.POINT: point, t.TRACER: tracer}, (group,), None, (LENGTHS,), places, t.ASPECTS)
 
 
 def _listed(key: str, names: list[str], places: Array) -> Table:

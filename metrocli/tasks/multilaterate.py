@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from metrocli.effects.model import extended
+from metrocli.effects.wanted import Wanted
 from metrocli.errors import InputError
 from metrocli.result import Result
 from metrocli.settings import Choice, Quantity, Section, TableFile, setting
 from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import TEXT, Column, Columns, Table
 from metrocli.tasks.length_network import build
-from metrocli.tasks.length_simulation import simulated
+from metrocli.tasks.length_simulation import Planned, simulated
 from metrocli.tasks.network_report import KIND, report
 from metrocli.tasks.network_solve import solve
 
@@ -91,6 +94,12 @@ class LengthSimulation:
     tracer_error: float = setting(
         Quantity("length", minimum=0.0), "standard deviation of the places that are written", default=0.0
     )
+    interval: float | None = setting(
+        Quantity("time", positive=True), "time from point to point; without it no times are written", default=None
+    )
+    warming: float = setting(
+        Quantity("temperature difference"), "how much the air warms up from the first point to the last", default=0.0
+    )
 
 
 @dataclass(frozen=True)
@@ -122,22 +131,36 @@ def run(
     tracers: Table | None = None,
     probing: Table | None = None,
     distances: Table | None = None,
+    effects: Sequence[Wanted] = (),
 ) -> Result:
     """Find the points; raises InputError, UndeterminedError or NotConvergedError."""
-    solved = solve(build(settings, lengths, points, tracers, distances), settings.outliers == "remove")
+    network = build(settings, lengths, points, tracers, distances)
+    if effects:
+        network = network.with_model(extended(network.model(), effects))
+    solved = solve(network, settings.outliers == "remove")
     return report(solved, probing, settings.tolerance)
 
 
 def simulate(
-    settings: Settings, options: SimulationOptions, points: Table, tracers: Table | None = None, **_: object
+    settings: Settings,
+    options: SimulationOptions,
+    points: Table,
+    tracers: Table | None = None,
+    lengths: Table | None = None,
+    effects: Sequence[Wanted] = (),
+    **_: object,
 ) -> Simulation:
-    """Return the lengths of a measurement with the mover and tracers of `simulation:`."""
+    """Return the lengths of a measurement with the mover and tracers of `simulation:`, and with effects in it.
+
+    Where the job's lengths exist, their times and temperatures are those of the simulation.
+    """
     if settings.simulation is None or tracers is None:
         raise InputError(
             "simulate needs the truth: the tracers' places in `inputs: tracers`, "
             "and `simulation: {mover_error: 5 um, mover_scale: -25 um/m, tracer_error: 5 mm}`"
         )
-    return simulated(settings, settings.simulation, points, tracers, np.random.default_rng(options.seed))
+    planned = Planned(points, tracers, lengths)
+    return simulated(settings, settings.simulation, planned, effects, np.random.default_rng(options.seed))
 
 
 __all__ = ["KIND", "SIMULATED", "SUMMARY", "Inputs", "Settings", "run", "simulate"]

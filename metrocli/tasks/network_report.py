@@ -8,6 +8,8 @@ import numpy as np
 
 from metrocli.adjust.blocks import Array
 from metrocli.adjust.solution import Solution
+from metrocli.effects.estimates import estimates, free_blocks
+from metrocli.effects.estimates import tables as effect_results
 from metrocli.instruments import tracer as t
 from metrocli.result import Estimate, Result
 from metrocli.table import Table
@@ -42,9 +44,10 @@ _SINGULAR = 1e-6
 def report(solved: Solved, probing: Table | None, tolerance: float) -> Result:
     """Return the result of a solved network."""
     solution = solved.solution
-    names, values, covariance, units = _tracer_estimates(solution)
-    std = np.sqrt(np.diag(covariance))
+    added = solved.network.effects
+    found = (*_tracer_estimates(solution), *estimates(added, solution))
     points, arrays = _points(solved)
+    effect_tables, effect_arrays = effect_results(added, solution)
     hidden = uncontrolled(solved.network)
     tables = {
         "points": points,
@@ -53,6 +56,7 @@ def report(solved: Solved, probing: Table | None, tolerance: float) -> Result:
         "suspects": _suspects(solved),
         "rejected": _rejected(solved),
         "not_controlled": hidden,
+        **effect_tables,
     }
     if probing is not None:
         tables["corrected"] = corrected(solved.network, solution, probing, tolerance)
@@ -65,24 +69,23 @@ def report(solved: Solved, probing: Table | None, tolerance: float) -> Result:
     return Result(
         kind=KIND,
         title="",
-        estimates=tuple(Estimate(*row) for row in zip(names, values.tolist(), std.tolist(), units, strict=True)),
-        covariance=covariance,
+        estimates=found,
+        covariance=solution.joint((t.TRACER, *free_blocks(added))),
         statistics=statistics,
         tables=tables,
-        arrays=arrays,
+        arrays={**arrays, **effect_arrays},
         warnings=(*_warnings(solved), *distant(solved.network, probing, tolerance)),
         shown=("points: point, x, y, z, sx, sy, sz", *(("suspects",) if solved.suspects else ())),
         notes=_notes(hidden),
     )
 
 
-def _tracer_estimates(solution: Solution) -> tuple[list[str], Array, Array, list[str]]:
-    block = solution.blocks[t.TRACER]
-    free = np.flatnonzero(block.free.ravel())
-    names = [f"{member}.{column}" for member in block.members for column in block.columns]
-    covariance = solution.known().of(t.TRACER)[np.ix_(free, free)]
-    units = list(_UNITS) * len(block.members)
-    return [names[i] for i in free], block.values.ravel()[free], covariance, [units[i] for i in free]
+def _tracer_estimates(solution: Solution) -> tuple[Estimate, ...]:
+    block, std = solution.blocks[t.TRACER], solution.std(t.TRACER)
+    return tuple(
+        Estimate(f"{block.members[i]}.{block.columns[k]}", float(block.values[i, k]), float(std[i, k]), _UNITS[k])
+        for i, k in zip(*np.nonzero(block.free), strict=True)
+    )
 
 
 def _points(solved: Solved) -> tuple[Table, dict[str, Array]]:

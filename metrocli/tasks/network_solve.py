@@ -94,7 +94,8 @@ def _adjusted(network: Network, state: Mapping[str, Block], out: dict[int, Rejec
     keep &= ~lost
     used = network.only(keep)
     blocks = {name: replace(block, free=used.blocks[name].free) for name, block in state.items()}
-    solution = adjust_with_noise(blocks.values(), [used.lengths, *used.others], (LENGTHS, network.noise), used.datum)
+    groups = [used.lengths, *used.others]
+    solution = adjust_with_noise(blocks.values(), groups, (LENGTHS, network.noise), used.datum, network.aspects)
     _must_carry(used, solution)
     if not solution.outcome.good:
         raise NotConvergedError(f"{solution.outcome.value} ({solution.iterations} steps)")

@@ -1,0 +1,52 @@
+"""Effects on the beam b = x - x0 from a tracer to its reflector. They act on the point, where the chain has it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrocli.adjust.blocks import Array
+from metrocli.adjust.chain import Local, Step
+from metrocli.adjust.quantities import Quantity
+from metrocli.effects.effect import ELAPSED
+from metrocli.effects.of_block import OfBlock
+from metrocli.instruments.tracer import TRACER
+
+_EYE = np.eye(3)[:, :, None]
+
+
+@dataclass(frozen=True)
+class BeamScale(OfBlock):
+    """`b (1 + scale c)`, c = 1 or a condition; columns scale [1], or rate [1/K, 1/s]."""
+
+    tracer: str = TRACER
+    condition: str = ""
+    takes = gives = Quantity.POINT_IN_MACHINE
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """The tracers, where the beams begin, and its own block."""
+        return (self.tracer, self.block)
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the point (3, n) moved along its beam, with derivatives by the point, the tracer and the block."""
+        beam = value - local.rows(self.tracer)[:3]
+        factor = local.observations.conditions[self.condition] if self.condition else np.ones(beam.shape[1])
+        scale = local.rows(self.block)[0] * factor
+        by_tracer = np.zeros((3, local.members(self.tracer).shape[1], len(factor)))
+        by_tracer[:, :3] = -_EYE * scale
+        by_block = {self.tracer: by_tracer, self.block: (beam * factor)[:, None]}
+        return Step(value + beam * scale, _EYE * (1 + scale), by_block)
+
+
+@dataclass(frozen=True)
+class TracerDrift(OfBlock):
+    """`x0 += v t`, seen from the tracer `x -= v t`; columns vx, vy, vz [mm/s]."""
+
+    takes = gives = Quantity.POINT_IN_MACHINE
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the point (3, n)."""
+        t = local.observations.conditions[ELAPSED]
+        return Step(value - local.rows(self.block) * t, _EYE, {self.block: -_EYE * t})

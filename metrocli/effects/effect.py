@@ -1,0 +1,79 @@
+"""What an effect is: a physical cause that a model can leave out, as one entry of a table."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from metrocli import units
+from metrocli.adjust.chain import Link
+from metrocli.settings import Number, Quantity, Spec, Text
+
+ELAPSED, WARMING = "elapsed", "warming"
+"""Conditions that effects vary with: time since the earliest reading [s], and temperature minus its value there [K]"""
+DRIVERS = {"t": ELAPSED, "T": WARMING}
+"""What `by` may be, and the condition it stands for"""
+COLUMN = {"t": "t_s", "temp": "temp_degC"}
+"""The column of a file that gives a condition which an effect needs"""
+MakeLink = Callable[[str, Mapping[str, str]], Link]
+"""Makes the link from the name of its block and the place where it acts"""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A size of an effect; 0 means that there is none."""
+
+    name: str
+    dimension: str = ""
+    """One of `units.DIMENSIONS`; a plain number without one"""
+    plausible: float = 1.0
+    """The largest size that such a cause usually has, in the internal unit"""
+    place: str = ""
+    """Of a scanned parameter: the kind of place it names instead of being a number, such as `view`"""
+
+    @property
+    def spec(self) -> Spec:
+        """How it is read."""
+        if self.place:
+            return Text()
+        return Quantity(self.dimension) if self.dimension else Number()
+
+    @property
+    def unit(self) -> str:
+        """The internal unit."""
+        return units.internal_unit(self.dimension) if self.dimension else "1"
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One entry of a table of effects.
+
+    An effect is a link that takes and gives the same quantity (`link`), or columns of a block that the model has but
+    does not estimate (`columns_of`). Several entries of one name are forms of one cause, told apart by `by`.
+    """
+
+    name: str
+    cause: str
+    """One sentence for people"""
+    parameters: tuple[Parameter, ...]
+    link: MakeLink | None = None
+    """Its block has the parameters and then the scanned ones as columns"""
+    columns_of: str = ""
+    """The block whose columns of the parameters' names are freed"""
+    where: tuple[str, ...] = ()
+    """Kinds of place that say where it acts: tracer, image, axis, ..."""
+    by: str = ""
+    """t or T, where it varies with one of them"""
+    scanned: tuple[Parameter, ...] = ()
+    """Parameters that no derivative finds, such as the time of a jump: a job gives them, `diagnose` searches them"""
+    needs: tuple[str, ...] = ()
+    """Conditions without which it cannot be modelled: t, temp, ..."""
+    confused_with: tuple[str, ...] = ()
+    reveal: str = ""
+    """What to measure so that it is seen, or told from what it is confused with"""
+    source: str = ""
+
+    @property
+    def all_parameters(self) -> tuple[Parameter, ...]:
+        """The parameters, then the scanned ones."""
+        return (*self.parameters, *self.scanned)

@@ -1,0 +1,83 @@
+"""What an adjustment found of the effects in its model, for the result."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from metrocli.adjust.adjustment import covariance_at
+from metrocli.adjust.blocks import Array
+from metrocli.adjust.datum import Datum
+from metrocli.adjust.solution import Solution
+from metrocli.effects.model import Added, Model
+from metrocli.result import Estimate
+from metrocli.table import Table
+
+
+def estimates(added: Sequence[Added], solution: Solution) -> tuple[Estimate, ...]:
+    """Return the estimated parameters of all effects in blocks of their own, named `dead-path-drift.LT2.rate`."""
+    found = []
+    for one in _own(added):
+        block, std = solution.blocks[one.block], solution.std(one.block)
+        for at, p in enumerate(one.effect.parameters):
+            if p.name in one.columns:
+                value, spread = float(block.values[-1, at]), float(std[-1, at])
+                found.append(Estimate(f"{one.label}.{p.name}", value, spread, p.unit))
+    return tuple(found)
+
+
+def absorbed(added: Sequence[Added], solution: Solution, datum: Datum | None) -> tuple[Added, ...]:
+    """Return the effects of an undetermined model without any one of which it would be determined."""
+    return tuple(
+        one
+        for one in _own(added)
+        if covariance_at(
+            {**solution.blocks, one.block: solution.blocks[one.block].fixed()}.values(), solution.groups, datum
+        ).outcome.good
+    )
+
+
+def true_values(model: Model) -> dict[str, float]:
+    """Return the values of all effects in a simulated model by the names of their estimates."""
+    return {
+        f"{one.label}.{p.name}": float(model.blocks[one.block].values[-1, model.blocks[one.block].column(p.name)])
+        for one in model.added
+        for p in one.effect.all_parameters
+    }
+
+
+def free_blocks(added: Sequence[Added]) -> tuple[str, ...]:
+    """Return the names of the effects' own blocks, for the covariance of all estimates (`Solution.joint`)."""
+    return tuple(one.block for one in _own(added))
+
+
+def tables(added: Sequence[Added], solution: Solution) -> tuple[dict[str, Table], dict[str, Array]]:
+    """Return what /effects holds: for each effect its parameters and their covariance, applied values included."""
+    found: dict[str, Table] = {}
+    arrays: dict[str, Array] = {}
+    for one in added:
+        block = solution.blocks[one.block]
+        chosen = [block.column(p.name) for p in one.effect.all_parameters]
+        row = len(block.members) - 1
+        places = row * block.size + np.array(chosen)
+        covariance = solution.known().of(one.block)[np.ix_(places, places)]
+        columns = {
+            "name": np.array([p.name for p in one.effect.all_parameters]),
+            "value": block.values[row, chosen],
+            "std": np.sqrt(np.maximum(np.diag(covariance), 0.0)),
+            "unit": np.array([p.unit for p in one.effect.all_parameters]),
+            "estimated": np.array([p.name in one.columns for p in one.effect.all_parameters]),
+        }
+        group = next(name for name in _numbered(f"effects/{one.label}") if f"{name}/parameters" not in found)
+        found[f"{group}/parameters"], arrays[f"{group}/covariance"] = Table(columns), covariance
+    return found, arrays
+
+
+def _own(added: Sequence[Added]) -> list[Added]:
+    return [one for one in added if one.effect.link is not None]
+
+
+def _numbered(name: str) -> Iterator[str]:
+    yield name
+    yield from (f"{name} {number}" for number in range(2, 1000))

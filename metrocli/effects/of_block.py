@@ -1,0 +1,17 @@
+"""What all links of effects have in common."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class OfBlock:
+    """A link whose parameters are the columns of one block of its own."""
+
+    block: str
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """Its own block."""
+        return (self.block,)

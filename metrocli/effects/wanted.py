@@ -1,0 +1,117 @@
+"""Effects as a job or the command line names them: `{name: dead-path-drift, tracer: LT2, rate: 0.5 um/min}`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from metrocli.effects import effects_of, forms
+from metrocli.effects.effect import Effect
+from metrocli.errors import Fault, InputError
+from metrocli.nodes import Node
+from metrocli.settings import BAD, Choice, Schema, Text
+from metrocli.words import suggestion
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """An effect to add to a model: what has no value is estimated, what has one is applied."""
+
+    forms: tuple[Effect, ...]
+    """The entries of the table that fit what was written; the data decide between them"""
+    where: Mapping[str, str]
+    values: Mapping[str, float | str]
+    """Known parameters in internal units, and names of places"""
+    node: Node
+    """Where it was written, for messages"""
+
+    @property
+    def name(self) -> str:
+        """The name of the effect."""
+        return self.forms[0].name
+
+
+def read(kind: str, nodes: Sequence[Node], faults: list[Fault]) -> tuple[Wanted, ...]:
+    """Return the effects that the nodes name, with a fault for each key or value that is wrong."""
+    found = [_read(kind, node, faults) for node in nodes]
+    return tuple(wanted for wanted in found if wanted is not None)
+
+
+def _read(kind: str, node: Node, faults: list[Fault]) -> Wanted | None:
+    name = node.get("name")
+    if name is None or name.kind != "scalar":
+        faults.append(node.fault(f"{node.path}: an effect needs a name", "write {name: ..., ...}"))
+        return None
+    known = forms(kind, name.text)
+    if not known:
+        names = dict.fromkeys(effect.name for effect in effects_of(kind))
+        hint = suggestion(name.text, names) if names else f"metrocli has no effect for jobs of the kind {kind}"
+        faults.append(name.fault(f"unknown effect '{name.text}'", hint))
+        return None
+    attempts = [(effect, _as(effect, node)) for effect in known]
+    fitting = [(effect, values) for effect, (values, wrong) in attempts if not wrong]
+    if not fitting:
+        faults.extend(min((wrong for _, (_, wrong) in attempts), key=len))
+        return None
+    where = {key: fitting[0][1].pop(key) for key in fitting[0][0].where if key != "by"}
+    return Wanted(tuple(effect for effect, _ in fitting), where, fitting[0][1], node)
+
+
+def _as(effect: Effect, node: Node) -> tuple[dict[str, Any], list[Fault]]:
+    """Return the values of a node read as one form of an effect, and what is wrong with them."""
+    faults: list[Fault] = []
+    specs: dict[str, Any] = {"name": Text()}
+    specs |= {key: Text() for key in effect.where if key != "by"}
+    specs |= {parameter.name: parameter.spec for parameter in effect.all_parameters}
+    if effect.by:
+        specs["by"] = Choice(effect.by)
+    for written, _ in node.entries:
+        if written.text not in specs:
+            message = f"unknown key '{written.text}' of {effect.name}"
+            faults.append(written.fault(message, suggestion(written.text, specs)))
+    required = [*(key for key in effect.where if key != "by"), *(one.name for one in effect.scanned)]
+    for key in required:
+        if node.get(key) is None:
+            hint = f"write {key}: {specs[key].expects}" + ("; metrocli diagnose finds it" if effect.scanned else "")
+            faults.append(node.fault(f"{effect.name}: the key '{key}' is missing", hint))
+    below = {key: node.get(key) for key in specs if key not in ("name", "by")}
+    values = {key: specs[key].read(value, faults) for key, value in below.items() if value is not None}
+    by = node.get("by")
+    if by is not None and effect.by:
+        specs["by"].read(by, faults)
+    return {key: value for key, value in values.items() if value is not BAD}, faults
+
+
+def planted(wanted: Iterable[Wanted]) -> tuple[Wanted, ...]:
+    """Return the effects that a simulation plants: those with all their values.
+
+    An effect that the job only estimates is left out; one from the command line without a value is an InputError.
+    """
+    missing = [(one, [p.name for p in one.forms[0].parameters if p.name not in one.values]) for one in wanted]
+    faults = [
+        one.node.fault(f"{one.name}: {', '.join(names)} is not given", "a simulation needs every value")
+        for one, names in missing
+        if names and one.node.line is None
+    ]
+    if faults:
+        raise InputError(faults)
+    return tuple(one for one, names in missing if not names)
+
+
+def schema(kind: str) -> Schema:
+    """Return the JSON schema of `effects:` for a kind of job."""
+    table = effects_of(kind)
+    if not table:
+        return {"type": "array", "maxItems": 0}
+    return {"type": "array", "items": {"anyOf": [_schema(effect) for effect in table]}}
+
+
+def _schema(effect: Effect) -> Schema:
+    properties: Schema = {"name": {"const": effect.name, "description": effect.cause}}
+    properties |= {key: Text().schema() for key in effect.where}
+    properties |= {parameter.name: parameter.spec.schema() for parameter in effect.all_parameters}
+    if effect.by:
+        properties["by"] = {"enum": [effect.by]}
+    required = ["name", *(key for key in effect.where if key != "by"), *(one.name for one in effect.scanned)]
+    return {"type": "object", "properties": properties, "required": required, "additionalProperties": False}

@@ -1,0 +1,171 @@
+"""Every effect of every table: right derivatives, nothing at 0, found again from data it was planted in, and a page."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from effects_of_kinds import MEASURED, instance_of, size
+
+from metrocli.adjust.adjustment import adjust
+from metrocli.adjust.blocks import Array
+from metrocli.effects import TABLES, effects_of
+from metrocli.effects.effect import DRIVERS, Effect
+from metrocli.effects.model import Model, with_effect
+from metrocli.units import DIMENSIONS
+
+PAGES = Path(__file__).parents[2] / "docs" / "effects"
+ENTRIES = [(kind, at) for kind in TABLES for at in range(len(effects_of(kind)))]
+NAMES = [f"{kind}: {effects_of(kind)[at].name}{effects_of(kind)[at].by and ' by '}{effects_of(kind)[at].by}" for kind, at in ENTRIES]
+
+
+@cache
+def model_of(kind: str, effect: Effect) -> Model:
+    return MEASURED[kind].model(effect)
+
+
+@pytest.fixture(params=ENTRIES, ids=NAMES)
+def entry(request: pytest.FixtureRequest) -> tuple[str, Effect]:
+    kind, at = request.param
+    return kind, effects_of(kind)[at]
+
+
+def with_one(kind: str, effect: Effect, known: dict[str, float]) -> Model:
+    model = model_of(kind, effect)
+    scanned = {p.name: MEASURED[kind].scanned[p.name] for p in effect.scanned}
+    return with_effect(model, effect, [instance_of(model, effect)], {**scanned, **known})
+
+
+def predicted(model: Model) -> Array:
+    return np.concatenate([g.chain.predict(model.blocks, g.observations).ravel() for g in model.readings])
+
+
+def of_free(model: Model, before: Model) -> Array:
+    """Derivatives of all readings by the effect's free parameters, (readings, parameters)."""
+    added = model.added[-1]
+    block = model.blocks[added.block]
+    own = block.free.copy()
+    if added.block in before.blocks:
+        own[:, : before.blocks[added.block].size] &= ~before.blocks[added.block].free
+    columns = [block.column(name) for name in added.columns]
+    parts = []
+    for group in model.readings:
+        total = np.zeros((*group.observations.readings.shape, len(columns)))
+        for touch in group.linear(model.blocks, frozenset({added.block})).touches:
+            free = own[touch.index][:, columns]
+            total += np.moveaxis(touch.jacobian[:, columns], 1, 2) * free[None]
+        sigma = group.observations.sigma
+        parts.append((total * sigma[:, :, None]).reshape(-1, len(columns)))
+    return np.concatenate(parts)
+
+
+def test_each_kind_with_effects_is_under_the_laws() -> None:
+    assert set(TABLES) == set(MEASURED)
+
+
+def test_an_entry_is_complete(entry: tuple[str, Effect]) -> None:
+    _, effect = entry
+    assert effect.cause and effect.source and effect.reveal
+    assert effect.parameters
+    assert (effect.link is None) == bool(effect.columns_of)
+    assert all(p.dimension in DIMENSIONS or not p.dimension for p in effect.all_parameters)
+    assert all(p.plausible > 0 for p in effect.parameters)
+    assert effect.by in ("", *DRIVERS)
+
+
+def test_names_it_is_confused_with_exist(entry: tuple[str, Effect]) -> None:
+    kind, effect = entry
+    assert set(effect.confused_with) <= {other.name for other in effects_of(kind)} - {effect.name}
+
+
+def test_it_has_a_page(entry: tuple[str, Effect]) -> None:
+    kind, effect = entry
+    text = (PAGES / f"{effect.name}.md").read_text(encoding="utf-8")
+    for word in (kind, *(p.name for p in effect.all_parameters), *effect.confused_with, *effect.where):
+        assert word in text, word
+    for heading in ("## Cause", "## Formula", "## Size", "## Confused with", "## What to measure", "## Source"):
+        assert heading in text
+
+
+def test_at_zero_it_changes_nothing(entry: tuple[str, Effect]) -> None:
+    kind, effect = entry
+    zero = with_one(kind, effect, {p.name: 0.0 for p in effect.parameters})
+    assert np.allclose(predicted(zero), predicted(model_of(kind, effect)), rtol=0, atol=1e-12)
+
+
+def test_it_changes_something(entry: tuple[str, Effect]) -> None:
+    kind, effect = entry
+    assert np.abs(predicted(with_one(kind, effect, size(effect))) - predicted(model_of(kind, effect))).max() > 0
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0], ids=["at 0", "at its size"])
+def test_derivatives_are_differences(entry: tuple[str, Effect], share: float) -> None:
+    kind, effect = entry
+    model = with_one(kind, effect, {})
+    block = model.blocks[model.added[-1].block]
+    values = block.values.copy()
+    for p in effect.parameters:
+        values[-1, block.column(p.name)] += share * size(effect)[p.name]
+    model = model.with_blocks({**model.blocks, block.name: block.with_values(values)})
+    found = of_free(model, model_of(kind, effect))
+    for at, name in enumerate(model.added[-1].columns):
+        parameter = next(p for p in effect.parameters if p.name == name)
+
+        def moved(h: float, name: str = name) -> Array:
+            changed = values.copy()
+            changed[-1, block.column(name)] += h
+            return predicted(model.with_blocks({**model.blocks, block.name: block.with_values(changed)}))
+
+        h = 0.2 * parameter.plausible
+        near, far = moved(h) - moved(-h), moved(2 * h) - moved(-2 * h)
+        expected = (8 * near - far) / (12 * h)
+        bound = 1e-6 * np.abs(expected).max() + 1e-12 * np.abs(predicted(model)).max() / h
+        assert np.abs(found[:, at] - expected).max() <= bound
+
+
+def test_derivatives_by_the_other_unknowns_are_differences(entry: tuple[str, Effect]) -> None:
+    """The link's derivatives by what comes into it, and by the instrument's blocks it uses."""
+    kind, effect = entry
+    model = with_one(kind, effect, size(effect))
+    rng = np.random.default_rng(8)
+    for name, block in model.blocks.items():
+        if not block.free.any() or name == model.added[-1].block:
+            continue
+        step = rng.normal(size=block.values.shape) * block.free
+        total = np.zeros(0)
+        for group in model.readings:
+            along = np.zeros(group.observations.readings.shape)
+            for touch in group.linear(model.blocks, frozenset({name})).touches:
+                along += np.einsum("dsn,ns->dn", touch.jacobian, step[touch.index])
+            total = np.concatenate([total, (along * group.observations.sigma).ravel()])
+        h = 1e-4 if block.space.name == "POSE" else 1e-3
+
+        def moved(h: float, block=block, name: str = name, step: Array = step) -> Array:  # type: ignore[no-untyped-def]
+            return predicted(model.with_blocks({**model.blocks, name: block.moved(h * step)}))
+
+        expected = (8 * (moved(h) - moved(-h)) - (moved(2 * h) - moved(-2 * h))) / (12 * h)
+        bound = 1e-6 * np.abs(expected).max() + 1e-11 * np.abs(predicted(model)).max() / h
+        assert np.abs(total - expected).max() <= bound, name
+
+
+def test_what_is_planted_is_found(entry: tuple[str, Effect]) -> None:
+    kind, effect = entry
+    truth = with_one(kind, effect, size(effect))
+    start = with_one(kind, effect, {})
+    groups = tuple(
+        replace(group, observations=group.observations.with_readings(truth_group.chain.predict(truth.blocks, truth_group.observations)))
+        if group.name in truth.measured
+        else group
+        for group, truth_group in zip(start.groups, truth.groups, strict=True)
+    )
+    solution = adjust(start.blocks.values(), groups, start.datum)
+    assert solution.outcome.good, solution.undetermined
+    added = start.added[-1]
+    block = solution.blocks[added.block]
+    for name in added.columns:
+        value, std = block.values[-1, block.column(name)], solution.std(added.block)[-1, block.column(name)]
+        expected = truth.blocks[added.block].values[-1, block.column(name)]
+        assert abs(value - expected) <= 1e-3 * std + 1e-6 * abs(expected)
