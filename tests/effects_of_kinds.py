@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import simulated_lengths
+from effects_of_images import alignment, calibration
 
 from metrocli.effects.effect import Effect
 from metrocli.effects.model import Model, with_conditions
@@ -47,6 +48,8 @@ def multilaterate(effect: Effect) -> Model:
 
 
 MEASURED: dict[str, Measured] = {
+    "calibrate-camera": Measured(lambda effect: with_conditions(calibration(effect)), {}),
+    "align-part": Measured(lambda effect: with_conditions(alignment(effect)), {}),
     "multilaterate": Measured(multilaterate, {"at": 900.0}),
 }
 

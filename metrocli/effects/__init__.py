@@ -11,7 +11,11 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from metrocli.effects.effect import Effect
 
-TABLES: dict[str, str] = {"multilaterate": "metrocli.effects.multilaterate"}
+TABLES: dict[str, str] = {
+    "calibrate-camera": "metrocli.effects.calibrate_camera",
+    "align-part": "metrocli.effects.align_part",
+    "multilaterate": "metrocli.effects.multilaterate",
+}
 """For each kind of job the module that has its table"""
 
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from metrocli.adjust.outcome import Outcome
+from metrocli.effects.model import extended
+from metrocli.effects.wanted import Wanted
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.geometry.poses import EULER, pose_from_euler
 from metrocli.imageset import ImageSet
@@ -20,11 +22,13 @@ from metrocli.table import TEXT, Column, Columns, Table
 from metrocli.targets.pattern import Pattern
 from metrocli.tasks.align_problem import build, spindle_poses
 from metrocli.tasks.align_report import KIND, explained, predicted, report
+from metrocli.tasks.align_simulation import Truth, true_model
 from metrocli.tasks.camera_model import camera_of
 from metrocli.tasks.camera_settings import CameraFile, Extrinsics
 from metrocli.tasks.image_adjustment import Options, adjust_images, must_converge
 from metrocli.tasks.image_settings import eccentricity_setting, image_faults
-from metrocli.tasks.image_simulation import Shown, pictures, sightings_table, true_targets
+from metrocli.tasks.image_simulation import Draw, Shown, pictures, sightings_table, sights, true_targets
+from metrocli.tasks.planted_effects import planted, refuse_pictures
 from metrocli.tasks.sightings import OBSERVATIONS, START_NOISE, Needs, sightings
 from metrocli.tasks.target_list import TARGETS, known_targets
 
@@ -108,6 +112,7 @@ def run(
     targets: Table,
     observations: Table | None = None,
     images: ImageSet | None = None,
+    effects: Sequence[Wanted] = (),
 ) -> Result:
     """Locate the part; raises InputError, UndeterminedError or NotConvergedError."""
     model = camera_of(camera)
@@ -115,6 +120,7 @@ def run(
         model.must_fit(images)
     sighted = sightings(settings, observations, targets, images, Needs(fewest=1))
     problem = build(model, sighted, poses, free_angle="clamping-angle" in settings.estimate)
+    problem = problem.with_model(extended(problem.model(), effects)) if effects else problem
     prediction = predicted(problem)
     options = Options(settings.outliers == "remove", settings.noise == "estimated", problem.camera.image_size)
     adjusted = adjust_images(problem.blocks, problem.images, problem.others, None, options)
@@ -131,9 +137,13 @@ def simulate(
     camera: Result | CameraFile,
     poses: Table,
     targets: Table,
+    effects: Sequence[Wanted] = (),
     **_: object,
 ) -> Simulation:
-    """Return what the camera sees of the part of `simulation:` from each pose, with noise; pictures if asked for."""
+    """Return what the camera sees of the part of `simulation:` from each pose, with noise and effects.
+
+    Pictures too if asked for.
+    """
     truth = settings.simulation
     if truth is None:
         raise InputError("simulate needs the truth: give `simulation: {part: {x: 10 mm, ...}, clamping_angle: 1 mm/m}`")
@@ -142,13 +152,20 @@ def simulate(
     known = true_targets(known_targets(settings.pattern, targets, 0.0), rng)
     at = np.array([getattr(truth.part, name) for name in EULER])
     held = spindle_poses(poses, range(len(poses)))
-    seen = part_in_camera(pose_from_euler(at[:3], at[3:]), held, truth.clamping_angle, model.taper)
-    shown = Shown(model.lens, model.image_size, tuple(poses.texts("image")), seen, known, model.convention)
+    part = pose_from_euler(at[:3], at[3:])
+    to_camera = part_in_camera(part, held, truth.clamping_angle, model.taper)
+    images, times = tuple(poses.texts("image")), {name: poses.numbers(name) for name in ("t", "temp") if name in poses}
+    shown = Shown(model.lens, model.image_size, images, to_camera, known, model.convention, times)
     sigma = settings.noise if isinstance(settings.noise, float) else START_NOISE
-    table = sightings_table(shown, sigma, rng)
-    drawn = pictures(shown, settings.pattern, rng) if options.images and settings.pattern is not None else ()
+    seen = sights(shown)
+    seen, values = planted(true_model(model, shown, seen, Truth(part, held, truth.clamping_angle)), seen, effects)
+    table = sightings_table(replace(shown, conditions={}), seen, sigma, rng)
+    drawn: Iterable[tuple[str, Draw]] = ()
+    if options.images and settings.pattern is not None:
+        refuse_pictures(effects)
+        drawn = pictures(shown, settings.pattern, rng)
     true = dict(zip(EULER, at.tolist(), strict=True)) | {"gamma_s": truth.clamping_angle}
-    return Simulation({"observations.csv": table}, true, drawn)
+    return Simulation({"observations.csv": table}, true | values, drawn)
 
 
 __all__ = ["KIND", "SIMULATED", "SUMMARY", "Inputs", "Settings", "run", "simulate"]
