@@ -29,10 +29,12 @@ def at_solution(model: Model, adjusted: Adjusted) -> Model:
 
 def covariates(model: Model, in_camera: Array) -> list[Covariate]:
     """Return what image points could vary with; `in_camera` (3, n) are the targets as the camera has them."""
-    observations = model.readings[0].observations
+    group = model.readings[0]
+    observations = group.observations
     lens = model.blocks[LENS].named()
     conditions, view = observations.conditions, observations.index["view"].astype(float)
-    off = observations.readings - np.array([[lens["cx"]], [lens["cy"]]])
+    # where the model puts the points: the readings themselves would bring their noise along
+    off = group.chain.predict(model.blocks, observations) - np.array([[lens["cx"]], [lens["cy"]]])
     found = [
         covariate(name, conditions[key], 5)
         for name, key in (("t_s", ELAPSED), ("temp_degC", WARMING))
