@@ -269,6 +269,14 @@ def format_quantity(value: float, unit: str, std: float | None = None) -> str:
     return f"{number} ± {spread}{unit}"
 
 
+def readable(value: float, dimension: str) -> tuple[float, str]:
+    """Return a value in the unit of its dimension in which it is a number from 1 to 1000, or nearest to that."""
+    if not dimension or value == 0 or not math.isfinite(value):
+        return value, internal_unit(dimension) if dimension else ""
+    found = [(unit.outside(value), unit.symbol) for unit in DIMENSIONS[dimension].units if not unit.offset]
+    return min(found, key=lambda one: abs(math.log10(abs(one[0])) - 0.5))
+
+
 def as_slope(angle: float) -> tuple[float, str]:
     """Return a small angle (rad) as the slope people read on a machine, in mm/m."""
     return angle * _KILO, "mm/m"

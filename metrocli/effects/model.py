@@ -85,7 +85,7 @@ def extended(model: Model, wanted: Iterable[Wanted]) -> Model:
             own.append(one.node.fault(f"{one.name} needs a column {columns}", "measure it with each reading"))
         elif not own:
             values = {key: _number(model, effect, key, value) for key, value in one.values.items()}
-            model = with_effect(model, effect, [tuple(one.where[key] for key in _keys(effect))], values)
+            model = with_effect(model, effect, [tuple(one.where[key] for key in effect.keys)], values)
         faults.extend(own)
     if faults:
         raise InputError(faults)
@@ -144,8 +144,8 @@ def with_effect(
     if effect.link is None:
         return _freed(model, effect, tuple(instances), values)
     name = _unused(" ".join([effect.name, *(instances[0] if len(instances) == 1 else ())]), model.blocks)
-    apart = any(model.places[key].index for key in _keys(effect))
-    link = effect.link(name, dict(zip(_keys(effect), instances[0], strict=True)))
+    apart = any(model.places[key].index for key in effect.keys)
+    link = effect.link(name, dict(zip(effect.keys, instances[0], strict=True)))
     block = _block(effect, name, instances, values, apart)
     groups = tuple(
         _spliced(model, group, effect, instances, link, apart) if _passes(group, link, model) else group
@@ -153,10 +153,6 @@ def with_effect(
     )
     added = Added(effect, tuple(instances), name, columns)
     return replace(model, blocks={**model.blocks, name: block}, groups=groups, added=(*model.added, added))
-
-
-def _keys(effect: Effect) -> tuple[str, ...]:
-    return tuple(key for key in effect.where if key != "by")
 
 
 def _form(model: Model, wanted: Wanted) -> Effect | None:
@@ -222,7 +218,7 @@ def _touched(model: Model, group: Group, effect: Effect, instances: Sequence[tup
     touched = np.zeros(group.observations.count, dtype=np.intp)
     for number, instance in enumerate(instances, 1):
         here = np.ones(len(touched), dtype=bool)
-        for key, name in zip(_keys(effect), instance, strict=True):
+        for key, name in zip(effect.keys, instance, strict=True):
             place = model.places[key]
             if place.index:
                 here &= group.observations.index[place.index] == place.names.index(name)
@@ -235,7 +231,7 @@ def _freed(model: Model, effect: Effect, instances: tuple[tuple[str, ...], ...],
     block = model.blocks[effect.columns_of]
     missing = [p for p in effect.parameters if p.name not in block.columns]
     block = with_columns(block, tuple(p.name for p in missing), _REACH * np.array([p.plausible for p in missing]))
-    rows = [block.members.index(instance[0]) for instance in instances] if _keys(effect) else slice(None)
+    rows = [block.members.index(instance[0]) for instance in instances] if effect.keys else slice(None)
     moved, free, columns = block.values.copy(), block.free.copy(), []
     for parameter in effect.parameters:
         column = block.column(parameter.name)

@@ -52,7 +52,8 @@ def _read(kind: str, node: Node, faults: list[Fault]) -> Wanted | None:
     attempts = [(effect, _as(effect, node)) for effect in known]
     fitting = [(effect, values) for effect, (values, wrong) in attempts if not wrong]
     if not fitting:
-        faults.extend(min((wrong for _, (_, wrong) in attempts), key=len))
+        fewest: list[Fault] = min((wrong for _, (_, wrong) in attempts), key=len)
+        faults.extend(fewest)
         return None
     where = {key: fitting[0][1].pop(key) for key in fitting[0][0].where if key != "by"}
     return Wanted(tuple(effect for effect, _ in fitting), where, fitting[0][1], node)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from metrocli.diagnosis.subject import Subject
 from metrocli.effects.model import extended
 from metrocli.effects.wanted import Wanted
 from metrocli.errors import InputError
@@ -15,7 +16,8 @@ from metrocli.result import Result
 from metrocli.settings import Choice, Quantity, Section, TableFile, setting
 from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import TEXT, Column, Columns, Table
-from metrocli.tasks.length_network import build
+from metrocli.tasks.length_diagnosis import subject
+from metrocli.tasks.length_network import Network, build
 from metrocli.tasks.length_simulation import Planned, simulated
 from metrocli.tasks.network_report import KIND, report
 from metrocli.tasks.network_solve import solve
@@ -134,11 +136,26 @@ def run(
     effects: Sequence[Wanted] = (),
 ) -> Result:
     """Find the points; raises InputError, UndeterminedError or NotConvergedError."""
-    network = build(settings, lengths, points, tracers, distances)
-    if effects:
-        network = network.with_model(extended(network.model(), effects))
-    solved = solve(network, settings.outliers == "remove")
-    return report(solved, probing, settings.tolerance)
+    network = _with(build(settings, lengths, points, tracers, distances), effects)
+    return report(solve(network, settings.outliers == "remove"), probing, settings.tolerance)
+
+
+def diagnosed(
+    settings: Settings,
+    lengths: Table,
+    points: Table,
+    tracers: Table | None = None,
+    distances: Table | None = None,
+    effects: Sequence[Wanted] = (),
+    **_: object,
+) -> Subject:
+    """Return the job as diagnosis sees it; raises as `run` does."""
+    network = _with(build(settings, lengths, points, tracers, distances), effects)
+    return subject(solve(network, remove=False))
+
+
+def _with(network: Network, effects: Sequence[Wanted]) -> Network:
+    return network.with_model(extended(network.model(), effects)) if effects else network
 
 
 def simulate(

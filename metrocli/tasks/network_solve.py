@@ -87,6 +87,14 @@ def solve(network: Network, remove: bool) -> Solved:
     return solved
 
 
+def refitted(network: Network, keep: Mask) -> Solution:
+    """Adjust a network from where its blocks are to some of its lengths, with weights from the adjusted paths."""
+    used = network.only(keep)
+    groups = [used.lengths, *used.others]
+    noise = (LENGTHS, network.noise)
+    return adjust_with_noise(used.blocks.values(), groups, noise, used.datum, network.aspects)
+
+
 def _adjusted(network: Network, state: Mapping[str, Block], out: dict[int, Rejected]) -> Solved:
     keep = np.ones(network.lengths.observations.count, dtype=bool)
     keep[list(out)] = False
