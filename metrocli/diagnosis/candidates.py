@@ -15,7 +15,9 @@ from metrocli.effects.effect import COLUMN, Effect
 from metrocli.effects.model import Model, can_act
 
 _FEWEST = 3
-"""Readings that a candidate must touch, and leave alone where it acts on a part of a place; fewer are outliers"""
+"""Rows that a candidate must touch; fewer are outliers"""
+_FEWEST_APART = 2
+"""Where single components of readings may be wrong"""
 _MOST_PLACES = 3000
 
 
@@ -106,7 +108,7 @@ def _of_effect(subject: Subject, system: System, effect: Effect) -> Iterator[Fam
     for chosen in [places] if together else [[place] for place in places]:
         if not chosen:
             continue
-        found = [_columns(subject.model, system, effect, chosen, dict(scan)) for scan in _scans(subject.model, effect)]
+        found = [_columns(subject, system, effect, chosen, dict(scan)) for scan in _scans(subject.model, effect)]
         kept = [(one, columns, raw) for part in found for one, columns, raw in part]
         by_size: dict[int, list[tuple[Alternative, Array, Array]]] = {}
         for item in kept:
@@ -137,14 +139,15 @@ def _scans(model: Model, effect: Effect) -> list[tuple[tuple[str, float], ...]]:
 
 
 def _columns(
-    model: Model, system: System, effect: Effect, places: Sequence[tuple[str, ...]], scanned: Mapping[str, float]
+    subject: Subject, system: System, effect: Effect, places: Sequence[tuple[str, ...]], scanned: Mapping[str, float]
 ) -> list[tuple[Alternative, Array, Array]]:
     """Return for each place the visible columns of its parameters (rows, parameters) and their norms before."""
-    full, block, chosen = signatures(model, system, effect, places, scanned)
+    full, block, chosen = signatures(subject.model, system, effect, places, scanned)
     if not chosen.any():
         return []
     member, column = np.nonzero(chosen)
-    before = model.blocks.get(block.name)
+    before = subject.model.blocks.get(block.name)
+    fewest = _FEWEST_APART if subject.components_apart else _FEWEST
     seen = system.seen(full)
     kept = []
     for number, place in enumerate(places):
@@ -152,7 +155,7 @@ def _columns(
         if not own.any():
             own = np.ones(len(member), dtype=bool) if len(places) == 1 else own
         touched = np.flatnonzero(np.abs(full[:, own]).max(axis=1) > 0) if own.any() else np.zeros(0)
-        if len(touched) < _FEWEST:
+        if len(touched) < fewest:
             continue
         names = tuple(block.columns[i] for i in column[own])
         alternative = Alternative(effect, place, tuple(scanned.items()), names)

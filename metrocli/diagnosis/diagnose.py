@@ -121,7 +121,8 @@ def planned(subject: Subject) -> Design:
 def _field(subject: Subject, weights: Mapping[str, Array], rng: np.random.Generator) -> tuple[Field, list[NotTested]]:
     system = linearised(subject.model, weights)
     families, not_tested = families_of(subject, system)
-    return field_of(system, [*families, *smooth_families(subject, system)], rng), not_tested
+    families = [*families, *smooth_families(subject, system)]
+    return field_of(system, families, rng, subject.components_apart), not_tested
 
 
 def _selected(subject: Subject, rng: np.random.Generator) -> tuple[Field, list[NotTested], tuple[Unit, ...], Selection]:
@@ -185,7 +186,7 @@ def _recentred(
     blocks = {name: block.with_values(solution.blocks[name].values) for name, block in model.blocks.items()}
     changed = replace(subject, model=model.with_blocks(blocks))
     system = linearised(changed.model, _weights(subject, units))
-    field = field_of(system, smooth_families(changed, system), rng)
+    field = field_of(system, smooth_families(changed, system), rng, subject.components_apart)
     wrong = [field.of_reading(one.number) for one in selection.outliers]
     given = nothing(system)
     return field, given.with_columns(np.concatenate(wrong, axis=1)) if wrong else given
@@ -194,7 +195,7 @@ def _recentred(
 def _kept(selection: Selection) -> dict[str, Mask]:
     """Return for each group the readings that are not outliers."""
     kept, first = {}, 0
-    wrong = {one.number for one in selection.outliers}
+    wrong = {int(selection.field.reading[one.number]) for one in selection.outliers}
     for group in selection.field.system.model.readings:
         count = group.observations.count
         kept[group.name] = np.array([first + i not in wrong for i in range(count)])
@@ -235,10 +236,13 @@ def _outliers(subject: Subject, selection: Selection) -> tuple[Outlier, ...]:
         for group in subject.model.readings
         for i in range(group.observations.count)
     ]
-    found = []
+    tests: dict[int, float] = {}
     for one in selection.outliers:
         without = selection.given(without=[one])
-        found.append(Outlier(keys[one.number], float(np.sqrt(max(without.squares - given.squares, 0.0)) / sigma)))
+        reading = int(selection.field.reading[one.number])
+        test = float(np.sqrt(max(without.squares - given.squares, 0.0)) / sigma)
+        tests[reading] = max(tests.get(reading, 0.0), test)
+    found = [Outlier(keys[reading], test) for reading, test in tests.items()]
     return tuple(sorted(found, key=lambda one: -one.test))
 
 

@@ -11,7 +11,7 @@ from metrocli.adjust.blocks import Array
 from metrocli.adjust.observations import Mask
 from metrocli.diagnosis.distributions import chi_interval
 from metrocli.diagnosis.projection import System
-from metrocli.diagnosis.race import Given
+from metrocli.diagnosis.race import DECLARED, Given
 from metrocli.diagnosis.subject import Subject
 
 _LEVEL = 1e-3
@@ -41,8 +41,9 @@ class Unit:
 
 def noise_of(given: Given) -> Noise:
     """Return the noise that is left, with its 95 % interval (chi-squared)."""
-    low, high = chi_interval(given.squares, max(given.dof, 1.0))
-    return Noise(float(np.sqrt(given.squares / max(given.dof, 1.0))), low, high)
+    squares, dof = given.squares - given.declared, max(given.dof - DECLARED, 1.0)
+    low, high = chi_interval(squares, dof)
+    return Noise(float(np.sqrt(squares / dof)), low, high)
 
 
 def apart(subject: Subject, system: System, given: Given, rng: np.random.Generator) -> Unit | None:

@@ -16,6 +16,8 @@ FIRST, LATER, UNKNOWN, WRONG_READING = 0.03, 0.01, 0.01, 0.01
 _STEPS = 40
 _SHARE = 0.1
 """Readings that may be called outliers at most"""
+_TOGETHER = 4
+"""Effects at most that may stand for one smooth term"""
 _ALIKE = 0.3
 """Correlation of two outliers above which they are not taken in one step"""
 _CLEARLY = 1.0
@@ -107,10 +109,35 @@ def _step(selection: Selection) -> Selection | None:
             continue
         if family < 0:
             return _with_outliers(selection, wrong, given)
-        score = scores[family]
-        columns = field.families[family].columns[:, score.best]
-        return selection.with_one(Chosen(family, score.best, columns))
+        if field.families[family].unknown:
+            known = _with_effects(selection)
+            best = field.score(family, known.given())
+            if field.overall(field.level(family, best.log_p[best.best])) > np.log(UNKNOWN):
+                return known
+        return _with_best(selection, family, scores[family])
     return None
+
+
+def _with_best(selection: Selection, family: int, score: Score) -> Selection:
+    columns = selection.field.families[family].columns[:, score.best]
+    return selection.with_one(Chosen(family, score.best, columns))
+
+
+def _with_effects(selection: Selection) -> Selection:
+    """Return the selection with the effects that win a race without smooth terms: several may make up one of them."""
+    field = selection.field
+    for _ in range(_TOGETHER):
+        given = selection.given()
+        found = [
+            (field.level(i, score.log_p[score.best]), i, score)
+            for i, score in enumerate(field.scores(given))
+            if len(score.gain) and not field.families[i].unknown
+        ]
+        level, family, score = min(found, key=lambda one: one[0])
+        if given.dof < 3 or field.overall(level) > np.log(_allowed(selection, family)):
+            break
+        selection = _with_best(selection, family, score)
+    return selection
 
 
 def _allowed(selection: Selection, family: int) -> float:
@@ -218,6 +245,12 @@ def evidence(field: Field, given: Given, family: int, score: Score) -> Array:
     return np.asarray(np.where(score.rank > 0, value, -np.inf))
 
 
+def _likelier(field: Field, scores: Sequence[Score], one: tuple[int, int], other: tuple[int, int]) -> bool:
+    """Whether the level of one is not above that of another: by evidence alone smooth terms lose for their number."""
+    first, second = (field.level(family, float(scores[family].log_p[at])) for family, at in (one, other))
+    return first <= second
+
+
 def _swapped(selection: Selection) -> Selection:
     """Return the selection with each name replaced by one that the others leave more evidence for, if there is one."""
     field = selection.field
@@ -229,7 +262,9 @@ def _swapped(selection: Selection) -> Selection:
             own = best[one.family][one.number]
             family = int(np.argmax([values.max(initial=-np.inf) for values in best]))
             number = int(np.argmax(best[family]))
-            if best[family][number] > own + (_CLEARLY if family != one.family else 1e-6):
+            if _likelier(field, scores, (family, number), (one.family, one.number)) and best[family][number] > own + (
+                _CLEARLY if family != one.family else 1e-6
+            ):
                 new = Chosen(family, number, field.families[family].columns[:, number])
                 selection = selection.with_one(new, instead=one)
                 break

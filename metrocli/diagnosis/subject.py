@@ -27,6 +27,8 @@ class Covariate:
     """Of the polynomials that are tried, or the highest harmonic"""
     angle: bool = False
     """It comes round: harmonics of it are tried"""
+    periodic: bool = False
+    """Sines of it are tried, over a scan of periods"""
 
 
 @dataclass(frozen=True)
@@ -60,6 +62,8 @@ class Subject:
     """Adjusts a model made from this one to some of the readings of each group"""
     reading: tuple[str, str] = ("um", "length")
     """Unit and dimension in which held-out errors of readings are told"""
+    components_apart: bool = False
+    """Whether one component of a reading may be wrong alone, such as u or v of an image point"""
     declared: str = ""
     """The noise as the job declares it, in words"""
     offers: Callable[[Model], Iterable[tuple[str, Model]]] = field(default=lambda model: ())

@@ -116,9 +116,9 @@ def with_conditions(model: Model) -> Model:
 
 def can_act(model: Model, effect: Effect) -> bool:
     """Whether the readings have the conditions that an effect needs, and their chains the quantity that it changes."""
-    if any(not model.places[key].names for key in _keys(effect)):
+    if any(not model.places[key].names for key in effect.keys):
         return False
-    somewhere = {key: model.places[key].names[0] for key in _keys(effect)}
+    somewhere = {key: model.places[key].names[0] for key in effect.keys}
     return any(_has(group, effect.needs) and _reaches(group, effect, somewhere) for group in model.readings)
 
 

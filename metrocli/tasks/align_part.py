@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from metrocli.adjust.outcome import Outcome
+from metrocli.diagnosis.subject import Subject
 from metrocli.effects.model import extended
 from metrocli.effects.wanted import Wanted
 from metrocli.errors import InputError, UndeterminedError
@@ -20,12 +21,13 @@ from metrocli.settings import Choice, Either, FileOf, ImageFiles, ListOf, Quanti
 from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import TEXT, Column, Columns, Table
 from metrocli.targets.pattern import Pattern
-from metrocli.tasks.align_problem import build, spindle_poses
+from metrocli.tasks.align_diagnosis import subject
+from metrocli.tasks.align_problem import Problem, build, spindle_poses
 from metrocli.tasks.align_report import KIND, explained, predicted, report
 from metrocli.tasks.align_simulation import Truth, true_model
 from metrocli.tasks.camera_model import camera_of
 from metrocli.tasks.camera_settings import CameraFile, Extrinsics
-from metrocli.tasks.image_adjustment import Options, adjust_images, must_converge
+from metrocli.tasks.image_adjustment import Adjusted, Options, adjust_images, must_converge
 from metrocli.tasks.image_settings import eccentricity_setting, image_faults
 from metrocli.tasks.image_simulation import Draw, Shown, pictures, sightings_table, sights, true_targets
 from metrocli.tasks.planted_effects import planted, refuse_pictures
@@ -115,20 +117,55 @@ def run(
     effects: Sequence[Wanted] = (),
 ) -> Result:
     """Locate the part; raises InputError, UndeterminedError or NotConvergedError."""
-    model = camera_of(camera)
-    if images is not None:
-        model.must_fit(images)
-    sighted = sightings(settings, observations, targets, images, Needs(fewest=1))
-    problem = build(model, sighted, poses, free_angle="clamping-angle" in settings.estimate)
-    problem = problem.with_model(extended(problem.model(), effects)) if effects else problem
+    problem = prepared(settings, camera, poses, Seen(targets, observations, images), effects)
     prediction = predicted(problem)
+    return report(problem, solved(settings, problem), prediction)
+
+
+def diagnosed(
+    settings: Settings,
+    camera: Result | CameraFile,
+    poses: Table,
+    targets: Table,
+    observations: Table | None = None,
+    images: ImageSet | None = None,
+    effects: Sequence[Wanted] = (),
+) -> Subject:
+    """Return the job as diagnosis sees it, with all its readings; raises as `run` does."""
+    problem = prepared(settings, camera, poses, Seen(targets, observations, images), effects)
+    return subject(problem, solved(replace(settings, outliers="report"), problem))
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What was seen of which targets."""
+
+    targets: Table
+    observations: Table | None
+    images: ImageSet | None
+
+
+def prepared(
+    settings: Settings, camera: Result | CameraFile, poses: Table, seen: Seen, effects: Sequence[Wanted]
+) -> Problem:
+    """Return the adjustment with its starting values and the effects of the job."""
+    model = camera_of(camera)
+    if seen.images is not None:
+        model.must_fit(seen.images)
+    sighted = sightings(settings, seen.observations, seen.targets, seen.images, Needs(fewest=1))
+    problem = build(model, sighted, poses, free_angle="clamping-angle" in settings.estimate)
+    return problem.with_model(extended(problem.model(), effects)) if effects else problem
+
+
+def solved(settings: Settings, problem: Problem) -> Adjusted:
+    """Adjust a problem; raises UndeterminedError or NotConvergedError where it has no good solution."""
     options = Options(settings.outliers == "remove", settings.noise == "estimated", problem.camera.image_size)
     adjusted = adjust_images(problem.blocks, problem.images, problem.others, None, options)
     solution = adjusted.solution
     if solution.undetermined or solution.outcome is Outcome.TOO_FEW:
         raise UndeterminedError(explained(problem, solution))
     must_converge(solution)
-    return report(problem, adjusted, prediction)
+    return adjusted
 
 
 def simulate(

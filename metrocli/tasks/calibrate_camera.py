@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from metrocli.adjust.outcome import Outcome
+from metrocli.diagnosis.subject import Subject
 from metrocli.effects.model import extended
 from metrocli.effects.wanted import Wanted
 from metrocli.errors import InputError, UndeterminedError
@@ -21,11 +22,12 @@ from metrocli.table import TEXT, Column, Columns, Table
 from metrocli.targets.pattern import Pattern
 from metrocli.tasks.camera_advice import explained, ran_out
 from metrocli.tasks.camera_compare import compare_models
+from metrocli.tasks.camera_diagnosis import subject
 from metrocli.tasks.camera_problem import Problem, build
 from metrocli.tasks.camera_report import KIND, report
 from metrocli.tasks.camera_settings import Camera, CameraSimulation
 from metrocli.tasks.camera_simulation import conditions, simulated_views, true_model
-from metrocli.tasks.image_adjustment import Options, adjust_images, must_converge
+from metrocli.tasks.image_adjustment import Adjusted, Options, adjust_images, must_converge
 from metrocli.tasks.image_settings import eccentricity_setting, image_faults
 from metrocli.tasks.image_simulation import Draw, Shown, pictures, sightings_table, sights, true_targets
 from metrocli.tasks.planted_effects import planted, refuse_pictures
@@ -104,7 +106,27 @@ def run(
 ) -> Result:
     """Calibrate; raises InputError, UndeterminedError or NotConvergedError."""
     settings, problem = prepared(settings, observations, targets, images, scale_bars)
-    return solved(settings, problem.with_model(extended(problem.model(), effects)) if effects else problem)
+    problem = with_effects(problem, effects)
+    return report(problem, settings.camera, solved(settings, problem))
+
+
+def diagnosed(
+    settings: Settings,
+    observations: Table | None = None,
+    targets: Table | None = None,
+    images: ImageSet | None = None,
+    scale_bars: Table | None = None,
+    effects: Sequence[Wanted] = (),
+) -> Subject:
+    """Return the job as diagnosis sees it, with all its readings; raises as `run` does."""
+    settings, problem = prepared(settings, observations, targets, images, scale_bars)
+    problem = with_effects(problem, effects)
+    return subject(problem, solved(replace(settings, outliers="report"), problem))
+
+
+def with_effects(problem: Problem, effects: Sequence[Wanted]) -> Problem:
+    """Return the calibration with the effects of the job."""
+    return problem.with_model(extended(problem.model(), effects)) if effects else problem
 
 
 def compare(
@@ -139,15 +161,15 @@ def prepared(
     return settings, build(settings.rig, settings.camera, sighted, scale_bars)
 
 
-def solved(settings: Settings, problem: Problem) -> Result:
-    """Adjust a problem and report it."""
+def solved(settings: Settings, problem: Problem) -> Adjusted:
+    """Adjust a problem; raises UndeterminedError or NotConvergedError where it has no good solution."""
     options = Options(settings.outliers == "remove", settings.noise == "estimated", problem.image_size)
     adjusted = adjust_images(problem.blocks, problem.images, problem.others, problem.datum, options)
     solution = adjusted.solution
     if solution.undetermined or solution.outcome is Outcome.TOO_FEW or ran_out(problem, solution):
         raise UndeterminedError(explained(problem, solution))
     must_converge(solution)
-    return report(problem, settings.camera, adjusted)
+    return adjusted
 
 
 def simulate(

@@ -33,6 +33,7 @@ def subject(problem: Problem, adjusted: Adjusted) -> Subject:
         _delivered(problem.rig, model),
         refit(problem.datum),
         ("px", "pixel"),
+        components_apart=True,
     )
 
 

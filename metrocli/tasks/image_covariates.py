@@ -35,13 +35,12 @@ def covariates(model: Model, in_camera: Array) -> list[Covariate]:
     conditions, view = observations.conditions, observations.index["view"].astype(float)
     # where the model puts the points: the readings themselves would bring their noise along
     off = group.chain.predict(model.blocks, observations) - np.array([[lens["cx"]], [lens["cy"]]])
-    found = [
-        covariate(name, conditions[key], 5)
-        for name, key in (("t_s", ELAPSED), ("temp_degC", WARMING))
-        if key in conditions
-    ]
-    if ELAPSED not in conditions:
-        found.append(covariate("order of the images", view, 5))
+    order = covariate("order of the images", view, 5)
+    if ELAPSED in conditions:
+        order = covariate("t_s", conditions[ELAPSED], 5)
+    found = [replace(order, periodic=True)]
+    if WARMING in conditions:
+        found.append(covariate("temp_degC", conditions[WARMING], 5))
     found.append(covariate("place in the image", off, 5))
     found.append(covariate("image radius", np.hypot(*off), 5))
     found.append(replace(covariate("image azimuth", np.arctan2(off[1], off[0]), 8), angle=True))
