@@ -318,7 +318,7 @@ class Either:
         for spec in shaped:
             found: list[Fault] = []
             value = spec.read(node, found)
-            if value is not BAD:
+            if value is not BAD and not found:
                 return value
             attempts.append(found)
         faults.extend(self._telling(node, shaped, attempts))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from metrocli import units
-from metrocli.adjust.blocks import Array
+from metrocli.adjust.blocks import Array, Space
 from metrocli.adjust.chain import Link
 from metrocli.settings import Number, Quantity, Spec, Text
 
@@ -86,8 +86,12 @@ class Effect:
     """t or T, where it varies with one of them"""
     scanned: tuple[Parameter, ...] = ()
     """Parameters that no derivative finds, such as the time of a jump: a job gives them, `diagnose` searches them"""
+    space: Space = Space.FLAT
+    """How its parameters change by a step of the adjustment"""
     needs: tuple[str, ...] = ()
     """Conditions without which it cannot be modelled: t, temp, ..."""
+    not_first: tuple[str, ...] = ()
+    """Kinds of place whose first name is what the others are compared with, and therefore is none for this effect"""
     confused_with: tuple[str, ...] = ()
     reveal: str = ""
     """What to measure so that it is seen, or told from what it is confused with"""

@@ -24,7 +24,7 @@ class ChunkFolder:
         if not path.is_file():
             return None
         try:
-            with np.load(path, allow_pickle=False) as held:
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as held:
                 return dict(held)
         except (OSError, ValueError, zipfile.BadZipFile):
             return None

@@ -17,9 +17,10 @@ from metrocli.result import Result
 from metrocli.settings import Choice, Quantity, Section, TableFile, setting
 from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import TEXT, Column, Columns, Table
+from metrocli.tasks.length_design import Planned
 from metrocli.tasks.length_diagnosis import subject
 from metrocli.tasks.length_network import Network, build
-from metrocli.tasks.length_simulation import Planned, simulated
+from metrocli.tasks.length_simulation import simulated
 from metrocli.tasks.network_plan import planned
 from metrocli.tasks.network_report import KIND, report
 from metrocli.tasks.network_solve import solve
@@ -172,14 +173,19 @@ def plan(
     settings: Settings,
     points: Table,
     tracers: Table | None = None,
+    lengths: Table | None = None,
     distances: Table | None = None,
     candidates: Table | None = None,
+    effects: Sequence[Wanted] = (),
     **_: object,
 ) -> Plan:
-    """Tell what lengths from every listed tracer to every point will determine; UndeterminedError where they do not."""
+    """Tell what lengths from every listed tracer to every point will determine; UndeterminedError where they do not.
+
+    Where the job's lengths exist, only what they read is planned.
+    """
     if tracers is None:
         raise InputError("plan needs to know where the tracers will stand: `inputs: {tracers: tracers.csv}`")
-    return planned(Layout(settings, points, tracers, distances), candidates)
+    return planned(Layout(settings, Planned(points, tracers, lengths), distances, effects), candidates)
 
 
 def simulate(

@@ -14,9 +14,9 @@ from metrocli.tasks.uncertainty_settings import Limits
 from metrocli.tasks.uncertainty_values import Measure
 from metrocli.uncertainty.decision import (
     FACTOR_2017,
-    GOLDEN,
     Interval,
     Items,
+    capable,
     conformance,
     global_risk,
     guard_for_global,
@@ -101,7 +101,7 @@ def decide(limits: Limits, found: Measured, factor: float) -> dict[str, Any]:
     }
     if math.isfinite(ends.width):
         decision |= {"T": ends.width / factor, "U_over_T": found.U / ends.width}
-        decision["capable"] = bool(GOLDEN * ends.width >= found.U)
+        decision["capable"] = capable(found.U, ends.width)
     if found.sample is not None:
         above = found.sample.below(ends.high - found.centre) if math.isfinite(ends.high) else 1.0
         under = found.sample.below(ends.low - found.centre) if math.isfinite(ends.low) else 0.0
@@ -150,8 +150,8 @@ def lines(decision: Mapping[str, Any], unit: str) -> list[str]:
     zones = f"{decision['zone']} with U (ISO 14253-1), {decision['zone_2017']} with 1.65 u"
     said = [f"tolerance {low:.10g} to {high:.10g} {unit}: {zones}"]
     if "T" in decision:
-        capable = "capable" if decision["capable"] else "not capable"
-        said.append(f"U/T = {100 * decision['U_over_T']:.1f} %: {capable} by the 20 % of Berndt")
+        words = "capable" if decision["capable"] else "not capable"
+        said.append(f"U/T = {100 * decision['U_over_T']:.1f} %: {words} by the 20 % of Berndt")
     mc = f", by Monte Carlo {decision['conformance_mc']:.6g}" if "conformance_mc" in decision else ""
     said.append(f"probability of conformity {decision['conformance']:.6g} (JCGM 106){mc}")
     if "consumer" in decision:

@@ -84,6 +84,7 @@ class _Gathering:
     wanted: dict[str, Compound] = field(default_factory=dict)
     named: tuple[str, ...] = ()
     inputs: Inputs | None = None
+    reserved: set[str] = field(default_factory=set)
 
     def __post_init__(self) -> None:
         for name, placed in self.settings.quantities.items():
@@ -109,9 +110,9 @@ class _Gathering:
             hint = "letters, digits and _, beginning with a letter"
             self.faults.append(node.fault(f"'{name}' cannot be the name of a quantity", hint))
         elif name in FUNCTIONS or name in CONSTANTS or _keyword(name):
-            self.faults.append(
-                node.fault(f"'{name}' is reserved: it has a meaning of its own", f"write {name}_ or {name}1")
-            )
+            self.reserved.add(name)
+            hint = f"write {name}_ or {name}1"
+            self.faults.append(node.fault(f"'{name}' is reserved: it has a meaning of its own", hint))
         elif name in self.settings.inputs.results:
             self.faults.append(node.fault(f"'{name}' is the name of a result too", "give one of them another name"))
         held = [getattr(placed.value, key, None) is not None for key in ("readings", "samples")]
@@ -153,7 +154,7 @@ class _Gathering:
             value = result.estimates[index].value * unit.factor
             self.quantities[name] = Quantity(name, value, shape, dof, unit)
             self.units[name] = unit
-        return Block(tuple(name for name, _, _ in held), (covariance + covariance.T) / 2, min(dofs))
+        return Block(tuple(name for name, _, _ in held), (covariance + covariance.T) / 2)
 
     def _names_of(self, model: Model) -> None:
         for part in model.expression.parts:
@@ -172,11 +173,12 @@ class _Gathering:
                 known = [*self.settings.quantities, *FUNCTIONS]
                 said = f"there is no quantity '{part.name}'"
             hint = suggestion(part.name if point and prefix in self.settings.inputs.results else prefix, known)
+            hint = hint if known else "name the result under `inputs: {results: {NAME: FILE.h5}}`"
             self.faults.append(model.fault(ExpressionError(said, part.start, hint)))
 
     def _unused(self) -> None:
         for name, placed in self.settings.quantities.items():
-            if name not in self.named and self.settings.measurands:
+            if name not in self.named and self.settings.measurands and name not in self.reserved:
                 hint = "a misspelt name in a model? else leave it out"
                 self.faults.append(placed.node.fault(f"the quantity '{name}' is in no model", hint))
 

@@ -101,43 +101,44 @@ def _correlation(covariance: Any) -> Any:
 
 
 def _measurand(found: Found, index: int, name: str) -> _Measurand:
-    unit = found.problem.units[name]
-    factor = unit.factor
-    linear = found.propagated.measurands[name]
-    k = coverage_factor(found.coverage, linear.dof)
-    probability = covered(found.coverage)
-    mc = _monte_carlo(found, index, probability)
-    value, std, U = linear.value, linear.std, k * linear.std
-    interval = (value - U, value + U)
+    unit, linear = found.problem.units[name], found.propagated.measurands[name]
+    factor, mc = unit.factor, _monte_carlo(found, index, covered(found.coverage))
+    k, dof = coverage_factor(found.coverage, linear.dof), linear.dof
+    std, interval = linear.std, (linear.value - k * linear.std, linear.value + k * linear.std)
     if linear.replaced and mc is not None:
         std, interval = mc["std"], tuple(mc["interval"])
-        U = (interval[1] - interval[0]) / 2
-        k = U / std if std > 0 else k
+        k = (interval[1] - interval[0]) / 2 / std if std > 0 else k
     details: dict[str, Any] = {
-        "U": U / factor, "k": k, "dof": linear.dof, "probability": probability,
-        "interval": [interval[0] / factor, interval[1] / factor],
+        "U": k * std / factor, "k": k, "dof": dof, "probability": covered(found.coverage),
+        "interval": [end / factor for end in interval],
         "second_order": {"value": linear.second_value / factor, "std": linear.second_std / factor},
     }  # fmt: skip
     verdict = None
     if mc is not None:
         details["mc"] = {key: _scaled(item, factor) if key != "trials" else item for key, item in mc.items()}
-        normal = coverage_factor(Coverage(probability), math.inf)
-        judged = Judged(
-            value, linear.std, k * linear.std, linear.nonlinear, mc["mean"], mc["std"], mc["interval"], normal
-        )
-        verdict = (
-            judge(judged, found.settings.monte_carlo.digits)
-            if not linear.replaced
-            else Verdict(False, 0, 0, 0, linear.notes)
-        )
+        verdict = _verdict(found, linear, k, mc)
     details["gum_valid"] = verdict.valid if verdict is not None else math.nan
     if found.settings.tolerance and name in found.settings.tolerance:
-        sample = found.outcome.samples[index] if found.outcome is not None else None
-        centre = found.outcome.centres[index] if found.outcome is not None else 0.0
-        measured = Measured(value, std, U, whole_dof(linear.dof), sample, centre)
-        details["tolerance"] = decide(limits_of(found.settings.tolerance[name]), measured, factor)
-    text = "" if unit.text == "1" else unit.text
-    return _Measurand(name, text or "1", linear, value / factor, std / factor, details, verdict)
+        details["tolerance"] = _decision(found, index, name, std, k * std)
+    return _Measurand(name, unit.text, linear, linear.value / factor, std / factor, details, verdict)
+
+
+def _verdict(found: Found, linear: Linear, k: float, mc: dict[str, Any]) -> Verdict:
+    """Return whether the law of propagation holds against Monte Carlo."""
+    if linear.replaced:
+        return Verdict(False, 0.0, 0.0, 0.0, linear.notes)
+    normal = coverage_factor(Coverage(covered(found.coverage)), math.inf)
+    first = (linear.value, linear.std, k * linear.std, linear.nonlinear, linear.second_std)
+    judged = Judged(*first, mc["mean"], mc["std"], (mc["interval"][0], mc["interval"][1]), normal)
+    return judge(judged, found.settings.monte_carlo.digits)
+
+
+def _decision(found: Found, index: int, name: str, std: float, expanded: float) -> dict[str, Any]:
+    linear, outcome = found.propagated.measurands[name], found.outcome
+    sample = outcome.samples[index] if outcome is not None else None
+    centre = outcome.centres[index] if outcome is not None else 0.0
+    measured = Measured(linear.value, std, expanded, whole_dof(linear.dof), sample, centre)
+    return decide(limits_of(found.settings.tolerance[name]), measured, found.problem.units[name].factor)
 
 
 def _scaled(value: Any, factor: float) -> Any:
@@ -169,7 +170,7 @@ def _budget(found: Found, measurands: Sequence[_Measurand]) -> Table:
         for i in budget_order(linear):
             item = inputs.quantities[i]
             scale = item.unit.factor
-            share = 100 * linear.sensitivities[i] * along[i] / linear.std**2 if linear.std > 0 else 0.0
+            share = _share(linear, along, i)
             shape = in_trials(item.distribution, item.dof).words if item.distribution else "constant"
             rows.append((
                 measurand.name, item.name, item.value / scale, item.std / scale, item.unit.text, shape,
@@ -194,6 +195,11 @@ def _budget(found: Found, measurands: Sequence[_Measurand]) -> Table:
         {name: np.array(column, dtype=kinds[name]) for name, column in zip(names, columns, strict=True)},
         {"share": "percent"},
     )
+
+
+def _share(linear: Linear, along: Any, i: int) -> float:
+    """Return the share of a contributor in the variance [percent]; shares of correlated ones can be negative."""
+    return 100 * float(linear.sensitivities[i] * along[i]) / linear.std**2 + 0.0 if linear.std > 0 else 0.0
 
 
 def _warnings(measurand: _Measurand) -> list[str]:
@@ -253,7 +259,7 @@ def _budget_lines(found: Found, measurand: _Measurand) -> list[str]:
     for i in order[:20]:
         item = inputs.quantities[i]
         scale = item.unit.factor
-        share = 100 * linear.sensitivities[i] * along[i] / linear.std**2 if linear.std > 0 else 0.0
+        share = _share(linear, along, i)
         dof = f"{item.dof:.4g}" if math.isfinite(item.dof) else "-"
         slope, brings = linear.sensitivities[i] * scale / factor, linear.contributions[i] / factor
         value, std = rounded(item.value / scale, item.std / scale)

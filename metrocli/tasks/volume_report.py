@@ -16,7 +16,7 @@ from metrocli.tasks.aligned_text import aligned
 from metrocli.tasks.uncertainty_settings import Settings
 from metrocli.tasks.volume_problem import VolumeProblem, build
 from metrocli.uncertainty import monte_carlo
-from metrocli.uncertainty.decision import FACTOR_2017, GOLDEN
+from metrocli.uncertainty.decision import FACTOR_2017, capable
 from metrocli.uncertainty.dimensions import converted
 from metrocli.uncertainty.distributions import Normal, Uniform
 from metrocli.uncertainty.expression import Expression, parse
@@ -121,7 +121,7 @@ def _details(axis: _Axis, settings: Settings) -> dict[str, Any]:
     if settings.tolerance is not None:
         width = settings.tolerance.value.value
         said["tolerance"] = {
-            "T": width, "U_over_T": U / width, "capable": bool(GOLDEN * width >= U),
+            "T": width, "U_over_T": U / width, "capable": capable(U, width),
             "U_over_T_pointwise": axis.k * axis.pointwise / width,
             "acceptance": width / 2 - U, "acceptance_2017": width / 2 - FACTOR_2017 * axis.std,
         }  # fmt: skip
@@ -135,7 +135,7 @@ def _against_trials(axis: _Axis, mc: monte_carlo.Outcome, U: float, settings: Se
     interval = sample.symmetric(probability)
     half = (interval[1] - interval[0]) / 2
     normal = coverage_factor(Coverage(probability), math.inf)
-    judged = Judged(0.0, axis.std, U, 0.0, float(mc.means[0]), std, interval, normal)
+    judged = Judged(0.0, axis.std, U, 0.0, axis.std, float(mc.means[0]), std, interval, normal)
     verdict = judge(judged, settings.monte_carlo.digits)
     covers = sample.below(U) - sample.below(-U)
     trials = {"mean": float(mc.means[0]), "std": std, "interval": list(interval), "trials": mc.trials}
@@ -216,8 +216,7 @@ def _notes(
         held = [details[axis.name]["tolerance"] for axis in axes]
         width = held[0]["T"]
         rows.append([f"U/T, T = {width:g} mm", *(f"{100 * item['U_over_T']:.1f} %" for item in held)])
-        capable = ["capable" if item["capable"] else "not capable" for item in held]
-        rows.append(["Berndt, 20 %", *capable])
+        rows.append(["Berndt, 20 %", *("capable" if item["capable"] else "not capable" for item in held)])
         rows.append(["accept within ± (ISO 14253-1, U)", *(_um(item["acceptance"]) for item in held)])
         rows.append(["accept within ± (1.65 u)", *(_um(item["acceptance_2017"]) for item in held)])
     return aligned(rows, left=(0,))

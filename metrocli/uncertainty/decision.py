@@ -35,6 +35,11 @@ class Interval:
         return Interval(self.low + guard, self.high - guard)
 
 
+def capable(expanded: float, tolerance: float) -> bool:
+    """Tell whether U takes at most a fifth of the tolerance T, its full width (Berndt); rounding does not decide."""
+    return expanded <= GOLDEN * tolerance * (1 + 1e-9)
+
+
 def zone(value: float, limits: Interval, guard: float) -> str:
     """Return where a value lies (ISO 14253-1): conforming, non-conforming, or undecided within U of a limit."""
     kept, beyond = limits.inside(guard), limits.inside(-guard)

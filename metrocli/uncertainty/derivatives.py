@@ -64,7 +64,8 @@ class Jets:
         points = (1,) * max(map(np.ndim, self.values.values()), default=0)
         zeros = np.zeros((len(self.names), len(self.names), *points)) if self.order > 1 else None
         gradient = gradient.reshape(-1, *points)
-        return Jet(value, gradient, zeros, zeros if self.direction is not None else None)
+        # Numbers of numpy: those of Python raise exceptions where a result is infinite.
+        return Jet(np.asarray(value, dtype=float)[()], gradient, zeros, zeros if self.direction is not None else None)
 
     def apply(self, part: Part, arguments: Sequence[Jet]) -> Jet:
         """Return the outcome of one operation; raises NoValueError where it, or a derivative, is not finite."""

@@ -65,8 +65,17 @@ class StudentT:
         return f"t, {self.dof:g} degrees of freedom"
 
     def draw(self, rng: Random, count: int) -> Array:
-        values = rng.standard_t(self.dof, count)
-        values *= self.std
+        # Polar method of Bailey (Mathematics of Computation 62, 1994, 779): t = sqrt(n (U^(-2/n) - 1)) cos(2 pi V).
+        radius = rng.random(count)
+        np.log(np.subtract(1.0, radius, out=radius), out=radius)
+        radius *= -2 / self.dof
+        np.expm1(radius, out=radius)
+        radius *= self.dof * self.std**2
+        np.sqrt(radius, out=radius)
+        values = rng.random(count)
+        values *= 2 * math.pi
+        np.cos(values, out=values)
+        values *= radius
         return values
 
     def quantile(self, p: Array) -> Array:

@@ -148,12 +148,18 @@ def _refuse_text(text: str) -> None:
         raise ExpressionError(f"'{character}' cannot stand in a model", foreign.start(), hint)
     if not text.strip():
         raise ExpressionError("there is no model", 0)
-    depth, count = 0, 0
+    open_brackets: list[int] = []
+    count = 0
     for match in _TOKEN.finditer(text):
         token, start = match[0], match.start()
         count += token not in "(),"
-        depth += (token == "(") - (token == ")")
-        if depth > DEEPEST:
+        if token == "(":
+            open_brackets.append(start)
+        if token == ")" and not open_brackets:
+            raise ExpressionError("this bracket closes nothing", start, "a '(' is missing before it")
+        if token == ")":
+            open_brackets.pop()
+        if len(open_brackets) > DEEPEST:
             raise ExpressionError(f"more than {DEEPEST} brackets within each other", start)
         if token == "//":
             raise ExpressionError("'//' cannot stand in a model", start, "write / for a division")
@@ -163,6 +169,8 @@ def _refuse_text(text: str) -> None:
             raise ExpressionError(f"'{token}' cannot stand in a model", start, "a name has no two underscores in a row")
         if (token[0].isdigit() or token[0] == ".") and not _NUMBER.fullmatch(token):
             raise ExpressionError(f"'{token}' is not a number", start, "write e.g. 2*x, 1000 or 1e3")
+    if open_brackets:
+        raise ExpressionError("this bracket is not closed", open_brackets[-1], "a ')' is missing after it")
     if count > MOST_PARTS:
         raise ExpressionError(f"the model has more than {MOST_PARTS} numbers and names")
 

@@ -35,11 +35,10 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Block:
-    """Quantities that come with their covariance from one result, jointly normal, or t with finite dof."""
+    """Quantities that come with their covariance from one result."""
 
     names: tuple[str, ...]
     covariance: Array
-    dof: float = math.inf
 
 
 class NotSemiDefiniteError(ValueError):
@@ -59,8 +58,7 @@ class Inputs:
     covariance: Array
     """(n, n)"""
     groups: tuple[tuple[int, ...], ...]
-    """Quantities that are correlated with each other, each in one group"""
-    blocks: tuple[Block, ...] = ()
+    """Quantities that are correlated with each other or come from one result, each in one group"""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -122,7 +120,12 @@ def join(
     for a, b, value in correlations:
         covariance[place[a], place[b]] = covariance[place[b], place[a]] = value * std[place[a]] * std[place[b]]
     _must_be_semi_definite(covariance, tuple(place))
-    return Inputs(tuple(quantities), covariance, _groups(covariance), tuple(blocks))
+    linked = covariance != 0
+    for block in blocks:
+        # Uncorrelated estimates of one adjustment still share its estimated noise.
+        held = [place[name] for name in block.names]
+        linked[np.ix_(held, held)] = True
+    return Inputs(tuple(quantities), covariance, _groups(linked))
 
 
 def _must_be_semi_definite(covariance: Array, names: Sequence[str]) -> None:
@@ -138,10 +141,9 @@ def _must_be_semi_definite(covariance: Array, names: Sequence[str]) -> None:
         raise NotSemiDefiniteError([names[i] for i in involved], float(values[0]))
 
 
-def _groups(covariance: Array) -> tuple[tuple[int, ...], ...]:
-    """Return the connected parts of the graph of correlations."""
-    linked = covariance != 0
-    left = list(range(len(covariance)))
+def _groups(linked: npt.NDArray[np.bool_]) -> tuple[tuple[int, ...], ...]:
+    """Return the connected parts of a graph."""
+    left = list(range(len(linked)))
     groups = []
     while left:
         group, frontier = {left[0]}, [left[0]]

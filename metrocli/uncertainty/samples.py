@@ -39,15 +39,12 @@ class Sorted:
     resolution = 0.0
 
     def symmetric(self, probability: float) -> tuple[float, float]:
-        count = len(self.values)
-        inside = min(int(probability * count + 0.5), count - 1)
-        first = max((count - inside + 1) // 2 - 1, 0)
-        return float(self.values[first]), float(self.values[first + inside])
+        first, inside = _ranks(len(self.values), probability)
+        return float(self.values[first - 1]), float(self.values[first - 1 + inside])
 
     def shortest(self, probability: float) -> tuple[float, float]:
-        count = len(self.values)
-        inside = min(int(probability * count + 0.5), count - 1)
-        first = int(np.argmin(self.values[inside:] - self.values[: count - inside]))
+        _, inside = _ranks(len(self.values), probability)
+        first = int(np.argmin(self.values[inside:] - self.values[: len(self.values) - inside]))
         return float(self.values[first]), float(self.values[first + inside])
 
     def below(self, limit: float) -> float:
@@ -89,24 +86,35 @@ class Binned:
     def resolution(self) -> float:
         return self.edges.width
 
-    def _cumulative(self) -> tuple[Array, Array]:
-        """Return the inner edges of the bins and the share of values below each."""
-        share: Array = np.cumsum(self.counts)[:-1] / float(self.counts.sum())
-        at: Array = self.edges.low + self.edges.width * np.arange(BINS + 1, dtype=float)
-        return at, share
+    def _at(self, ranks: Array, reached: Counts) -> Array:
+        """Return the values of these ranks (1 for the smallest), each within its bin; `reached` are sums of counts."""
+        bins = np.searchsorted(reached, ranks, "left")
+        before = reached[bins] - self.counts[bins]
+        values: Array = self.edges.low + self.edges.width * (bins - 1 + (ranks - before) / self.counts[bins])
+        return values
 
     def symmetric(self, probability: float) -> tuple[float, float]:
-        at, share = self._cumulative()
-        low, high = np.interp([(1 - probability) / 2, (1 + probability) / 2], share, at)
+        reached = np.cumsum(self.counts)
+        first, inside = _ranks(int(reached[-1]), probability)
+        low, high = self._at(np.array([first, first + inside], dtype=float), reached)
         return float(low), float(high)
 
     def shortest(self, probability: float) -> tuple[float, float]:
-        at, share = self._cumulative()
-        starts = np.flatnonzero(share <= 1 - probability)
-        ends = np.interp(share[starts] + probability, share, at)
-        first = int(np.argmin(ends - at[starts]))
-        return float(at[starts[first]]), float(ends[first])
+        reached = np.cumsum(self.counts)
+        _, inside = _ranks(int(reached[-1]), probability)
+        firsts = np.unique(reached[reached > 0])
+        firsts = np.concatenate([[1], firsts[firsts + inside <= reached[-1]]])
+        lows, highs = self._at(firsts.astype(float), reached), self._at((firsts + inside).astype(float), reached)
+        best = int(np.argmin(highs - lows))
+        return float(lows[best]), float(highs[best])
 
     def below(self, limit: float) -> float:
-        at, share = self._cumulative()
-        return float(np.interp(limit, at, share))
+        reached = np.concatenate([[0], np.cumsum(self.counts)])
+        at = self.edges.low + self.edges.width * np.arange(-1, BINS + 2, dtype=float)
+        return float(np.interp(limit, at, reached / reached[-1]))
+
+
+def _ranks(count: int, probability: float) -> tuple[int, int]:
+    """Return the rank of the lower end of a symmetric interval, and how many ranks the upper end is above it."""
+    inside = min(int(probability * count + 0.5), count - 1)
+    return max((count - inside + 1) // 2, 1), inside

@@ -21,6 +21,8 @@ class Judged:
     U: float
     nonlinear: float
     """Share of the second order in the variance"""
+    second_std: float
+    """To the second order; NaN where that says nothing"""
     mean: float
     mc_std: float
     interval: tuple[float, float]
@@ -62,10 +64,9 @@ def _reasons(found: Judged) -> Sequence[str]:
     shift = found.mean - found.value
     if abs(shift) > 2 * _NOTABLE * found.std:
         lines.append(f"the mean is shifted by {shift / found.std:+.2f} u against the value at the best estimates")
-    if found.nonlinear <= _NOTABLE and found.mc_std > found.std * (1 + _NOTABLE):
-        lines.append(
-            f"few degrees of freedom: the tails make the standard deviation {found.mc_std / found.std:.3f} times u"
-        )
+    if found.mc_std > found.second_std * (1 + _NOTABLE):
+        more = found.mc_std / found.second_std
+        lines.append(f"the trials vary {more:.2f} times as much as to the second order: few degrees of freedom")
     if found.mc_std > 0:
         half = (found.interval[1] - found.interval[0]) / 2
         factor = half / found.mc_std

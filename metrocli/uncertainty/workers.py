@@ -15,7 +15,7 @@ from typing import Any, Protocol, TypeVar
 from metrocli.errors import InputError
 
 T = TypeVar("T")
-PATIENCE_S = 4.0
+PATIENCE_S = 2.5
 """How long a scheduler may take to answer."""
 
 

@@ -26,11 +26,16 @@ def write(folder: Path, m: Measurement, times: bool = True) -> Path:
     """Write a measurement as the files of a job."""
     more = ",t_s,temp_degC" if times else ""
     rows = [f"point,tracer,length_mm{more}"]
-    for p, j, length, t, temp in zip(*(part.tolist() for part in (m.point, m.tracer, m.length, m.t, m.temp)), strict=True):
+    for p, j, length, t, temp in zip(
+        *(part.tolist() for part in (m.point, m.tracer, m.length, m.t, m.temp)), strict=True
+    ):
         rows.append(f"P{p},T{j},{length!r}" + (f",{t!r},{temp!r}" if times else ""))
     (folder / "lengths.csv").write_text("\n".join(rows) + "\n")
     for name, letter, places in (("points", "P", m.nominal), ("tracers", "T", m.said)):
-        lines = [f"{name[:-1]},x_mm,y_mm,z_mm", *(f"{letter}{i},{x!r},{y!r},{z!r}" for i, (x, y, z) in enumerate(places.tolist()))]
+        lines = [
+            f"{name[:-1]},x_mm,y_mm,z_mm",
+            *(f"{letter}{i},{x!r},{y!r},{z!r}" for i, (x, y, z) in enumerate(places.tolist())),
+        ]
         (folder / f"{name}.csv").write_text("\n".join(lines) + "\n")
     (folder / "job.yaml").write_text(JOB)
     return folder / "job.yaml"
@@ -108,7 +113,14 @@ def test_the_report_says_what_to_do(folder: Path, metrocli: Metrocli) -> None:
     text = " ".join(ran.out.split())
     assert first == "verdict: explained"
     assert "tracer-scale T" in paragraph + text
-    for words in ("the wavelength or the air correction of one tracer is wrong", "predicted", "better", "point coordinates by up to", "The noise is as declared", "job.extended.yaml"):
+    for words in (
+        "the wavelength or the air correction of one tracer is wrong",
+        "predicted",
+        "better",
+        "point coordinates by up to",
+        "The noise is as declared",
+        "job.extended.yaml",
+    ):
         assert words in text, words
 
 
@@ -122,7 +134,13 @@ def test_where_nothing_is_hidden_it_says_so(folder: Path, metrocli: Metrocli) ->
 def test_without_times_their_effects_are_not_tested(folder: Path, metrocli: Metrocli) -> None:
     data = json.loads(metrocli("diagnose", write(folder, measured(), times=False), "--json").out)
     missing = {one["name"]: one["reason"] for one in data["candidates"] if one["status"] == "not-tested"}
-    assert set(missing) == {"refraction-drift", "dead-path-drift", "dead-path-jump", "tracer-drift", "reseated-reflector"}
+    assert set(missing) == {
+        "refraction-drift",
+        "dead-path-drift",
+        "dead-path-jump",
+        "tracer-drift",
+        "reseated-reflector",
+    }
     assert "t_s" in missing["dead-path-drift"]
 
 
@@ -148,7 +166,9 @@ def test_inseparable_names_come_with_what_tells_them_apart(folder: Path, metrocl
     assert any("all around the tracers" in words for words in data["separate_by"])
 
 
-@pytest.mark.parametrize(("text", "code", "words"), [("straight-line", 2, "cannot be diagnosed yet"), ("nothing", 3, "job")])
+@pytest.mark.parametrize(
+    ("text", "code", "words"), [("straight-line", 2, "cannot be diagnosed yet"), ("nothing", 3, "job")]
+)
 def test_what_cannot_be_diagnosed_is_refused(text: str, code: int, words: str, job: Path, metrocli: Metrocli) -> None:
     if text == "nothing":
         job.write_text("metrocli: 1\n")

@@ -41,9 +41,21 @@ def adjust(inputs: dict[str, Table]) -> object:
 
 
 WRONG = {
-    "lengths in inches": ("lengths", lambda t: changed(t, length=t.numbers("length") / 25.4), "lengths: written in inches"),
-    "points in metres": ("points", lambda t: changed(t, **{a: t.numbers(a) / 1000 for a in "xyz"}), "points: a thousand times too small"),
-    "x and z swapped": ("points", lambda t: changed(t, x=t.numbers("z"), z=t.numbers("x")), "points: x and z are swapped"),
+    "lengths in inches": (
+        "lengths",
+        lambda t: changed(t, length=t.numbers("length") / 25.4),
+        "lengths: written in inches",
+    ),
+    "points in metres": (
+        "points",
+        lambda t: changed(t, **{a: t.numbers(a) / 1000 for a in "xyz"}),
+        "points: a thousand times too small",
+    ),
+    "x and z swapped": (
+        "points",
+        lambda t: changed(t, x=t.numbers("z"), z=t.numbers("x")),
+        "points: x and z are swapped",
+    ),
     "y mirrored": ("tracers", lambda t: changed(t, y=-t.numbers("y")), "tracers: y has the wrong sign"),
 }
 

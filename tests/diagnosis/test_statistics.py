@@ -76,10 +76,18 @@ def test_absorbed_changes_are_those_of_the_adjustment_in_its_datum() -> None:
     tracer = system.shift(values[:, None], "tracer", (0, 1, 2, 3))[:, :, 0]
     block = model.blocks["point"]
     free = [np.nonzero(b.free) for b in model.blocks.values()]
-    full = np.concatenate([(shift if name == "point" else tracer)[where] for (name, _), where in zip(model.blocks.items(), free, strict=True)])
+    full = np.concatenate(
+        [
+            (shift if name == "point" else tracer)[where]
+            for (name, _), where in zip(model.blocks.items(), free, strict=True)
+        ]
+    )
     assert np.abs(values - system.seen(values) - plain()[0] @ full).max() < 1e-5
     assert np.abs(shift.sum(axis=0)).max() < 1e-9
-    assert np.abs(np.cross(block.values, shift).sum(axis=0)).max() < 1e-4 * np.abs(block.values).max() * np.abs(shift).max()
+    assert (
+        np.abs(np.cross(block.values, shift).sum(axis=0)).max()
+        < 1e-4 * np.abs(block.values).max() * np.abs(shift).max()
+    )
 
 
 def test_a_score_is_the_fall_of_the_sum_of_squares() -> None:
