@@ -187,6 +187,12 @@ def true_camera() -> CameraFile:
 
 def align_runs(runs: int) -> Iterator[Drawn]:
     """Calibrate the camera anew each time, clamp it at another angle, and locate the part with it (7D)."""
+    for result, truth in aligned(runs):
+        yield drawn(result, truth)
+
+
+def aligned(runs: int) -> Iterator[tuple[Result, dict[str, float]]]:
+    """Yield the alignment of each run and the truth behind it."""
     places, targets = planes((395.0, 900.0, 1430.0), 3), corners()
     poses = poses_over(targets)
     for seed in range(runs):
@@ -195,7 +201,7 @@ def align_runs(runs: int) -> Iterator[Drawn]:
         settings = alignment_settings(0.05, angle)
         seen = align_part.simulate(settings, SimulationOptions(20_000 + seed), true_camera(), poses, targets)
         result = align_part.run(settings, camera, poses, targets, observations=seen.files["observations.csv"])
-        yield drawn(result, dict(seen.truth))
+        yield result, dict(seen.truth)
 
 
 JOBS: dict[str, Callable[[int], Iterator[Drawn]]] = {

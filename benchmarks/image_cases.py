@@ -6,7 +6,7 @@ How strongly an effect shows is found from differences of these image points, no
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 

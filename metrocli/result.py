@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from metrocli.record import InputFile
 from metrocli.table import Table
 
 if TYPE_CHECKING:
@@ -47,3 +48,10 @@ class Result:
     """Tables that the terminal shows after the estimates: `name`, or `name: column, column` for a part of one."""
     notes: tuple[str, ...] = ()
     """Lines of plain text for the reader of the result, such as a rotation matrix or what was rejected."""
+    details: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """More that is said of an estimate beside value, std and unit, by its name: U, k, ...; in the unit of the estimate
+    but for the names in `plain`."""
+    plain: tuple[str, ...] = ()
+    """Details that are plain numbers."""
+    made_from: tuple[InputFile, ...] = ()
+    """Where a result is the input of another job: its own file, and the files that it was made from."""

@@ -269,6 +269,36 @@ class MapOf:
         return {"type": "object", "additionalProperties": self.value.schema()}
 
 
+@dataclass(frozen=True)
+class Placed:
+    """A value with the node it was read from, for faults that only show beside others."""
+
+    value: Any
+    node: Node
+
+
+@dataclass(frozen=True)
+class At:
+    """A value of which the task wants the place too: read as `Placed`."""
+
+    spec: Any
+
+    @property
+    def expects(self) -> str:
+        return str(self.spec.expects)
+
+    def fits(self, node: Node) -> bool:
+        return bool(self.spec.fits(node))
+
+    def read(self, node: Node, faults: list[Fault]) -> Any:
+        value = self.spec.read(node, faults)
+        return BAD if value is BAD else Placed(value, node)
+
+    def schema(self) -> Schema:
+        schema: Schema = self.spec.schema()
+        return schema
+
+
 class Either:
     """One of several kinds of value; the first that reads without a fault."""
 
@@ -288,7 +318,7 @@ class Either:
         for spec in shaped:
             found: list[Fault] = []
             value = spec.read(node, found)
-            if value is not BAD:
+            if value is not BAD and not found:
                 return value
             attempts.append(found)
         faults.extend(self._telling(node, shaped, attempts))
@@ -484,9 +514,10 @@ def _read_section(node: Node, section: type, faults: list[Fault]) -> Any:
 
 
 def _checked(value: Any, node: Node, faults: list[Fault]) -> Any:
-    """Add the faults that a section finds across its keys."""
+    """Add the faults that a section finds across its keys: `(key path, message[, hint])`, or a Fault with its place."""
     check = getattr(value, "faults", None)
-    found = [node.at(path).fault(message) for path, message in check()] if check else []
+    said = list(check()) if check else []
+    found = [item if isinstance(item, Fault) else node.at(item[0]).fault(*item[1:]) for item in said]
     faults.extend(found)
     return BAD if found else value
 

@@ -35,6 +35,8 @@ class Columns:
     columns: tuple[Column, ...]
     key: tuple[str, ...] = ()
     description: str = ""
+    every: bool = False
+    """Read every column by its whole name, as it stands: numbers, or text where a cell is none."""
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 _PI = math.pi
 _ARCSEC_PER_TURN = 1_296_000.0
 _KELVIN_AT_0_DEGC = 273.15
+INCH = 25.4
+"""Millimetres; not a unit of files here, but one that they are written in by mistake"""
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,10 @@ class Dimension:
     phrase: str
     example: str
     units: tuple[Unit, ...]
+    powers: str = ""
+    """Powers of the base units mm, s, kg, A, K, px, mol, cd of which it is made: "mm s-1"; "" for a plain number."""
+    coherent: float = 1.0
+    """Value of the internal unit in those base units."""
 
     @property
     def unit(self) -> str:
@@ -114,27 +120,52 @@ def _scaled(symbol: str, **prefixes: float) -> tuple[Unit, ...]:
     return (Unit(symbol), *(Unit(prefix + symbol, over=over) for prefix, over in prefixes.items()))
 
 
+def _si(symbol: str) -> tuple[Unit, ...]:
+    """Return a unit with the prefixes of the SI from pico to giga."""
+    larger = (Unit(prefix + symbol, times) for prefix, times in (("k", _KILO), ("M", _MILLION), ("G", _BILLION)))
+    return (*_scaled(symbol, m=_KILO, u=_MILLION, n=_BILLION, p=_KILO * _BILLION), *larger)
+
+
+_MASSES = (Unit("kg"), *(Unit(unit.symbol, unit.times, unit.over * _KILO) for unit in _si("g") if unit.symbol != "kg"))
+_PRESSURES = (
+    Unit("hPa"),
+    *(Unit(unit.symbol, unit.times, unit.over * 100.0) for unit in _si("Pa")),
+    Unit("mbar"),
+    Unit("bar", _KILO),
+)
+
 _ALL = (
-    Dimension("length", "a length", "0.1 mm", _LENGTHS),
-    Dimension("wavelength", "a wavelength", "633 nm", (Unit("mm"), *_LENGTHS[2:])),
+    Dimension("length", "a length", "0.1 mm", _LENGTHS, "mm"),
+    Dimension("wavelength", "a wavelength", "633 nm", (Unit("mm"), *_LENGTHS[2:]), "mm"),
     Dimension("angle", "an angle", "20 arcsec", _ANGLES),
     Dimension("slope", "a slope", "0.1 mm/m", _SLOPES[1:]),
     Dimension("ratio", "a ratio of lengths", "0.1 um/m", (*_SLOPES[1:], *_SCALES)),
-    Dimension("time", "a time", "2 s", _TIMES),
-    Dimension("temperature", "a temperature", "20.5 degC", (Unit("degC"), Unit("K", offset=-_KELVIN_AT_0_DEGC))),
-    Dimension("temperature difference", "a temperature difference", "0.5 K", _scaled("K", m=_KILO)),
-    Dimension("expansion", "a coefficient of expansion", "11.5e-6 1/K", _EXPANSIONS),
-    Dimension("pressure", "a pressure", "1013.25 hPa", (Unit("hPa"), Unit("Pa", over=100.0), Unit("mbar"))),
-    Dimension("humidity", "a relative humidity", "50 percent", (Unit("percent"),)),
-    Dimension("pixel", "a distance in the image", "0.1 px", (Unit("px"),)),
-    Dimension("speed", "a speed", "0.5 um/min", _SPEEDS),
-    Dimension("rate", "a change of a ratio with time", "1 ppm/h", _RATES),
-    Dimension("curvature", "a curvature", "1e-6 1/mm", _CURVATURES),
-    Dimension("image speed", "a speed in the image", "0.1 px/h", _IMAGE_SPEEDS),
-    Dimension("mass", "a mass", "0.5 kg", (Unit("kg"), Unit("g", over=_KILO), Unit("mg", over=_MILLION))),
-    Dimension("voltage", "a voltage", "5 mV", _scaled("V", m=_KILO, u=_MILLION)),
-    Dimension("current", "a current", "5 mA", _scaled("A", m=_KILO, u=_MILLION)),
-    Dimension("resistance", "a resistance", "100 ohm", (Unit("ohm"), Unit("mohm", over=_KILO), Unit("kohm", _KILO))),
+    Dimension("time", "a time", "2 s", _TIMES, "s"),
+    Dimension("temperature", "a temperature", "20.5 degC", (Unit("degC"), Unit("K", offset=-_KELVIN_AT_0_DEGC)), "K"),
+    Dimension("temperature difference", "a temperature difference", "0.5 K", _scaled("K", m=_KILO), "K"),
+    Dimension("expansion", "a coefficient of expansion", "11.5e-6 1/K", _EXPANSIONS, "K-1"),
+    Dimension("pressure", "a pressure", "1013.25 hPa", _PRESSURES, "kg mm-1 s-2", 0.1),
+    Dimension("humidity", "a relative humidity", "50 percent", (Unit("percent"),), coherent=0.01),
+    Dimension("pixel", "a distance in the image", "0.1 px", (Unit("px"),), "px"),
+    Dimension("speed", "a speed", "0.5 um/min", _SPEEDS, "mm s-1"),
+    Dimension("rate", "a change of a ratio with time", "1 ppm/h", _RATES, "s-1"),
+    Dimension("curvature", "a curvature", "1e-6 1/mm", _CURVATURES, "mm-1"),
+    Dimension("image speed", "a speed in the image", "0.1 px/h", _IMAGE_SPEEDS, "px s-1"),
+    Dimension("mass", "a mass", "0.5 kg", _MASSES, "kg"),
+    Dimension("voltage", "a voltage", "5 mV", _si("V"), "kg mm2 s-3 A-1", _MILLION),
+    Dimension("current", "a current", "5 mA", _si("A"), "A"),
+    Dimension("resistance", "a resistance", "100 ohm", _si("ohm"), "kg mm2 s-3 A-2", _MILLION),
+    Dimension("conductance", "a conductance", "5 mS", _si("S"), "kg-1 mm-2 s3 A2", 1 / _MILLION),
+    Dimension("capacitance", "a capacitance", "10 pF", _si("F"), "kg-1 mm-2 s4 A2", 1 / _MILLION),
+    Dimension("inductance", "an inductance", "3 mH", _si("H"), "kg mm2 s-2 A-2", _MILLION),
+    Dimension("magnetic flux density", "a magnetic flux density", "2 mT", _si("T"), "kg s-2 A-1"),
+    Dimension("frequency", "a frequency", "50 Hz", _si("Hz"), "s-1"),
+    Dimension("force", "a force", "10 N", _si("N"), "kg mm s-2", _KILO),
+    Dimension("energy", "an energy", "5 J", _si("J"), "kg mm2 s-2", _MILLION),
+    Dimension("power", "a power", "5 W", _si("W"), "kg mm2 s-3", _MILLION),
+    Dimension("volume", "a volume", "20 ml", _scaled("l", m=_KILO, u=_MILLION), "mm3", _MILLION),
+    Dimension("amount", "an amount of substance", "2 mol", _si("mol"), "mol"),
+    Dimension("luminous intensity", "a luminous intensity", "3 cd", _si("cd"), "cd"),
 )
 DIMENSIONS = {dimension.name: dimension for dimension in _ALL}
 """The closed table, by name."""
@@ -275,6 +306,12 @@ def readable(value: float, dimension: str) -> tuple[float, str]:
         return value, internal_unit(dimension) if dimension else ""
     found = [(unit.outside(value), unit.symbol) for unit in DIMENSIONS[dimension].units if not unit.offset]
     return min(found, key=lambda one: abs(math.log10(abs(one[0])) - 0.5))
+
+
+def roughly(value: float, unit: str) -> str:
+    """Return a length (mm) to two digits in another unit, for sentences: "0.21 um"."""
+    number = float(f"{find_unit(unit, 'length').outside(value):.2g}")
+    return f"{number:g} {unit}"
 
 
 def as_slope(angle: float) -> tuple[float, str]:

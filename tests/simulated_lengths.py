@@ -13,6 +13,7 @@ from metrocli.tasks.multilaterate import Inputs, LengthNoise, Scale, Settings
 
 Array = npt.NDArray[np.float64]
 NOWHERE = Path("-")
+RNG = np.random.default_rng(3)
 NOISE = LengthNoise(1e-4, 1e-7)
 """0.1 um and 0.1 um/m"""
 VOLUME = np.array([1000.0, 600.0, 500.0])
@@ -48,7 +49,11 @@ class Network:
     def lengths(self) -> Table:
         """What the tracers read, as a file would have it."""
         i, j = np.nonzero(np.isfinite(self.readings))
-        columns = {"point": np.array(self.names)[i], "tracer": np.array(self.stations)[j], "length": self.readings[i, j]}
+        columns = {
+            "point": np.array(self.names)[i],
+            "tracer": np.array(self.stations)[j],
+            "length": self.readings[i, j],
+        }
         return Table(columns, {"length": "mm"}, "lengths.csv", tuple(range(2, len(i) + 2)))
 
     def point_table(self, **more: Array) -> Table:
@@ -86,8 +91,40 @@ def network(n: int, m: int, seed: int = 0, scale: float = 0.0, noise: float = 1.
     tracers = (CORNERS[:m] + rng.normal(0, 0.05, (m, 3))) * VOLUME
     # the interferometer was set to zero somewhere
     dead = rng.uniform(200, 900, m)
-    empty = Network(points, points + rng.normal(0, 0.02, (n, 3)), tracers, dead, 1 + rng.normal(0, 1, m) * scale, np.zeros((n, m)))
+    empty = Network(
+        points, points + rng.normal(0, 0.02, (n, 3)), tracers, dead, 1 + rng.normal(0, 1, m) * scale, np.zeros((n, m))
+    )
     return empty.read(rng, noise)
+
+
+def on_plane(m: int) -> Network:
+    """Tracers in one plane."""
+    net = network(30, m, seed=m)
+    tracers = net.tracers.copy()
+    tracers[:, 2] = 100 + 0.2 * tracers[:, 0] - 0.1 * tracers[:, 1]
+    return replace(net, tracers=tracers).read(RNG)
+
+
+def on_line(m: int) -> Network:
+    """Points on one line."""
+    net = network(30, m, seed=m)
+    points = np.linspace(0, 1, 30)[:, None] * VOLUME
+    return replace(net, points=points, nominal=points + RNG.normal(0, 0.02, points.shape)).read(RNG)
+
+
+def all_in_one_plane() -> Network:
+    """Points and tracers in one plane."""
+    net = network(30, 5, seed=5)
+    points, tracers = net.points * [1, 1, 0], net.tracers * [1, 1, 0]
+    return replace(net, points=points, nominal=points + RNG.normal(0, 0.02, points.shape), tracers=tracers).read(RNG)
+
+
+def close_together() -> Network:
+    """Two of four tracers at one place."""
+    net = network(30, 4, seed=4)
+    tracers = net.tracers.copy()
+    tracers[1] = tracers[0] + [1.0, 0.5, 0.0]
+    return replace(net, tracers=tracers).read(RNG)
 
 
 def settings(

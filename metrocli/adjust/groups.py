@@ -137,6 +137,21 @@ def prior(
     return Group(f"prior of {block.name}", Chain((link,)), observations)
 
 
+def priors(block: Block, sigma: Array, free: Mask) -> list[Group]:
+    """Return what is known of members beforehand: one group for each set of columns that has a standard deviation.
+
+    sigma (members, size): above zero known so well, nan unknown, 0 exact; free (members, size): what is solved for.
+    """
+    known = free & np.isfinite(sigma) & (sigma > 0)
+    groups = []
+    for pattern in np.unique(known, axis=0):
+        columns = np.flatnonzero(pattern)
+        members = np.flatnonzero((known == pattern).all(axis=1))
+        if columns.size and members.size:
+            groups.append(prior(block, members, sigma[np.ix_(members, columns)], columns=tuple(columns.tolist())))
+    return groups
+
+
 @dataclass(frozen=True)
 class ReadBlocks:
     """Several blocks read as one vector: the forward model of a joint prior."""

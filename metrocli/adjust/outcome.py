@@ -34,5 +34,7 @@ class Combination:
     def __str__(self) -> str:
         words = []
         for block, column, members, _ in self.parts:
-            words.append(f"{column} of {block} {members}".strip() if members else f"{column} of {block}")
+            # a member's noun may be the name of its block: "x of tracer LT1", not "x of tracer tracer LT1"
+            named = members.removeprefix("all ").startswith(block)
+            words.append(f"{column} of {members if named else f'{block} {members}'.strip()}")
         return ", ".join(words)

@@ -19,6 +19,7 @@ def command(place: Path, overrides: tuple[str, ...], quiet: bool) -> int:
     from metrocli.project.inputs import read_inputs
     from metrocli.project.job import Job, Wishes, load
     from metrocli.project.pipeline import FILE, load_project
+    from metrocli.project.runner import verify
 
     if place.is_dir() or place.name == FILE:
         if overrides:
@@ -30,7 +31,9 @@ def command(place: Path, overrides: tuple[str, ...], quiet: bool) -> int:
     for job in jobs:
         missing = [item.key for item in job.inputs if not all(path.exists() for path in item.paths)]
         try:
-            read_inputs(job, missing)
+            held = read_inputs(job, missing)
+            if not missing:
+                verify(job, held)
         except InputError as error:
             faults.extend(error.faults)
     if faults:

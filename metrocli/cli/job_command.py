@@ -16,7 +16,8 @@ def make(kind: str) -> click.Command:
     """Return the command that runs jobs of one kind."""
 
     questions = [_question(name, text) for name, text in KINDS[kind].answers.items()]
-    shared = [options.DRY_RUN, options.FORCE, options.JSON, options.QUIET, options.VERBOSE]
+    shared = [options.WORKERS, options.SCHEDULER] if KINDS[kind].chunked else []
+    shared += [options.DRY_RUN, options.FORCE, options.JSON, options.QUIET, options.VERBOSE]
 
     @options.all_of(options.JOB, options.OUTPUT, options.SET, *questions, *shared)
     def command(job: Path, quiet: bool, verbose: bool, **wanted: Any) -> int:
@@ -44,7 +45,7 @@ def _carry_out(kind: str, path: Path, voice: Voice, wanted: dict[str, Any]) -> i
         from metrocli.project.inputs import read_inputs
 
         runner.refuse_foreign(job.output, kind, wanted["force"])
-        read_inputs(job)
+        runner.verify(job, read_inputs(job))
         voice.line(f"{path}: no faults; would write {job.output}")
         return 0
     from metrocli.cli import summary, terminal
@@ -53,7 +54,10 @@ def _carry_out(kind: str, path: Path, voice: Voice, wanted: dict[str, Any]) -> i
         table = runner.answer(job, question)
         click.echo(summary.json_of_table(table) if wanted["as_json"] else terminal.table_text(table))
         return 0
-    done = runner.carry_out(job, wanted["force"], voice.progress)
+    from metrocli.uncertainty.workers import Workers
+
+    workers = Workers(wanted.get("workers", 0), wanted.get("scheduler", ""), tell=voice.counting())
+    done = runner.carry_out(job, wanted["force"], voice.progress, workers)
     if wanted["as_json"]:
         click.echo(summary.json_of(done.result, done.record, done.path))
     else:

@@ -20,6 +20,13 @@ DRY_RUN = click.option("--dry-run", is_flag=True, help="Check everything, comput
 QUIET = click.option("--quiet", "-q", is_flag=True, help="Tell nothing but failures.")
 VERBOSE = click.option("--verbose", "-v", is_flag=True, help="Tell what is being done, on stderr.")
 
+WORKERS = click.option(
+    "--workers", type=click.IntRange(0), metavar="N", default=0, help="Threads; all cores unless given."
+)
+SCHEDULER = click.option(
+    "--scheduler", default="", metavar="ADDRESS", help="Dask scheduler to do the work: tcp://HOST:PORT or its file."
+)
+
 
 def all_of(*options: Decorator) -> Decorator:
     """Return several options as one decorator, shown in their order."""
@@ -48,6 +55,20 @@ class Voice:
         """Tell on stderr what takes its time, where a person is watching."""
         if self.verbose or (not self.quiet and sys.stderr.isatty()):
             click.echo(line, err=True)
+
+    def counting(self) -> Callable[[int, int | None], None]:
+        """Return what tells on a terminal how many parts of a long computation are done, after two seconds."""
+        import sys
+        import time
+
+        begun = time.monotonic()
+        shown = not self.quiet and sys.stderr.isatty()
+
+        def tell(done: int, of: int | None) -> None:
+            if shown and time.monotonic() - begun > 2:
+                click.echo(f"\r{done} of {of} parts" if of else f"\r{done} parts", err=True, nl=done == of)
+
+        return tell
 
     def warning(self, line: str) -> None:
         """Tell on stderr what the user should know."""

@@ -12,7 +12,7 @@ from typing import Any
 from metrocli.plan import Plan
 from metrocli.project.planned import SUMMARY, files_of
 from metrocli.record import Record
-from metrocli.result import Result
+from metrocli.result import Estimate, Result
 from metrocli.table import Table
 
 
@@ -23,12 +23,16 @@ def summary(result: Result, record: Record, path: Path) -> dict[str, Any]:
         "title": result.title,
         "status": "done" if all(verdict.met for verdict in record.verdicts) else "requirements not met",
         "result": str(path),
-        "estimates": {e.name: {"value": e.value, "std": e.std, "unit": e.unit} for e in result.estimates},
+        "estimates": {e.name: _estimate(e) | dict(result.details.get(e.name, {})) for e in result.estimates},
         "statistics": dict(result.statistics),
         "warnings": list(result.warnings),
         "notes": list(result.notes),
         "requirements": [asdict(verdict) for verdict in record.verdicts],
     }
+
+
+def _estimate(estimate: Estimate) -> dict[str, Any]:
+    return {"value": estimate.value, "std": estimate.std, "unit": estimate.unit}
 
 
 def json_of(result: Result, record: Record, path: Path) -> str:

@@ -14,10 +14,6 @@ from metrocli.diagnosis.subject import Subject
 from metrocli.effects.effect import COLUMN, Effect
 from metrocli.effects.model import Model, can_act
 
-_FEWEST = 3
-"""Rows that a candidate must touch; fewer are outliers"""
-_FEWEST_APART = 2
-"""Where single components of readings may be wrong"""
 _MOST_PLACES = 3000
 
 
@@ -142,12 +138,12 @@ def _columns(
     subject: Subject, system: System, effect: Effect, places: Sequence[tuple[str, ...]], scanned: Mapping[str, float]
 ) -> list[tuple[Alternative, Array, Array]]:
     """Return for each place the visible columns of its parameters (rows, parameters) and their norms before."""
-    full, block, chosen = signatures(subject.model, system, effect, places, scanned)
+    model = subject.model
+    full, block, chosen = signatures(model, system, effect, places, scanned)
     if not chosen.any():
         return []
     member, column = np.nonzero(chosen)
-    before = subject.model.blocks.get(block.name)
-    fewest = _FEWEST_APART if subject.components_apart else _FEWEST
+    before = model.blocks.get(block.name)
     seen = system.seen(full)
     kept = []
     for number, place in enumerate(places):
@@ -155,7 +151,7 @@ def _columns(
         if not own.any():
             own = np.ones(len(member), dtype=bool) if len(places) == 1 else own
         touched = np.flatnonzero(np.abs(full[:, own]).max(axis=1) > 0) if own.any() else np.zeros(0)
-        if len(touched) < fewest:
+        if len(touched) < subject.fewest:
             continue
         names = tuple(block.columns[i] for i in column[own])
         alternative = Alternative(effect, place, tuple(scanned.items()), names)

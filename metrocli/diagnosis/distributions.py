@@ -18,9 +18,8 @@ def log_tail(share: Array, q: float, rest: float) -> Array:
 
     left = np.clip(1 - share, 1e-300, 1.0)
     tail = betainc(rest / 2, q / 2, left)
-    leading = (
-        rest / 2 * np.log(left) + (q / 2 - 1) * np.log1p(-left + 1e-300) - np.log(rest / 2) - betaln(rest / 2, q / 2)
-    )
+    leading = rest / 2 * np.log(left) - np.log(rest / 2) - betaln(rest / 2, q / 2)
+    leading += (q / 2 - 1) * np.log(np.maximum(1 - left, 1e-300))
     return np.asarray(np.where(tail > _TINY, np.log(np.maximum(tail, _TINY)), leading))
 
 

@@ -11,7 +11,7 @@ from metrocli.adjust.blocks import Array
 from metrocli.adjust.observations import Mask
 from metrocli.diagnosis.distributions import chi_interval
 from metrocli.diagnosis.projection import System
-from metrocli.diagnosis.race import DECLARED, Given
+from metrocli.diagnosis.race import PRIOR, Given
 from metrocli.diagnosis.subject import Subject
 
 _LEVEL = 1e-3
@@ -41,7 +41,7 @@ class Unit:
 
 def noise_of(given: Given) -> Noise:
     """Return the noise that is left, with its 95 % interval (chi-squared)."""
-    squares, dof = given.squares - given.declared, max(given.dof - DECLARED, 1.0)
+    squares, dof = given.squares - PRIOR, max(given.dof - PRIOR, 1.0)
     low, high = chi_interval(squares, dof)
     return Noise(float(np.sqrt(squares / dof)), low, high)
 
@@ -61,7 +61,7 @@ def apart(subject: Subject, system: System, given: Given, rng: np.random.Generat
     found = []
     for key, name, rows in units:
         shares = (noise[rows] ** 2).sum(axis=0) / whole
-        share = float((given.residual[rows] ** 2).sum() / max(given.squares, 1e-300))
+        share = float((given.residual[rows] ** 2).sum() / max(given.residual @ given.residual, 1e-300))
         found.append((_log_tail(share, shares), key, name, rows))
     log_p, key, name, rows = min(found, key=lambda one: one[0])
     if log_p > np.log(_LEVEL / len(units)):

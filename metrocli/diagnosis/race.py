@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from metrocli.adjust.blocks import Array
-from metrocli.adjust.observations import Index, Mask
+from metrocli.adjust.observations import Mask
 from metrocli.diagnosis.candidates import Family
 from metrocli.diagnosis.distributions import log_family, log_tail
 from metrocli.diagnosis.projection import System
@@ -21,9 +21,8 @@ _VISIBLE = 1e-6
 """Share of a signature below which rounding is all that is left"""
 _DRAWS = 1000
 _MOST_WORK = 4e9
-DECLARED = 2.0
-"""Degrees of freedom that the declared noise counts as, where the residuals are not below it: a few readings hardly
-tell noise from structure, and a declaration that is wrong by a factor of two must do little harm"""
+PRIOR = 2.0
+"""Degrees of freedom for which the declared noise counts: with few readings it carries weight, with many it does not"""
 
 
 @dataclass(frozen=True)
@@ -34,10 +33,8 @@ class Given:
     """(rows, k)"""
     residual: Array
     squares: float
-    """Sum of squares of the residual, and what the declared noise adds to it"""
+    """Sum of squares of the residual, and what the declared noise adds (`PRIOR`)"""
     dof: float
-    declared: float = 0.0
-    """What the declared noise adds to the squares, as if it had been found from `DECLARED` degrees of freedom"""
 
     def with_columns(self, columns: Array) -> Given:
         """Return it with more columns (rows, q) in the model; what is not visible beside the others adds nothing."""
@@ -47,8 +44,7 @@ class Given:
         new = orthonormal(left, _VISIBLE)
         residual = self.residual - new @ (new.T @ self.residual)
         basis = np.concatenate([self.basis, new], axis=1)
-        squares = float(residual @ residual) + self.declared
-        return Given(basis, residual, squares, self.dof - new.shape[1], self.declared)
+        return Given(basis, residual, float(residual @ residual) + PRIOR, self.dof - new.shape[1])
 
 
 def orthonormal(columns: Array, least: float) -> Array:
@@ -68,9 +64,7 @@ def orthonormal(columns: Array, least: float) -> Array:
 def nothing(system: System) -> Given:
     """Return the model as it is."""
     r = system.residual
-    squares = float(r @ r)
-    declared = DECLARED * min(1.0, squares / max(system.dof, 1))
-    return Given(np.zeros((system.rows, 0)), r, squares + declared, system.dof + DECLARED, declared)
+    return Given(np.zeros((system.rows, 0)), r, float(r @ r) + PRIOR, system.dof + PRIOR)
 
 
 @dataclass(frozen=True)
@@ -103,10 +97,7 @@ class Field:
     blocks: Array
     """M of each reading, (readings, d, d), nan-free; zero for components that it has not"""
     places: Array
-    """Rows of each reading, (readings, d), -1 where it has fewer components; each component is a reading here where it
-    may be wrong alone"""
-    reading: Index
-    """Which of the readings of all groups each of these is of, (readings,)"""
+    """Rows of each reading, (readings, d), -1 where it has fewer components"""
     tests: tuple[float, ...] = ()
     """Of each family, then of the outliers"""
     causes: float = 1.0
@@ -189,21 +180,19 @@ def quadratic(gram: Array, right: Array, scale: Array) -> tuple[Array, Array]:
     return (np.where(good, along**2 / np.where(good, values, 1.0), 0.0)).sum(axis=1), good.sum(axis=1)
 
 
-def field_of(
-    system: System, families: Sequence[Family], rng: np.random.Generator, components_apart: bool = False
-) -> Field:
-    """Return the race of families and outliers, with its counts of independent tests found from white noise."""
+def field_of(system: System, families: Sequence[Family], rng: np.random.Generator, apart: bool = False) -> Field:
+    """Return the race of families and outliers, with its counts of independent tests found from white noise.
+
+    With `apart` the components of a reading go wrong one by one.
+    """
     grams = tuple(np.einsum("nkq,nkp->kqp", f.columns, f.columns) for f in families)
     places = _places(system)
-    reading = np.arange(len(places))
-    if components_apart:
-        reading, places = np.nonzero(places >= 0)[0], places[places >= 0][:, None]
+    places = places[places >= 0][:, None] if apart else places
     u = np.where((places >= 0)[:, :, None], system.basis[places], 0.0)
     there = (places >= 0).astype(float)
     blocks = np.eye(places.shape[1]) * there[:, :, None] - np.einsum("iak,ibk->iab", u, u)
     weak = np.einsum("iaa->ia", blocks).sum(axis=1) < _REDUNDANT
-    scales = tuple(f.raw for f in families)
-    field_ = Field(system, tuple(families), scales, grams, blocks, places, reading, excluded=weak)
+    field_ = Field(system, tuple(families), tuple(f.raw for f in families), grams, blocks, places, excluded=weak)
     return _calibrated(field_, rng)
 
 
@@ -225,17 +214,14 @@ def _calibrated(field_: Field, rng: np.random.Generator) -> Field:
     columns = sum(f.columns.shape[1] * f.columns.shape[2] for f in field_.families)
     draws = int(np.clip(_MOST_WORK / (system.rows * max(columns, 1)), 300, _DRAWS))
     noise = system.seen(rng.normal(size=(system.rows, draws)))
-    squares = (noise**2).sum(axis=0) + DECLARED
+    squares = (noise**2).sum(axis=0) + rng.chisquare(PRIOR, draws)
+    dof = system.dof + PRIOR
     least, tests = [], []
     for number, family in enumerate(field_.families):
-        least.append(
-            _least_in_noise(
-                family.columns, field_.grams[number], field_.scales[number], noise, squares, system.dof + DECLARED
-            )
-        )
+        least.append(_least_in_noise(family.columns, field_.grams[number], field_.scales[number], noise, squares, dof))
     rows = field_.places
     gram, right = field_.blocks, np.where((rows >= 0)[:, :, None], noise[rows], 0.0)
-    least.append(_least(gram, right, np.ones(rows.shape), squares, system.dof + DECLARED, ~field_.excluded))
+    least.append(_least(gram, right, np.ones(rows.shape), squares, dof, ~field_.excluded))
     tests = [independent(one) for one in least]
     levels = [log_family(one, count) for one, count in zip(least, tests, strict=True)]
     smooth = [level for level, family in zip(levels, field_.families, strict=False) if family.unknown]

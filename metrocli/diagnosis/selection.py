@@ -11,8 +11,11 @@ from metrocli.adjust.blocks import Array
 from metrocli.diagnosis.distributions import log_tail
 from metrocli.diagnosis.race import Field, Given, Score
 
-FIRST, LATER, UNKNOWN, WRONG_READING = 0.03, 0.01, 0.01, 0.01
-"""Levels, counted over all that is tried: of the first name, of further names, of smooth terms and of outliers"""
+FIRST, LATER, UNKNOWN, WRONG_READING = 0.03, 0.01, 0.005, 0.01
+"""Levels, counted over all that is tried: of the first name, of further names, of smooth terms and of outliers
+
+Beside outliers the first name has the level of further ones: where readings are wrong, more are than are found.
+"""
 _STEPS = 40
 _SHARE = 0.1
 """Readings that may be called outliers at most"""
@@ -20,6 +23,7 @@ _TOGETHER = 4
 """Effects at most that may stand for one smooth term"""
 _ALIKE = 0.3
 """Correlation of two outliers above which they are not taken in one step"""
+_FEW = 3
 _CLEARLY = 1.0
 """By how much the evidence (ln) of another name must be larger to take the place of one that is in the model"""
 
@@ -109,12 +113,15 @@ def _step(selection: Selection) -> Selection | None:
             continue
         if family < 0:
             return _with_outliers(selection, wrong, given)
+        score = scores[family]
         if field.families[family].unknown:
+            if carried_by_few(field, given, family, score.best) > np.log(UNKNOWN):
+                continue
             known = _with_effects(selection)
             best = field.score(family, known.given())
             if field.overall(field.level(family, best.log_p[best.best])) > np.log(UNKNOWN):
                 return known
-        return _with_best(selection, family, scores[family])
+        return _with_best(selection, family, score)
     return None
 
 
@@ -140,12 +147,28 @@ def _with_effects(selection: Selection) -> Selection:
     return selection
 
 
+def carried_by_few(field: Field, given: Given, family: int, number: int) -> float:
+    """Return ln of the level of smooth terms without the few readings that speak for them most.
+
+    A polynomial of many terms follows two or three wrong readings; structure is what stays without them.
+    """
+    columns = field.families[family].columns[:, number]
+    left = columns - given.basis @ (given.basis.T @ columns)
+    size = np.maximum(np.linalg.norm(left, axis=0), 1e-300)
+    fitted = (left / size) @ np.linalg.lstsq(left / size, given.residual, rcond=1e-6)[0]
+    speaks = np.where(field.places >= 0, (fitted * given.residual)[field.places], 0.0).sum(axis=1)
+    few = np.argsort(-speaks)[:_FEW]
+    beside = given.with_columns(np.concatenate([field.of_reading(int(reading)) for reading in few], axis=1))
+    score = field.score(family, beside, [number])
+    return field.overall(field.level(family, float(score.log_p[0])))
+
+
 def _allowed(selection: Selection, family: int) -> float:
     if family < 0:
         return WRONG_READING
     if selection.field.families[family].unknown:
         return UNKNOWN
-    return LATER if selection.named or selection.unknown else FIRST
+    return LATER if selection.chosen else FIRST
 
 
 def _with_outliers(selection: Selection, wrong: Score, given: Given) -> Selection:
@@ -234,7 +257,7 @@ def _dropped(selection: Selection) -> Selection:
 def _bound(selection: Selection, one: Chosen) -> float:
     if one.outlier:
         return WRONG_READING
-    return FIRST if len(selection.chosen) - len(selection.outliers) == 1 else 2 * LATER
+    return FIRST if len(selection.chosen) == 1 else 2 * LATER
 
 
 def evidence(field: Field, given: Given, family: int, score: Score) -> Array:
@@ -243,12 +266,6 @@ def evidence(field: Field, given: Given, family: int, score: Score) -> Array:
     terms = given.dof * np.log(left) + score.rank * np.log(max(given.dof, 2.0))
     value = -terms / 2 - np.log(field.tests[family])
     return np.asarray(np.where(score.rank > 0, value, -np.inf))
-
-
-def _likelier(field: Field, scores: Sequence[Score], one: tuple[int, int], other: tuple[int, int]) -> bool:
-    """Whether the level of one is not above that of another: by evidence alone smooth terms lose for their number."""
-    first, second = (field.level(family, float(scores[family].log_p[at])) for family, at in (one, other))
-    return first <= second
 
 
 def _swapped(selection: Selection) -> Selection:
@@ -262,9 +279,11 @@ def _swapped(selection: Selection) -> Selection:
             own = best[one.family][one.number]
             family = int(np.argmax([values.max(initial=-np.inf) for values in best]))
             number = int(np.argmax(best[family]))
-            if _likelier(field, scores, (family, number), (one.family, one.number)) and best[family][number] > own + (
-                _CLEARLY if family != one.family else 1e-6
-            ):
+            differs, old = family != one.family, scores[one.family].log_p[one.number]
+            worse = (
+                field.level(family, scores[family].log_p[number]) > field.level(one.family, old) if differs else False
+            )
+            if best[family][number] > own + (_CLEARLY if differs else 1e-6) and not worse:
                 new = Chosen(family, number, field.families[family].columns[:, number])
                 selection = selection.with_one(new, instead=one)
                 break

@@ -62,8 +62,14 @@ class Subject:
     """Adjusts a model made from this one to some of the readings of each group"""
     reading: tuple[str, str] = ("um", "length")
     """Unit and dimension in which held-out errors of readings are told"""
-    components_apart: bool = False
-    """Whether one component of a reading may be wrong alone, such as u or v of an image point"""
+    replicates: Mapping[str, Index] = field(default_factory=dict)
+    """For each group a number (n,) that readings have in common which were repeated under the same conditions"""
+    astray: float = 0.0
+    """How far places are from where the files say, over what is plausible; beyond 1 a file is wrong"""
+    fewest: int = 3
+    """Components of readings that an effect must touch; what touches fewer is an outlier"""
+    single_components: bool = False
+    """Whether the components of a reading (u, v) go wrong one by one"""
     declared: str = ""
     """The noise as the job declares it, in words"""
     offers: Callable[[Model], Iterable[tuple[str, Model]]] = field(default=lambda model: ())

@@ -9,8 +9,9 @@ import numpy as np
 
 from metrocli import units
 from metrocli.diagnosis.candidates import Alternative, NotTested
-from metrocli.diagnosis.design import Candidate, Design
+from metrocli.diagnosis.design import Candidate, Design, WrongReading
 from metrocli.diagnosis.diagnose import Diagnosis, Finding
+from metrocli.diagnosis.mistakes import Mistaken
 from metrocli.diagnosis.naming import Named, Rival
 from metrocli.diagnosis.subject import Subject
 
@@ -20,7 +21,7 @@ NOT_TESTABLE, NOT_TESTED = "not-testable", "not-tested"
 
 def as_data(diagnosis: Diagnosis) -> dict[str, Any]:
     """Return a diagnosis by the keys of the contract; units are internal ones unless a `unit` says otherwise."""
-    noise, left = diagnosis.noise, diagnosis.left
+    noise, left, repeats = diagnosis.noise, diagnosis.left, diagnosis.repeats
     return {
         "verdict": diagnosis.verdict,
         "noise": {
@@ -28,9 +29,13 @@ def as_data(diagnosis: Diagnosis) -> dict[str, Any]:
             "ratio": noise.ratio,
             "interval": [noise.low, noise.high],
             "apart": [{unit.key: unit.name, "ratio": unit.ratio} for unit in diagnosis.apart],
+            "repeats": None if repeats is None else {"ratio": repeats.ratio, "lack_of_fit": repeats.lack_of_fit},
         },
         "outliers": [{"observation": dict(one.keys), "w": one.test} for one in diagnosis.outliers],
-        "effects": [_effect(diagnosis.subject, finding) for finding in diagnosis.findings],
+        "effects": [
+            *([] if diagnosis.mistaken is None else [_mistake(diagnosis.mistaken)]),
+            *(_effect(diagnosis.subject, finding) for finding in diagnosis.findings),
+        ],
         "structure": {"before": diagnosis.before, "after": diagnosis.after},
         "unexplained": None if left is None else {"p_value": left.p_value, "depends_on": list(left.depends_on)},
         "candidates": candidates(diagnosis.subject, diagnosis.design, [f.named for f in diagnosis.findings]),
@@ -42,6 +47,23 @@ def as_data(diagnosis: Diagnosis) -> dict[str, Any]:
 def design_data(subject: Subject, design: Design) -> dict[str, Any]:
     """Return what a measurement can see, before it is looked at."""
     return {"candidates": candidates(subject, design, []), "alike": alike(design)}
+
+
+MISTAKE = "mistake-in-file"
+"""The name under which a mistake in the files stands among the effects"""
+
+
+def _mistake(mistaken: Mistaken) -> dict[str, Any]:
+    first, *others = mistaken.mistakes
+    return {
+        "name": MISTAKE,
+        "where": {"input": first.input},
+        "what": first.words,
+        "parameters": {},
+        "p_value": 0.0,
+        "alternatives": [{"name": MISTAKE, "where": {"input": one.input}, "what": one.words} for one in others],
+        "gain": None,
+    }
 
 
 def _effect(subject: Subject, finding: Finding) -> dict[str, Any]:
@@ -111,7 +133,20 @@ def candidates(subject: Subject, design: Design, named: Iterable[Named]) -> list
     """Return all candidates, tested or not."""
     names = list(named)
     tested = [_candidate(subject, candidate, status(candidate, names)) for candidate in design.candidates]
-    return tested + [_missing(one) for one in design.not_tested]
+    readings = [_wrong_reading(subject, one) for one in design.readings]
+    return tested + readings + [_missing(one) for one in design.not_tested]
+
+
+def _wrong_reading(subject: Subject, one: WrongReading) -> dict[str, Any]:
+    unchecked = f"; {one.unchecked} readings cannot be checked" if one.unchecked else ""
+    return {
+        "name": one.effect.name,
+        "where": {},
+        "status": EXCLUDED,
+        "minimal_detectable": {"value": one.detectable, "unit": one.effect.parameters[0].unit},
+        "hides": _delivered(subject, one.hides),
+        "reason": f"wrong readings are listed as outliers; the size is that of the median reading{unchecked}",
+    }
 
 
 def _candidate(subject: Subject, candidate: Candidate, word: str) -> dict[str, Any]:

@@ -14,7 +14,10 @@ if TYPE_CHECKING:
 TABLES: dict[str, str] = {
     "calibrate-camera": "metrocli.effects.calibrate_camera",
     "align-part": "metrocli.effects.align_part",
+    "calibrate-machine": "metrocli.effects.calibrate_machine",
     "multilaterate": "metrocli.effects.multilaterate",
+    "locate-launch-unit": "metrocli.effects.locate_launch_unit",
+    "selfcal-grid": "metrocli.effects.selfcal_grid",
 }
 """For each kind of job the module that has its table"""
 

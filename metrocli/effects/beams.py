@@ -1,4 +1,4 @@
-"""Effects on the beam b = x - x0 from a tracer to its reflector. They act on the point, where the chain has it."""
+"""Effects on the beam b = x - x0 from an instrument to its point. They act on the point, where the chain has it."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from metrocli.adjust.chain import Local, Step
 from metrocli.adjust.quantities import Quantity
 from metrocli.effects.effect import ELAPSED
 from metrocli.effects.of_block import OfBlock
+from metrocli.instruments.launch_unit import UNIT
 from metrocli.instruments.tracer import TRACER
 
 _EYE = np.eye(3)[:, :, None]
@@ -50,3 +51,31 @@ class TracerDrift(OfBlock):
         """Return the point (3, n)."""
         t = local.observations.conditions[ELAPSED]
         return Step(value - local.rows(self.block) * t, _EYE, {self.block: -_EYE * t})
+
+
+@dataclass(frozen=True)
+class BeamOffset(OfBlock):
+    """The beam passes one control point at the horizontal distance h, to the left as it leaves; columns h [mm].
+
+    It then runs along `b - h l`, l the horizontal unit vector to the left of b: the base angles of both ends turn.
+    """
+
+    unit: str = UNIT
+    takes = gives = Quantity.POINT_IN_MACHINE
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """The unit, where the beams begin, and its own block."""
+        return (self.unit, self.block)
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the point (3, n) that the beam would have without the offset, with derivatives."""
+        beam = value - local.rows(self.unit)[:3]
+        h, level = local.rows(self.block)[0], np.hypot(beam[0], beam[1])
+        zero = np.zeros_like(level)
+        ahead = np.stack([beam[0], beam[1], zero]) / level
+        left = np.stack([-beam[1], beam[0], zero]) / level
+        by_beam = h / level * ahead[:, None] * left[None]
+        by_unit = np.zeros((3, local.members(self.unit).shape[1], len(level)))
+        by_unit[:, :3] = -by_beam
+        return Step(value - h * left, _EYE + by_beam, {self.unit: by_unit, self.block: -left[:, None]})

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from metrocli import units
-from metrocli.adjust.blocks import Array
+from metrocli.adjust.blocks import Array, Space
 from metrocli.adjust.chain import Link
 from metrocli.settings import Number, Quantity, Spec, Text
 
@@ -16,7 +16,7 @@ ELAPSED, WARMING = "elapsed", "warming"
 """Conditions that effects vary with: time since the earliest reading [s], and temperature minus its value there [K]"""
 DRIVERS = {"t": ELAPSED, "T": WARMING}
 """What `by` may be, and the condition it stands for"""
-COLUMN = {"t": "t_s", "temp": "temp_degC"}
+COLUMN = {"t": "t_s", "temp": "temp_degC", "distance": "distance_mm"}
 """The column of a file that gives a condition which an effect needs"""
 MakeLink = Callable[[str, Mapping[str, str]], Link]
 """Makes the link from the name of its block and the place where it acts"""
@@ -86,8 +86,12 @@ class Effect:
     """t or T, where it varies with one of them"""
     scanned: tuple[Parameter, ...] = ()
     """Parameters that no derivative finds, such as the time of a jump: a job gives them, `diagnose` searches them"""
+    space: Space = Space.FLAT
+    """How its parameters change by a step of the adjustment"""
     needs: tuple[str, ...] = ()
     """Conditions without which it cannot be modelled: t, temp, ..."""
+    not_first: tuple[str, ...] = ()
+    """Kinds of place whose first name is what the others are compared with, and therefore is none for this effect"""
     confused_with: tuple[str, ...] = ()
     reveal: str = ""
     """What to measure so that it is seen, or told from what it is confused with"""

@@ -52,3 +52,15 @@ class LengthOffset(OfBlock):
     def step(self, value: Array, local: Local) -> Step:
         """Return the length (1, n)."""
         return Step(value + local.rows(self.block), _AS_IT_IS, {self.block: np.ones((1, 1, value.shape[1]))})
+
+
+@dataclass(frozen=True)
+class LengthScale(OfBlock):
+    """`l (1 + scale)`; columns scale [1]."""
+
+    takes = gives = Quantity.LENGTH
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the length (1, n)."""
+        factor = 1 + local.rows(self.block)
+        return Step(value * factor, factor[:, None] * _AS_IT_IS, {self.block: value[:, None]})

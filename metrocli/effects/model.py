@@ -167,11 +167,22 @@ def _misplaced(model: Model, wanted: Wanted) -> list[Fault]:
             named[parameter.place] = str(wanted.values[parameter.name])
     return [
         (wanted.node.get(key) or wanted.node).fault(
-            f"{wanted.name}: there is no {key} '{name}'", suggestion(name, model.places[key].names)
+            f"{wanted.name}: {_no_place(model, key, name)}", suggestion(name, allowed)
         )
         for key, name in named.items()
-        if name not in model.places[key].names
+        if name not in (allowed := names_for(model, wanted.forms[0], key))
     ]
+
+
+def _no_place(model: Model, key: str, name: str) -> str:
+    known = name in model.places[key].names
+    return f"{key} '{name}' is the one that the others are compared with" if known else f"there is no {key} '{name}'"
+
+
+def names_for(model: Model, effect: Effect, key: str) -> tuple[str, ...]:
+    """Return the names of one kind of place at which an effect can act."""
+    names = model.places[key].names
+    return names[1:] if key in effect.not_first else names
 
 
 def _number(model: Model, effect: Effect, key: str, value: float | str) -> float:
@@ -195,7 +206,9 @@ def _block(
     if apart:
         rows[0], frees[0] = 0.0, False
     reach = np.array([_REACH * p.plausible for p in effect.all_parameters])
-    return Block(name, rows, tuple(p.name for p in effect.all_parameters), members, free=frees, reach=reach)
+    return Block(
+        name, rows, tuple(p.name for p in effect.all_parameters), members, frees, reach=reach, space=effect.space
+    )
 
 
 def _passes(group: Group, link: Link, model: Model) -> bool:

@@ -27,3 +27,32 @@ class PointStep(OfBlock):
         by_block = np.zeros((3, 4, len(later)))
         by_block[:, :3] = _EYE * later
         return Step(value + rows[:3] * later, _EYE, {self.block: by_block})
+
+
+@dataclass(frozen=True)
+class PointShift(OfBlock):
+    """`x += d`; columns dx, dy, dz [mm]."""
+
+    takes = gives = Quantity.POINT_IN_MACHINE
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the point (3, n)."""
+        return Step(value + local.rows(self.block), _EYE, {self.block: _EYE})
+
+
+@dataclass(frozen=True)
+class AxisError(OfBlock):
+    """`x_i += a x_j`: i = j the scale of an axis, else what axis j out of square adds to axis i; columns a [1, rad]."""
+
+    moved: int
+    along: int
+    takes = gives = Quantity.POINT_IN_MACHINE
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the point (3, n)."""
+        error = local.rows(self.block)[0]
+        by_point = np.tile(_EYE, value.shape[1])
+        by_point[self.moved, self.along] += error
+        by_block = np.zeros((3, 1, value.shape[1]))
+        by_block[self.moved, 0] = value[self.along]
+        return Step(value + by_block[:, 0] * error, by_point, {self.block: by_block})

@@ -1,4 +1,4 @@
-"""A result as CSV: one file for each of its tables, which reads back as it is."""
+"""A result as CSV: a file for each of its tables, which reads back as it is; error tables of a machine together."""
 
 from __future__ import annotations
 
@@ -9,7 +9,13 @@ from metrocli.result import Result
 
 def files(result: Result) -> Exported:
     """Return the tables that have rows, by `NAME.csv`; a group of the result becomes part of the name."""
-    tables = {f"{name.replace('/', '-')}.csv": table for name, table in result.tables.items() if len(table)}
-    if not tables:
+    found: Exported = {f"{name.replace('/', '-')}.csv": table for name, table in result.tables.items() if len(table)}
+    if not found:
         raise InputError("the result has no tables")
-    return tables
+    return {**found, **_error_tables(result)}
+
+
+def _error_tables(result: Result) -> Exported:
+    from metrocli.exports import error_tables, neutral
+
+    return neutral.texts_of(error_tables.of(result)) if error_tables.has(result) else {}

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -64,6 +65,7 @@ def read(path: Path, columns: Columns, shown: str = "") -> Table:
     `shown` is the name of the file in messages. Columns that nobody asked for are named in the table's warnings.
     """
     raw = _take_apart(_read_text(path, shown or str(path)), shown or str(path))
+    columns = _every(raw, columns) if columns.every else columns
     places, faults = _find(raw, columns)
     values: dict[str, Values] = {}
     for column in columns.columns:
@@ -156,6 +158,19 @@ def _refuse_cells(raw: _Raw, wrong: Sequence[tuple[int, int]]) -> None:
         faults.append(raw.fault(message, line, min(count, len(raw.header)) if more else count, hint))
     if faults:
         raise InputError(_shortened(faults))
+
+
+def _every(raw: _Raw, columns: Columns) -> Columns:
+    """Return a column for each of the header: of numbers, or of text where a cell is no finite number."""
+    kinds = [NUMBER if all(map(_is_number, cells)) else TEXT for cells in raw.cells]
+    return replace(columns, columns=tuple(Column(*column) for column in zip(raw.header, kinds, strict=True)))
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        return math.isfinite(float(cell)) and "_" not in cell
+    except ValueError:
+        return False
 
 
 def _has_unit(column: Column) -> bool:

@@ -52,8 +52,10 @@ def _write_all(file: h5py.File, result: Result, record: Record) -> None:
     covariance = file.create_dataset("covariance", data=np.asarray(result.covariance, dtype=float))
     covariance.attrs["of"] = _texts([estimate.name for estimate in result.estimates])
     covariance.attrs["scaling"] = _SCALED if result.statistics.get("noise_estimated") else _DECLARED
-    _write_statistics(file, result.statistics)
+    _write_values(file.create_group("statistics"), result.statistics)
     file.create_group("effects")
+    if result.details:
+        _write_values(file.create_group("details"), result.details)
     for name, table in sorted(result.tables.items()):
         _write_table(file, name, table)
     for name, array in sorted(result.arrays.items()):
@@ -75,14 +77,11 @@ def _write_texts(file: h5py.File, name: str, value: str | Sequence[str]) -> None
     file.create_dataset(name, data=data, dtype=_TEXT)
 
 
-def _write_statistics(file: h5py.File, statistics: Mapping[str, Any]) -> None:
-    """Write single values as attributes of /statistics, and values by name as attributes of a group below it."""
-    group = file.create_group("statistics")
-    for name, value in statistics.items():
+def _write_values(group: h5py.Group, values: Mapping[str, Any]) -> None:
+    """Write single values and lists as attributes of a group, and values by name as attributes of groups below it."""
+    for name, value in values.items():
         if isinstance(value, Mapping):
-            below = group.create_group(name)
-            for part, number in value.items():
-                below.attrs[part] = number
+            _write_values(group.create_group(name), value)
         else:
             group.attrs[name] = value
 
@@ -195,12 +194,13 @@ def _read_result(file: h5py.File) -> Result:
         title=str(file.attrs["title"]),
         estimates=tuple(Estimate(str(n), float(v), float(s), str(u)) for n, v, s, u in estimates),
         covariance=file["covariance"][()],
-        statistics=_read_statistics(file["statistics"]),
+        statistics=_read_values(file["statistics"]),
         tables=tables,
         arrays=arrays,
         warnings=_read_texts(file["warnings"]),
         shown=tuple(str(name) for name in file.attrs["shown"]),
         notes=_read_texts(file["notes"]),
+        details=_read_values(file["details"]) if "details" in file else {},
     )
 
 
@@ -246,12 +246,10 @@ def _read_texts(data: h5py.Dataset) -> tuple[str, ...]:
     return tuple(data.asstr()[()])
 
 
-def _read_statistics(group: h5py.Group) -> dict[str, Any]:
+def _read_values(group: h5py.Group) -> dict[str, Any]:
     values: dict[str, Any] = {name: _plain(value) for name, value in group.attrs.items()}
-    for name, below in group.items():
-        values[name] = {part: _plain(number) for part, number in below.attrs.items()}
-    return values
+    return values | {name: _read_values(below) for name, below in group.items()}
 
 
 def _plain(value: Any) -> Any:
-    return value.item() if hasattr(value, "item") else value
+    return value.tolist() if hasattr(value, "tolist") else value

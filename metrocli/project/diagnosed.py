@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from metrocli import tasks
 from metrocli.diagnosis.diagnose import Diagnosis, diagnose
+from metrocli.diagnosis.mistakes import without_mistakes
 from metrocli.diagnosis.subject import Subject
 from metrocli.diagnosis.verdict import as_job
 from metrocli.errors import UsageError
@@ -21,18 +22,29 @@ from metrocli.project.runner import Say
 
 def subject_of(job: Job) -> Subject:
     """Return what is diagnosed of a job; UsageError for a kind that has no diagnosis."""
+    return _adjuster(job)(read_inputs(job))
+
+
+def carry_out(job: Job, say: Say = lambda line: None) -> Diagnosis:
+    """Adjust a job, without a mistake in its files where there is one, and diagnose it."""
+    adjust = _adjuster(job)
+    say(f"{job.file}: adjusting")
+    subject, mistaken = without_mistakes(read_inputs(job), adjust)
+    return replace(diagnose(subject, lambda line: say(f"{job.file}: {line}")), mistaken=mistaken)
+
+
+def _adjuster(job: Job) -> Callable[[Mapping[str, object]], Subject]:
     module = tasks.load(job.kind)
     if not hasattr(module, "diagnosed"):
         raise UsageError(f"{job.kind} cannot be diagnosed yet")
     more = {"effects": job.effects} if job.effects else {}
-    subject: Subject = module.diagnosed(job.settings, **read_inputs(job), **more)
-    return replace(subject, declared=_declared(job.root.get("noise")))
+    declared = _declared(job.root.get("noise"))
 
+    def adjust(inputs: Mapping[str, object]) -> Subject:
+        subject: Subject = module.diagnosed(job.settings, **inputs, **more)
+        return replace(subject, declared=declared)
 
-def carry_out(job: Job, say: Say = lambda line: None) -> Diagnosis:
-    """Adjust a job and diagnose it."""
-    say(f"{job.file}: adjusting")
-    return diagnose(subject_of(job), lambda line: say(f"{job.file}: {line}"))
+    return adjust
 
 
 def _declared(node: Node | None) -> str:

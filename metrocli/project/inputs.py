@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Collection, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,8 @@ from metrocli.settings import FileOf, ImageFiles, TableFile
 def read_inputs(job: Job, absent: Collection[str] = ()) -> dict[str, Any]:
     """Return by its key what each input holds: Table, ImageSet, Result or a section; raise InputError for all faults.
 
-    Inputs named in `absent` are left out where their files do not exist.
+    Inputs named in `absent` are left out where their files do not exist. Files that other keys than `inputs:` name are
+    in one dict under "files", by the path of their key.
     """
     held: dict[str, Any] = {}
     faults: list[Fault] = []
@@ -30,7 +32,9 @@ def read_inputs(job: Job, absent: Collection[str] = ()) -> dict[str, Any]:
             faults.extend(error.faults)
     if faults:
         raise InputError(faults)
-    return held
+    elsewhere = {key: value for key, value in held.items() if "." in key}
+    named = {key: value for key, value in held.items() if key not in elsewhere}
+    return named | ({"files": elsewhere} if elsewhere else {})
 
 
 def _read(item: Input) -> Any:
@@ -53,11 +57,11 @@ def _read_one(spec: Any, path: Path, item: Input) -> Any:
     if isinstance(spec, FileOf):
         from metrocli.formats import hdf5
 
-        result, _ = hdf5.read(path)
+        result, record = hdf5.read(path)
         if result.kind not in spec.results:
-            message = f"inputs.{item.key}: {path} is a result of {result.kind}"
+            message = f"{item.node.path}: {path} is a result of {result.kind}"
             raise InputError([item.node.fault(message, f"expected {spec.expects}")])
-        return result
+        return replace(result, made_from=(_hashed(path, path.parent), *record.inputs))
     raise TypeError(f"no reader for {spec}")
 
 

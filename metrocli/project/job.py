@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,8 +17,11 @@ from metrocli.project import yaml_text
 from metrocli.project.requirements import Requirement, Requirements
 from metrocli.settings import (
     BAD,
+    At,
+    Either,
     FileOf,
     ImageFiles,
+    ListOf,
     MapOf,
     Schema,
     Section,
@@ -285,17 +288,34 @@ def _in_order(faults: Iterable[Fault]) -> list[Fault]:
 
 def _inputs(root: Node, settings: type, faults: list[Fault]) -> tuple[Input, ...]:
     """Return the inputs of a job, those whose own text has no fault; files in YAML are read and checked at once."""
-    node = root.get("inputs")
-    outer, _ = settings_of(settings).get("inputs", (None, False))
-    if node is None or outer is None or not isinstance(outer.spec, Section):
-        return ()
     found = []
-    for name, (wanted, _) in settings_of(outer.spec.section).items():
-        below = node.get(wanted.key)
-        value = BAD if below is None else wanted.spec.read(below, [])
-        if below is not None and value is not BAD and _names_files(wanted.spec):
-            found.append(_with_content(Input(name, wanted.spec, value, below), faults))
+    for name, (wanted, _) in settings_of(settings).items():
+        for item in _files_in(wanted.spec, root.get(wanted.key), within_inputs=name == "inputs"):
+            found.append(_with_content(item, faults))
     return tuple(found)
+
+
+def _files_in(spec: Any, node: Node | None, within_inputs: bool = False) -> Iterator[Input]:
+    """Yield what names files at a node: a key of `inputs:` under its name, anything else under its path."""
+    if node is None or not spec.fits(node):
+        return
+    if _names_files(spec):
+        value = spec.read(node, [])
+        if value is not BAD:
+            yield Input(node.path, spec, value, node)
+    elif isinstance(spec, Section):
+        for name, (wanted, _) in settings_of(spec.section).items():
+            below = _files_in(wanted.spec, node.get(wanted.key))
+            yield from (replace(item, key=name) if within_inputs else item for item in below)
+    elif isinstance(spec, At):
+        yield from _files_in(spec.spec, node)
+    elif isinstance(spec, Either):
+        for one in spec.specs:
+            yield from _files_in(one, node)
+    elif isinstance(spec, MapOf | ListOf):
+        inner = spec.value if isinstance(spec, MapOf) else spec.item
+        for part in node.items or [value for _, value in node.entries]:
+            yield from _files_in(inner, part)
 
 
 def _names_files(spec: Any) -> bool:
@@ -321,14 +341,14 @@ def _missing(inputs: Iterable[Input], wishes: Wishes) -> list[Fault]:
     for item in inputs:
         if isinstance(item.spec, ImageFiles) and item.key not in wishes.not_needed:
             for odd in item.spec.unmatched(item.node):
-                faults.append(odd.fault(f"inputs.{item.key}: no file matches '{odd.text}'", f"in {odd.source.folder}"))
+                faults.append(odd.fault(f"{item.node.path}: no file matches '{odd.text}'", f"in {odd.source.folder}"))
         places = item.node.items or [value for _, value in item.node.entries] or [item.node]
         for n, path in enumerate(item.paths):
             if path.is_file() or item.key in wishes.not_needed or Path(os.path.abspath(path)) in wishes.made:
                 continue
             found = "a folder, not a file" if path.is_dir() else "no such file"
             place = places[n] if len(places) == len(item.paths) else item.node
-            faults.append(place.fault(f"inputs.{item.key}: {found}: {path}", _neighbour(path)))
+            faults.append(place.fault(f"{item.node.path}: {found}: {path}", _neighbour(path)))
     return faults
 
 

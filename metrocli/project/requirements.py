@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import operator
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +14,7 @@ from metrocli.nodes import Node
 from metrocli.record import Verdict
 from metrocli.result import Result
 from metrocli.settings import BAD, Schema
+from metrocli.uncertainty.dimensions import converted
 from metrocli.words import suggestion
 
 _COMPARISONS: dict[str, Callable[[float, float], bool]] = {
@@ -59,7 +60,11 @@ class Requirement:
             raise units.QuantityError(f"{self.limit:g} has no unit", example)
         dimension = next((name for name in units.DIMENSIONS if units.internal_unit(name) == unit), None)
         if dimension is None:
-            raise units.QuantityError(f"{self.name} has the unit '{unit}', not '{self.unit}'", "leave the unit out")
+            try:
+                return converted(self.limit, self.unit, unit)
+            except units.QuantityError as error:
+                hint = "leave the unit out" if unit in ("", "1") else error.hint
+                raise units.QuantityError(f"{self.name} has the unit '{unit}', not '{self.unit}'", hint) from error
         return units.find_unit(self.unit, dimension).inside(self.limit)
 
 
@@ -74,7 +79,19 @@ def values_of(result: Result) -> dict[str, tuple[float, str]]:
     for estimate in result.estimates:
         values[f"{estimate.name}.std"] = (estimate.std, estimate.unit)
         values[estimate.name] = (estimate.value, estimate.unit)
+        for path, value in _numbers(estimate.name, result.details.get(estimate.name, {})):
+            plain = path.rpartition(".")[2] in result.plain
+            values[path] = (value, "" if plain else estimate.unit)
     return values
+
+
+def _numbers(path: str, values: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
+    """Yield the single numbers of details by their path, such as `l.mc.std`."""
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            yield from _numbers(f"{path}.{name}", value)
+        elif isinstance(value, int | float):
+            yield f"{path}.{name}", float(value)
 
 
 @dataclass(frozen=True)

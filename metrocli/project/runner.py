@@ -12,13 +12,17 @@ from metrocli import __version__, tasks
 from metrocli.effects.wanted import planted
 from metrocli.errors import Fault, InputError, UsageError
 from metrocli.plan import Plan
+from metrocli.project.chunks import ChunkFolder
 from metrocli.project.inputs import input_files, read_inputs
 from metrocli.project.job import Job
 from metrocli.record import Record, Verdict
 from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import Table
+from metrocli.uncertainty.workers import Workers
 
+HERE = Workers()
+"""All cores of this machine"""
 Say = Callable[[str], None]
 """Takes a line of progress."""
 
@@ -32,13 +36,18 @@ class Done:
     path: Path
 
 
-def carry_out(job: Job, force: bool = False, say: Say = lambda line: None) -> Done:
-    """Read the inputs, run the task, judge and write; nothing is written where anything is wrong."""
+def carry_out(job: Job, force: bool = False, say: Say = lambda line: None, workers: Workers = HERE) -> Done:
+    """Read the inputs, run the task, judge and write; nothing is written where anything is wrong.
+
+    The chunks that `workers` finish are kept beside the output until the job is done, so that a killed run goes on.
+    """
     refuse_foreign(job.output, job.kind, force)
     files = input_files(job)
     say(f"{job.file}: reading {len(files)} input files")
     held = read_inputs(job)
     say(f"{job.file}: {job.kind}")
+    if tasks.KINDS[job.kind].chunked:
+        held["workers"] = replace(workers, finished=ChunkFolder(job.output.with_suffix(".chunks")))
     result: Result = tasks.load(job.kind).run(job.settings, **held, **_effects(job))
     result = replace(result, title=result.title or job.heading.title, warnings=_noticed(held) + result.warnings)
     created = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
@@ -47,6 +56,13 @@ def carry_out(job: Job, force: bool = False, say: Say = lambda line: None) -> Do
 
     hdf5.write(job.output, result, record)
     return Done(result, record, job.output)
+
+
+def verify(job: Job, held: dict[str, Any]) -> None:
+    """Raise InputError with what a kind finds wrong with a job and its inputs together, without computing."""
+    check = getattr(tasks.load(job.kind), "check", None)
+    if check is not None:
+        check(job.settings, **held)
 
 
 def answer(job: Job, question: str) -> Table:
@@ -81,7 +97,7 @@ def plan(job: Job) -> Plan:
     module = tasks.load(job.kind)
     if not hasattr(module, "plan"):
         raise UsageError(f"{job.kind} has no plan")
-    made: Plan = module.plan(job.settings, **read_inputs(job, planned_inputs(job.kind)))
+    made: Plan = module.plan(job.settings, **read_inputs(job, planned_inputs(job.kind)), **_effects(job))
     return made
 
 

@@ -17,6 +17,8 @@ class Kind:
     answers: Mapping[str, str] = field(default_factory=dict)
     """Options such as --compare, each with its help: instead of `run`, the module's function of that name is called,
     with the same arguments; it gives a Table, which is printed."""
+    chunked: bool = False
+    """Its `run` takes `workers`, which do the chunks of a long computation: --workers, --scheduler."""
 
 
 KINDS: dict[str, Kind] = {
@@ -27,6 +29,22 @@ KINDS: dict[str, Kind] = {
     ),
     "align-part": Kind("metrocli.tasks.align_part", "part location and orientation in the machine (6D/7D)"),
     "multilaterate": Kind("metrocli.tasks.multilaterate", "reflector positions from length changes of 4+ tracers"),
+    "selfcal-grid": Kind(
+        "metrocli.tasks.selfcal_grid",
+        "machine and artefact errors from views of an uncalibrated ball grid",
+        {"compare": "Adjust as the paper does, views fitted first, and print what that loses, without a result."},
+    ),
+    "locate-launch-unit": Kind(
+        "metrocli.tasks.locate_launch_unit",
+        "interferometer launch unit in the machine; measuring trajectories",
+        {"compare": "Print what each of the three methods makes of the poses, without writing a result."},
+    ),
+    "calibrate-machine": Kind(
+        "metrocli.tasks.calibrate_machine", "geometric errors of a 3-axis machine from tracker or 6-DoF data"
+    ),
+    "report-uncertainty": Kind(
+        "metrocli.tasks.report_uncertainty", "GUM and Monte Carlo uncertainty, budget, capability", chunked=True
+    ),
 }
 
 

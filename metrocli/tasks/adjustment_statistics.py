@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 import numpy as np
 
@@ -11,6 +11,8 @@ from metrocli.result import Scalar
 
 _ABSURD = 10.0
 """A sigma0 beyond this is not a matter of noise"""
+
+ESTIMATED, REMOVE = "`noise: estimated`", "`outliers: remove`"
 
 Statistics = dict[str, Scalar | Mapping[str, float]]
 
@@ -50,19 +52,24 @@ def chi_interval(solution: Solution) -> tuple[float, float]:
     return float(np.sqrt(low / solution.dof)), float(np.sqrt(high / solution.dof))
 
 
-def noise_warnings(solution: Solution) -> list[str]:
-    """Return the warning that the residuals are not of the declared size, where they are not."""
+def noise_warnings(solution: Solution, cures: Collection[str] = (ESTIMATED, REMOVE)) -> list[str]:
+    """Return the warning that the residuals are not of the declared size, where they are not.
+
+    It names those of the `cures` that the job knows.
+    """
     low, high = chi_interval(solution)
     if not np.isfinite(solution.sigma0) or low <= solution.sigma0 <= high:
         return []
     if solution.sigma0 > _ABSURD:
         return [
             f"sigma0 = {solution.sigma0:.1f}: the model does not fit the readings, do not use this result; "
-            "gross errors (`outliers: remove`), wrong names or units, or a noise declared far too small"
+            f"gross errors{f' ({REMOVE})' if REMOVE in cures else ''}, wrong names or units, "
+            "or a noise declared far too small"
         ]
+    scaled = f" ({ESTIMATED} scales them)" if ESTIMATED in cures else ""
     word = "larger" if solution.sigma0 > high else "smaller"
     return [
         f"sigma0 = {solution.sigma0:.3f} is outside {low:.3f} ... {high:.3f}: "
         f"the residuals are {word} than the declared noise says; "
-        "standard uncertainties are for the declared noise (`noise: estimated` scales them)"
+        f"standard uncertainties are for the declared noise{scaled}"
     ]

@@ -42,5 +42,6 @@ def subject(problem: Problem, adjusted: Adjusted) -> Subject:
         Delivered("place of the part", spindle.PART, (0, 1, 2), "um", "length"),
         refit(None),
         ("px", "pixel"),
-        components_apart=True,
+        fewest=2,
+        single_components=True,
     )

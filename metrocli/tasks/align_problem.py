@@ -9,7 +9,7 @@ import numpy as np
 
 from metrocli.adjust.blocks import Array, Block
 from metrocli.adjust.chain import Chain
-from metrocli.adjust.groups import Group
+from metrocli.adjust.groups import Group, priors
 from metrocli.adjust.observations import Index
 from metrocli.effects.model import Added, Model, Place
 from metrocli.errors import Fault, InputError
@@ -22,7 +22,6 @@ from metrocli.tasks.camera_model import CameraModel
 from metrocli.tasks.eccentricity import corrected
 from metrocli.tasks.image_adjustment import IMAGES
 from metrocli.tasks.sightings import Sighted, check_inside
-from metrocli.tasks.target_list import target_priors
 
 _ANGLES = np.linspace(-np.pi, np.pi, 12, endpoint=False)
 """Clamping angles to start from, where the smallest start at 0 fails"""
@@ -99,7 +98,7 @@ def build(camera: CameraModel, sighted: Sighted, table: Table, free_angle: bool)
         sighted.observations, index={TARGET: sighted.target, spindle.SPINDLE: sighted.view, "view": sighted.view}
     )
     group = Group(IMAGES, Chain((*spindle.to_camera(), lens_link(camera.convention))), observations)
-    others: tuple[Group, ...] = (*camera.prior(), *target_priors(blocks[TARGET], targets.sigma, free))
+    others: tuple[Group, ...] = (*camera.prior(), *priors(blocks[TARGET], targets.sigma, free))
     if sighted.eccentric:
         group, blocks = corrected(group, blocks, others, None, targets.radius)
     return Problem(camera, sighted, blocks, group, others, warnings)

@@ -33,7 +33,8 @@ def subject(problem: Problem, adjusted: Adjusted) -> Subject:
         _delivered(problem.rig, model),
         refit(problem.datum),
         ("px", "pixel"),
-        components_apart=True,
+        fewest=2,
+        single_components=True,
     )
 
 

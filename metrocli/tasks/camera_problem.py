@@ -11,7 +11,7 @@ from metrocli.adjust.adjustment import Control, adjust
 from metrocli.adjust.blocks import Array, Block
 from metrocli.adjust.chain import Chain
 from metrocli.adjust.datum import Datum
-from metrocli.adjust.groups import Group
+from metrocli.adjust.groups import Group, priors
 from metrocli.adjust.observations import Index, Mask, Observations
 from metrocli.adjust.robust import robust_start, typical
 from metrocli.effects.model import Added, Model, Place
@@ -27,7 +27,6 @@ from metrocli.tasks.eccentricity import corrected
 from metrocli.tasks.image_adjustment import IMAGES
 from metrocli.tasks.mirrored_views import better_poses
 from metrocli.tasks.sightings import Sighted, check_inside, listed
-from metrocli.tasks.target_list import target_priors
 
 _STRANGE = "not in the list of targets"
 _FEWEST_READINGS = 4
@@ -133,7 +132,7 @@ def build(rig: str, settings: Camera, sighted: Sighted, bars: Table | None = Non
         camera.TARGET: camera.target_block(targets.points, targets.names, free, extent),
     }
     group = Group(IMAGES, camera.chain(rig, settings.convention), _readings(sighted, seen, least, rig))
-    others = (*target_priors(blocks[camera.TARGET], targets.sigma, free), *_scale_bars(bars, targets.names, seen))
+    others = (*priors(blocks[camera.TARGET], targets.sigma, free), *_scale_bars(bars, targets.names, seen))
     datum = (
         camera.network_datum(blocks[camera.TARGET], free.all(axis=1).astype(float))
         if rig == "network" and free.any()

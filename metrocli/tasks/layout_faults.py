@@ -8,6 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from metrocli.adjust.blocks import Array
+from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.solution import Solution
 from metrocli.effects.estimates import absorbed
 from metrocli.instruments import tracer as t
@@ -30,6 +31,24 @@ def weakness(network: Network, solution: Solution) -> float:
     members = solution.covariance.members(t.POINT)[network.seen > 0]
     spread = np.einsum("mii->m", members).mean() / 3
     return float(np.sqrt(max(spread, 0.0)) / np.sqrt((network.lengths.observations.sigma**2).mean()))
+
+
+def carries(network: Network, solution: Solution) -> bool:
+    """Tell whether the layout determines the points well enough to give them out."""
+    if solution.undetermined or solution.outcome is Outcome.TOO_FEW:
+        return False
+    return solution.covariance is None or weakness(network, solution) <= TOO_WEAK
+
+
+def warnings(network: Network, solution: Solution) -> list[str]:
+    """Return what makes a layout weak that determines its points."""
+    ratio = weakness(network, solution)
+    if ratio <= WEAK:
+        return []
+    return [
+        f"the layout is weak, points are {ratio:.2g} times less certain than lengths: {reason}"
+        for reason in reasons(network, solution)
+    ]
 
 
 def explained(network: Network, solution: Solution) -> str:
@@ -70,7 +89,10 @@ def _counts(network: Network, solution: Solution) -> Iterator[str]:
         yield f"too few points: {there}, where {m} tracers need {needed}, and more to be checked"
     few = [name for name, n in zip(network.blocks[t.POINT].members, network.seen, strict=True) if 0 < n < 3]
     if few and network.unknown[network.seen > 0].any():
-        yield f"points read by fewer than three tracers: {listed(few)}; leave them out or read them by more"
+        yield (
+            f"points read by fewer than three tracers: {listed(few)}; `outliers: remove` leaves them out, or read them "
+            "by more"
+        )
     reads = np.bincount(index[t.TRACER], minlength=m)
     poor = [f"{name} ({n})" for name, n in zip(tracers.members, reads, strict=True) if n < _FEW]
     if poor:

@@ -9,19 +9,27 @@ from itertools import combinations
 import numpy as np
 
 from metrocli.adjust.blocks import Array, Block
+from metrocli.adjust.observations import Index
 from metrocli.instruments import tracer as t
 from metrocli.tasks.length_network import Network
 
-CHECKED = 4
-"""Lengths that a point needs so that a wrong one shows"""
 _GROSS = 8.0
 """Misfit beyond all chance, in standard deviations"""
 _MAD = 1.4826
 """Standard deviation of a normal sample over its median absolute deviation"""
 _STEPS = 6
 """Gauss-Newton steps from the mover's reading to the point"""
-_MOST = 3
-"""Wrong lengths of one point that are looked for"""
+_TRIED = 3
+"""Wrong lengths of one point that are looked for at most"""
+
+
+def most_wrong(lengths: Index) -> Index:
+    """Return how many wrong lengths of a point of so many can be told from right ones, `(n - 3) / 2`.
+
+    With more the wrong ones may agree among themselves as well as the right ones do: the breakdown of every estimate of
+    three unknowns from n readings (Rousseeuw and Leroy 1987).
+    """
+    return np.maximum(lengths - 3, 0) // 2
 
 
 @dataclass(frozen=True)
@@ -85,7 +93,7 @@ def _wrong(sight: _Sight, bound: float) -> list[int]:
     everything = list(range(len(sight.lengths)))
     if sight.misfit(everything) <= bound:
         return []
-    for size in range(1, min(_MOST, len(everything) - CHECKED) + 1):
+    for size in range(1, min(_TRIED, int(most_wrong(np.array(len(everything))))) + 1):
         serving = [
             chosen
             for chosen in combinations(everything, size)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from metrocli.adjust.blocks import Array, Block
 from metrocli.adjust.chain import Chain
 from metrocli.adjust.datum import Datum
-from metrocli.adjust.groups import Group, prior
+from metrocli.adjust.groups import Group, prior, priors
 from metrocli.adjust.noise import Aspect, Noise
 from metrocli.adjust.observations import Index, Mask, Observations
 from metrocli.effects.model import Added, Model, Place
@@ -79,6 +79,8 @@ class Network:
     nominal: Array
     """The mover's readings of the points (points, 3)"""
     absolute: bool
+    said: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    """Where the tracers are said to be (tracers, 3), nan where nothing is said"""
     warnings: tuple[str, ...] = ()
     effects: tuple[Added, ...] = ()
 
@@ -135,10 +137,17 @@ def build(
 ) -> Network:
     """Return the adjustment with its starting values."""
     readings = join(lengths, points, tracers, settings.measures == "absolute")
-    names, sigma = points.texts("point"), readings.point_sigma
+    return network_of(settings, readings, places_of(readings), lengths, distances)
+
+
+def network_of(
+    settings: NetworkSettings, readings: Readings, places: Array, lengths: Table, distances: Table | None
+) -> Network:
+    """Return the adjustment of readings from tracers that start at `places` (tracers, 5)."""
+    names, sigma = readings.names, readings.point_sigma
     free = (sigma != 0) & (readings.seen > 0)[:, None]
     point_block = t.point_block(readings.nominal, names, free, readings.extent)
-    tracer_block = _tracers(settings, readings)
+    tracer_block = _tracers(settings, readings, places)
     observations = Observations(
         readings.length[None],
         np.array(settings.noise.constant),
@@ -154,15 +163,15 @@ def build(
     group = group.with_observations(replace(observations, sigma=noise(group, blocks)))
     tracer_sigma = np.column_stack([readings.tracer_sigma, np.full((len(readings.stations), 2), np.nan)])
     others = (
-        *_known(point_block, sigma, free),
-        *_known(tracer_block, tracer_sigma, tracer_block.free),
+        *priors(point_block, sigma, free),
+        *priors(tracer_block, tracer_sigma, tracer_block.free),
         *_scales(settings, tracer_block),
         *_distances(distances, names, readings.seen),
     )
     inner = settings.datum != "points" and bool(tracer_block.free[:, :3].any()) and bool(free.any())
     datum = t.datum(point_block, free.all(axis=1).astype(float)) if inner else None
     absolute = settings.measures == "absolute"
-    return Network(blocks, group, others, datum, noise, readings.nominal, absolute, _unused(readings))
+    return Network(blocks, group, others, datum, noise, readings.nominal, absolute, readings.said, _unused(readings))
 
 
 def _unused(readings: Readings) -> tuple[str, ...]:
@@ -172,27 +181,12 @@ def _unused(readings: Readings) -> tuple[str, ...]:
     return warnings + ((f"tracers that read nothing are left out: {listed(readings.idle)}",) if readings.idle else ())
 
 
-def _tracers(settings: NetworkSettings, readings: Readings) -> Block:
-    """Return the tracers where the data say they stand."""
+def _tracers(settings: NetworkSettings, readings: Readings, places: Array) -> Block:
     free = np.ones((len(readings.stations), 5), dtype=bool)
     free[:, :3] = readings.tracer_sigma != 0
     free[:, 3] = settings.measures != "absolute"
     free[:, 4] = settings.scale is not None
-    return t.tracer_block(places_of(readings), readings.stations, free, readings.extent)
-
-
-def _known(block: Block, sigma: Array, free: Mask) -> list[Group]:
-    """Return what is known of places beforehand, as observations of their own."""
-    if len(sigma) == 0:
-        return []
-    known = free & np.isfinite(sigma) & (sigma > 0)
-    groups = []
-    for pattern in np.unique(known, axis=0):
-        axes = tuple(int(i) for i in np.flatnonzero(pattern))
-        members = np.flatnonzero((known == pattern).all(axis=1))
-        if axes and members.size:
-            groups.append(prior(block, members, sigma[members][:, list(axes)], columns=axes))
-    return groups
+    return t.tracer_block(places, readings.stations, free, readings.extent)
 
 
 def _scales(settings: NetworkSettings, block: Block) -> list[Group]:

@@ -12,17 +12,21 @@ from metrocli.diagnosis.subject import Subject
 from metrocli.effects.model import extended
 from metrocli.effects.wanted import Wanted
 from metrocli.errors import InputError
+from metrocli.plan import Plan
 from metrocli.result import Result
 from metrocli.settings import Choice, Quantity, Section, TableFile, setting
 from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import TEXT, Column, Columns, Table
+from metrocli.tasks.length_design import Planned
 from metrocli.tasks.length_diagnosis import subject
 from metrocli.tasks.length_network import Network, build
-from metrocli.tasks.length_simulation import Planned, simulated
+from metrocli.tasks.length_simulation import simulated
+from metrocli.tasks.network_plan import planned
 from metrocli.tasks.network_report import KIND, report
 from metrocli.tasks.network_solve import solve
+from metrocli.tasks.planned_network import Layout
 
-SIMULATED = ("lengths",)
+SIMULATED, PLANNED = ("lengths",), ("lengths", "probing")
 SUMMARY = "reflector positions from length changes of 4+ tracers"
 _SIGMAS = tuple(
     Column(name, "length", required=False, may_be_empty=True) for name in ("sigma", "sigma_x", "sigma_y", "sigma_z")
@@ -45,6 +49,9 @@ TRACERS = Columns(
     ("tracer",),
     "approximate places of the tracers",
 )
+CANDIDATES = Columns(
+    (Column("candidate", TEXT), *_PLACE), ("candidate",), "places where one more tracer could stand, for `plan`"
+)
 PROBING = Columns(
     (Column("feature", TEXT), Column("point", TEXT, may_be_empty=True), *_PLACE),
     (),
@@ -66,6 +73,9 @@ class Inputs:
     tracers: Path | None = setting(TableFile(TRACERS), "approximate places of the tracers", default=None)
     probing: Path | None = setting(TableFile(PROBING), "the mover's readings on the workpiece", default=None)
     distances: Path | None = setting(TableFile(DISTANCES), "calibrated distances between points", default=None)
+    candidates: Path | None = setting(
+        TableFile(CANDIDATES), "places where one more tracer could stand, for `plan`", default=None
+    )
 
 
 @dataclass(frozen=True)
@@ -134,6 +144,7 @@ def run(
     probing: Table | None = None,
     distances: Table | None = None,
     effects: Sequence[Wanted] = (),
+    **_: object,
 ) -> Result:
     """Find the points; raises InputError, UndeterminedError or NotConvergedError."""
     network = _with(build(settings, lengths, points, tracers, distances), effects)
@@ -158,6 +169,25 @@ def _with(network: Network, effects: Sequence[Wanted]) -> Network:
     return network.with_model(extended(network.model(), effects)) if effects else network
 
 
+def plan(
+    settings: Settings,
+    points: Table,
+    tracers: Table | None = None,
+    lengths: Table | None = None,
+    distances: Table | None = None,
+    candidates: Table | None = None,
+    effects: Sequence[Wanted] = (),
+    **_: object,
+) -> Plan:
+    """Tell what lengths from every listed tracer to every point will determine; UndeterminedError where they do not.
+
+    Where the job's lengths exist, only what they read is planned.
+    """
+    if tracers is None:
+        raise InputError("plan needs to know where the tracers will stand: `inputs: {tracers: tracers.csv}`")
+    return planned(Layout(settings, Planned(points, tracers, lengths), distances, effects), candidates)
+
+
 def simulate(
     settings: Settings,
     options: SimulationOptions,
@@ -180,4 +210,4 @@ def simulate(
     return simulated(settings, settings.simulation, planned, effects, np.random.default_rng(options.seed))
 
 
-__all__ = ["KIND", "SIMULATED", "SUMMARY", "Inputs", "Settings", "run", "simulate"]
+__all__ = ["KIND", "PLANNED", "SIMULATED", "SUMMARY", "Inputs", "Settings", "plan", "run", "simulate"]

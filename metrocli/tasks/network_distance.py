@@ -5,6 +5,8 @@ A result holds the covariance of each point, and factors of what any two points 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from metrocli.adjust.blocks import Array
@@ -47,8 +49,7 @@ def _fits(parts: list[Array], chosen: Mask) -> bool:
 def distance(result: Result, first: str, second: str) -> Estimate:
     """Return the distance of two points of a result with its standard uncertainty.
 
-    `u^2 = e' (Q_aa + Q_bb - Q_ab - Q_ba) e`, e the direction from one to the other. Raises UsageError for a name that
-    is not in the result, InputError where the result does not hold what two points share.
+    Raises UsageError for a name that is not in the result, InputError where it does not hold what two points share.
     """
     if "points" not in result.tables or COMMON not in result.arrays:
         raise InputError("the result does not hold the covariance between points (too many points, or another kind)")
@@ -58,12 +59,20 @@ def distance(result: Result, first: str, second: str) -> Estimate:
             raise UsageError(f"the result has no point '{name}'; {suggestion(name, names)}")
     if first == second:
         raise UsageError(f"a distance is between two points; '{first}' is named twice")
-    a, b = names.index(first), names.index(second)
-    places = result.tables["points"].stacked("xyz")
-    away = places[a] - places[b]
+    rows = [names.index(first), names.index(second)]
+    places, own = result.tables["points"].stacked("xyz")[rows], result.arrays["points_covariance"][rows]
+    length, std = between_two(places, own, {COMMON: result.arrays[COMMON][rows], CORE: result.arrays[CORE]})
+    return Estimate(f"{first} - {second}", length, std, "mm")
+
+
+def between_two(places: Array, own: Array, shared: Mapping[str, Array]) -> tuple[float, float]:
+    """Return the distance of two points and its standard uncertainty, from their `factors`.
+
+    `u^2 = e' (Q_aa + Q_bb - Q_ab - Q_ba) e`, e the direction from one to the other; own is (2, 3, 3).
+    """
+    away = places[0] - places[1]
     length = float(np.linalg.norm(away))
-    common, own = result.arrays[COMMON], result.arrays["points_covariance"]
-    shared = common[a] @ result.arrays[CORE] @ common[b].T
+    both = shared[COMMON][0] @ shared[CORE] @ shared[COMMON][1].T
     direction = away / length if length else away
-    variance = direction @ (own[a] + own[b] - shared - shared.T) @ direction
-    return Estimate(f"{first} - {second}", length, float(np.sqrt(max(variance, 0.0))), "mm")
+    variance = direction @ (own[0] + own[1] - both - both.T) @ direction
+    return length, float(np.sqrt(max(variance, 0.0)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,22 +14,21 @@ from metrocli.effects.estimates import tables as effect_results
 from metrocli.instruments import tracer as t
 from metrocli.result import Estimate, Result
 from metrocli.table import Table
-from metrocli.tasks.adjustment_statistics import basic_statistics, noise_warnings
-from metrocli.tasks.layout_faults import WEAK, reasons, weakness
-from metrocli.tasks.network_correction import corrected, distant
+from metrocli.tasks import layout_faults
+from metrocli.tasks.adjustment_statistics import REMOVE, basic_statistics, noise_warnings
+from metrocli.tasks.network_correction import corrected, distant, wrong_entries
 from metrocli.tasks.network_distance import factors
+from metrocli.tasks.network_reliability import UNITS as RELIABILITY_UNITS
+from metrocli.tasks.network_reliability import reliability
 from metrocli.tasks.network_solve import Solved
 from metrocli.tasks.sightings import listed
-from metrocli.tasks.uncontrolled import uncontrolled
-from metrocli.units import find_unit
+from metrocli.tasks.uncontrolled import in_words, uncontrolled
 
 if TYPE_CHECKING:
     from metrocli.table import Values
 
 KIND = "multilaterate"
 _UNITS = ("mm", "mm", "mm", "mm", "1")
-_DELTA0 = 4.13
-"""Non-centrality of a w-test at 0.1 % with 80 % power (Baarda 1968): the least detectable bias is 4.13 s / sqrt(r)"""
 
 
 _REASONS = {
@@ -36,9 +36,9 @@ _REASONS = {
     "outlier": "outlier",
     "alike": "one of the point's lengths is wrong; which cannot be told",
     "point": "too few lengths of the point are left to be checked",
+    "few": "fewer than three tracers read the point",
+    "doubt": "the point lost a length, and the others do not meet either",
 }
-_SINGULAR = 1e-6
-"""Redundancy below which a length is not controlled at all"""
 
 
 def report(solved: Solved, probing: Table | None, tolerance: float) -> Result:
@@ -64,7 +64,7 @@ def report(solved: Solved, probing: Table | None, tolerance: float) -> Result:
     statistics = basic_statistics(solution, {"mm": rms}) | {
         "rejected": len(solved.rejected),
         "critical_w": solved.critical,
-        "weakness": weakness(solved.network, solution),
+        "weakness": layout_faults.weakness(solved.network, solution),
     }
     return Result(
         kind=KIND,
@@ -75,9 +75,16 @@ def report(solved: Solved, probing: Table | None, tolerance: float) -> Result:
         tables=tables,
         arrays={**arrays, **effect_arrays},
         warnings=(*_warnings(solved), *distant(solved.network, probing, tolerance)),
-        shown=("points: point, x, y, z, sx, sy, sz", *(("suspects",) if solved.suspects else ())),
-        notes=_notes(hidden),
+        shown=tuple(_shown(solved)),
+        notes=in_words(hidden),
     )
+
+
+def _shown(solved: Solved) -> Iterator[str]:
+    if solved.network.blocks[t.POINT].free.any():
+        yield "points: point, x, y, z, sx, sy, sz"
+    if solved.suspects:
+        yield "suspects"
 
 
 def _tracer_estimates(solution: Solution) -> tuple[Estimate, ...]:
@@ -116,35 +123,15 @@ def _tracers(solution: Solution) -> Table:
 def _residuals(solved: Solved) -> Table:
     """Return /residuals with the least detectable error of each length, and how far it could move its point unseen."""
     observations, found = solved.group.observations, solved.residuals
-    redundancy = found.redundancy[0]
-    controlled = redundancy > _SINGULAR
-    detectable = np.where(controlled, _DELTA0 * found.sigma[0] / np.sqrt(np.where(controlled, redundancy, 1.0)), np.inf)
     columns: dict[str, Values] = {name: np.array(values) for name, values in observations.keys.items()}
     columns |= {
         "reading": observations.readings[0],
         "residual": found.values[0],
         "sigma": found.sigma[0],
         "normalised": found.normalised[0],
-        "redundancy": redundancy,
-        "detectable": detectable,
-        "moves_point": _point_shift(solved) * detectable,
+        **reliability(solved.solution, solved.group, found),
     }
-    return Table(columns, dict.fromkeys(("reading", "residual", "sigma", "detectable", "moves_point"), "mm"))
-
-
-def _point_shift(solved: Solved) -> Array:
-    """Return how far a point moves for a unit error of one of its lengths, |Q_x. J' / sigma^2|, (n,)."""
-    solution, group = solved.solution, solved.group
-    cofactor = solution.cofactor
-    if cofactor is None:
-        raise RuntimeError(solution.outcome.value)
-    touches = group.linear(solution.blocks, cofactor.layout.wanted).touches
-    index = group.observations.index[t.POINT]
-    shift = np.zeros((3, len(index)))
-    for touch in touches:
-        pair = cofactor.pairs(t.POINT, index, touch.block, touch.index)
-        shift += np.einsum("abn,bn->an", pair, touch.jacobian[0])
-    return np.asarray(np.linalg.norm(shift / group.observations.sigma[0], axis=0))
+    return Table(columns, dict.fromkeys(("reading", "residual", "sigma", *RELIABILITY_UNITS), "mm"))
 
 
 def _rejected(solved: Solved) -> Table:
@@ -175,41 +162,37 @@ def _suspects(solved: Solved) -> Table:
 
 
 def _warnings(solved: Solved) -> list[str]:
-    lines = [*solved.network.warnings, *noise_warnings(solved.solution)]
+    lines = [*solved.network.warnings, *noise_warnings(solved.solution, cures=(REMOVE,))]
+    keys = solved.whole.lengths.observations.keys
+    wrong = [
+        f"{keys['point'][one.row]}/{keys['tracer'][one.row]}"
+        for one in solved.rejected
+        if one.reason in ("gross", "outlier")
+    ]
+    if wrong:
+        lines.append(f"{len(wrong)} lengths are left out as wrong: {listed(wrong)} (table rejected)")
     told = [
         f"{one.point}/{one.tracer} (w = {one.test:.1f}{', or ' + ' or '.join(one.others) if one.others else ''})"
         for one in solved.suspects
         if one.tracer
     ]
-    alike = [f"{one.point} (w = {one.test:.1f})" for one in solved.suspects if not one.tracer]
+    untold = [one for one in solved.suspects if not one.tracer]
+    alike = [f"{one.point} (w = {one.test:.1f}: {' or '.join(one.others)})" for one in untold]
     bound = f"the outlier bound |w| = {solved.critical:.2f}"
     if told:
         lines.append(f"{len(told)} lengths exceed {bound}: {listed(told, 5)}; `outliers: remove` leaves such out")
     if alike:
         lines.append(
             f"{len(alike)} points have a wrong length beyond {bound}: {listed(alike, 5)}; whose it is cannot be told, "
-            "since all |w| of a point with four lengths are equal: a fifth tracer would tell"
+            "since their |w| are alike (of a point with four lengths all are equal): one more tracer would tell"
         )
     gone = [name for name, n, before in _lost(solved) if n == 0 < before]
     if gone:
-        lines.append(f"{len(gone)} points are left out, since their lengths cannot be checked: {listed(gone)}")
-    ratio = weakness(solved.network, solved.solution)
-    if ratio > WEAK:
-        lines += [
-            f"the layout is weak, points are {ratio:.2g} times less certain than lengths: {reason}"
-            for reason in reasons(solved.network, solved.solution)
-        ]
-    return lines
+        lines.append(f"{len(gone)} points are left out, since too few of their lengths are left: {listed(gone)}")
+    lines += wrong_entries(solved.network, solved.solution)
+    return lines + layout_faults.warnings(solved.network, solved.solution)
 
 
 def _lost(solved: Solved) -> list[tuple[str, int, int]]:
     names = solved.network.blocks[t.POINT].members
     return list(zip(names, solved.network.seen.tolist(), solved.whole.seen.tolist(), strict=True))
-
-
-def _notes(hidden: Table) -> tuple[str, ...]:
-    """Return what no residual of this measurement shows, in words."""
-    rows = zip(*(hidden.texts(name) for name in ("effect", "assumed")), hidden.numbers("hides"), strict=True)
-    unit = find_unit("um", "length")
-    lines = [f"  {effect}: {unit.outside(size):.2g} um by {assumed}" for effect, assumed, size in rows]
-    return ("", "not controlled by this design (table not_controlled says what would):", *lines)

@@ -6,9 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from metrocli.adjust.blocks import Array, Block
-from metrocli.adjust.groups import Group, prior
-from metrocli.adjust.observations import Mask
+from metrocli.adjust.blocks import Array
 from metrocli.errors import Fault, InputError
 from metrocli.table import TEXT, Column, Columns, Table
 from metrocli.targets.pattern import Pattern, pattern_points
@@ -75,15 +73,3 @@ def targets_of(pattern: Pattern) -> Targets:
     """Return the targets of a printed pattern, taken as exact."""
     names, points = pattern_points(pattern)
     return Targets(tuple(names), points, np.zeros_like(points), np.full(len(names), np.nan))
-
-
-def target_priors(targets: Block, sigma: Array, free: Mask) -> list[Group]:
-    """Return what is known of the targets beforehand: one group for each set of axes that has a standard deviation."""
-    known = free & np.isfinite(sigma) & (sigma > 0)
-    groups = []
-    for pattern in np.unique(known, axis=0):
-        axes = np.flatnonzero(pattern)
-        members = np.flatnonzero((known == pattern).all(axis=1))
-        if axes.size and members.size:
-            groups.append(prior(targets, members, sigma[np.ix_(members, axes)], columns=tuple(axes.tolist())))
-    return groups

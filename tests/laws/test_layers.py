@@ -23,7 +23,7 @@ LAYERS = [
     {"formats"},
     {"adjust"},
     {"geometry"},
-    {"imageset", "result", "record", "simulation", "plan"},
+    {"imageset", "result", "record", "simulation", "plan", "nc_program"},
     {"settings"},
     {"table"},
     {"units", "nodes", "words"},
@@ -40,6 +40,7 @@ ONLY_IN = {
     "click": {"cli"},
     "cv2": {"targets", "formats/images"},
     "matplotlib": {"plots"},
+    "distributed": {"uncertainty"},
 }
 FORBIDDEN = {"scipy.stats": "slow to import; scipy.special has the distributions"}
 VAGUE = {"utils", "util", "helpers", "helper", "common", "core", "base", "manager", "misc", "tools"}

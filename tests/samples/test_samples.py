@@ -106,3 +106,47 @@ def test_results_are_shown(spindle: Path, metrocli: Metrocli) -> None:
     summary = json.loads(metrocli("show", spindle / "results" / "camera.h5", "--json").out)
     assert summary["kind"] == "calibrate-camera"
     assert set(summary["estimates"]) == {"f", "cx", "cy", "k1", "k2", "p1", "p2", *EULER}
+
+
+@pytest.mark.slow
+def test_the_part_has_a_table_of_maxima(spindle: Path) -> None:
+    from metrocli.cli.summary import summary
+    from metrocli.formats import hdf5
+
+    path = spindle / "results" / "uncertainty.h5"
+    result, record = hdf5.read(path)
+    assert [Path(item.path).name for item in record.inputs] == ["part.h5"]
+    found = summary(result, record, path)["estimates"]
+    budget = result.tables["budget"]
+    warm = [
+        std
+        for name, std in zip(budget.texts("contributor"), budget.numbers("std"), strict=True)
+        if name == "temperature"
+    ]
+    assert warm == pytest.approx([0.00953, 0.00635, 0.00318], abs=1e-5)
+    for axis in "xyz":
+        assert 0 < found[axis]["U_pointwise"] <= found[axis]["U"] < 0.05
+        assert found[axis]["tolerance"]["capable"]
+
+
+@pytest.fixture(scope="module")
+def gauge(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return _run("gauge-block", tmp_path_factory)
+
+
+def test_the_gauge_block_is_that_of_the_guides(gauge: Path) -> None:
+    """JCGM 100, H.1: u 32 nm, 16 degrees of freedom, U99 93 nm, 34 nm to the second order; JCGM 101, 9.5: 36, [745, 932]."""
+    from metrocli.formats import hdf5
+
+    first, _ = hdf5.read(gauge / "results" / "gum.h5")
+    length = first.details["l"]
+    assert first.estimates[0].value == pytest.approx(50.000838, abs=6e-7)
+    assert first.estimates[0].std == pytest.approx(32e-6, abs=0.5e-6)
+    assert length["dof"] == pytest.approx(16.75, abs=0.06)
+    assert length["U"] == pytest.approx(93e-6, abs=0.7e-6)
+    assert length["second_order"]["std"] == pytest.approx(34e-6, abs=0.5e-6)
+    second, _ = hdf5.read(gauge / "results" / "supplement.h5")
+    trials = second.details["deviation"]["mc"]
+    assert (trials["mean"], trials["std"]) == pytest.approx((838, 36), abs=0.5)
+    assert trials["shortest"] == pytest.approx([745, 932], abs=2.5)
+    assert second.details["deviation"]["gum_valid"] is False

@@ -1,0 +1,203 @@
+"""The geometric errors of a machine as compensation needs them: functions of one axis, and products of two."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+if TYPE_CHECKING:
+    from metrocli.result import Result
+
+Array = npt.NDArray[np.float64]
+
+AXES = "XYZ"
+SIGN = "sign: actual minus commanded"
+LEVERS = (
+    ("A", "Y", "Z", -1), ("A", "Z", "Y", 1), ("B", "X", "Z", 1),
+    ("B", "Z", "X", -1), ("C", "X", "Y", -1), ("C", "Y", "X", 1),
+)  # fmt: skip
+"""theta x L: rotation, direction of the error, component of the lever, sign"""
+SQUARENESS = (("C0Y", "Y", "X", -1), ("B0Z", "Z", "X", 1), ("A0Z", "Z", "Y", -1))
+"""Name, axis that moves, direction of the error, sign"""
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A function of the position of one axis, linear between positions and constant beyond them."""
+
+    positions: Array
+    """(n,) mm, ascending"""
+    values: Array
+    """(n,) mm or rad, or mm of one factor of a product"""
+    std: Array | None = None
+
+    def at(self, where: Array) -> Array:
+        """Return the value at positions."""
+        return np.interp(where, self.positions, self.values)
+
+    def times(self, factor: float) -> Curve:
+        """Return the curve multiplied by a number."""
+        return Curve(self.positions, self.values * factor)
+
+    def plus(self, other: Curve) -> Curve:
+        """Return the sum of two curves, exact at the positions of both."""
+        grid = np.union1d(self.positions, other.positions)
+        return Curve(grid, self.at(grid) + other.at(grid))
+
+
+@dataclass(frozen=True)
+class Product:
+    """An error `angle(position of one axis) * (position of another)` in one direction."""
+
+    angle: Curve
+    """Signed, rad"""
+    moves: str
+    """The axis that the angle depends on"""
+    lever: str
+    """The axis whose position is the lever"""
+    direction: str
+
+
+@dataclass(frozen=True)
+class ErrorTables:
+    """Errors of a machine of three axes by the names of ISO 230-1, each actual minus commanded."""
+
+    curves: Mapping[str, Curve]
+    """EXX, EYX ... (mm) and EAX ... (rad) over the position of the axis of their last letter"""
+    squareness: Mapping[str, float]
+    """C0Y, B0Z, A0Z in rad"""
+    order: str = "XYZ"
+    """The axes from the workpiece to the tool"""
+    tool: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """mm"""
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Lowest and highest position of each axis, mm; of the tables where it is not given"""
+    squareness_std: Mapping[str, float] = field(default_factory=dict)
+    left_out: tuple[str, ...] = ()
+    """Errors that the measurement did not determine; they are in no file."""
+    together: tuple[str, ...] = ()
+    """Errors that are known only together with those left out: right for the tool of the measurement alone"""
+
+    def notes(self) -> list[str]:
+        """Return what every file says of its errors."""
+        lines = [SIGN]
+        if self.left_out:
+            lines.append("not determined by the measurement, and left out: " + " ".join(self.left_out))
+        if self.together:
+            tool = " ".join(f"{offset:g}" for offset in self.tool)
+            lines.append(f"right for the tool ({tool}) mm of the measurement only: " + " ".join(self.together))
+        return lines
+
+    def only(self, curves: Iterator[str] | tuple[str, ...], squareness: bool = False) -> ErrorTables:
+        """Return some of the curves, with the squareness or without."""
+        kept = {name: self.curves[name] for name in curves if name in self.curves}
+        return replace(self, curves=kept, squareness=self.squareness if squareness else {})
+
+    def of_one_axis(self) -> dict[tuple[str, str], Curve]:
+        """Return by (axis that moves, direction of the error) all that depends on the position of one axis.
+
+        That is the table itself, the angles with the tool as lever, and the squareness.
+        """
+        found: dict[tuple[str, str], Curve] = {}
+        for moves, direction, curve in self._parts():
+            key = (moves, direction)
+            found[key] = found[key].plus(curve) if key in found else curve
+        return found
+
+    def _parts(self) -> Iterator[tuple[str, str, Curve]]:
+        for name, curve in self.curves.items():
+            if name[1] in AXES:
+                yield name[2], name[1], curve
+        for rotation, direction, lever, sign in LEVERS:
+            offset = self.tool[AXES.index(lever)]
+            for moves in AXES:
+                angle = self.curves.get(f"E{rotation}{moves}")
+                if angle is not None and offset:
+                    yield moves, direction, angle.times(sign * offset)
+        for name, moves, direction, sign in SQUARENESS:
+            angle_of = self.squareness.get(name, 0.0)
+            if angle_of:
+                grid = self.span(moves)
+                yield moves, direction, Curve(grid, sign * angle_of * grid)
+
+    def products(self) -> list[Product]:
+        """Return all that depends on the positions of two axes: an angle with the axes nearer to the tool as lever."""
+        return [
+            Product(self.curves[f"E{rotation}{moves}"].times(sign), moves, lever, direction)
+            for moves in AXES
+            for rotation, direction, lever, sign in LEVERS
+            if f"E{rotation}{moves}" in self.curves and self.order.index(lever) > self.order.index(moves)
+        ]
+
+    def span(self, axis: str) -> Array:
+        """Return the ends of an axis, (2,) mm."""
+        if axis in self.ranges:
+            return np.array(self.ranges[axis])
+        grid = next((curve.positions for name, curve in self.curves.items() if name[2] == axis), np.zeros(1))
+        return np.array([grid[0], grid[-1]])
+
+    def at(self, commanded: Array) -> Array:
+        """Return the error at commanded positions, both (n, 3) mm (contract of the rigid-body model, first order)."""
+        error = np.zeros(commanded.shape)
+        for (moves, direction), curve in self.of_one_axis().items():
+            error[:, AXES.index(direction)] += curve.at(commanded[:, AXES.index(moves)])
+        for product in self.products():
+            angle = product.angle.at(commanded[:, AXES.index(product.moves)])
+            error[:, AXES.index(product.direction)] += angle * commanded[:, AXES.index(product.lever)]
+        return error
+
+
+def has(result: Result) -> bool:
+    """Tell whether a result holds error tables."""
+    return any(name.startswith("tables/") for name in result.tables)
+
+
+def of(result: Result) -> ErrorTables:
+    """Return the determined error tables of a result of calibrate-machine; raises InputError for any other result."""
+    from metrocli.errors import InputError
+
+    named = {name.removeprefix("tables/"): table for name, table in result.tables.items() if name.startswith("tables/")}
+    if not named:
+        raise InputError("the result has no error tables; this format needs a result of calibrate-machine")
+    axes = result.tables["axes"]
+    places = dict(zip(axes.texts("axis"), axes.numbers("place").tolist(), strict=True))
+    ranges = dict(
+        zip(places, zip(axes.numbers("low").tolist(), axes.numbers("high").tolist(), strict=True), strict=True)
+    )
+    left_out, together = (tuple(str(result.statistics.get(key, "")).split()) for key in ("undetermined", "together"))
+    curves = {
+        name: Curve(table.numbers("position"), table.numbers("value"), table.numbers("std"))
+        for name, table in named.items()
+        if name not in left_out
+    }
+    known = {
+        estimate.name: estimate
+        for estimate in result.estimates
+        if estimate.name in _SQUARENESS_NAMES and estimate.name not in left_out
+    }
+    return ErrorTables(
+        curves,
+        {name: estimate.value for name, estimate in known.items()},
+        "".join(sorted(places, key=lambda axis: places[axis])),
+        _tool(result),
+        ranges,
+        squareness_std={name: estimate.std for name, estimate in known.items()},
+        left_out=left_out,
+        together=together,
+    )
+
+
+_SQUARENESS_NAMES = tuple(name for name, *_ in SQUARENESS)
+
+
+def _tool(result: Result) -> tuple[float, float, float]:
+    """Return the first tool of a result, (0, 0, 0) where it has none."""
+    if "tools" not in result.tables:
+        return (0.0, 0.0, 0.0)
+    table = result.tables["tools"]
+    x, y, z = (float(table.numbers(axis)[0]) for axis in ("x", "y", "z"))
+    return x, y, z

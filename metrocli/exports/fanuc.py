@@ -1,0 +1,175 @@
+"""Fanuc stored pitch error compensation: the positioning error of each axis in increments.
+
+Data are integers in detection units times a magnification, each the change from the point before it as seen from the
+negative side, zero in sum at the reference point (parameters 3620-3624; technical report A-77810E; parameter manual
+B-63980EN p. 100). The running sum is rounded, not each increment, so that rounding does not add up. The control
+outputs the compensation between two points; it is taken here as linear.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from metrocli.errors import InputError
+from metrocli.exports.compensation import Control, Texts, files_of
+from metrocli.exports.error_tables import AXES, Array, Curve, ErrorTables
+from metrocli.exports.grids import evenly
+from metrocli.result import Result
+
+MOST_POINTS, MOST_STEP = 128, 7
+"""Points of an axis; increments from -7 to 7"""
+UNIT = 1e-3
+"""Detection unit, mm"""
+_FILE = "pitch-error.txt"
+_PARAMETER = re.compile(r"N(\d+)A(\d)P(\S+)")
+_DATUM = re.compile(r"N1(\d{4})P(\S+)")
+
+
+@dataclass(frozen=True)
+class Pitch:
+    """The compensation of one axis."""
+
+    axis: str
+    first: int
+    """Number of the most negative point"""
+    reference: int
+    """Number of the point at machine position 0"""
+    interval: float
+    magnification: int
+    increments: npt.NDArray[np.int64]
+    """From the most negative point on; the first one is 0"""
+
+    @property
+    def curve(self) -> Curve:
+        """The compensation over the machine position, mm, zero at the reference point."""
+        numbers = np.arange(len(self.increments)) + self.first - self.reference
+        total = np.cumsum(self.increments) * (self.magnification * UNIT)
+        grid = np.asarray(numbers * self.interval, dtype=float)
+        return Curve(grid, total - np.interp(0.0, grid, total))
+
+
+def carried(tables: ErrorTables) -> ErrorTables:
+    """Return the positioning errors, on the even grid through machine position 0 that the control can hold."""
+    held = tables.only(tuple(f"E{axis}{axis}" for axis in AXES))
+    curves = {name: _even(name, curve) for name, curve in held.curves.items()}
+    return replace(held, curves=curves)
+
+
+def _even(name: str, curve: Curve) -> Curve:
+    """Return the error on points an integer number of intervals from 0, relative to its value there.
+
+    Where the knots and 0 are on no common grid, the finest grid is taken, which rounds the corners of the table.
+    """
+    if len(curve.positions) > MOST_POINTS:
+        raise InputError(f"{name} has {len(curve.positions)} points; pitch error compensation takes {MOST_POINTS}")
+    grid = evenly(_with_zero(curve), MOST_POINTS) or _finest(curve)
+    return Curve(grid.positions, grid.values - grid.at(np.zeros(1)))
+
+
+def _finest(curve: Curve) -> Curve:
+    low, high = min(curve.positions[0], 0.0), max(curve.positions[-1], 0.0)
+    step = (high - low) / (MOST_POINTS - 2)
+    places = np.arange(math.floor(low / step), math.ceil(high / step) + 1) * step
+    return Curve(places, curve.at(places))
+
+
+def _with_zero(curve: Curve) -> Curve:
+    grid = np.union1d(curve.positions, [0.0])
+    return Curve(grid, curve.at(grid))
+
+
+def _pitch(axis: str, curve: Curve, first: int) -> Pitch:
+    """Return the table of one axis with as many points as keep the increments small, and the least magnification."""
+    count = len(curve.positions) - 1
+    best = curve
+    for times in range(1, (MOST_POINTS - 1) // count + 1):
+        grid = np.linspace(curve.positions[0], curve.positions[-1], count * times + 1)
+        best = Curve(grid, curve.at(grid))
+        if np.abs(np.diff(_rounded(best, 1))).max() <= MOST_STEP:
+            break
+    largest = np.abs(np.diff(best.values)).max() / UNIT
+    magnification = max(1, math.ceil(largest / MOST_STEP))
+    while np.abs(np.diff(_rounded(best, magnification))).max() > MOST_STEP:
+        magnification += 1
+    if magnification > 100:
+        raise InputError(f"E{axis}{axis} changes by {largest:.0f} um between points; the magnification ends at 100")
+    step = (best.positions[-1] - best.positions[0]) / (len(best.positions) - 1)
+    increments = np.diff(_rounded(best, magnification), prepend=_rounded(best, magnification)[0])
+    return Pitch(axis, first, first - round(best.positions[0] / step), step, magnification, increments)
+
+
+def _rounded(curve: Curve, magnification: int) -> npt.NDArray[np.int64]:
+    """Return minus the error in units, each sum rounded by itself."""
+    return np.rint(-curve.values / (magnification * UNIT)).astype(np.int64)
+
+
+def written(tables: ErrorTables) -> Texts:
+    """Return one file with the parameters and increments of all axes."""
+    if not tables.curves:
+        raise InputError("the result determines no positioning error: nothing for pitch error compensation")
+    pitches: list[Pitch] = []
+    for name, curve in tables.curves.items():
+        first = pitches[-1].first + len(pitches[-1].increments) if pitches else 0
+        pitches.append(_pitch(name[2], curve, first))
+    lines = [line for pitch in pitches for line in _lines(pitch)]
+    return {_FILE: "\n".join(["%", *(f"({line})" for line in _head(pitches[0], tables.notes())), *lines, "%", ""])}
+
+
+def _head(pitch: Pitch, notes: list[str]) -> list[str]:
+    curve = pitch.curve
+    k = int(np.argmax(np.abs(curve.values)))
+    return [
+        *(line.upper() for line in notes),
+        f"VALUE = MINUS THE ERROR, INCREMENTS SEEN FROM THE NEGATIVE SIDE, DETECTION UNIT {UNIT} MM",
+        "NO PUBLIC MANUAL CONFIRMS THE SIGN. TEST MOVE: AFTER REFERENCE RETURN GO TO "
+        f"{pitch.axis} = {curve.positions[k]:.3f} MM: THE AXIS MUST MOVE BY {curve.values[k]:+.3f} MM MORE THAN "
+        "WITHOUT COMPENSATION; ELSE CHANGE THE SIGN OF ALL INCREMENTS",
+        "POWER OFF AND ON AND REFERENCE RETURN AFTER LOADING",
+    ]
+
+
+def _lines(pitch: Pitch) -> list[str]:
+    number = AXES.index(pitch.axis) + 1
+    last = pitch.first + len(pitch.increments) - 1
+    settings = {3620: pitch.reference, 3621: pitch.first, 3622: last, 3623: pitch.magnification}
+    return [
+        *(f"N{key}A{number}P{value}" for key, value in settings.items()),
+        f"N3624A{number}P{pitch.interval:.6f}",
+        *(f"N1{pitch.first + k:04d}P{value:+d}" for k, value in enumerate(pitch.increments.tolist())),
+    ]
+
+
+def read(texts: Texts) -> list[Pitch]:
+    """Return the table of each axis as the control holds it."""
+    body = "\n".join(line for line in texts[_FILE].splitlines() if not line.startswith("("))
+    data = {int(number): int(value) for number, value in _DATUM.findall(body)}
+    settings = {(int(axis), int(key)): float(value) for key, axis, value in _PARAMETER.findall(body)}
+    found = []
+    for axis in sorted({axis for axis, _ in settings}):
+        reference, first, last, magnification = (round(settings[axis, key]) for key in (3620, 3621, 3622, 3623))
+        increments = np.array([data[k] for k in range(first, last + 1)])
+        found.append(Pitch(AXES[axis - 1], first, reference, settings[axis, 3624], magnification, increments))
+    return found
+
+
+def moved(held: Mapping[str, Pitch] | list[Pitch], commanded: Array) -> Array:
+    """Return how the control moves the machine: by the running sum."""
+    moves = np.zeros(commanded.shape)
+    for pitch in held.values() if isinstance(held, Mapping) else held:
+        k = AXES.index(pitch.axis)
+        moves[:, k] = pitch.curve.at(commanded[:, k])
+    return moves
+
+
+CONTROL = Control(carried, written, read, moved, resolution=UNIT)
+
+
+def files(result: Result) -> Texts:
+    """Return the files of a result."""
+    return files_of(CONTROL, result)

@@ -1,0 +1,78 @@
+"""ISG_CSV, the volumetric compensation of ISG kernels and Beckhoff TF5280: all tables and the squareness.
+
+Columns separated by blanks, a header of argument and error names, `//` comments, `#` before a new block, mm and rad
+(ISG documentation, file formats of the volumetric compensation). The chain and its workpiece axes are set in the
+control; whether values are errors or corrections is its `negate` switch.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from metrocli.errors import InputError
+from metrocli.exports.compensation import Control, Texts, files_of
+from metrocli.exports.error_tables import AXES, Array, Curve, ErrorTables
+from metrocli.exports.volumetric import chain_note, moved_by_errors, test_move
+from metrocli.result import Result
+
+_FILE = "errors.isg.csv"
+
+
+def carried(tables: ErrorTables) -> ErrorTables:
+    """Return everything."""
+    return tables
+
+
+def written(tables: ErrorTables) -> Texts:
+    """Return the file."""
+    if not tables.curves:
+        raise InputError("the result determines no error table: nothing to compensate")
+    blocks = [_block(tables, axis) for axis in AXES if _names(tables, axis)]
+    if tables.squareness:
+        names = list(tables.squareness)
+        blocks.append([" ".join(names), " ".join(f"{tables.squareness[name]:.12f}" for name in names)])
+    lines = ["\n".join(block) for block in blocks]
+    head = "\n".join(f"// {line}" for line in [*tables.notes(), *chain_note(tables), *test_move(tables)])
+    return {_FILE: head + "\n" + "\n#\n".join(lines) + "\n"}
+
+
+def _names(tables: ErrorTables, axis: str) -> list[str]:
+    return [name for name in tables.curves if name[2] == axis]
+
+
+def _block(tables: ErrorTables, axis: str) -> list[str]:
+    names = _names(tables, axis)
+    grid = np.unique(np.concatenate([tables.curves[name].positions for name in names]))
+    columns = [tables.curves[name].at(grid) for name in names]
+    rows = [" ".join([f"{at:.6f}", *(f"{column[k]:.12f}" for column in columns)]) for k, at in enumerate(grid.tolist())]
+    return [" ".join([axis, *names]), *rows]
+
+
+def read(texts: Texts) -> tuple[dict[str, Curve], dict[str, float], list[str]]:
+    """Return curves, squareness, and the comments."""
+    lines = texts[_FILE].splitlines()
+    comments = [line for line in lines if line.startswith("//")]
+    body = "\n".join(line for line in lines if not line.startswith("//"))
+    curves: dict[str, Curve] = {}
+    squareness: dict[str, float] = {}
+    for block in body.split("#"):
+        names, *rows = [line.split() for line in block.strip().splitlines()]
+        values = np.array(rows, dtype=float)
+        if names[0] in AXES:
+            curves |= {name: Curve(values[:, 0], values[:, k]) for k, name in enumerate(names) if k}
+        else:
+            squareness |= dict(zip(names, values[0].tolist(), strict=True))
+    return curves, squareness, comments
+
+
+def moved(held: tuple[dict[str, Curve], dict[str, float], list[str]], commanded: Array) -> Array:
+    """Return how the control moves the machine: against the errors of the rigid-body model."""
+    return moved_by_errors(*held, commanded)
+
+
+CONTROL = Control(carried, written, read, moved, resolution=1e-6)
+
+
+def files(result: Result) -> Texts:
+    """Return the files of a result."""
+    return files_of(CONTROL, result)

@@ -1,0 +1,93 @@
+"""Siemens leadscrew error compensation ($AA_ENC_COMP): the positioning error of each axis.
+
+The control adds the value to the actual position, so that a positive value moves the axis in its negative direction:
+the value is the error itself (SINUMERIK 808D manual, p. 106; syntax: function manual 6FC5397-1BP40, K3).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+
+import numpy as np
+
+from metrocli.errors import InputError
+from metrocli.exports.compensation import Control, Texts, files_of
+from metrocli.exports.error_tables import AXES, Array, Curve, ErrorTables
+from metrocli.exports.grids import evenly
+from metrocli.result import Result
+
+MOST_POINTS = 5000
+"""Upper limit of MD38000; an 808D takes 200"""
+_VALUE = re.compile(r"\$AA_ENC_COMP\[0,(\d+),(\w)1\]=(\S+)")
+_SETTING = re.compile(r"\$AA_ENC_COMP_(STEP|MIN|MAX)\[0,(\w)1\]=(\S+)")
+
+
+def carried(tables: ErrorTables) -> ErrorTables:
+    """Return the positioning errors."""
+    return tables.only(tuple(f"E{axis}{axis}" for axis in AXES))
+
+
+def written(tables: ErrorTables) -> Texts:
+    """Return one file for each axis."""
+    texts = {}
+    for name, curve in tables.curves.items():
+        axis = name[2]
+        even = evenly(curve, MOST_POINTS)
+        if even is None:
+            raise InputError(f"{name} is on no even grid of {MOST_POINTS} points, the most that $AA_ENC_COMP takes")
+        texts[f"{axis}_EEC.INI"] = _text(axis, even, tables.notes())
+    if not texts:
+        raise InputError("the result determines no positioning error: nothing for leadscrew error compensation")
+    return texts
+
+
+def _text(axis: str, curve: Curve, notes: list[str]) -> str:
+    count = len(curve.positions)
+    step = (curve.positions[-1] - curve.positions[0]) / max(count - 1, 1)
+    head = [
+        f"%_N_{axis}_EEC_INI",
+        *(f"; {line}" for line in notes),
+        f"; value = E{axis}{axis} in mm, which the control adds to the actual position",
+        f"; needs MD38000 $MA_MM_ENC_COMP_MAX_POINTS >= {count}; load while MD32700 = 0, then reference the axis",
+        "; SINUMERIK 808D takes at most 200 points",
+        "CHANDATA(1)",
+    ]
+    values = [f"$AA_ENC_COMP[0,{k},{axis}1]={value:.6f}" for k, value in enumerate(curve.values)]
+    tail = [
+        f"$AA_ENC_COMP_STEP[0,{axis}1]={step:.9f}",
+        f"$AA_ENC_COMP_MIN[0,{axis}1]={curve.positions[0]:.6f}",
+        f"$AA_ENC_COMP_MAX[0,{axis}1]={curve.positions[-1]:.6f}",
+        f"$AA_ENC_COMP_IS_MODULO[0,{axis}1]=0",
+        "M17",
+    ]
+    return "\n".join([*head, *values, *tail, ""])
+
+
+def read(texts: Texts) -> dict[str, Curve]:
+    """Return the table of each axis as the control holds it."""
+    curves = {}
+    for text in texts.values():
+        values = {int(k): float(value) for k, _, value in _VALUE.findall(text)}
+        settings = {key: float(value) for key, _, value in _SETTING.findall(text)}
+        axis = _VALUE.findall(text)[0][1]
+        grid = settings["MIN"] + settings["STEP"] * np.arange(float(len(values)))
+        curves[axis] = Curve(grid, np.array([values[k] for k in range(len(values))]))
+    return curves
+
+
+def moved(held: Mapping[str, Curve], commanded: Array) -> Array:
+    """Return how the control moves the machine: against the value of the table."""
+    moves = np.zeros(commanded.shape)
+    for axis, curve in held.items():
+        k = AXES.index(axis)
+        moves[:, k] = -curve.at(commanded[:, k])
+    return moves
+
+
+CONTROL = Control(carried, written, read, moved, resolution=1e-6)
+
+
+def files(result: Result) -> Texts:
+    """Return the files of a result."""
+    return files_of(CONTROL, result)

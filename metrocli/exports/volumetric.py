@@ -1,0 +1,45 @@
+"""What formats of the whole rigid-body model share: chain and tool as comments, and how a control applies them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+
+from metrocli.exports.error_tables import Array, Curve, ErrorTables
+
+_CHAIN = re.compile(r"axes from the workpiece to the tool: (\w+); tool ([^ ]+) ([^ ]+) ([^ ]+) mm")
+
+
+def chain_note(tables: ErrorTables) -> list[str]:
+    """Return the comments that say what the model needs besides the tables."""
+    tool = " ".join(f"{offset:.6f}" for offset in tables.tool)
+    return [
+        f"axes from the workpiece to the tool: {tables.order}; tool {tool} mm",
+        "mm and rad; straightness is free of its end-point line, squareness is the angle of these lines",
+    ]
+
+
+def test_move(tables: ErrorTables) -> list[str]:
+    """Return the comments that settle the sign on the machine."""
+    own = [(name, curve) for name, curve in tables.curves.items() if name[1] == name[2]]
+    name, curve = (own or list(tables.curves.items()))[0]
+    k = int(np.argmax(np.abs(curve.values)))
+    return [
+        "no public manual confirms whether the control takes errors or corrections. Test move: switch on, go to "
+        f"{name[2]} = {curve.positions[k]:.3f} mm: {name[1]} must move by {-curve.values[k]:+.4f} mm (as far as {name} "
+        "goes); if it moves the other way, set the control's switch that negates the values"
+    ]
+
+
+def moved_by_errors(
+    curves: Mapping[str, Curve], squareness: Mapping[str, float], comments: Iterable[str], commanded: Array
+) -> Array:
+    """Return how a control with the same rigid-body model moves the machine, (n, 3) mm."""
+    found = _CHAIN.search("\n".join(comments))
+    if found is None:
+        raise ValueError("the comments do not name the chain")
+    tool = (float(found[2]), float(found[3]), float(found[4]))
+    held = ErrorTables(dict(curves), dict(squareness), found[1], tool)
+    return -held.at(commanded)

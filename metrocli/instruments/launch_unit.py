@@ -1,0 +1,205 @@
+"""Launch unit and receiver of an interferometer, aimed at each other by four encoders (Kuprin et al., fig. 7).
+
+The beam leaves the launch unit at p along `w = (cos phi2 cos(gamma+phi1), cos phi2 sin(gamma+phi1), sin phi2)`; seen
+from the receiver at r it comes from `u = (cos phi3 cos(psi+phi4), cos phi3 sin(psi+phi4), sin phi3)`. Aligned: u = -w.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrocli.adjust.blocks import Array, Block, Mask
+from metrocli.adjust.chain import Chain, Link, Local, Step
+from metrocli.adjust.quantities import Quantity
+from metrocli.instruments.frames import PointOf
+
+UNIT, RECEIVER, SPINDLE = "launch unit", "receiver", "spindle"
+"""Blocks: x y z gamma of the unit; the receiver's control point in each pose; the spindle's angle psi in each pose"""
+COLUMNS = ("x", "y", "z", "gamma")
+DISTANCE = "distance"
+"""Name of the group of distances; those of angles have the names of the encoders"""
+OVER = "over"
+"""Condition: 1 where a unit points over the top"""
+ENCODERS = {
+    "phi1": (Quantity.LAUNCH_ANGLES, 0),
+    "phi2": (Quantity.LAUNCH_ANGLES, 1),
+    "phi3": (Quantity.RECEIVER_ANGLES, 1),
+    "phi4": (Quantity.RECEIVER_ANGLES, 0),
+}
+"""What each encoder reads: the angles of which unit, and which of the two"""
+_GAMMA = COLUMNS.index("gamma")
+_TURN = 2 * np.pi
+_REACH = 0.01
+"""How far the unit could plausibly be off, as a share of its distance, and the angle gamma [rad]"""
+
+
+@dataclass(frozen=True)
+class BeamOut:
+    """The beam from the launch unit to the receiver: `b = r - p`."""
+
+    block: str = UNIT
+    takes = Quantity.POINT_IN_MACHINE
+    gives = Quantity.BEAM_OUT
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """The unit."""
+        return (self.block,)
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return b (3, n) with derivatives by the receiver's point and by the unit (3, 4, 1)."""
+        by_unit = np.zeros((3, len(COLUMNS), 1))
+        by_unit[:, :3, 0] = -np.eye(3)
+        return Step(value - local.rows(self.block)[:3], np.eye(3)[:, :, None], {self.block: by_unit})
+
+
+@dataclass(frozen=True)
+class BeamBack:
+    """The beam seen from the receiver: `b = p - r`."""
+
+    block: str = UNIT
+    takes = Quantity.POINT_IN_MACHINE
+    gives = Quantity.BEAM_BACK
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """The unit."""
+        return (self.block,)
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return b (3, n) with derivatives by the receiver's point and by the unit (3, 4, 1)."""
+        by_unit = np.zeros((3, len(COLUMNS), 1))
+        by_unit[:, :3, 0] = np.eye(3)
+        return Step(local.rows(self.block)[:3] - value, -np.eye(3)[:, :, None], {self.block: by_unit})
+
+
+@dataclass(frozen=True)
+class AboutBase:
+    """Into the frame of a unit whose base is turned by an angle about z: `b' = Rz(-angle) b`."""
+
+    block: str
+    column: int
+    takes: Quantity
+    gives: Quantity
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """The block that has the angle."""
+        return (self.block,)
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return b' (3, n) with derivatives by b and by the angle."""
+        angle = local.rows(self.block)[self.column]
+        c, s = np.cos(angle), np.sin(angle)
+        zero = np.zeros_like(c)
+        back = np.array([[c, s, zero], [-s, c, zero], [zero, zero, zero + 1]])
+        turned = np.stack([c * value[0] + s * value[1], c * value[1] - s * value[0], value[2]])
+        by_block = np.zeros((3, local.blocks[self.block].size, value.shape[1]))
+        by_block[0, self.column], by_block[1, self.column] = turned[1], -turned[0]
+        return Step(turned, back, {self.block: by_block})
+
+
+@dataclass(frozen=True)
+class Encoders:
+    """Angles that point along a beam: base `a = atan2(by, bx)`, tilt `e = atan2(bz, sqrt(bx^2 + by^2))`.
+
+    Where the condition `over` is 1 the unit points over the top: (a + 180 deg, 180 deg - e) is the same direction.
+    """
+
+    takes: Quantity
+    gives: Quantity
+    blocks = ()
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return base and tilt [rad] (2, n) with their derivatives by the beam."""
+        x, y, z = value
+        level2 = np.maximum(x * x + y * y, np.finfo(float).tiny)
+        level, square = np.sqrt(level2), level2 + z * z
+        over = local.observations.conditions.get(OVER, np.zeros(1))
+        face = 1 - 2 * over
+        angles = np.stack([np.arctan2(y, x), face * np.arctan2(z, level)]) + np.pi * over
+        by_beam = np.zeros((2, 3, value.shape[1]))
+        by_beam[0, 0], by_beam[0, 1] = -y / level2, x / level2
+        by_beam[1] = face * np.stack([-x * z / level, -y * z / level, level]) / square
+        return Step(angles, by_beam)
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What one encoder shows of a pair of angles, predicted in the turn of its reading.
+
+    So residuals are small at any angle, however the encoder counts.
+    """
+
+    takes: Quantity
+    component: int
+    gives = Quantity.ANGLE
+    blocks = ()
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the angle [rad] (1, n) with its derivatives by both."""
+        angle = value[self.component]
+        turns = np.round((local.observations.readings[0] - angle) / _TURN)
+        by_angles = np.zeros((1, 2, 1))
+        by_angles[0, self.component] = 1.0
+        return Step((angle + _TURN * turns)[None], by_angles)
+
+
+@dataclass(frozen=True)
+class BeamLength:
+    """Distance of the control points, `|b|`."""
+
+    takes = Quantity.BEAM_OUT
+    gives = Quantity.LENGTH
+    blocks = ()
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the distance (1, n) with its derivative by the beam."""
+        distance = np.sqrt(np.einsum("an,an->n", value, value))
+        return Step(distance[None], (value / distance)[None])
+
+
+def encoder_chain(name: str) -> Chain:
+    """Return the forward model of phi1, phi2 (launch unit), phi3 or phi4 (receiver)."""
+    angles, component = ENCODERS[name]
+    if angles is Quantity.LAUNCH_ANGLES:
+        beam: Link = BeamOut()
+        base = AboutBase(UNIT, _GAMMA, Quantity.BEAM_OUT, Quantity.BEAM_AT_LAUNCH)
+    else:
+        beam, base = BeamBack(), AboutBase(SPINDLE, 0, Quantity.BEAM_BACK, Quantity.BEAM_AT_RECEIVER)
+    return Chain((_receiver(), beam, base, Encoders(base.gives, angles), Reading(angles, component)))
+
+
+def distance_chain() -> Chain:
+    """Return the forward model of a distance."""
+    return Chain((_receiver(), BeamOut(), BeamLength()))
+
+
+def _receiver() -> PointOf:
+    return PointOf(RECEIVER, Quantity.POINT_IN_MACHINE)
+
+
+def unit_block(place: Array, gamma: float, distance: float) -> Block:
+    """Return the unit at a place; an uncertainty beyond 1 % of its `distance` from the receivers says nothing."""
+    reach = np.array([_REACH * distance] * 3 + [_REACH])
+    return Block(UNIT, np.array([[*place, gamma]]), COLUMNS, reach=reach, noun="launch unit")
+
+
+def receiver_block(points: Array, names: Sequence[str], free: Mask, distance: float) -> Block:
+    """Return the receiver's control points (poses, 3)."""
+    return Block(
+        RECEIVER, points, ("x", "y", "z"), tuple(names), free=free, reach=np.array(_REACH * distance), noun="pose"
+    )
+
+
+def spindle_block(angles: Array, names: Sequence[str]) -> Block:
+    """Return the known angles of the spindle (poses,)."""
+    return Block(SPINDLE, angles[:, None], ("psi",), tuple(names), free=np.array(False), noun="pose")
+
+
+def direction(base: Array, tilt: Array) -> Array:
+    """Return unit vectors (n, 3) from base and tilt angles [rad]."""
+    return np.stack([np.cos(tilt) * np.cos(base), np.cos(tilt) * np.sin(base), np.sin(tilt)], axis=-1)

@@ -1,0 +1,116 @@
+"""A path of straight legs through a machine's volume, and the cells in which its errors are parabolas of the way."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from metrocli.adjust.blocks import Array
+from metrocli.adjust.observations import Index
+from metrocli.instruments.machine import Machine
+
+_SAME = 1e-6
+"""Vertices nearer than this [mm] are one"""
+
+
+@dataclass(frozen=True)
+class Path:
+    """Legs in order; the way along them is counted through, without what lies between tools."""
+
+    start: Array
+    """(legs, 3)"""
+    end: Array
+    tool: Index
+    """(legs,)"""
+    vertex: Index
+    """Number of the first vertex of each leg in the list"""
+
+    @staticmethod
+    def of(vertices: Array, tool: Index) -> Path:
+        """Return the legs that join consecutive vertices (n, 3) of one tool (n,)."""
+        moved = np.linalg.norm(np.diff(vertices, axis=0), axis=1) > _SAME
+        legs = np.flatnonzero(moved & (tool[1:] == tool[:-1]))
+        return Path(vertices[legs], vertices[legs + 1], tool[legs], legs)
+
+    @cached_property
+    def lengths(self) -> Array:
+        """(legs,)"""
+        return np.asarray(np.linalg.norm(self.end - self.start, axis=1))
+
+    @cached_property
+    def direction(self) -> Array:
+        """Unit vectors along the legs, (legs, 3)."""
+        return np.asarray((self.end - self.start) / self.lengths[:, None])
+
+    @cached_property
+    def before(self) -> Array:
+        """Way before each leg, (legs,)."""
+        return np.asarray(np.cumsum(self.lengths) - self.lengths)
+
+    @property
+    def length(self) -> float:
+        """Length of all legs."""
+        return float(self.lengths.sum())
+
+    @cached_property
+    def across(self) -> Array:
+        """Return two unit vectors across each leg, (legs, 2, 3)."""
+        least = np.eye(3)[np.argmin(np.abs(self.direction), axis=1)]
+        first = np.cross(self.direction, least)
+        first /= np.linalg.norm(first, axis=1, keepdims=True)
+        return np.stack([first, np.cross(self.direction, first)], axis=1)
+
+    def at(self, leg: Index, along: Array) -> Array:
+        """Return points at a way along their legs, (3, n)."""
+        return np.asarray(self.start[leg].T + self.direction[leg].T * along)
+
+    def leg_of(self, way: Array) -> Index:
+        """Return the leg at a way along the path."""
+        return np.clip(np.searchsorted(self.before, way, side="right") - 1, 0, len(self.lengths) - 1)
+
+    def sampled(self, count: int) -> tuple[Array, Index, Array]:
+        """Return about `count` equally spaced points: their way, leg and place (3, n)."""
+        each = np.maximum(np.round(count * self.lengths / self.length).astype(int), 2)
+        leg = np.repeat(np.arange(len(each)), each)
+        number = np.arange(len(leg)) - np.repeat(np.cumsum(each) - each, each)
+        along = (number + 0.5) / each[leg] * self.lengths[leg]
+        return self.before[leg] + along, leg, self.at(leg, along)
+
+    def cells(self, machine: Machine, longest: float = np.inf) -> Array:
+        """Return the ways at which a leg begins or an axis passes a knot, ascending, with the end of the path.
+
+        Between them lie more, so that no cell is longer than `longest`.
+        """
+        marks = [self.before]
+        if np.isfinite(longest):
+            marks.append(np.linspace(0.0, self.length, int(np.ceil(self.length / longest)) + 1))
+        for axis in machine.axes:
+            speed, start = self.direction[:, axis.number, None], self.start[:, axis.number, None]
+            with np.errstate(divide="ignore", invalid="ignore"):
+                along = (axis.knots - start) / speed
+            inside = (along > _SAME) & (along < self.lengths[:, None] - _SAME)
+            marks.append((along + self.before[:, None])[inside])
+        return np.unique(np.concatenate([*marks, [self.length]]))
+
+    def last_moves(self) -> Array:
+        """Return the sign of the last movement of each axis on each leg, (3, legs); 0 where it has not moved yet."""
+        signs = np.where(np.abs(self.direction) > _SAME, np.sign(self.direction), np.nan).T
+        for axis in signs:
+            _fill_forward(axis)
+        return np.nan_to_num(signs)
+
+
+def _fill_forward(values: Array) -> None:
+    known = np.where(np.isfinite(values), np.arange(len(values)), -1)
+    last = np.maximum.accumulate(known)
+    values[last >= 0] = values[last[last >= 0]]
+
+
+def polyline(corners: Sequence[Array]) -> Array:
+    """Return the vertices of pieces (n, 3) one after the other, without repeated ones."""
+    vertices = np.concatenate([np.atleast_2d(part) for part in corners])
+    moved = np.linalg.norm(np.diff(vertices, axis=0), axis=1) > _SAME
+    return np.asarray(vertices[np.append(True, moved)])

@@ -1,0 +1,106 @@
+"""Where along a path each point of a track was taken, without synchronisation: by length first, then in order.
+
+The start lays the track onto the path by equal shares of their lengths: first to first, last to last and all between
+(for which Sanders et al. 1.2.3 take start, end and centroid). Then points are matched to the path in the order of
+time, by dynamic programming, and the frame is fitted again, until the matching no longer changes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrocli.adjust.blocks import Array, Mask
+from metrocli.adjust.observations import Index
+from metrocli.geometry import poses
+from metrocli.instruments.machine_path import Path
+
+_THINNED, _SAMPLES = 800, 2400
+_STILL = 0.1
+"""Steps below this share of the usual step are noise of a machine at rest"""
+_ROUNDS = 15
+_SETTLED = 0.02
+"""The frame is found when a round moves the track by less than this share of the distance of samples"""
+_WILD = 4.0
+"""Matched points farther off than this many medians are not used to fit the frame"""
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """A track laid onto a path."""
+
+    pose: Array
+    """Of the tracker in the machine (6,)"""
+    rows: Index
+    """Points of the track that were matched, ascending"""
+    way: Array
+    """Way along the path at each of them"""
+    miss: float
+    """Median distance from the path"""
+
+
+def align(track: Array, track_tool: Index | None, path: Path, tools: Array) -> Alignment:
+    """Return the alignment of a track (3, n) with a path whose legs have tools (vectors (tools, 3))."""
+    rows = thinned(track)
+    points = track[:, rows]
+    way, leg, nominal = path.sampled(_SAMPLES)
+    nominal = nominal + tools[path.tool[leg]].T
+    other = None if track_tool is None else track_tool[rows][:, None] != path.tool[leg]
+    pose = _by_length(points, nominal, way)
+    for _ in range(_ROUNDS):
+        aligned = poses.apply(pose, points.T).T
+        matched = _in_order(_distances(aligned, nominal, other))
+        off = np.linalg.norm(aligned - nominal[:, matched], axis=0)
+        good = off <= _WILD * np.median(off)
+        pose = np.asarray(poses.fit_pose(points[:, good].T, nominal[:, matched[good]].T))
+        moved = np.abs(poses.apply(pose, points.T).T - aligned).max()
+        if moved < _SETTLED * path.length / _SAMPLES:
+            break
+    return Alignment(pose, rows, way[matched], float(np.median(off)))
+
+
+def thinned(track: Array) -> Index:
+    """Return rows of a track (3, n) about equally spaced in length, what stands still left out."""
+    stride = max(1, track.shape[1] // (4 * _THINNED))
+    rows = np.arange(0, track.shape[1], stride)
+    length = _length(track[:, rows])
+    wanted = np.linspace(0, length[-1], _THINNED)
+    return np.unique(rows[np.clip(np.searchsorted(length, wanted), 0, len(rows) - 1)])
+
+
+def _length(points: Array) -> Array:
+    """Return the length of a track up to each point, steps of a machine at rest not counted."""
+    step = np.linalg.norm(np.diff(points, axis=1), axis=0)
+    moving = step > _STILL * np.quantile(step, 0.9)
+    return np.concatenate([[0.0], np.cumsum(np.where(moving, step, 0.0))])
+
+
+def _by_length(points: Array, nominal: Array, way: Array) -> Array:
+    length = _length(points)
+    share = length / max(length[-1], 1e-300)
+    onto = np.searchsorted(way, share * way[-1]).clip(0, len(way) - 1)
+    return np.asarray(poses.fit_pose(points.T, nominal[:, onto].T))
+
+
+def _distances(points: Array, nominal: Array, other: Mask | None) -> Array:
+    """Return squared distances (points, samples), much larger where the tool is another."""
+    squares = (points**2).sum(axis=0)[:, None] + (nominal**2).sum(axis=0) - 2 * points.T @ nominal
+    return np.asarray(squares if other is None else np.where(other, squares + squares.max(), squares))
+
+
+def _in_order(cost: Array) -> Index:
+    """Return for each row the column of a matching that never goes back, of least total cost."""
+    rows, columns = cost.shape
+    best, choice = cost[0].copy(), np.zeros((rows, columns), dtype=np.int32)
+    numbers = np.arange(columns, dtype=np.int32)
+    for row in range(1, rows):
+        least = np.minimum.accumulate(best)
+        fresh = np.append(True, best[1:] < least[:-1])
+        choice[row] = np.maximum.accumulate(np.where(fresh, numbers, 0))
+        best = least + cost[row]
+    matched = np.zeros(rows, dtype=np.intp)
+    matched[-1] = int(np.argmin(best))
+    for row in range(rows - 1, 0, -1):
+        matched[row - 1] = choice[row, matched[row]]
+    return matched

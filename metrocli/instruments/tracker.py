@@ -1,0 +1,90 @@
+"""Laser trackers: points in spherical coordinates about the tracker, a good distance and two poorer angles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrocli.adjust.blocks import Array, Block, Space
+from metrocli.adjust.chain import Chain, Local, Step
+from metrocli.adjust.quantities import Quantity
+from metrocli.geometry import poses
+from metrocli.instruments.frames import Into
+from metrocli.instruments.machine import ErrorMotion, Machine, ReachedPoint
+
+TRACKER, LEG = "tracker", "leg"
+"""Blocks: pose of the tracker in the machine, and the two directions across each leg of a path"""
+_REACH = np.array([1.0] * 3 + [1e-3] * 3)
+"""What could be left of the pose after the rough alignment [mm, rad]; large reaches cost digits"""
+
+
+@dataclass(frozen=True)
+class TrackerNoise:
+    """Standard deviations along the beam, and square to it `sqrt(c^2 + (p r)^2)` at distance r."""
+
+    beam: float
+    constant: float
+    proportional: float
+
+    def lateral(self, distance: Array) -> Array:
+        """Return the standard deviation square to the beam."""
+        return np.asarray(np.sqrt(self.constant**2 + (self.proportional * distance) ** 2))
+
+    def covariance(self, points: Array) -> Array:
+        """Return `s_l^2 I + (s_b^2 - s_l^2) b b'`, b the beam to points (3, n) in the tracker's frame, (3, 3, n)."""
+        distance = np.sqrt((points**2).sum(axis=0))
+        beam = points / np.maximum(distance, 1e-300)
+        lateral = self.lateral(distance) ** 2
+        return np.asarray(np.eye(3)[:, :, None] * lateral + (self.beam**2 - lateral) * beam[:, None] * beam[None])
+
+    def drawn(self, points: Array, rng: np.random.Generator) -> Array:
+        """Return noise of points (3, n), along and square to the beam."""
+        distance = np.sqrt((points**2).sum(axis=0))
+        beam = points / distance
+        noise = rng.normal(size=points.shape) * self.lateral(distance)
+        along = (beam * noise).sum(axis=0)
+        return np.asarray(noise + beam * (rng.normal(size=along.shape) * self.beam - along))
+
+
+def tracker_block(pose: Array, tool_uncertainty: float = 0.0) -> Block:
+    """Return the pose of the tracker in the machine, (6,), as uncertain as the tools that were seen."""
+    reach = _REACH * np.repeat([max(1.0, 10 * tool_uncertainty), 1.0], 3)
+    return Block(TRACKER, pose[None], poses.COLUMNS, reach=reach, space=Space.POSE)
+
+
+def leg_block(across: Array) -> Block:
+    """Return two unit vectors across each leg, in the tracker's frame, (legs, 2, 3)."""
+    columns = tuple(f"{which}{axis}" for which in "ab" for axis in "xyz")
+    names = tuple(str(i + 1) for i in range(len(across)))
+    return Block(LEG, across.reshape(-1, 6), columns, names, free=np.array(False), noun="leg")
+
+
+@dataclass(frozen=True)
+class AcrossLeg:
+    """The two coordinates of a point across its leg of the path; that along it is not used (Sanders et al. 1.2.5)."""
+
+    takes = Quantity.POINT_IN_TRACKER
+    gives = Quantity.ACROSS_LEG
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """The directions."""
+        return (LEG,)
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return `A p` (2, n) and its derivative A by the point."""
+        rows = local.rows(LEG)
+        across = rows.reshape(2, 3, rows.shape[1])
+        return Step(np.einsum("abn,bn->an", across, value), across)
+
+
+def point_chain(machine: Machine) -> Chain:
+    """Return the forward model of a point of the tracker at a commanded position."""
+    into = Into(TRACKER, Quantity.POINT_IN_MACHINE, Quantity.POINT_IN_TRACKER)
+    return Chain((ErrorMotion(machine), ReachedPoint(), into))
+
+
+def path_chain(machine: Machine) -> Chain:
+    """Return the forward model of a point's displacement across its leg."""
+    return Chain((*point_chain(machine).links, AcrossLeg()))

@@ -1,0 +1,50 @@
+"""Finished chunks of a long computation, kept in a folder beside its result until it is done."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class ChunkFolder:
+    """One file of arrays for each finished chunk, named by the key of the computation and the number of the chunk."""
+
+    folder: Path
+
+    def get(self, key: str, number: int) -> dict[str, Any] | None:
+        """Return the arrays of a chunk, None where it is not there or damaged."""
+        path = self._path(key, number)
+        if not path.is_file():
+            return None
+        try:
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as held:
+                return dict(held)
+        except (OSError, ValueError, zipfile.BadZipFile):
+            return None
+
+    def put(self, key: str, number: int, value: dict[str, Any]) -> None:
+        """Keep the arrays of a chunk, whole or not at all; a disk that takes nothing more is no fault of the job."""
+        with contextlib.suppress(OSError):
+            self.folder.mkdir(parents=True, exist_ok=True)
+            aside = self._path(key, number).with_suffix(f".{os.getpid()}.tmp")
+            with aside.open("wb") as file:
+                np.savez(file, **value)
+            aside.replace(self._path(key, number))
+
+    def clear(self) -> None:
+        """Remove all chunks, and the folder."""
+        if self.folder.is_dir():
+            for path in [*self.folder.glob("*.npz"), *self.folder.glob("*.tmp")]:
+                path.unlink(missing_ok=True)
+            with contextlib.suppress(OSError):
+                self.folder.rmdir()
+
+    def _path(self, key: str, number: int) -> Path:
+        return self.folder / f"{key}-{number:06d}.npz"

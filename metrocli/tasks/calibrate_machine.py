@@ -1,0 +1,64 @@
+"""calibrate-machine: the 21 geometric errors of a machine with three linear axes, from a tracker or a 6-DoF laser."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from metrocli.effects.wanted import Wanted
+from metrocli.errors import InputError
+from metrocli.plan import Plan
+from metrocli.result import Result
+from metrocli.simulation import Simulation, SimulationOptions
+from metrocli.table import Table
+from metrocli.tasks.machine_on_the_fly import on_the_fly
+from metrocli.tasks.machine_plan import plan as planned
+from metrocli.tasks.machine_problem import Problem
+from metrocli.tasks.machine_report import KIND, report
+from metrocli.tasks.machine_settings import Inputs, Settings
+from metrocli.tasks.machine_simulation import simulated
+from metrocli.tasks.machine_six_dof import six_dof
+from metrocli.tasks.machine_solve import solve
+from metrocli.tasks.machine_standstill import standstill
+
+SIMULATED = ("points", "track", "lines")
+PLANNED = ("points", "path", "track", "lines")
+SUMMARY = "geometric errors of a 3-axis machine from tracker or 6-DoF data"
+
+
+def run(
+    settings: Settings,
+    points: Table | None = None,
+    path: Table | None = None,
+    track: Table | None = None,
+    lines: Table | None = None,
+    effects: Sequence[Wanted] = (),
+) -> Result:
+    """Find the errors; raises InputError, UndeterminedError or NotConvergedError."""
+    if path is not None and track is not None:
+        return report(on_the_fly(settings, path, track, effects), settings)
+    problem = problem_of(settings, points, lines).with_effects(effects)
+    return report(solve(problem, settings.outliers == "remove"), settings)
+
+
+def problem_of(settings: Settings, points: Table | None, lines: Table | None) -> Problem:
+    """Return the adjustment of a measurement that needs no alignment along a path."""
+    if points is not None:
+        return standstill(settings, points)
+    if lines is not None:
+        return six_dof(settings, lines)
+    raise InputError(f"method {settings.method} has no readings")
+
+
+def simulate(
+    settings: Settings, options: SimulationOptions, effects: Sequence[Wanted] = (), **tables: Table
+) -> Simulation:
+    """Return the measurement of a machine with the random errors of `simulation:`, and with effects in it."""
+    return simulated(settings, tables, effects, options.seed)
+
+
+def plan(settings: Settings, path: Table | None = None, **_: Table) -> Plan:
+    """Return what the job's path will determine, and a better one."""
+    return planned(settings, path)
+
+
+__all__ = ["KIND", "PLANNED", "SIMULATED", "SUMMARY", "Inputs", "Settings", "plan", "run", "simulate"]

@@ -1,0 +1,241 @@
+"""What a job of calibrate-machine may say."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from metrocli.instruments.machine import ALL_NAMES, axis_order, canonical
+from metrocli.settings import (
+    Choice,
+    Either,
+    Flag,
+    ListOf,
+    MapOf,
+    Number,
+    Quantity,
+    Section,
+    TableFile,
+    Text,
+    Whole,
+    setting,
+)
+from metrocli.table import TEXT, Column, Columns
+
+ON_THE_FLY, STANDSTILL, SIX_DOF = "on-the-fly", "standstill", "six-dof"
+_PLACE = tuple(Column(name, "length") for name in ("x", "y", "z"))
+_TOOL = Column("tool", TEXT, required=False)
+_TIME = Column("t", "time", required=False)
+POINTS = Columns(
+    (
+        Column("point", TEXT),
+        *_PLACE,
+        *(Column(name, "length") for name in ("mx", "my", "mz")),
+        _TIME,
+        _TOOL,
+        *(Column(f"from_{axis}", required=False) for axis in "xyz"),
+    ),
+    ("point",),
+    "commanded points, and where the tracker saw them",
+)
+PATH = Columns((*_PLACE, _TOOL, Column("feed", "speed", required=False)), (), "vertices of the path, in order")
+TRACK = Columns((*_PLACE, _TIME, _TOOL), (), "what the tracker saw along the path")
+LINES = Columns(
+    (
+        Column("line", TEXT),
+        Column("axis", TEXT),
+        Column("position", "length"),
+        *(Column(name, "length") for name in ("ex", "ey", "ez")),
+        *(Column(name, "angle") for name in ("ea", "eb", "ec")),
+        *(Column(name, "length", required=False) for name in ("x", "y", "z")),
+    ),
+    (),
+    "lines of a laser with six degrees of freedom",
+)
+_VECTOR = ListOf(Quantity("length"), 3)
+
+
+@dataclass(frozen=True)
+class AxisSettings:
+    """The range of an axis and its knots, equally spaced, ends included."""
+
+    range: tuple[float, float] = setting(ListOf(Quantity("length"), 2), "lowest and highest position")
+    knots: int = setting(Whole(2, 2000), "knots of each error table, ends included")
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Tell of a range that does not ascend."""
+        if self.range[0] >= self.range[1]:
+            yield "range", "the range does not ascend: write the lowest position first"
+
+
+@dataclass(frozen=True)
+class AxesSettings:
+    """The three linear axes."""
+
+    x: AxisSettings = setting(Section(AxisSettings), "the X axis")
+    y: AxisSettings = setting(Section(AxisSettings), "the Y axis")
+    z: AxisSettings = setting(Section(AxisSettings), "the Z axis")
+
+
+@dataclass(frozen=True)
+class MachineSettings:
+    """The kinematic chain, the axes and the tool vectors."""
+
+    chain: str = setting(Text(), "axes from workpiece to tool with the bed marked, such as wXbYZt")
+    axes: AxesSettings = setting(Section(AxesSettings), "range and knots of each axis")
+    tool: tuple[float, ...] | None = setting(
+        _VECTOR, "vector from the spindle's reference point to the reflector; 0 unless given", default=None
+    )
+    tools: dict[str, tuple[float, ...]] | None = setting(
+        MapOf(_VECTOR), "several of them by the names in the column tool", default=None
+    )
+    tool_uncertainty: float = setting(
+        Quantity("length", minimum=0.0), "standard uncertainty of tool vectors; 0: exact", default=0.0
+    )
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Tell of a chain that is none, and of two ways to give the tool."""
+        try:
+            axis_order(self.chain)
+        except ValueError as error:
+            yield "chain", str(error)
+        if self.tool is not None and self.tools is not None:
+            yield "tools", "tool and tools say the same thing: keep one of them"
+        if self.tools is not None and not self.tools:
+            yield "tools", "there is no tool in it"
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What was measured."""
+
+    points: Path | None = setting(TableFile(POINTS), "standstill: commanded and measured points", default=None)
+    path: Path | None = setting(TableFile(PATH), "on-the-fly: vertices of the path", default=None)
+    track: Path | None = setting(TableFile(TRACK), "on-the-fly: what the tracker saw", default=None)
+    lines: Path | None = setting(TableFile(LINES), "six-dof: lines along axes and diagonals", default=None)
+
+
+@dataclass(frozen=True)
+class LateralNoise:
+    """Standard deviation square to the beam, `sqrt(c^2 + (p r)^2)` at distance r."""
+
+    constant: float = setting(Quantity("length", minimum=0.0), "c: the part that does not depend on the distance")
+    proportional: float = setting(Quantity("ratio", minimum=0.0), "p: the part proportional to it", default=0.0)
+
+
+_LATERAL = Either(Quantity("length", positive=True), Section(LateralNoise))
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Standard deviations: of the tracker (beam, lateral), or of the laser (displacement, straightness, angle)."""
+
+    beam: float | None = setting(Quantity("length", positive=True), "tracker: along the beam", default=None)
+    lateral: float | LateralNoise | None = setting(_LATERAL, "tracker: square to the beam", default=None)
+    radial: float | LateralNoise | None = setting(_LATERAL, "another name of lateral", default=None)
+    displacement: float | None = setting(Quantity("length", positive=True), "six-dof: along the beam", default=None)
+    straightness: float | None = setting(Quantity("length", positive=True), "six-dof: square to it", default=None)
+    angle: float | None = setting(Quantity("angle", positive=True), "six-dof: angles", default=None)
+
+    @property
+    def square(self) -> LateralNoise:
+        """The noise square to the beam."""
+        given = self.lateral if self.lateral is not None else self.radial
+        return given if isinstance(given, LateralNoise) else LateralNoise(given or 0.0)
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Tell of two names for one thing, and of a noise of zero."""
+        if self.lateral is not None and self.radial is not None:
+            yield "radial", "lateral and radial are the same: keep one of them"
+        given = self.lateral if self.lateral is not None else self.radial
+        if isinstance(given, LateralNoise) and given.constant == given.proportional == 0.0:
+            yield "lateral", "a noise of zero has no weight"
+
+
+@dataclass(frozen=True)
+class Volume:
+    """Where the errors of the volume are predicted."""
+
+    grid: tuple[int, ...] = setting(ListOf(Whole(2, 50), 3), "points along x, y and z", default=(7, 6, 6))
+
+
+@dataclass(frozen=True)
+class MachineSimulation:
+    """The machine and the tracker that `metrocli simulate` makes."""
+
+    error: float = setting(Quantity("length", minimum=0.0), "mean length of the error in the volume", default=0.1)
+    smooth: bool = setting(Flag(), "errors smooth between knots, not only linear", default=False)
+    tracker: tuple[float, ...] = setting(
+        _VECTOR, "place of the tracker in the machine", default=(-1000.0, -800.0, 300.0)
+    )
+    points: int = setting(Whole(1, 1_000_000), "standstill: number of points", default=226)
+    interval: float = setting(Quantity("time", positive=True), "standstill: time from point to point", default=4.0)
+    sampling: float = setting(Quantity("time", positive=True), "on-the-fly: time between points", default=0.002)
+    feed: float = setting(Quantity("speed", positive=True), "on-the-fly: where the path has no feed", default=40.0)
+    step: float = setting(Quantity("length", positive=True), "six-dof: distance of readings", default=25.0)
+
+
+@dataclass(frozen=True)
+class PathPlan:
+    """The path that `metrocli plan` looks for."""
+
+    length: float | None = setting(
+        Quantity("length", positive=True), "longest path; that of edges and diagonals unless given", default=None
+    )
+    ratio: float = setting(Number(above=1.0), "largest ratio of volume error to path misfit", default=4.0)
+    feed: float = setting(Quantity("speed", positive=True), "feed of the NC program", default=40.0)
+    sampling: float = setting(Quantity("time", positive=True), "time between points of the tracker", default=0.002)
+    tracker: tuple[float, ...] | None = setting(_VECTOR, "place of the tracker in the machine", default=None)
+    seed: int = setting(Whole(0), "of the random chords", default=1)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Find the 21 geometric errors of a machine with three linear axes, and say which of them the data determine."""
+
+    method: str = setting(Choice(ON_THE_FLY, STANDSTILL, SIX_DOF), "how it was measured")
+    machine: MachineSettings = setting(Section(MachineSettings), "axes and tools")
+    inputs: Inputs = setting(Section(Inputs), "the files of the job")
+    noise: Noise = setting(Section(Noise), "standard deviations of the readings")
+    estimate: str | tuple[str, ...] = setting(
+        Either(Choice("all"), ListOf(Choice(*ALL_NAMES, "COY", "BOZ", "AOZ"), distinct=True)),
+        "errors to find; the others are taken as zero",
+        default="all",
+    )
+    outliers: str = setting(
+        Choice("report", "remove"), "standstill: name outliers, or leave them out", default="report"
+    )
+    corner: float = setting(
+        Quantity("length", minimum=0.0), "on-the-fly: what is cut off both ends of each leg", default=10.0
+    )
+    volume: Volume = setting(Section(Volume), "where the volume is predicted", default=Volume())
+    simulation: MachineSimulation | None = setting(
+        Section(MachineSimulation), "the truth for `metrocli simulate`", default=None
+    )
+    plan: PathPlan | None = setting(Section(PathPlan), "on-the-fly: what `metrocli plan` looks for", default=None)
+
+    @property
+    def estimated(self) -> tuple[str, ...]:
+        """Names of the errors to find."""
+        return ALL_NAMES if isinstance(self.estimate, str) else tuple(canonical(name) for name in self.estimate)
+
+    @property
+    def tools(self) -> dict[str, tuple[float, ...]]:
+        """Tool vectors by name; one without a name where there is only one."""
+        return self.machine.tools or {"": self.machine.tool or (0.0, 0.0, 0.0)}
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Tell of inputs and noise that the method needs and does not have."""
+        needed = {STANDSTILL: ("points",), ON_THE_FLY: ("path", "track"), SIX_DOF: ("lines",)}[self.method]
+        for key in ("points", "path", "track", "lines"):
+            given = getattr(self.inputs, key) is not None
+            if given != (key in needed):
+                verb = "needs" if key in needed else "does not use"
+                yield "inputs" + (f".{key}" if given else ""), f"method {self.method} {verb} the input '{key}'"
+        wanted = ("displacement", "straightness", "angle") if self.method == SIX_DOF else ("beam",)
+        for key in wanted:
+            if getattr(self.noise, key) is None:
+                yield "noise", f"method {self.method} needs the noise '{key}'"
+        if self.method != SIX_DOF and self.noise.lateral is None and self.noise.radial is None:
+            yield "noise", f"method {self.method} needs the noise 'lateral'"

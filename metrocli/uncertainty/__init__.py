@@ -1,0 +1,1 @@
+"""Uncertainty: models as expressions, their derivatives, GUM and Monte Carlo propagation, and what follows from it."""

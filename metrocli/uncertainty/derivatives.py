@@ -1,0 +1,245 @@
+"""Expressions carried out with exact first and second derivatives, and the third in one direction.
+
+Forward mode: each step of an expression takes value, gradient and Hessian of its arguments to its own by the chain
+rule. Derivatives stand in the first axes, points of evaluation in the last: value (...), gradient (n, ...), Hessian
+(n, n, ...).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from metrocli.uncertainty.expression import NEGATIVE, Expression, ExpressionError, Part
+
+Array = npt.NDArray[Any]
+
+
+class NoValueError(ExpressionError):
+    """The model, or a derivative of it, has no value at the best estimates."""
+
+    differentiable = False
+
+
+@dataclass(frozen=True)
+class Jet:
+    """A value with its derivatives by n inputs."""
+
+    value: Any
+    gradient: Array
+    """(n, ...)"""
+    hessian: Array | None = None
+    """(n, n, ...)"""
+    along: Array | None = None
+    """(n, n, ...): derivative of the Hessian along the direction"""
+
+
+@dataclass(frozen=True)
+class Jets:
+    """The algebra of jets: names in the order of their derivatives; `order` 1 or 2, 3 with a direction (n,)."""
+
+    expression: Expression
+    names: Sequence[str]
+    values: Mapping[str, Any]
+    order: int = 2
+    direction: Array | None = None
+
+    def number(self, value: float) -> Jet:
+        """Return a plain number: all its derivatives are 0."""
+        return self._with_zeros(value, np.zeros(len(self.names)))
+
+    def name(self, part: Part) -> Jet:
+        """Return an input: its derivative by itself is 1."""
+        unit = np.zeros(len(self.names))
+        if part.name in self.names:
+            unit[self.names.index(part.name)] = 1.0
+        return self._with_zeros(self.values[part.name], unit)
+
+    def _with_zeros(self, value: Any, gradient: Array) -> Jet:
+        # One axis for each axis of the points, also for a value that is the same at all of them.
+        points = (1,) * max(map(np.ndim, self.values.values()), default=0)
+        zeros = np.zeros((len(self.names), len(self.names), *points)) if self.order > 1 else None
+        gradient = gradient.reshape(-1, *points)
+        # Numbers of numpy: those of Python raise exceptions where a result is infinite.
+        return Jet(np.asarray(value, dtype=float)[()], gradient, zeros, zeros if self.direction is not None else None)
+
+    def apply(self, part: Part, arguments: Sequence[Jet]) -> Jet:
+        """Return the outcome of one operation; raises NoValueError where it, or a derivative, is not finite."""
+        with np.errstate(all="ignore"):
+            jet = self._applied(part.operation, arguments)
+        if not np.isfinite(jet.value).all():
+            said = f"'{self.expression.source(part)}' has no value at the best estimates"
+            raise NoValueError(said, part.start, "outside the range of the function, or a division by zero")
+        if not all(np.isfinite(item).all() for item in (jet.gradient, jet.hessian, jet.along) if item is not None):
+            said = f"'{self.expression.source(part)}' has no derivative at the best estimates"
+            raise _not_differentiable(said, part.start)
+        return jet
+
+    def _applied(self, operation: str, arguments: Sequence[Jet]) -> Jet:
+        first, second = arguments[0], arguments[-1]
+        if operation in ("+", "-"):
+            return _sum(first, second, 1.0 if operation == "+" else -1.0)
+        if operation == NEGATIVE:
+            return _scaled(first, -1.0)
+        if operation == "*":
+            return self._product(first, second)
+        if operation == "/":
+            return self._product(first, self._composed(second, _power(second.value, -1.0)))
+        if operation == "**":
+            return self._raised(first, second)
+        if operation == "atan2":
+            # atan2(y, x) is the imaginary part of log(x + i y), whose derivatives have no special directions.
+            argument = _sum(second, first, 1j)
+            return _imaginary(self._composed(argument, _FUNCTIONS["log"](argument.value)))
+        return self._composed(first, _FUNCTIONS[operation](first.value))
+
+    def _raised(self, base: Jet, exponent: Jet) -> Jet:
+        if np.ndim(exponent.value) == 0 and not exponent.gradient.any():
+            return self._composed(base, _power(base.value, float(exponent.value)))
+        logarithm = self._composed(base, _FUNCTIONS["log"](base.value))
+        product = self._product(exponent, logarithm)
+        return self._composed(product, _FUNCTIONS["exp"](product.value))
+
+    def _along(self, derivative: Array) -> Array:
+        assert self.direction is not None
+        moved: Array = np.tensordot(self.direction, derivative, (0, 0))
+        return moved
+
+    def _composed(self, x: Jet, derivatives: Sequence[Any]) -> Jet:
+        """Return f(x) from f, f', f'', f''' at the value of x."""
+        f0, f1, f2, f3 = derivatives
+        gradient = f1 * x.gradient
+        if x.hessian is None:
+            return Jet(f0, gradient)
+        square = _outer(x.gradient, x.gradient)
+        hessian = f2 * square + f1 * x.hessian
+        if x.along is None:
+            return Jet(f0, gradient, hessian)
+        step, turn = self._along(x.gradient), self._along(x.hessian)
+        cross = _outer(turn, x.gradient)
+        along = f3 * step * square + f2 * (cross + cross.swapaxes(0, 1) + step * x.hessian) + f1 * x.along
+        return Jet(f0, gradient, hessian, along)
+
+    def _product(self, x: Jet, y: Jet) -> Jet:
+        gradient = x.value * y.gradient + y.value * x.gradient
+        if x.hessian is None or y.hessian is None:
+            return Jet(x.value * y.value, gradient)
+        cross = _outer(x.gradient, y.gradient)
+        hessian = x.value * y.hessian + y.value * x.hessian + cross + cross.swapaxes(0, 1)
+        if x.along is None or y.along is None:
+            return Jet(x.value * y.value, gradient, hessian)
+        turned = _outer(self._along(x.hessian), y.gradient) + _outer(x.gradient, self._along(y.hessian))
+        along = x.value * y.along + y.value * x.along + turned + turned.swapaxes(0, 1)
+        along = along + self._along(x.gradient) * y.hessian + self._along(y.gradient) * x.hessian
+        return Jet(x.value * y.value, gradient, hessian, along)
+
+
+def _not_differentiable(message: str, start: int) -> NoValueError:
+    error = NoValueError(message, start, "first-order propagation does not apply here; Monte Carlo does")
+    error.differentiable = True
+    return error
+
+
+def _outer(a: Array, b: Array) -> Array:
+    product: Array = a[:, None] * b[None, :]
+    return product
+
+
+def _scaled(x: Jet, factor: Any) -> Jet:
+    hessian = None if x.hessian is None else factor * x.hessian
+    return Jet(factor * x.value, factor * x.gradient, hessian, None if x.along is None else factor * x.along)
+
+
+def _sum(x: Jet, y: Jet, factor: Any) -> Jet:
+    """Return x + factor y."""
+    y = _scaled(y, factor)
+    hessian = None if x.hessian is None or y.hessian is None else x.hessian + y.hessian
+    along = None if x.along is None or y.along is None else x.along + y.along
+    return Jet(x.value + y.value, x.gradient + y.gradient, hessian, along)
+
+
+def _imaginary(x: Jet) -> Jet:
+    hessian = None if x.hessian is None else x.hessian.imag
+    return Jet(np.imag(x.value), x.gradient.imag, hessian, None if x.along is None else x.along.imag)
+
+
+def _power(x: Any, p: float) -> tuple[Any, ...]:
+    """Return x**p and its derivatives; a factor of 0 wins over an infinite power, as in x**2 at 0."""
+    found, factor = [], 1.0
+    for order in range(4):
+        found.append(factor * np.power(x, p - order) if factor else np.zeros_like(x))
+        factor *= p - order
+    return tuple(found)
+
+
+def _sqrt(x: Any) -> tuple[Any, ...]:
+    return _power(x, 0.5)
+
+
+def _exp(x: Any) -> tuple[Any, ...]:
+    value = np.exp(x)
+    return value, value, value, value
+
+
+def _log(x: Any) -> tuple[Any, ...]:
+    return np.log(x), 1 / x, -1 / x**2, 2 / x**3
+
+
+def _log10(x: Any) -> tuple[Any, ...]:
+    return np.log10(x), *(item / np.log(10.0) for item in _log(x)[1:])
+
+
+def _sin(x: Any) -> tuple[Any, ...]:
+    return np.sin(x), np.cos(x), -np.sin(x), -np.cos(x)
+
+
+def _cos(x: Any) -> tuple[Any, ...]:
+    return np.cos(x), -np.sin(x), -np.cos(x), np.sin(x)
+
+
+def _tan(x: Any) -> tuple[Any, ...]:
+    t = np.tan(x)
+    s = 1 + t * t
+    return t, s, 2 * t * s, s * (2 + 6 * t * t)
+
+
+def _asin(x: Any) -> tuple[Any, ...]:
+    w = 1 - x * x
+    return np.arcsin(x), w**-0.5, x * w**-1.5, (1 + 2 * x * x) * w**-2.5
+
+
+def _acos(x: Any) -> tuple[Any, ...]:
+    return np.arccos(x), *(-item for item in _asin(x)[1:])
+
+
+def _atan(x: Any) -> tuple[Any, ...]:
+    w = 1 + x * x
+    return np.arctan(x), 1 / w, -2 * x / w**2, (6 * x * x - 2) / w**3
+
+
+def _sinh(x: Any) -> tuple[Any, ...]:
+    return np.sinh(x), np.cosh(x), np.sinh(x), np.cosh(x)
+
+
+def _cosh(x: Any) -> tuple[Any, ...]:
+    return np.cosh(x), np.sinh(x), np.cosh(x), np.sinh(x)
+
+
+def _tanh(x: Any) -> tuple[Any, ...]:
+    t = np.tanh(x)
+    s = 1 - t * t
+    return t, s, -2 * t * s, s * (6 * t * t - 2)
+
+
+def _abs(x: Any) -> tuple[Any, ...]:
+    return np.abs(x), np.where(x == 0, np.nan, np.sign(x)), np.zeros_like(x), np.zeros_like(x)
+
+
+_FUNCTIONS: dict[str, Callable[[Any], tuple[Any, ...]]] = {
+    "sqrt": _sqrt, "exp": _exp, "log": _log, "log10": _log10, "sin": _sin, "cos": _cos, "tan": _tan, "asin": _asin,
+    "acos": _acos, "atan": _atan, "sinh": _sinh, "cosh": _cosh, "tanh": _tanh, "abs": _abs,
+}  # fmt: skip

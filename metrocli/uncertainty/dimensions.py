@@ -1,0 +1,226 @@
+"""Units of whole expressions: "kg/m^3", and what a model makes of the units of its inputs.
+
+Values are carried in mm, s, kg, A, K, px, mol, cd; angles are plain numbers (rad). A temperature in degC is a point on
+a scale: two of them may be subtracted, and a difference in K be added; nothing else is done with one.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+
+from metrocli import units
+from metrocli.uncertainty.expression import NEGATIVE, NUMBER, Expression, ExpressionError, Part
+
+Powers = tuple[tuple[str, Fraction], ...]
+_ATOM = re.compile(r"\s*(1(?![0-9])|[A-Za-zµμΩΩ°%]+)\s*(?:(?:\^|\*\*)?\s*(-?[0-9]+)|([²³]))?\s*([/*·]?)")
+_SUPERSCRIPTS = {"²": 2, "³": 3}
+_TEMPERATURE: Powers = (("K", Fraction(1)),)
+
+
+@dataclass(frozen=True)
+class Compound:
+    """A unit made of others: value in base units = number * factor (+ nothing: a point in degC stays in degC)."""
+
+    text: str
+    factor: float
+    powers: Powers
+    point: bool = False
+
+    @property
+    def number(self) -> bool:
+        """Whether it is the unit of a plain number."""
+        return not self.powers
+
+
+def compound(text: str) -> Compound:
+    """Return the unit of a text such as "kg/m^3", "mPa s" or "1/K"; QuantityError says what is wrong with it."""
+    text = text.strip()
+    if units.plain_symbol(text) == "degC":
+        return Compound("degC", 1.0, _TEMPERATURE, point=True)
+    factor, powers = 1.0, dict[str, Fraction]()
+    over, at = False, 0
+    while at < len(text):
+        match = _ATOM.match(text, at)
+        if match is None or match.end() == at:
+            raise units.QuantityError(f"'{text}' is not a unit", "write e.g. 'mm', 'kg/m^3', 'mPa s' or '1/K'")
+        exponent = int(match[2] or _SUPERSCRIPTS.get(match[3] or "", 1)) * (-1 if over else 1)
+        if abs(exponent) > 20:
+            raise units.QuantityError(f"'{text}' is not a unit", "powers of a unit reach from -20 to 20")
+        times, of = (1.0, ()) if match[1] == "1" else _atom(match[1], text)
+        factor *= times**exponent
+        for base, power in of:
+            powers[base] = powers.get(base, Fraction(0)) + power * exponent
+        over, at = match[4] == "/", match.end()
+        if at == len(text) and match[4]:
+            raise units.QuantityError(f"'{text}' ends in '{match[4]}'", "write e.g. 'kg/m^3'")
+    return Compound(text or "1", factor, _sorted(powers))
+
+
+def _atom(symbol: str, whole: str) -> tuple[float, Powers]:
+    """Return the value of one unit in base units, and what it is made of."""
+    plain = units.plain_symbol(symbol)
+    for dimension in units.DIMENSIONS.values():
+        for unit in dimension.units:
+            if unit.symbol == plain and not unit.offset and plain != "degC":
+                internal = 1.0 if units.internal_unit(dimension.name) == "1" else dimension.coherent
+                return unit.times / unit.over * internal, _powers(dimension.powers)
+    if plain == "degC":
+        raise units.QuantityError(f"'{whole}' has degC in a compound", "a difference of temperature is in K")
+    known = tuple({unit.symbol for dimension in units.DIMENSIONS.values() for unit in dimension.units})
+    near = units.nearest(plain, known)
+    raise units.QuantityError(
+        f"unknown unit '{symbol}'", f"did you mean '{near}'?" if near else "see docs/conventions.md"
+    )
+
+
+def _powers(text: str) -> Powers:
+    found = {}
+    for word in text.split():
+        match = re.fullmatch(r"([A-Za-z]+)(-?[0-9]*)", word)
+        assert match is not None, word
+        found[match[1]] = Fraction(int(match[2] or 1))
+    return _sorted(found)
+
+
+def _sorted(powers: Mapping[str, Fraction]) -> Powers:
+    return tuple(sorted((base, power) for base, power in powers.items() if power))
+
+
+def converted(value: float, unit: str, into: str) -> float:
+    """Return a value in another unit of the same kind; raises QuantityError where it is none."""
+    from_, to = compound(unit), compound(into)
+    if from_.powers != to.powers or from_.point != to.point:
+        raise units.QuantityError(f"'{unit}' is {described(from_)}, '{into}' {described(to)}", f"write it in {into}")
+    return value * from_.factor / to.factor
+
+
+def described(unit: Compound) -> str:
+    """Return what a unit measures, in words: "a length", "a plain number", "a quantity in kg mm-3"."""
+    if unit.point:
+        return "a temperature on a scale (degC)"
+    if unit.number:
+        return "a plain number"
+    named = {"temperature difference": "a temperature difference"}
+    for dimension in units.DIMENSIONS.values():
+        if _powers(dimension.powers) == unit.powers and dimension.name not in ("wavelength", "temperature"):
+            return named.get(dimension.name, dimension.phrase)
+    return f"a quantity in {base_unit(unit.powers)}"
+
+
+def base_unit(powers: Powers) -> str:
+    """Return powers of the base units as text: "kg mm-3"."""
+    return " ".join(f"{base}{power if power != 1 else ''}" for base, power in powers) or "1"
+
+
+@dataclass(frozen=True)
+class _Traced:
+    unit: Compound
+    part: Part
+    constant: float | None = None
+
+
+@dataclass(frozen=True)
+class _Units:
+    """The algebra of units."""
+
+    expression: Expression
+    names: Mapping[str, Compound]
+
+    def number(self, value: float) -> _Traced:
+        return _Traced(Compound("1", 1.0, ()), Part(NUMBER, 0, 0, 0, number=value), value)
+
+    def name(self, part: Part) -> _Traced:
+        return _Traced(self.names[part.name], part)
+
+    def apply(self, part: Part, arguments: Sequence[_Traced]) -> _Traced:
+        first, second = arguments[0], arguments[-1]
+        if part.operation in ("+", "-"):
+            return _Traced(self._sum(part, first, second), part)
+        for argument in arguments:
+            self._refuse_point(argument)
+        return _Traced(self._other(part, first, second), part)
+
+    def _other(self, part: Part, first: _Traced, second: _Traced) -> Compound:
+        operation = part.operation
+        if operation in (NEGATIVE, "abs"):
+            return first.unit
+        if operation in ("*", "/"):
+            return _times(first.unit, second.unit, 1 if operation == "*" else -1)
+        if operation == "sqrt":
+            return _to_the(first.unit, Fraction(1, 2))
+        if operation == "**":
+            return self._raised(first, second)
+        if operation == "atan2":
+            self._same(first, second)
+            return Compound("1", 1.0, ())
+        self._refuse_unit(first, f"the argument of {operation}")
+        return Compound("1", 1.0, ())
+
+    def _sum(self, part: Part, first: _Traced, second: _Traced) -> Compound:
+        """Return the unit of a sum: points on a scale differ by a difference, which may be added to a point."""
+        if first.unit.powers != second.unit.powers:
+            self._same(first, second)
+        a, b = first.unit, second.unit
+        if part.operation == "-":
+            if b.point and not a.point:
+                self._refuse_point(second)
+            return Compound("", 1.0, a.powers, point=a.point and not b.point)
+        if a.point and b.point:
+            self._refuse_point(second)
+        return Compound("", 1.0, a.powers, point=a.point or b.point)
+
+    def _raised(self, base: _Traced, exponent: _Traced) -> Compound:
+        self._refuse_unit(exponent, "an exponent")
+        if base.unit.number:
+            return base.unit
+        if exponent.constant is None:
+            said = f"{self._said(base)} is raised to a power that is not a plain number"
+            raise ExpressionError(said, base.part.start, "only a plain number can have an uncertain exponent")
+        power = Fraction(exponent.constant).limit_denominator(60)
+        if abs(float(power) - exponent.constant) > 1e-12 or abs(power) > 20:
+            said = f"{self._said(base)} is raised to the power {exponent.constant:g}"
+            raise ExpressionError(said, base.part.start, "the power of a unit is a small whole number or a fraction")
+        return _to_the(base.unit, power)
+
+    def _same(self, first: _Traced, second: _Traced) -> None:
+        if first.unit.powers != second.unit.powers:
+            said = f"{self._said(first)}, {self._said(second)}: they cannot be added or compared"
+            raise ExpressionError(said, self._start(second, first), "each term of a sum has the same unit")
+
+    def _start(self, second: _Traced, first: _Traced) -> int:
+        return second.part.start if second.constant is None else first.part.start
+
+    def _refuse_unit(self, argument: _Traced, what: str) -> None:
+        if not argument.unit.number:
+            said = f"{self._said(argument)}, but {what} is a plain number or an angle"
+            raise ExpressionError(said, argument.part.start, "divide it by a quantity of the same unit")
+
+    def _refuse_point(self, argument: _Traced) -> None:
+        if argument.unit.point:
+            said = f"{self._said(argument)}: only differences of such temperatures can be used"
+            hint = "subtract a reference such as t0: 20 degC, or give the difference in K"
+            raise ExpressionError(said, argument.part.start, hint)
+
+    def _said(self, traced: _Traced) -> str:
+        if traced.constant is not None:
+            return f"{traced.constant:g} is a plain number"
+        return f"'{self.expression.source(traced.part)}' is {described(traced.unit)}"
+
+
+def _times(a: Compound, b: Compound, sign: int) -> Compound:
+    powers = dict(a.powers)
+    for base, power in b.powers:
+        powers[base] = powers.get(base, Fraction(0)) + sign * power
+    return Compound("", 1.0, _sorted(powers))
+
+
+def _to_the(a: Compound, power: Fraction) -> Compound:
+    return Compound("", 1.0, tuple((base, has * power) for base, has in a.powers if has * power))
+
+
+def unit_of(expression: Expression, names: Mapping[str, Compound]) -> Compound:
+    """Return the unit of a model in base units; raises ExpressionError where its terms do not fit together."""
+    return expression.carried_out(_Units(expression, names)).unit

@@ -1,0 +1,286 @@
+"""Distributions of input quantities as JCGM 101, clause 6.4, assigns them: standard deviation, random draws, quantiles.
+
+Each describes the deviation from the best estimate, so that drawing never loses digits of a large value.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+Random = np.random.Generator
+
+
+class Distribution(Protocol):
+    """The deviation of a quantity from its best estimate."""
+
+    @property
+    def std(self) -> float:
+        """Standard uncertainty as the GUM counts it."""
+
+    @property
+    def words(self) -> str:
+        """Its name, for people."""
+
+    def draw(self, rng: Random, count: int) -> Array:
+        """Return random deviations."""
+
+    def quantile(self, p: Array) -> Array:
+        """Return the deviation that is not exceeded with probability p."""
+
+
+@dataclass(frozen=True)
+class Normal:
+    """Normal (JCGM 101, 6.4.7)."""
+
+    std: float
+    words = "normal"
+
+    def draw(self, rng: Random, count: int) -> Array:
+        values = rng.standard_normal(count)
+        values *= self.std
+        return values
+
+    def quantile(self, p: Array) -> Array:
+        from scipy.special import ndtri
+
+        values: Array = self.std * ndtri(p)
+        return values
+
+
+@dataclass(frozen=True)
+class StudentT:
+    """Scaled and shifted t (JCGM 101, 6.4.9): the standard uncertainty of the GUM is its scale."""
+
+    std: float
+    dof: float
+
+    @property
+    def words(self) -> str:
+        return f"t, {self.dof:g} degrees of freedom"
+
+    def draw(self, rng: Random, count: int) -> Array:
+        # Polar method of Bailey (Mathematics of Computation 62, 1994, 779): t = sqrt(n (U^(-2/n) - 1)) cos(2 pi V).
+        radius = rng.random(count)
+        np.log(np.subtract(1.0, radius, out=radius), out=radius)
+        radius *= -2 / self.dof
+        np.expm1(radius, out=radius)
+        radius *= self.dof * self.std**2
+        np.sqrt(radius, out=radius)
+        values = rng.random(count)
+        values *= 2 * math.pi
+        np.cos(values, out=values)
+        values *= radius
+        return values
+
+    def quantile(self, p: Array) -> Array:
+        from scipy.special import stdtrit
+
+        values: Array = self.std * stdtrit(self.dof, p)
+        return values
+
+
+@dataclass(frozen=True)
+class Uniform:
+    """Rectangular within +-half_width (6.4.2)."""
+
+    half_width: float
+    words = "uniform"
+
+    @property
+    def std(self) -> float:
+        return self.half_width / math.sqrt(3)
+
+    def draw(self, rng: Random, count: int) -> Array:
+        values = rng.random(count)
+        values *= 2 * self.half_width
+        values -= self.half_width
+        return values
+
+    def quantile(self, p: Array) -> Array:
+        return self.half_width * (2 * p - 1)
+
+
+@dataclass(frozen=True)
+class Trapezoidal:
+    """Symmetric trapezoid (6.4.4) whose top is `beta` of its base; beta 0 is the triangle (6.4.5), 1 the rectangle."""
+
+    half_width: float
+    beta: float = 0.0
+
+    @property
+    def words(self) -> str:
+        return f"trapezoidal, beta {self.beta:g}" if self.beta else "triangular"
+
+    @property
+    def std(self) -> float:
+        return self.half_width * math.sqrt((1 + self.beta**2) / 6)
+
+    def draw(self, rng: Random, count: int) -> Array:
+        wide, narrow = self.half_width * (1 + self.beta), self.half_width * (1 - self.beta)
+        values = rng.random(count)
+        values *= wide
+        values += narrow * rng.random(count)
+        values -= self.half_width
+        return values
+
+    def quantile(self, p: Array) -> Array:
+        low = np.minimum(p, 1 - p)
+        side = np.sqrt(2 * low * (1 - self.beta**2)) - 1
+        middle = (2 * low - 1) * (1 + self.beta) / 2
+        below = np.where(low <= (1 - self.beta) / (1 + self.beta) / 2, side, middle)
+        values: Array = self.half_width * np.where(p < 0.5, below, -below)
+        return values
+
+
+@dataclass(frozen=True)
+class CurvilinearTrapezoid:
+    """Uniform whose half-width is itself uniform within +-inexactness (6.4.3)."""
+
+    half_width: float
+    inexactness: float
+
+    @property
+    def words(self) -> str:
+        return f"curvilinear trapezoid, inexactness {self.inexactness / self.half_width:.2g} of the half-width"
+
+    @property
+    def std(self) -> float:
+        return math.sqrt(self.half_width**2 / 3 + self.inexactness**2 / 9)
+
+    def draw(self, rng: Random, count: int) -> Array:
+        width = rng.random(count)
+        width *= 2 * self.inexactness
+        width += self.half_width - self.inexactness
+        values = rng.random(count)
+        values *= 2
+        values -= 1
+        values *= width
+        return values
+
+    def quantile(self, p: Array) -> Array:
+        grid = np.linspace(-1, 1, 20_001) * (self.half_width + self.inexactness)
+        values: Array = np.interp(p, self._cumulative(grid), grid)
+        return values
+
+    def _cumulative(self, x: Array) -> Array:
+        """Return P(X <= x): the mean over half-widths w of the uniform's, `1/2 + x/(2w)` where |x| < w."""
+        low, high = self.half_width - self.inexactness, self.half_width + self.inexactness
+        inside = np.clip(np.abs(x), low, high)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            log_part = np.where(inside > 0, np.abs(x) * (np.log(high) - np.log(inside)), 0.0)
+        tail = (inside - low + log_part) / (2 * (high - low)) if high > low else np.abs(x) / (2 * high)
+        cumulative: Array = 0.5 + np.sign(x) * tail
+        return cumulative
+
+
+@dataclass(frozen=True)
+class Arcsine:
+    """U-shaped, of a sinusoid of unknown phase (6.4.6)."""
+
+    half_width: float
+    words = "arcsine"
+
+    @property
+    def std(self) -> float:
+        return self.half_width / math.sqrt(2)
+
+    def draw(self, rng: Random, count: int) -> Array:
+        values = rng.random(count)
+        values *= math.pi
+        np.cos(values, out=values)
+        values *= self.half_width
+        return values
+
+    def quantile(self, p: Array) -> Array:
+        values: Array = -self.half_width * np.cos(math.pi * p)
+        return values
+
+
+@dataclass(frozen=True)
+class Exponential:
+    """Of a quantity that is not negative and of which only the best estimate is known (6.4.10)."""
+
+    mean: float
+    words = "exponential"
+
+    @property
+    def std(self) -> float:
+        return self.mean
+
+    def draw(self, rng: Random, count: int) -> Array:
+        values = rng.standard_exponential(count)
+        values -= 1
+        values *= self.mean
+        return values
+
+    def quantile(self, p: Array) -> Array:
+        values: Array = self.mean * (-np.log1p(-p) - 1)
+        return values
+
+
+@dataclass(frozen=True)
+class Counts:
+    """Mean number of events of which `count` were observed: gamma(count + 1), mean and variance count + 1 (6.4.11)."""
+
+    count: int
+    words = "counts"
+
+    @property
+    def std(self) -> float:
+        return math.sqrt(self.count + 1)
+
+    def draw(self, rng: Random, count: int) -> Array:
+        values = rng.standard_gamma(self.count + 1, count)
+        values -= self.count + 1
+        return values
+
+    def quantile(self, p: Array) -> Array:
+        from scipy.special import gammaincinv
+
+        values: Array = gammaincinv(self.count + 1, p) - (self.count + 1)
+        return values
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """Values of an earlier evaluation, each as probable as the other."""
+
+    deviations: tuple[float, ...]
+    """From their mean, in ascending order."""
+
+    @property
+    def words(self) -> str:
+        return f"sampled, {len(self.deviations)} values"
+
+    @property
+    def std(self) -> float:
+        return float(np.std(self.deviations))
+
+    def draw(self, rng: Random, count: int) -> Array:
+        return np.asarray(self.deviations)[rng.integers(len(self.deviations), size=count)]
+
+    def quantile(self, p: Array) -> Array:
+        places = np.minimum((p * len(self.deviations)).astype(np.intp), len(self.deviations) - 1)
+        return np.asarray(self.deviations)[places]
+
+
+def in_trials(distribution: Distribution, dof: float) -> Distribution:
+    """Return what stands for a quantity in Monte Carlo, where its standard uncertainty has finite degrees of freedom.
+
+    Normal becomes a scaled t (JCGM 101, 6.4.9). A uniform's half-width becomes inexact by the share that the degrees of
+    freedom say, `1/sqrt(2 dof)` (GUM G.4.2, JCGM 101, 9.5.2). Other shapes stay: their degrees of freedom count in the
+    Welch-Satterthwaite formula only.
+    """
+    if not math.isfinite(dof):
+        return distribution
+    if isinstance(distribution, Normal):
+        return StudentT(distribution.std, dof)
+    if isinstance(distribution, Uniform):
+        return CurvilinearTrapezoid(distribution.half_width, distribution.half_width * min(1 / math.sqrt(2 * dof), 1))
+    return distribution

@@ -1,0 +1,285 @@
+"""Models as text: `ls*(1 + alpha*theta) + d` to a list of steps, by an allow-list and hard limits.
+
+Nothing of the text is ever executed. Python's grammar gives the tree; what is not a number, a name, + - * / **, a
+bracket or one of the functions below is refused with its column.
+"""
+
+from __future__ import annotations
+
+import ast
+import keyword
+import math
+import operator
+import re
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol, TypeVar
+
+from metrocli.words import suggestion
+
+LONGEST, MOST_PARTS, DEEPEST = 4096, 2000, 100
+"""Most characters, most operations and names, most brackets within each other."""
+FUNCTIONS: dict[str, int] = dict.fromkeys(
+    ("sqrt", "exp", "log", "log10", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "abs"), 1
+) | {"atan2": 2}
+"""Number of arguments by name."""
+CONSTANTS = {"pi": math.pi}
+NUMBER, NAME, NEGATIVE = "number", "name", "negative"
+_OPERATORS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "**"}
+_EXACT: dict[str, Callable[..., Any]] = {
+    "+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv, "**": operator.pow,
+    NEGATIVE: operator.neg, "abs": abs, **{name: getattr(math, name) for name in FUNCTIONS if name != "abs"},
+}  # fmt: skip
+_FOREIGN = re.compile(r"[^A-Za-z0-9_.+*/() ,\t\r\n-]")
+_TOKEN = re.compile(r"\d[\w.]*(?:(?<=[eE])[+-]\d+)?|\.\d[\w.]*(?:(?<=[eE])[+-]\d+)?|[A-Za-z_]\w*|//|[(),]")
+_NUMBER = re.compile(r"(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
+_REASONS = {
+    "^": "write ** for a power", "×": "write *", "·": "write *", "²": "write **2", "³": "write **3", "−": "write -",
+    "%": "write /100", "[": "there are no lists and no subscripts", "]": "there are no lists and no subscripts",
+    "{": "use round brackets", "}": "use round brackets", '"': "there is no text in a model",
+    "'": "there is no text in a model", ":": "there are no functions of your own and no slices",
+    "=": "a model is one expression, without assignment or comparison", "<": "there are no comparisons",
+    ">": "there are no comparisons", "#": "there are no comments in a model", "@": "write *", "√": "write sqrt(...)",
+}  # fmt: skip
+_ALLOWED = f"allowed: names, numbers, + - * / ** ( ), pi, {', '.join(FUNCTIONS)}"
+
+T = TypeVar("T")
+
+
+class ExpressionError(ValueError):
+    """A model is refused: at `start` (counted from 0) of its text, with what to write instead."""
+
+    def __init__(self, message: str, start: int = 0, hint: str = _ALLOWED) -> None:
+        super().__init__(message)
+        self.message = message
+        self.start = start
+        self.hint = hint
+
+
+@dataclass(frozen=True)
+class Part:
+    """One step of an expression: an operation on the last `arity` values, and the text it stands for."""
+
+    operation: str
+    """number, name, negative, an operator or a function"""
+    arity: int
+    start: int
+    end: int
+    number: float = 0.0
+    name: str = ""
+
+
+class Algebra(Protocol[T]):
+    """What the steps of an expression are carried out in: numbers, units, derivatives."""
+
+    def number(self, value: float) -> T:
+        """Return a plain number."""
+
+    def name(self, part: Part) -> T:
+        """Return what a name stands for."""
+
+    def apply(self, part: Part, arguments: Sequence[T]) -> T:
+        """Return the outcome of one operation."""
+
+
+@dataclass(frozen=True)
+class Expression:
+    """A model: its text, and its steps in the order of their evaluation."""
+
+    text: str
+    parts: tuple[Part, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names in it, once each, in the order of the text."""
+        named = sorted((part for part in self.parts if part.operation == NAME), key=lambda part: part.start)
+        return tuple(dict.fromkeys(part.name for part in named))
+
+    def source(self, part: Part) -> str:
+        """Return the text of a part, shortened where it is long."""
+        text = " ".join(self.text[part.start : part.end].split())
+        return text if len(text) <= 60 else f"{text[:57]}..."
+
+    def carried_out(self, algebra: Algebra[T]) -> T:
+        """Return the value of the whole expression in an algebra."""
+        stack: list[T] = []
+        for part in self.parts:
+            if part.operation == NUMBER:
+                stack.append(algebra.number(part.number))
+            elif part.operation == NAME:
+                stack.append(algebra.name(part))
+            else:
+                first = len(stack) - part.arity
+                stack[first:] = [algebra.apply(part, stack[first:])]
+        return stack[0]
+
+
+def parse(text: str) -> Expression:
+    """Return the expression of a text; raises ExpressionError with the place of the first thing that is refused."""
+    _refuse_text(text)
+    # Line ends become blanks, so that an expression may go on in the next line and columns stay.
+    one_line = re.sub(r"\s", " ", text)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            body = ast.parse(f"({one_line})", mode="eval").body
+    except SyntaxError as error:
+        start = min(max((error.offset or 2) - 2, 0), max(len(text) - 1, 0))
+        raise ExpressionError("this is not an expression", start, _near(text, start)) from error
+    except (RecursionError, MemoryError, ValueError) as error:
+        raise ExpressionError("the model is nested too deeply") from error
+    parts = tuple(_folded(list(_postfix(body))))
+    return Expression(text, parts)
+
+
+def _near(text: str, start: int) -> str:
+    return f"something is missing or too much near '{text[start : start + 12].strip()}'"
+
+
+def _refuse_text(text: str) -> None:
+    """Refuse by the text alone what the grammar need not see; this bounds the work of everything that follows."""
+    if len(text) > LONGEST:
+        raise ExpressionError(f"the model has {len(text)} characters, at most {LONGEST} are allowed", LONGEST)
+    foreign = _FOREIGN.search(text)
+    if foreign:
+        character = foreign[0]
+        hint = _REASONS.get(character, _ALLOWED)
+        raise ExpressionError(f"'{character}' cannot stand in a model", foreign.start(), hint)
+    if not text.strip():
+        raise ExpressionError("there is no model", 0)
+    open_brackets: list[int] = []
+    count = 0
+    for match in _TOKEN.finditer(text):
+        token, start = match[0], match.start()
+        count += token not in "(),"
+        if token == "(":
+            open_brackets.append(start)
+        if token == ")" and not open_brackets:
+            raise ExpressionError("this bracket closes nothing", start, "a '(' is missing before it")
+        if token == ")":
+            open_brackets.pop()
+        if len(open_brackets) > DEEPEST:
+            raise ExpressionError(f"more than {DEEPEST} brackets within each other", start)
+        if token == "//":
+            raise ExpressionError("'//' cannot stand in a model", start, "write / for a division")
+        if keyword.iskeyword(token):
+            raise ExpressionError(f"'{token}' cannot stand in a model", start)
+        if "__" in token and token[0].isalpha() | (token[0] == "_"):
+            raise ExpressionError(f"'{token}' cannot stand in a model", start, "a name has no two underscores in a row")
+        if (token[0].isdigit() or token[0] == ".") and not _NUMBER.fullmatch(token):
+            raise ExpressionError(f"'{token}' is not a number", start, "write e.g. 2*x, 1000 or 1e3")
+    if open_brackets:
+        raise ExpressionError("this bracket is not closed", open_brackets[-1], "a ')' is missing after it")
+    if count > MOST_PARTS:
+        raise ExpressionError(f"the model has more than {MOST_PARTS} numbers and names")
+
+
+def _postfix(body: ast.expr) -> Iterator[Part]:
+    """Yield the steps of a tree, arguments before what is done with them, without recursion."""
+    waiting: list[tuple[ast.expr, bool]] = [(body, False)]
+    count = 0
+    while waiting:
+        node, ready = waiting.pop()
+        start, end = max(node.col_offset - 1, 0), (node.end_col_offset or 1) - 1
+        count += 1
+        if count > 3 * MOST_PARTS:
+            raise ExpressionError(f"the model has more than {MOST_PARTS} operations", start)
+        operation, arguments = _operation(node)
+        if ready or not arguments:
+            yield _leaf(node, start, end) if not arguments else Part(operation, len(arguments), start, end)
+            continue
+        waiting.append((node, True))
+        waiting.extend((argument, False) for argument in reversed(arguments))
+
+
+def _leaf(node: ast.expr, start: int, end: int) -> Part:
+    """Return the step of a number or a name."""
+    if isinstance(node, ast.Constant):
+        return Part(NUMBER, 0, start, end, number=_finite(node, start))
+    name = _dotted(node)
+    if name in CONSTANTS:
+        return Part(NUMBER, 0, start, end, number=CONSTANTS[name])
+    return Part(NAME, 0, start, end, name=name)
+
+
+def _finite(node: ast.Constant, start: int) -> float:
+    value = node.value
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ExpressionError(f"{value!r} cannot stand in a model", start)
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        raise ExpressionError("the number is too large", start)
+    return number
+
+
+def _operation(node: ast.expr) -> tuple[str, list[ast.expr]]:
+    """Return what a node does and to what; no arguments for a number or a name."""
+    start = max(node.col_offset - 1, 0)
+    if isinstance(node, ast.BinOp) and type(node.op) in _OPERATORS:
+        return _OPERATORS[type(node.op)], [node.left, node.right]
+    if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub | ast.UAdd):
+        return (NEGATIVE if isinstance(node.op, ast.USub) else "positive"), [node.operand]
+    if isinstance(node, ast.Call):
+        return _called(node, start)
+    if isinstance(node, ast.Name | ast.Constant):
+        if isinstance(node, ast.Name) and node.id in FUNCTIONS:
+            raise ExpressionError(f"the function {node.id} has no argument", start, f"write {node.id}(...)")
+        return "", []
+    if isinstance(node, ast.Attribute) and _dotted(node):
+        return "", []
+    what = {"Attribute": "access to a part of a value", "Tuple": "a list of values", "Starred": "a star before a value"}
+    raise ExpressionError(f"{what.get(type(node).__name__, type(node).__name__)} cannot stand in a model", start)
+
+
+def _called(node: ast.Call, start: int) -> tuple[str, list[ast.expr]]:
+    name = _dotted(node.func)
+    if name not in FUNCTIONS:
+        what = f"unknown function '{name}'" if name else "only a function can be followed by a bracket"
+        hint = suggestion(name, FUNCTIONS) if name else "write * for a product"
+        raise ExpressionError(what, start, hint)
+    if len(node.args) != FUNCTIONS[name] or node.keywords:
+        needs = f"{name} takes {FUNCTIONS[name]} argument{'s' if FUNCTIONS[name] > 1 else ''}"
+        raise ExpressionError(f"{needs}, not {len(node.args) + len(node.keywords)}", start, f"write {name}(...)")
+    return name, node.args
+
+
+def _dotted(node: ast.expr) -> str:
+    """Return `part.x` for a name with points in it, "" for anything else."""
+    names: list[str] = []
+    while isinstance(node, ast.Attribute):
+        names.append(node.attr)
+        node = node.value
+    return ".".join([node.id, *reversed(names)]) if isinstance(node, ast.Name) else ""
+
+
+def _folded(parts: list[Part]) -> Iterator[Part]:
+    """Yield the steps with every operation on plain numbers carried out; 9**9**9**9 is refused where it stands."""
+    stack: list[list[Part]] = []
+    for part in parts:
+        if part.arity == 0:
+            stack.append([part])
+            continue
+        arguments = stack[-part.arity :]
+        del stack[-part.arity :]
+        if part.operation == "positive":
+            stack.append(arguments[0])
+        elif all(argument[-1].operation == NUMBER for argument in arguments):
+            value = _of_numbers(part, [argument[-1].number for argument in arguments])
+            stack.append([Part(NUMBER, 0, part.start, part.end, number=value)])
+        else:
+            stack.append([step for argument in arguments for step in argument] + [part])
+    yield from stack[0]
+
+
+def _of_numbers(part: Part, numbers: Sequence[float]) -> float:
+    try:
+        value = _EXACT[part.operation](*numbers)
+    except (ArithmeticError, ValueError):
+        value = math.nan
+    if isinstance(value, complex) or not math.isfinite(value):
+        raise ExpressionError("this has no finite value", part.start, "numbers reach from 1e-308 to 1e308")
+    return float(value)

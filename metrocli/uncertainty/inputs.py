@@ -1,0 +1,156 @@
+"""The input quantities of a model together: best estimates, joint covariance, degrees of freedom, and random draws."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from metrocli.uncertainty.correlated import CLIP, Dependent, Ellipse, factor
+from metrocli.uncertainty.dimensions import Compound
+from metrocli.uncertainty.distributions import Distribution, Normal, in_trials
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One input: best estimate and distribution in base units, and the unit in which it is shown."""
+
+    name: str
+    value: float
+    distribution: Distribution | None
+    """None for a constant"""
+    dof: float = math.inf
+    unit: Compound = field(default_factory=lambda: Compound("1", 1.0, ()))
+
+    @property
+    def std(self) -> float:
+        """Standard uncertainty."""
+        return 0.0 if self.distribution is None else self.distribution.std
+
+
+@dataclass(frozen=True)
+class Block:
+    """Quantities that come with their covariance from one result."""
+
+    names: tuple[str, ...]
+    covariance: Array
+
+
+class NotSemiDefiniteError(ValueError):
+    """A correlation matrix that no quantities can have; `names` and `entries` say which of them contradict."""
+
+    def __init__(self, names: Sequence[str], eigenvalue: float) -> None:
+        super().__init__(f"no quantities have these correlations: smallest eigenvalue {eigenvalue:.3g}")
+        self.names = tuple(names)
+        self.eigenvalue = eigenvalue
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """n quantities with their joint covariance."""
+
+    quantities: tuple[Quantity, ...]
+    covariance: Array
+    """(n, n)"""
+    groups: tuple[tuple[int, ...], ...]
+    """Quantities that are correlated with each other or come from one result, each in one group"""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names in the order of the covariance."""
+        return tuple(quantity.name for quantity in self.quantities)
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Best estimates by name."""
+        return {quantity.name: quantity.value for quantity in self.quantities}
+
+    def sources(self) -> tuple[Callable[[np.random.Generator, int], Sequence[tuple[int, Array]]], ...]:
+        """Return what draws deviations, one for each group, in the order of the quantities."""
+        return tuple(
+            self._source(group) for group in self.groups if self.covariance[group[0], group[0]] > 0 or len(group) > 1
+        )
+
+    def _source(self, group: tuple[int, ...]) -> Dependent | Ellipse | _Single:
+        shapes = [in_trials(self._shape(i), self.quantities[i].dof) for i in group]
+        if len(group) == 1:
+            return _Single(group[0], shapes[0])
+        part = self.covariance[np.ix_(group, group)]
+        dofs = {self.quantities[i].dof for i in group}
+        if len(dofs) == 1 and all(isinstance(self._shape(i), Normal) for i in group):
+            return Ellipse(group, factor(part), dofs.pop())
+        std = np.sqrt(np.diag(part))
+        moving = [k for k in range(len(group)) if std[k] > 0]
+        correlation = part[np.ix_(moving, moving)] / std[moving][:, None] / std[moving]
+        return Dependent.of(tuple(group[k] for k in moving), [shapes[k] for k in moving], correlation)
+
+    def _shape(self, index: int) -> Distribution:
+        return self.quantities[index].distribution or Normal(0.0)
+
+
+@dataclass(frozen=True)
+class _Single:
+    """A quantity that is correlated with no other."""
+
+    index: int
+    distribution: Distribution
+
+    def __call__(self, rng: np.random.Generator, count: int) -> Sequence[tuple[int, Array]]:
+        return [(self.index, self.distribution.draw(rng, count))]
+
+
+def join(
+    quantities: Sequence[Quantity], correlations: Iterable[tuple[str, str, float]] = (), blocks: Sequence[Block] = ()
+) -> Inputs:
+    """Return the quantities with their joint covariance; raises NotSemiDefiniteError.
+
+    Covariances of blocks are taken as they stand, rank-deficient ones too; correlations are added to them.
+    """
+    place = {quantity.name: i for i, quantity in enumerate(quantities)}
+    std = np.array([quantity.std for quantity in quantities])
+    covariance = np.diag(std**2)
+    for block in blocks:
+        held = [place[name] for name in block.names]
+        covariance[np.ix_(held, held)] = block.covariance
+    for a, b, value in correlations:
+        covariance[place[a], place[b]] = covariance[place[b], place[a]] = value * std[place[a]] * std[place[b]]
+    _must_be_semi_definite(covariance, tuple(place))
+    linked = covariance != 0
+    for block in blocks:
+        # Uncorrelated estimates of one adjustment still share its estimated noise.
+        held = [place[name] for name in block.names]
+        linked[np.ix_(held, held)] = True
+    return Inputs(tuple(quantities), covariance, _groups(linked))
+
+
+def _must_be_semi_definite(covariance: Array, names: Sequence[str]) -> None:
+    std = np.sqrt(np.diag(covariance))
+    moving = np.flatnonzero(std > 0)
+    if not len(moving):
+        return
+    correlation = covariance[np.ix_(moving, moving)] / std[moving][:, None] / std[moving]
+    values, vectors = np.linalg.eigh(correlation)
+    if values[0] < -1e3 * CLIP * max(values[-1], 1.0):
+        weight = np.abs(vectors[:, 0])
+        involved = moving[np.flatnonzero(weight > 0.1 * weight.max())]
+        raise NotSemiDefiniteError([names[i] for i in involved], float(values[0]))
+
+
+def _groups(linked: npt.NDArray[np.bool_]) -> tuple[tuple[int, ...], ...]:
+    """Return the connected parts of a graph."""
+    left = list(range(len(linked)))
+    groups = []
+    while left:
+        group, frontier = {left[0]}, [left[0]]
+        while frontier:
+            new = set(np.flatnonzero(linked[frontier.pop()]).tolist()) - group
+            group |= new
+            frontier += sorted(new)
+        groups.append(tuple(sorted(group)))
+        left = [i for i in left if i not in group]
+    return tuple(groups)

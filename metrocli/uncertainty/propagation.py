@@ -1,0 +1,174 @@
+"""Propagation by the law of the GUM (JCGM 100): first and second order, several measurands, effective dof, k and U."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from metrocli.uncertainty.derivatives import Jets, NoValueError
+from metrocli.uncertainty.expression import Expression
+from metrocli.uncertainty.inputs import Inputs
+from metrocli.uncertainty.numbers import evaluate
+
+Array = npt.NDArray[np.float64]
+GUARD = 1e-2
+"""Effective degrees of freedom are cut to a whole number; this much below it counts as it (18.9987 is 19)."""
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """What the expanded uncertainty is to cover: a probability, or a stated factor k."""
+
+    probability: float = 0.95
+    k: float | None = None
+
+
+@dataclass(frozen=True)
+class Linear:
+    """A measurand by the law of propagation."""
+
+    value: float
+    std: float
+    sensitivities: Array
+    """(n,)"""
+    contributions: Array
+    """(n,): |c_i| u(x_i)"""
+    dof: float
+    """Effective degrees of freedom (Welch-Satterthwaite), not cut"""
+    second_value: float
+    """y + sum of second derivatives and covariances, halved"""
+    second_std: float
+    """NaN where the second-order terms make the variance negative"""
+    nonlinear: float
+    """Share of the second-order variance that the first order lacks"""
+    used: tuple[int, ...] = ()
+    """Quantities that the model names"""
+    notes: tuple[str, ...] = ()
+    replaced: bool = False
+    """The law of propagation does not apply: there is no derivative at the best estimates"""
+
+
+@dataclass(frozen=True)
+class Propagated:
+    """All measurands of a job, with their joint covariance."""
+
+    measurands: Mapping[str, Linear]
+    covariance: Array
+
+
+def propagate(models: Mapping[str, Expression], inputs: Inputs) -> Propagated:
+    """Return each measurand by `u^2 = g' V g`, and to the second order; raises NoValueError without a value.
+
+    A model that has a value and no derivative at the best estimates is marked as `replaced`.
+
+    Second order (JCGM 100, 5.1.2 note, with correlations): `y = f + tr(H V)/2`,
+    `u^2 = g'Vg + tr(HVHV)/2 + sum_i (Vg)_i sum_jk f_ijk V_jk`.
+    """
+    found = {name: _attempt(model, inputs) for name, model in models.items()}
+    slopes = np.array([linear.sensitivities for linear in found.values()])
+    return Propagated(found, slopes @ inputs.covariance @ slopes.T)
+
+
+def _attempt(model: Expression, inputs: Inputs) -> Linear:
+    try:
+        return _linear(model, inputs)
+    except NoValueError as error:
+        value = float(evaluate(model, inputs.values))
+        if not error.differentiable or not math.isfinite(value):
+            raise
+        nothing = np.zeros(len(inputs.names))
+        return Linear(
+            value, 0.0, nothing, nothing, math.inf, math.nan, math.nan, 0.0, notes=(error.message,), replaced=True
+        )
+
+
+def _linear(model: Expression, inputs: Inputs) -> Linear:
+    names, values, covariance = inputs.names, inputs.values, inputs.covariance
+    # Derivatives of the names in the model only: a budget of a hundred quantities has models of a few.
+    used = [i for i, name in enumerate(names) if name in model.names]
+    own = covariance[np.ix_(used, used)]
+    algebra = Jets(model, tuple(names[i] for i in used), values)
+    gradient = model.carried_out(algebra).gradient
+    jet = model.carried_out(Jets(model, algebra.names, values, 3, own @ gradient))
+    assert jet.hessian is not None and jet.along is not None
+    variance = max(float(gradient @ own @ gradient), 0.0)
+    turned = jet.hessian @ own
+    more = 0.5 * float(np.trace(turned @ turned)) + float(np.sum(jet.along * own))
+    slopes = np.zeros(len(names))
+    slopes[used] = gradient
+    dof, notes = effective_dof(inputs, slopes)
+    # Where the second-order terms outweigh the first the expansion says nothing.
+    second = math.sqrt(variance + more) if variance + more >= 0 else math.nan
+    return Linear(
+        value=float(jet.value),
+        std=math.sqrt(variance),
+        sensitivities=slopes,
+        contributions=np.abs(slopes) * np.sqrt(np.diag(covariance)),
+        dof=dof,
+        second_value=float(jet.value) + 0.5 * float(np.trace(turned)),
+        second_std=second,
+        nonlinear=abs(more) / max(variance + more, variance) if max(variance + more, variance) > 0 else 0.0,
+        used=tuple(used),
+        notes=notes,
+    )
+
+
+def effective_dof(inputs: Inputs, slopes: Array) -> tuple[float, tuple[str, ...]]:
+    """Return `u^4 / sum(u_i^4 / dof_i)` (JCGM 100, G.4.1), correlated quantities taken as one contribution.
+
+    Quantities that are correlated and have the same finite dof share them (readings taken together, H.2). Where the
+    dof differ the formula has no answer: the least of them is taken, and a note says so.
+    """
+    total, weighted = 0.0, 0.0
+    notes = []
+    for group in inputs.groups:
+        part = slopes[list(group)]
+        variance = float(part @ inputs.covariance[np.ix_(group, group)] @ part)
+        total += variance
+        acting = [i for i in group if slopes[i] != 0 and inputs.covariance[i, i] > 0]
+        dofs = {inputs.quantities[i].dof for i in acting}
+        if len(dofs) > 1:
+            names = ", ".join(inputs.quantities[i].name for i in acting)
+            notes.append(
+                f"{names} are correlated with different degrees of freedom; the least, {min(dofs):g}, is taken"
+            )
+        if dofs and math.isfinite(min(dofs)):
+            weighted += variance**2 / min(dofs)
+    return (total**2 / weighted if weighted > 0 else math.inf), tuple(notes)
+
+
+def whole_dof(dof: float) -> float:
+    """Return degrees of freedom cut to a whole number, at least 1; infinite ones as they are."""
+    return math.inf if not math.isfinite(dof) else float(max(math.floor(dof + GUARD), 1))
+
+
+def coverage_factor(coverage: Coverage, dof: float) -> float:
+    """Return k: as stated, or from the t distribution with the whole part of the effective dof (JCGM 100, G.6.4)."""
+    from scipy.special import ndtri, stdtrit
+
+    if coverage.k is not None:
+        return coverage.k
+    upper = (1 + coverage.probability) / 2
+    whole = whole_dof(dof)
+    return float(stdtrit(whole, upper)) if math.isfinite(whole) else float(ndtri(upper))
+
+
+def covered(coverage: Coverage) -> float:
+    """Return the probability that is covered: as stated, or that of k for a normal distribution."""
+    return coverage.probability if coverage.k is None else math.erf(coverage.k / math.sqrt(2))
+
+
+def ellipsoid_factor(probability: float, measurands: int) -> float:
+    """Return k_p of the joint ellipsoid of several measurands, root of the chi-squared quantile (JCGM 102, 6.5.2)."""
+    from scipy.special import gammaincinv
+
+    return math.sqrt(2 * float(gammaincinv(measurands / 2, probability)))
+
+
+def budget_order(linear: Linear) -> Sequence[int]:
+    """Return the contributors of a model from the largest to the smallest."""
+    return sorted(linear.used, key=lambda i: -float(linear.contributions[i]))

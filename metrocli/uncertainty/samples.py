@@ -1,0 +1,120 @@
+"""Values of many trials: their quantiles, coverage intervals and probabilities, kept whole or as counts in bins."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+Counts = npt.NDArray[np.int64]
+BINS = 1 << 17
+"""Bins of the counts; their width bounds the error of every quantile."""
+
+
+class Sample(Protocol):
+    """The values of one measurand."""
+
+    @property
+    def resolution(self) -> float:
+        """How far an end of an interval can be off because values were counted in bins; 0 where all are kept."""
+
+    def symmetric(self, probability: float) -> tuple[float, float]:
+        """Return the probabilistically symmetric coverage interval (JCGM 101, 7.7.2)."""
+
+    def shortest(self, probability: float) -> tuple[float, float]:
+        """Return the shortest coverage interval (JCGM 101, 7.7.4)."""
+
+    def below(self, limit: float) -> float:
+        """Return the share of values at or below a limit."""
+
+
+@dataclass(frozen=True)
+class Sorted:
+    """All values, in ascending order."""
+
+    values: Array
+    resolution = 0.0
+
+    def symmetric(self, probability: float) -> tuple[float, float]:
+        first, inside = _ranks(len(self.values), probability)
+        return float(self.values[first - 1]), float(self.values[first - 1 + inside])
+
+    def shortest(self, probability: float) -> tuple[float, float]:
+        _, inside = _ranks(len(self.values), probability)
+        first = int(np.argmin(self.values[inside:] - self.values[: len(self.values) - inside]))
+        return float(self.values[first]), float(self.values[first + inside])
+
+    def below(self, limit: float) -> float:
+        return float(np.searchsorted(self.values, limit, "right") / len(self.values))
+
+
+@dataclass(frozen=True)
+class Edges:
+    """Equal bins, two open ones at the ends included."""
+
+    low: float
+    width: float
+
+    @classmethod
+    def around(cls, values: Array) -> Edges:
+        """Return bins that reach as far beyond the values of a pilot run as these are wide."""
+        low, high = float(values.min()), float(values.max())
+        span = (high - low) or max(abs(low), 1.0) * 1e-9
+        return cls(low - span / 2, 2 * span / BINS)
+
+    def places(self, values: Array) -> npt.NDArray[np.int32]:
+        """Return the bin of each value, 0 and BINS + 1 beyond the ends."""
+        scaled = values - self.low
+        scaled /= self.width
+        scaled += 1.0
+        np.clip(scaled, 0.0, BINS + 1.0, out=scaled)
+        return scaled.astype(np.int32)
+
+
+@dataclass(frozen=True)
+class Binned:
+    """How many values fell into each bin."""
+
+    edges: Edges
+    counts: Counts
+    """(BINS + 2,)"""
+
+    @property
+    def resolution(self) -> float:
+        return self.edges.width
+
+    def _at(self, ranks: Array, reached: Counts) -> Array:
+        """Return the values of these ranks (1 for the smallest), each within its bin; `reached` are sums of counts."""
+        bins = np.searchsorted(reached, ranks, "left")
+        before = reached[bins] - self.counts[bins]
+        values: Array = self.edges.low + self.edges.width * (bins - 1 + (ranks - before) / self.counts[bins])
+        return values
+
+    def symmetric(self, probability: float) -> tuple[float, float]:
+        reached = np.cumsum(self.counts)
+        first, inside = _ranks(int(reached[-1]), probability)
+        low, high = self._at(np.array([first, first + inside], dtype=float), reached)
+        return float(low), float(high)
+
+    def shortest(self, probability: float) -> tuple[float, float]:
+        reached = np.cumsum(self.counts)
+        _, inside = _ranks(int(reached[-1]), probability)
+        firsts = np.unique(reached[reached > 0])
+        firsts = np.concatenate([[1], firsts[firsts + inside <= reached[-1]]])
+        lows, highs = self._at(firsts.astype(float), reached), self._at((firsts + inside).astype(float), reached)
+        best = int(np.argmin(highs - lows))
+        return float(lows[best]), float(highs[best])
+
+    def below(self, limit: float) -> float:
+        reached = np.concatenate([[0], np.cumsum(self.counts)])
+        at = self.edges.low + self.edges.width * np.arange(-1, BINS + 2, dtype=float)
+        return float(np.interp(limit, at, reached / reached[-1]))
+
+
+def _ranks(count: int, probability: float) -> tuple[int, int]:
+    """Return the rank of the lower end of a symmetric interval, and how many ranks the upper end is above it."""
+    inside = min(int(probability * count + 0.5), count - 1)
+    return max((count - inside + 1) // 2, 1), inside

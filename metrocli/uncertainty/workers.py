@@ -1,0 +1,125 @@
+"""Who does the chunks of a long computation: threads of this process, or a Dask cluster; the outcome is the same.
+
+A chunk is a pure function of its number, so that it does not matter who does it, or how often.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any, Protocol, TypeVar
+
+from metrocli.errors import InputError
+
+T = TypeVar("T")
+PATIENCE_S = 2.5
+"""How long a scheduler may take to answer."""
+
+
+class Finished(Protocol):
+    """Chunks that an earlier run has finished, by the key of the computation and their number."""
+
+    def get(self, key: str, number: int) -> dict[str, Any] | None:
+        """Return the arrays that were kept, None where nothing was."""
+
+    def put(self, key: str, number: int, value: dict[str, Any]) -> None:
+        """Keep the arrays of a finished chunk."""
+
+    def clear(self) -> None:
+        """Forget everything: the computation is done."""
+
+
+@dataclass(frozen=True)
+class Nothing:
+    """No chunks are kept."""
+
+    def get(self, key: str, number: int) -> dict[str, Any] | None:
+        return None
+
+    def put(self, key: str, number: int, value: dict[str, Any]) -> None:
+        return None
+
+    def clear(self) -> None:
+        return None
+
+
+@dataclass(frozen=True)
+class Workers:
+    """How chunks are done."""
+
+    count: int = 0
+    """Threads; 0 for one a core"""
+    scheduler: str = ""
+    """Address of a Dask scheduler, tcp://..., or the path of its scheduler file; "" for this process"""
+    finished: Finished = Nothing()
+    tell: Callable[[int, int | None], None] = lambda done, of: None
+    """Takes how many chunks are done, and of how many"""
+
+    def ordered(self, work: Callable[[int], T], numbers: Iterable[int]) -> Iterator[T]:
+        """Yield work(number) in the order of the numbers; those behind are done ahead of time."""
+        if self.scheduler:
+            yield from _on_cluster(self.scheduler, work, numbers)
+        elif self.threads == 1:
+            yield from map(work, numbers)
+        else:
+            yield from _on_threads(self.threads, work, numbers)
+
+    @property
+    def threads(self) -> int:
+        """Threads that work at once."""
+        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        return self.count or cores
+
+
+def _on_threads(count: int, work: Callable[[int], T], numbers: Iterable[int]) -> Iterator[T]:
+    pool = ThreadPoolExecutor(count)
+    try:
+        yield from _window(lambda number: pool.submit(work, number), numbers, 2 * count)
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _window(submit: Callable[[int], Any], numbers: Iterable[int], most: int) -> Iterator[Any]:
+    """Yield results in order with at most `most` of them under way."""
+    waiting: deque[Any] = deque()
+    for number in numbers:
+        waiting.append(submit(number))
+        if len(waiting) >= most:
+            yield waiting.popleft().result()
+    while waiting:
+        yield waiting.popleft().result()
+
+
+def _on_cluster(address: str, work: Callable[[int], T], numbers: Iterable[int]) -> Iterator[T]:
+    client = _client(address)
+    try:
+        scattered = client.scatter(work, broadcast=True)
+        threads = max(sum(client.nthreads().values()), 1)
+        yield from _window(lambda number: client.submit(_do, scattered, number, pure=False), numbers, 4 * threads)
+    finally:
+        client.close()
+
+
+def _do(work: Callable[[int], T], number: int) -> T:
+    return work(number)
+
+
+def _client(address: str) -> Any:
+    """Return a client of a running cluster, or raise InputError in a few seconds."""
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise InputError("--scheduler needs the library 'distributed': pip install 'metrocli[cluster]'") from error
+    import logging
+
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    file = not address.startswith(("tcp://", "tls://", "ucx://", "ws://", "wss://"))
+    if file and not os.path.isfile(address):
+        raise InputError(f"--scheduler {address}: no such scheduler file; write tcp://HOST:PORT or the path of one")
+    try:
+        return Client(scheduler_file=address, timeout=PATIENCE_S) if file else Client(address, timeout=PATIENCE_S)
+    except (OSError, TimeoutError, ValueError) as error:
+        raise InputError(f"--scheduler {address}: no Dask scheduler answers there ({error})") from error

@@ -1,0 +1,162 @@
+"""Compensation files: read back and applied as the control does, they cancel the error; with a wrong sign they double it."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from metrocli.errors import InputError
+from metrocli.exports import FORMATS, etalon, fanuc, heidenhain, isg_csv, linuxcnc, siemens_cec, siemens_lec
+from metrocli.exports.compensation import Control, places_of
+from metrocli.exports.error_tables import AXES, Array, Curve, ErrorTables
+
+CONTROLS: dict[str, Control] = {
+    "siemens-lec": siemens_lec.CONTROL,
+    "siemens-cec": siemens_cec.CONTROL,
+    "heidenhain": heidenhain.CONTROL,
+    "fanuc": fanuc.CONTROL,
+    "linuxcnc": linuxcnc.CONTROL,
+    "isg-csv": isg_csv.CONTROL,
+    "etalon": etalon.CONTROL,
+}
+ORDERS = ["".join(order) for order in itertools.permutations(AXES)]
+RANGES = {"X": (0.0, 600.0, 13), "Y": (-260.0, 260.0, 11), "Z": (-500.0, 0.0, 11)}
+
+
+def machine(seed: int, order: str = "XYZ", tool: tuple[float, float, float] = (10.0, -20.0, 120.0)) -> ErrorTables:
+    """Return a machine with all 21 errors: tens of um, tens of urad."""
+    random = np.random.default_rng(seed)
+    curves = {}
+    for axis, (low, high, count) in RANGES.items():
+        grid = np.linspace(low, high, count)
+        for kind in "XYZABC":
+            size = 0.02 if kind in AXES else 4e-5
+            curves[f"E{kind}{axis}"] = Curve(grid, size * np.cumsum(random.normal(size=count)) / np.sqrt(count))
+    squareness = dict(zip(("C0Y", "B0Z", "A0Z"), random.normal(scale=3e-5, size=3).tolist(), strict=True))
+    return ErrorTables(curves, squareness, order, tool)
+
+
+def by_hand(tables: ErrorTables, place: Array) -> Array:
+    """Return the error at one position, from the contract's formula with vectors and cross products."""
+    error = np.zeros(3)
+    for axis in AXES:
+        where = place[AXES.index(axis)]
+        values = {kind: tables.curves[f"E{kind}{axis}"].at(np.array([where]))[0] for kind in "XYZABC"}
+        lever = np.array(tables.tool)
+        for nearer in tables.order[tables.order.index(axis) + 1 :]:
+            lever[AXES.index(nearer)] += place[AXES.index(nearer)]
+        error += [values[k] for k in "XYZ"] + np.cross([values[k] for k in "ABC"], lever)
+    _, y, z = place
+    c, b, a = (tables.squareness[name] for name in ("C0Y", "B0Z", "A0Z"))
+    return error + [-c * y + b * z, -a * z, 0.0]
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_the_parts_add_up_to_the_rigid_body_model(order: str) -> None:
+    tables = machine(1, order)
+    places = places_of(tables)[::7]
+    expected = np.array([by_hand(tables, place) for place in places])
+    assert np.abs(tables.at(places) - expected).max() < 1e-12
+    assert np.abs(expected).max() > 0.01
+
+
+def test_every_format_of_tables_is_tried_here() -> None:
+    assert set(FORMATS) - {"csv", "dcc"} == set(CONTROLS)
+
+
+@pytest.mark.parametrize("name", CONTROLS)
+@pytest.mark.parametrize("order", ["XYZ", "ZXY"])
+def test_a_round_trip_leaves_the_rounding(name: str, order: str) -> None:
+    control = CONTROLS[name]
+    for seed in range(5):
+        carried = control.carried(machine(seed, order))
+        texts = control.written(carried)
+        assert control.left(carried, texts) <= control.resolution
+        assert np.abs(carried.at(places_of(carried))).max() > 10 * control.resolution
+
+
+@pytest.mark.parametrize("name", CONTROLS)
+def test_a_wrong_sign_doubles_the_error_and_is_caught(name: str) -> None:
+    control = CONTROLS[name]
+    carried = control.carried(machine(3))
+    before = np.abs(carried.at(places_of(carried))).max()
+    wrong = replace(control, moved=lambda held, places: -control.moved(held, places))
+    assert wrong.left(carried, control.written(carried)) == pytest.approx(2 * before, rel=0.02)
+    with pytest.raises(AssertionError, match="leaves"):
+        wrong.files(machine(3))
+
+
+@pytest.mark.parametrize("name", CONTROLS)
+def test_every_file_or_its_note_says_the_sign(name: str) -> None:
+    texts = CONTROLS[name].files(machine(4))
+    assert any("sign: actual minus commanded" in text.lower() for text in texts.values())
+    if name not in ("siemens-lec", "linuxcnc"):
+        assert any("test move" in text.lower() for text in texts.values())
+
+
+def test_together_both_siemens_files_carry_all_errors() -> None:
+    tables = machine(5)
+    places = places_of(tables)
+    moves = sum(
+        control.moved(control.read(control.written(control.carried(tables))), places)
+        for control in (siemens_lec.CONTROL, siemens_cec.CONTROL)
+    )
+    assert np.abs(tables.at(places) + moves).max() < 3e-6
+    assert np.abs(tables.at(places)).max() > 0.02
+
+
+def test_a_multiplied_table_points_at_its_lever() -> None:
+    text = siemens_cec.CONTROL.files(machine(6))["NC_CEC.INI"]
+    numbers = [int(number) for number in re.findall(r"MULT_BY_TABLE\[\d+\]=(\d+)", text)]
+    assert sum(number > 0 for number in numbers) == 6  # EBX z, ECX y, EAX z, EAX y, EBY z, EAY z
+    for number in filter(None, numbers):
+        assert f"$AN_CEC_MULT_BY_TABLE[{number - 1}]=0" in text
+
+
+def fine(count: int) -> ErrorTables:
+    grid = np.linspace(0.0, 600.0, count)
+    return ErrorTables({"EXX": Curve(grid, 0.01 * np.sin(grid / 50)), "EYX": Curve(grid, 0.01 * np.cos(grid / 50))}, {})
+
+
+@pytest.mark.parametrize(
+    ("name", "count"),
+    [("linuxcnc", 257), ("heidenhain", 257), ("fanuc", 200), ("siemens-lec", 5001), ("siemens-cec", 2001)],
+)
+def test_limits_of_the_control_are_told(name: str, count: int) -> None:
+    with pytest.raises(InputError, match="take"):
+        CONTROLS[name].files(fine(count))
+    CONTROLS[name].files(fine(101))
+
+
+def test_fanuc_rounds_the_sum_and_not_the_increments() -> None:
+    grid = np.linspace(0.0, 600.0, 13)
+    slow = ErrorTables({"EXX": Curve(grid, -0.0004 * np.arange(13.0))}, {})
+    pitch = fanuc.read(fanuc.CONTROL.files(slow))[0]
+    assert pitch.increments.tolist().count(1) == 5
+    assert pitch.curve.values[-1] == pytest.approx(0.005)
+
+
+def test_fanuc_takes_a_table_that_is_on_no_grid_through_zero() -> None:
+    grid = np.linspace(12.3, 587.1, 13)
+    curve = Curve(grid, 0.01 * np.sin(grid / 100))
+    pitch = fanuc.read(fanuc.CONTROL.files(ErrorTables({"EXX": curve}, {})))[0]
+    assert pitch.curve.at(np.zeros(1)) == 0
+    relative = curve.at(grid) - curve.at(np.zeros(1))
+    assert np.abs(pitch.curve.at(grid) + relative).max() < 1.2e-3
+
+
+def test_fanuc_takes_more_points_or_magnifies_where_increments_are_large() -> None:
+    grid = np.linspace(0.0, 600.0, 13)
+    steep = fanuc.read(fanuc.CONTROL.files(ErrorTables({"EXX": Curve(grid, 0.02 * (-1.0) ** np.arange(13))}, {})))[0]
+    assert len(steep.increments) > 13
+    assert np.abs(steep.increments).max() <= 7
+
+
+@pytest.mark.parametrize("name", CONTROLS)
+def test_nothing_determined_is_nothing_written(name: str) -> None:
+    with pytest.raises(InputError, match="determines n"):
+        CONTROLS[name].written(ErrorTables({}, {}))

@@ -1,0 +1,92 @@
+"""From measured points to compensation: what the files make the control do cancels the true error of the machine."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+import simulated_machine as sim
+
+from metrocli.errors import InputError
+from metrocli.exports import FORMATS, error_tables, etalon, export, isg_csv, siemens_cec, siemens_lec
+from metrocli.exports.error_tables import Array
+from metrocli.result import Result
+from metrocli.table import Table
+from metrocli.tasks import calibrate_machine
+
+RIGHT = {
+    "siemens": (siemens_lec.CONTROL, siemens_cec.CONTROL),
+    "isg": (isg_csv.CONTROL,),
+    "etalon": (etalon.CONTROL,),
+}
+
+
+@cache
+def measured(tools: int, seed: int = 5) -> tuple[sim.Machine, Result]:
+    """Return a machine and its calibration with one tool or three."""
+    rng = np.random.default_rng(seed)
+    machine = sim.random_machine(rng)
+    vectors = sim.ONE if tools == 1 else sim.THREE
+    points = sim.points(machine, rng, 400, vectors)
+    return machine, calibrate_machine.run(sim.settings(tools=vectors), points=points)
+
+
+def true_error(machine: sim.Machine, places: Array) -> Array:
+    tool = np.array(sim.ONE["T1"])
+    return np.array([machine.first_order(place, tool) for place in places])
+
+
+@pytest.mark.parametrize("control", RIGHT)
+@pytest.mark.parametrize("tools", [1, 3])
+def test_the_control_cancels_the_true_error(control: str, tools: int) -> None:
+    machine, result = measured(tools)
+    places = sim.commands(np.random.default_rng(99), 60)
+    tables = error_tables.of(result)
+    moves = np.zeros(places.shape)
+    for part in RIGHT[control]:
+        moves += part.moved(part.read(part.files(tables)), places)
+    before, after = (
+        sim.without_motion(d, places) for d in (true_error(machine, places), true_error(machine, places) + moves)
+    )
+    assert np.sqrt((before**2).sum(axis=1).mean()) > 0.05
+    assert np.sqrt((after**2).sum(axis=1).mean()) < 0.002
+
+
+def test_what_is_not_determined_is_in_no_file() -> None:
+    _, result = measured(1)
+    assert {"EAZ", "EBZ", "ECZ", "ECY"} == set(error_tables.of(result).left_out)
+    for name in set(FORMATS) - {"csv", "dcc"}:
+        for text in export(name, result).values():
+            assert isinstance(text, str)
+            body = [line for line in text.splitlines() if not line.startswith((";", "//", "(", "#"))]
+            if name in ("isg-csv", "etalon"):
+                assert not any(error in line for line in body for error in ("EAZ", "EBZ", "ECZ", "ECY"))
+        texts = [text for text in export(name, result).values() if isinstance(text, str)]
+        assert any("EAZ EBZ ECZ ECY" in text or "ECY EAZ EBZ ECZ" in text for text in texts), name
+        assert any(
+            "120) mm of the measurement only"
+            in text.replace("MM OF THE MEASUREMENT ONLY", "mm of the measurement only")
+            for text in texts
+        ), name
+
+
+def test_plain_csv_has_value_and_uncertainty_of_every_knot() -> None:
+    machine, result = measured(3)
+    files = export("csv", result)
+    lengths, angles = (str(files[name]).splitlines() for name in ("errors.csv", "errors-angles.csv"))
+    assert lengths[0] == angles[0] == "# sign: actual minus commanded"
+    assert "error,position_mm,value_um,std_um" in lengths
+    assert "error,position_mm,value_urad,std_urad" in angles
+    rows = [line.split(",") for line in lengths if line.startswith("EYX,")]
+    value, std = np.array([row[2:] for row in rows], dtype=float).T
+    assert np.array([row[1] for row in rows], dtype=float).tolist() == machine.positions("X").tolist()
+    assert std[1:-1].min() > 0
+    assert np.abs(value - 1e3 * machine.tables["EYX"]).max() < 5 * std.max()
+
+
+def test_another_result_has_no_compensation() -> None:
+    other = Result("straight-line", "", (), np.zeros((0, 0)), {}, {"residuals": Table({"a": np.arange(2.0)})})
+    for name in set(FORMATS) - {"csv", "dcc"}:
+        with pytest.raises(InputError, match="calibrate-machine"):
+            export(name, other)

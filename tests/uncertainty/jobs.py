@@ -1,0 +1,51 @@
+"""Jobs of report-uncertainty, written and carried out as a user would."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from metrocli.cli.commands import run
+from metrocli.formats import hdf5
+from metrocli.result import Result
+
+
+@dataclass(frozen=True)
+class Ran:
+    """What came out of a job."""
+
+    code: int
+    result: Result | None
+    path: Path
+
+    def details(self, name: str) -> dict[str, Any]:
+        """Everything that the summary says of a measurand."""
+        from metrocli.cli.summary import summary
+
+        assert self.result is not None
+        return dict(summary(*hdf5.read(self.path), self.path)["estimates"][name])
+
+
+def write(folder: Path, job: dict[str, Any], name: str = "job") -> Path:
+    path = folder / f"{name}.yaml"
+    path.write_text(
+        yaml.safe_dump({"metrocli": 1, "job": "report-uncertainty", "output": f"{name}.h5", **job}, sort_keys=False)
+    )
+    return path
+
+
+def carry_out(folder: Path, job: dict[str, Any], name: str = "job", *options: str) -> Ran:
+    """Run a job quietly in this process."""
+    path = write(folder, job, name)
+    code = run(["report-uncertainty", str(path), "--quiet", *options])
+    output = folder / f"{name}.h5"
+    return Ran(code, hdf5.read(output)[0] if output.is_file() else None, output)
+
+
+def quoted(value: Any) -> str:
+    """Text of a value with all its digits."""
+    return json.dumps(value)
