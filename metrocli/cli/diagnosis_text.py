@@ -137,6 +137,11 @@ def _candidates(subject: Subject, design: Design, named: Sequence[Named]) -> lis
         word = verdict.status(candidate, named)
         rows.setdefault((candidate.alternative.effect.name, word), []).append(candidate)
     lines = [_line(subject, name, word, found) for (name, word), found in rows.items()]
+    for wrong in design.readings:
+        size, unit = units.readable(wrong.detectable, wrong.effect.parameters[0].dimension)
+        hides, at = units.readable(wrong.hides, subject.delivered.dimension)
+        cells = ("one reading", verdict.EXCLUDED, f"{size:.2g} {unit}", f"{hides:.2g} {at}")
+        lines.append((wrong.effect.name, *cells, "else an outlier"))
     lines += [(one.effect.name, "", verdict.NOT_TESTED, "-", "-", one.reason) for one in design.not_tested]
     return _table(("effect", "where", "", "seen from", "hides up to", ""), lines)
 

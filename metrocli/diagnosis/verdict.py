@@ -9,7 +9,7 @@ import numpy as np
 
 from metrocli import units
 from metrocli.diagnosis.candidates import Alternative, NotTested
-from metrocli.diagnosis.design import Candidate, Design
+from metrocli.diagnosis.design import Candidate, Design, WrongReading
 from metrocli.diagnosis.diagnose import Diagnosis, Finding
 from metrocli.diagnosis.mistakes import Mistaken
 from metrocli.diagnosis.naming import Named, Rival
@@ -21,7 +21,7 @@ NOT_TESTABLE, NOT_TESTED = "not-testable", "not-tested"
 
 def as_data(diagnosis: Diagnosis) -> dict[str, Any]:
     """Return a diagnosis by the keys of the contract; units are internal ones unless a `unit` says otherwise."""
-    noise, left = diagnosis.noise, diagnosis.left
+    noise, left, repeats = diagnosis.noise, diagnosis.left, diagnosis.repeats
     return {
         "verdict": diagnosis.verdict,
         "noise": {
@@ -29,6 +29,7 @@ def as_data(diagnosis: Diagnosis) -> dict[str, Any]:
             "ratio": noise.ratio,
             "interval": [noise.low, noise.high],
             "apart": [{unit.key: unit.name, "ratio": unit.ratio} for unit in diagnosis.apart],
+            "repeats": None if repeats is None else {"ratio": repeats.ratio, "lack_of_fit": repeats.lack_of_fit},
         },
         "outliers": [{"observation": dict(one.keys), "w": one.test} for one in diagnosis.outliers],
         "effects": [
@@ -132,7 +133,20 @@ def candidates(subject: Subject, design: Design, named: Iterable[Named]) -> list
     """Return all candidates, tested or not."""
     names = list(named)
     tested = [_candidate(subject, candidate, status(candidate, names)) for candidate in design.candidates]
-    return tested + [_missing(one) for one in design.not_tested]
+    readings = [_wrong_reading(subject, one) for one in design.readings]
+    return tested + readings + [_missing(one) for one in design.not_tested]
+
+
+def _wrong_reading(subject: Subject, one: WrongReading) -> dict[str, Any]:
+    unchecked = f"; {one.unchecked} readings cannot be checked" if one.unchecked else ""
+    return {
+        "name": one.effect.name,
+        "where": {},
+        "status": EXCLUDED,
+        "minimal_detectable": {"value": one.detectable, "unit": one.effect.parameters[0].unit},
+        "hides": _delivered(subject, one.hides),
+        "reason": f"wrong readings are listed as outliers; the size is that of the median reading{unchecked}",
+    }
 
 
 def _candidate(subject: Subject, candidate: Candidate, word: str) -> dict[str, Any]:
