@@ -46,11 +46,11 @@ def extended_model(subject: Subject, names: Sequence[Named]) -> Model:
         model = with_effect(model, alternative.effect, [alternative.instance], dict(alternative.scanned))
         added = model.added[-1]
         block = model.blocks[added.block]
-        values = block.values.copy()
+        step = np.zeros(block.values.shape)
         row = block.members.index(alternative.instance[0]) if alternative.instance and added.effect.link is None else -1
         for parameter, value in zip(alternative.parameters, name.values, strict=True):
-            values[row, block.column(parameter)] += value
-        model = model.with_blocks({**model.blocks, block.name: block.with_values(values)})
+            step[row, block.column(parameter)] = value
+        model = model.with_blocks({**model.blocks, block.name: block.moved(step)})
     return model
 
 
