@@ -11,6 +11,7 @@ from metrocli import units
 from metrocli.diagnosis.candidates import Alternative, NotTested
 from metrocli.diagnosis.design import Candidate, Design, WrongReading
 from metrocli.diagnosis.diagnose import Diagnosis, Finding
+from metrocli.diagnosis.mended import sizes
 from metrocli.diagnosis.mistakes import Mistaken
 from metrocli.diagnosis.naming import Named, Rival
 from metrocli.diagnosis.subject import Subject
@@ -72,7 +73,7 @@ def _effect(subject: Subject, finding: Finding) -> dict[str, Any]:
     return {
         "name": name.alternative.effect.name,
         "where": name.alternative.where,
-        "parameters": _parameters(name),
+        "parameters": _parameters(subject, name),
         "p_value": float(np.exp(name.log_level)),
         "alternatives": [_rival(rival) for rival in name.rivals],
         "gain": {
@@ -90,15 +91,11 @@ def _effect(subject: Subject, finding: Finding) -> dict[str, Any]:
     }
 
 
-def _parameters(name: Named) -> dict[str, Any]:
-    known = {p.name: p for p in name.alternative.effect.all_parameters}
-    std = np.sqrt(np.maximum(np.diag(name.covariance), 0.0))
-    found: dict[str, Any] = {
-        key: {"value": float(value), "std": float(spread), "unit": known[key].unit}
-        for key, value, spread in zip(name.alternative.parameters, name.values, std, strict=True)
+def _parameters(subject: Subject, name: Named) -> dict[str, Any]:
+    return {
+        size.parameter.name: {"value": size.value, "std": size.std, "unit": size.parameter.unit}
+        for size in sizes(subject, name)
     }
-    scanned = {key: {"value": value, "std": None, "unit": known[key].unit} for key, value in name.alternative.scanned}
-    return found | scanned
 
 
 def _rival(rival: Rival) -> dict[str, Any]:
