@@ -35,7 +35,7 @@ class Gauge:
     def moves_of(self, members: Index | slice) -> Array:
         """Return E of some members, (k, s, f)."""
         moves = self.frame.moves[self.block.name].at(self.block.values, members)
-        return np.asarray(moves * self.block.free[members, :, None])
+        return moves if self.block.all_free else np.asarray(moves * self.block.free[members, :, None])
 
     @cached_property
     def moves(self) -> Array:
@@ -150,8 +150,8 @@ class Covariance:
         """Return the covariance of the members of one part, (k, s, s)."""
         own = part.covariance(self.reduced)
         if self.gauge is not None:
-            shared = self.gauge.moves_of(part.members) @ np.swapaxes(self.gauge.shares[i], 1, 2)
-            own = own - shared - np.swapaxes(shared, 1, 2)
+            shared = np.einsum("nsf,ntf->stn", self.gauge.moves_of(part.members), self.gauge.shares[i])
+            own = own - (shared + shared.swapaxes(0, 1)).transpose(2, 0, 1)
         return own
 
     def pairs(self, name: str, index: Index, other: str, other_index: Index) -> Array:

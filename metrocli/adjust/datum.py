@@ -76,7 +76,8 @@ class Frame:
     def constraint(self, members: Index | slice) -> Array:
         """Return `(G' E)^-1 G'` of some members of the datum block, (members, size, k)."""
         g = self.reference.mixed(self.amounts.T).at(self.datum.reference, members)
-        return np.asarray(g * self.datum.members[members, None, None])
+        weights = self.datum.members[members]
+        return g if (weights == 1).all() else np.asarray(g * weights[:, None, None])
 
     def conditions(self, layout: Layout) -> Array:
         """Return the conditions `(G' E)^-1 G'` on a reduced system that holds the datum block, (k, width)."""

@@ -140,11 +140,16 @@ class Eliminated:
         LinAlgError where a member is singular. Where there are few readings to spare, combinations of readings that
         the members do not act on are taken (Z of `complement`), else `K'K - Y'Y`.
         """
-        scalars = sum(part.own.shape[0] * part.own.shape[2] for part in self.rows)
         matrix, right = np.zeros((self.width + 1,) * 2), np.zeros(self.width + 1)
-        s = len(self.free)
-        if s <= scalars <= 2 * s and self.free.all() and not self.damping:
-            self._add_spare(matrix, right)
+        if self._few:
+            spare = self._spare()
+            rows, places = self._combined(len(spare[0]), spare)
+            flat = _flat(rows)
+            residual = sum(
+                np.einsum("qdmk,dmk->qk", z, part.residual) for z, part in zip(spare, self.rows, strict=True)
+            )
+            np.add.at(matrix, (places[:, None], places), flat @ flat.T)
+            np.add.at(right, places, flat @ np.ravel(residual))
         else:
             for part in self.rows:
                 _add(part, matrix, right)
@@ -155,21 +160,23 @@ class Eliminated:
         fall = self.forward(self.right)
         return matrix[:-1, :-1], right[:-1], float(np.vdot(fall, fall))
 
-    def _add_spare(self, matrix: Array, right: Array) -> None:
-        """Add `X'X` and `X' Z' residual`, with `X = Z'K`."""
+    @property
+    def _few(self) -> bool:
+        """Whether there are so few readings that the combinations free of the members are fewer than they."""
+        s, scalars = len(self.free), sum(part.own.shape[0] * part.own.shape[2] for part in self.rows)
+        return s <= scalars <= 2 * s and bool(self.free.all()) and not self.damping
+
+    def _spare(self) -> list[Array]:
+        """Return Z, the combinations of readings that the members do not act on, for each group, (q, d, m, k)."""
         s, k = self.free.shape
         columns = [part.own.swapaxes(1, 2).reshape(-1, s, k) for part in self.rows]
         self.factor, spare = complement(columns[0] if len(columns) == 1 else np.concatenate(columns))
-        weights, residual, at = [], np.zeros((spare.shape[1], k)), 0
+        found, at = [], 0
         for part, column in zip(self.rows, columns, strict=True):
-            own = spare[at : at + len(column)]
+            mine = spare[at : at + len(column)].swapaxes(0, 1)
+            found.append(mine.reshape(len(mine), *part.residual.shape))
             at += len(column)
-            residual += np.einsum("pqk,pk->qk", own, part.residual.reshape(len(column), k))
-            weights.append(own.swapaxes(0, 1).reshape(spare.shape[1], *part.residual.shape))
-        rows, places = self._combined(spare.shape[1], weights)
-        flat = _flat(rows)
-        np.add.at(matrix, (places[:, None], places), flat @ flat.T)
-        np.add.at(right, places, flat @ residual.ravel())
+        return found
 
     @property
     def diagonal(self) -> Array:
@@ -225,21 +232,21 @@ class Eliminated:
         np.add.at(coupled, places, _flat(rows) @ flat.T)
         return coupled[:-1].T, flat @ flat.T, self.backward(through).transpose(2, 0, 1)
 
-    def shared(self, reduced: Array) -> tuple[Array, Array, Array]:
-        """Return Y, `Y Q` and `Y Q Y'`, of the reduced unknowns' covariance Q: (rows, s, k) twice, (s, s, k)."""
-        rows, places = self.coupling()
-        chosen = _padded(reduced)[np.ix_(places, places)]
-        product = (chosen @ _flat(rows)).reshape(rows.shape)
-        s, k = self.free.shape
+    @staticmethod
+    def _shared(coupled: tuple[Array, Index], reduced: Array) -> tuple[Array, Array]:
+        """Return `Y Q` and `Y Q Y'`, of the reduced unknowns' covariance Q: (rows, s, k), (s, s, k)."""
+        rows, places = coupled
+        product = (_padded(reduced)[np.ix_(places, places)] @ _flat(rows)).reshape(rows.shape)
+        s, k = rows.shape[1:]
         between = np.empty((s, s, k))
         for a in range(s):
             for b in range(a + 1):
                 between[a, b] = between[b, a] = np.einsum("rk,rk->k", rows[:, a], product[:, b])
-        return rows, product, between
+        return product, between
 
     def covariance(self, reduced: Array) -> Array:
         """Return `D^-1 + W Q W'` of each member, (k, s, s)."""
-        inner = self.shared(reduced)[2]
+        inner = self._shared(self.coupling(), reduced)[1]
         for a in range(len(inner)):
             inner[a, a] += 1.0
         half = self.backward(inner)
@@ -249,9 +256,16 @@ class Eliminated:
     def explained(self, reduced: Array) -> list[Array]:
         """Return the variance of each reading as adjusted, `diag(A Q A')`, for each group of rows, (d, m k).
 
-        With `U` the reading's own part, `U'U + U' Y Q Y' U - 2 U' Y Q K' + K Q K'`.
+        With `U` the reading's own part, `U'U + U' Y Q Y' U - 2 U' Y Q K' + K Q K'`; where Z is small, by what is
+        left, `1 - Z (I - X Q X') Z'`, `X = Z'K`.
         """
-        _, product, between = self.shared(reduced)
+        if self._few:
+            spare = self._spare()
+            left = -self._shared(self._combined(len(spare[0]), spare), reduced)[1]
+            for a in range(len(left)):
+                left[a, a] += 1.0
+            return [(1 - np.einsum("qdmk,rdmk,qrk->dmk", z, z, left)).reshape(z.shape[1], -1) for z in spare]
+        product, between = self._shared(self.coupling(), reduced)
         found, at = [], 0
         for part in self.rows:
             u = self.whitened(part)
