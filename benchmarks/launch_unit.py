@@ -14,6 +14,8 @@ import numpy.typing as npt
 
 from metrocli.tasks.launch_lines import Line, Reach, across, commanded, measurable
 from metrocli.tasks.launch_margin import Margin, Uncertainty, Window, beam_position
+from metrocli.tasks.launch_plan import planned_measurement
+from metrocli.tasks.launch_plan_settings import Axes, Planned
 from metrocli.tasks.launch_readings import Readings
 from metrocli.tasks.launch_solve import How, Located, locate
 from metrocli.tasks.locate_launch_unit import Noise
@@ -172,6 +174,21 @@ def beams(draws: int = 1000) -> None:
             )
 
 
+def margins() -> None:
+    """What plan says of the paper's poses, with its encoders and with better ones."""
+    planned = Planned(Axes((-1200.0, 4200.0), (0.0, 1200.0), (0.0, 1600.0)), 50.0, 300.0)
+    for encoder, name in ((50e-6, "50 urad"), (5 * ARCSEC, "5 arcsec")):
+        noise = Noise(encoder)
+        readings = Truth(PAPER, PAPER_RECEIVERS, False).read(Noise(0.0), np.random.default_rng(5))
+        start = time.process_time()
+        plan = planned_measurement(locate(readings, noise), planned, noise)
+        print(f"plan with encoders of {name} ({time.process_time() - start:.2f} s of CPU): {'; '.join(plan.notes[1:])}")
+        lines = plan.tables["lines"]
+        rows = zip(*(lines.numbers(key) for key in ("far", "probability", "safe_distance")), strict=True)
+        for line, (far, probability, safe) in zip(lines.texts("line"), rows, strict=True):
+            print(f"  line {line} to {far:.0f} mm: {probability:.1%}; 95 % to {safe:.0f} mm")
+
+
 def speed() -> None:
     """CPU time of a location."""
     noise, rng = Noise(5 * ARCSEC, 1e-3), np.random.default_rng(4)
@@ -184,7 +201,7 @@ def speed() -> None:
         print(f"{n:3d} poses: {(time.process_time() - start) / 20:.4f} s of CPU a location")
 
 
-PARTS: tuple[Callable[[], None], ...] = (ideal, scatter, coverage, methods, beams, speed)
+PARTS: tuple[Callable[[], None], ...] = (ideal, scatter, coverage, methods, beams, margins, speed)
 
 
 if __name__ == "__main__":

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 _PI = math.pi
 _ARCSEC_PER_TURN = 1_296_000.0
 _KELVIN_AT_0_DEGC = 273.15
+INCH = 25.4
+"""Millimetres; not a unit of files here, but one that they are written in by mistake"""
 
 
 @dataclass(frozen=True)
@@ -296,6 +298,14 @@ def format_quantity(value: float, unit: str, std: float | None = None) -> str:
         return f"{value:.6g}{unit}"
     number, spread = rounded(value, std)
     return f"{number} ± {spread}{unit}"
+
+
+def readable(value: float, dimension: str) -> tuple[float, str]:
+    """Return a value in the unit of its dimension in which it is a number from 1 to 1000, or nearest to that."""
+    if not dimension or value == 0 or not math.isfinite(value):
+        return value, internal_unit(dimension) if dimension else ""
+    found = [(unit.outside(value), unit.symbol) for unit in DIMENSIONS[dimension].units if not unit.offset]
+    return min(found, key=lambda one: abs(math.log10(abs(one[0])) - 0.5))
 
 
 def roughly(value: float, unit: str) -> str:

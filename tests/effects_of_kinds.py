@@ -10,13 +10,20 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+import simulated_grid
 import simulated_launch
 import simulated_lengths
+import simulated_machine
 
+from metrocli.adjust.adjustment import adjust
+from metrocli.adjust.design import unit_noise
 from metrocli.effects.effect import Effect
 from metrocli.effects.model import Model, with_conditions
-from metrocli.tasks import launch_problem, launch_readings
+from metrocli.geometry.poses import pose_from_euler
+from metrocli.tasks import grid_problem, grid_readings, launch_problem, launch_readings
+from metrocli.tasks.grid_settings import views_of
 from metrocli.tasks.length_network import build
+from metrocli.tasks.machine_standstill import standstill
 
 
 @dataclass(frozen=True)
@@ -58,9 +65,45 @@ def locate_launch_unit(effect: Effect) -> Model:
     return with_conditions(model.with_blocks({**model.blocks, "launch unit": true}))
 
 
+def selfcal_grid(effect: Effect) -> Model:
+    """A grid of 3 x 3 x 3 in six views, each ball measured forth and back; temperatures at random."""
+    one = simulated_grid.grid(3, "123456", seed=3)
+    rng = np.random.default_rng(6)
+    table = simulated_grid.repeated(one.read(rng, noise=0.0))
+    table = replace(
+        table, columns={**table.columns, "t": 20.0 * np.arange(len(table)), "temp": 20 + rng.uniform(0, 1, len(table))}
+    )
+    settings = one.settings()
+    readings = grid_readings.read(views_of(settings), settings.grid.half, table)
+    model = grid_problem.build(readings, (settings.grid.half, settings.grid.pitch), settings.noise).model()
+    values = {"machine_error": one.machine, "artefact_error": one.artefact}
+    mountings = np.array([np.concatenate(one.mountings[name]) for name in one.views])
+    values["view"] = pose_from_euler(mountings[:, :3], mountings[:, 3:])
+    return with_conditions(
+        model.with_blocks({name: block.with_values(values[name]) for name, block in model.blocks.items()})
+    )
+
+
+def calibrate_machine(effect: Effect) -> Model:
+    """120 points with three tools that are known to 1 um, from all sides; times at random."""
+    rng = np.random.default_rng(6)
+    tools = simulated_machine.THREE
+    machine = simulated_machine.random_machine(rng)
+    table = simulated_machine.points(machine, rng, 120, tools, noise=0.0)
+    more = {f"from_{axis}": rng.choice([-1.0, 1.0], 120) for axis in "xyz"} | {"t": rng.uniform(100.0, 2000.0, 120)}
+    table = replace(table, columns={**table.columns, **more})
+    settings = simulated_machine.settings(tools=tools, tool_uncertainty=0.001)
+    problem = standstill(settings, table)
+    problem = replace(problem, readings=unit_noise(problem.readings, 0.002))
+    solved = adjust(problem.blocks.values(), problem.groups)
+    return with_conditions(problem.model().with_blocks(solved.blocks))
+
+
 MEASURED: dict[str, Measured] = {
+    "calibrate-machine": Measured(calibrate_machine, {"period": 37.0}),
     "multilaterate": Measured(multilaterate, {"at": 900.0}),
     "locate-launch-unit": Measured(locate_launch_unit, {}),
+    "selfcal-grid": Measured(selfcal_grid, {"at": 1600.0, "from_view": 2.0}),
 }
 
 

@@ -49,7 +49,11 @@ class Network:
     def lengths(self) -> Table:
         """What the tracers read, as a file would have it."""
         i, j = np.nonzero(np.isfinite(self.readings))
-        columns = {"point": np.array(self.names)[i], "tracer": np.array(self.stations)[j], "length": self.readings[i, j]}
+        columns = {
+            "point": np.array(self.names)[i],
+            "tracer": np.array(self.stations)[j],
+            "length": self.readings[i, j],
+        }
         return Table(columns, {"length": "mm"}, "lengths.csv", tuple(range(2, len(i) + 2)))
 
     def point_table(self, **more: Array) -> Table:
@@ -87,7 +91,9 @@ def network(n: int, m: int, seed: int = 0, scale: float = 0.0, noise: float = 1.
     tracers = (CORNERS[:m] + rng.normal(0, 0.05, (m, 3))) * VOLUME
     # the interferometer was set to zero somewhere
     dead = rng.uniform(200, 900, m)
-    empty = Network(points, points + rng.normal(0, 0.02, (n, 3)), tracers, dead, 1 + rng.normal(0, 1, m) * scale, np.zeros((n, m)))
+    empty = Network(
+        points, points + rng.normal(0, 0.02, (n, 3)), tracers, dead, 1 + rng.normal(0, 1, m) * scale, np.zeros((n, m))
+    )
     return empty.read(rng, noise)
 
 

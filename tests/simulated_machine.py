@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -97,7 +98,9 @@ def rotation(vector: Array) -> Array:
     return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
 
 
-def random_machine(rng: np.random.Generator, order: str = "XYZ", knots: tuple[int, int, int] = (5, 5, 5), size: float = 0.05) -> Machine:
+def random_machine(
+    rng: np.random.Generator, order: str = "XYZ", knots: tuple[int, int, int] = (5, 5, 5), size: float = 0.05
+) -> Machine:
     """Random tables in the gauge of the contract: positioning and angles 0 at 0, straightness 0 at both ends."""
     machine = Machine(order, knots)
     tables = {}
@@ -153,7 +156,9 @@ def settings(
     axes = [AxisSettings((float(LOW[i]), float(HIGH[i])), knots[i]) for i in range(3)]
     keys = {"standstill": ("points",), "on-the-fly": ("path", "track"), "six-dof": ("lines",)}[method]
     vectors = {name: tuple(vector) for name, vector in (tools or ONE).items()}
-    machine = MachineSettings(chain, AxesSettings(*axes), tools=vectors, tool_uncertainty=more.pop("tool_uncertainty", 0.0))
+    machine = MachineSettings(
+        chain, AxesSettings(*axes), tools=vectors, tool_uncertainty=more.pop("tool_uncertainty", 0.0)
+    )
     noise = more.pop("noise", Noise(beam=1e-3, lateral=LateralNoise(2e-3, 3e-6)))
     return Settings(method, machine, Inputs(**dict.fromkeys(keys, NOWHERE)), noise, **more)
 
@@ -170,7 +175,11 @@ def commands(rng: np.random.Generator, n: int) -> Array:
 
 
 def points(
-    machine: Machine, rng: np.random.Generator, n: int = 226, tools: Mapping[str, Sequence[float]] | None = None, noise: float = 1.0
+    machine: Machine,
+    rng: np.random.Generator,
+    n: int = 226,
+    tools: Mapping[str, Sequence[float]] | None = None,
+    noise: float = 1.0,
 ) -> Table:
     """A standstill measurement."""
     tools = tools or ONE
@@ -184,7 +193,12 @@ def point_table(position: Array, seen: Array, tool: npt.NDArray[np.str_]) -> Tab
     """Commanded and measured points as a file would have them."""
     columns = {"point": np.array([f"P{i}" for i in range(len(position))]), "tool": tool}
     columns |= dict(zip("xyz", position.T, strict=True)) | dict(zip(("mx", "my", "mz"), seen.T, strict=True))
-    return Table(columns, dict.fromkeys(("x", "y", "z", "mx", "my", "mz"), "mm"), "points.csv", tuple(range(2, len(position) + 2)))
+    return Table(
+        columns,
+        dict.fromkeys(("x", "y", "z", "mx", "my", "mz"), "mm"),
+        "points.csv",
+        tuple(range(2, len(position) + 2)),
+    )
 
 
 def truth_of(machine: Machine, name: str) -> Array:
@@ -201,3 +215,151 @@ def without_motion(moved: Array, at: Array) -> Array:
     design = np.stack([column.ravel() for column in columns], axis=1)
     motion, *_ = np.linalg.lstsq(design, moved.ravel(), rcond=None)
     return moved - (design @ motion).reshape(moved.shape)
+
+
+def displacements(machine: Machine, positions: Array, tools: Array) -> Array:
+    """The first-order displacement of many points, (n, 3)."""
+    total = np.zeros_like(positions)
+    for n, axis in enumerate(machine.order):
+        x = positions[:, "XYZ".index(axis)]
+        e = np.stack([np.interp(x, machine.positions(axis), machine.tables[f"E{d}{axis}"]) for d in "XYZABC"], axis=1)
+        lever = np.array(np.broadcast_to(tools, positions.shape))
+        for later in machine.order[n + 1 :]:
+            lever[:, "XYZ".index(later)] += positions[:, "XYZ".index(later)]
+        total += e[:, :3] + np.cross(e[:, 3:], lever)
+    a, b, c = machine.squareness
+    total[:, 0] += -c * positions[:, 1] + b * positions[:, 2]
+    total[:, 1] -= a * positions[:, 2]
+    return total
+
+
+def travel(vertices: Array, spacing: float, rng: np.random.Generator) -> Array:
+    """Commanded positions along a path: uneven spacing about `spacing`, slower at the vertices, a rest at each."""
+    parts = [np.repeat(vertices[:1], 20, axis=0)]
+    for start, end in pairwise(vertices):
+        length = float(np.linalg.norm(end - start))
+        if length == 0:
+            continue
+        n = max(int(length / spacing), 5)
+        share = (np.arange(n) + rng.uniform(0.1, 0.9)) / n
+        # ramps at both ends: a cubic that begins and ends with a third of the speed
+        share = share + 0.3 * np.sin(2 * np.pi * share) / -(2 * np.pi)
+        parts += [start + share[:, None] * (end - start), np.repeat(end[None], 10, axis=0)]
+    return np.concatenate(parts)
+
+
+def walls(rng: np.random.Generator, n: int) -> Array:
+    """Random points on the walls of the volume, one after the other on different walls."""
+    points, last = [], -1
+    while len(points) < n:
+        wall = int(rng.integers(6))
+        if wall == last:
+            continue
+        last = wall
+        share = rng.uniform(size=3)
+        share[wall // 2] = wall % 2
+        points.append(np.round(LOW + share * (HIGH - LOW), 3))
+    return np.array(points)
+
+
+@dataclass(frozen=True)
+class Flight:
+    """A path and a track, as files would have them, with the truth."""
+
+    path: Table
+    track: Table
+    commanded: Array
+    tool: npt.NDArray[np.int64]
+
+
+def flight(
+    machine: Machine,
+    vertices: Array,
+    rng: np.random.Generator,
+    *,
+    spacing: float = 1.0,
+    noise: float = 1.0,
+    tools: Mapping[str, Sequence[float]] | None = None,
+) -> Flight:
+    """An on-the-fly measurement; with several tools the path is driven once with each."""
+    tools = tools or ONE
+    eye = tracker(rng, constant=5e-3, proportional=0.0)
+    way = [travel(vertices, spacing, rng) for _ in tools]
+    tool = np.repeat(np.arange(len(tools)), [len(part) for part in way])
+    commanded = np.concatenate(way)
+    vectors = np.array(list(tools.values()))[tool]
+    seen = eye.reads(commanded + vectors + displacements(machine, commanded, vectors), rng, noise)
+    names = np.array(list(tools))
+    listed = {"tool": np.repeat(names, len(vertices))} if len(tools) > 1 else {}
+    track = {"tool": names[tool]} if len(tools) > 1 else {}
+    return Flight(
+        _table("path.csv", np.tile(vertices, (len(tools), 1)), listed),
+        _table("track.csv", seen, track),
+        commanded,
+        tool,
+    )
+
+
+def _table(file: str, values: Array, more: Mapping[str, object]) -> Table:
+    columns = {**dict(zip("xyz", values.T, strict=True)), **more}
+    return Table(columns, dict.fromkeys("xyz", "mm"), file, tuple(range(2, len(values) + 2)))  # type: ignore[arg-type]
+
+
+def left_in_volume(result_volume: Table, machine: Machine, tool: Sequence[float]) -> tuple[float, float]:
+    """Mean length of the true error over a result's grid, and of what its prediction leaves of it, without motion."""
+    at = result_volume.stacked("xyz")
+    truth = displacements(machine, at, np.array(tool))
+    predicted = result_volume.stacked(("ex", "ey", "ez"))
+    whole, left = (np.linalg.norm(without_motion(part, at), axis=1).mean() for part in (truth, predicted - truth))
+    return float(whole), float(left)
+
+
+CHANNELS = ("ex", "ey", "ez", "ea", "eb", "ec")
+SPAN = HIGH - LOW
+
+
+def rotations(machine: Machine, positions: Array) -> Array:
+    return sum(np.stack([machine.errors(a, p) for p in positions[:, i]])[:, 3:] for i, a in enumerate("XYZ"))  # type: ignore[return-value]
+
+
+def line(
+    machine: Machine, axis: str, rng: np.random.Generator, noise: float = 1.0, n: int = 25, **where: float
+) -> dict[str, Array]:
+    """One line: the machine's error, an offset in every channel, a slope across the beam, noise."""
+    moving = ["xyz".index(letter) for letter in axis]
+    length = float(np.linalg.norm(SPAN[moving]))
+    distance = np.linspace(0, length, n)
+    at = np.zeros((n, 3))
+    for letter, value in where.items():
+        at[:, "xyz".index(letter)] = value
+    along = np.zeros(3)
+    along[moving] = SPAN[moving] / length
+    at[:, moving] = LOW[moving] + np.outer(distance, along[moving])
+    channels = np.concatenate([displacements(machine, at, np.zeros(3)), rotations(machine, at)], axis=1)
+    channels += rng.normal(size=6) * ([0.05] * 3 + [2e-4] * 3)
+    slope = rng.normal(size=3) * 5e-5
+    channels[:, :3] += np.outer(distance, slope - slope @ along * along)
+    beam = rng.normal(size=(n, 1)) * 5e-4
+    square = rng.normal(size=(n, 3)) * 1e-3
+    channels[:, :3] += noise * (square + (beam - square @ along[:, None]) * along)
+    channels[:, 3:] += noise * rng.normal(size=(n, 3)) * 1e-6
+    shown = at[:, moving[0]] if len(moving) == 1 else distance
+    return {
+        "axis": np.repeat(axis, n),
+        "position": shown,
+        **dict(zip(CHANNELS, channels.T, strict=True)),
+        **dict(zip("xyz", at.T, strict=True)),
+    }
+
+
+def line_table(lines: list[dict[str, Array]], keep: tuple[str, ...] = ()) -> Table:
+    names = np.concatenate([np.repeat(f"L{i}", len(one["position"])) for i, one in enumerate(lines)])
+    columns = {"line": names} | {
+        name: np.concatenate([one[name] for one in lines]) for name in ("axis", "position", *CHANNELS, *keep)
+    }
+    units = {
+        "position": "mm",
+        **dict.fromkeys(("ex", "ey", "ez", *keep), "mm"),
+        **dict.fromkeys(("ea", "eb", "ec"), "rad"),
+    }
+    return Table(columns, units, "lines.csv", tuple(range(2, len(names) + 2)))

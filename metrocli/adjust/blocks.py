@@ -15,25 +15,57 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 
+_LEAST_WAVE = 1e-9
+"""Below this amplitude a phase means nothing"""
+
+
 class Space(Enum):
     """How values of a block change by a step, and what separates two of them."""
 
     FLAT = "values that add"
     POSE = "poses: shifts add, rotations turn from the left"
+    WAVE = "amplitude, phase, and more that adds: steps go along the phasor and across it"
 
     def moved(self, values: Array, step: Array) -> Array:
         """Return values after a step, both (members, size)."""
-        return values + step if self is Space.FLAT else poses.moved(values, step)
+        if self is Space.POSE:
+            return poses.moved(values, step)
+        if self is Space.WAVE:
+            moved = values + step
+            moved[:, 0] = np.hypot(values[:, 0] + step[:, 0], step[:, 1])
+            moved[:, 1] = values[:, 1] + np.arctan2(step[:, 1], values[:, 0] + step[:, 0])
+            return moved
+        return values + step
 
     def difference(self, values: Array, reference: Array) -> Array:
         """Return the step from `reference` to `values`, (members, size)."""
-        return values - reference if self is Space.FLAT else poses.difference(values, reference)
+        if self is Space.POSE:
+            return poses.difference(values, reference)
+        difference = values - reference
+        if self is Space.WAVE:
+            turn = difference[:, 1].copy()
+            difference[:, 0] = values[:, 0] * np.cos(turn) - reference[:, 0]
+            difference[:, 1] = values[:, 0] * np.sin(turn)
+        return difference
+
+    def by_step(self, values: Array) -> Array:
+        """Return how much each value changes by a unit step of its own, (members, size): 1/amplitude for a phase."""
+        change = np.ones_like(values)
+        if self is Space.WAVE:
+            change[:, 1] = 1 / np.maximum(np.abs(values[:, 0]), _LEAST_WAVE)
+        return change
 
     def difference_by_step(self, values: Array, reference: Array) -> Array:
         """Return the derivative of `difference` by a step of the values, (members, size, size)."""
-        if self is Space.FLAT:
-            return np.broadcast_to(np.eye(values.shape[-1]), (*values.shape, values.shape[-1]))
-        return poses.difference_by_step(values, reference)
+        if self is Space.POSE:
+            return poses.difference_by_step(values, reference)
+        derivative = np.array(np.broadcast_to(np.eye(values.shape[-1]), (*values.shape, values.shape[-1])))
+        if self is Space.WAVE:
+            turn = values[:, 1] - reference[:, 1]
+            derivative[:, 0, 0] = derivative[:, 1, 1] = np.cos(turn)
+            derivative[:, 1, 0] = np.sin(turn)
+            derivative[:, 0, 1] = -derivative[:, 1, 0]
+        return derivative
 
 
 @dataclass(frozen=True)

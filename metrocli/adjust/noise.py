@@ -20,7 +20,7 @@ Noise = Callable[[Group, Mapping[str, Block]], Array]
 Aspect = Callable[[Mapping[str, Block], Observations], Array]
 """A condition of the readings (n,) that follows from where things are, such as the azimuth of a beam"""
 
-_ROUNDS = 20
+_ROUNDS, _STEPS = 20, 200
 _SETTLED = 1e-9
 """Standard deviations are found when another round would change none of them by more than this share"""
 _STILL = 1e-7
@@ -42,7 +42,7 @@ def adjust_with_noise(
     name, sigma_of = noise
     state = {block.name: block for block in blocks}
     for _ in range(_ROUNDS):
-        solution = adjust(state.values(), groups, datum, Control(covariance=False))
+        solution = adjust(state.values(), groups, datum, Control(_STEPS, covariance=False))
         state = dict(solution.blocks)
         found = next(group for group in groups if group.name == name)
         sigma = sigma_of(found, state)
@@ -51,7 +51,7 @@ def adjust_with_noise(
         groups = [_with_sigma(renewed, sigma) if group.name == name else group for group in groups]
         if not solution.outcome.good or (change < _SETTLED and turned < _STILL):
             break
-    return adjust(state.values(), groups, datum)
+    return adjust(state.values(), groups, datum, Control(_STEPS))
 
 
 def with_aspects(group: Group, aspects: Mapping[str, Aspect], blocks: Mapping[str, Block]) -> tuple[Group, float]:

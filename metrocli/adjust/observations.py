@@ -20,7 +20,7 @@ class Observations:
     readings: Array
     """(d, n)"""
     sigma: Array
-    """Standard deviations, broadcast to (d, n), inf for a reading left out; ignored where `covariance` is given."""
+    """Standard deviations, broadcast to (d, n); ignored where `covariance` is given."""
     index: Mapping[str, Index] = field(default_factory=dict)
     """For each block the member that each reading touches, (n,), or (k, n) where a reading touches k members."""
     covariance: Array | None = None

@@ -17,6 +17,8 @@ from metrocli.adjust.outcome import Combination
 
 _INFLATION = 1e6
 """An unknown whose uncertainty grows by more than this because others are unknown too is undetermined."""
+_ROUNDING = 1e-14
+"""Eigenvalues below this share of the largest are rounding"""
 _SHARE = 0.25
 """Parts of a combination smaller than this against its largest are not named."""
 _NAMED = 3
@@ -36,7 +38,7 @@ def open_combinations(
     values, vectors = np.linalg.eigh(np.nan_to_num(scaled))
     found = []
     for value, vector in zip(values, vectors.T, strict=True):
-        if value < max(1.0, 1e-14 * values[-1]):
+        if value < max(1.0, _ROUNDING * values[-1]):
             step = np.zeros(layout.width)
             step[: layout.free] = vector * reach
             found.append(_combination(blocks, layout, step, normals.weights, value))
@@ -44,12 +46,15 @@ def open_combinations(
 
 
 def _surely_determined(scaled: Array) -> bool:
-    """Whether the trace of the inverse is below 1, so that no direction can be open."""
+    """Whether the trace of the inverse is below 1 and no rounding error, so that no direction can be open."""
     try:
         root = np.linalg.inv(np.linalg.cholesky(scaled))
     except np.linalg.LinAlgError:
         return False
-    return bool(np.isfinite(root).all() and (root**2).sum() < 1)
+    if not np.isfinite(root).all():
+        return False
+    inverse = float((root**2).sum())
+    return bool(inverse < 1 and inverse * np.trace(scaled) * _ROUNDING < 1)
 
 
 def _reach(blocks: Mapping[str, Block], layout: Layout, diagonal: Array) -> Array:

@@ -34,8 +34,8 @@ class Solution:
 
     @property
     def observations(self) -> int:
-        """Number of scalar readings, priors included, without those of infinite standard deviation."""
-        return sum(int(np.isfinite(group.observations.sigma).sum()) for group in self.groups)
+        """Number of scalar readings, priors included."""
+        return sum(int(group.observations.readings.size) for group in self.groups)
 
     @property
     def dof(self) -> int:
@@ -63,17 +63,22 @@ class Solution:
     def joint(self, names: Sequence[str]) -> Array:
         """Return the covariance of the free entries of several blocks, one block after the other, row by row."""
         free = [np.flatnonzero(self.blocks[name].free.ravel()) for name in names]
+        scale = np.concatenate([self.by_step(name).ravel()[i] for name, i in zip(names, free, strict=True)])
         known = self.known()
         rows = [
             np.concatenate([known.between(a, b)[np.ix_(free[i], free[j])] for j, b in enumerate(names)], axis=1)
             for i, a in enumerate(names)
         ]
-        return np.concatenate(rows, axis=0)
+        return np.asarray(np.concatenate(rows, axis=0) * scale[:, None] * scale)
+
+    def by_step(self, block: str) -> Array:
+        """Return how much each value of a block changes by a unit step of its own, (members, size)."""
+        return self.blocks[block].space.by_step(self.blocks[block].values)
 
     def std(self, block: str) -> Array:
         """Return the standard uncertainties of a block, (members, size)."""
         std: Array = np.sqrt(np.maximum(np.einsum("mii->mi", self.known().members(block)), 0.0))
-        return std
+        return std * self.by_step(block)
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ COMMANDS = {
     "run": "bring every result of a project up to date",
     "status": "what is up to date, what is not, and why",
     "check": "validate a job or project without computing",
+    "diagnose": "what the model of a job gets wrong, and why",
     "simulate": "the measurement that a job's model predicts",
     "plan": "what a planned measurement will determine, and a better one",
     "show": "a result on the terminal",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -48,6 +49,11 @@ class Voice:
     def progress(self, line: str) -> None:
         """Tell on stderr what is being done, where that was asked for."""
         if self.verbose:
+            click.echo(line, err=True)
+
+    def waiting(self, line: str) -> None:
+        """Tell on stderr what takes its time, where a person is watching."""
+        if self.verbose or (not self.quiet and sys.stderr.isatty()):
             click.echo(line, err=True)
 
     def counting(self) -> Callable[[int, int | None], None]:

@@ -16,9 +16,14 @@ from metrocli.cli import options
 @click.option(
     "--distance", nargs=2, metavar="POINT POINT", help="Print the distance of two points with its uncertainty."
 )
+@click.option(
+    "--at", nargs=3, metavar="X Y Z", help="Print the machine error at a point, such as '10 mm' '0 mm' '-32.5 mm'."
+)
 @options.JSON
-def command(result: Path, name: str | None, distance: tuple[str, str] | None, as_json: bool) -> int:
-    """Print a result as its job did, one of its tables, or the distance of two of its points."""
+def command(
+    result: Path, name: str | None, distance: tuple[str, str] | None, at: tuple[str, str, str] | None, as_json: bool
+) -> int:
+    """Print a result as its job did, one of its tables, the distance of two points, or the machine error at one."""
     from metrocli.cli import summary, terminal
     from metrocli.errors import UsageError
     from metrocli.formats import csv, hdf5
@@ -36,6 +41,13 @@ def command(result: Path, name: str | None, distance: tuple[str, str] | None, as
 
         estimate = between(found, *distance)
         click.echo(summary.as_json(asdict(estimate)) if as_json else terminal.estimates_text((estimate,)))
+        return 0
+    if at is not None:
+        from metrocli.tasks.grid_point import error_at
+
+        estimates = error_at(found, at)
+        as_text = summary.as_json([asdict(one) for one in estimates]) if as_json else terminal.estimates_text(estimates)
+        click.echo(as_text)
         return 0
     if as_json:
         click.echo(summary.json_of(found, record, result))

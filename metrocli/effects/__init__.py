@@ -12,8 +12,10 @@ if TYPE_CHECKING:
     from metrocli.effects.effect import Effect
 
 TABLES: dict[str, str] = {
+    "calibrate-machine": "metrocli.effects.calibrate_machine",
     "multilaterate": "metrocli.effects.multilaterate",
     "locate-launch-unit": "metrocli.effects.locate_launch_unit",
+    "selfcal-grid": "metrocli.effects.selfcal_grid",
 }
 """For each kind of job the module that has its table"""
 

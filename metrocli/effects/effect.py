@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from metrocli import units
+from metrocli.adjust.blocks import Array, Space
 from metrocli.adjust.chain import Link
 from metrocli.settings import Number, Quantity, Spec, Text
 
@@ -19,6 +22,21 @@ MakeLink = Callable[[str, Mapping[str, str]], Link]
 """Makes the link from the name of its block and the place where it acts"""
 
 
+Grid = Callable[[Mapping[str, Array]], Array]
+"""Gives the values to try from the conditions of the readings"""
+_FINEST = 120
+"""Values of a scan at most"""
+
+
+def change_points(conditions: Mapping[str, Array]) -> Array:
+    """Return times between readings at which something may have changed."""
+    times = np.unique(conditions["t"])
+    between = (times[1:] + times[:-1]) / 2
+    if len(between) <= _FINEST:
+        return np.asarray(between)
+    return np.asarray(between[np.linspace(0, len(between) - 1, _FINEST).astype(int)])
+
+
 @dataclass(frozen=True)
 class Parameter:
     """A size of an effect; 0 means that there is none."""
@@ -30,6 +48,8 @@ class Parameter:
     """The largest size that such a cause usually has, in the internal unit"""
     place: str = ""
     """Of a scanned parameter: the kind of place it names instead of being a number, such as `view`"""
+    grid: Grid | None = None
+    """Of a scanned parameter that is a number: the values that `diagnose` tries"""
 
     @property
     def spec(self) -> Spec:
@@ -66,12 +86,23 @@ class Effect:
     """t or T, where it varies with one of them"""
     scanned: tuple[Parameter, ...] = ()
     """Parameters that no derivative finds, such as the time of a jump: a job gives them, `diagnose` searches them"""
+    space: Space = Space.FLAT
+    """How its parameters change by a step of the adjustment"""
     needs: tuple[str, ...] = ()
     """Conditions without which it cannot be modelled: t, temp, ..."""
+    not_first: tuple[str, ...] = ()
+    """Kinds of place whose first name is what the others are compared with, and therefore is none for this effect"""
     confused_with: tuple[str, ...] = ()
     reveal: str = ""
     """What to measure so that it is seen, or told from what it is confused with"""
     source: str = ""
+    of_one_reading: bool = False
+    """It spoils a single reading: an outlier, which `diagnose` finds as such"""
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """The kinds of place that an instance names."""
+        return tuple(key for key in self.where if key != "by")
 
     @property
     def all_parameters(self) -> tuple[Parameter, ...]:

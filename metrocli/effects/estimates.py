@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Protocol
 
 import numpy as np
 
 from metrocli.adjust.adjustment import covariance_at
-from metrocli.adjust.blocks import Array
+from metrocli.adjust.blocks import Array, Block
 from metrocli.adjust.datum import Datum
 from metrocli.adjust.solution import Solution
 from metrocli.effects.model import Added, Model
@@ -15,7 +16,28 @@ from metrocli.result import Estimate
 from metrocli.table import Table
 
 
-def estimates(added: Sequence[Added], solution: Solution) -> tuple[Estimate, ...]:
+class Known(Protocol):
+    """Covariances by block."""
+
+    def of(self, name: str) -> Array:
+        """Return the covariance of a block, (members*size, members*size)."""
+
+
+class Adjusted(Protocol):
+    """What an adjustment of any sort found."""
+
+    @property
+    def blocks(self) -> Mapping[str, Block]:
+        """All blocks at the solution."""
+
+    def known(self) -> Known:
+        """Return the covariance."""
+
+    def std(self, block: str) -> Array:
+        """Return the standard uncertainties of a block, (members, size)."""
+
+
+def estimates(added: Sequence[Added], solution: Adjusted) -> tuple[Estimate, ...]:
     """Return the estimated parameters of all effects in blocks of their own, named `dead-path-drift.LT2.rate`."""
     found = []
     for one in _own(added):
@@ -52,7 +74,7 @@ def free_blocks(added: Sequence[Added]) -> tuple[str, ...]:
     return tuple(one.block for one in _own(added))
 
 
-def tables(added: Sequence[Added], solution: Solution) -> tuple[dict[str, Table], dict[str, Array]]:
+def tables(added: Sequence[Added], solution: Adjusted) -> tuple[dict[str, Table], dict[str, Array]]:
     """Return what /effects holds: for each effect its parameters and their covariance, applied values included."""
     found: dict[str, Table] = {}
     arrays: dict[str, Array] = {}
@@ -61,7 +83,8 @@ def tables(added: Sequence[Added], solution: Solution) -> tuple[dict[str, Table]
         chosen = [block.column(p.name) for p in one.effect.all_parameters]
         row = len(block.members) - 1
         places = row * block.size + np.array(chosen)
-        covariance = solution.known().of(one.block)[np.ix_(places, places)]
+        scale = block.space.by_step(block.values).ravel()[places]
+        covariance = solution.known().of(one.block)[np.ix_(places, places)] * scale[:, None] * scale
         columns = {
             "name": np.array([p.name for p in one.effect.all_parameters]),
             "value": block.values[row, chosen],

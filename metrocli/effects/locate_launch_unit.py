@@ -147,7 +147,7 @@ EFFECTS: tuple[Effect, ...] = (
         tuple(_size(name, "length", "100 mm") for name in ("dx", "dy", "dz")),
         lambda block, where: PointShift(block),
         where=("pose",),
-        reveal="this pose measured again",
+        reveal="this pose measured again, with a distance, without which nothing sees its error along the beam",
         source="Baarda 1968 (mean shift of the readings of one pose)",
     ),
 )

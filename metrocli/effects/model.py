@@ -85,7 +85,7 @@ def extended(model: Model, wanted: Iterable[Wanted]) -> Model:
             own.append(one.node.fault(f"{one.name} needs a column {columns}", "measure it with each reading"))
         elif not own:
             values = {key: _number(model, effect, key, value) for key, value in one.values.items()}
-            model = with_effect(model, effect, [tuple(one.where[key] for key in _keys(effect))], values)
+            model = with_effect(model, effect, [tuple(one.where[key] for key in effect.keys)], values)
         faults.extend(own)
     if faults:
         raise InputError(faults)
@@ -130,8 +130,8 @@ def with_effect(
     if effect.link is None:
         return _freed(model, effect, tuple(instances), values)
     name = _unused(" ".join([effect.name, *(instances[0] if len(instances) == 1 else ())]), model.blocks)
-    apart = any(model.places[key].index for key in _keys(effect))
-    link = effect.link(name, dict(zip(_keys(effect), instances[0], strict=True)))
+    apart = any(model.places[key].index for key in effect.keys)
+    link = effect.link(name, dict(zip(effect.keys, instances[0], strict=True)))
     block = _block(effect, name, instances, values, apart)
     groups = tuple(
         _spliced(model, group, effect, instances, link, apart) if _passes(group, link, model) else group
@@ -139,10 +139,6 @@ def with_effect(
     )
     added = Added(effect, tuple(instances), name, columns)
     return replace(model, blocks={**model.blocks, name: block}, groups=groups, added=(*model.added, added))
-
-
-def _keys(effect: Effect) -> tuple[str, ...]:
-    return tuple(key for key in effect.where if key != "by")
 
 
 def _form(model: Model, wanted: Wanted) -> Effect | None:
@@ -157,11 +153,22 @@ def _misplaced(model: Model, wanted: Wanted) -> list[Fault]:
             named[parameter.place] = str(wanted.values[parameter.name])
     return [
         (wanted.node.get(key) or wanted.node).fault(
-            f"{wanted.name}: there is no {key} '{name}'", suggestion(name, model.places[key].names)
+            f"{wanted.name}: {_no_place(model, key, name)}", suggestion(name, allowed)
         )
         for key, name in named.items()
-        if name not in model.places[key].names
+        if name not in (allowed := names_for(model, wanted.forms[0], key))
     ]
+
+
+def _no_place(model: Model, key: str, name: str) -> str:
+    known = name in model.places[key].names
+    return f"{key} '{name}' is the one that the others are compared with" if known else f"there is no {key} '{name}'"
+
+
+def names_for(model: Model, effect: Effect, key: str) -> tuple[str, ...]:
+    """Return the names of one kind of place at which an effect can act."""
+    names = model.places[key].names
+    return names[1:] if key in effect.not_first else names
 
 
 def _number(model: Model, effect: Effect, key: str, value: float | str) -> float:
@@ -185,7 +192,9 @@ def _block(
     if apart:
         rows[0], frees[0] = 0.0, False
     reach = np.array([_REACH * p.plausible for p in effect.all_parameters])
-    return Block(name, rows, tuple(p.name for p in effect.all_parameters), members, free=frees, reach=reach)
+    return Block(
+        name, rows, tuple(p.name for p in effect.all_parameters), members, frees, reach=reach, space=effect.space
+    )
 
 
 def _passes(group: Group, link: Link, model: Model) -> bool:
@@ -208,7 +217,7 @@ def _touched(model: Model, group: Group, effect: Effect, instances: Sequence[tup
     touched = np.zeros(group.observations.count, dtype=np.intp)
     for number, instance in enumerate(instances, 1):
         here = np.ones(len(touched), dtype=bool)
-        for key, name in zip(_keys(effect), instance, strict=True):
+        for key, name in zip(effect.keys, instance, strict=True):
             place = model.places[key]
             if place.index:
                 here &= group.observations.index[place.index] == place.names.index(name)
@@ -221,7 +230,7 @@ def _freed(model: Model, effect: Effect, instances: tuple[tuple[str, ...], ...],
     block = model.blocks[effect.columns_of]
     missing = [p for p in effect.parameters if p.name not in block.columns]
     block = with_columns(block, tuple(p.name for p in missing), _REACH * np.array([p.plausible for p in missing]))
-    rows = [block.members.index(instance[0]) for instance in instances] if _keys(effect) else slice(None)
+    rows = [block.members.index(instance[0]) for instance in instances] if effect.keys else slice(None)
     moved, free, columns = block.values.copy(), block.free.copy(), []
     for parameter in effect.parameters:
         column = block.column(parameter.name)

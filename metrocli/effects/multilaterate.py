@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from metrocli.adjust.chain import Link
 from metrocli.effects.beams import BeamScale, TracerDrift
-from metrocli.effects.effect import ELAPSED, WARMING, Effect, Parameter
+from metrocli.effects.effect import ELAPSED, WARMING, Effect, Parameter, change_points
 from metrocli.effects.lengths import LengthJump, LengthOffset, LengthTerms
 from metrocli.effects.points import PointStep
 from metrocli.instruments.tracer import COS_2A, INCIDENCE, SIN_2A
@@ -84,7 +84,7 @@ EFFECTS: tuple[Effect, ...] = (
         (_size("step", "length", "1 mm"),),
         lambda block, where: LengthJump(block),
         where=("tracer",),
-        scanned=(Parameter("at", "time"),),
+        scanned=(Parameter("at", "time", grid=change_points),),
         needs=("t",),
         confused_with=("dead-path-drift", "tracer-drift"),
         reveal="points measured before and after the jump",
@@ -125,7 +125,7 @@ EFFECTS: tuple[Effect, ...] = (
         "the reflector was taken out and put back, and sits elsewhere in its nest",
         tuple(_size(name, "length", "1 mm") for name in ("dx", "dy", "dz")),
         lambda block, where: PointStep(block),
-        scanned=(Parameter("at", "time"),),
+        scanned=(Parameter("at", "time", grid=change_points),),
         needs=("t",),
         confused_with=("tracer-drift", "dead-path-jump"),
         reveal="some points measured before and after the reflector is touched",
@@ -139,6 +139,7 @@ EFFECTS: tuple[Effect, ...] = (
         where=("point", "tracer"),
         reveal="this point measured again by this tracer",
         source="Baarda 1968 (mean shift of one reading)",
+        of_one_reading=True,
     ),
 )
 """The table; its order is that of the documents"""

@@ -15,6 +15,24 @@ from metrocli.words import suggestion
 
 
 @dataclass(frozen=True)
+class PlaceName:
+    """The name of a place; a list such as the indices of a ball, [1, 0, -2], is the name '1 0 -2'."""
+
+    expects = "the name of a place"
+
+    def fits(self, node: Node) -> bool:
+        return Text().fits(node) or (bool(node.items) and all(Text().fits(item) for item in node.items))
+
+    def read(self, node: Node, faults: list[Fault]) -> Any:
+        return (
+            " ".join(item.text for item in node.items) if node.items and self.fits(node) else Text().read(node, faults)
+        )
+
+    def schema(self) -> Schema:
+        return {"anyOf": [Text().schema(), {"type": "array", "items": Text().schema(), "minItems": 1}]}
+
+
+@dataclass(frozen=True)
 class Wanted:
     """An effect to add to a model: what has no value is estimated, what has one is applied."""
 
@@ -52,7 +70,7 @@ def _read(kind: str, node: Node, faults: list[Fault]) -> Wanted | None:
     attempts = [(effect, _as(effect, node)) for effect in known]
     fitting = [(effect, values) for effect, (values, wrong) in attempts if not wrong]
     if not fitting:
-        fewest = min((wrong for _, (_, wrong) in attempts), key=len)
+        fewest: list[Fault] = min((wrong for _, (_, wrong) in attempts), key=len)
         faults.extend(fewest)
         return None
     where = {key: fitting[0][1].pop(key) for key in fitting[0][0].where if key != "by"}
@@ -63,7 +81,7 @@ def _as(effect: Effect, node: Node) -> tuple[dict[str, Any], list[Fault]]:
     """Return the values of a node read as one form of an effect, and what is wrong with them."""
     faults: list[Fault] = []
     specs: dict[str, Any] = {"name": Text()}
-    specs |= {key: Text() for key in effect.where if key != "by"}
+    specs |= {key: PlaceName() for key in effect.where if key != "by"}
     specs |= {parameter.name: parameter.spec for parameter in effect.all_parameters}
     if effect.by:
         specs["by"] = Choice(effect.by)
@@ -110,7 +128,7 @@ def schema(kind: str) -> Schema:
 
 def _schema(effect: Effect) -> Schema:
     properties: Schema = {"name": {"const": effect.name, "description": effect.cause}}
-    properties |= {key: Text().schema() for key in effect.where}
+    properties |= {key: PlaceName().schema() for key in effect.where}
     properties |= {parameter.name: parameter.spec.schema() for parameter in effect.all_parameters}
     if effect.by:
         properties["by"] = {"enum": [effect.by]}

@@ -12,22 +12,24 @@ from dataclasses import dataclass
 import numpy as np
 
 from metrocli.adjust.blocks import Array, Block, Mask
-from metrocli.adjust.chain import Chain, Local, Step
+from metrocli.adjust.chain import Chain, Link, Local, Step
 from metrocli.adjust.quantities import Quantity
 from metrocli.instruments.frames import PointOf
 
 UNIT, RECEIVER, SPINDLE = "launch unit", "receiver", "spindle"
 """Blocks: x y z gamma of the unit; the receiver's control point in each pose; the spindle's angle psi in each pose"""
 COLUMNS = ("x", "y", "z", "gamma")
-LAUNCH, BACK, DISTANCE = "launch", "receiver", "distance"
-"""Names of the groups"""
+DISTANCE = "distance"
+"""Name of the group of distances; those of angles have the names of the encoders"""
+OVER = "over"
+"""Condition: 1 where a unit points over the top"""
 ENCODERS = {
     "phi1": (Quantity.LAUNCH_ANGLES, 0),
     "phi2": (Quantity.LAUNCH_ANGLES, 1),
     "phi3": (Quantity.RECEIVER_ANGLES, 1),
     "phi4": (Quantity.RECEIVER_ANGLES, 0),
 }
-"""What each encoder reads: which angles of a chain, and which of the two"""
+"""What each encoder reads: the angles of which unit, and which of the two"""
 _GAMMA = COLUMNS.index("gamma")
 _TURN = 2 * np.pi
 _REACH = 0.01
@@ -102,10 +104,9 @@ class AboutBase:
 
 @dataclass(frozen=True)
 class Encoders:
-    """Encoder angles that point along a beam: base `a = atan2(by, bx)`, tilt `e = atan2(bz, sqrt(bx^2 + by^2))`.
+    """Angles that point along a beam: base `a = atan2(by, bx)`, tilt `e = atan2(bz, sqrt(bx^2 + by^2))`.
 
-    Both are predicted as the reading has them: in its turn of the circle, and in its face, since (a + 180 deg,
-    180 deg - e) points the same way. So residuals are small at any angle, however the encoders count.
+    Where the condition `over` is 1 the unit points over the top: (a + 180 deg, 180 deg - e) is the same direction.
     """
 
     takes: Quantity
@@ -117,14 +118,34 @@ class Encoders:
         x, y, z = value
         level2 = np.maximum(x * x + y * y, np.finfo(float).tiny)
         level, square = np.sqrt(level2), level2 + z * z
-        readings = local.observations.readings
-        over = np.cos(readings[1]) < 0
-        face = np.where(over, -1.0, 1.0)
-        angles = np.stack([np.arctan2(y, x), face * np.arctan2(z, level)]) + np.where(over, np.pi, 0.0)
+        over = local.observations.conditions.get(OVER, np.zeros(1))
+        face = 1 - 2 * over
+        angles = np.stack([np.arctan2(y, x), face * np.arctan2(z, level)]) + np.pi * over
         by_beam = np.zeros((2, 3, value.shape[1]))
         by_beam[0, 0], by_beam[0, 1] = -y / level2, x / level2
         by_beam[1] = face * np.stack([-x * z / level, -y * z / level, level]) / square
-        return Step(angles + _TURN * np.round((readings - angles) / _TURN), by_beam)
+        return Step(angles, by_beam)
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What one encoder shows of a pair of angles, predicted in the turn of its reading.
+
+    So residuals are small at any angle, however the encoder counts.
+    """
+
+    takes: Quantity
+    component: int
+    gives = Quantity.ANGLE
+    blocks = ()
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the angle [rad] (1, n) with its derivatives by both."""
+        angle = value[self.component]
+        turns = np.round((local.observations.readings[0] - angle) / _TURN)
+        by_angles = np.zeros((1, 2, 1))
+        by_angles[0, self.component] = 1.0
+        return Step((angle + _TURN * turns)[None], by_angles)
 
 
 @dataclass(frozen=True)
@@ -141,28 +162,15 @@ class BeamLength:
         return Step(distance[None], (value / distance)[None])
 
 
-def launch_chain() -> Chain:
-    """Return the forward model of phi1, phi2."""
-    return Chain(
-        (
-            _receiver(),
-            BeamOut(),
-            AboutBase(UNIT, _GAMMA, Quantity.BEAM_OUT, Quantity.BEAM_AT_LAUNCH),
-            Encoders(Quantity.BEAM_AT_LAUNCH, Quantity.LAUNCH_ANGLES),
-        )
-    )
-
-
-def receiver_chain() -> Chain:
-    """Return the forward model of phi4, phi3."""
-    return Chain(
-        (
-            _receiver(),
-            BeamBack(),
-            AboutBase(SPINDLE, 0, Quantity.BEAM_BACK, Quantity.BEAM_AT_RECEIVER),
-            Encoders(Quantity.BEAM_AT_RECEIVER, Quantity.RECEIVER_ANGLES),
-        )
-    )
+def encoder_chain(name: str) -> Chain:
+    """Return the forward model of phi1, phi2 (launch unit), phi3 or phi4 (receiver)."""
+    angles, component = ENCODERS[name]
+    if angles is Quantity.LAUNCH_ANGLES:
+        beam: Link = BeamOut()
+        base = AboutBase(UNIT, _GAMMA, Quantity.BEAM_OUT, Quantity.BEAM_AT_LAUNCH)
+    else:
+        beam, base = BeamBack(), AboutBase(SPINDLE, 0, Quantity.BEAM_BACK, Quantity.BEAM_AT_RECEIVER)
+    return Chain((_receiver(), beam, base, Encoders(base.gives, angles), Reading(angles, component)))
 
 
 def distance_chain() -> Chain:

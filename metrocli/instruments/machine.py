@@ -101,7 +101,7 @@ class Axis:
         return np.array([lower[0], lower[0] + 1]), np.array([1 - share[0], share[0]])
 
     def places(self, position: Array) -> tuple[Index, Array]:
-        """Return the knots that an error depends on at each position, (k, n), and their weights, (k, 6, n) or (k, 1, n).
+        """Return the knots that errors depend on at each position, (k, n), and their weights, (k, 6, n) or (k, 1, n).
 
         k is 2, or 4 where the reference lies between two knots.
         """
@@ -200,9 +200,10 @@ def squareness_block(values: Mapping[str, float], estimated: Collection[str]) ->
     return Block(SQUARENESS, row, SQUARENESS_NAMES, free=free, reach=np.array(10 * _MOST_ANGLE))
 
 
-def tool_block(vectors: Array, names: Sequence[str], free: bool) -> Block:
-    """Return tool vectors (tools, 3)."""
-    return Block(TOOL, vectors, ("x", "y", "z"), tuple(names), free=np.array(free), noun="tool")
+def tool_block(vectors: Array, names: Sequence[str], uncertainty: float) -> Block:
+    """Return tool vectors (tools, 3), unknown where they are uncertain."""
+    reach = np.array(10 * max(uncertainty, _MOST_LENGTH))
+    return Block(TOOL, vectors, ("x", "y", "z"), tuple(names), free=np.array(uncertainty > 0), reach=reach, noun="tool")
 
 
 @dataclass(frozen=True)
@@ -228,12 +229,13 @@ class ErrorMotion:
             index, weight = axis.places(position[axis.number])
             values = local.members(axis.block)
             error = sum(w * values[i].T for i, w in zip(index, weight, strict=True))
-            by_error = _by_error(self.machine.lever(axis.number, position, tool))
-            motion[:3] += error[:3] + np.einsum("abn,bn->an", by_error[:3, 3:], error[3:])
+            lever = self.machine.lever(axis.number, position, tool)
+            motion[:3] += error[:3] + np.cross(error[3:], lever, axis=0)
             motion[3:] += error[3:]
-            by_tool[:3] += np.moveaxis(cross_matrix(error[3:].T), 0, -1)
+            if TOOL in local.wanted:
+                by_tool[:3] += np.moveaxis(cross_matrix(error[3:].T), 0, -1)
             if axis.block in local.wanted:
-                by_block[axis.block] = weight[:, None] * by_error
+                by_block[axis.block] = weight[:, None] * _by_error(lever)
         return Step(motion, by_block={**by_block, TOOL: by_tool})
 
 

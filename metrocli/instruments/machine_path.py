@@ -79,9 +79,14 @@ class Path:
         along = (number + 0.5) / each[leg] * self.lengths[leg]
         return self.before[leg] + along, leg, self.at(leg, along)
 
-    def cells(self, machine: Machine) -> Array:
-        """Return the ways at which a leg begins or an axis passes a knot, ascending, with the end of the path."""
+    def cells(self, machine: Machine, longest: float = np.inf) -> Array:
+        """Return the ways at which a leg begins or an axis passes a knot, ascending, with the end of the path.
+
+        Between them lie more, so that no cell is longer than `longest`.
+        """
         marks = [self.before]
+        if np.isfinite(longest):
+            marks.append(np.linspace(0.0, self.length, int(np.ceil(self.length / longest)) + 1))
         for axis in machine.axes:
             speed, start = self.direction[:, axis.number, None], self.start[:, axis.number, None]
             with np.errstate(divide="ignore", invalid="ignore"):

@@ -16,10 +16,12 @@ from metrocli.adjust.observations import Index
 from metrocli.geometry import poses
 from metrocli.instruments.machine_path import Path
 
-_THINNED, _SAMPLES = 1500, 3000
+_THINNED, _SAMPLES = 800, 2400
 _STILL = 0.1
 """Steps below this share of the usual step are noise of a machine at rest"""
 _ROUNDS = 15
+_SETTLED = 0.02
+"""The frame is found when a round moves the track by less than this share of the distance of samples"""
 _WILD = 4.0
 """Matched points farther off than this many medians are not used to fit the frame"""
 
@@ -46,14 +48,14 @@ def align(track: Array, track_tool: Index | None, path: Path, tools: Array) -> A
     nominal = nominal + tools[path.tool[leg]].T
     other = None if track_tool is None else track_tool[rows][:, None] != path.tool[leg]
     pose = _by_length(points, nominal, way)
-    matched = np.zeros(len(rows), dtype=np.intp)
     for _ in range(_ROUNDS):
         aligned = poses.apply(pose, points.T).T
-        before, matched = matched, _in_order(_distances(aligned, nominal, other))
+        matched = _in_order(_distances(aligned, nominal, other))
         off = np.linalg.norm(aligned - nominal[:, matched], axis=0)
         good = off <= _WILD * np.median(off)
         pose = np.asarray(poses.fit_pose(points[:, good].T, nominal[:, matched[good]].T))
-        if (before == matched).all():
+        moved = np.abs(poses.apply(pose, points.T).T - aligned).max()
+        if moved < _SETTLED * path.length / _SAMPLES:
             break
     return Alignment(pose, rows, way[matched], float(np.median(off)))
 

@@ -47,9 +47,10 @@ class TrackerNoise:
         return np.asarray(noise + beam * (rng.normal(size=along.shape) * self.beam - along))
 
 
-def tracker_block(pose: Array) -> Block:
-    """Return the pose of the tracker in the machine, (6,)."""
-    return Block(TRACKER, pose[None], poses.COLUMNS, reach=_REACH, space=Space.POSE)
+def tracker_block(pose: Array, tool_uncertainty: float = 0.0) -> Block:
+    """Return the pose of the tracker in the machine, (6,), as uncertain as the tools that were seen."""
+    reach = _REACH * np.repeat([max(1.0, 10 * tool_uncertainty), 1.0], 3)
+    return Block(TRACKER, pose[None], poses.COLUMNS, reach=reach, space=Space.POSE)
 
 
 def leg_block(across: Array) -> Block:

@@ -29,6 +29,11 @@ KINDS: dict[str, Kind] = {
     ),
     "align-part": Kind("metrocli.tasks.align_part", "part location and orientation in the machine (6D/7D)"),
     "multilaterate": Kind("metrocli.tasks.multilaterate", "reflector positions from length changes of 4+ tracers"),
+    "selfcal-grid": Kind(
+        "metrocli.tasks.selfcal_grid",
+        "machine and artefact errors from views of an uncalibrated ball grid",
+        {"compare": "Adjust as the paper does, views fitted first, and print what that loses, without a result."},
+    ),
     "locate-launch-unit": Kind(
         "metrocli.tasks.locate_launch_unit",
         "interferometer launch unit in the machine; measuring trajectories",

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+from metrocli.effects.wanted import Wanted
 from metrocli.errors import InputError
 from metrocli.plan import Plan
 from metrocli.result import Result
@@ -9,11 +12,12 @@ from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import Table
 from metrocli.tasks.machine_on_the_fly import on_the_fly
 from metrocli.tasks.machine_plan import plan as planned
+from metrocli.tasks.machine_problem import Problem
 from metrocli.tasks.machine_report import KIND, report
 from metrocli.tasks.machine_settings import Inputs, Settings
 from metrocli.tasks.machine_simulation import simulated
 from metrocli.tasks.machine_six_dof import six_dof
-from metrocli.tasks.machine_solve import Solved, solve
+from metrocli.tasks.machine_solve import solve
 from metrocli.tasks.machine_standstill import standstill
 
 SIMULATED = ("points", "track", "lines")
@@ -27,28 +31,29 @@ def run(
     path: Table | None = None,
     track: Table | None = None,
     lines: Table | None = None,
+    effects: Sequence[Wanted] = (),
 ) -> Result:
     """Find the errors; raises InputError, UndeterminedError or NotConvergedError."""
-    return report(_solved(settings, points, (path, track), lines), settings)
-
-
-def _solved(
-    settings: Settings, points: Table | None, flight: tuple[Table | None, Table | None], lines: Table | None
-) -> Solved:
-    path, track = flight
-    remove = settings.outliers == "remove"
     if path is not None and track is not None:
-        return on_the_fly(settings, path, track)
+        return report(on_the_fly(settings, path, track, effects), settings)
+    problem = problem_of(settings, points, lines).with_effects(effects)
+    return report(solve(problem, settings.outliers == "remove"), settings)
+
+
+def problem_of(settings: Settings, points: Table | None, lines: Table | None) -> Problem:
+    """Return the adjustment of a measurement that needs no alignment along a path."""
     if points is not None:
-        return solve(standstill(settings, points), remove)
+        return standstill(settings, points)
     if lines is not None:
-        return solve(six_dof(settings, lines), remove)
+        return six_dof(settings, lines)
     raise InputError(f"method {settings.method} has no readings")
 
 
-def simulate(settings: Settings, options: SimulationOptions, **tables: Table) -> Simulation:
-    """Return the measurement of a machine with the random errors of `simulation:`."""
-    return simulated(settings, tables, options.seed)
+def simulate(
+    settings: Settings, options: SimulationOptions, effects: Sequence[Wanted] = (), **tables: Table
+) -> Simulation:
+    """Return the measurement of a machine with the random errors of `simulation:`, and with effects in it."""
+    return simulated(settings, tables, effects, options.seed)
 
 
 def plan(settings: Settings, path: Table | None = None, **_: Table) -> Plan:

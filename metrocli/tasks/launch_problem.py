@@ -11,11 +11,12 @@ import numpy as np
 from metrocli.adjust.blocks import Array, Block
 from metrocli.adjust.groups import Group, priors
 from metrocli.adjust.observations import Index, Observations
+from metrocli.adjust.quantities import Quantity
 from metrocli.effects.locate_launch_unit import AXES, PAIRS, UNITS
 from metrocli.effects.model import Added, Model, Place
 from metrocli.instruments import launch_unit as lu
 from metrocli.instruments.launch_start import nearest, set_up_angle, spread
-from metrocli.tasks.launch_readings import Readings
+from metrocli.tasks.launch_readings import ANGLES, Readings
 from metrocli.tasks.sightings import listed
 
 
@@ -42,7 +43,7 @@ class Problem:
     readings: Readings
     blocks: Mapping[str, Block]
     groups: tuple[Group, ...]
-    """Of the launch unit's angles, of the receiver's, of the distances; none without readings"""
+    """One for each encoder, and one of the distances; none without readings"""
     others: tuple[Group, ...]
     warnings: tuple[str, ...] = ()
     effects: tuple[Added, ...] = ()
@@ -81,16 +82,10 @@ def build(readings: Readings, noise: NoiseSettings) -> Problem:
         receiver,
         lu.spindle_block(readings.spindle, readings.names),
     )
-    phi1, phi2, phi3, phi4 = readings.angles
     level, measured = np.flatnonzero(readings.level), np.flatnonzero(beams.measured)
-    spread = np.array(noise.encoder)
-    groups = [
-        _group(readings, lu.LAUNCH, level, np.stack([phi1, phi2]), spread),
-        _group(readings, lu.BACK, level, np.stack([phi4, phi3]), spread),
-    ]
+    groups = [_angles(readings, name, level, noise.encoder) for name in lu.ENCODERS]
     if noise.distance is not None:
-        spread = np.array(noise.distance)
-        groups.append(_group(readings, lu.DISTANCE, measured, readings.distance[None], spread))
+        groups.append(_distances(readings, measured, noise.distance))
     steep = [name for name, used in zip(readings.names, readings.level, strict=True) if not used]
     text = f"the beam is vertical in {len(steep)} poses, so that their angles say nothing and are left out: "
     return Problem(
@@ -107,23 +102,28 @@ def uncertainty_along(readings: Readings, noise: NoiseSettings) -> float:
     return noise.encoder / max(spread(readings.beams), 1e-12)
 
 
-_COMPONENTS = {lu.LAUNCH: ("phi1", "phi2"), lu.BACK: ("phi4", "phi3"), lu.DISTANCE: ("distance",)}
-_CHAINS = {lu.LAUNCH: lu.launch_chain(), lu.BACK: lu.receiver_chain(), lu.DISTANCE: lu.distance_chain()}
+def _angles(readings: Readings, name: str, rows: Index, sigma: float) -> Group:
+    """Return what one encoder read in some of the poses."""
+    tilt = readings.angles[1] if lu.ENCODERS[name][0] is Quantity.LAUNCH_ANGLES else readings.angles[2]
+    values = readings.angles[ANGLES.index(name)][rows]
+    observations = _observations(readings, name, rows, values, sigma)
+    conditions = {**observations.conditions, lu.OVER: (np.cos(tilt[rows]) < 0).astype(float)}
+    return Group(name, lu.encoder_chain(name), replace(observations, conditions=conditions, unit="rad"))
 
 
-def _group(readings: Readings, name: str, rows: Index, values: Array, sigma: Array) -> Group:
-    """Return the group of some of the poses' readings (d, n)."""
-    chain, index = _CHAINS[name], {lu.RECEIVER: rows, lu.SPINDLE: rows}
-    conditions = {key: value[rows] for key, value in readings.conditions.items()}
-    if name == lu.DISTANCE:
-        conditions["distance"] = values[0, rows]
-    observations = Observations(
-        values[:, rows],
-        sigma,
-        {block: index[block] for block in chain.blocks if block in index},
-        keys={"pose": tuple(readings.names[i] for i in rows)},
-        conditions=conditions,
-        components=_COMPONENTS[name],
-        unit="mm" if name == lu.DISTANCE else "rad",
+def _distances(readings: Readings, rows: Index, sigma: float) -> Group:
+    values = readings.distance[rows]
+    observations = _observations(readings, lu.DISTANCE, rows, values, sigma)
+    conditions = {**observations.conditions, "distance": values}
+    return Group(lu.DISTANCE, lu.distance_chain(), replace(observations, conditions=conditions, unit="mm"))
+
+
+def _observations(readings: Readings, name: str, rows: Index, values: Array, sigma: float) -> Observations:
+    return Observations(
+        values[None],
+        np.array(sigma),
+        {lu.RECEIVER: rows, lu.SPINDLE: rows},
+        keys={"pose": tuple(readings.names[i] for i in rows), "reading": (name,) * len(rows)},
+        conditions={key: value[rows] for key, value in readings.conditions.items()},
+        components=(name,),
     )
-    return Group(name, chain, observations)

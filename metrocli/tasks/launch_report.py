@@ -28,7 +28,7 @@ _DELTA0 = 4.13
 """Non-centrality of a w-test at 0.1 % with 80 % power (Baarda 1968): the least detectable bias is 4.13 s / sqrt(r)"""
 _CONTROLLED = 1e-6
 """Redundancy below which a reading is not controlled at all"""
-_TABLES = {"angles": (lu.LAUNCH, lu.BACK), "distances": (lu.DISTANCE,)}
+_TABLES = {"angles": tuple(lu.ENCODERS), "distances": (lu.DISTANCE,)}
 
 
 def report(located: Located, method: str) -> Result:
@@ -64,7 +64,8 @@ def report(located: Located, method: str) -> Result:
         "method": method,
         "poses": len(located.readings.names),
         "critical_w": located.critical,
-        "rejected": sum(int(np.isinf(group.observations.sigma).sum()) for group in solution.groups),
+        "rejected": sum(group.observations.count for group in problem.all_groups)
+        - sum(group.observations.count for group in solution.groups),
     }
     return Result(
         kind=KIND,
@@ -121,10 +122,8 @@ def _beams(located: Located) -> Table:
 def _residuals(parts: list[tuple[Group, Residuals]]) -> Table:
     """Return the residuals of groups of one unit, with the least error of each reading that would be detected."""
     groups, found = [group.observations for group, _ in parts], [residuals for _, residuals in parts]
-    used = np.concatenate([np.isfinite(o.sigma).ravel() for o in groups])
     columns: dict[str, Values] = {
-        "pose": np.concatenate([np.tile(np.array(o.keys["pose"]), len(o.components)) for o in groups]),
-        "reading": np.concatenate([np.repeat(np.array(o.components), o.count) for o in groups]),
+        key: np.concatenate([np.array(o.keys[key]) for o in groups]) for key in ("pose", "reading")
     }
     numbers = {
         "value": [o.readings for o in groups],
@@ -134,8 +133,7 @@ def _residuals(parts: list[tuple[Group, Residuals]]) -> Table:
         "redundancy": [one.redundancy for one in found],
         "detectable": [_detectable(one) for one in found],
     }
-    columns |= {name: np.concatenate([part.ravel() for part in values]) for name, values in numbers.items()}
-    columns = {name: values[used] for name, values in columns.items()}
+    columns |= {name: np.concatenate([part[0] for part in values]) for name, values in numbers.items()}
     return Table(columns, dict.fromkeys(("value", "residual", "sigma", "detectable"), groups[0].unit))
 
 
@@ -149,11 +147,10 @@ def _detectable(found: Residuals) -> Array:
 def _outliers(located: Located) -> Table:
     """Return the readings that do not fit the others, the largest first."""
     found = located.outliers
-    of = {group.name: group.observations for group in (located.problem.groups if located.problem else ())}
     return Table(
         {
-            "pose": np.array([of[one.group].keys["pose"][one.row] for one in found], dtype=str),
-            "reading": np.array([of[one.group].components[one.component] for one in found], dtype=str),
+            "pose": np.array([one.pose for one in found], dtype=str),
+            "reading": np.array([one.group for one in found], dtype=str),
             "w": np.array([one.test for one in found], dtype=float),
         }
     )

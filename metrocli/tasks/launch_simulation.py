@@ -79,10 +79,8 @@ def _exact(
     unit = problem.blocks[lu.UNIT].with_values(np.array([[*truth.place, truth.gamma]]))
     model = extended(problem.model().with_blocks({**problem.blocks, lu.UNIT: unit}), effects)
     for group in model.readings:
-        predicted = group.chain.predict(model.blocks, group.observations)
-        rows = group.observations.index[lu.RECEIVER]
-        for component, values in zip(group.observations.components, predicted, strict=True):
-            (has if group.name == lu.DISTANCE else angles[ANGLES.index(component)])[rows] = values
+        read = has if group.name == lu.DISTANCE else angles[ANGLES.index(group.name)]
+        read[group.observations.index[lu.RECEIVER]] = group.chain.predict(model.blocks, group.observations)[0]
     return readings, true_values(model)
 
 

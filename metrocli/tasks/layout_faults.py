@@ -89,7 +89,10 @@ def _counts(network: Network, solution: Solution) -> Iterator[str]:
         yield f"too few points: {there}, where {m} tracers need {needed}, and more to be checked"
     few = [name for name, n in zip(network.blocks[t.POINT].members, network.seen, strict=True) if 0 < n < 3]
     if few and network.unknown[network.seen > 0].any():
-        yield f"points read by fewer than three tracers: {listed(few)}; leave them out or read them by more"
+        yield (
+            f"points read by fewer than three tracers: {listed(few)}; `outliers: remove` leaves them out, or read them "
+            "by more"
+        )
     reads = np.bincount(index[t.TRACER], minlength=m)
     poor = [f"{name} ({n})" for name, n in zip(tracers.members, reads, strict=True) if n < _FEW]
     if poor:

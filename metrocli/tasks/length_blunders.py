@@ -27,7 +27,7 @@ def most_wrong(lengths: Index) -> Index:
     """Return how many wrong lengths of a point of so many can be told from right ones, `(n - 3) / 2`.
 
     With more the wrong ones may agree among themselves as well as the right ones do: the breakdown of every estimate of
-    three unknowns from n readings (Rousseeuw and Leroy 1987, section 3.4).
+    three unknowns from n readings (Rousseeuw and Leroy 1987).
     """
     return np.maximum(lengths - 3, 0) // 2
 

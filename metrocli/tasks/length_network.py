@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -79,6 +79,8 @@ class Network:
     nominal: Array
     """The mover's readings of the points (points, 3)"""
     absolute: bool
+    said: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    """Where the tracers are said to be (tracers, 3), nan where nothing is said"""
     warnings: tuple[str, ...] = ()
     effects: tuple[Added, ...] = ()
 
@@ -169,7 +171,7 @@ def network_of(
     inner = settings.datum != "points" and bool(tracer_block.free[:, :3].any()) and bool(free.any())
     datum = t.datum(point_block, free.all(axis=1).astype(float)) if inner else None
     absolute = settings.measures == "absolute"
-    return Network(blocks, group, others, datum, noise, readings.nominal, absolute, _unused(readings))
+    return Network(blocks, group, others, datum, noise, readings.nominal, absolute, readings.said, _unused(readings))
 
 
 def _unused(readings: Readings) -> tuple[str, ...]:

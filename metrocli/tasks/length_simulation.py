@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -18,6 +17,7 @@ from metrocli.errors import InputError
 from metrocli.instruments import tracer as t
 from metrocli.simulation import Simulation
 from metrocli.table import Table
+from metrocli.tasks.length_design import Pace, Planned
 from metrocli.tasks.length_network import LENGTHS, NetworkSettings
 from metrocli.tasks.length_readings import matched
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from metrocli.table import Values
 
 
-class Truth(Protocol):
+class Truth(Pace, Protocol):
     """What is true of the mover and the tracers."""
 
     @property
@@ -39,43 +39,6 @@ class Truth(Protocol):
     @property
     def tracer_error(self) -> float:
         """Standard deviation of the places that are written as approximate"""
-
-    @property
-    def interval(self) -> float | None:
-        """Time from point to point"""
-
-    @property
-    def warming(self) -> float:
-        """How much the air warms up from the first point to the last"""
-
-
-_REFERENCE_DEGC = 20.0
-"""Temperature at the first point (ISO 1)"""
-
-
-@dataclass(frozen=True)
-class Planned:
-    """The measurement to simulate: where the mover is sent, where the tracers stand, and what is read when."""
-
-    points: Table
-    tracers: Table
-    lengths: Table | None = None
-    """Its points, tracers, times and temperatures are read again; without it every tracer reads every point"""
-
-    def design(self, truth: Truth) -> Table:
-        """Return point, tracer and the conditions of each reading."""
-        if self.lengths is not None:
-            kept = ("point", "tracer", "t", "temp")
-            columns = {name: values for name, values in self.lengths.columns.items() if name in kept}
-            return replace(self.lengths, columns=columns)
-        names, stations = self.points.texts("point"), self.tracers.texts("tracer")
-        turn = np.repeat(np.arange(len(names)), len(stations)).astype(float)
-        columns = {"point": np.repeat(np.array(names), len(stations)), "tracer": np.tile(stations, len(names))}
-        if truth.interval is not None:
-            columns["t"] = turn * truth.interval
-        if truth.warming:
-            columns["temp"] = _REFERENCE_DEGC + truth.warming * turn / max(len(names) - 1, 1)
-        return Table(columns)
 
 
 def simulated(
@@ -121,17 +84,6 @@ def _named(names: Sequence[str], stations: Array) -> dict[str, float]:
     return {
         f"{name}.{column}": float(stations[i, k]) for i, name in enumerate(names) for k, column in enumerate(t.COLUMNS)
     }
-
-
-def length_table(points: list[str], tracers: list[str], reading: Array) -> Table:
-    """Return readings (points, tracers) as a file of lengths has them."""
-    n, m = reading.shape
-    columns: dict[str, Values] = {
-        "point": np.repeat(np.array(points), m),
-        "tracer": np.tile(np.array(tracers), n),
-        "length": reading.ravel(),
-    }
-    return Table(columns, {"length": "mm"})
 
 
 def _model(design: Table, planned: Planned, points: Array, stations: Array) -> Model:

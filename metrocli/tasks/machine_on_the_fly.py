@@ -9,7 +9,7 @@ leg, `A C A'` with the beam's direction in C (eq. 8-9); the equation for W22 has
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,6 +18,7 @@ from metrocli.adjust.blocks import Array, Block
 from metrocli.adjust.condense import Condensed, condense
 from metrocli.adjust.groups import Group
 from metrocli.adjust.observations import Index, Observations
+from metrocli.effects.wanted import Wanted
 from metrocli.errors import Fault, InputError
 from metrocli.geometry import poses
 from metrocli.instruments.machine import TOOL, Machine
@@ -43,6 +44,7 @@ from metrocli.tasks.machine_volume import grid_group
 READINGS = "path"
 _SETTLED = 1e-4
 """Ways along the path that move by less than this [mm] are found: times a slope of 1 mrad it is 0.1 nm"""
+_CELLS_IN_A_PERIOD = 8
 _INSIDE = 1e-6
 """Points are taken to be inside their leg by this [mm]"""
 _ROUNDS = 8
@@ -61,9 +63,10 @@ class Measurement:
     cells: Array
     """Ways where cells begin"""
     settings: Settings
+    effects: tuple[Wanted, ...] = ()
 
 
-def on_the_fly(settings: Settings, path: Table, track: Table) -> Solved:
+def on_the_fly(settings: Settings, path: Table, track: Table, effects: Sequence[Wanted] = ()) -> Solved:
     """Return the solved calibration; InputError where the track is not one of the path."""
     machine = machine_of(settings)
     blocks = error_blocks(machine, settings)
@@ -71,9 +74,16 @@ def on_the_fly(settings: Settings, path: Table, track: Table) -> Solved:
     tool = tools_of(track, settings) if "tool" in track else None
     vectors = blocks[TOOL].values
     measured = cut(track, legs, vectors, tool, settings.corner)
-    whole = Measurement(machine, legs, measured, tracker_noise(settings), legs.cells(machine), settings)
-    state: Mapping[str, Block] = {**blocks, TRACKER: tracker_block(measured.pose)}
+    cells = legs.cells(machine, _longest_cell(effects))
+    whole = Measurement(machine, legs, measured, tracker_noise(settings), cells, settings, tuple(effects))
+    state: Mapping[str, Block] = {**blocks, TRACKER: tracker_block(measured.pose, settings.machine.tool_uncertainty)}
     return _settled(whole, state)
+
+
+def _longest_cell(effects: Sequence[Wanted]) -> float:
+    """Return how long a cell may be: an eighth of a period is a parabola."""
+    periods = [float(one.values["period"]) for one in effects if "period" in one.values]
+    return min(periods, default=np.inf) / _CELLS_IN_A_PERIOD
 
 
 def path_of(settings: Settings, machine: Machine, table: Table) -> Path:
@@ -113,7 +123,7 @@ def problem_at(whole: Measurement, state: Mapping[str, Block]) -> Problem:
     observations = _observations(whole, few, leg, position, blocks)
     names = list(whole.settings.tools)
     facts = {"condensed_points": len(few.x), "noise_in_cells": _noise_in_cells(few, observations)}
-    return Problem(
+    problem = Problem(
         whole.machine,
         blocks,
         Group(READINGS, path_chain(whole.machine), observations),
@@ -123,6 +133,7 @@ def problem_at(whole: Measurement, state: Mapping[str, Block]) -> Problem:
         track.warnings,
         {**track.facts, **facts},
     )
+    return problem.with_effects(whole.effects)
 
 
 def _across(whole: Measurement, state: Mapping[str, Block]) -> Array:

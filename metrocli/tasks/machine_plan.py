@@ -48,7 +48,7 @@ def planned_problem(settings: Settings, plan: PathPlan, path: Path) -> Problem:
     rotation = poses.rotation_of(pose)
     blocks: dict[str, Block] = {
         **error_blocks(machine, settings),
-        TRACKER: tracker_block(pose),
+        TRACKER: tracker_block(pose, settings.machine.tool_uncertainty),
         LEG: leg_block(path.across @ rotation),
     }
     leg, along, length = _nodes(machine, path, settings.corner)

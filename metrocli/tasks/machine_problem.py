@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from metrocli.adjust.blocks import Array, Block, Mask
 from metrocli.adjust.groups import Group, prior
 from metrocli.adjust.observations import Index
+from metrocli.effects.model import Added, Model, Place, extended
+from metrocli.effects.wanted import Wanted
 from metrocli.errors import Fault, InputError, UndeterminedError
 from metrocli.instruments.machine import (
     AXES,
@@ -22,6 +24,8 @@ from metrocli.instruments.machine import (
     squareness_block,
     tool_block,
 )
+from metrocli.instruments.six_dof import LINE
+from metrocli.instruments.tracker import LEG, TRACKER
 from metrocli.table import Table
 from metrocli.tasks.machine_settings import Settings
 from metrocli.words import suggestion
@@ -48,11 +52,33 @@ class Problem:
     """Statistics of the method"""
     tables: Mapping[str, Table] = field(default_factory=dict)
     """What the readings say without the model, such as figures of ISO 230-2"""
+    effects: tuple[Added, ...] = ()
 
     @property
     def groups(self) -> tuple[Group, ...]:
         """All groups."""
         return (self.readings, *self.others)
+
+    def model(self) -> Model:
+        """Return the problem as a model that effects can be added to."""
+        places = {"axis": Place(POSITION), "pair": Place(PAIRS)}
+        return Model(self.blocks, self.groups, None, (self.readings.name,), places, {}, self.effects)
+
+    def with_model(self, model: Model) -> Problem:
+        """Return the problem with the blocks, groups and effects of a model made from it."""
+        readings = next(group for group in model.groups if group.name == self.readings.name)
+        others = tuple(group for group in model.groups if group is not readings)
+        return replace(self, blocks=model.blocks, readings=readings, others=others, effects=model.added)
+
+    def with_effects(self, wanted: Sequence[Wanted]) -> Problem:
+        """Return the problem with the effects of a job, where `blocks` have them already at the values there."""
+        if not wanted:
+            return self
+        bare = {name: block for name, block in self.blocks.items() if name in BLOCKS}
+        found = extended(replace(self, blocks=bare).model(), wanted)
+        return self.with_model(
+            found.with_blocks({name: self.blocks.get(name, found.blocks[name]) for name in found.blocks})
+        )
 
 
 def machine_of(settings: Settings) -> Machine:
@@ -70,7 +96,7 @@ def error_blocks(machine: Machine, settings: Settings) -> dict[str, Block]:
     blocks = [axis.block_of({}, settings.estimated) for axis in machine.axes]
     blocks.append(squareness_block({}, settings.estimated))
     tools = settings.tools
-    blocks.append(tool_block(np.array(list(tools.values())), list(tools), settings.machine.tool_uncertainty > 0))
+    blocks.append(tool_block(np.array(list(tools.values())), list(tools), settings.machine.tool_uncertainty))
     return {block.name: block for block in blocks}
 
 
@@ -171,3 +197,6 @@ def conditions(position: Array, table: Table | None = None) -> dict[str, Array]:
 
 ERROR_BLOCKS = ("axis X", "axis Y", "axis Z", SQUARENESS, TOOL)
 """Blocks on which the predicted error of a point depends"""
+BLOCKS = (*ERROR_BLOCKS, TRACKER, LEG, LINE)
+"""Blocks of the machine and the instruments; all others are effects"""
+PAIRS = ("xy", "xz", "yz")

@@ -7,7 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from metrocli.adjust.blocks import Array
-from metrocli.instruments.machine import AXES, ERRORS, SQUARENESS_NAMES, TOOL
+from metrocli.adjust.solution import Solution
+from metrocli.effects.estimates import estimates as effect_estimates
+from metrocli.effects.estimates import free_blocks
+from metrocli.effects.estimates import tables as effect_results
+from metrocli.instruments.machine import AXES, ERRORS, SQUARENESS, SQUARENESS_NAMES, TOOL
 from metrocli.instruments.six_dof import LINE
 from metrocli.instruments.tracker import TRACKER
 from metrocli.result import Estimate, Result
@@ -31,17 +35,17 @@ WEAK = 10.0
 
 def report(solved: Solved, settings: Settings) -> Result:
     """Return the result of a solved calibration."""
-    tables = tables_of(solved.problem.machine, solved.solution)
+    solution, added = solved.solution, solved.problem.effects
+    tables = tables_of(solved.problem.machine, solution)
     identified = solved.identified
-    names, values, covariance = _estimates(tables, identified)
-    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    units = [unit_of(name) if name in SQUARENESS_NAMES else "mm" for name in names]
+    effect_tables, effect_arrays = effect_results(added, solution)
     volume = volume_tables(tables, identified, settings.volume.grid, solved.problem.tools_used)
+    tools = (TOOL,) if solution.blocks[TOOL].free.any() else ()
     return Result(
         kind=KIND,
         title="",
-        estimates=tuple(Estimate(*row) for row in zip(names, values.tolist(), std.tolist(), units, strict=True)),
-        covariance=covariance,
+        estimates=(*_estimates(solution), *effect_estimates(added, solution)),
+        covariance=solution.joint((SQUARENESS, *tools, *free_blocks(added))),
         statistics=_statistics(solved, settings),
         tables={
             **{f"tables/{name}": _table(tables, name, identified) for name in ERRORS if _wanted(name, identified)},
@@ -57,12 +61,14 @@ def report(solved: Solved, settings: Settings) -> Result:
             "suspects": _suspects(solved),
             "rejected": _named_tests(solved, [name for name, _ in solved.rejected], [w for _, w in solved.rejected]),
             "tables_entries": _entries(tables),
+            **effect_tables,
         },
-        arrays={"tables_covariance": tables.covariance},
+        arrays={"tables_covariance": tables.covariance, **effect_arrays},
         warnings=tuple(_warnings(solved)),
         shown=(
             "errors: error, status, with, largest, largest_std",
             "volumetric",
+            *solved.problem.tables,
             *(["suspects"] if len(solved.suspects.rows) else []),
         ),
         notes=tuple(identifiability_notes(identified)),
@@ -73,28 +79,22 @@ def _wanted(name: str, identified: Identifiability) -> bool:
     return identified.status[name] != NOT_ESTIMATED
 
 
-def _estimates(tables: Tables, identified: Identifiability) -> tuple[list[str], Array, Array]:
-    """Return squareness, then tool vectors that are estimated."""
-    first = len(tables.entries) - 3
-    given = [
-        i for i, name in enumerate(SQUARENESS_NAMES) if identified.status[name] not in (NOT_ESTIMATED, UNDETERMINED)
+def _estimates(solution: Solution) -> list[Estimate]:
+    """Return the squareness errors that were found, then the tool vectors that were."""
+    square, tool = solution.blocks[SQUARENESS], solution.blocks[TOOL]
+    std = solution.std(SQUARENESS)[0]
+    found = [
+        Estimate(name, float(square.values[0, i]), float(std[i]), "rad")
+        for i, name in enumerate(SQUARENESS_NAMES)
+        if square.free[0, i]
     ]
-    names = [SQUARENESS_NAMES[i] for i in given]
-    values = tables.values[[first + i for i in given]]
-    covariance = tables.covariance[np.ix_([first + i for i in given], [first + i for i in given])]
-    tool = tables.blocks[TOOL]
-    places = tables.unknowns.columns[TOOL]
     if not tool.free.any():
-        return names, values, covariance
-    free = places[tool.free]
-    joint = np.zeros((len(values) + len(free),) * 2)
-    joint[: len(values), : len(values)] = covariance
-    joint[len(values) :, len(values) :] = tables.raw[np.ix_(free, free)]
-    square = tables.unknowns.columns["squareness"][0][given]
-    joint[: len(values), len(values) :] = tables.raw[np.ix_(square, free)]
-    joint[len(values) :, : len(values)] = joint[: len(values), len(values) :].T
-    tools = [f"{member}.{axis}" for member in tool_names(tables.blocks) for axis in tool.columns]
-    return names + tools, np.concatenate([values, tool.values[tool.free]]), joint
+        return found
+    names, spread = tool_names(solution.blocks), solution.std(TOOL)
+    return found + [
+        Estimate(f"{names[i]}.{tool.columns[k]}", float(tool.values[i, k]), float(spread[i, k]), "mm")
+        for i, k in zip(*np.nonzero(tool.free), strict=True)
+    ]
 
 
 def _table(tables: Tables, name: str, identified: Identifiability) -> Table:

@@ -170,6 +170,7 @@ class MachineSimulation:
         _VECTOR, "place of the tracker in the machine", default=(-1000.0, -800.0, 300.0)
     )
     points: int = setting(Whole(1, 1_000_000), "standstill: number of points", default=226)
+    interval: float = setting(Quantity("time", positive=True), "standstill: time from point to point", default=4.0)
     sampling: float = setting(Quantity("time", positive=True), "on-the-fly: time between points", default=0.002)
     feed: float = setting(Quantity("speed", positive=True), "on-the-fly: where the path has no feed", default=40.0)
     step: float = setting(Quantity("length", positive=True), "six-dof: distance of readings", default=25.0)

@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from metrocli.adjust.blocks import Array, Block
-from metrocli.adjust.observations import Index
+from metrocli.adjust.chain import Chain
+from metrocli.adjust.groups import Group
+from metrocli.adjust.observations import Index, Observations
+from metrocli.adjust.quantities import Quantity
+from metrocli.effects.estimates import true_values
+from metrocli.effects.model import Model, Place, extended
+from metrocli.effects.wanted import Wanted
 from metrocli.errors import InputError
 from metrocli.geometry import poses
 from metrocli.geometry.rotations import rotation_from_euler
 from metrocli.instruments.machine import (
+    POSITION,
+    SQUARENESS,
     SQUARENESS_NAMES,
     TOOL,
     Axis,
@@ -23,12 +31,14 @@ from metrocli.instruments.machine import (
     squareness_block,
 )
 from metrocli.instruments.machine_path import Path
+from metrocli.instruments.six_dof import CHANNELS, LINE, line_block, line_chain
+from metrocli.instruments.tracker import TRACKER, point_chain, tracker_block
 from metrocli.simulation import Simulation
 from metrocli.table import Table
 from metrocli.tasks.machine_on_the_fly import path_of
-from metrocli.tasks.machine_problem import commanded, error_blocks, machine_of, tools_of
-from metrocli.tasks.machine_settings import ON_THE_FLY, STANDSTILL, MachineSimulation, Settings
-from metrocli.tasks.machine_six_dof import simulated_lines
+from metrocli.tasks.machine_problem import PAIRS, commanded, conditions, error_blocks, machine_of, tools_of
+from metrocli.tasks.machine_settings import ON_THE_FLY, SIX_DOF, STANDSTILL, MachineSimulation, Settings
+from metrocli.tasks.machine_six_dof import laser_noise, line_conditions, planned_lines
 from metrocli.tasks.machine_standstill import tracker_noise
 from metrocli.tasks.machine_volume import grid_group, grid_of, without_rigid_motion
 
@@ -41,6 +51,9 @@ _ACCELERATION = 1000.0
 """Of the simulated machine [mm/s^2]"""
 _REST = 0.5
 """The machine stands so long at each vertex [s]"""
+_FROM = ("from_x", "from_y", "from_z")
+_MISALIGNED = np.array([0.01] * 3 + [1e-4] * 5)
+"""Standard deviations of the simulated misalignment of a line [mm, rad]"""
 
 
 @dataclass(frozen=True)
@@ -56,9 +69,28 @@ class Truth:
         group = grid_group(self.machine, position, tool)
         return group.chain.predict(self.blocks, group.observations)
 
-    def reached(self, position: Array, tool: Index) -> Array:
-        """Return where the reflector is (3, n)."""
-        return position + self.blocks[TOOL].values[tool].T + self.error(position, tool)[:3]
+    def model(self, chain: Chain, more: Mapping[str, Block], flow: Flow) -> Model:
+        """Return the forward model of readings where the machine is sent."""
+        n = flow.position.shape[1]
+        index = self.machine.index(flow.position) | {TOOL: flow.tool} | dict(flow.index)
+        sizes = np.zeros((6 if chain.quantities[-1] is Quantity.ERROR_MOTION else 3, n))
+        observations = Observations(
+            sizes, np.ones(1), index, conditions=conditions(flow.position) | dict(flow.conditions)
+        )
+        places = {"axis": Place(POSITION), "pair": Place(PAIRS)}
+        group = Group("readings", chain, observations)
+        return Model({**self.blocks, **more}, (group,), None, ("readings",), places)
+
+
+@dataclass(frozen=True)
+class Flow:
+    """Where the machine is sent, with which tool, when and from which side."""
+
+    position: Array
+    """(3, n)"""
+    tool: Index
+    conditions: Mapping[str, Array]
+    index: Mapping[str, Index] = field(default_factory=dict)
 
 
 def truth_of(settings: Settings, simulation: MachineSimulation, rng: np.random.Generator) -> Truth:
@@ -105,20 +137,33 @@ def _drawn(axis: Axis, name: str, smooth: bool, rng: np.random.Generator) -> Arr
     return np.asarray(raw - np.interp(axis.reference, axis.knots, raw))
 
 
-def simulated(settings: Settings, tables: Mapping[str, Table], seed: int) -> Simulation:
-    """Return the files of a measurement of a random machine, and its errors."""
+def simulated(settings: Settings, tables: Mapping[str, Table], effects: Sequence[Wanted], seed: int) -> Simulation:
+    """Return the files of a measurement of a random machine with effects, and its errors."""
     if settings.simulation is None:
         raise InputError("simulate needs the truth: `simulation: {error: 0.1 mm, tracker: [-1 m, -0.8 m, 0.3 m]}`")
     rng = np.random.default_rng(seed)
     truth = truth_of(settings, settings.simulation, rng)
-    if settings.method == STANDSTILL:
-        files = {"points.csv": _points(settings, truth, tables.get("points"), rng)}
-    elif settings.method == ON_THE_FLY:
-        files = {"track.csv": _track(settings, truth, tables["path"], rng)}
-    else:
-        files = {"lines.csv": simulated_lines(settings, truth.error, settings.simulation.step, rng)}
-    square = dict(zip(SQUARENESS_NAMES, truth.blocks["squareness"].values[0].tolist(), strict=True))
-    return Simulation({**files, "true_errors.csv": true_errors(settings, truth)}, square)
+    file, make = {
+        STANDSTILL: ("points.csv", _points),
+        ON_THE_FLY: ("track.csv", _track),
+        SIX_DOF: ("lines.csv", _lines),
+    }[settings.method]
+    table, model = make(_Job(settings, settings.simulation, tables, tuple(effects)), truth, rng)
+    square = dict(zip(SQUARENESS_NAMES, truth.blocks[SQUARENESS].values[0].tolist(), strict=True))
+    return Simulation({file: table, "true_errors.csv": true_errors(settings, truth)}, square | true_values(model))
+
+
+@dataclass(frozen=True)
+class _Job:
+    settings: Settings
+    simulation: MachineSimulation
+    tables: Mapping[str, Table]
+    effects: tuple[Wanted, ...]
+
+    def read(self, model: Model) -> tuple[Array, Model]:
+        """Return what is read of a model with the effects in it, without noise."""
+        model = extended(model, self.effects) if self.effects else model
+        return model.groups[0].chain.predict(model.blocks, model.groups[0].observations), model
 
 
 def true_errors(settings: Settings, truth: Truth) -> Table:
@@ -142,59 +187,87 @@ def true_errors(settings: Settings, truth: Truth) -> Table:
     return Table(columns, {"position": "mm", "value": "mm", "turn": "rad"})
 
 
-def _seen(settings: Settings, truth: Truth, reached: Array, rng: np.random.Generator) -> Array:
-    """Return what the tracker, turned at random, sees of points (3, n), with its noise."""
-    if settings.simulation is None:
-        raise InputError("simulate needs `simulation:`")
+def _seen(job: _Job, truth: Truth, flow: Flow, rng: np.random.Generator) -> tuple[Array, Model]:
+    """Return what the tracker, turned at random, sees of a machine, with its noise, (3, n)."""
     turn = rotation_from_euler(rng.normal() * 0.05, rng.normal() * 0.05, rng.uniform(-np.pi, np.pi))
-    pose = poses.pose(turn, np.array(settings.simulation.tracker))
-    points = poses.apply(poses.inverse(pose), reached.T).T
-    return points + tracker_noise(settings).drawn(points, rng)
+    pose = poses.pose(turn, np.array(job.simulation.tracker))
+    points, model = job.read(truth.model(point_chain(truth.machine), {TRACKER: tracker_block(pose)}, flow))
+    return points + tracker_noise(job.settings).drawn(points, rng), model
 
 
-def _points(settings: Settings, truth: Truth, table: Table | None, rng: np.random.Generator) -> Table:
+def _points(job: _Job, truth: Truth, rng: np.random.Generator) -> tuple[Table, Model]:
     """Return points at the listed commanded positions, or at random ones with the corners of the volume."""
-    names = list(settings.tools)
-    if table is not None:
-        position, tool = commanded(machine_of(settings), table), tools_of(table, settings)
-    else:
-        count = settings.simulation.points if settings.simulation else 0
-        low, high = truth.machine.low, truth.machine.high
-        position = np.round(rng.uniform(low, high, (count, 3)).T, 3)
-        corners = grid_of(truth.machine, (2, 2, 2))[:, :count]
-        position[:, : corners.shape[1]] = corners
-        tool = rng.integers(len(names), size=count)
-    n = position.shape[1]
-    seen = _seen(settings, truth, truth.reached(position, tool), rng)
+    flow = _stops(job, truth.machine, rng)
+    seen, model = _seen(job, truth, flow, rng)
+    names, n = list(job.settings.tools), seen.shape[1]
     columns: dict[str, Values] = {"point": np.array([f"P{i + 1:03d}" for i in range(n)])}
-    columns |= dict(zip("xyz", position, strict=True))
-    columns |= {f"m{axis}": row for axis, row in zip("xyz", seen, strict=True)}
+    columns |= dict(zip(POSITION, flow.position, strict=True))
+    columns |= {f"m{axis}": row for axis, row in zip(POSITION, seen, strict=True)}
+    columns |= {name: flow.conditions[name] for name in ("t", *_FROM)}
     if names != [""]:
-        columns["tool"] = np.array(names)[tool]
-    lengths = dict.fromkeys(("x", "y", "z", "mx", "my", "mz"), "mm")
-    return Table(columns, lengths)
+        columns["tool"] = np.array(names)[flow.tool]
+    return Table(columns, {**dict.fromkeys(("x", "y", "z", "mx", "my", "mz"), "mm"), "t": "s"}), model
 
 
-def _track(settings: Settings, truth: Truth, table: Table, rng: np.random.Generator) -> Table:
+def _stops(job: _Job, machine: Machine, rng: np.random.Generator) -> Flow:
+    table, names = job.tables.get("points"), list(job.settings.tools)
+    if table is not None:
+        position, tool = commanded(machine_of(job.settings), table), tools_of(table, job.settings)
+    else:
+        count = job.simulation.points
+        position = np.round(rng.uniform(machine.low, machine.high, (count, 3)).T, 3)
+        corners = grid_of(machine, (2, 2, 2))[:, :count]
+        position[:, : corners.shape[1]] = corners
+        position = position[:, rng.permutation(count)]
+        tool = rng.integers(len(names), size=count)
+    moved = np.sign(np.diff(position, axis=1, prepend=position[:, :1] - 1))
+    given = {"t": np.arange(position.shape[1]) * job.simulation.interval, **dict(zip(_FROM, moved, strict=True))}
+    if table is not None:
+        given |= {name: table.numbers(name) for name in given if name in table}
+    return Flow(position, tool, given)
+
+
+def _track(job: _Job, truth: Truth, rng: np.random.Generator) -> tuple[Table, Model]:
     """Return the track of the machine along the path: ramps of speed on each leg, a rest at each vertex."""
-    path = path_of(settings, machine_of(settings), table)
-    feeds = _feeds(settings, table, path)
-    position, tool, time = travelled(path, feeds, settings.simulation.sampling if settings.simulation else 1.0)
-    seen = _seen(settings, truth, truth.reached(position, tool), rng)
-    columns: dict[str, Values] = {**dict(zip("xyz", seen, strict=True)), "t": time}
-    if "tool" in table:
-        columns["tool"] = np.array(list(settings.tools))[tool]
-    return Table(columns, {**dict.fromkeys("xyz", "mm"), "t": "s"})
+    listed = job.tables["path"]
+    path = path_of(job.settings, machine_of(job.settings), listed)
+    leg, along, time = travelled(path, _feeds(job, listed, path), job.simulation.sampling)
+    given = {"t": time, **{name: signs[leg] for name, signs in zip(_FROM, path.last_moves(), strict=True)}}
+    seen, model = _seen(job, truth, Flow(path.at(leg, along), path.tool[leg], given), rng)
+    columns: dict[str, Values] = {**dict(zip(POSITION, seen, strict=True)), "t": time}
+    if "tool" in listed:
+        columns["tool"] = np.array(list(job.settings.tools))[path.tool[leg]]
+    return Table(columns, {**dict.fromkeys(POSITION, "mm"), "t": "s"}), model
 
 
-def _feeds(settings: Settings, table: Table, path: Path) -> Array:
+def _feeds(job: _Job, table: Table, path: Path) -> Array:
     if "feed" in table:
         return np.asarray(table.numbers("feed")[path.vertex + 1])
-    return np.full(len(path.lengths), settings.simulation.feed if settings.simulation else 1.0)
+    return np.full(len(path.lengths), job.simulation.feed)
 
 
-def travelled(path: Path, feeds: Array, sampling: float) -> tuple[Array, Index, Array]:
-    """Return commanded positions (3, n), tools and times of a machine with ramps and rests, at equal steps of time."""
+def _lines(job: _Job, truth: Truth, rng: np.random.Generator) -> tuple[Table, Model]:
+    """Return lines along the axes, up and down, and along the three face diagonals, each with its misalignment."""
+    lines = planned_lines(machine_of(job.settings), job.simulation.step)
+    along = lines.along
+    block = line_block(lines.names)
+    shifts = rng.normal(size=block.values.shape) * _MISALIGNED
+    flow = Flow(lines.position, np.zeros(len(lines.of), dtype=np.intp), line_conditions(lines, along), {LINE: lines.of})
+    readings, model = job.read(truth.model(line_chain(truth.machine), {LINE: block.with_values(shifts)}, flow))
+    root = np.linalg.cholesky(np.moveaxis(laser_noise(job.settings).covariance(along[lines.of].T), -1, 0))
+    readings = readings + np.einsum("nab,bn->an", root, rng.normal(size=readings.shape))
+    columns: dict[str, Values] = {
+        "line": np.array(lines.names)[lines.of],
+        "axis": np.array(lines.axis)[lines.of],
+        "position": lines.distance,
+        **dict(zip(CHANNELS, readings, strict=True)),
+    }
+    units = {"position": "mm", **dict.fromkeys(CHANNELS[:3], "mm"), **dict.fromkeys(CHANNELS[3:], "rad")}
+    return Table(columns, units), model
+
+
+def travelled(path: Path, feeds: Array, sampling: float) -> tuple[Index, Array, Array]:
+    """Return leg, way along it and time of a machine with ramps of speed and rests, at equal steps of time."""
     ramp = np.minimum(feeds / _ACCELERATION, np.sqrt(path.lengths / _ACCELERATION))
     top = ramp * _ACCELERATION
     moving = path.lengths / top + ramp
@@ -206,4 +279,4 @@ def travelled(path: Path, feeds: Array, sampling: float) -> tuple[Array, Index, 
     ramped = np.minimum(left, ramp[leg])
     early = ramped**2 * _ACCELERATION / 2 + np.maximum(left - ramp[leg], 0.0) * top[leg]
     along = np.where(since <= moving[leg] / 2, early, path.lengths[leg] - early)
-    return path.at(leg, along), path.tool[leg], time
+    return leg, along, time

@@ -7,7 +7,7 @@ the tables zero it is `C0Y = (d2^2 - d1^2) / (4 Lx Ly)` of two diagonals).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -137,8 +137,7 @@ def six_dof(settings: Settings, table: Table) -> Problem:
         raise InputError("method six-dof has one tool: the receiver's vector, `machine: {tool: [...]}`")
     lines = lines_of(machine, table)
     must_support(machine, lines.position, blocks)
-    noise = settings.noise
-    laser = LineNoise(noise.displacement or 0.0, noise.straightness or 0.0, noise.angle or 0.0)
+    laser = laser_noise(settings)
     along = lines.along
     figures = positioning(runs_of(lines, table))
     observations = Observations(
@@ -184,55 +183,27 @@ def line_conditions(lines: Lines, along: Array) -> dict[str, Array]:
     return {POSITION: lines.distance - middle[lines.of], **dict(zip(ACROSS, across, strict=True))}
 
 
-class Motion(Protocol):
-    """Errors of a machine: displacement and rotation of tools at positions, (3, n), (n,) -> (6, n)."""
-
-    def __call__(self, position: Array, tool: Index) -> Array:
-        """Return the error motion."""
-
-
-def simulated_lines(settings: Settings, motion: Motion, step: float, rng: np.random.Generator) -> Table:
-    """Return lines along the axes, up and down, and along the three face diagonals, each with its misalignment."""
-    machine = machine_of(settings)
-    parts = [
-        _simulated(settings, machine, motion, (f"{direction}-{number}", direction, step), rng)
-        for direction, moving in DIRECTIONS.items()
-        for number in range(1, 3 if len(moving) == 1 else 2)
-    ]
-    columns = {name: np.concatenate([part.columns[name] for part in parts]) for name in parts[0]}
-    return Table(columns, parts[0].units)
-
-
-def _simulated(
-    settings: Settings, machine: Machine, motion: Motion, what: tuple[str, str, float], rng: np.random.Generator
-) -> Table:
-    name, direction, step = what
-    moving = list(DIRECTIONS[direction])
-    size = machine.high - machine.low
-    length = float(np.linalg.norm(size[moving]))
-    distance = np.linspace(0.0, length, max(_LEAST, round(length / step) + 1))
-    along = np.zeros(3)
-    along[moving] = size[moving] / length
-    start = machine.home.copy()
-    start[moving] = machine.low[moving]
-    if name.endswith("-2"):
-        distance = distance[::-1]
-    position = start[:, None] + along[:, None] * distance
-    n = len(distance)
-    error = motion(position, np.zeros(n, dtype=np.intp)) + np.array([0.01] * 3 + [1e-4] * 3)[:, None] * rng.normal(
-        size=(6, 1)
+def planned_lines(machine: Machine, step: float) -> Lines:
+    """Return lines along the axes, up and down, and along the three face diagonals, with readings every `step`."""
+    names: list[str] = []
+    axes, of, positions, distances = [], [], [], []
+    for direction, moving in DIRECTIONS.items():
+        size = (machine.high - machine.low) * np.isin(np.arange(3), moving)
+        length = float(np.linalg.norm(size))
+        along = np.linspace(0.0, length, max(_LEAST, round(length / step) + 1))
+        start = np.where(size > 0, machine.low, machine.home)
+        for way in (along, along[::-1])[: 2 if len(moving) == 1 else 1]:
+            of.append(np.full(len(way), len(names)))
+            names.append(f"{direction}{len(names) + 1}")
+            axes.append(direction)
+            positions.append(start[:, None] + size[:, None] / length * way)
+            distances.append(way if len(moving) > 1 else positions[-1][moving[0]])
+    return Lines(
+        tuple(names), tuple(axes), np.concatenate(of), np.concatenate(positions, axis=1), np.concatenate(distances)
     )
-    slope = rng.normal(size=3) * 1e-4
-    error[:3] += (slope - slope @ along * along)[:, None] * distance
+
+
+def laser_noise(settings: Settings) -> LineNoise:
+    """Return the noise of the laser."""
     noise = settings.noise
-    laser = LineNoise(noise.displacement or 0.0, noise.straightness or 0.0, noise.angle or 0.0)
-    root = np.linalg.cholesky(laser.covariance(along[:, None])[:, :, 0])
-    error += root @ rng.normal(size=(6, n))
-    columns: dict[str, Values] = {
-        "line": np.repeat(np.array([name]), n),
-        "axis": np.repeat(np.array([direction]), n),
-        "position": distance if len(moving) > 1 else position[moving[0]],
-    }
-    columns |= dict(zip(CHANNELS, error, strict=True))
-    units = {"position": "mm", **dict.fromkeys(CHANNELS[:3], "mm"), **dict.fromkeys(CHANNELS[3:], "rad")}
-    return Table(columns, units)
+    return LineNoise(noise.displacement or 0.0, noise.straightness or 0.0, noise.angle or 0.0)

@@ -38,10 +38,10 @@ def standstill(settings: Settings, points: Table) -> Problem:
     blocks = error_blocks(machine, settings)
     tool = tools_of(points, settings)
     position = commanded(machine, points)
-    must_support(machine, position, blocks)
     measured = points.stacked(("mx", "my", "mz")).T
     if position.shape[1] < 4:
         raise InputError([Fault(f"{position.shape[1]} points are too few for a tracker's frame", points.file)])
+    must_support(machine, position, blocks)
     pose = tracker_pose(measured, position + blocks[TOOL].values[tool].T, points.file)
     observations = Observations(
         measured,
@@ -57,7 +57,7 @@ def standstill(settings: Settings, points: Table) -> Problem:
     names = list(settings.tools)
     return Problem(
         machine,
-        {**blocks, "tracker": tracker_block(pose)},
+        {**blocks, "tracker": tracker_block(pose, settings.machine.tool_uncertainty)},
         readings,
         tool_prior(blocks, settings),
         np.ones(position.shape[1]),

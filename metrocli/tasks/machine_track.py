@@ -126,12 +126,17 @@ def _standing(points: Array, leg: Index) -> Mask:
     window = int(np.clip(np.ceil(_LEAST_BREAK / max(float(np.median(step)), 1e-9) / 4), 1, max(1, n // 100)))
     left, right = np.maximum(np.arange(n) - window, 0), np.minimum(np.arange(n) + window, n - 1)
     speed = np.linalg.norm(points[:, right] - points[:, left], axis=0) / (right - left)
+    return np.asarray(speed < _DWELL * _usual(speed, leg)[leg])
+
+
+def _usual(speed: Array, leg: Index) -> Array:
+    """Return for each leg the speed below which half of its way was made: rests take time and no way."""
     order = np.lexsort((speed, leg))
-    counts = np.bincount(leg)
-    middle = np.cumsum(counts) - counts + counts // 2
-    usual = np.zeros(len(counts))
-    usual[counts > 0] = speed[order][middle[counts > 0]]
-    return np.asarray(speed < _DWELL * usual[leg])
+    way = np.cumsum(speed[order])
+    ends = np.cumsum(np.bincount(leg))
+    total = np.concatenate([[0.0], way])[ends]
+    before = np.concatenate([[0.0], total[:-1]])
+    return np.asarray(speed[order][np.searchsorted(way, (before + total) / 2).clip(0, len(way) - 1)])
 
 
 def _breaks(points: Array, wild: Mask) -> tuple[Mask, Index]:

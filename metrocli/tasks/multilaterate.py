@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from metrocli.diagnosis.subject import Subject
 from metrocli.effects.model import extended
 from metrocli.effects.wanted import Wanted
 from metrocli.errors import InputError
@@ -16,8 +17,10 @@ from metrocli.result import Result
 from metrocli.settings import Choice, Quantity, Section, TableFile, setting
 from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import TEXT, Column, Columns, Table
-from metrocli.tasks.length_network import build
-from metrocli.tasks.length_simulation import Planned, simulated
+from metrocli.tasks.length_design import Planned
+from metrocli.tasks.length_diagnosis import subject
+from metrocli.tasks.length_network import Network, build
+from metrocli.tasks.length_simulation import simulated
 from metrocli.tasks.network_plan import planned
 from metrocli.tasks.network_report import KIND, report
 from metrocli.tasks.network_solve import solve
@@ -144,25 +147,45 @@ def run(
     **_: object,
 ) -> Result:
     """Find the points; raises InputError, UndeterminedError or NotConvergedError."""
-    network = build(settings, lengths, points, tracers, distances)
-    if effects:
-        network = network.with_model(extended(network.model(), effects))
-    solved = solve(network, settings.outliers == "remove")
-    return report(solved, probing, settings.tolerance)
+    network = _with(build(settings, lengths, points, tracers, distances), effects)
+    return report(solve(network, settings.outliers == "remove"), probing, settings.tolerance)
+
+
+def diagnosed(
+    settings: Settings,
+    lengths: Table,
+    points: Table,
+    tracers: Table | None = None,
+    distances: Table | None = None,
+    effects: Sequence[Wanted] = (),
+    **_: object,
+) -> Subject:
+    """Return the job as diagnosis sees it; raises as `run` does."""
+    network = _with(build(settings, lengths, points, tracers, distances), effects)
+    return subject(solve(network, remove=False))
+
+
+def _with(network: Network, effects: Sequence[Wanted]) -> Network:
+    return network.with_model(extended(network.model(), effects)) if effects else network
 
 
 def plan(
     settings: Settings,
     points: Table,
     tracers: Table | None = None,
+    lengths: Table | None = None,
     distances: Table | None = None,
     candidates: Table | None = None,
+    effects: Sequence[Wanted] = (),
     **_: object,
 ) -> Plan:
-    """Tell what lengths from every listed tracer to every point will determine; UndeterminedError where they do not."""
+    """Tell what lengths from every listed tracer to every point will determine; UndeterminedError where they do not.
+
+    Where the job's lengths exist, only what they read is planned.
+    """
     if tracers is None:
         raise InputError("plan needs to know where the tracers will stand: `inputs: {tracers: tracers.csv}`")
-    return planned(Layout(settings, points, tracers, distances), candidates)
+    return planned(Layout(settings, Planned(points, tracers, lengths), distances, effects), candidates)
 
 
 def simulate(

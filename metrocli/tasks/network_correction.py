@@ -12,9 +12,14 @@ from metrocli.errors import Fault, InputError
 from metrocli.instruments import tracer as t
 from metrocli.table import Table
 from metrocli.tasks.length_network import Network
+from metrocli.tasks.sightings import listed
 
 if TYPE_CHECKING:
     from metrocli.table import Values
+
+_FAR, _PLAIN, _ENOUGH = 12.0, 1e-4, 6
+"""A point is told that is this many times further from its entry than the median, and further than this share of the
+volume, where there are so many points"""
 
 
 def corrected(network: Network, solution: Solution, probing: Table, tolerance: float) -> Table:
@@ -53,6 +58,23 @@ def distant(network: Network, probing: Table | None, tolerance: float) -> tuple[
     return (
         f"{far} probing points were replayed up to {gap.max():.3g} mm away from where they were probed: "
         "the correction holds where the mover's error is the same at both places",
+    )
+
+
+def wrong_entries(network: Network, solution: Solution) -> tuple[str, ...]:
+    """Return the warning that the frame of a free network rests on entries of the points' list that look wrong."""
+    rows = np.flatnonzero((network.seen > 0) & network.unknown)
+    if network.datum is None or len(rows) < _ENOUGH:
+        return ()
+    error = network.nominal[rows] - solution.blocks[t.POINT].values[rows]
+    size = np.linalg.norm(error - np.median(error, axis=0), axis=1)
+    far = np.flatnonzero(size > max(_FAR * np.median(size), _PLAIN * np.ptp(network.nominal[rows], axis=0).max()))
+    if not far.size:
+        return ()
+    names = [network.blocks[t.POINT].members[rows[i]] for i in far[np.argsort(-size[far])]]
+    return (
+        f"the entries of {len(names)} points may be wrong: {listed(names)} lie up to {size.max():.3g} mm from where "
+        f"their list says, the others about {np.median(size):.3g} mm; such entries turn and shift the frame: mend them",
     )
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from metrocli.adjust.blocks import Array
 from metrocli.adjust.solution import Solution, residuals_of
+from metrocli.effects.estimates import estimates
 from metrocli.errors import UndeterminedError
 from metrocli.instruments import tracer as t
 from metrocli.plan import Plan
@@ -47,16 +48,16 @@ def planned(layout: Layout, candidates: Table | None) -> Plan:
     return Plan(
         KIND,
         (*_quality(layout), *_of_lengths(layout, lengths), *_best(ranking), *in_words(hidden), "", _HEAD),
-        (*_tracers(layout.solution), *_lines(layout)),
+        (*_tracers(layout.solution), *_lines(layout), *estimates(layout.network.effects, layout.solution)),
         tables,
-        warnings=tuple(layout_faults.warnings(layout.network, layout.solution)),
+        warnings=(*layout.network.warnings, *layout_faults.warnings(layout.network, layout.solution)),
     )
 
 
 def _points(layout: Layout) -> Table:
-    std = layout.solution.std(t.POINT)
-    columns: dict[str, Values] = {"point": np.array(layout.points.texts("point"))}
-    columns |= {axis: layout.points.numbers(axis) for axis in "xyz"}
+    std = layout.solution.std(t.POINT)[layout.network.seen > 0]
+    columns: dict[str, Values] = {"point": np.array(layout.names)}
+    columns |= {axis: layout.places[:, i] for i, axis in enumerate("xyz")}
     columns |= {f"s{axis}": std[:, i] for i, axis in enumerate("xyz")}
     columns["worst"] = worst_direction(layout.covariances)
     return Table(columns, {name: "mm" for name in columns if name != "point"})
@@ -79,16 +80,15 @@ def _tracers(solution: Solution) -> Iterator[Estimate]:
 
 def _lines(layout: Layout) -> Iterator[Estimate]:
     """Yield distances of points near the ends of lines through the volume: along the axes, and its diagonals."""
-    points, names = layout.points.stacked("xyz"), layout.points.texts("point")
+    points, names, read = layout.places, layout.names, np.flatnonzero(layout.network.seen > 0)
     middle, half = (points.max(axis=0) + points.min(axis=0)) / 2, np.ptp(points, axis=0) / 2
     told = set()
     for direction in [*np.eye(3), *(np.array([1.0, y, z]) for y, z in product((1, -1), repeat=2))]:
         a, b = (int(np.argmin(np.linalg.norm(points - end, axis=1))) for end in _ends(middle, half * direction))
         if a != b and (a, b) not in told:
             told.add((a, b))
-            chosen = np.zeros(len(points), dtype=bool)
-            chosen[[a, b]] = True
-            rows = np.flatnonzero(chosen)
+            rows = np.sort([a, b])
+            chosen = np.isin(np.arange(len(layout.network.seen)), read[rows])
             shared = factors(layout.solution.known(), chosen)
             length, std = between_two(points[rows], layout.covariances[rows], shared)
             yield Estimate(f"{names[a]} - {names[b]}", length, std, "mm")
@@ -100,9 +100,9 @@ def _ends(middle: Array, half: Array) -> tuple[Array, Array]:
 
 def _quality(layout: Layout) -> Iterator[str]:
     worst, ratio = worst_direction(layout.covariances), layout_faults.weakness(layout.network, layout.solution)
-    name = layout.points.texts("point")[int(np.argmax(worst))]
+    name, m = layout.names[int(np.argmax(worst))], len(layout.network.blocks[t.TRACER].members)
     yield (
-        f"{len(layout.points)} points from {len(layout.tracers)} tracers: coordinates to "
+        f"{len(layout.names)} points from {m} tracers: coordinates to "
         f"{roughly(root_mean_square(layout.covariances), 'um')} (root mean square), the worst point {name} to "
         f"{roughly(float(worst.max()), 'um')} in its worst direction"
     )

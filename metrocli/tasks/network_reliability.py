@@ -37,9 +37,11 @@ def _point_shift(solution: Solution, group: Group) -> Array:
     cofactor = solution.cofactor
     if cofactor is None:
         raise RuntimeError(solution.outcome.value)
-    touches = group.linear(solution.blocks, cofactor.layout.wanted).touches
     index = group.observations.index[t.POINT]
     shift = np.zeros((3, len(index)))
+    if not solution.blocks[t.POINT].free.any():
+        return np.zeros(len(index))
+    touches = group.linear(solution.blocks, cofactor.layout.wanted).touches
     for touch in touches:
         pair = cofactor.pairs(t.POINT, index, touch.block, touch.index)
         shift += np.einsum("abn,bn->an", pair, touch.jacobian[0])

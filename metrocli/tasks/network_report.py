@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,7 +16,7 @@ from metrocli.result import Estimate, Result
 from metrocli.table import Table
 from metrocli.tasks import layout_faults
 from metrocli.tasks.adjustment_statistics import REMOVE, basic_statistics, noise_warnings
-from metrocli.tasks.network_correction import corrected, distant
+from metrocli.tasks.network_correction import corrected, distant, wrong_entries
 from metrocli.tasks.network_distance import factors
 from metrocli.tasks.network_reliability import UNITS as RELIABILITY_UNITS
 from metrocli.tasks.network_reliability import reliability
@@ -35,6 +36,7 @@ _REASONS = {
     "outlier": "outlier",
     "alike": "one of the point's lengths is wrong; which cannot be told",
     "point": "too few lengths of the point are left to be checked",
+    "few": "fewer than three tracers read the point",
     "doubt": "the point lost a length, and the others do not meet either",
 }
 
@@ -73,9 +75,16 @@ def report(solved: Solved, probing: Table | None, tolerance: float) -> Result:
         tables=tables,
         arrays={**arrays, **effect_arrays},
         warnings=(*_warnings(solved), *distant(solved.network, probing, tolerance)),
-        shown=("points: point, x, y, z, sx, sy, sz", *(("suspects",) if solved.suspects else ())),
+        shown=tuple(_shown(solved)),
         notes=in_words(hidden),
     )
+
+
+def _shown(solved: Solved) -> Iterator[str]:
+    if solved.network.blocks[t.POINT].free.any():
+        yield "points: point, x, y, z, sx, sy, sz"
+    if solved.suspects:
+        yield "suspects"
 
 
 def _tracer_estimates(solution: Solution) -> tuple[Estimate, ...]:
@@ -154,6 +163,14 @@ def _suspects(solved: Solved) -> Table:
 
 def _warnings(solved: Solved) -> list[str]:
     lines = [*solved.network.warnings, *noise_warnings(solved.solution, cures=(REMOVE,))]
+    keys = solved.whole.lengths.observations.keys
+    wrong = [
+        f"{keys['point'][one.row]}/{keys['tracer'][one.row]}"
+        for one in solved.rejected
+        if one.reason in ("gross", "outlier")
+    ]
+    if wrong:
+        lines.append(f"{len(wrong)} lengths are left out as wrong: {listed(wrong)} (table rejected)")
     told = [
         f"{one.point}/{one.tracer} (w = {one.test:.1f}{', or ' + ' or '.join(one.others) if one.others else ''})"
         for one in solved.suspects
@@ -171,7 +188,8 @@ def _warnings(solved: Solved) -> list[str]:
         )
     gone = [name for name, n, before in _lost(solved) if n == 0 < before]
     if gone:
-        lines.append(f"{len(gone)} points are left out, since their lengths cannot be checked: {listed(gone)}")
+        lines.append(f"{len(gone)} points are left out, since too few of their lengths are left: {listed(gone)}")
+    lines += wrong_entries(solved.network, solved.solution)
     return lines + layout_faults.warnings(solved.network, solved.solution)
 
 

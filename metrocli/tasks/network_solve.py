@@ -26,6 +26,8 @@ _ODDS, _TOSS = 4.0, 0.5
 """Tests whose squares differ by less leave odds below e^2 = 7 to 1, or e^(1/4) = 1.3 to 1, between two lengths"""
 _INNOCENT = 3.0
 """A length left out at the start comes back if it misses by less than this many standard deviations"""
+_ASTRAY = 0.05
+"""Points further from the mover's readings than this share of the volume are a wrong solution"""
 _DOUBT = 0.05
 """Level at which the lengths left of a point that lost some must meet"""
 _ROUNDS = 30
@@ -72,12 +74,14 @@ def solve(network: Network, remove: bool) -> Solved:
 
     Raises UndeterminedError where the layout cannot carry the answer, NotConvergedError where no solution was found.
     """
-    groups = [network.lengths, *network.others]
-    state = robust_start(network.blocks.values(), groups, LENGTHS, network.datum)
+    out = _too_few(network) if remove else {}
+    start = network.only(_kept(network, out))
+    groups = [start.lengths, *start.others]
+    state = robust_start(start.blocks.values(), groups, LENGTHS, start.datum)
     if len(network.nominal) <= _SMALL_ENOUGH:
-        _must_carry(network, covariance_at(state.values(), groups, network.datum))
-    out = far_off(network, state) if remove else {}
-    back = bool(out)
+        _must_carry(start, covariance_at(state.values(), groups, start.datum))
+    gross = far_off(network, state) if remove else {}
+    out, back = gross | out, bool(gross)
     for _ in range(_ROUNDS):
         solved = _adjusted(network, state, out)
         state = dict(solved.solution.blocks)
@@ -92,9 +96,16 @@ def solve(network: Network, remove: bool) -> Solved:
     return solved
 
 
+def refitted(network: Network, keep: Mask) -> Solution:
+    """Adjust a network from where its blocks are to some of its lengths, with weights from the adjusted paths."""
+    used = network.only(keep)
+    groups = [used.lengths, *used.others]
+    noise = (LENGTHS, network.noise)
+    return adjust_with_noise(used.blocks.values(), groups, noise, used.datum, network.aspects)
+
+
 def _adjusted(network: Network, state: Mapping[str, Block], out: dict[int, Rejected]) -> Solved:
-    keep = np.ones(network.lengths.observations.count, dtype=bool)
-    keep[list(out)] = False
+    keep = _kept(network, out)
     lost = _unchecked(network, keep) & keep
     keep &= ~lost
     used = network.only(keep)
@@ -104,6 +115,7 @@ def _adjusted(network: Network, state: Mapping[str, Block], out: dict[int, Rejec
     _must_carry(used, solution)
     if not solution.outcome.good:
         raise NotConvergedError(f"{solution.outcome.value} ({solution.iterations} steps)")
+    _must_be_near(used, solution)
     rejected = [*out.values(), *(Rejected(int(row), float("nan"), "point") for row in np.flatnonzero(lost))]
     group = next(group for group in solution.groups if group.name == LENGTHS)
     residuals, critical = residuals_of(solution, group), critical_value(group.observations.count)
@@ -113,9 +125,32 @@ def _adjusted(network: Network, state: Mapping[str, Block], out: dict[int, Rejec
     return Solved(used, network, solution, residuals, tuple(rejected), suspects, critical)
 
 
+def _kept(network: Network, out: Mapping[int, Rejected]) -> Mask:
+    keep = np.ones(network.lengths.observations.count, dtype=bool)
+    keep[list(out)] = False
+    return keep
+
+
+def _too_few(network: Network) -> dict[int, Rejected]:
+    """Return the lengths of points that too few tracers read to locate them."""
+    few = ((network.seen < 3) & network.unknown)[network.lengths.observations.index[t.POINT]]
+    return {int(row): Rejected(int(row), float("nan"), "few") for row in np.flatnonzero(few)}
+
+
 def _must_carry(network: Network, solution: Solution) -> None:
     if not carries(network, solution):
         raise UndeterminedError(explained(network, solution))
+
+
+def _must_be_near(network: Network, solution: Solution) -> None:
+    """Refuse a solution far from the mover's readings, such as the mirror image of the layout."""
+    seen = network.seen > 0
+    away = np.linalg.norm(solution.blocks[t.POINT].values[seen] - network.nominal[seen], axis=1)
+    if np.median(away) > _ASTRAY * np.ptp(network.nominal[seen], axis=0).max():
+        raise NotConvergedError(
+            f"the points found lie {np.median(away):.3g} mm from where their list says (median): the adjustment ended "
+            "in a wrong place, such as the mirror image; say about where the tracers stand in `inputs: tracers`"
+        )
 
 
 def _unchecked(network: Network, keep: Mask) -> Mask:

@@ -32,8 +32,6 @@ class Ranking:
     table: Table
     """candidate, x, y, z, rms, worst, gain_rms, gain_worst: points' uncertainties with it, and by how much less"""
     tried: int
-    compared: int
-    """Points by which they were compared"""
 
 
 def ranked(layout: Layout, candidates: Table | None) -> Ranking:
@@ -52,7 +50,7 @@ def ranked(layout: Layout, candidates: Table | None) -> Ranking:
     columns |= {axis: places[order, i] for i, axis in enumerate("xyz")}
     columns |= {name: with_it[order, i] for i, name in enumerate(("rms", "worst"))}
     columns |= {f"gain_{name}": gain[:, i] for i, name in enumerate(("rms", "worst"))}
-    return Ranking(Table(columns, dict.fromkeys(("x", "y", "z", "rms", "worst"), "mm")), len(names), len(part.points))
+    return Ranking(Table(columns, dict.fromkeys(("x", "y", "z", "rms", "worst"), "mm")), len(names))
 
 
 def _worth(layout: Layout) -> tuple[float, float]:
@@ -68,7 +66,7 @@ def _listed(candidates: Table) -> tuple[list[str], Array]:
 
 def _places(layout: Layout) -> tuple[list[str], Array]:
     """Return a grid around the points, without the places in the volume."""
-    points = layout.points.stacked("xyz")
+    points = layout.planned.points.stacked("xyz")
     low, high = points.min(axis=0), points.max(axis=0)
     side = np.maximum(high - low, _THICK * (high - low).max())
     middle = (low + high) / 2
@@ -80,10 +78,9 @@ def _places(layout: Layout) -> tuple[list[str], Array]:
 
 def _part(layout: Layout) -> Layout:
     """Return the layout with some of its points, spread evenly over their list, and all those that are known."""
-    n = len(layout.points)
+    n = len(layout.planned.points)
     if n <= _MOST:
         return layout
     even = np.linspace(0, n - 1, _MOST).astype(np.intp)
     chosen = np.union1d(even, np.flatnonzero(~layout.network.unknown))
-    columns = {name: values[chosen] for name, values in layout.points.columns.items()}
-    return replace(layout, points=replace(layout.points, columns=columns, lines=()))
+    return replace(layout, planned=layout.planned.of_points(chosen))

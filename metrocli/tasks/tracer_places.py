@@ -19,8 +19,8 @@ _SPARE = 3
 def places_of(readings: Readings) -> Array:
     """Return x0, y0, z0, dead path and scale 1 of each tracer (tracers, 5).
 
-    Raises UndeterminedError for a tracer that reads too few points, InputError where lengths and points cannot belong
-    together: other units, a turned sign, or the rows of one tracer in another order.
+    Raises UndeterminedError for a tracer that reads too few points for its place, or to find it; InputError where
+    lengths and points cannot belong together: other units, a turned sign, the rows of one tracer in another order.
     """
     values = np.zeros((len(readings.stations), 5))
     values[:, 4] = 1.0
@@ -51,7 +51,12 @@ def _start_of(readings: Readings, i: int, points: Array, lengths: Array) -> Arra
     if known.all():
         dead = 0.0 if readings.absolute else float(np.median(np.linalg.norm(points - given, axis=1) - lengths))
         return np.array([*given, dead])
-    found = np.nan_to_num(start(points, lengths, readings.absolute, said))
+    found = start(points, lengths, readings.absolute, said)
+    if np.isnan(found).any():
+        raise UndeterminedError(
+            f"tracer {readings.stations[i]} reads {len(points)} points, too few to find where it stands: "
+            "let it read two more, or say about where it stands in `inputs: tracers`"
+        )
     return np.array([*np.where(known, given, found[:3]), found[3]])
 
 
@@ -72,7 +77,7 @@ def _strange(readings: Readings, i: int, misfit: float, bad: int) -> Fault:
             hint = (
                 "they fit with the other sign: lengths grow with the distance"
                 if factor < 0
-                else f"they fit if their numbers are taken in {symbol} times the unit: check the units of both files"
+                else f"they fit if they are multiplied by {factor:g} ({symbol}): check the units of both files"
             )
             break
     return Fault(text, readings.file, hint=hint)
@@ -81,5 +86,5 @@ def _strange(readings: Readings, i: int, misfit: float, bad: int) -> Fault:
 def _factors() -> list[tuple[float, str]]:
     """Return what lengths may have been multiplied by: the sign, or units taken for others."""
     ones = {unit.symbol: unit.inside(1.0) for unit in units.DIMENSIONS["length"].units}
-    ratios = {f"{a}/{b}": ones[a] / ones[b] for a in ones for b in ones if a != b}
+    ratios = {f"{a} written as {b}": ones[a] / ones[b] for a in ones for b in ones if a != b}
     return [(-1.0, ""), *((ratio, name) for name, ratio in ratios.items())]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,21 +12,27 @@ from metrocli.instruments import tracer as t
 from metrocli.table import Table
 from metrocli.tasks.length_network import DISTANCES, Network
 
+if TYPE_CHECKING:
+    from metrocli.table import Values
+
 
 def uncontrolled(network: Network) -> Table:
     """Return effects that the measurement cannot tell from the points, what each could hide, and what would control it.
 
     The sizes are those of plausible causes, named in `assumed`; they grow in proportion.
     """
-    rows = list(_rows(network))
-    columns = {
-        name: np.array([row[i] for row in rows]) for i, name in enumerate(("effect", "assumed", "hides", "control"))
+    rows = list(_rows(network)) if network.unknown[network.seen > 0].any() else []
+    types = {"effect": str, "assumed": str, "hides": float, "control": str}
+    columns: dict[str, Values] = {
+        name: np.array([row[i] for row in rows], dtype=kind) for i, (name, kind) in enumerate(types.items())
     }
     return Table(columns, {"hides": "mm"})
 
 
 def in_words(hidden: Table) -> tuple[str, ...]:
-    """Return what no residual of the measurement shows, as lines of text."""
+    """Return what no residual of the measurement shows, as lines of text; none where every point is known."""
+    if not len(hidden):
+        return ()
     rows = zip(*(hidden.texts(name) for name in ("effect", "assumed")), hidden.numbers("hides"), strict=True)
     lines = [f"  {effect}: {units.roughly(size, 'um')} by {assumed}" for effect, assumed, size in rows]
     return ("", "not controlled by this design (table not_controlled says what would):", *lines)

@@ -210,9 +210,7 @@ def _double(settings: Settings, results: Mapping[str, Result]) -> Iterable[str]:
     yield from _of_results(placed, results, labels)
 
 
-def _of_results(
-    placed: list[Contributor], results: Mapping[str, Result], labels: Mapping[str, str]
-) -> Iterable[str]:
+def _of_results(placed: list[Contributor], results: Mapping[str, Result], labels: Mapping[str, str]) -> Iterable[str]:
     used = {given.result: results[given.result] for given in placed if given.result}
     yield from shared(used)
     held = {given.result: given.name for given in placed if given.result}

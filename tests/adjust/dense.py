@@ -175,5 +175,7 @@ def lowest(blocks: Mapping[str, Block], groups: Sequence[Group]) -> float:
         at = moved(blocks, places, step)
         return np.concatenate([whitened(group, at) for group in groups])
 
-    found = scipy.optimize.least_squares(residual, np.zeros(len(places)), x_scale="jac", method="trf", xtol=1e-14, ftol=1e-14, gtol=None)
+    found = scipy.optimize.least_squares(
+        residual, np.zeros(len(places)), x_scale="jac", method="trf", xtol=1e-14, ftol=1e-14, gtol=None
+    )
     return float(2 * found.cost)

@@ -200,7 +200,14 @@ def part_in_machine() -> Problem:
         "part": spindle_camera.part_block(part, 600.0, 900.0),
         "spindle": spindle_camera.spindle_block(spindle, names("view", 9)),
         "coupling": spindle_camera.coupling_block(-turn[5], True),
-        "camera": Block("camera", held, poses.COLUMNS, considered=a_covariance(np.array([0.05] * 3 + [1e-4] * 3), 5), reach=np.array([300.0] * 3 + [0.5] * 3), space=camera.Space.POSE),
+        "camera": Block(
+            "camera",
+            held,
+            poses.COLUMNS,
+            considered=a_covariance(np.array([0.05] * 3 + [1e-4] * 3), 5),
+            reach=np.array([300.0] * 3 + [0.5] * 3),
+            space=camera.Space.POSE,
+        ),
         "lens": replace(lens(), considered=a_covariance(np.array([3.0, 2, 2, 3e-3, 5e-3, 1e-4, 1e-4]), 6)),
     }
     m = len(points)
@@ -234,7 +241,10 @@ def one_frame_of_points() -> Problem:
     readings = poses.apply(pose, points).T + 0.01 * rng.normal(size=(3, 12))
     covariance = np.stack([a_covariance(np.full(3, 0.01), i) for i in range(12)], axis=-1)
     observed = Observations(readings, np.ones(1), {"target": np.arange(12)}, covariance=covariance)
-    blocks = [camera.target_block(points, names("T", 12), False, 1000.0), off(spindle_camera.part_block(pose, 1000.0, 1000.0), 3)]
+    blocks = [
+        camera.target_block(points, names("T", 12), False, 1000.0),
+        off(spindle_camera.part_block(pose, 1000.0, 1000.0), 3),
+    ]
     return Problem({b.name: b for b in blocks}, (Group("points", chain, observed),))
 
 

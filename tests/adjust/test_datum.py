@@ -36,7 +36,15 @@ def movements(points: Array) -> Array:
     """Shifts, turns and scale of points (n, 3), written out: (3n, 7)."""
     x, y, z = points.T
     zero, one = np.zeros_like(x), np.ones_like(x)
-    columns = [(one, zero, zero), (zero, one, zero), (zero, zero, one), (zero, -z, y), (z, zero, -x), (-y, x, zero), (x, y, z)]
+    columns = [
+        (one, zero, zero),
+        (zero, one, zero),
+        (zero, zero, one),
+        (zero, -z, y),
+        (z, zero, -x),
+        (-y, x, zero),
+        (x, y, z),
+    ]
     return np.stack([np.stack(column, axis=1).ravel() for column in columns], axis=1)
 
 
@@ -62,7 +70,12 @@ OTHER = [3, 5, 8, 11, 20]
 
 @pytest.mark.parametrize(
     ("members", "turn", "shift", "scale"),
-    [([0, 1, 2, 3], 0.0, 0.0, 1.0), (OTHER, 0.0, 0.0, 1.0), (range(24), 0.1, 50.0, 1.0), (range(24), -0.05, -20.0, 1.3)],
+    [
+        ([0, 1, 2, 3], 0.0, 0.0, 1.0),
+        (OTHER, 0.0, 0.0, 1.0),
+        (range(24), 0.1, 50.0, 1.0),
+        (range(24), -0.05, -20.0, 1.3),
+    ],
     ids=["four members", "other members", "turned and shifted", "larger"],
 )
 def test_residuals_do_not_see_the_frame(

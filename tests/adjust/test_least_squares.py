@@ -97,7 +97,9 @@ def test_pairs_are_taken_from_the_whole(make: str) -> None:
             full = covariance.between(name, other).reshape(*block.values.shape, *second.values.shape)
             expected = np.moveaxis(full[one, :, two, :], 0, -1)
             found = covariance.pairs(name, one, other, two)
-            assert np.allclose(np.broadcast_to(found, expected.shape), expected, rtol=1e-9, atol=1e-9 * np.abs(full).max())
+            assert np.allclose(
+                np.broadcast_to(found, expected.shape), expected, rtol=1e-9, atol=1e-9 * np.abs(full).max()
+            )
 
 
 @MAKES
@@ -182,5 +184,7 @@ def test_covariance_of_readings_is_whitened_away() -> None:
     covariance = a_covariance(np.array([0.1, 3.0]), 5)[:, :, None]
     from metrocli.adjust.observations import Observations
 
-    whitening = Observations(np.zeros((2, 1)), np.ones(1), covariance=covariance).whitened(np.eye(2)[:, :, None])[:, :, 0]
+    whitening = Observations(np.zeros((2, 1)), np.ones(1), covariance=covariance).whitened(np.eye(2)[:, :, None])[
+        :, :, 0
+    ]
     assert np.allclose(whitening @ covariance[:, :, 0] @ whitening.T, np.eye(2))

@@ -203,7 +203,9 @@ def test_no_selection_of_readings_brings_an_exception(make: str) -> None:
                 assert np.isfinite(solution.std(name)).all()
 
 
-@pytest.mark.parametrize("make", ["views eliminated", "control points", "targets eliminated, in part fixed", "scale bars"])
+@pytest.mark.parametrize(
+    "make", ["views eliminated", "control points", "targets eliminated, in part fixed", "scale bars"]
+)
 @pytest.mark.parametrize("seed", range(4))
 def test_the_sum_of_squares_never_rises(make: str, seed: int) -> None:
     """From starts far off, step by step."""

@@ -22,7 +22,9 @@ from metrocli.geometry.rotations import (
 
 PI = np.pi
 UNIT = st.floats(-1, 1, allow_subnormal=False)
-DIRECTIONS = arrays(float, 3, elements=UNIT).filter(lambda v: np.linalg.norm(v) > 1e-2).map(lambda v: v / np.linalg.norm(v))
+DIRECTIONS = (
+    arrays(float, 3, elements=UNIT).filter(lambda v: np.linalg.norm(v) > 1e-2).map(lambda v: v / np.linalg.norm(v))
+)
 TRICKY = st.sampled_from([0.0, 1e-300, 1e-12, 9e-6, 1.1e-5, 9.99e-4, 1.01e-3, 1.0, PI / 2, PI - 1e-4, PI - 1e-9, PI])
 ANGLES = st.one_of(TRICKY, st.floats(0, PI))
 VECTORS = st.builds(lambda direction, angle: direction * angle, DIRECTIONS, ANGLES)
@@ -35,7 +37,9 @@ def axis_turn(axis: int, angle: float) -> Array:
     """A turn about one axis, written out."""
     c, s = np.cos(angle), np.sin(angle)
     return np.array(
-        [[[1, 0, 0], [0, c, -s], [0, s, c]], [[c, 0, s], [0, 1, 0], [-s, 0, c]], [[c, -s, 0], [s, c, 0], [0, 0, 1]]][axis]
+        [[[1, 0, 0], [0, c, -s], [0, s, c]], [[c, 0, s], [0, 1, 0], [-s, 0, c]], [[c, -s, 0], [s, c, 0], [0, 0, 1]]][
+            axis
+        ]
     )
 
 
@@ -93,7 +97,9 @@ def test_euler_angles_change_as_the_derivative_says(alpha: float, beta: float, g
 
 
 @settings(deadline=None, max_examples=100)
-@given(st.builds(lambda d, a: d * a, DIRECTIONS, st.one_of(st.sampled_from([0.0, 1e-9, 9e-4, 1.1e-3]), st.floats(0, 3.1))))
+@given(
+    st.builds(lambda d, a: d * a, DIRECTIONS, st.one_of(st.sampled_from([0.0, 1e-9, 9e-4, 1.1e-3]), st.floats(0, 3.1)))
+)
 def test_left_turn_of_a_vector_as_the_derivative_says(vector: Array) -> None:
     h = 1e-5
     rotation = rotation_from_vector(vector)

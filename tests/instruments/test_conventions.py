@@ -17,12 +17,17 @@ def test_the_other_convention_sees_the_same_rays(convention: str) -> None:
     other = "backward" if convention == "forward" else "forward"
     found = converted(FORWARD, convention, SIZE)
     u, v = image_grid(SIZE)
-    gap = [found.values["f"] * (a - b) for a, b in zip(ideal_point(FORWARD, u, v, convention), ideal_point(found.values, u, v, other), strict=True)]
+    gap = [
+        found.values["f"] * (a - b)
+        for a, b in zip(ideal_point(FORWARD, u, v, convention), ideal_point(found.values, u, v, other), strict=True)
+    ]
     distance = np.hypot(*gap)
     assert found.largest < 0.3
     assert distance.max() == pytest.approx(found.largest, rel=0.15)
     assert np.sqrt((distance**2).mean()) == pytest.approx(found.rms, rel=0.15)
-    assert {name: found.values[name] for name in ("f", "cx", "cy")} == {name: FORWARD[name] for name in ("f", "cx", "cy")}
+    assert {name: found.values[name] for name in ("f", "cx", "cy")} == {
+        name: FORWARD[name] for name in ("f", "cx", "cy")
+    }
 
 
 def test_there_and_back_is_nearly_the_same_lens() -> None:
@@ -88,7 +93,9 @@ CENTRED = {"f": 1000.0, "cx": 1199.5, "cy": 899.5}
 
 def test_a_fold_inside_the_image_is_found() -> None:
     for k1 in (-0.5, -0.2, -0.1):
-        assert projection_range({**CENTRED, "k1": k1}, SIZE) == pytest.approx(1000 * radius_where_it_folds(k1), rel=2e-3)
+        assert projection_range({**CENTRED, "k1": k1}, SIZE) == pytest.approx(
+            1000 * radius_where_it_folds(k1), rel=2e-3
+        )
 
 
 def test_a_fold_far_out_that_bends_into_the_image_is_found() -> None:

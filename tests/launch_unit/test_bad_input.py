@@ -24,7 +24,9 @@ def on_one_beam(n: int, distances: bool = False) -> Poses:
 
 @pytest.mark.parametrize("n", [1, 2, 5])
 def test_poses_on_one_beam_are_refused_with_the_reason(n: int) -> None:
-    with pytest.raises(UndeterminedError, match="what would determine it: a pose whose beam comes from another") as told:
+    with pytest.raises(
+        UndeterminedError, match="what would determine it: a pose whose beam comes from another"
+    ) as told:
         locate_launch_unit.run(settings(), on_one_beam(n).table())
     assert told.value.exit_code == 4
     assert ("there is one pose" if n == 1 else f"all {n} poses lie on nearly one beam") in str(told.value)
@@ -133,7 +135,10 @@ def test_repeated_rows_are_told() -> None:
 
 def test_no_poses_and_distances_that_are_none() -> None:
     with pytest.raises(InputError, match="there are no poses"):
-        locate_launch_unit.run(settings(), replace(anywhere(3, 1), receivers=np.zeros((0, 3)), psi=np.zeros(0), angles=np.zeros((4, 0))).table())
+        locate_launch_unit.run(
+            settings(),
+            replace(anywhere(3, 1), receivers=np.zeros((0, 3)), psi=np.zeros(0), angles=np.zeros((4, 0))).table(),
+        )
     given = anywhere(3, 1, True)
     assert given.distance is not None
     given.distance[1] = -5.0

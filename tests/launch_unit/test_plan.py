@@ -61,8 +61,22 @@ def test_the_commanded_angles_aim_both_units_along_the_line() -> None:
     plan = planned(paper(0.3), replace(PAPER_PLAN, spindle=0.7))
     points = plan.tables["points"]
     phi = {name: angle(plan, name) for name in ("phi1", "phi2", "phi3", "phi4")}
-    w = np.stack([np.cos(phi["phi2"]) * np.cos(0.3 + phi["phi1"]), np.cos(phi["phi2"]) * np.sin(0.3 + phi["phi1"]), np.sin(phi["phi2"])], 1)
-    u = np.stack([np.cos(phi["phi3"]) * np.cos(0.7 + phi["phi4"]), np.cos(phi["phi3"]) * np.sin(0.7 + phi["phi4"]), np.sin(phi["phi3"])], 1)
+    w = np.stack(
+        [
+            np.cos(phi["phi2"]) * np.cos(0.3 + phi["phi1"]),
+            np.cos(phi["phi2"]) * np.sin(0.3 + phi["phi1"]),
+            np.sin(phi["phi2"]),
+        ],
+        1,
+    )
+    u = np.stack(
+        [
+            np.cos(phi["phi3"]) * np.cos(0.7 + phi["phi4"]),
+            np.cos(phi["phi3"]) * np.sin(0.7 + phi["phi4"]),
+            np.sin(phi["phi3"]),
+        ],
+        1,
+    )
     assert u == pytest.approx(-w, abs=1e-9)
     name = np.array(points.texts("line"))
     for i, line in enumerate(NAMES):
@@ -77,7 +91,9 @@ def beam_at(unit: np.ndarray, azimuth: float, tilt: float, receiver: np.ndarray)
     return (to @ w) * w - to, w
 
 
-@pytest.mark.parametrize(("line", "encoder"), [(0, PAPER_ENCODER), (3, 5 * ARCSEC), (2, PAPER_ENCODER), (5, 5 * ARCSEC)])
+@pytest.mark.parametrize(
+    ("line", "encoder"), [(0, PAPER_ENCODER), (3, 5 * ARCSEC), (2, PAPER_ENCODER), (5, 5 * ARCSEC)]
+)
 def test_the_predicted_beam_at_4_m_holds_in_simulation(line: int, encoder: float) -> None:
     """Locate with noise, command, aim with noise: 95 % of 400 beams in the stated ellipse, and in range as stated."""
     from metrocli.tasks.launch_lines import Reach, across, commanded, measurable
@@ -148,7 +164,9 @@ def test_encoders_of_5_arcsec_need_six_poses() -> None:
     assert (np.diff(table.numbers("probability")) > 0).all() and table.numbers("probability")[-1] >= 0.95
     # the poses it names do what it says
     added = poses(PAPER_UNIT, 0.3, np.vstack([paper().receivers, table.stacked("xyz")]))
-    assert planned(added).tables["lines"].numbers("probability").min() == pytest.approx(table.numbers("probability")[-1], abs=1e-3)
+    assert planned(added).tables["lines"].numbers("probability").min() == pytest.approx(
+        table.numbers("probability")[-1], abs=1e-3
+    )
 
 
 def test_before_measuring_the_places_tell_what_to_expect() -> None:
@@ -177,7 +195,13 @@ def test_lines_that_miss_the_volume_are_named() -> None:
 def check_program(text: str, plan: Plan, line: str, unit: np.ndarray, job: Planned) -> None:
     """The moves visit exactly the points, with feed and dwell; no rapid comes near the unit."""
     comments = text.splitlines()
-    park = np.array([float(word[1:].rstrip(",")) for word in next(c for c in comments if "drive by hand" in c).split() if word[0] in "XYZ"])
+    park = np.array(
+        [
+            float(word[1:].rstrip(","))
+            for word in next(c for c in comments if "drive by hand" in c).split()
+            if word[0] in "XYZ"
+        ]
+    )
     done = nc_interpreter.run(text, park, nc_program.DWELL_WORDS[job.control])
     points = plan.tables["points"]
     mine = points.stacked("xyz")[np.array(points.texts("line")) == line]

@@ -32,7 +32,12 @@ def test_each_exit_code_is_in_the_readme() -> None:
 
 
 @pytest.mark.parametrize(
-    "spec", [name for name, value in vars(settings).items() if isinstance(value, type) and hasattr(value, "read") and name[0] != "_" and name != "Spec"]
+    "spec",
+    [
+        name
+        for name, value in vars(settings).items()
+        if isinstance(value, type) and hasattr(value, "read") and name[0] != "_" and name != "Spec"
+    ],
 )
 def test_each_specification_of_settings_is_explained(spec: str) -> None:
     assert f"{spec}(" in (DOCS / "adding.md").read_text(encoding="utf-8")

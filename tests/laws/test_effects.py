@@ -19,7 +19,10 @@ from metrocli.units import DIMENSIONS
 
 PAGES = Path(__file__).parents[2] / "docs" / "effects"
 ENTRIES = [(kind, at) for kind in TABLES for at in range(len(effects_of(kind)))]
-NAMES = [f"{kind}: {effects_of(kind)[at].name}{effects_of(kind)[at].by and ' by '}{effects_of(kind)[at].by}" for kind, at in ENTRIES]
+NAMES = [
+    f"{kind}: {effects_of(kind)[at].name}{effects_of(kind)[at].by and ' by '}{effects_of(kind)[at].by}"
+    for kind, at in ENTRIES
+]
 
 
 @cache
@@ -115,9 +118,9 @@ def test_derivatives_are_differences(entry: tuple[str, Effect], share: float) ->
         parameter = next(p for p in effect.parameters if p.name == name)
 
         def moved(h: float, name: str = name) -> Array:
-            changed = values.copy()
-            changed[-1, block.column(name)] += h
-            return predicted(model.with_blocks({**model.blocks, block.name: block.with_values(changed)}))
+            step = np.zeros_like(values)
+            step[-1, block.column(name)] = h
+            return predicted(model.with_blocks({**model.blocks, block.name: block.with_values(values).moved(step)}))
 
         h = 0.2 * parameter.plausible
         near, far = moved(h) - moved(-h), moved(2 * h) - moved(-2 * h)
@@ -156,7 +159,12 @@ def test_what_is_planted_is_found(entry: tuple[str, Effect]) -> None:
     truth = with_one(kind, effect, size(effect))
     start = with_one(kind, effect, {})
     groups = tuple(
-        replace(group, observations=group.observations.with_readings(truth_group.chain.predict(truth.blocks, truth_group.observations)))
+        replace(
+            group,
+            observations=group.observations.with_readings(
+                truth_group.chain.predict(truth.blocks, truth_group.observations)
+            ),
+        )
         if group.name in truth.measured
         else group
         for group, truth_group in zip(start.groups, truth.groups, strict=True)

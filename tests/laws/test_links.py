@@ -17,7 +17,7 @@ from metrocli.adjust.quantities import Quantity
 from metrocli.geometry import poses
 from metrocli.instruments import frames, launch_unit, lens, spindle_camera, tracer
 from metrocli.instruments.frames import DistanceBetween, Into, OutOf, PointOf
-from metrocli.instruments.launch_unit import AboutBase, BeamBack, BeamLength, BeamOut, Encoders
+from metrocli.instruments.launch_unit import AboutBase, BeamBack, BeamLength, BeamOut, Encoders, Reading
 from metrocli.instruments.lens import PARAMETERS, Lens, LensBackward
 from metrocli.instruments.spindle_camera import Coupling
 from metrocli.instruments.tracer import LengthFrom
@@ -31,7 +31,9 @@ COEFFICIENTS = {"k1": -0.2, "k2": 0.11, "k3": -0.03, "p1": 2e-3, "p2": -1e-3}
 RATIONAL = {"k4": 0.05, "k5": -0.04, "k6": 0.02}
 PRISM = {"s1": 3e-3, "s2": -2e-3, "s3": 1e-3, "s4": 4e-3}
 CENTRE = {"cx": 1200.0, "cy": 890.0}
-TRACERS = np.array([[-900.0, 40.0, 300.0, 0.3, 1.0], [800.0, -500.0, 100.0, -200.0, 1.02], [400.0, 900.0, 2e3, 10.0, 0.98]])
+TRACERS = np.array(
+    [[-900.0, 40.0, 300.0, 0.3, 1.0], [800.0, -500.0, 100.0, -200.0, 1.02], [400.0, 900.0, 2e3, 10.0, 0.98]]
+)
 ONE_F, TWO_F = {"f": 2500.0}, {"fx": 2510.0, "fy": 2490.0}
 ALL = {**ONE_F, "aspect": 0.02, **CENTRE, "skew": 0.01, **COEFFICIENTS, **RATIONAL, **PRISM}
 
@@ -61,6 +63,8 @@ class Case:
     touched: int = 1
     largest: float = 2400.0
     """Of the readings"""
+    value_size: int = 3
+    """Components of what comes in"""
 
     def local(self, blocks: tuple[Block, ...]) -> Local:
         rng = np.random.default_rng(5)
@@ -79,6 +83,8 @@ class Case:
         rng = np.random.default_rng(6)
         if self.link.takes is None:
             return np.zeros((0, N))
+        if self.value_size == 2:
+            return rng.normal(size=(2, N))
         point = rng.normal(size=(3, N)) * 150
         return point + np.array([0, 0, 700.0])[:, None]
 
@@ -108,10 +114,13 @@ CASES: dict[str, Case] = {
         AboutBase("spindle", 0, Quantity.BEAM_BACK, Quantity.BEAM_AT_RECEIVER),
         (Block("spindle", np.array([[0.4], [-2.9]]), ("psi",), ("a", "b")),),
     ),
-    "Encoders": Case(Encoders(Quantity.BEAM_AT_LAUNCH, Quantity.LAUNCH_ANGLES), (), largest=8.0),
+    "Encoders": Case(Encoders(Quantity.BEAM_AT_LAUNCH, Quantity.LAUNCH_ANGLES), ()),
+    "Reading": Case(Reading(Quantity.LAUNCH_ANGLES, 0), (), value_size=2, largest=8.0),
     "BeamLength": Case(BeamLength(), ()),
     "Coupling": Case(Coupling("coupling"), (Block("coupling", np.array([[0.4]]), ("gamma_s",)),)),
-    "Coupling, several": Case(Coupling("coupling"), (Block("coupling", np.array([[0.4], [-0.2]]), ("gamma_s",), ("a", "b")),)),
+    "Coupling, several": Case(
+        Coupling("coupling"), (Block("coupling", np.array([[0.4], [-0.2]]), ("gamma_s",), ("a", "b")),)
+    ),
     "ReadBlock": Case(reading(point_block(5), (0, 2)), (point_block(5),)),
     "ReadBlock, poses": Case(reading(pose_block("pose", 4), (1, 3, 4, 5)), (pose_block("pose", 4),)),
     "ReadBlocks": Case(
@@ -153,9 +162,16 @@ def close(found: Array, expected: Array, scale: float) -> bool:
 
 def test_the_table_has_every_link() -> None:
     modules = (frames, lens, spindle_camera, groups, tracer, launch_unit)
-    classes = {c.__name__ for module in modules for c in vars(module).values() if isinstance(c, type) and hasattr(c, "step") and hasattr(c, "gives") and c is not Link}
+    classes = {
+        c.__name__
+        for module in modules
+        for c in vars(module).values()
+        if isinstance(c, type) and hasattr(c, "step") and hasattr(c, "gives") and c is not Link
+    }
     assert classes | {"Coupling"} <= {type(case.link).__name__ for case in CASES.values()} | {"PointOf"}
-    assert {name for case in CASES.values() for block in case.blocks if block.name == "lens" for name in block.columns} == set(PARAMETERS)
+    assert {
+        name for case in CASES.values() for block in case.blocks if block.name == "lens" for name in block.columns
+    } == set(PARAMETERS)
 
 
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES.keys())
@@ -260,15 +276,25 @@ def test_derivatives_of_a_whole_chain(name: str) -> None:
         for column in range(block.size):
             move = np.zeros(block.values.shape)
             move[:, column] = 1  # each reading sees its own member only
-            size = 1e-3 if block.space is Space.POSE and column > 2 else 1e-3 * max(1.0, np.abs(block.values[:, column]).max())
+            size = (
+                1e-3
+                if block.space is Space.POSE and column > 2
+                else 1e-3 * max(1.0, np.abs(block.values[:, column]).max())
+            )
             expected = differences(
-                lambda h, block=block, move=move: group.chain.predict({**blocks, block.name: block.moved(h * move)}, group.observations), size
+                lambda h, block=block, move=move: group.chain.predict(
+                    {**blocks, block.name: block.moved(h * move)}, group.observations
+                ),
+                size,
             )
             assert close(touch.jacobian[:, column], expected / sigma, 5.0), (touch.block, column)
 
 
 def test_a_chain_of_single_members_predicts_every_reading() -> None:
-    blocks = {"points": point_block(1).with_values(np.array([[1.0, 2.0, 900.0]])), "lens": lens_block(**ONE_F, **CENTRE)}
+    blocks = {
+        "points": point_block(1).with_values(np.array([[1.0, 2.0, 900.0]])),
+        "lens": lens_block(**ONE_F, **CENTRE),
+    }
     chain = Chain((PointOf("points", IN_CAMERA), Lens()))
     predicted = chain.predict(blocks, Observations(np.zeros((2, N)), np.ones(1)))
     assert predicted.shape == (2, N)
@@ -276,7 +302,9 @@ def test_a_chain_of_single_members_predicts_every_reading() -> None:
 
 def test_chains_refuse_joints_that_do_not_meet() -> None:
     point = PointOf("points", ON_TARGETS)
-    with pytest.raises(ValueError, match=r"Lens takes a point in the camera, the chain has a point in the frame of the target list"):
+    with pytest.raises(
+        ValueError, match=r"Lens takes a point in the camera, the chain has a point in the frame of the target list"
+    ):
         Chain((point, Lens()))
     with pytest.raises(ValueError, match=r"Lens takes a point in the camera, the chain has nothing there"):
         Chain((Lens(),))
@@ -310,7 +338,9 @@ def test_effects_are_put_behind_the_last_link_that_gives_their_quantity() -> Non
     "effect", [Shifted(Quantity.POINT_IN_PART, Quantity.POINT_IN_PART), Shifted(IN_CAMERA, Quantity.IMAGE_POINT)]
 )
 def test_effects_that_cannot_act_are_refused_in_words(effect: Shifted) -> None:
-    with pytest.raises(ValueError, match="Shifted cannot act here: the chain passes through point in the frame") as told:
+    with pytest.raises(
+        ValueError, match="Shifted cannot act here: the chain passes through point in the frame"
+    ) as told:
         Chain(CHAINS["board"]).spliced([effect])
     for quantity in (ON_TARGETS, IN_CAMERA, Quantity.IMAGE_POINT):
         assert quantity.value in str(told.value)

@@ -28,10 +28,16 @@ SKEW = {"T1": (0.0, 0.0, 120.0), "T2": (80.0, 30.0, 150.0)}
 def identified(order: str, tools: dict[str, tuple[float, ...]], knots: tuple[int, int, int] = KNOTS) -> Identifiability:
     rng = np.random.default_rng(1)
     machine = sim.random_machine(rng, order, knots)
-    return identify(standstill(sim.settings(tools=tools, knots=knots, chain=order), sim.points(machine, rng, 300, tools)))
+    return identify(
+        standstill(sim.settings(tools=tools, knots=knots, chain=order), sim.points(machine, rng, 300, tools))
+    )
 
 
-@pytest.mark.parametrize(("tools", "missing"), [(sim.ONE, 40), (ALONG_Z, 20), (SKEW, 10), (sim.THREE, 0)], ids=["one", "along z", "skew", "three"])
+@pytest.mark.parametrize(
+    ("tools", "missing"),
+    [(sim.ONE, 40), (ALONG_Z, 20), (SKEW, 10), (sim.THREE, 0)],
+    ids=["one", "along z", "skew", "three"],
+)
 def test_open_directions_by_tools(tools: dict[str, tuple[float, ...]], missing: int) -> None:
     """One tool leaves four tables of ten unknowns each; three tools that are not in line leave nothing."""
     found = identified("XYZ", tools)
@@ -78,7 +84,10 @@ def test_edges_and_diagonals_with_equal_knots_leave_four_combinations_that_move_
     lines = [line for line in text.splitlines() if line.startswith("  ")]
     assert len(lines) == 4
     # positioning in common along the diagonals
-    assert all({"EXX", "EYY", "EZZ"} <= {part.split()[0] for part in line.split(": ", 1)[1].replace("mm, ", "|").split("|")} for line in lines)
+    assert all(
+        {"EXX", "EYY", "EZZ"} <= {part.split()[0] for part in line.split(": ", 1)[1].replace("mm, ", "|").split("|")}
+        for line in lines
+    )
 
 
 def test_a_path_of_edges_and_diagonals_says_little_of_the_volume() -> None:
@@ -126,7 +135,9 @@ def test_the_tool_of_the_measurement_is_predicted_and_another_is_refused() -> No
     assert np.sqrt((apart**2).sum(axis=1).mean()) < 0.004
     assert np.isnan(volume.numbers("ex")[names == "LONG"]).all()
     assert np.isinf(volume.numbers("s_ex")[names == "LONG"]).all()
-    assert dict(zip(result.tables["tools"].texts("tool"), result.tables["tools"].columns["predictable"].tolist(), strict=True)) == {"T1": True, "LONG": False}
+    assert dict(
+        zip(result.tables["tools"].texts("tool"), result.tables["tools"].columns["predictable"].tolist(), strict=True)
+    ) == {"T1": True, "LONG": False}
     assert any("tool LONG cannot be predicted" in line for line in result.warnings)
     assert any("EAZ EBZ ECZ" in line or "ECY EAZ" in line for line in result.warnings)
 
@@ -154,7 +165,9 @@ def test_the_ratio_is_that_of_the_worst_machine_that_can_be_thought_of() -> None
 
     rng = np.random.default_rng(10)
     table = sim.points(sim.random_machine(rng), rng, 60)
-    problem = standstill(sim.settings(tools=sim.ONE, knots=(3, 3, 3)), sim.points(sim.random_machine(rng, knots=(3, 3, 3)), rng, 60))
+    problem = standstill(
+        sim.settings(tools=sim.ONE, knots=(3, 3, 3)), sim.points(sim.random_machine(rng, knots=(3, 3, 3)), rng, 60)
+    )
     assert len(table) == 60
     found = identify(problem)
     held = replace(problem, blocks=found.blocks)

@@ -22,11 +22,15 @@ def engine(machine: sim.Machine, positions: Array, tool: Array) -> Array:
     axes = [m.Axis(a, machine.positions(a)) for a in "XYZ"]
     model = m.Machine(m.axis_order(machine.order), (axes[0], axes[1], axes[2]))
     blocks = {axis.block: axis.block_of(machine.tables, m.ALL_NAMES) for axis in axes}
-    blocks[m.SQUARENESS] = m.squareness_block(dict(zip(m.SQUARENESS_NAMES, machine.squareness, strict=True)), m.ALL_NAMES)
-    blocks[m.TOOL] = m.tool_block(tool[None], [""], False)
+    blocks[m.SQUARENESS] = m.squareness_block(
+        dict(zip(m.SQUARENESS_NAMES, machine.squareness, strict=True)), m.ALL_NAMES
+    )
+    blocks[m.TOOL] = m.tool_block(tool[None], [""], 0.0)
     n = len(positions)
     index = model.index(positions.T) | {m.TOOL: np.zeros(n, dtype=int)}
-    observations = Observations(np.zeros((6, n)), np.ones(1), index, conditions=dict(zip("xyz", positions.T, strict=True)))
+    observations = Observations(
+        np.zeros((6, n)), np.ones(1), index, conditions=dict(zip("xyz", positions.T, strict=True))
+    )
     return Group("", Chain((m.ErrorMotion(model),)), observations).chain.predict(blocks, observations).T
 
 
@@ -55,24 +59,64 @@ def test_it_is_the_contracts_formula_to_rounding(order: str) -> None:
 
 PRINTED = {
     "XYZ": lambda e, x, y, z, t: (
-        e["EBX"] * (z + t[2]) - e["ECX"] * (y + t[1]) + e["EBY"] * (z + t[2]) - e["ECY"] * t[1] + e["EBZ"] * t[2] - e["ECZ"] * t[1],
-        e["ECX"] * t[0] - e["EAX"] * (z + t[2]) + e["ECY"] * t[0] - e["EAY"] * (z + t[2]) + e["ECZ"] * t[0] - e["EAZ"] * t[2],
+        e["EBX"] * (z + t[2])
+        - e["ECX"] * (y + t[1])
+        + e["EBY"] * (z + t[2])
+        - e["ECY"] * t[1]
+        + e["EBZ"] * t[2]
+        - e["ECZ"] * t[1],
+        e["ECX"] * t[0]
+        - e["EAX"] * (z + t[2])
+        + e["ECY"] * t[0]
+        - e["EAY"] * (z + t[2])
+        + e["ECZ"] * t[0]
+        - e["EAZ"] * t[2],
         e["EAX"] * (y + t[1]) - e["EBX"] * t[0] + e["EAY"] * t[1] - e["EBY"] * t[0] + e["EAZ"] * t[1] - e["EBZ"] * t[0],
     ),
     "YXZ": lambda e, x, y, z, t: (
-        e["EBY"] * (z + t[2]) - e["ECY"] * t[1] + e["EBX"] * (z + t[2]) - e["ECX"] * t[1] + e["EBZ"] * t[2] - e["ECZ"] * t[1],
-        e["ECY"] * (x + t[0]) - e["EAY"] * (z + t[2]) + e["ECX"] * t[0] - e["EAX"] * (z + t[2]) + e["ECZ"] * t[0] - e["EAZ"] * t[2],
+        e["EBY"] * (z + t[2])
+        - e["ECY"] * t[1]
+        + e["EBX"] * (z + t[2])
+        - e["ECX"] * t[1]
+        + e["EBZ"] * t[2]
+        - e["ECZ"] * t[1],
+        e["ECY"] * (x + t[0])
+        - e["EAY"] * (z + t[2])
+        + e["ECX"] * t[0]
+        - e["EAX"] * (z + t[2])
+        + e["ECZ"] * t[0]
+        - e["EAZ"] * t[2],
         e["EAY"] * t[1] - e["EBY"] * (x + t[0]) + e["EAX"] * t[1] - e["EBX"] * t[0] + e["EAZ"] * t[1] - e["EBZ"] * t[0],
     ),
     "XZY": lambda e, x, y, z, t: (
-        e["EBX"] * (z + t[2]) - e["ECX"] * (y + t[1]) + e["EBZ"] * t[2] - e["ECZ"] * (y + t[1]) + e["EBY"] * t[2] - e["ECY"] * t[1],
+        e["EBX"] * (z + t[2])
+        - e["ECX"] * (y + t[1])
+        + e["EBZ"] * t[2]
+        - e["ECZ"] * (y + t[1])
+        + e["EBY"] * t[2]
+        - e["ECY"] * t[1],
         e["ECX"] * t[0] - e["EAX"] * (z + t[2]) + e["ECZ"] * t[0] - e["EAZ"] * t[2] + e["ECY"] * t[0] - e["EAY"] * t[2],
-        e["EAX"] * (y + t[1]) - e["EBX"] * t[0] + e["EAZ"] * (y + t[1]) - e["EBZ"] * t[0] + e["EAY"] * t[1] - e["EBY"] * t[0],
+        e["EAX"] * (y + t[1])
+        - e["EBX"] * t[0]
+        + e["EAZ"] * (y + t[1])
+        - e["EBZ"] * t[0]
+        + e["EAY"] * t[1]
+        - e["EBY"] * t[0],
     ),
     "ZXY": lambda e, x, y, z, t: (
-        e["EBZ"] * t[2] - e["ECZ"] * (y + t[1]) + e["EBX"] * t[2] - e["ECX"] * (y + t[1]) + e["EBY"] * t[2] - e["ECY"] * t[1],
+        e["EBZ"] * t[2]
+        - e["ECZ"] * (y + t[1])
+        + e["EBX"] * t[2]
+        - e["ECX"] * (y + t[1])
+        + e["EBY"] * t[2]
+        - e["ECY"] * t[1],
         e["ECZ"] * (x + t[0]) - e["EAZ"] * t[2] + e["ECX"] * t[0] - e["EAX"] * t[2] + e["ECY"] * t[0] - e["EAY"] * t[2],
-        e["EAZ"] * (y + t[1]) - e["EBZ"] * (x + t[0]) + e["EAX"] * (y + t[1]) - e["EBX"] * t[0] + e["EAY"] * t[1] - e["EBY"] * t[0],
+        e["EAZ"] * (y + t[1])
+        - e["EBZ"] * (x + t[0])
+        + e["EAX"] * (y + t[1])
+        - e["EBX"] * t[0]
+        + e["EAY"] * t[1]
+        - e["EBY"] * t[0],
     ),
 }
 
@@ -84,14 +128,21 @@ def test_four_chains_are_as_they_are_printed(order: str) -> None:
     a, b, c = machine.squareness
     tool = np.array([30.0, -20.0, 120.0])
     for p in sim.commands(rng, 20):
-        e = {f"E{d}{axis}": machine.errors(axis, p["XYZ".index(axis)])["XYZABC".index(d)] for axis in "XYZ" for d in "XYZABC"}
+        e = {
+            f"E{d}{axis}": machine.errors(axis, p["XYZ".index(axis)])["XYZABC".index(d)]
+            for axis in "XYZ"
+            for d in "XYZABC"
+        }
         shifts = np.array([sum(e[f"E{d}{axis}"] for axis in "XYZ") for d in "XYZ"])
         turned = np.array(PRINTED[order](e, *p, tool))
         expected = shifts + turned + [-c * p[1] + b * p[2], -a * p[2], 0.0]
         assert np.abs(engine(machine, p[None], tool)[0, :3] - expected).max() < 1e-12
 
 
-@pytest.mark.parametrize(("chain", "order"), [("wXbYZt", "XYZ"), ("wbYXZt", "YXZ"), ("[w X b Y Z t]", "XYZ"), ("ZXY", "ZXY"), ("wXYZbt", "XYZ"), ("XYZ", "XYZ")])
+@pytest.mark.parametrize(
+    ("chain", "order"),
+    [("wXbYZt", "XYZ"), ("wbYXZt", "YXZ"), ("[w X b Y Z t]", "XYZ"), ("ZXY", "ZXY"), ("wXYZbt", "XYZ"), ("XYZ", "XYZ")],
+)
 def test_chains_are_read(chain: str, order: str) -> None:
     assert "".join("XYZ"[i] for i in m.axis_order(chain)) == order
 
@@ -102,7 +153,16 @@ def test_what_is_no_chain_is_refused(chain: str) -> None:
         m.axis_order(chain)
 
 
-@pytest.mark.parametrize(("low", "high", "n", "reference"), [(-260.0, 260.0, 6, 0.0), (0.0, 600.0, 7, 0.0), (100.0, 700.0, 4, 100.0), (-500.0, -50.0, 5, -500.0), (-1.0, 9.0, 3, 0.0)])
+@pytest.mark.parametrize(
+    ("low", "high", "n", "reference"),
+    [
+        (-260.0, 260.0, 6, 0.0),
+        (0.0, 600.0, 7, 0.0),
+        (100.0, 700.0, 4, 100.0),
+        (-500.0, -50.0, 5, -500.0),
+        (-1.0, 9.0, 3, 0.0),
+    ],
+)
 def test_tables_are_in_the_gauge_whatever_the_raw_values(low: float, high: float, n: int, reference: float) -> None:
     """Positioning and angles are 0 at 0, or at the lowest position where 0 is outside; straightness is 0 at the ends."""
     axis = m.Axis("Y", np.linspace(low, high, n))

@@ -56,27 +56,51 @@ def shuffled(values: list[float]) -> Any:
 
 CASES: dict[str, tuple[str, Callable[[list[str]], list[str]], str]] = {
     "a length repeated": ("lengths.csv", lambda rows: [*rows, rows[7]], "point P1, tracer T1: a second row"),
-    "a point without nominal": ("lengths.csv", lambda rows: [*rows, "P99,T0,500.0"], "lengths.csv:127: error: point 'P99' is not in points.csv"),
-    "a tracer unknown": ("lengths.csv", lambda rows: [*rows, "P3,T9,500.0"], "lengths.csv:127: error: tracer 'T9' is not in tracers.csv"),
+    "a point without nominal": (
+        "lengths.csv",
+        lambda rows: [*rows, "P99,T0,500.0"],
+        "lengths.csv:127: error: point 'P99' is not in points.csv",
+    ),
+    "a tracer unknown": (
+        "lengths.csv",
+        lambda rows: [*rows, "P3,T9,500.0"],
+        "lengths.csv:127: error: tracer 'T9' is not in tracers.csv",
+    ),
     "a negative path": (
         "tracers.csv",
         lambda rows: [f"{rows[0]},dead_path_mm", *(f"{row},-2000" for row in rows[1:])],
         "lengths.csv:2: error: length and dead path together make a path of",
     ),
-    "all lengths equal": ("lengths.csv", lambda rows: [rows[0], *(",".join([*row.split(",")[:2], "500.0"]) for row in rows[1:])], "all lengths are equal"),
+    "all lengths equal": (
+        "lengths.csv",
+        lambda rows: [rows[0], *(",".join([*row.split(",")[:2], "500.0"]) for row in rows[1:])],
+        "all lengths are equal",
+    ),
     "one tracer's lengths shuffled": (
         "lengths.csv",
         lambda rows: of_tracer(rows, "T2", shuffled),
         "the lengths of tracer T2 do not belong to these points",
     ),
-    "lengths in another unit": ("lengths.csv", lambda rows: [rows[0].replace("_mm", "_um"), *rows[1:]], "check the units of both files"),
-    "points in another unit": ("points.csv", lambda rows: [rows[0].replace("_mm", "_m"), *rows[1:]], "check the units of both files"),
+    "lengths in another unit": (
+        "lengths.csv",
+        lambda rows: [rows[0].replace("_mm", "_um"), *rows[1:]],
+        "check the units of both files",
+    ),
+    "points in another unit": (
+        "points.csv",
+        lambda rows: [rows[0].replace("_mm", "_m"), *rows[1:]],
+        "check the units of both files",
+    ),
     "the other sign": (
         "lengths.csv",
         lambda rows: [rows[0], *(",".join([*row.split(",")[:2], repr(-float(row.split(",")[2]))]) for row in rows[1:])],
         "they fit with the other sign",
     ),
-    "a negative sigma": ("points.csv", lambda rows: [f"{rows[0]},sigma_mm", *(f"{row},-1" for row in rows[1:])], "a standard deviation is negative"),
+    "a negative sigma": (
+        "points.csv",
+        lambda rows: [f"{rows[0]},sigma_mm", *(f"{row},-1" for row in rows[1:])],
+        "a standard deviation is negative",
+    ),
     "no lengths": ("lengths.csv", lambda rows: rows[:1], "lengths.csv"),
 }
 
@@ -95,6 +119,7 @@ def test_the_good_input_is_good(folder: Path, metrocli: Metrocli) -> None:
     """Or the tests above would pass whatever is refused."""
     ran = metrocli("multilaterate", "job.yaml")
     assert ran.code == 0, ran.err
+    assert ran.err == ""
 
 
 def test_the_shuffled_tracer_alone_is_named(folder: Path, metrocli: Metrocli) -> None:
@@ -106,7 +131,13 @@ def test_the_shuffled_tracer_alone_is_named(folder: Path, metrocli: Metrocli) ->
 
 def test_files_in_different_units_that_say_so_are_one(folder: Path, metrocli: Metrocli) -> None:
     """Lengths in m and points in mm, each in its header, are no fault."""
-    change(folder / "lengths.csv", lambda rows: [rows[0].replace("_mm", "_m"), *(",".join([*row.split(",")[:2], repr(float(row.split(",")[2]) / 1000)]) for row in rows[1:])])
+    change(
+        folder / "lengths.csv",
+        lambda rows: [
+            rows[0].replace("_mm", "_m"),
+            *(",".join([*row.split(",")[:2], repr(float(row.split(",")[2]) / 1000)]) for row in rows[1:]),
+        ],
+    )
     assert metrocli("multilaterate", "job.yaml").code == 0
 
 
@@ -121,3 +152,17 @@ def test_one_gross_error_is_not_taken_for_a_shuffle(folder: Path, metrocli: Metr
 
     rejected: Table = hdf5.read(folder / "o.h5")[0].tables["rejected"]
     assert (rejected.texts("point"), rejected.texts("tracer")) == (["P0"], ["T2"])
+    assert "1 lengths are left out as wrong: P0/T2" in ran.err
+
+
+def test_a_wrong_entry_among_the_points_is_named(folder: Path, metrocli: Metrocli) -> None:
+    """A typing error of 1 mm: the frame follows it by 1/25 of that, so it must not pass in silence."""
+
+    def edit(rows: list[str]) -> list[str]:
+        name, x, *rest = rows[9].split(",")
+        return [*rows[:9], ",".join([name, repr(float(x) + 1.0), *rest]), *rows[10:]]
+
+    change(folder / "points.csv", edit)
+    ran = metrocli("multilaterate", "job.yaml")
+    assert ran.code == 0, ran.err
+    assert "the entries of 1 points may be wrong: P8 lie up to 0.969 mm" in ran.err

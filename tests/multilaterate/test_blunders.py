@@ -21,7 +21,9 @@ def test_with_five_tracers_a_coin_is_not_tossed() -> None:
         drawn = net.read(np.random.default_rng(int(size * 1e6)))
         drawn.readings[7, 2] += size
         result = multilaterate.run(settings(), drawn.lengths(), drawn.point_table())
-        for point, tracer, others in zip(*(result.tables["suspects"].texts(k) for k in ("point", "tracer", "or")), strict=True):
+        for point, tracer, others in zip(
+            *(result.tables["suspects"].texts(k) for k in ("point", "tracer", "or")), strict=True
+        ):
             if point == "P7":
                 rows = [i for i, name in enumerate(result.tables["residuals"].texts("point")) if name == "P7"]
                 w = np.sort(np.abs(result.tables["residuals"].numbers("normalised")[rows]))

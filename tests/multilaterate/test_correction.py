@@ -25,7 +25,12 @@ CENTRES = np.array([[200.0, 200.0, 150.0], [340.0, 270.0, 205.0], [680.0, 440.0,
 
 
 def table(points: Array, key: str, names: list[str]) -> Table:
-    return Table({key: np.array(names), **dict(zip("xyz", points.T, strict=True))}, dict.fromkeys("xyz", "mm"), f"{key}s.csv", tuple(range(2, len(points) + 2)))
+    return Table(
+        {key: np.array(names), **dict(zip("xyz", points.T, strict=True))},
+        dict.fromkeys("xyz", "mm"),
+        f"{key}s.csv",
+        tuple(range(2, len(points) + 2)),
+    )
 
 
 def sphere(points: Array) -> Array:
@@ -68,9 +73,17 @@ def test_a_ball_bar_is_corrected_to_its_calibrated_lengths() -> None:
 
 def test_points_are_found_by_name_else_by_place() -> None:
     net = network(30, 5, seed=1)
-    by_name = replace(table(net.nominal[:3], "point", net.names[:3]), columns={"feature": np.array(["a", "b", "c"]), **table(net.nominal[:3], "point", net.names[:3]).columns})
-    by_place = replace(by_name, columns={**by_name.columns, "point": np.array(["", "17", "x"]), "x": by_name.columns["x"] + 0.4})
-    run = [multilaterate.run(settings(), net.lengths(), net.point_table(), probing=probing) for probing in (by_name, by_place)]
+    by_name = replace(
+        table(net.nominal[:3], "point", net.names[:3]),
+        columns={"feature": np.array(["a", "b", "c"]), **table(net.nominal[:3], "point", net.names[:3]).columns},
+    )
+    by_place = replace(
+        by_name, columns={**by_name.columns, "point": np.array(["", "17", "x"]), "x": by_name.columns["x"] + 0.4}
+    )
+    run = [
+        multilaterate.run(settings(), net.lengths(), net.point_table(), probing=probing)
+        for probing in (by_name, by_place)
+    ]
     named, placed = (result.tables["corrected"].stacked("xyz") for result in run)
     assert np.abs(placed - named - [0.4, 0, 0]).max() < 1e-12
     points = run[0].tables["points"]
@@ -115,23 +128,37 @@ def test_the_sample_is_corrected_to_the_truth(ran: Path, tmp_path: Path, metrocl
     done = metrocli("export", ran / "results" / "tip3.h5", "--to", "csv", "--out", tmp_path)
     assert done.code == 0
     assert str(tmp_path / "corrected.csv") in done.out
-    corrected, probing = (csv.read(path, PROBING) for path in (tmp_path / "corrected.csv", ran / "data" / "probing.csv"))
+    corrected, probing = (
+        csv.read(path, PROBING) for path in (tmp_path / "corrected.csv", ran / "data" / "probing.csv")
+    )
     header = next(line for line in (ran / "data" / "probing.csv").read_text().splitlines() if line[0] != "#")
     assert (tmp_path / "corrected.csv").read_text().splitlines()[0] == header
     assert corrected.texts("point") == probing.texts("point")
     job = load(ran / "jobs" / "tip3.yaml")
-    points, tracers = (csv.read(ran / "data" / name, spec) for name, spec in (("points.csv", multilaterate.POINTS), ("true_tracers.csv", multilaterate.TRACERS)))
-    true = multilaterate.simulate(job.settings, SimulationOptions(3), points, tracers).files["true_points.csv"].stacked("xyz")[:144]
+    points, tracers = (
+        csv.read(ran / "data" / name, spec)
+        for name, spec in (("points.csv", multilaterate.POINTS), ("true_tracers.csv", multilaterate.TRACERS))
+    )
+    true = (
+        multilaterate.simulate(job.settings, SimulationOptions(3), points, tracers)
+        .files["true_points.csv"]
+        .stacked("xyz")[:144]
+    )
     across = [(0, 72), (5, 80), (20, 100), (30, 100)]
     for a, b in across:
         right = np.linalg.norm(true[a] - true[b])
-        before, after = (np.linalg.norm(t.stacked("xyz")[a] - t.stacked("xyz")[b]) - right for t in (probing, corrected))
+        before, after = (
+            np.linalg.norm(t.stacked("xyz")[a] - t.stacked("xyz")[b]) - right for t in (probing, corrected)
+        )
         assert abs(after) < 1.2e-3 < 5e-3 < abs(before)
 
 
 def test_the_simulation_makes_the_sample_again(ran: Path) -> None:
     job = load(ran / "jobs" / "tip3.yaml")
-    points, tracers = (csv.read(ran / "data" / name, spec) for name, spec in (("points.csv", multilaterate.POINTS), ("true_tracers.csv", multilaterate.TRACERS)))
+    points, tracers = (
+        csv.read(ran / "data" / name, spec)
+        for name, spec in (("points.csv", multilaterate.POINTS), ("true_tracers.csv", multilaterate.TRACERS))
+    )
     made = multilaterate.simulate(job.settings, SimulationOptions(3), points, tracers)
     there = csv.read(ran / "data" / "lengths.csv", multilaterate.LENGTHS)
     assert np.abs(made.files["lengths.csv"].numbers("length") - there.numbers("length")).max() < 1e-9

@@ -29,7 +29,10 @@ output: result.h5
 PLANTED = {
     "dead-path-drift.LT2": ("dead-path-drift:tracer=LT2,rate=0.3um/min", "{name: dead-path-drift, tracer: LT2}"),
     "refraction-drift": ("refraction-drift:rate=3e-6 1/K", "{name: refraction-drift}"),
-    "dead-path-jump.LT4": ("dead-path-jump:tracer=LT4,step=4um,at=700s", "{name: dead-path-jump, tracer: LT4, at: 700 s}"),
+    "dead-path-jump.LT4": (
+        "dead-path-jump:tracer=LT4,step=4um,at=700s",
+        "{name: dead-path-jump, tracer: LT4, at: 700 s}",
+    ),
 }
 
 

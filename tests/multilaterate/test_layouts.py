@@ -15,7 +15,9 @@ from simulated_lengths import (
     network,
     on_line,
     on_plane,
+    places,
     settings,
+    without_motion,
 )
 
 from metrocli.errors import UndeterminedError
@@ -127,3 +129,24 @@ def test_known_lengths_control_the_index() -> None:
     distances = Table(bar | {"sigma": np.array([1e-4])}, {"length": "mm", "sigma": "mm"})
     result = multilaterate.run(settings(), net.lengths(), net.point_table(), distances=distances)
     assert not any("refractive" in effect for effect in result.tables["not_controlled"].texts("effect"))
+
+
+def test_points_that_too_few_read_are_left_out_on_demand() -> None:
+    """One tracer at six stations, a third of the lengths missing: what is left is as good as it says."""
+    rng = np.random.default_rng(0)
+    net = network(80, 6, seed=3)
+    for j in range(6):
+        net.readings[rng.permutation(80)[:25], j] = np.nan
+    seen = np.isfinite(net.readings).sum(axis=1)
+    assert (seen < 3).sum() >= 3
+    with pytest.raises(UndeterminedError, match="points read by fewer than three tracers: .*`outliers: remove` leaves"):
+        multilaterate.run(settings(), net.lengths(), net.point_table())
+    result = multilaterate.run(settings(outliers="remove"), net.lengths(), net.point_table())
+    rows = [int(name[1:]) for name in result.tables["points"].texts("point")]
+    assert rows == np.flatnonzero(seen >= 3).tolist()
+    rejected = result.tables["rejected"]
+    reasons = rejected.texts("reason")
+    assert reasons.count("fewer than three tracers read the point") == seen[seen < 3].sum() >= len(reasons) - 1
+    assert any("points are left out, since too few of their lengths are left" in line for line in result.warnings)
+    error = without_motion(places(result.tables["points"]), net.points[rows]) - net.points[rows]
+    assert np.sqrt((error**2).mean() / (result.tables["points"].stacked(["sx", "sy", "sz"]) ** 2).mean()) < 1.6

@@ -77,6 +77,25 @@ def test_what_is_known_beforehand_counts() -> None:
     assert plan.tables["points"].stacked(["sx", "sy", "sz"]) == pytest.approx(stated, rel=1e-2)
 
 
+def test_what_is_read_may_be_listed() -> None:
+    """Points that a tracer does not see, and some that nobody reads: those of the job's lengths, whatever their values."""
+    net = network(40, 6, seed=9)
+    net.readings[:15, 2] = net.readings[30:, 4] = np.nan
+    net.readings[[7, 20]] = np.nan
+    zero = net.lengths()
+    zero.columns["length"][:] = 0.0  # type: ignore[index]
+    plan = planned(net, lengths=zero, candidates=candidates(CORNERS[6:7] * VOLUME))
+    result = multilaterate.run(settings(), net.lengths(), net.point_table())
+    said, then = plan.tables["points"], result.tables["points"]
+    assert said.texts("point") == then.texts("point") and len(said) == 38
+    assert said.stacked(["sx", "sy", "sz"]) == pytest.approx(then.stacked(["sx", "sy", "sz"]), rel=2e-3)
+    assert any("2 points have no length: P7, P20" in line for line in plan.warnings)
+    readings = np.column_stack([net.readings, np.where(np.isnan(net.readings).all(axis=1), np.nan, 1.0)])
+    more = replace(net, tracers=np.vstack([net.tracers, CORNERS[6] * VOLUME]), readings=readings)
+    with_it = planned(more, lengths=more.lengths()).tables["points"].stacked(["sx", "sy", "sz"])
+    assert plan.tables["candidates"].numbers("rms")[0] == pytest.approx(np.sqrt((with_it**2).mean()), rel=1e-6)
+
+
 BEYOND: dict[str, tuple[Callable[[], Network], str]] = {
     "three tracers": (lambda: network(30, 3), "there are 3 tracers; positions from length changes need 4 or more"),
     "four in a plane": (lambda: on_plane(4), "the 4 tracers stand in one plane"),
@@ -220,3 +239,15 @@ def test_candidates_may_be_listed_in_any_unit(job: Path, metrocli: Callable[...,
     ran = metrocli("plan", job)
     assert ran.code == 0, ran.err
     assert "of 2 places tried" in ran.out and "door (2000, 300, 200) mm" in ran.out
+
+
+def test_an_effect_is_planned_with_the_rest(job: Path, metrocli: Callable[..., Any]) -> None:
+    """What it costs the points, and how well it will be known: as the measurement then states."""
+    job.write_text(JOB + "effects: [{name: dead-path-drift, tracer: T2}]\nsimulation: {interval: 10 s}\n")
+    ran = metrocli("plan", job, "--json")
+    assert ran.code == 0, ran.err
+    drift = json.loads(ran.out)["figures"]["dead-path-drift.T2.rate"]
+    assert metrocli("simulate", job, "--out", job.parent / "made").code == 0
+    made = metrocli("multilaterate", job, "--json", "--set", "inputs.lengths=made/lengths.csv")
+    assert made.code == 0, made.err
+    assert json.loads(made.out)["estimates"]["dead-path-drift.T2.rate"]["std"] == pytest.approx(drift["std"], rel=1e-2)

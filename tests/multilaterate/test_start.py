@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from simulated_lengths import CORNERS, VOLUME, network, settings
+from simulated_lengths import CORNERS, VOLUME, Network, network, places, settings, without_motion
 
+from metrocli.errors import NotConvergedError, UndeterminedError
 from metrocli.formats import csv
 from metrocli.instruments.tracer_start import start
 from metrocli.tasks import multilaterate
+from metrocli.tasks.length_network import build
+from metrocli.tasks.network_solve import solve
 
 LAYOUTS = 500
 
@@ -97,3 +101,51 @@ def test_points_in_one_plane_with_tracers_around(m: int) -> None:
     net = replace(net, nominal=flat + np.random.default_rng(1).normal(0, 0.02, flat.shape)).at(flat, tracers)
     result = multilaterate.run(settings(), net.lengths(), net.point_table(), net.tracer_table())
     assert result.statistics["chi2"] < 1e-6
+
+
+def poor(net: Network, fewest: int) -> Network:
+    """The network with two tracers that read only a few points."""
+    rng = np.random.default_rng(len(net.points))
+    for j in (0, 1):
+        net.readings[rng.permutation(len(net.points))[fewest:], j] = np.nan
+    return net
+
+
+def test_a_tracer_with_four_points_and_no_list_is_refused_at_once() -> None:
+    """Four lengths tell no start; from anywhere the adjustment may end in the mirror image of the layout."""
+    net = poor(network(22, 7, seed=402415), 4)
+    began = time.process_time()
+    with pytest.raises(UndeterminedError, match="tracer T0 reads 4 points, too few to find where it stands"):
+        multilaterate.run(settings(), net.lengths(), net.point_table())
+    assert time.process_time() - began < 2
+
+
+@pytest.mark.parametrize(("n", "m", "seed", "scale"), [(29, 6, 794068, 1e-5), (77, 5, 456383, 5e-7), (24, 7, 1, 1e-6)])
+def test_a_tracer_with_four_points_that_is_listed(n: int, m: int, seed: int, scale: float) -> None:
+    """It is located or refused, and neither takes long; nothing is given out that is far from the list."""
+    net = poor(network(n, m, seed=seed), 4)
+    began = time.process_time()
+    try:
+        result = multilaterate.run(settings(scale), net.lengths(), net.point_table(), net.tracer_table())
+        error = without_motion(places(result.tables["points"]), net.points) - net.points
+        assert np.sqrt((error**2).mean() / (result.tables["points"].stacked(["sx", "sy", "sz"]) ** 2).mean()) < 2
+    except UndeterminedError as error:
+        assert "T0" in str(error)
+    assert time.process_time() - began < 2
+
+
+def test_the_mirror_image_is_no_result() -> None:
+    """It fits the lengths as well as the truth does; started there the adjustment stays there, and says so."""
+    net = network(30, 5, seed=3)
+    built = build(settings(), net.lengths(), net.point_table(), None, None)
+    turned = {}
+    for name, block in built.blocks.items():
+        values = block.values.copy()
+        values[:, 0] *= -1
+        turned[name] = block.with_values(values)
+    datum = replace(built.datum, reference=turned["point"].values) if built.datum else None
+    with pytest.raises(
+        NotConvergedError, match="mm from where their list says .median.: the adjustment ended in a wrong"
+    ):
+        solve(replace(built, blocks=turned, datum=datum), remove=False)
+    assert solve(built, remove=False).solution.outcome.good

@@ -118,7 +118,11 @@ def test_the_part_has_a_table_of_maxima(spindle: Path) -> None:
     assert [Path(item.path).name for item in record.inputs] == ["part.h5"]
     found = summary(result, record, path)["estimates"]
     budget = result.tables["budget"]
-    warm = [std for name, std in zip(budget.texts("contributor"), budget.numbers("std"), strict=True) if name == "temperature"]
+    warm = [
+        std
+        for name, std in zip(budget.texts("contributor"), budget.numbers("std"), strict=True)
+        if name == "temperature"
+    ]
     assert warm == pytest.approx([0.00953, 0.00635, 0.00318], abs=1e-5)
     for axis in "xyz":
         assert 0 < found[axis]["U_pointwise"] <= found[axis]["U"] < 0.05

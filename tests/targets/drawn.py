@@ -11,7 +11,13 @@ FINE = 16
 
 
 def ellipse(
-    rng: np.random.Generator, diameter: float, aspect: float, noise: float, light: float = 0.0, ink: float = 210, paper: float = 30
+    rng: np.random.Generator,
+    diameter: float,
+    aspect: float,
+    noise: float,
+    light: float = 0.0,
+    ink: float = 210,
+    paper: float = 30,
 ) -> tuple[npt.NDArray[np.uint8], Array, float]:
     """Return a crop, the true centre and the angle; PSF 0.7 px, 8 bit; `light` is the relative change across the target."""
     side = int(diameter + 26) // 2 * 2

@@ -23,12 +23,16 @@ CIRCLES = Pattern("circles", 10, 8, 20.0, diameter=10.0)
 SHIFTED = Pattern("asymmetric-circles", 4, 11, 16.0, diameter=12.0)
 
 
-def seen(pattern: Pattern, rng: np.random.Generator, look: Look, distance: float = 360.0, turn: float = 0.4) -> tuple[np.ndarray, Array]:
+def seen(
+    pattern: Pattern, rng: np.random.Generator, look: Look, distance: float = 360.0, turn: float = 0.4
+) -> tuple[np.ndarray, Array]:
     """Return an image of a board and the true image points of all its points."""
     _, xyz = pattern_points(pattern)
     rotation = tilted(rng, 0.6, upright=True) @ about_z(rng.uniform(-turn, turn))
     origin = np.array([*rng.uniform(-12, 12, 2), distance]) - rotation @ xyz.mean(0)
-    return render(CAMERA.size, CAMERA.rays, [Placed(board(pattern), rotation, origin)], look, rng), CAMERA.project(xyz @ rotation.T + origin)
+    return render(CAMERA.size, CAMERA.rays, [Placed(board(pattern), rotation, origin)], look, rng), CAMERA.project(
+        xyz @ rotation.T + origin
+    )
 
 
 def test_every_type_has_its_module() -> None:
@@ -116,7 +120,12 @@ def test_wrong_orders_are_noticed() -> None:
 @pytest.mark.parametrize("pattern", [CHESS, CHARUCO, CIRCLES, SHIFTED])
 def test_an_image_without_the_board(pattern: Pattern) -> None:
     noise = np.random.default_rng(7).integers(0, 256, (240, 320)).astype(np.uint8)
-    for picture in (noise, np.zeros((240, 320), np.uint8), np.full((9, 9), 255, np.uint8), noise.astype(np.uint16) * 257):
+    for picture in (
+        noise,
+        np.zeros((240, 320), np.uint8),
+        np.full((9, 9), 255, np.uint8),
+        noise.astype(np.uint16) * 257,
+    ):
         found = find(pattern, picture)
         assert len(found) == 0 and found.reason.startswith("no ")
 
@@ -172,7 +181,10 @@ def test_real_circles_where_opencv_gives_a_wrong_order() -> None:
     assert claimed, "OpenCV no longer shows the fault that this test is about"
     assert "flat board" in order_fault(lattice(pattern), centres.reshape(-1, 2).astype(float))
     rows, reason = ordered(lattice(pattern), centres.reshape(-1, 2).astype(float))
-    assert reason == "" and order_fault(lattice(pattern)[rows >= 0], centres.reshape(-1, 2).astype(float)[rows[rows >= 0]]) == ""
+    assert (
+        reason == ""
+        and order_fault(lattice(pattern)[rows >= 0], centres.reshape(-1, 2).astype(float)[rows[rows >= 0]]) == ""
+    )
     found = find(pattern, picture)
     assert len(found) == 80 and order_fault(lattice(pattern), found.uv) == ""
     rms, focal, by_view, views = calibrated(pattern, sorted(DATA.glob("sony-circles/*.jpg")))

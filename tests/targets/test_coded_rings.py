@@ -23,7 +23,11 @@ def scene(rng: np.random.Generator, chosen: list[int], radius: float, tilt: floa
     """Six targets in random poses on a raster that keeps them apart."""
     places = [(x, y) for x in (-95, 0, 95) for y in (-55, 55)]
     return [
-        Placed(CodedRing(code, radius), tilted(rng, tilt), np.array([x + rng.uniform(-9, 9), y + rng.uniform(-9, 9), 500.0]))
+        Placed(
+            CodedRing(code, radius),
+            tilted(rng, tilt),
+            np.array([x + rng.uniform(-9, 9), y + rng.uniform(-9, 9), 500.0]),
+        )
         for code, (x, y) in zip(chosen, places, strict=False)
     ]
 
@@ -72,7 +76,13 @@ def test_centres_agree_with_the_perspective_ellipse(diameter: float) -> None:
     for _ in range(25):
         rotation, origin = tilted(rng, np.deg2rad(60)), np.array([*rng.uniform(-60, 60, 2), 500.0])
         radius = diameter / 6
-        image = render(CAMERA.size, CAMERA.rays, [Placed(Dot(radius), rotation, origin)], Look(bits=16, ink=3000, paper=50000, background=50000), rng)
+        image = render(
+            CAMERA.size,
+            CAMERA.rays,
+            [Placed(Dot(radius), rotation, origin)],
+            Look(bits=16, ink=3000, paper=50000, background=50000),
+            rng,
+        )
         found = find(Pattern("dot"), image)
         assert found.targets == ("dot",)
         errors.append(found.uv[0] - CAMERA.centre_of_image(origin, rotation, radius))
@@ -81,7 +91,10 @@ def test_centres_agree_with_the_perspective_ellipse(diameter: float) -> None:
 
 def test_eccentricity_is_in_the_image() -> None:
     """A large tilted circle's image is centred off the image of its centre, and the detector sees the former."""
-    rotation, origin = tilted(np.random.default_rng(3), 0.0) @ np.array([[1, 0, 0], [0, 0.5, -(0.75**0.5)], [0, 0.75**0.5, 0.5]]), np.array([0, 0, 300.0])
+    rotation, origin = (
+        tilted(np.random.default_rng(3), 0.0) @ np.array([[1, 0, 0], [0, 0.5, -(0.75**0.5)], [0, 0.75**0.5, 0.5]]),
+        np.array([0, 0, 300.0]),
+    )
     image = render(CAMERA.size, CAMERA.rays, [Placed(Dot(6.0), rotation, origin)], Look(), np.random.default_rng(1))
     uv = find(Pattern("dot"), image).uv[0]
     assert np.linalg.norm(uv - CAMERA.project(origin[None])[0]) > 0.1
@@ -101,7 +114,9 @@ def test_no_code_in_noise_or_chessboards_or_dots() -> None:
     pictures += [cv2.GaussianBlur(rng.integers(0, 256, (400, 400)).astype(np.uint8), (0, 0), s) for s in (1, 2, 4)]
     board = Placed(Chessboard(9, 6, 12.0), np.eye(3), np.array([-48, -30, 500.0]))
     pictures.append(render(CAMERA.size, CAMERA.rays, [board], Look(noise=2.0), rng))
-    pictures.append(render(CAMERA.size, CAMERA.rays, [Placed(Dot(3.0), np.eye(3), np.array([0, 0, 500.0]))], Look(), rng))
+    pictures.append(
+        render(CAMERA.size, CAMERA.rays, [Placed(Dot(3.0), np.eye(3), np.array([0, 0, 500.0]))], Look(), rng)
+    )
     for code in (0, 1, 0b111, 0xFFF):
         pictures.append(render(CAMERA.size, CAMERA.rays, scene(rng, [code], 3.0, 0.5), Look(), rng))
     for picture in pictures:

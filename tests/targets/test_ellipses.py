@@ -12,7 +12,9 @@ from metrocli.targets import blobs
 from metrocli.targets.ellipses import Ellipse, Fitted, fit
 
 
-def draws(diameter: float, aspect: float, noise: float, count: int, light: float = 0.0) -> tuple[drawn.Array, drawn.Array]:
+def draws(
+    diameter: float, aspect: float, noise: float, count: int, light: float = 0.0
+) -> tuple[drawn.Array, drawn.Array]:
     """Return errors (count, 2) and sigmas (count,) of the fit, started from what the blob search finds."""
     rng = np.random.default_rng([int(diameter), int(10 * aspect), int(noise)])
     errors, sigmas = [], []

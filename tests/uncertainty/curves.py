@@ -70,7 +70,12 @@ def fit(text: str, x: Any, y: Any, start: Any, sigma: Any = 1.0) -> Solution:
     """Adjust the parameters of a model to points with standard uncertainties sigma."""
     start = np.asarray(start, dtype=float)
     block = Block("b", start, tuple(f"b{i + 1}" for i in range(len(start))))
-    readings = Observations(np.asarray(y, dtype=float)[None], np.asarray(sigma, dtype=float), {}, conditions={"x": np.asarray(x, dtype=float)})
+    readings = Observations(
+        np.asarray(y, dtype=float)[None],
+        np.asarray(sigma, dtype=float),
+        {},
+        conditions={"x": np.asarray(x, dtype=float)},
+    )
     return adjust([block], [Group("points", Chain((Curve(text),)), readings)])
 
 

@@ -32,7 +32,9 @@ class Ran:
 
 def write(folder: Path, job: dict[str, Any], name: str = "job") -> Path:
     path = folder / f"{name}.yaml"
-    path.write_text(yaml.safe_dump({"metrocli": 1, "job": "report-uncertainty", "output": f"{name}.h5", **job}, sort_keys=False))
+    path.write_text(
+        yaml.safe_dump({"metrocli": 1, "job": "report-uncertainty", "output": f"{name}.h5", **job}, sort_keys=False)
+    )
     return path
 
 

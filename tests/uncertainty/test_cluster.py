@@ -48,11 +48,30 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, li
     folder = tmp_path_factory.mktemp("cluster")
     file = folder / "scheduler.json"
     log = (folder / "log.txt").open("wb")
-    begin = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard"]
+    begin = [
+        sys.executable,
+        "-m",
+        "distributed.cli.dask_scheduler",
+        "--host",
+        "127.0.0.1",
+        "--port",
+        "0",
+        "--no-dashboard",
+    ]
     started = [_start([*begin, "--scheduler-file", str(file)], log, folder)]
     try:
         _wait(file.is_file)
-        worker = [sys.executable, "-m", "distributed.cli.dask_worker", "--scheduler-file", str(file), "--nthreads", "1", "--no-nanny", "--no-dashboard"]
+        worker = [
+            sys.executable,
+            "-m",
+            "distributed.cli.dask_worker",
+            "--scheduler-file",
+            str(file),
+            "--nthreads",
+            "1",
+            "--no-nanny",
+            "--no-dashboard",
+        ]
         started += [_start([*worker, "--local-directory", str(folder / f"w{n}")], log, folder) for n in range(2)]
         yield file, started[1:]
     finally:
@@ -91,7 +110,9 @@ def test_a_cluster_gives_the_same_bits(cluster: tuple[Path, Any], trials: Any, t
     assert bits(here.path) == bits(there.path)
 
 
-def test_a_worker_killed_in_the_middle_changes_no_bit(cluster: tuple[Path, list[subprocess.Popen[bytes]]], tmp_path: Path) -> None:
+def test_a_worker_killed_in_the_middle_changes_no_bit(
+    cluster: tuple[Path, list[subprocess.Popen[bytes]]], tmp_path: Path
+) -> None:
     job = {**JOB, "monte_carlo": {"trials": 8_000_000, "seed": 5}}
     here = carry_out(tmp_path, job, "here", "--workers", "1")
     command = [sys.executable, "-m", "metrocli", "report-uncertainty", str(write(tmp_path, job, "there")), "--quiet"]

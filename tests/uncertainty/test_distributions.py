@@ -45,7 +45,9 @@ def test_finite_degrees_of_freedom_change_what_is_drawn() -> None:
     assert shapes.in_trials(shapes.Uniform(1.0), math.inf) == shapes.Uniform(1.0)
 
 
-def drawn(quantities: list[Quantity], correlations: list[tuple[str, str, float]], blocks: list[Block] | None = None) -> np.ndarray:
+def drawn(
+    quantities: list[Quantity], correlations: list[tuple[str, str, float]], blocks: list[Block] | None = None
+) -> np.ndarray:
     inputs = join(quantities, correlations, blocks or [])
     rng, values = np.random.default_rng(7), np.zeros((len(quantities), 300_000))
     for source in inputs.sources():
@@ -63,7 +65,9 @@ PAIRS = [
 
 @pytest.mark.parametrize("r", [-0.6, 0.5, 0.9])
 @pytest.mark.parametrize("pair", PAIRS, ids=lambda p: f"{p[0].words}-{p[2].words}-{p[1]:g}-{p[3]:g}")
-def test_correlations_are_those_asked_for(pair: tuple[shapes.Distribution, float, shapes.Distribution, float], r: float) -> None:
+def test_correlations_are_those_asked_for(
+    pair: tuple[shapes.Distribution, float, shapes.Distribution, float], r: float
+) -> None:
     a, da, b, db = pair
     values = drawn([Quantity("a", 0, a, da), Quantity("b", 0, b, db)], [("a", "b", r)])
     assert np.corrcoef(values)[0, 1] == pytest.approx(r, abs=0.02)
@@ -73,7 +77,9 @@ def test_correlations_are_those_asked_for(pair: tuple[shapes.Distribution, float
 
 def test_shapes_that_cannot_be_so_correlated_are_refused() -> None:
     with pytest.raises(UnreachableError):
-        drawn([Quantity("a", 0, shapes.Exponential(1.0)), Quantity("b", 0, shapes.Exponential(1.0))], [("a", "b", -0.95)])
+        drawn(
+            [Quantity("a", 0, shapes.Exponential(1.0)), Quantity("b", 0, shapes.Exponential(1.0))], [("a", "b", -0.95)]
+        )
 
 
 def test_correlation_of_one_is_exact() -> None:
@@ -92,7 +98,11 @@ def test_a_rank_deficient_covariance_is_taken_as_it_stands() -> None:
     slopes = np.array([[1.0, 0.0], [2.0, 1.0], [3.0, 1.0]])
     covariance = slopes @ slopes.T
     block = Block(("a", "b", "c"), covariance)
-    values = drawn([Quantity(n, 0, shapes.Normal(math.sqrt(v))) for n, v in zip("abc", np.diag(covariance), strict=True)], [], [block])
+    values = drawn(
+        [Quantity(n, 0, shapes.Normal(math.sqrt(v))) for n, v in zip("abc", np.diag(covariance), strict=True)],
+        [],
+        [block],
+    )
     assert np.cov(values) == pytest.approx(covariance, rel=0.02, abs=0.02)
     assert values[0] + values[1] - values[2] == pytest.approx(np.zeros(300_000), abs=1e-9)
     assert factor(covariance).shape == (3, 2)
@@ -100,6 +110,10 @@ def test_a_rank_deficient_covariance_is_taken_as_it_stands() -> None:
 
 def test_a_zero_variance_within_a_block_stays_zero() -> None:
     covariance = np.diag([1.0, 0.0])
-    values = drawn([Quantity("a", 0, shapes.Normal(1.0)), Quantity("b", 0, shapes.Normal(0.0))], [], [Block(("a", "b"), covariance)])
+    values = drawn(
+        [Quantity("a", 0, shapes.Normal(1.0)), Quantity("b", 0, shapes.Normal(0.0))],
+        [],
+        [Block(("a", "b"), covariance)],
+    )
     assert not values[1].any()
     assert values[0].std() == pytest.approx(1.0, rel=0.01)

@@ -39,7 +39,10 @@ def test_refused_with_its_column_in_no_time(text: str, start: int, message: str)
     with pytest.raises(ExpressionError) as caught:
         parse(text)
     assert time.process_time() - before < 0.05
-    assert (caught.value.start, message in caught.value.message) == (start, True), (caught.value.start, caught.value.message)
+    assert (caught.value.start, message in caught.value.message) == (start, True), (
+        caught.value.start,
+        caught.value.message,
+    )
     assert caught.value.hint
 
 
@@ -209,7 +212,17 @@ def test_terms_that_do_not_fit_are_named(text: str, start: int, message: str) ->
     assert message in caught.value.message
 
 
-@given(st.floats(-1e6, 1e6), st.sampled_from([unit.symbol for d in units.DIMENSIONS.values() for unit in d.units if not unit.offset and unit.symbol != "degC"]))
+@given(
+    st.floats(-1e6, 1e6),
+    st.sampled_from(
+        [
+            unit.symbol
+            for d in units.DIMENSIONS.values()
+            for unit in d.units
+            if not unit.offset and unit.symbol != "degC"
+        ]
+    ),
+)
 def test_every_unit_of_the_table_is_one_of_the_algebra(value: float, symbol: str) -> None:
     assert converted(converted(value, symbol, symbol), symbol, symbol) == pytest.approx(value, rel=1e-12)
     assert math.isfinite(compound(symbol).factor)

@@ -77,7 +77,10 @@ def test_the_job_without_faults_has_none(tmp_path: Path, metrocli: Metrocli) -> 
 
 
 def test_the_summary_is_laid_out_as_promised(tmp_path: Path, metrocli: Metrocli) -> None:
-    (tmp_path / "job.yaml").write_text(JOB + 'tolerance: {l: [49.999 mm, 50.001 mm]}\nrequire: {l.U: "< 1 um", l.std: "< 300 nm", l.tolerance.U_over_T: "< 25 percent", l.k: "< 3"}\n')
+    (tmp_path / "job.yaml").write_text(
+        JOB
+        + 'tolerance: {l: [49.999 mm, 50.001 mm]}\nrequire: {l.U: "< 1 um", l.std: "< 300 nm", l.tolerance.U_over_T: "< 25 percent", l.k: "< 3"}\n'
+    )
     ran = metrocli("report-uncertainty", tmp_path / "job.yaml", "--json")
     assert ran.code == 0
     summary = json.loads(ran.out)
@@ -135,7 +138,14 @@ UNITS_OF_ONE_JOB = [
 
 @pytest.mark.parametrize(("quantities", "model", "unit", "value"), UNITS_OF_ONE_JOB)
 def test_units_go_in_and_out(quantities: dict[str, Any], model: str, unit: str, value: float, tmp_path: Path) -> None:
-    ran = carry_out(tmp_path, {"quantities": quantities, "measurands": {"y": {"model": model, "unit": unit}}, "monte_carlo": {"trials": 10000}})
+    ran = carry_out(
+        tmp_path,
+        {
+            "quantities": quantities,
+            "measurands": {"y": {"model": model, "unit": unit}},
+            "monte_carlo": {"trials": 10000},
+        },
+    )
     assert ran.code == 0
     found = ran.details("y")
     assert found["value"] == pytest.approx(value, rel=1e-4)
@@ -153,8 +163,12 @@ GIVEN = [
 
 
 @pytest.mark.parametrize(("given", "value", "std", "dof"), GIVEN, ids=lambda v: str(v)[:40])
-def test_ways_to_say_how_well_a_quantity_is_known(given: dict[str, Any], value: float, std: float, dof: float | None, tmp_path: Path) -> None:
-    ran = carry_out(tmp_path, {"quantities": {"x": given}, "measurands": {"y": {"model": "x"}}, "monte_carlo": {"trials": 100000}})
+def test_ways_to_say_how_well_a_quantity_is_known(
+    given: dict[str, Any], value: float, std: float, dof: float | None, tmp_path: Path
+) -> None:
+    ran = carry_out(
+        tmp_path, {"quantities": {"x": given}, "measurands": {"y": {"model": "x"}}, "monte_carlo": {"trials": 100000}}
+    )
     found = ran.details("y")
     assert (found["value"], found["std"]) == pytest.approx((value, std))
     assert found["dof"] == (math.inf if dof is None else pytest.approx(dof))
@@ -199,7 +213,9 @@ def test_effective_degrees_of_freedom_are_cut_with_a_guard(tmp_path: Path) -> No
     assert found["U"] == pytest.approx(2.2, abs=0.05)
 
 
-def test_a_model_without_derivative_has_the_uncertainty_of_monte_carlo(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_model_without_derivative_has_the_uncertainty_of_monte_carlo(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     job: dict[str, Any] = {
         "quantities": {"x": {"value": 0, "std": 1}, "y": {"value": 0, "std": 1}}, "measurands": {"r": {"model": "sqrt(x*x + y*y)"}, "s": {"model": "x + y"}},
         "monte_carlo": {"trials": 200000},
@@ -223,7 +239,10 @@ def test_reasons_where_gum_does_not_hold(tmp_path: Path) -> None:
         ("x", {"value": 1, "distribution": "exponential"}, "skew"), ("x*x", {"value": 0, "std": 1}, "no first-order sensitivity"),
     ]  # fmt: skip
     for model, given, reason in cases:
-        ran = carry_out(tmp_path, {"quantities": {"x": given}, "measurands": {"y": {"model": model}}, "monte_carlo": {"trials": 200000}})
+        ran = carry_out(
+            tmp_path,
+            {"quantities": {"x": given}, "measurands": {"y": {"model": model}}, "monte_carlo": {"trials": 200000}},
+        )
         assert ran.details("y")["gum_valid"] is False
         assert ran.result is not None
         assert any(reason in note for note in ran.result.notes), ran.result.notes
@@ -233,7 +252,9 @@ def test_reasons_where_gum_does_not_hold(tmp_path: Path) -> None:
 
 def test_readings_and_samples_of_files(tmp_path: Path) -> None:
     values = np.random.default_rng(0).exponential(2.0, 4000) + 10
-    (tmp_path / "old.csv").write_text("run,l_um\n" + "\n".join(f"a{n},{value!r}" for n, value in enumerate(values.tolist())) + "\n")
+    (tmp_path / "old.csv").write_text(
+        "run,l_um\n" + "\n".join(f"a{n},{value!r}" for n, value in enumerate(values.tolist())) + "\n"
+    )
     (tmp_path / "l.csv").write_text("l_um\n10\n12\n11\n13\n")
     ran = carry_out(tmp_path, {
         "quantities": {"a": {"samples": "old.csv", "column": "l_um"}, "b": {"readings": "l.csv"}, "c": {"readings": "old.csv", "column": "l_um", "distribution": "sampled"}},
@@ -252,9 +273,16 @@ def test_readings_and_samples_of_files(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("text", "column", "message"),
-    [("l_mm\n1\nx\n", "l_mm", "'x' in the column 'l_mm'"), ("l_mm\n1\n", "l_mm", "one reading"), ("l_mm,m_mm\n1,2\n2,3\n", None, "2 columns of numbers"), ("l_mm\n1\n2\n", "k_mm", "did you mean 'l_mm'?")],
+    [
+        ("l_mm\n1\nx\n", "l_mm", "'x' in the column 'l_mm'"),
+        ("l_mm\n1\n", "l_mm", "one reading"),
+        ("l_mm,m_mm\n1,2\n2,3\n", None, "2 columns of numbers"),
+        ("l_mm\n1\n2\n", "k_mm", "did you mean 'l_mm'?"),
+    ],
 )
-def test_readings_that_are_none_are_refused(text: str, column: str | None, message: str, tmp_path: Path, metrocli: Metrocli) -> None:
+def test_readings_that_are_none_are_refused(
+    text: str, column: str | None, message: str, tmp_path: Path, metrocli: Metrocli
+) -> None:
     (tmp_path / "l.csv").write_text(text)
     given = f"readings: l.csv{f', column: {column}' if column else ''}"
     (tmp_path / "job.yaml").write_text(JOB.replace("value: 50.000623 mm, std: 25 nm, dof: 18", given))

@@ -27,13 +27,21 @@ MODELS = {"sum": parse("a + b"), "product": parse("a*b*c")}
 
 
 def inputs(dof: float = math.inf) -> Inputs:
-    return join([Quantity("a", 1.0, Normal(0.1), dof), Quantity("b", 2.0, Uniform(0.3)), Quantity("c", 3.0, Normal(0.2))], [("a", "c", 0.5)])
+    return join(
+        [Quantity("a", 1.0, Normal(0.1), dof), Quantity("b", 2.0, Uniform(0.3)), Quantity("c", 3.0, Normal(0.2))],
+        [("a", "c", 0.5)],
+    )
 
 
 def same(a: Outcome, b: Outcome) -> bool:
     """Whether two outcomes agree in every bit."""
     ends = [[s.symmetric(0.95) + s.shortest(0.95) for s in o.samples] for o in (a, b)]
-    return np.array_equal(a.means, b.means) and np.array_equal(a.covariance, b.covariance) and ends[0] == ends[1] and a.trials == b.trials
+    return (
+        np.array_equal(a.means, b.means)
+        and np.array_equal(a.covariance, b.covariance)
+        and ends[0] == ends[1]
+        and a.trials == b.trials
+    )
 
 
 @pytest.mark.parametrize("trials", [12_345, 1_000_000, 2_300_000, None])
@@ -67,7 +75,18 @@ def test_the_shortest_interval_of_an_exponential_begins_at_zero() -> None:
     assert high == pytest.approx(-math.log(0.05), abs=0.03)
 
 
-@pytest.mark.parametrize(("std", "digits", "wanted"), [(32.0, 2, 0.5), (0.00035, 1, 0.00005), (0.0351, 2, 0.0005), (2.0, 2, 0.05), (9.99, 2, 0.5), (99.6, 2, 5.0), (0.0, 2, 0.0)])
+@pytest.mark.parametrize(
+    ("std", "digits", "wanted"),
+    [
+        (32.0, 2, 0.5),
+        (0.00035, 1, 0.00005),
+        (0.0351, 2, 0.0005),
+        (2.0, 2, 0.05),
+        (9.99, 2, 0.5),
+        (99.6, 2, 5.0),
+        (0.0, 2, 0.0),
+    ],
+)
 def test_numerical_tolerance(std: float, digits: int, wanted: float) -> None:
     """JCGM 101, 7.9.2: half of the last of the digits that count."""
     assert tolerance_of(std, digits) == pytest.approx(wanted)
@@ -159,7 +178,11 @@ def _die(done: int, of: int | None) -> None:
 
 
 def test_the_command_removes_its_chunks(tmp_path: Path) -> None:
-    job = {"quantities": {"a": {"value": 1, "std": 0.1}}, "measurands": {"y": {"model": "a"}}, "monte_carlo": {"trials": 2_100_000}}
+    job = {
+        "quantities": {"a": {"value": 1, "std": 0.1}},
+        "measurands": {"y": {"model": "a"}},
+        "monte_carlo": {"trials": 2_100_000},
+    }
     ran = carry_out(tmp_path, job)
     assert ran.code == 0
     assert ran.details("y")["mc"]["resolution"] < 1e-4

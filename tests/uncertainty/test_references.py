@@ -14,9 +14,18 @@ from uncertainty.jobs import Ran, carry_out
 
 SHARED = Path(__file__).parents[2] / ".." / "shared" / "references"
 FILE = SHARED / "uncertainty-cases.yaml"
-CASES: dict[str, Any] = yaml.safe_load(FILE.read_text(encoding="utf-8")) if FILE.is_file() else {"propagation": [], "other": []}
+CASES: dict[str, Any] = (
+    yaml.safe_load(FILE.read_text(encoding="utf-8")) if FILE.is_file() else {"propagation": [], "other": []}
+)
 pytestmark = pytest.mark.skipif(not FILE.is_file(), reason=f"no reference cases at {FILE}")
-SHAPES = {"normal": "normal", "t": "t", "uniform": "uniform", "triangular": "triangular", "arcsine": "arcsine", "ctrap": "curvilinear-trapezoid"}
+SHAPES = {
+    "normal": "normal",
+    "t": "t",
+    "uniform": "uniform",
+    "triangular": "triangular",
+    "arcsine": "arcsine",
+    "ctrap": "curvilinear-trapezoid",
+}
 
 
 def others(kind: str) -> list[Any]:
@@ -65,7 +74,7 @@ def test_propagation(case: dict[str, Any], tmp_path: Path) -> None:
         if "gum1" in expected:
             _first_order(ran(expected["gum1"]).details(name), expected["gum1"])
         if "gum2" in expected:
-            second, wanted = ran({})  .details(name)["second_order"], expected["gum2"]
+            second, wanted = ran({}).details(name)["second_order"], expected["gum2"]
             within(second["std"], wanted["u"], wanted["tol"]["u"], "second order u")
             if "y_corrected" in wanted:
                 within(second["value"], wanted["y_corrected"], wanted["tol"]["u"], "second order y")
@@ -77,7 +86,10 @@ def test_propagation(case: dict[str, Any], tmp_path: Path) -> None:
             within(half / mc["std"], expected["k_trapezoid"]["k"], 0.01, "k of the trapezoid")
             within(half, expected["k_trapezoid"]["U"], 0.001, "U of the trapezoid")
         if "gum_valid" in expected:
-            verdict = {**job(case, 0.95), "monte_carlo": {"trials": 1000000, "seed": 1, "digits": expected["gum_valid"]["ndig"]}}
+            verdict = {
+                **job(case, 0.95),
+                "monte_carlo": {"trials": 1000000, "seed": 1, "digits": expected["gum_valid"]["ndig"]},
+            }
             assert carry_out(tmp_path, verdict, "verdict").details(name)["gum_valid"] is expected["gum_valid"]["valid"]
 
 
@@ -115,7 +127,9 @@ def _correlations(ran: Ran, names: list[str], wanted: dict[str, Any]) -> None:
 def test_readings(case: dict[str, Any], tmp_path: Path) -> None:
     (tmp_path / "t.csv").write_text("t_degC\n" + "\n".join(map(str, case["data"])) + "\n")
     wanted = case["expected"]
-    ran = carry_out(tmp_path, {"quantities": {"t": {"readings": "t.csv"}}, "measurands": {"m": {"model": "t", "unit": "degC"}}})
+    ran = carry_out(
+        tmp_path, {"quantities": {"t": {"readings": "t.csv"}}, "measurands": {"m": {"model": "t", "unit": "degC"}}}
+    )
     found = ran.details("m")
     assert round(found["value"], 3) == wanted["mean"]
     assert round(found["std"], 3) == wanted["u"]
@@ -165,7 +179,9 @@ def test_nist_cases_state_what_their_files_do(case: dict[str, Any]) -> None:
     reference = curves.read_strd(SHARED / "nist-strd" / f"{Path(case['data']).stem}.dat")
     solution = curves.fit_estimated(curves.CURVES[Path(case["data"]).stem], reference.x, reference.y, case["start2"])
     wanted = case["expected"]
-    residual = sum(linear.cost for linear in [group.linear(solution.blocks, frozenset("b")) for group in solution.groups])
+    residual = sum(
+        linear.cost for linear in [group.linear(solution.blocks, frozenset("b")) for group in solution.groups]
+    )
     assert solution.blocks["b"].values[0] == pytest.approx(wanted["b"], rel=10 ** -case["require"]["lre_b"])
     assert solution.std("b")[0] * solution.sigma0 == pytest.approx(wanted["sd_b"], rel=10 ** -case["require"]["lre_sd"])
     sigma = float(solution.groups[0].observations.sigma[0, 0])
@@ -221,4 +237,6 @@ def test_tables_of_a_volume(case: dict[str, Any], tmp_path: Path) -> None:
         "coverage": {"k": 2},
     })  # fmt: skip
     assert [ran.details(axis)["U"] * 1e3 for axis in "xyz"] == pytest.approx(case["expected"]["U"], abs=0.006)
-    assert [ran.details(axis)["U"] * 1e3 for axis in "xyz"] == pytest.approx(case["expected"]["U_printed"], abs=case.get("tol", 0.06))
+    assert [ran.details(axis)["U"] * 1e3 for axis in "xyz"] == pytest.approx(
+        case["expected"]["U_printed"], abs=case.get("tol", 0.06)
+    )

@@ -58,7 +58,14 @@ def test_estimated_noise_brings_its_degrees_of_freedom(tmp_path: Path) -> None:
 
 def test_one_result_under_two_names_is_one_result(tmp_path: Path) -> None:
     where = stored(tmp_path, "part", np.diag([4e-6, 9e-6]))
-    ran = carry_out(tmp_path, job({"d": {"model": "part.a - same.a", "unit": "mm"}, "s": {"model": "part.a + same.b", "unit": "mm"}}, part=where, same=where))
+    ran = carry_out(
+        tmp_path,
+        job(
+            {"d": {"model": "part.a - same.a", "unit": "mm"}, "s": {"model": "part.a + same.b", "unit": "mm"}},
+            part=where,
+            same=where,
+        ),
+    )
     assert ran.code == 0
     assert ran.details("d")["std"] == pytest.approx(0.0, abs=1e-12)
     assert ran.details("d")["mc"]["std"] == pytest.approx(0.0, abs=1e-12)
@@ -100,11 +107,20 @@ def test_a_contributor_in_two_budgets_is_reported(tmp_path: Path) -> None:
         }, name).code == 0  # fmt: skip
     ran = carry_out(tmp_path, job({"d": {"model": "one.y + two.y", "unit": "um"}}, one="one.h5", two="two.h5"))
     assert ran.result is not None
-    assert any("'thermometer' is counted twice: it is in the budgets of one and of two" in line for line in ran.result.warnings)
+    assert any(
+        "'thermometer' is counted twice: it is in the budgets of one and of two" in line for line in ran.result.warnings
+    )
 
 
 def test_degrees_of_freedom_of_a_report_are_carried_on(tmp_path: Path) -> None:
-    carry_out(tmp_path, {"quantities": {"a": {"value": "1 mm", "std": "1 um", "dof": 4}}, "measurands": {"y": {"model": "a", "unit": "mm"}}}, "one")
+    carry_out(
+        tmp_path,
+        {
+            "quantities": {"a": {"value": "1 mm", "std": "1 um", "dof": 4}},
+            "measurands": {"y": {"model": "a", "unit": "mm"}},
+        },
+        "one",
+    )
     found = carry_out(tmp_path, job({"z": {"model": "2*one.y", "unit": "mm"}}, one="one.h5")).details("z")
     assert found["dof"] == pytest.approx(4)
     assert found["k"] == pytest.approx(2.776, abs=1e-3)
@@ -113,7 +129,10 @@ def test_degrees_of_freedom_of_a_report_are_carried_on(tmp_path: Path) -> None:
 def test_a_correlation_with_a_result_is_taken(tmp_path: Path) -> None:
     where = stored(tmp_path, "part", np.diag([4e-6, 9e-6]))
     wanted = job({"y": {"model": "part.a + t*c", "unit": "mm"}}, part=where)
-    wanted |= {"quantities": {"t": {"value": "0 K", "std": "0.1 K"}, "c": "20 um/K"}, "correlations": [{"between": ["part.a", "t"], "value": 0.5}]}
+    wanted |= {
+        "quantities": {"t": {"value": "0 K", "std": "0.1 K"}, "c": "20 um/K"},
+        "correlations": [{"between": ["part.a", "t"], "value": 0.5}],
+    }
     found = carry_out(tmp_path, wanted).details("y")
     assert found["std"] == pytest.approx(math.sqrt(4e-6 + 4e-6 + 4e-6))
     assert found["mc"]["std"] == pytest.approx(found["std"], rel=0.01)
@@ -127,7 +146,9 @@ BAD = [
 
 
 @pytest.mark.parametrize(("measurands", "message", "hint"), BAD)
-def test_names_that_a_result_lacks(measurands: dict[str, Any], message: str, hint: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_names_that_a_result_lacks(
+    measurands: dict[str, Any], message: str, hint: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     ran = carry_out(tmp_path, job(measurands, part=stored(tmp_path, "part", np.diag([4e-6, 9e-6]))))
     told = capsys.readouterr().err
     assert ran.code == 3
@@ -135,7 +156,10 @@ def test_names_that_a_result_lacks(measurands: dict[str, Any], message: str, hin
 
 
 def test_a_covariance_that_is_none_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for covariance, message in (([[4e-6, 9e-6], [9e-6, 4e-6]], "not positive semi-definite"), ([[math.nan, 0], [0, 1e-6]], "no covariance that can be used")):
+    for covariance, message in (
+        ([[4e-6, 9e-6], [9e-6, 4e-6]], "not positive semi-definite"),
+        ([[math.nan, 0], [0, 1e-6]], "no covariance that can be used"),
+    ):
         assert carry_out(tmp_path, job(SUM, part=stored(tmp_path, "part", covariance))).code == 3
         assert message in capsys.readouterr().err
 

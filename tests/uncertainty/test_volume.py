@@ -48,12 +48,19 @@ def test_table_4_of_its_contributors(tmp_path: Path) -> None:
 
 
 def test_table_5_says_that_k_2_is_too_much(tmp_path: Path) -> None:
-    out = {"name": "photogrammetry", "std": um(70.9, 70.5, 70.3), "distribution": "uniform", "includes": ["temperature"]}
+    out = {
+        "name": "photogrammetry",
+        "std": um(70.9, 70.5, 70.3),
+        "distribution": "uniform",
+        "includes": ["temperature"],
+    }
     part = {"name": "part", "std": um(20.1, 27.4, 23.5)}
     ran = carry_out(tmp_path, volume(BENCH, out, part, HEAT, monte_carlo={"trials": 400000, "seed": 1}))
     assert expanded(ran) == pytest.approx([148.5, 151.8, 148.4], abs=0.15)
     assert any("'temperature' is counted twice" in line for line in ran.result.warnings)
-    likely = carry_out(tmp_path, {**volume(BENCH, out, part, HEAT, monte_carlo={"trials": 400000}), "coverage": {"probability": 0.95}})
+    likely = carry_out(
+        tmp_path, {**volume(BENCH, out, part, HEAT, monte_carlo={"trials": 400000}), "coverage": {"probability": 0.95}}
+    )
     assert [likely.details(axis)["mc"]["k_trials"] for axis in "xyz"] == pytest.approx([1.74, 1.77, 1.75], abs=0.01)
     halves = [1e3 * likely.details(axis)["mc"]["interval"][1] for axis in "xyz"]
     assert halves == pytest.approx([129.0, 134.5, 129.5], abs=0.6)
@@ -65,7 +72,9 @@ def test_table_6_and_its_capability(tmp_path: Path) -> None:
     """The printed u_it of the industrial case is 6.4 um/m, the rounded figure of the bench, times the length."""
     heat = {"name": "temperature", "expansion": {"alpha": "11.085e-6 1/K", "half_width": "1 K"}}
     out = {"name": "photogrammetry", "std": um(144.3, 89.3, 112.4), "distribution": "uniform"}
-    ran = carry_out(tmp_path, volume(INDUSTRY, out, {"name": "part", "std": um(57.6, 140.2, 134.9)}, heat, tolerance="2 mm"))
+    ran = carry_out(
+        tmp_path, volume(INDUSTRY, out, {"name": "part", "std": um(57.6, 140.2, 134.9)}, heat, tolerance="2 mm")
+    )
     assert expanded(ran) == pytest.approx([336.1, 334.6, 356.9], abs=0.15)
     found = [ran.details(axis)["tolerance"] for axis in "xyz"]
     assert [round(100 * item["U_over_T"]) for item in found] == [17, 17, 18]
@@ -78,7 +87,9 @@ def test_two_entries_of_table_6_do_not_follow_from_the_stated_rule(tmp_path: Pat
     """LME = 50 um + 20 um/m over sqrt(3) gives the printed u_out along x (144.3), not along y (89.3) and z (112.4)."""
     out = {"name": "photogrammetry", "length_error": {"constant": "50 um", "proportional": "20 um/m"}}
     heat = {"name": "temperature", "expansion": {"alpha": "11.085e-6 1/K", "half_width": "1 K"}}
-    ran = carry_out(tmp_path, volume(INDUSTRY, out, {"name": "part", "std": um(57.6, 140.2, 134.9)}, heat, tolerance="2 mm"))
+    ran = carry_out(
+        tmp_path, volume(INDUSTRY, out, {"name": "part", "std": um(57.6, 140.2, 134.9)}, heat, tolerance="2 mm")
+    )
     budget = ran.result.tables["budget"]
     rows = np.array(budget.texts("contributor")) == "photogrammetry"
     assert 1e3 * budget.numbers("std")[rows] == pytest.approx([144.34, 63.51, 86.60], abs=0.01)
@@ -100,7 +111,9 @@ def pose_result(seed: int = 0, rank: int = 6) -> Result:
     names = ("x", "y", "z", "alpha", "beta", "gamma")
     units = ("mm", "mm", "mm", "rad", "rad", "rad")
     std = np.sqrt(np.diag(covariance))
-    return Result("align-part", "", tuple(map(Estimate, names, values.tolist(), std.tolist(), units)), covariance, {"dof": 9})
+    return Result(
+        "align-part", "", tuple(map(Estimate, names, values.tolist(), std.tolist(), units)), covariance, {"dof": 9}
+    )
 
 
 @pytest.mark.parametrize("rank", [6, 2])
@@ -110,7 +123,10 @@ def test_a_pose_is_taken_to_every_point(rank: int) -> None:
     points = grid((0.0, 0.0, 0.0), (1500.0, 1000.0, 500.0), (3, 2, 2))
     euler = np.array([estimate.value for estimate in result.estimates])
     found = of_pose(euler, result.covariance, points)
-    drawn = np.random.default_rng(5).multivariate_normal(np.zeros(6), result.covariance, 20_000, check_valid="ignore") + euler
+    drawn = (
+        np.random.default_rng(5).multivariate_normal(np.zeros(6), result.covariance, 20_000, check_valid="ignore")
+        + euler
+    )
     moved = poses.apply(poses.pose_from_euler(drawn[:, :3], drawn[:, 3:])[:, None], points)
     assert found == pytest.approx(moved.std(axis=0), rel=0.03)
 
@@ -137,7 +153,9 @@ def test_a_model_of_estimates_and_places(tmp_path: Path) -> None:
     """Squareness of a machine taken to its volume: d = (-C0Y y + B0Z z, -A0Z z, 0)."""
     names = ("A0Z", "B0Z", "C0Y")
     covariance = np.array([[4.0, 1.0, 0.0], [1.0, 9.0, -2.0], [0.0, -2.0, 16.0]]) * 1e-12
-    estimates = tuple(Estimate(name, 1e-5, float(s), "rad") for name, s in zip(names, np.sqrt(np.diag(covariance)), strict=True))
+    estimates = tuple(
+        Estimate(name, 1e-5, float(s), "rad") for name, s in zip(names, np.sqrt(np.diag(covariance)), strict=True)
+    )
     where = stored(tmp_path, "m", Result("multilaterate", "", estimates, covariance, {}))
     models = ["-m.C0Y*Y + m.B0Z*Z", "-m.A0Z*Z", "0*X"]
     job = volume({**BENCH, "grid": [2, 2, 2]}, {"name": "machine", "model": models}, inputs={"results": {"m": where}})
@@ -164,7 +182,9 @@ def test_what_a_result_contains_already_is_reported(tmp_path: Path) -> None:
     ran = carry_out(tmp_path, volume(BENCH, {"name": "fit", "result": "out"}, HEAT, inputs=results))
     assert any("'temperature' is counted twice" in line and "out" in line for line in ran.result.warnings)
     assert ran.details("y")["U_pointwise"] == pytest.approx(2 * math.hypot(0.05, 1000 * 11e-6 / math.sqrt(3)))
-    ran = carry_out(tmp_path, volume(BENCH, {"name": "fit", "result": "out"}, {"name": "fit2", "result": "again"}, inputs=results))
+    ran = carry_out(
+        tmp_path, volume(BENCH, {"name": "fit", "result": "out"}, {"name": "fit2", "result": "again"}, inputs=results)
+    )
     assert any("the same result" in line for line in ran.result.warnings)
 
 
@@ -179,7 +199,9 @@ BAD = [
 
 
 @pytest.mark.parametrize(("change", "message", "hint"), BAD, ids=lambda value: str(value)[:30])
-def test_bad_volumes_are_refused(change: dict[str, Any], message: str, hint: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_volumes_are_refused(
+    change: dict[str, Any], message: str, hint: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     ran = carry_out(tmp_path, volume(BENCH, HEAT) | change)
     told = capsys.readouterr().err
     assert ran.code == 3
@@ -191,9 +213,15 @@ def test_results_without_a_pose_are_refused(tmp_path: Path, capsys: pytest.Captu
     inputs = {"results": {"camera": stored(tmp_path, "camera", camera)}}
     assert carry_out(tmp_path, volume(BENCH, {"name": "a", "result": "camera"}, inputs=inputs)).code == 3
     assert "has no x, y, z" in capsys.readouterr().err
-    assert carry_out(tmp_path, volume(BENCH, {"name": "a", "model": ["camera.g*X", "0*X", "0*X"]}, inputs=inputs)).code == 3
+    assert (
+        carry_out(tmp_path, volume(BENCH, {"name": "a", "model": ["camera.g*X", "0*X", "0*X"]}, inputs=inputs)).code
+        == 3
+    )
     assert "no estimate 'g'" in capsys.readouterr().err
-    assert carry_out(tmp_path, volume(BENCH, {"name": "a", "model": ["camera.f*X", "0*X", "0*X"]}, inputs=inputs)).code == 3
+    assert (
+        carry_out(tmp_path, volume(BENCH, {"name": "a", "model": ["camera.f*X", "0*X", "0*X"]}, inputs=inputs)).code
+        == 3
+    )
     assert "is a length" in capsys.readouterr().err
 
 

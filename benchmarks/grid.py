@@ -1,0 +1,146 @@
+"""Self-calibration of a machine by a ball grid: exactness, rank, noise, coverage, and speed beside scipy's lsmr.
+
+Each size runs in a process of its own, so that its largest memory is its own. Seconds are CPU time; with the wall time
+in brackets. lsmr solves the same linear problem once, for the values alone, from a start of zero.
+
+    python -m benchmarks.grid [SIZE ...]
+"""
+
+from __future__ import annotations
+
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from metrocli.adjust.coupled import adjust_fields, design_of
+from metrocli.instruments import ball_grid as bg
+from metrocli.tasks.grid_open import opened
+from metrocli.tasks.grid_problem import Problem, build
+from metrocli.tasks.grid_readings import read
+from metrocli.tasks.grid_sequence import noise_gains
+from metrocli.tasks.grid_settings import GridSettings, GridSimulation, Inputs, Rotate, Settings, ViewSettings, views_of
+from metrocli.tasks.grid_simulation import simulated
+
+Array = npt.NDArray[np.float64]
+NOISE, PITCH, RUNS = 5e-4, 65.0, 200
+VIEWS = {
+    "1": ViewSettings("1"),
+    "2": ViewSettings("2", Rotate("z", np.pi / 2)),
+    "3": ViewSettings("3", Rotate("x", np.pi / 2)),
+    "4": ViewSettings("4", shift=(1, 0, 0)),
+    "5": ViewSettings("5", shift=(0, 1, 0)),
+    "6": ViewSettings("6", shift=(0, 0, 1)),
+}
+SIZES = (3, 5, 7, 11, 15, 21, 31)
+
+
+def measured(n: int, views: str = "1234", noise: float = 0.0) -> tuple[Problem, dict[str, Array]]:
+    """Return a simulated self-calibration and its true fields."""
+    truth = GridSimulation(machine_error=0.017, artefact_error=0.1, shift=0.2, tilt=2e-3)
+    some = tuple(VIEWS[name] for name in views)
+    settings = Settings(Inputs(Path("-")), GridSettings((n, n, n), PITCH), some, NOISE, simulation=truth)
+    files = simulated(replace(settings, noise=max(noise, 1e-300)), None, (), np.random.default_rng(n)).files
+    readings = read(views_of(settings), settings.grid.half, files["views.csv"])
+    problem = build(readings, (settings.grid.half, PITCH), NOISE)
+    fields = {name: files[f"true_{name}.csv"].stacked(bg.COLUMNS) for name in (bg.MACHINE, bg.ARTEFACT)}
+    return problem, fields
+
+
+@contextmanager
+def timed(what: dict[str, tuple[float, float]], name: str) -> Iterator[None]:
+    """Keep CPU and wall seconds of a step."""
+    cpu, wall = time.process_time(), time.perf_counter()
+    yield
+    what[name] = time.process_time() - cpu, time.perf_counter() - wall
+
+
+def one(n: int) -> None:
+    """Print what one size takes and gives."""
+    problem, truth = measured(n)
+    took: dict[str, tuple[float, float]] = {}
+    with timed(took, "rank, factor, inverse"):
+        design = design_of(problem.fields)
+    with timed(took, "values"):
+        solution = adjust_fields(problem.fields, design).solution
+    with timed(took, "uncertainties"):
+        std = design.std(bg.MACHINE)
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
+    with timed(took, "lsmr"):
+        steps = _lsmr(problem, design.jacobian)
+    error = max(float(np.abs(solution.blocks[name].values - truth[name]).max()) for name in truth)
+    gain = float(np.sqrt((std**2).mean()) / NOISE)
+    parts = ", ".join(f"{name} {cpu:.2f} [{wall:.2f}]" for name, (cpu, wall) in took.items() if name != "lsmr")
+    whole = [sum(took[name][k] for name in took if name != "lsmr") for k in (0, 1)]
+    print(
+        f"N = {n:2}: {design.partition.width:6} unknowns, {design.jacobian.shape[0]:6} readings, undetermined "
+        f"{design.null.shape[1]}, noise-free error {error:.0e} mm, noise gain {gain:.3f}\n"
+        f"        {whole[0]:.2f} s [{whole[1]:.2f}] ({parts}), {memory} MB; "
+        f"lsmr {took['lsmr'][0]:.2f} s [{took['lsmr'][1]:.2f}], {steps} iterations, without uncertainties",
+        flush=True,
+    )
+
+
+def _lsmr(problem: Problem, jacobian: object) -> int:
+    from scipy.sparse.linalg import lsmr
+
+    at_start = problem.readings.residuals(problem.fields.blocks) / NOISE
+    return int(lsmr(jacobian, at_start.ravel(), atol=1e-12, btol=1e-12, maxiter=5000)[2])
+
+
+def reduced_sets() -> None:
+    """Print what reduced sets of views leave open."""
+    for views in ("123", "124", "134", "1246", "123456"):
+        for n in (3, 5, 7):
+            problem, _ = measured(n, views)
+            found = opened(problem, design_of(problem.fields))
+            named = "; ".join(f"{family.pattern} ({family.count})" for family in found.families)
+            beyond = f" beyond 13: {named}" if named else ""
+            print(f"views {' '.join(views):11} N = {n}: undetermined {found.count}{beyond}")
+
+
+def coverage() -> None:
+    """Print how often 95 % intervals of the machine error hold over 200 measurements."""
+    for views in ("1234", "123456"):
+        problem, truth = measured(5, views)
+        design, rng = design_of(problem.fields), np.random.default_rng(1)
+        std, inside, group = design.std(bg.MACHINE), [], problem.readings
+        for _ in range(RUNS):
+            noisy = group.observations.readings + rng.normal(0.0, NOISE, group.observations.readings.shape)
+            group_now = group.with_observations(group.observations.with_readings(noisy))
+            solution = adjust_fields(replace(problem.fields, groups=(group_now,)), design).solution
+            inside.append(np.abs(solution.blocks[bg.MACHINE].values - truth[bg.MACHINE]) < 1.96 * std)
+        held = np.mean(inside)
+        print(f"N = 5, {len(views)} views: 95 % intervals of the machine error hold in {held:.1%} ({RUNS} runs)")
+
+
+def sequence() -> None:
+    """Print what the published sequence loses against the joint adjustment."""
+    for n in (5, 7, 11):
+        joint, other = noise_gains(measured(n)[0], np.random.default_rng(2), 50)
+        print(f"N = {n:2}: noise gain {joint:.3f} joint, {other:.3f} with views fitted first and differences (eq. 6-9)")
+
+
+def main() -> None:
+    """Print all figures, or those of one size."""
+    if sys.argv[1:2] == ["--one"]:
+        one(int(sys.argv[2]))
+        return
+    sizes = [int(text) for text in sys.argv[1:]]
+    for n in sizes or SIZES:
+        subprocess.run([sys.executable, "-m", "benchmarks.grid", "--one", str(n)], check=True)
+    if not sizes:
+        reduced_sets()
+        coverage()
+        sequence()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,45 @@
+"""One measurement with a hidden effect, and what was found in it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+from metrocli.diagnosis.diagnose import Diagnosis
+from metrocli.diagnosis.subject import Subject
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """An effect that is in the readings."""
+
+    name: str
+    """A name that begins with _ is in no table"""
+    where: Mapping[str, str]
+    values: Mapping[str, float]
+    distinct: bool = True
+    """Whether every other candidate correlates with it by less than 0.9"""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A measurement and its truth."""
+
+    scenario: str
+    subject: Callable[[], Subject]
+    hidden: tuple[Hidden, ...] = ()
+    outliers: frozenset[tuple[str, ...]] = frozenset()
+    """Keys of the readings that are wrong"""
+    noise: float = 1.0
+    """True noise over the declared one"""
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a diagnosis said of a case."""
+
+    case: Case
+    diagnosis: Diagnosis
+    seconds: float = 0.0
+    covered: tuple[bool, ...] = field(default=())
+    """For each named effect that is in the readings, whether its 95 % region holds the truth"""

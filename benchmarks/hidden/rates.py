@@ -1,0 +1,172 @@
+"""Rates over many cases, with the bounds that so many cases leave (Clopper and Pearson, 95 %)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from benchmarks.hidden.case import Case, Found, Hidden
+from metrocli.diagnosis.diagnose import Diagnosis, Finding, diagnose
+from metrocli.diagnosis.verdict import spots
+
+
+def found(case: Case) -> Found:
+    """Return the diagnosis of a case."""
+    before = time.process_time()
+    diagnosis = diagnose(case.subject())
+    seconds = time.process_time() - before
+    covered = tuple(
+        _covers(finding, hidden, diagnosis)
+        for hidden in case.hidden
+        for finding in diagnosis.findings
+        if _is(finding, hidden)
+    )
+    return Found(case, diagnosis, seconds, covered)
+
+
+def _is(finding: Finding, hidden: Hidden) -> bool:
+    alternative = finding.named.alternative
+    return (alternative.effect.name, alternative.where) == (hidden.name, dict(hidden.where))
+
+
+def _in_set(finding: Finding, hidden: Hidden) -> bool:
+    return (hidden.name, tuple(hidden.where.values())) in spots(finding.named)
+
+
+def _covers(finding: Finding, hidden: Hidden, diagnosis: Diagnosis) -> bool:
+    """Whether the 95 % region of the parameters holds the truth, at the level of the F distribution."""
+    from scipy.special import fdtri
+
+    name = finding.named
+    if any(key not in hidden.values for key in name.alternative.parameters):
+        return True
+    off = name.values - np.array([hidden.values[key] for key in name.alternative.parameters])
+    size = np.sqrt(np.diag(name.covariance))
+    scaled = name.covariance / size / size[:, None]
+    distance = float((off / size) @ np.linalg.solve(scaled, off / size))
+    return bool(distance / len(off) <= fdtri(len(off), 200, 0.95))
+
+
+@dataclass(frozen=True)
+class Rate:
+    """How often something happened."""
+
+    what: str
+    hits: int
+    of: int
+    least: float = 0.0
+    most: float = 1.0
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """The 95 % interval of the share (Clopper and Pearson)."""
+        from scipy.special import betaincinv
+
+        k, n = self.hits, self.of
+        low = 0.0 if k == 0 else float(betaincinv(k, n - k + 1, 0.025))
+        high = 1.0 if k == n else float(betaincinv(k + 1, n - k, 0.975))
+        return low, high
+
+    @property
+    def share(self) -> float:
+        """The share."""
+        return self.hits / self.of if self.of else float("nan")
+
+    @property
+    def met(self) -> bool:
+        """Whether the share is where it should be."""
+        return self.of == 0 or self.least <= self.share <= self.most
+
+    def __str__(self) -> str:
+        low, high = self.bounds if self.of else (0.0, 1.0)
+        wanted = f">= {self.least:.0%}" if self.least else ""
+        wanted += (" and " if wanted and self.most < 1 else "") + (f"<= {self.most:.0%}" if self.most < 1 else "")
+        verdict = "" if not wanted else ("met" if self.met else "NOT MET")
+        counted = f"{self.hits:4d}/{self.of:<4d} {self.share:7.1%} [{low:.1%}, {high:.1%}]"
+        return f"{self.what:58} {counted}  {wanted:15} {verdict}"
+
+
+Test = Callable[[Found], bool]
+
+
+def _rate(what: str, cases: Iterable[Found], test: Test, least: float = 0.0, most: float = 1.0) -> Rate:
+    listed = list(cases)
+    return Rate(what, sum(test(one) for one in listed), len(listed), least, most)
+
+
+def _named(one: Found) -> bool:
+    return bool(one.diagnosis.findings)
+
+
+def _detected(one: Found) -> bool:
+    return one.diagnosis.verdict != "clean"
+
+
+def _each_in_sets(one: Found) -> bool:
+    return all(any(_in_set(finding, hidden) for finding in one.diagnosis.findings) for hidden in one.case.hidden)
+
+
+def _sole(one: Found) -> bool:
+    findings = one.diagnosis.findings
+    return len(findings) == 1 and _is(findings[0], one.case.hidden[0]) and not findings[0].named.rivals
+
+
+def _false_outliers(one: Found) -> int:
+    return sum(tuple(outlier.keys.values()) not in one.case.outliers for outlier in one.diagnosis.outliers)
+
+
+def rates(results: Sequence[Found]) -> Iterator[Rate]:
+    """Yield the rates that the promises speak of, and those beside them."""
+    groups: dict[str, list[Found]] = {}
+    for one in results:
+        groups.setdefault(one.case.scenario, []).append(one)
+    nulls = [one for one in results if not one.case.hidden]
+    yield _rate("false name, all without an effect", nulls, _named, most=0.05)
+    shown: Test = lambda one: any(f.gain.shown for f in one.diagnosis.findings)  # noqa: E731
+    yield _rate("false name with a gain that is shown", nulls, shown, most=0.01)
+    for scenario, cases in groups.items():
+        if not cases[0].case.hidden:
+            yield _rate(f"  false name: {scenario}", cases, _named)
+    yield _rate("structure called unexplained without an effect", nulls, lambda one: one.diagnosis.left is not None)
+    single = [one for one in results if len(one.case.hidden) == 1 and one.case.hidden[0].name[0] != "_"]
+    for scenario, cases in groups.items():
+        if cases[0] in single:
+            bar = {"1x": 0.75, "1.5x": 0.97, "2x": 0.97, "3x": 0.97}.get(scenario.split()[-1], 0.0)
+            yield _rate(f"detected: {scenario}", cases, _detected, least=bar)
+    named = [one for one in single if _named(one)]
+    yield _rate("truth in the set of names, where one was named", named, _each_in_sets, least=0.95)
+    large = [one for one in single if one.case.scenario.split()[-1] in ("2x", "3x") and one.case.hidden[0].distinct]
+    yield _rate("the sole exact name, from 2x, no near alias", large, _sole, least=0.90)
+    yield _rate("a known effect called unexplained", single, lambda one: one.diagnosis.left is not None)
+    two = [one for one in results if len(one.case.hidden) == 2]
+    yield _rate("both of two effects", two, _each_in_sets, least=0.85)
+    covered = [hit for one in results for hit in one.covered]
+    yield Rate("95 % regions that hold the truth", sum(covered), len(covered), 0.92, 0.98)
+    outside = [one for one in results if one.case.hidden and one.case.hidden[0].name[0] == "_"]
+    wrong: Test = lambda one: one.diagnosis.verdict in ("explained", "indistinct")  # noqa: E731
+    apart = [one for one in outside if one.case.hidden[0].distinct]
+    yield _rate("wrong name with a clean bill, outside effect, no near alias", apart, wrong, most=0.10)
+    yield _rate("  the same, near aliases of a known effect included", outside, wrong)
+    yield _rate("outside effect not noticed", outside, lambda one: one.diagnosis.verdict == "clean")
+    true = [key for one in results for key in one.case.outliers]
+    told = [
+        key
+        for one in results
+        for key in (tuple(outlier.keys.values()) for outlier in one.diagnosis.outliers)
+        if key in one.case.outliers
+    ]
+    yield Rate("outliers found", len(told), len(true))
+    yield Rate("false outliers, in all cases", sum(map(_false_outliers, results)), len(results))
+
+
+def print_rates(results: Sequence[Found]) -> bool:
+    """Print the rates and return whether all that are promised are met."""
+    listed = list(rates(results))
+    for rate in listed:
+        print(rate)
+    times = np.array([one.seconds for one in results])
+    print(f"CPU time a case: median {np.median(times):.2f} s, largest {times.max():.2f} s")
+    return all(rate.met for rate in listed)

@@ -1,0 +1,20 @@
+"""What `diagnose` itself states of the least size that it finds."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from metrocli.diagnosis.design import needed
+from metrocli.diagnosis.diagnose import field_of_job
+from metrocli.diagnosis.subject import Subject
+
+
+def stated(subject: Subject, name: str, parameters: int) -> float:
+    """Return the squared norm, in standard deviations, at which an effect is said to be found with 80 % power.
+
+    For an effect that is in no table it is that of a family of as many parameters tried for each tracer.
+    """
+    field, _ = field_of_job(subject, {}, np.random.default_rng(1))
+    known = [i for i, family in enumerate(field.families) if family.name == name]
+    number = known[0] if known else next(i for i, f in enumerate(field.families) if f.name == "dead-path-drift")
+    return needed(field, number, parameters)

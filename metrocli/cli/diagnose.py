@@ -1,0 +1,41 @@
+"""metrocli diagnose: what the model of a job gets wrong, why, and the gain of mending it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from metrocli.cli import options
+
+
+@click.command("diagnose", help="Say what the model of a job gets wrong, why, and what mending it gains.")
+@options.JOB
+@click.option("--design", is_flag=True, help="Say what the measurement could see at all, without looking at residuals.")
+@options.SET
+@options.JSON
+@options.QUIET
+@options.VERBOSE
+def command(job: Path, design: bool, overrides: tuple[str, ...], as_json: bool, quiet: bool, verbose: bool) -> int:
+    """Diagnose, write the extended job where an effect was named, and print the report."""
+    from metrocli.cli import diagnosis_text, summary
+    from metrocli.diagnosis import verdict
+    from metrocli.diagnosis.diagnose import planned
+    from metrocli.project import diagnosed
+    from metrocli.project.job import Wishes, load
+
+    voice = options.Voice(quiet or as_json, verbose)
+    loaded = load(job, Wishes(overrides))
+    if design:
+        subject = diagnosed.subject_of(loaded)
+        found = planned(subject)
+        if as_json:
+            click.echo(summary.as_json(verdict.design_data(subject, found)))
+        voice.line(diagnosis_text.of_design(subject, found))
+        return 0
+    diagnosis = diagnosed.carry_out(loaded, voice.waiting)
+    extended = diagnosed.write_extended(loaded, diagnosis)
+    if as_json:
+        click.echo(summary.as_json(verdict.as_data(diagnosis) | {"extended_job": extended and str(extended)}))
+    voice.line(diagnosis_text.of_diagnosis(diagnosis, extended))
+    return 0

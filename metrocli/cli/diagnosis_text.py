@@ -1,0 +1,171 @@
+"""A diagnosis as people read it: a paragraph, then the tables."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from textwrap import fill
+
+import numpy as np
+
+from metrocli import units
+from metrocli.diagnosis import verdict
+from metrocli.diagnosis.design import Candidate, Design
+from metrocli.diagnosis.diagnose import Diagnosis, Finding
+from metrocli.diagnosis.naming import Named
+from metrocli.diagnosis.subject import Subject
+
+_WIDTH = 110
+_SHOWN = 5
+_SURE = 1e-12
+
+
+def of_diagnosis(diagnosis: Diagnosis, extended: Path | None) -> str:
+    """Return the report of a diagnosis."""
+    paragraph = " ".join(_sentences(diagnosis, extended))
+    lines = [f"verdict: {diagnosis.verdict}", "", fill(paragraph, _WIDTH)]
+    if diagnosis.findings:
+        lines += ["", *_table(_HEAD, [_row(finding, diagnosis.subject) for finding in diagnosis.findings])]
+    if diagnosis.separate_by:
+        lines += ["", "to tell them apart, measure:", *(f"  {words}" for words in diagnosis.separate_by)]
+    names = [finding.named for finding in diagnosis.findings]
+    return "\n".join([*lines, "", *_candidates(diagnosis.subject, diagnosis.design, names)])
+
+
+def of_design(subject: Subject, design: Design) -> str:
+    """Return what a measurement can see."""
+    lines = ["what this measurement can see, in 80 of 100 cases, counting all that is tried:", ""]
+    lines += _candidates(subject, design, [])
+    alike = [
+        f"  {pair.one} and {pair.other}: "
+        + ("the same" if pair.alias else f"told apart from {_size(pair.separable, pair.unit)} on")
+        for pair in design.pairs
+    ]
+    return "\n".join([*lines, *(["", "hard to tell apart:", *alike] if alike else [])])
+
+
+def _sentences(diagnosis: Diagnosis, extended: Path | None) -> Iterator[str]:
+    if diagnosis.mistaken is not None:
+        likely = " or ".join(map(str, diagnosis.mistaken.mistakes[:_SHOWN]))
+        yield f"A file of this job is wrong: {likely}. Correct it; all that follows is for the job without that."
+    if diagnosis.findings:
+        yield f"The residuals hold structure beyond noise ({_chance(diagnosis.before)})."
+    elif diagnosis.left is None:
+        strongest = f"{_chance(diagnosis.after)} for the strongest structure"
+        yield f"The residuals are what noise makes of this model ({strongest})."
+    for finding in diagnosis.findings:
+        yield from _about(finding, diagnosis.subject)
+    if diagnosis.left is not None:
+        on, chance = " and ".join(diagnosis.left.depends_on), _chance(diagnosis.left.p_value)
+        yield f"Structure is left that no known effect explains ({chance}); it varies with {on}."
+    elif diagnosis.findings:
+        yield f"After that no structure is left ({_chance(diagnosis.after)})."
+    yield from _noise(diagnosis)
+    if diagnosis.outliers:
+        told = [f"{'/'.join(one.keys.values())} ({one.test:.0f} sigma)" for one in diagnosis.outliers[:_SHOWN]]
+        more = f" and {len(diagnosis.outliers) - _SHOWN} more" if len(diagnosis.outliers) > _SHOWN else ""
+        yield f"Wrong readings: {', '.join(told)}{more}; `outliers: remove` leaves them out, or read them again."
+    if extended is not None:
+        yield f"The job with what was named is {extended}; run it, and diagnose it again."
+
+
+def _about(finding: Finding, subject: Subject) -> Iterator[str]:
+    name, gain = finding.named, finding.gain
+    cause = name.alternative.effect.cause
+    yield f"{name.alternative} explains it: {cause}; {', '.join(_parameters(finding))}."
+    yield f"That this is chance: {_chance(float(np.exp(name.log_level)))}."
+    if name.rivals:
+        others = " or ".join(str(rival.alternative) for rival in name.rivals[:_SHOWN])
+        yield f"With this measurement {others} explains the readings as well."
+    shift, unit = units.readable(finding.shift, subject.delivered.dimension)
+    yield f"It changes the {subject.delivered.what} by up to {shift:.2g} {unit}."
+    score = f"log score {gain.log_score:+.1f} ± {gain.log_score_std:.1f}"
+    if gain.shown:
+        yield f"Readings that were held out are predicted {100 * gain.reduction:.0f} % better ({score})."
+    else:
+        yield f"A gain on readings that were held out is not shown ({score})."
+
+
+def _parameters(finding: Finding) -> Iterator[str]:
+    name = finding.named
+    known = {p.name: p for p in name.alternative.effect.all_parameters}
+    std = np.sqrt(np.maximum(np.diag(name.covariance), 0.0))
+    for key, value, spread in zip(name.alternative.parameters, name.values, std, strict=True):
+        dimension = known[key].dimension
+        _, symbol = units.readable(float(value), dimension)
+        factor = units.find_unit(symbol, dimension).outside(1.0) if dimension and symbol != "1" else 1.0
+        yield f"{key} = {units.format_quantity(float(value) * factor, symbol, float(spread) * factor)}"
+    for key, value in name.alternative.scanned:
+        yield f"{key} {value:.6g} {known[key].unit}"
+
+
+def _noise(diagnosis: Diagnosis) -> Iterator[str]:
+    noise, declared = diagnosis.noise, diagnosis.subject.declared
+    interval = f"{noise.ratio:.2f} [{noise.low:.2f}, {noise.high:.2f}]"
+    if noise.low > 1 or noise.high < 1:
+        yield f"The noise is {interval} times what is declared ({declared})."
+    else:
+        yield f"The noise is as declared ({interval} times {declared})."
+    for unit in diagnosis.apart:
+        yield f"{unit.key} {unit.name} is {unit.ratio:.2g} times as noisy as the others."
+
+
+def _chance(p: float) -> str:
+    return "p < 1e-12" if p < _SURE else f"p = {p:.2g}"
+
+
+_HEAD = ("effect", "size", "chance", "or", "held out", "changes")
+
+
+def _row(finding: Finding, subject: Subject) -> tuple[str, ...]:
+    name, gain = finding.named, finding.gain
+    shift, unit = units.readable(finding.shift, subject.delivered.dimension)
+    return (
+        str(name.alternative),
+        ", ".join(_parameters(finding)),
+        _chance(float(np.exp(name.log_level))),
+        ", ".join(str(rival.alternative) for rival in name.rivals) or "-",
+        f"{-100 * gain.reduction:+.0f} %" + ("" if gain.shown else " (not shown)"),
+        f"{shift:.2g} {unit}",
+    )
+
+
+def _candidates(subject: Subject, design: Design, named: Sequence[Named]) -> list[str]:
+    """Return the table of candidates, those of one cause and one state in one line."""
+    rows: dict[tuple[str, str], list[Candidate]] = {}
+    for candidate in design.candidates:
+        word = verdict.status(candidate, named)
+        rows.setdefault((candidate.alternative.effect.name, word), []).append(candidate)
+    lines = [_line(subject, name, word, found) for (name, word), found in rows.items()]
+    lines += [(one.effect.name, "", verdict.NOT_TESTED, "-", "-", one.reason) for one in design.not_tested]
+    return _table(("effect", "where", "", "seen from", "hides up to", ""), lines)
+
+
+def _line(subject: Subject, name: str, word: str, found: Sequence[Candidate]) -> tuple[str, ...]:
+    places = ["/".join(one.alternative.instance) for one in found if one.alternative.instance]
+    where = ", ".join(places[:_SHOWN]) + (f" and {len(places) - _SHOWN} more" if len(places) > _SHOWN else "")
+    dimension = found[0].alternative.effect.parameters[0].dimension
+    sizes = [one.detectable for one in found if one.testable]
+    most = max(one.hides for one in found)
+    hides, unit = units.readable(most, subject.delivered.dimension)
+    why = f"absorbed by {', '.join(found[0].absorbed_by)}" if word == verdict.NOT_TESTABLE else ""
+    seen = _span(min(sizes), max(sizes), dimension) if sizes else "-"
+    return name, where, word, seen, f"{hides:.2g} {unit}", why
+
+
+def _span(least: float, most: float, dimension: str) -> str:
+    low, unit = units.readable(least, dimension)
+    factor = most / least
+    return f"{low:.2g} {unit}" if factor < 1.05 else f"{low:.2g} to {low * factor:.2g} {unit}"
+
+
+def _size(value: float, unit: str) -> str:
+    dimension = next((name for name in units.DIMENSIONS if units.internal_unit(name) == unit and unit != "1"), "")
+    size, symbol = units.readable(value, dimension)
+    return f"{size:.2g} {symbol}".strip()
+
+
+def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    lines = [tuple(head), *map(tuple, rows)]
+    widths = [max(len(line[i]) for line in lines) for i in range(len(head))]
+    return ["  ".join(f"{cell:{width}}" for cell, width in zip(line, widths, strict=True)).rstrip() for line in lines]

@@ -1,0 +1,163 @@
+"""Candidates: for each cause its forms and places, each with the columns that it would add to the model."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from metrocli.adjust.blocks import Array
+from metrocli.diagnosis.projection import System, signatures
+from metrocli.diagnosis.subject import Subject
+from metrocli.effects.effect import COLUMN, Effect
+from metrocli.effects.model import Model, can_act
+
+_MOST_PLACES = 3000
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """One form of a cause at one place: what a name would say."""
+
+    effect: Effect
+    instance: tuple[str, ...]
+    scanned: tuple[tuple[str, float], ...] = ()
+    parameters: tuple[str, ...] = ()
+    """Those whose columns it has, in order"""
+
+    @property
+    def where(self) -> dict[str, str]:
+        """The place as a job names it."""
+        named = dict(zip(self.effect.keys, self.instance, strict=True))
+        return named | ({"by": self.effect.by} if "by" in self.effect.where else {})
+
+    @property
+    def spot(self) -> tuple[str, tuple[str, ...]]:
+        """Cause and place, without its form and the values that were scanned."""
+        return self.effect.name, self.instance
+
+    def __str__(self) -> str:
+        return " ".join([self.effect.name, *self.instance])
+
+
+@dataclass(frozen=True)
+class Family:
+    """A cause with all its alternatives of the same number of columns."""
+
+    name: str
+    alternatives: tuple[Alternative, ...]
+    columns: Array
+    """What the unknowns leave of their whitened signatures, (rows, alternatives, parameters)"""
+    raw: Array
+    """Norm of the whole whitened signature of each, (alternatives, parameters)"""
+    unknown: str = ""
+    """The covariate of a family of smooth functions, which have no cause"""
+
+
+@dataclass(frozen=True)
+class NotTested:
+    """An effect without candidates, with the reason."""
+
+    effect: Effect
+    reason: str
+
+
+def families_of(subject: Subject, system: System) -> tuple[list[Family], list[NotTested]]:
+    """Return the candidates of all effects that the data allow to test, and those that they do not."""
+    families: dict[tuple[str, int], list[Family]] = {}
+    missing: list[NotTested] = []
+    for effect in subject.effects:
+        if effect.of_one_reading:
+            continue
+        if not can_act(subject.model, effect):
+            missing.append(NotTested(effect, f"needs a column {' and '.join(COLUMN.get(n, n) for n in effect.needs)}"))
+            continue
+        for family in _of_effect(subject, system, effect):
+            families.setdefault((family.name, family.columns.shape[2]), []).append(family)
+    tested = {name for name, _ in families}
+    seen = [one for one in missing if one.effect.name not in tested]
+    return [_joined(parts) for parts in families.values()], seen
+
+
+def _joined(parts: Sequence[Family]) -> Family:
+    if len(parts) == 1:
+        return parts[0]
+    return Family(
+        parts[0].name,
+        tuple(one for part in parts for one in part.alternatives),
+        np.concatenate([part.columns for part in parts], axis=1),
+        np.concatenate([part.raw for part in parts], axis=0),
+    )
+
+
+def instances(model: Model, effect: Effect) -> list[tuple[str, ...]]:
+    """Return all places where an effect could act."""
+    found = list(product(*(model.places[key].names for key in effect.keys)))
+    return found[:_MOST_PLACES]
+
+
+def _of_effect(subject: Subject, system: System, effect: Effect) -> Iterator[Family]:
+    places = _absent(subject.model, effect)
+    together = bool(effect.keys) and all(subject.model.places[key].index for key in effect.keys)
+    for chosen in [places] if together else [[place] for place in places]:
+        if not chosen:
+            continue
+        found = [_columns(subject, system, effect, chosen, dict(scan)) for scan in _scans(subject.model, effect)]
+        kept = [(one, columns, raw) for part in found for one, columns, raw in part]
+        by_size: dict[int, list[tuple[Alternative, Array, Array]]] = {}
+        for item in kept:
+            by_size.setdefault(item[1].shape[1], []).append(item)
+        for items in by_size.values():
+            columns = np.stack([columns for _, columns, _ in items], axis=1)
+            yield Family(effect.name, tuple(one for one, _, _ in items), columns, np.stack([raw for *_, raw in items]))
+
+
+def _absent(model: Model, effect: Effect) -> list[tuple[str, ...]]:
+    """Return the places where the model does not have the effect yet; scanned ones may be there more than once."""
+    there = {place for one in model.added if one.effect.name == effect.name for place in one.instances}
+    places = instances(model, effect)
+    return places if effect.scanned else [place for place in places if place not in there]
+
+
+def _scans(model: Model, effect: Effect) -> list[tuple[tuple[str, float], ...]]:
+    """Return all combinations of values of the scanned parameters to try; one empty one where there is none."""
+    grids: list[list[tuple[str, float]]] = []
+    for parameter in effect.scanned:
+        values: Array = np.zeros(0)
+        if parameter.place:
+            values = np.arange(1.0, len(model.places[parameter.place].names))
+        elif parameter.grid is not None:
+            values = parameter.grid(model.readings[0].observations.conditions)
+        grids.append([(parameter.name, float(value)) for value in values])
+    return list(product(*grids))
+
+
+def _columns(
+    subject: Subject, system: System, effect: Effect, places: Sequence[tuple[str, ...]], scanned: Mapping[str, float]
+) -> list[tuple[Alternative, Array, Array]]:
+    """Return for each place the visible columns of its parameters (rows, parameters) and their norms before."""
+    model = subject.model
+    full, block, chosen = signatures(model, system, effect, places, scanned)
+    if not chosen.any():
+        return []
+    member, column = np.nonzero(chosen)
+    before = model.blocks.get(block.name)
+    seen = system.seen(full)
+    kept = []
+    for number, place in enumerate(places):
+        own = member == (number + 1 if len(block.members) > 1 and before is None else _row(block.members, place))
+        if not own.any():
+            own = np.ones(len(member), dtype=bool) if len(places) == 1 else own
+        touched = np.flatnonzero(np.abs(full[:, own]).max(axis=1) > 0) if own.any() else np.zeros(0)
+        if len(touched) < subject.fewest:
+            continue
+        names = tuple(block.columns[i] for i in column[own])
+        alternative = Alternative(effect, place, tuple(scanned.items()), names)
+        kept.append((alternative, seen[:, own], np.linalg.norm(full[:, own], axis=0)))
+    return kept
+
+
+def _row(members: Sequence[str], place: tuple[str, ...]) -> int:
+    return members.index(place[0]) if place and place[0] in members else 0

@@ -1,0 +1,142 @@
+"""Mistakes in the files of a job: a wrong unit, swapped or mirrored axes. Each is tried by an adjustment without it.
+
+They are looked for only where a job fails, or where its result is beyond anything that an effect does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from metrocli.diagnosis.subject import Subject
+from metrocli.errors import InputError, NotConvergedError, UndeterminedError
+from metrocli.table import Table
+from metrocli.units import DIMENSIONS, INCH
+
+if TYPE_CHECKING:
+    from metrocli.table import Values
+
+_ABSURD = 10.0
+"""Median residual, in declared standard deviations, beyond which the files are looked at"""
+_BETTER = 10.0
+"""How many times nearer to what is plausible a job without the mistake must be"""
+_AS_GOOD = 2.0
+
+Inputs = Mapping[str, object]
+Adjust = Callable[[Inputs], Subject]
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """A mistake in one input, with what it does."""
+
+    input: str
+    words: str
+
+    def __str__(self) -> str:
+        return f"{self.input}: {self.words}"
+
+
+@dataclass(frozen=True)
+class Mistaken:
+    """The mistakes that explain a job as it is, the best first, and the job without that one."""
+
+    mistakes: tuple[Mistake, ...]
+    subject: Subject
+    before: float
+    """How far beyond the plausible the job is with the mistake, inf where it failed"""
+    after: float
+
+
+def without_mistakes(inputs: Inputs, adjust: Adjust) -> tuple[Subject, Mistaken | None]:
+    """Return the adjusted job; where it is absurd or fails, and a mistake in a file explains that, without the mistake.
+
+    Raises what the adjustment of the job as it is raised where no mistake explains it.
+    """
+    failure: Exception | None = None
+    subject, before = None, float("inf")
+    try:
+        subject = adjust(inputs)
+        before = strangeness(subject)
+    except (UndeterminedError, NotConvergedError, InputError) as error:
+        failure = error
+    if subject is not None and before <= 1:
+        return subject, None
+    found = _explaining(inputs, adjust, before)
+    if found is not None:
+        return found.subject, found
+    if subject is None:
+        raise failure or RuntimeError("a job that gave nothing")
+    return subject, None
+
+
+def strangeness(subject: Subject) -> float:
+    """Return how many times a job is beyond the plausible: its median residual, or what its files say of places."""
+    medians = []
+    for group in subject.model.readings:
+        residual = group.observations.whitened(group.residuals(subject.model.blocks))
+        medians.append(float(np.median(np.abs(residual))))
+    return max(max(medians, default=0.0) / _ABSURD, subject.astray)
+
+
+def _explaining(inputs: Inputs, adjust: Adjust, before: float) -> Mistaken | None:
+    tried: list[tuple[float, Mistake, Subject]] = []
+    for mistake, changed in altered(inputs):
+        try:
+            subject = adjust(changed)
+        except (UndeterminedError, NotConvergedError, InputError):
+            continue
+        tried.append((strangeness(subject), mistake, subject))
+    tried.sort(key=lambda one: one[0])
+    if not tried or tried[0][0] > 1 or tried[0][0] * _BETTER > before:
+        return None
+    best = tried[0]
+    alike = tuple(mistake for value, mistake, _ in tried if value <= max(_AS_GOOD * best[0], _AS_GOOD / _ABSURD))
+    return Mistaken(alike, best[2], before, best[0])
+
+
+def altered(inputs: Inputs) -> Iterator[tuple[Mistake, Inputs]]:
+    """Yield each mistake that could be in the files, with the inputs as they would be without it."""
+    for key, table in inputs.items():
+        if isinstance(table, Table):
+            for words, changed in _of_table(table):
+                yield Mistake(key, words), {**inputs, key: changed}
+
+
+def _of_table(table: Table) -> Iterator[tuple[str, Table]]:
+    lengths = [name for name, unit in table.units.items() if unit == "mm" and not name.startswith("sigma")]
+    per_metre = next(unit.times for unit in DIMENSIONS["length"].units if unit.symbol == "m")
+    units = (
+        ("written in inches, read as millimetres", INCH),
+        ("written in millimetres, read as inches", 1 / INCH),
+        ("a thousand times too small (metres for millimetres, millimetres for micrometres)", per_metre),
+        ("a thousand times too large (millimetres for metres, micrometres for millimetres)", 1 / per_metre),
+    )
+    for words, factor in units if lengths else ():
+        yield words, _scaled(table, lengths, factor)
+    angles = [name for name, unit in table.units.items() if unit == "rad"]
+    if angles:
+        degree = next(unit.inside(1.0) for unit in DIMENSIONS["angle"].units if unit.symbol == "deg")
+        yield "degrees, read as radians", _scaled(table, angles, degree)
+        yield "radians, read as degrees", _scaled(table, angles, 1 / degree)
+    axes = [name for name in "xyz" if name in table]
+    for one, other in combinations(axes, 2):
+        yield f"{one} and {other} are swapped", _swapped(table, one, other)
+    for axis in axes:
+        yield f"{axis} has the wrong sign", _scaled(table, [axis], -1.0)
+
+
+def _scaled(table: Table, names: list[str], factor: float) -> Table:
+    columns: dict[str, Values] = {**table.columns}
+    columns |= {name: table.numbers(name) * factor for name in names}
+    return replace(table, columns=columns)
+
+
+def _swapped(table: Table, one: str, other: str) -> Table:
+    columns: dict[str, Values] = {**table.columns}
+    columns[one], columns[other] = table.columns[other], table.columns[one]
+    return replace(table, columns=columns)

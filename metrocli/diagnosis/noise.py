@@ -1,0 +1,121 @@
+"""The noise found: its level against the declared one, and units (a tracer, an image) noisier than the others."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrocli.adjust.blocks import Array
+from metrocli.adjust.observations import Mask
+from metrocli.diagnosis.distributions import chi_interval
+from metrocli.diagnosis.projection import System
+from metrocli.diagnosis.race import PRIOR, Given
+from metrocli.diagnosis.subject import Subject
+
+_LEVEL = 1e-3
+_DRAWS = 400
+_APART = 1.4
+"""Ratio of standard deviations below which a unit is left as it is"""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """The noise of the readings over the declared one."""
+
+    ratio: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A part of the readings with a noise of its own."""
+
+    key: str
+    name: str
+    ratio: float
+    """Of its standard deviation to that of the others"""
+
+
+def noise_of(given: Given) -> Noise:
+    """Return the noise that is left, with its 95 % interval (chi-squared)."""
+    squares, dof = given.squares - PRIOR, max(given.dof - PRIOR, 1.0)
+    low, high = chi_interval(squares, dof)
+    return Noise(float(np.sqrt(squares / dof)), low, high)
+
+
+def apart(subject: Subject, system: System, given: Given, rng: np.random.Generator) -> Unit | None:
+    """Return the unit whose noise differs most from that of the others, None where that is chance.
+
+    Score test of its variance, `|r_u|^2 / |r|^2` against its null distribution, a scaled chi-squared of the moments
+    that projected white noise has; the ratio by equating sums of squares to their expectations (MINQUE, Rao 1971).
+    """
+    units = list(_units(subject, system))
+    if len(units) < 2:
+        return None
+    noise = system.seen(rng.normal(size=(system.rows, _DRAWS)))
+    noise -= given.basis @ (given.basis.T @ noise)
+    whole = (noise**2).sum(axis=0)
+    found = []
+    for key, name, rows in units:
+        shares = (noise[rows] ** 2).sum(axis=0) / whole
+        share = float((given.residual[rows] ** 2).sum() / max(given.residual @ given.residual, 1e-300))
+        found.append((_log_tail(share, shares), key, name, rows))
+    log_p, key, name, rows = min(found, key=lambda one: one[0])
+    if log_p > np.log(_LEVEL / len(units)):
+        return None
+    ratio = _ratio(system, given, rows)
+    return None if 1 / _APART < ratio < _APART else Unit(key, name, ratio)
+
+
+def _units(subject: Subject, system: System) -> Iterator[tuple[str, str, Mask]]:
+    for key in subject.units:
+        place = subject.model.places[key]
+        for number, name in enumerate(place.names):
+            rows = np.zeros(system.rows, dtype=bool)
+            for group in subject.model.readings:
+                index = group.observations.index.get(place.index)
+                if index is not None:
+                    rows |= system.spread(group, (index == number).astype(float)) > 0
+            if rows.any():
+                yield key, name, rows
+
+
+def _log_tail(share: float, shares: Array) -> float:
+    """Return ln of twice the smaller tail of a share, whose null distribution is a scaled chi-squared."""
+    from scipy.special import chdtr, chdtrc
+
+    mean, variance = float(shares.mean()), max(float(shares.var()), 1e-300)
+    scale, dof = variance / (2 * mean), 2 * mean**2 / variance
+    tail = min(float(chdtr(dof, share / scale)), float(chdtrc(dof, share / scale)))
+    return float(np.log(max(2 * tail, 1e-300)))
+
+
+def _ratio(system: System, given: Given, rows: Mask) -> float:
+    """Return the standard deviation of some readings over that of the rest, from the expectations of their squares."""
+    taken = np.concatenate([system.basis, given.basis], axis=1)
+    parts = (rows, ~rows)
+    grams = [taken[part].T @ taken[part] for part in parts]
+    h = np.array([[float((a * b).sum()) for b in grams] for a in grams])
+    for i, part in enumerate(parts):
+        h[i, i] += part.sum() - 2 * np.trace(grams[i])
+    squares = np.array([float((given.residual[part] ** 2).sum()) for part in parts])
+    variance = np.linalg.lstsq(h, squares, rcond=None)[0]
+    floor = 1e-4 * max(float(variance.max()), 1e-300)
+    return float(np.sqrt(max(variance[0], floor) / max(variance[1], floor)))
+
+
+def weighted(subject: Subject, weights: Mapping[str, Array], unit: Unit) -> dict[str, Array]:
+    """Return factors on the whitened readings of each group that bring those of a unit to the noise of the others."""
+    place = subject.model.places[unit.key]
+    number = place.names.index(unit.name)
+    found = {}
+    for group in subject.model.readings:
+        factor = weights.get(group.name, np.ones(group.observations.count)).copy()
+        index = group.observations.index.get(place.index)
+        if index is not None:
+            factor[index == number] /= unit.ratio
+        found[group.name] = factor
+    return found

@@ -1,0 +1,205 @@
+"""The adjustment as one dense linear system, and what of a change of the readings its unknowns leave visible.
+
+With J the whitened derivatives by all unknowns and r the whitened residuals, `M = I - J (J'J)^- J'` takes from a
+signature g what the unknowns absorb: Mg is seen, `J^- g` is by how much the unknowns would be wrong. M does not depend
+on the datum.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from metrocli.adjust.blocks import Array, Block
+from metrocli.adjust.datum import open_frame
+from metrocli.adjust.groups import Group, Linear
+from metrocli.adjust.layout import Layout, arrange
+from metrocli.adjust.observations import Index, Mask
+from metrocli.effects.effect import Effect
+from metrocli.effects.model import Model, with_effect
+from metrocli.errors import InputError
+
+MOST_NUMBERS = 60_000_000
+"""Size of the dense system beyond which it is refused"""
+
+
+@dataclass(frozen=True)
+class System:
+    """A model linearised at its values; a row for each component of each reading, those of a reading together."""
+
+    model: Model
+    layout: Layout
+    residual: Array
+    """Whitened (rows,)"""
+    basis: Array
+    """Columns b with `b b' = J (J'J)^- J'`, (rows, unknowns)"""
+    solver: Array
+    """R: `unknowns = R basis' values`, in the datum of the model, (unknowns, unknowns)"""
+    first: Mapping[str, int]
+    """The first row of each group"""
+    scale: Array
+    """Standard deviation of each row in the unit of its reading, (rows,)"""
+    sizes: Array
+    """Norm of J's column of each unknown, (unknowns,)"""
+
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+        return len(self.residual)
+
+    @cached_property
+    def dof(self) -> int:
+        """Degrees of freedom, the trace of M."""
+        return round(self.rows - float((self.basis**2).sum()))
+
+    @cached_property
+    def measured(self) -> Mask:
+        """The rows that are readings, not priors."""
+        mask = np.zeros(self.rows, dtype=bool)
+        for group in self.model.readings:
+            mask[self.first[group.name] : self.first[group.name] + group.observations.readings.size] = True
+        return mask
+
+    def seen(self, values: Array) -> Array:
+        """Return `M values`, (rows, ...)."""
+        return values - np.tensordot(self.basis, np.tensordot(self.basis.T, values, 1), 1)
+
+    def absorbed(self, values: Array) -> Array:
+        """Return what the unknowns take of values (rows, k): the change of each, (unknowns, k)."""
+        return np.asarray(self.solver @ (self.basis.T @ values))
+
+    def spread(self, group: Group, values: Array) -> Array:
+        """Return values of readings (n, ...) at their rows, 0 elsewhere: each component has the value."""
+        d = len(group.observations.readings)
+        full = np.zeros((self.rows, *values.shape[1:]))
+        start = self.first[group.name]
+        full[start : start + d * len(values)] = np.repeat(values, d, axis=0)
+        return full
+
+    def entries(self, block: str) -> Index:
+        """Return for each entry of a block its place among the unknowns, -1 where it is none, (members, size)."""
+        columns = self.layout.columns.get(block)
+        shape = self.model.blocks[block].values.shape
+        return np.full(shape, -1, dtype=np.intp) if columns is None else columns
+
+    def shift(self, values: Array, block: str, columns: tuple[int, ...]) -> Array:
+        """Return by how much a change of the readings (rows, k) moves chosen columns of a block, (members, columns, k).
+
+        The sign is that of the change of the estimates when the readings contain it and the model does not.
+        """
+        change = self.absorbed(values)
+        places = self.entries(block)[:, list(columns)]
+        return np.where((places >= 0)[:, :, None], change[np.maximum(places, 0)], 0.0)
+
+
+def by_rows(linear: Linear) -> Array:
+    """Return the residuals of a group with the components of each reading together."""
+    return np.ascontiguousarray(linear.residual.T).ravel()
+
+
+def linearised(model: Model, weights: Mapping[str, Array] | None = None) -> System:
+    """Return the model as a system; `weights` (n,) multiply the whitened rows of the readings of a group.
+
+    Raises InputError where it is too large to be held as one dense matrix.
+    """
+    layout = arrange(model.blocks, model.groups, keep=tuple(model.blocks))
+    _must_fit(model, layout)
+    residuals, jacobians, scales, first, place = [], [], [], {}, 0
+    for group in model.groups:
+        linear = group.linear(model.blocks, layout.wanted)
+        d, n = linear.residual.shape
+        own = None if weights is None else weights.get(group.name)
+        factor = np.repeat(np.ones(n) if own is None else own, d)
+        jacobian = np.zeros((n, d, layout.width))
+        for touch in linear.touches:
+            scatter(jacobian, touch.jacobian, layout.columns[touch.block][touch.index])
+        first[group.name] = place
+        place += n * d
+        residuals.append(by_rows(linear) * factor)
+        jacobians.append(jacobian.reshape(n * d, -1) * factor[:, None])
+        scales.append(group.observations.sigma.T.ravel() / factor)
+    residual, jacobian = np.concatenate(residuals), np.concatenate(jacobians)
+    basis, solver, sizes = _factored(model, layout, jacobian)
+    system = System(model, layout, residual, basis, solver, first, np.concatenate(scales), sizes)
+    return replace(system, residual=system.seen(residual))
+
+
+def _must_fit(model: Model, layout: Layout) -> None:
+    rows = sum(group.observations.readings.size for group in model.groups)
+    if rows * max(layout.width, 1) > MOST_NUMBERS:
+        raise InputError(
+            f"diagnose holds readings and unknowns in one table; {rows} readings with {layout.width} unknowns are too "
+            "many: diagnose a part of the measurement"
+        )
+
+
+def scatter(full: Array, jacobian: Array, columns: Index) -> None:
+    """Add derivatives (d, size, n) to (n, d, width) at each reading's columns (n, size); -1 is nowhere."""
+    rows = np.arange(len(full))
+    for a in range(columns.shape[1]):
+        at = columns[:, a]
+        kept = at >= 0
+        full[rows[kept], :, at[kept]] += jacobian[:, a, :].T[kept]
+
+
+def _factored(model: Model, layout: Layout, jacobian: Array) -> tuple[Array, Array, Array]:
+    """Return basis, solver and sizes by a QR decomposition, with the conditions of the datum as rows of their own."""
+    size = np.sqrt((jacobian**2).sum(axis=0))
+    size = np.where(size > 0, size, 1.0)
+    scaled = jacobian / size
+    rows = scaled
+    if model.datum is not None:
+        frame = open_frame(model.datum, model.blocks, layout, jacobian.T @ jacobian)
+        if frame is not None:
+            conditions = np.zeros((len(frame.constraint), layout.width))
+            places = layout.columns[model.datum.block].ravel()
+            conditions[:, places[places >= 0]] = frame.constraint[:, places >= 0]
+            conditions = conditions / size
+            rows = np.concatenate([scaled, conditions / np.linalg.norm(conditions, axis=1, keepdims=True)])
+    q, triangle = np.linalg.qr(rows)
+    inverse = np.linalg.inv(triangle)
+    return q[: len(jacobian)], inverse / size[:, None], size
+
+
+def whitened_columns(model: Model, group: Group, block: Block, chosen: Mask) -> Array:
+    """Return the whitened derivatives of a group by the chosen entries of a block, (rows of the group, entries)."""
+    numbers = np.full(block.values.shape, -1, dtype=np.intp)
+    numbers[chosen] = np.arange(int(chosen.sum()))
+    d, n = group.observations.readings.shape
+    full = np.zeros((n, d, int(chosen.sum())))
+    if block.name in group.chain.blocks:
+        for touch in group.linear(model.blocks, frozenset({block.name})).touches:
+            scatter(full, touch.jacobian, numbers[touch.index])
+    return full.reshape(n * d, -1)
+
+
+def signatures(
+    model: Model, system: System, effect: Effect, places: Sequence[tuple[str, ...]], scanned: Mapping[str, float]
+) -> tuple[Array, Block, Mask]:
+    """Return the whitened columns that an effect at some places adds (rows, entries), with its block and the entries.
+
+    Entries are those of the effect's block that the model did not estimate before, (members, size).
+    """
+    extended = with_effect(model, effect, places, scanned)
+    block = extended.blocks[extended.added[-1].block]
+    before = model.blocks.get(block.name)
+    chosen = block.free.copy()
+    if before is not None:
+        chosen[:, : before.size] &= ~before.free
+    full = np.zeros((system.rows, int(chosen.sum())))
+    for group in extended.readings:
+        found = whitened_columns(extended, group, block, chosen)
+        start = system.first[group.name]
+        factor = group.observations.sigma.T.ravel() / system.scale[start : start + len(found)]
+        full[start : start + len(found)] = found * factor[:, None]
+    return full, block, chosen
+
+
+def signature(
+    model: Model, system: System, effect: Effect, place: tuple[str, ...], scanned: Mapping[str, float]
+) -> Array:
+    """Return the whitened columns of an effect at one place, (rows, parameters)."""
+    return signatures(model, system, effect, [place], scanned)[0]

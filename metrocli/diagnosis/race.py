@@ -1,0 +1,246 @@
+"""The race: every candidate's F test given what is in the model already, at a level that counts all that was tried.
+
+A scan over m places is the least of m dependent tests; it counts as so many independent ones as white noise, projected
+like the residuals, says. The same noise says how many independent causes race with each other (Westfall and Young).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from metrocli.adjust.blocks import Array
+from metrocli.adjust.observations import Mask
+from metrocli.diagnosis.candidates import Family
+from metrocli.diagnosis.distributions import log_family, log_tail
+from metrocli.diagnosis.projection import System
+
+_VISIBLE = 1e-6
+"""Share of a signature below which rounding is all that is left"""
+_DRAWS = 1000
+_MOST_WORK = 4e9
+PRIOR = 2.0
+"""Degrees of freedom for which the declared noise counts: with few readings it carries weight, with many it does not"""
+
+
+@dataclass(frozen=True)
+class Given:
+    """What is in the model beside its own unknowns: an orthonormal basis of visible columns, and the residual left."""
+
+    basis: Array
+    """(rows, k)"""
+    residual: Array
+    squares: float
+    """Sum of squares of the residual, and what the declared noise adds (`PRIOR`)"""
+    dof: float
+
+    def with_columns(self, columns: Array) -> Given:
+        """Return it with more columns (rows, q) in the model; what is not visible beside the others adds nothing."""
+        left = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+        for _ in range(2):
+            left = left - self.basis @ (self.basis.T @ left)
+        u, s, _ = np.linalg.svd(left, full_matrices=False)
+        new = u[:, s > _VISIBLE]
+        residual = self.residual - new @ (new.T @ self.residual)
+        basis = np.concatenate([self.basis, new], axis=1)
+        return Given(basis, residual, float(residual @ residual) + PRIOR, self.dof - new.shape[1])
+
+
+def nothing(system: System) -> Given:
+    """Return the model as it is."""
+    r = system.residual
+    return Given(np.zeros((system.rows, 0)), r, float(r @ r) + PRIOR, system.dof + PRIOR)
+
+
+@dataclass(frozen=True)
+class Score:
+    """The tests of one family."""
+
+    gain: Array
+    """By how much each alternative lowers the sum of squares"""
+    rank: Array
+    """Visible parameters of each, 0 where nothing of it is seen"""
+    log_p: Array
+    """ln of the level of each alone"""
+
+    @property
+    def best(self) -> int:
+        """The alternative of the least level."""
+        return int(np.argmin(self.log_p))
+
+
+@dataclass(frozen=True)
+class Field:
+    """All that races, with the number of independent tests that each family and all families together count as."""
+
+    system: System
+    families: tuple[Family, ...]
+    scales: tuple[Array, ...]
+    """Norm of the whole signatures, of each alternative"""
+    grams: tuple[Array, ...]
+    """`G'G` of each alternative, (alternatives, q, q)"""
+    blocks: Array
+    """M of each reading, (readings, d, d), nan-free; zero for components that it has not"""
+    places: Array
+    """Rows of each reading, (readings, d), -1 where it has fewer components"""
+    tests: tuple[float, ...] = ()
+    """Of each family, then of the outliers"""
+    causes: float = 1.0
+    """Of all families together"""
+    unknowns: float = 1.0
+    """Of all families of smooth functions together"""
+    excluded: Mask = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    """Readings that cannot be called outliers"""
+
+    def scores(self, given: Given) -> list[Score]:
+        """Return the tests of all families, given what is in the model."""
+        return [self.score(number, given) for number in range(len(self.families))]
+
+    def score(self, number: int, given: Given, chosen: Sequence[int] | None = None) -> Score:
+        """Return the tests of one family."""
+        family = self.families[number]
+        columns, gram, scale = family.columns, self.grams[number], self.scales[number]
+        if chosen is not None:
+            columns, gram, scale = columns[:, chosen], gram[list(chosen)], scale[list(chosen)]
+        n, k, q = columns.shape
+        flat = columns.reshape(n, k * q)
+        inside = (given.basis.T @ flat).reshape(-1, k, q)
+        gram = gram - np.einsum("skq,skp->kqp", inside, inside)
+        right = (flat.T @ given.residual).reshape(k, q)
+        gain, rank = quadratic(gram, right, scale)
+        return self._scored(gain, rank, given)
+
+    def _scored(self, gain: Array, rank: Array, given: Given) -> Score:
+        share = np.clip(gain / max(given.squares, 1e-300), 0.0, 1.0)
+        log_p = np.zeros(len(gain))
+        for q in np.unique(rank[rank > 0]):
+            own = rank == q
+            if given.dof > q:
+                log_p[own] = log_tail(share[own], float(q), given.dof - q)
+        return Score(gain, rank, np.minimum(log_p, 0.0))
+
+    def outliers(self, given: Given) -> Score:
+        """Return the tests of single readings, each with all its components."""
+        rows = self.places
+        u = np.where((rows >= 0)[:, :, None], given.basis[rows], 0.0)
+        gram = self.blocks - np.einsum("iak,ibk->iab", u, u)
+        right = np.where(rows >= 0, given.residual[rows], 0.0)
+        gain, rank = quadratic(gram, right, np.ones(rows.shape))
+        rank = np.where(self.excluded, 0, rank)
+        return self._scored(np.where(rank > 0, gain, 0.0), rank, given)
+
+    def level(self, number: int, log_p: float) -> float:
+        """Return ln of the level of a family's best alternative, counted over the family."""
+        return float(log_family(log_p, self.tests[number]))
+
+    def overall(self, log_level: float) -> float:
+        """Return ln of the level of the best family, counted over all."""
+        return float(log_family(log_level, self.causes))
+
+    def of_reading(self, reading: int) -> Array:
+        """Return the visible columns of an error of one reading, (rows, d)."""
+        rows = self.places[reading]
+        rows = rows[rows >= 0]
+        unit = np.zeros((self.system.rows, len(rows)))
+        unit[rows, np.arange(len(rows))] = 1.0
+        return self.system.seen(unit)
+
+
+_REDUNDANT = 1e-3
+"""Share of a reading's error that must show for it to be called an outlier"""
+
+
+def quadratic(gram: Array, right: Array, scale: Array) -> tuple[Array, Array]:
+    """Return `b' A^+ b` and the rank of A for many small systems (k, q, q), (k, q); scale (k, q) is of size sqrt(A)."""
+    s = np.where(scale > 0, scale, 1.0)
+    a = gram / (s[:, :, None] * s[:, None, :])
+    b = right / s
+    if a.shape[1] == 1:
+        value = a[:, 0, 0]
+        good = value > _VISIBLE**2
+        return np.where(good, b[:, 0] ** 2 / np.where(good, value, 1.0), 0.0), good.astype(int)
+    values, vectors = np.linalg.eigh(a)
+    good = values > np.maximum(_VISIBLE**2, 1e-8 * values[:, -1:])
+    along = np.einsum("kqv,kq->kv", vectors, b)
+    return (np.where(good, along**2 / np.where(good, values, 1.0), 0.0)).sum(axis=1), good.sum(axis=1)
+
+
+def field_of(system: System, families: Sequence[Family], rng: np.random.Generator, apart: bool = False) -> Field:
+    """Return the race of families and outliers, with its counts of independent tests found from white noise.
+
+    With `apart` the components of a reading go wrong one by one.
+    """
+    grams = tuple(np.einsum("nkq,nkp->kqp", f.columns, f.columns) for f in families)
+    places = _places(system)
+    places = places[places >= 0][:, None] if apart else places
+    u = np.where((places >= 0)[:, :, None], system.basis[places], 0.0)
+    there = (places >= 0).astype(float)
+    blocks = np.eye(places.shape[1]) * there[:, :, None] - np.einsum("iak,ibk->iab", u, u)
+    weak = np.einsum("iaa->ia", blocks).sum(axis=1) < _REDUNDANT
+    field_ = Field(system, tuple(families), tuple(f.raw for f in families), grams, blocks, places, excluded=weak)
+    return _calibrated(field_, rng)
+
+
+def _places(system: System) -> Array:
+    """Return the rows of each reading of the measured groups, (readings, d), -1 where it has fewer components."""
+    groups = system.model.readings
+    most = max(len(group.observations.readings) for group in groups)
+    parts = []
+    for group in groups:
+        d, n = group.observations.readings.shape
+        rows = np.full((n, most), -1, dtype=np.intp)
+        rows[:, :d] = system.first[group.name] + d * np.arange(n)[:, None] + np.arange(d)
+        parts.append(rows)
+    return np.concatenate(parts)
+
+
+def _calibrated(field_: Field, rng: np.random.Generator) -> Field:
+    system = field_.system
+    columns = sum(f.columns.shape[1] * f.columns.shape[2] for f in field_.families)
+    draws = int(np.clip(_MOST_WORK / (system.rows * max(columns, 1)), 300, _DRAWS))
+    noise = system.seen(rng.normal(size=(system.rows, draws)))
+    squares = (noise**2).sum(axis=0) + rng.chisquare(PRIOR, draws)
+    dof = system.dof + PRIOR
+    least, tests = [], []
+    for number, family in enumerate(field_.families):
+        least.append(_least_in_noise(family.columns, field_.grams[number], field_.scales[number], noise, squares, dof))
+    rows = field_.places
+    gram, right = field_.blocks, np.where((rows >= 0)[:, :, None], noise[rows], 0.0)
+    least.append(_least(gram, right, np.ones(rows.shape), squares, dof, ~field_.excluded))
+    tests = [independent(one) for one in least]
+    levels = [log_family(one, count) for one, count in zip(least, tests, strict=True)]
+    smooth = [level for level, family in zip(levels, field_.families, strict=False) if family.unknown]
+    unknowns = independent(np.min(smooth, axis=0)) if smooth else 1.0
+    return replace(field_, tests=tuple(tests), causes=independent(np.min(levels, axis=0)), unknowns=unknowns)
+
+
+def _least_in_noise(columns: Array, gram: Array, scale: Array, noise: Array, squares: Array, dof: float) -> Array:
+    n, k, q = columns.shape
+    right = (columns.reshape(n, k * q).T @ noise).reshape(k, q, -1)
+    return _least(gram, right, scale, squares, dof, np.ones(k, dtype=bool))
+
+
+def _least(gram: Array, right: Array, scale: Array, squares: Array, dof: float, chosen: Mask) -> Array:
+    """Return ln of the least level of all alternatives for each draw."""
+    s = np.where(scale > 0, scale, 1.0)
+    values, vectors = np.linalg.eigh(gram / (s[:, :, None] * s[:, None, :]))
+    good = values > np.maximum(_VISIBLE**2, 1e-8 * values[:, -1:])
+    root = vectors * np.where(good, 1 / np.sqrt(np.where(good, values, 1.0)), 0.0)[:, None, :]
+    along = np.matmul(np.swapaxes(root, 1, 2), right / s[:, :, None])
+    gain = (along**2).sum(axis=1)
+    rank = np.where(chosen, good.sum(axis=1), 0)
+    best = np.zeros(len(squares))
+    for q in np.unique(rank[rank > 0]):
+        most = gain[rank == q].max(axis=0)
+        if dof > q:
+            best = np.minimum(best, log_tail(np.clip(most / squares, 0.0, 1.0), float(q), dof - q))
+    return best
+
+
+def independent(log_p: Array) -> float:
+    """Return as how many independent tests the least level (ln) of dependent ones counts: at 5, 10, 20 and 30 %."""
+    p = np.exp(log_p)
+    counts = [np.log1p(-u) / np.log1p(-min(float(np.quantile(p, u)), 1 - 1e-12)) for u in (0.05, 0.1, 0.2, 0.3)]
+    return max(1.0, float(np.median(counts)))

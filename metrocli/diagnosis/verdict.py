@@ -1,0 +1,196 @@
+"""The verdict as plain data: what `metrocli diagnose --json` prints, and the effects of the extended job."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from metrocli import units
+from metrocli.diagnosis.candidates import Alternative, NotTested
+from metrocli.diagnosis.design import Candidate, Design
+from metrocli.diagnosis.diagnose import Diagnosis, Finding
+from metrocli.diagnosis.mistakes import Mistaken
+from metrocli.diagnosis.naming import Named, Rival
+from metrocli.diagnosis.subject import Subject
+
+NAMED, EXCLUDED, CANNOT_SEE = "named", "excluded", "cannot-see"
+NOT_TESTABLE, NOT_TESTED = "not-testable", "not-tested"
+
+
+def as_data(diagnosis: Diagnosis) -> dict[str, Any]:
+    """Return a diagnosis by the keys of the contract; units are internal ones unless a `unit` says otherwise."""
+    noise, left = diagnosis.noise, diagnosis.left
+    return {
+        "verdict": diagnosis.verdict,
+        "noise": {
+            "declared": diagnosis.subject.declared,
+            "ratio": noise.ratio,
+            "interval": [noise.low, noise.high],
+            "apart": [{unit.key: unit.name, "ratio": unit.ratio} for unit in diagnosis.apart],
+        },
+        "outliers": [{"observation": dict(one.keys), "w": one.test} for one in diagnosis.outliers],
+        "effects": [
+            *([] if diagnosis.mistaken is None else [_mistake(diagnosis.mistaken)]),
+            *(_effect(diagnosis.subject, finding) for finding in diagnosis.findings),
+        ],
+        "structure": {"before": diagnosis.before, "after": diagnosis.after},
+        "unexplained": None if left is None else {"p_value": left.p_value, "depends_on": list(left.depends_on)},
+        "candidates": candidates(diagnosis.subject, diagnosis.design, [f.named for f in diagnosis.findings]),
+        "alike": alike(diagnosis.design),
+        "separate_by": list(diagnosis.separate_by),
+    }
+
+
+def design_data(subject: Subject, design: Design) -> dict[str, Any]:
+    """Return what a measurement can see, before it is looked at."""
+    return {"candidates": candidates(subject, design, []), "alike": alike(design)}
+
+
+MISTAKE = "mistake-in-file"
+"""The name under which a mistake in the files stands among the effects"""
+
+
+def _mistake(mistaken: Mistaken) -> dict[str, Any]:
+    first, *others = mistaken.mistakes
+    return {
+        "name": MISTAKE,
+        "where": {"input": first.input},
+        "what": first.words,
+        "parameters": {},
+        "p_value": 0.0,
+        "alternatives": [{"name": MISTAKE, "where": {"input": one.input}, "what": one.words} for one in others],
+        "gain": None,
+    }
+
+
+def _effect(subject: Subject, finding: Finding) -> dict[str, Any]:
+    name, gain = finding.named, finding.gain
+    unit = units.find_unit(*subject.reading)
+    return {
+        "name": name.alternative.effect.name,
+        "where": name.alternative.where,
+        "parameters": _parameters(name),
+        "p_value": float(np.exp(name.log_level)),
+        "alternatives": [_rival(rival) for rival in name.rivals],
+        "gain": {
+            "holdout_before": unit.outside(gain.before),
+            "holdout_after": unit.outside(gain.after),
+            "holdout_median_before": unit.outside(gain.median_before),
+            "holdout_median_after": unit.outside(gain.median_after),
+            "reduction_percent": 100 * gain.reduction,
+            "unit": unit.symbol,
+            "log_score": gain.log_score,
+            "log_score_std": gain.log_score_std,
+            "shown": gain.shown,
+            "result_shift": _delivered(subject, finding.shift),
+        },
+    }
+
+
+def _parameters(name: Named) -> dict[str, Any]:
+    known = {p.name: p for p in name.alternative.effect.all_parameters}
+    std = np.sqrt(np.maximum(np.diag(name.covariance), 0.0))
+    found: dict[str, Any] = {
+        key: {"value": float(value), "std": float(spread), "unit": known[key].unit}
+        for key, value, spread in zip(name.alternative.parameters, name.values, std, strict=True)
+    }
+    scanned = {key: {"value": value, "std": None, "unit": known[key].unit} for key, value in name.alternative.scanned}
+    return found | scanned
+
+
+def _rival(rival: Rival) -> dict[str, Any]:
+    return {
+        "name": rival.alternative.effect.name,
+        "where": rival.alternative.where,
+        "correlation": rival.correlation,
+        "odds": rival.odds,
+    }
+
+
+def _delivered(subject: Subject, value: float) -> dict[str, Any]:
+    unit = units.find_unit(subject.delivered.unit, subject.delivered.dimension)
+    return {"what": subject.delivered.what, "value": unit.outside(value), "unit": unit.symbol}
+
+
+def status(candidate: Candidate, named: Iterable[Named]) -> str:
+    """Return what can be said of a candidate; one that stands in the set of a named one counts as named."""
+    if any(candidate.alternative.spot in spots(name) for name in named):
+        return NAMED
+    if not candidate.testable:
+        return NOT_TESTABLE
+    return EXCLUDED if candidate.detectable <= candidate.plausible else CANNOT_SEE
+
+
+def spots(name: Named) -> set[tuple[str, tuple[str, ...]]]:
+    """Return cause and place of a named effect and of all that explain the readings as well."""
+    return {name.alternative.spot, *(rival.alternative.spot for rival in name.rivals)}
+
+
+def candidates(subject: Subject, design: Design, named: Iterable[Named]) -> list[dict[str, Any]]:
+    """Return all candidates, tested or not."""
+    names = list(named)
+    tested = [_candidate(subject, candidate, status(candidate, names)) for candidate in design.candidates]
+    return tested + [_missing(one) for one in design.not_tested]
+
+
+def _candidate(subject: Subject, candidate: Candidate, word: str) -> dict[str, Any]:
+    return {
+        "name": candidate.alternative.effect.name,
+        "where": candidate.alternative.where,
+        "status": word,
+        "visible_share": candidate.visible,
+        "minimal_detectable": {"value": candidate.detectable, "unit": candidate.unit} if candidate.testable else None,
+        "hides": _delivered(subject, candidate.hides),
+        "reason": reason(candidate, word),
+    }
+
+
+def reason(candidate: Candidate, word: str) -> str:
+    """Return why a candidate has its status, in words."""
+    dimension = candidate.alternative.effect.parameters[0].dimension
+    plausible, at = units.readable(candidate.plausible, dimension)
+    if word == NOT_TESTABLE:
+        return f"the unknowns absorb it: {', '.join(candidate.absorbed_by)}; `hides` is for {plausible:.3g} {at}"
+    size, unit = units.readable(candidate.detectable, dimension)
+    if word == CANNOT_SEE:
+        return f"{size:.3g} {unit} would be needed to see it; more than {plausible:.3g} {at} is not plausible"
+    return "" if word == NAMED else f"it would have been seen from {size:.3g} {unit} on"
+
+
+def _missing(one: NotTested) -> dict[str, Any]:
+    return {
+        "name": one.effect.name,
+        "where": {},
+        "status": NOT_TESTED,
+        "minimal_detectable": None,
+        "hides": None,
+        "reason": one.reason,
+    }
+
+
+def alike(design: Design) -> list[dict[str, Any]]:
+    """Return the pairs of candidates that are hard to tell apart."""
+    return [
+        {
+            "names": [pair.one, pair.other],
+            "correlation": pair.correlation,
+            "separable_from": {"value": pair.separable, "unit": pair.unit},
+        }
+        for pair in design.pairs
+    ]
+
+
+def as_job(alternative: Alternative) -> Mapping[str, str]:
+    """Return an effect as a job names it: to be estimated, with what was scanned."""
+    effect = alternative.effect
+    known = {p.name: p for p in effect.scanned}
+    found = {"name": effect.name, **dict(zip(effect.keys, alternative.instance, strict=True))}
+    if effect.by:
+        found["by"] = effect.by
+    return found | {key: _written(value, known[key].unit) for key, value in alternative.scanned}
+
+
+def _written(value: float, unit: str) -> str:
+    return f"{value:.10g} {unit}" if unit not in ("", "1") else f"{value:.10g}"

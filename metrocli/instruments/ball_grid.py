@@ -1,0 +1,270 @@
+"""A grid of balls that nobody calibrated, measured in several views by a machine that nobody calibrated.
+
+`reading = G(site) + d + R(w) (Rot (pitch b + A(b)) + pitch shift)`, site = Rot b + shift: G the error of the machine at
+a site, A that of the artefact at a ball b, Rot and shift the nominal mounting of the view, d and w what it is off
+(Dang, Lee and Kim, eq. 1-5, with exact rotations instead of a small misalignment E).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrocli.adjust.blocks import Array, Block, Space
+from metrocli.adjust.chain import Chain, Local, Step
+from metrocli.adjust.coupled import Fields
+from metrocli.adjust.groups import Group
+from metrocli.adjust.observations import Index, Observations
+from metrocli.adjust.quantities import Quantity
+from metrocli.geometry import poses
+from metrocli.geometry.rotations import cross_matrix
+from metrocli.instruments.frames import OutOf
+
+MACHINE, ARTEFACT, VIEW = "machine_error", "artefact_error", "view"
+"""Blocks: G at each site, A at each ball, and d, w of each view"""
+COLUMNS = ("ex", "ey", "ez")
+HOLLOW = "hollow"
+"""Condition of a reading [mm^2]: `rho^2 - mean rho^2` of its view, rho the ball's horizontal way from the centre"""
+
+
+@dataclass(frozen=True)
+class View:
+    """A nominal mounting: a ball b of the artefact stands at the site `turn b + shift`, in pitches."""
+
+    name: str
+    turn: Array
+    """(3, 3) of whole numbers, a rotation by multiples of 90 degrees"""
+    shift: Array
+    """(3,) whole numbers"""
+
+    def sites(self, balls: Index) -> Index:
+        """Return where balls (n, 3) stand."""
+        return np.asarray(np.rint(balls @ self.turn.T + self.shift), dtype=np.intp)
+
+
+@dataclass(frozen=True)
+class BallOf:
+    """A ball in the artefact: its nominal place and its error."""
+
+    nominal: Array
+    """(balls, 3) [mm]"""
+    takes = None
+    gives = Quantity.BALL_IN_ARTEFACT
+    blocks = (ARTEFACT,)
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return `pitch b + A` (3, n) and its derivative by A."""
+        ball = self.nominal.T[:, local.index(ARTEFACT)] + local.rows(ARTEFACT)
+        return Step(ball, by_block={ARTEFACT: np.eye(3)[:, :, None]} if ARTEFACT in local.wanted else {})
+
+
+@dataclass(frozen=True)
+class Mounted:
+    """From the artefact into the nominal mounting of the view: `Rot x + pitch shift`."""
+
+    turns: Array
+    """(views, 3, 3)"""
+    shifts: Array
+    """(views, 3) [mm]"""
+    takes = Quantity.BALL_IN_ARTEFACT
+    gives = Quantity.BALL_ON_TABLE
+    blocks = ()
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the ball (3, n) and its derivative by that in the artefact."""
+        view = local.index(VIEW)
+        turn = np.ascontiguousarray(np.moveaxis(self.turns, 0, -1)[:, :, view])
+        return Step(np.einsum("abn,bn->an", turn, value) + self.shifts.T[:, view], turn)
+
+
+@dataclass(frozen=True)
+class WithMachineError:
+    """What the machine reads of a point: its place and the error of the machine at the nominal site."""
+
+    takes = Quantity.POINT_IN_MACHINE
+    gives = Quantity.MACHINE_READING
+    blocks = (MACHINE,)
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return `x + G(site)` (3, n), with derivatives 1 by both."""
+        one = np.eye(3)[:, :, None]
+        return Step(value + local.rows(MACHINE), one, {MACHINE: one} if MACHINE in local.wanted else {})
+
+
+@dataclass(frozen=True)
+class BallDistance:
+    """Distance of two balls of the artefact."""
+
+    nominal: Array
+    """(balls, 3) [mm]"""
+    takes = None
+    gives = Quantity.LENGTH
+    blocks = (ARTEFACT,)
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the distance (1, n) with its derivatives by both balls, (2, 1, 3, n)."""
+        balls = self.nominal + local.members(ARTEFACT)
+        first, second = local.index(ARTEFACT)
+        between = (balls[first] - balls[second]).T
+        distance = np.sqrt((between**2).sum(axis=0))
+        towards = (between / distance)[None]
+        return Step(distance[None], by_block={ARTEFACT: np.stack([towards, -towards])})
+
+
+def chain(views: Sequence[View], balls: Index, pitch: float) -> Chain:
+    """Return the forward model of a reading; balls (n, 3) are those of the artefact's block."""
+    turns, shifts = np.stack([view.turn for view in views]), np.stack([view.shift for view in views]) * pitch
+    return Chain(
+        (
+            BallOf(np.asarray(balls * pitch, dtype=float)),
+            Mounted(turns, shifts),
+            OutOf(VIEW, Quantity.BALL_ON_TABLE, Quantity.POINT_IN_MACHINE),
+            WithMachineError(),
+        )
+    )
+
+
+def field_block(name: str, indices: Index, noun: str) -> Block:
+    """Return an error field of zero at sites or balls (n, 3)."""
+    members = tuple(" ".join(map(str, row)) for row in indices.tolist())
+    return Block(name, np.zeros((len(indices), 3)), COLUMNS, members, noun=noun)
+
+
+def view_block(views: Sequence[View], values: Array) -> Block:
+    """Return the mountings (views, 6), poses."""
+    names = tuple(view.name for view in views)
+    return Block(VIEW, values, poses.COLUMNS, names, space=Space.POSE, noun="view")
+
+
+def hollow(views: Sequence[View], view: Index, balls: Index, pitch: float) -> Array:
+    """Return the condition `HOLLOW` of readings (n,) of balls (n, 3)."""
+    found = np.empty(len(balls))
+    for n, one in enumerate(views):
+        rows = view == n
+        square: Array = ((balls[rows] @ one.turn.T)[:, :2] ** 2).sum(axis=1) * pitch**2
+        found[rows] = square - (square.mean() if square.size else 0.0)
+    return found
+
+
+def numbers_at(known: Index, wanted: Index) -> Index:
+    """Return which of the known sites (or balls) (n, 3) each of the wanted ones (..., 3) is, -1 where it is none."""
+    low = known.min(axis=0)
+    box = np.full(known.max(axis=0) - low + 1, -1, dtype=np.intp)
+    box[tuple((known - low).T)] = np.arange(len(known))
+    place = wanted - low
+    inside = ((place >= 0) & (place < box.shape)).all(axis=-1)
+    return np.where(inside, box[tuple(np.moveaxis(np.where(inside[..., None], place, 0), -1, 0))], -1)
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Where things stand: the sites and balls that were measured, in pitches."""
+
+    sites: Index
+    """(sites, 3)"""
+    balls: Index
+    """(balls, 3)"""
+    pitch: float
+    half: Index
+    """Largest index of the grid in each direction, (3,)"""
+
+    @property
+    def site_places(self) -> Array:
+        """Where the sites are, (sites, 3) [mm]."""
+        return np.asarray(self.sites * self.pitch, dtype=float)
+
+    @property
+    def ball_places(self) -> Array:
+        """Where the balls are in the artefact, nominally, (balls, 3) [mm]."""
+        return np.asarray(self.balls * self.pitch, dtype=float)
+
+    @property
+    def within(self) -> Array:
+        """1 for sites of the grid proper, 0 for those outside that only a shifted view reached, (sites,)."""
+        return np.asarray((np.abs(self.sites) <= self.half).all(axis=1), dtype=float)
+
+
+def fields(grid: Grid, blocks: Mapping[str, Block], groups: Sequence[Group], scale_given: bool) -> Fields:
+    """Return the adjustment with its datum: G and A free of rigid motion, and `sum G.r = sum A.r` without a length."""
+    return Fields(blocks, tuple(groups), MACHINE, ARTEFACT, folded(grid.sites), _at_rest, datum(grid, scale_given))
+
+
+def _at_rest(blocks: Mapping[str, Block]) -> dict[str, Block]:
+    """Return the design: nominal mountings, no errors; effects as they are."""
+    return {
+        name: block.with_values(np.zeros_like(block.values)) if name in (MACHINE, ARTEFACT, VIEW) else block
+        for name, block in blocks.items()
+    }
+
+
+@dataclass(frozen=True)
+class FieldSums:
+    """Sums over the machine error and the artefact error, the conditions of the datum; one reading for each."""
+
+    machine: Array
+    """(conditions, sites, 3)"""
+    artefact: Array
+    """(conditions, balls, 3)"""
+    takes = None
+    gives = Quantity.PARAMETERS
+    blocks = (MACHINE, ARTEFACT)
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the sums (1, conditions) and their derivatives by every member, (members, 1, 3, conditions)."""
+        machine, artefact = local.members(MACHINE), local.members(ARTEFACT)
+        sums = np.einsum("cna,na->c", self.machine, machine) + np.einsum("cna,na->c", self.artefact, artefact)
+        by_block = {
+            name: np.ascontiguousarray(np.moveaxis(rows, 0, -1))[:, None]
+            for name, rows in ((MACHINE, self.machine), (ARTEFACT, self.artefact))
+        }
+        return Step(sums[None], by_block=by_block)
+
+
+def as_readings(conditions: Mapping[str, Array], sigma: float) -> Group:
+    """Return the conditions of a datum as readings of zero: for an adjustment that knows no datum of two fields."""
+    length = np.sqrt(sum((rows**2).sum(axis=(1, 2)) for rows in conditions.values()))[:, None, None]
+    machine, artefact = (conditions[name] / length for name in (MACHINE, ARTEFACT))
+    count = len(machine)
+    index = {
+        name: np.repeat(np.arange(rows.shape[1])[:, None], count, axis=1)
+        for name, rows in ((MACHINE, machine), (ARTEFACT, artefact))
+    }
+    observations = Observations(np.zeros((1, count)), np.array(sigma), index, components=("condition",), unit="mm")
+    return Group("datum", Chain((FieldSums(machine, artefact),)), observations)
+
+
+def datum(grid: Grid, scale_given: bool) -> dict[str, Array]:
+    """Return the conditions on G and A, each (12 or 13, members, 3)."""
+    weights = grid.within[:, None, None]
+    sites, balls = grid.site_places, grid.ball_places
+    machine, artefact = rigid(sites) * weights, rigid(balls)
+    none_g, none_a = np.zeros((*machine.shape[:2], 6)), np.zeros((*artefact.shape[:2], 6))
+    rows = {
+        MACHINE: [machine, none_g, *([] if scale_given else [sites[:, :, None] * weights])],
+        ARTEFACT: [none_a, artefact, *([] if scale_given else [-balls[:, :, None]])],
+    }
+    return {name: np.moveaxis(np.concatenate(parts, axis=2), 2, 0) for name, parts in rows.items()}
+
+
+def rigid(places: Array) -> Array:
+    """Return the six rigid motions of places (n, 3) [mm], (n, 3, 6): shifts, then rotations."""
+    motions = np.zeros((len(places), 3, 6))
+    motions[:, :, :3] = np.eye(3)
+    motions[:, :, 3:] = -cross_matrix(places)
+    return motions
+
+
+def folded(sites: Index) -> Array:
+    """Return for each component of G at a site its place when the rotations of the cube are folded away, (n, 3, 3).
+
+    Views by rotation couple the component along an axis at a site with its images under the rotation; they have the
+    same distance from the centre along the axis and the same two across it, so one place holds all of them.
+    """
+    distance = np.abs(sites).astype(float)
+    places = np.empty((len(sites), 3, 3))
+    for axis in range(3):
+        across = np.sort(np.delete(distance, axis, axis=1), axis=1)
+        places[:, axis] = np.column_stack([distance[:, axis], across])
+    return places

@@ -1,0 +1,88 @@
+"""A diagnosis in a project: the job is read and adjusted, and the extended job written beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from metrocli import tasks
+from metrocli.diagnosis.diagnose import Diagnosis, diagnose
+from metrocli.diagnosis.mistakes import without_mistakes
+from metrocli.diagnosis.subject import Subject
+from metrocli.diagnosis.verdict import as_job
+from metrocli.errors import UsageError
+from metrocli.formats.aside import written_aside
+from metrocli.nodes import Node
+from metrocli.project import yaml_text
+from metrocli.project.inputs import read_inputs
+from metrocli.project.job import Job
+from metrocli.project.runner import Say
+
+
+def subject_of(job: Job) -> Subject:
+    """Return what is diagnosed of a job; UsageError for a kind that has no diagnosis."""
+    return _adjuster(job)(read_inputs(job))
+
+
+def carry_out(job: Job, say: Say = lambda line: None) -> Diagnosis:
+    """Adjust a job, without a mistake in its files where there is one, and diagnose it."""
+    adjust = _adjuster(job)
+    say(f"{job.file}: adjusting")
+    subject, mistaken = without_mistakes(read_inputs(job), adjust)
+    return replace(diagnose(subject, lambda line: say(f"{job.file}: {line}")), mistaken=mistaken)
+
+
+def _adjuster(job: Job) -> Callable[[Mapping[str, object]], Subject]:
+    module = tasks.load(job.kind)
+    if not hasattr(module, "diagnosed"):
+        raise UsageError(f"{job.kind} cannot be diagnosed yet")
+    more = {"effects": job.effects} if job.effects else {}
+    declared = _declared(job.root.get("noise"))
+
+    def adjust(inputs: Mapping[str, object]) -> Subject:
+        subject: Subject = module.diagnosed(job.settings, **inputs, **more)
+        return replace(subject, declared=declared)
+
+    return adjust
+
+
+def _declared(node: Node | None) -> str:
+    if node is None:
+        return ""
+    return node.text if node.kind == "scalar" else ", ".join(filter(None, (_declared(one) for _, one in node.entries)))
+
+
+def write_extended(job: Job, diagnosis: Diagnosis) -> Path | None:
+    """Write the job with the named effects beside it, `NAME.extended.yaml`; None where there is nothing to add."""
+    if not diagnosis.findings:
+        return None
+    path = job.file.with_name(f"{job.file.stem}.extended.yaml")
+    new = [_node(job, as_job(finding.named.alternative)) for finding in diagnosis.findings]
+    text = f"# {job.file.name} with the effects that metrocli diagnose named\n{yaml_text.emit(_extended(job, new))}"
+    with written_aside(path) as aside:
+        aside.write_text(text, encoding="utf-8")
+    return path
+
+
+def _extended(job: Job, effects: Sequence[Node]) -> Node:
+    listed = job.root.get("effects")
+    items = [*(listed.items if listed is not None else ()), *effects]
+    output = job.output.with_name(f"{job.output.stem}.extended.h5")
+    try:
+        shown = output.relative_to(job.folder).as_posix()
+    except ValueError:
+        shown = str(output)
+    below = replace(job.root, kind="list", text="", entries=(), items=tuple(items))
+    word = replace(job.root, kind="scalar", text=shown, entries=(), items=())
+    kept = [(key, value) for key, value in job.root.entries if key.text not in ("effects", "output")]
+    return replace(job.root, entries=(*kept, (_key(job, "effects"), below), (_key(job, "output"), word)))
+
+
+def _key(job: Job, text: str) -> Node:
+    return replace(job.root, kind="scalar", text=text, entries=(), items=())
+
+
+def _node(job: Job, effect: Mapping[str, str]) -> Node:
+    entries = tuple((_key(job, key), _key(job, value)) for key, value in effect.items())
+    return replace(job.root, kind="mapping", text="", entries=entries, items=())

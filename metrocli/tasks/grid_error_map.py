@@ -1,0 +1,146 @@
+"""The machine error between the sites: trilinear, and a smooth form with its own uncertainty.
+
+The smooth form is a polynomial in x, y, z of the total degree with the smallest error at sites left out (PRESS); that
+error is counted in its uncertainty beside what the measurement brings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from metrocli.adjust.blocks import Array
+from metrocli.adjust.observations import Index
+from metrocli.errors import InputError
+from metrocli.instruments.ball_grid import numbers_at
+from metrocli.table import Table
+
+_DEGREES = 6
+_AT_ONCE = 200
+Covariance = Callable[[Array], Array]
+"""From weights (rows, sites) on one component to the covariance (3, rows, rows) of the weighted errors"""
+
+
+@dataclass(frozen=True)
+class Smooth:
+    """A polynomial of the machine error in coordinates scaled to -1 ... 1 in the grid."""
+
+    degree: int
+    centre: Array
+    half: Array
+    """(3,) [mm]"""
+    coefficients: Array
+    """(terms, 3) [mm]"""
+    covariance: Array
+    """(3, terms, terms)"""
+    misfit: Array
+    """Root mean square error at sites left out, (3,) [mm]"""
+
+    def at(self, points: Array) -> tuple[Array, Array]:
+        """Return the error (n, 3) at points [mm], and its standard uncertainty with the misfit (n, 3)."""
+        design = _terms((points - self.centre) / self.half, self.degree)
+        own = np.einsum("nt,ctu,nu->nc", design, self.covariance, design)
+        return design @ self.coefficients, np.sqrt(np.maximum(own, 0.0) + self.misfit**2)
+
+
+def _exponents(degree: int) -> list[tuple[int, ...]]:
+    return [powers for powers in product(range(degree + 1), repeat=3) if sum(powers) <= degree]
+
+
+def _terms(scaled: Array, degree: int) -> Array:
+    """Return products of Legendre polynomials of total degree up to `degree`, (n, terms)."""
+    each = [np.polynomial.legendre.legvander(scaled[:, a], degree) for a in range(3)]
+    return np.stack([each[0][:, p] * each[1][:, q] * each[2][:, r] for p, q, r in _exponents(degree)], axis=1)
+
+
+def smooth(places: Array, errors: Array, covariance: Covariance) -> Smooth | None:
+    """Return the smooth form of errors (n, 3) at places; None where the sites do not span space."""
+    centre = (places.max(axis=0) + places.min(axis=0)) / 2
+    half = (places.max(axis=0) - places.min(axis=0)) / 2
+    if (half <= 0).any():
+        return None
+    scaled = (places - centre) / half
+    best: tuple[float, int, Array, Array, Array] | None = None
+    for degree in range(1, _DEGREES + 1):
+        design = _terms(scaled, degree)
+        if design.shape[1] > len(places) / 2 or np.linalg.matrix_rank(design) < design.shape[1]:
+            break
+        inverse: Array = np.asarray(np.linalg.pinv(design), dtype=float)
+        left = (errors - design @ (inverse @ errors)) / (1 - np.einsum("nt,tn->n", design, inverse))[:, None]
+        press: Array = np.sqrt((left**2).mean(axis=0))
+        if best is None or float((press**2).sum()) < best[0]:
+            best = (float((press**2).sum()), degree, inverse, inverse @ errors, press)
+    if best is None:
+        return None
+    return Smooth(best[1], centre, half, best[3], covariance(best[2]), best[4])
+
+
+def trilinear(sites: Index, pitch: float, points: Array) -> tuple[Index, Array]:
+    """Return the eight sites around each point and their weights, (n, 8) each; sites are -1 where it is outside."""
+    scaled = points / pitch
+    low, high = sites.min(axis=0), sites.max(axis=0)
+    corner = np.clip(np.floor(scaled), low, np.maximum(high - 1, low)).astype(np.intp)
+    share = scaled - corner
+    steps = np.array(list(product((0, 1), repeat=3)))
+    weights = np.where(steps[None] == 1, share[:, None], 1 - share[:, None]).prod(axis=2)
+    at = numbers_at(sites, corner[:, None] + steps)
+    weights[np.abs(weights) < 1e-12] = 0.0
+    lost = ((at < 0) & (weights != 0)).any(axis=1) | (weights < 0).any(axis=1)
+    return np.where(lost[:, None], -1, np.maximum(at, 0)), weights
+
+
+def error_map(points: Table, field: tuple[Index, float, Array], covariance: Covariance, form: Smooth | None) -> Table:
+    """Return the machine error at points, trilinear and smooth; InputError for points outside the sites.
+
+    field is (sites, pitch, errors). The uncertainty of the trilinear value counts, beside the measurement, the bend
+    of the field between sites, `h^2/8` times its second differences, taken as the limit of an even distribution.
+    """
+    sites, pitch, errors = field
+    places = points.stacked("xyz")
+    at, weights = trilinear(sites, pitch, places)
+    lost = np.flatnonzero(at[:, 0] < 0)
+    if lost.size:
+        from metrocli.tasks.grid_readings import fault
+
+        low, high = sites.min(axis=0) * pitch, sites.max(axis=0) * pitch
+        box = ", ".join(f"{'xyz'[a]} {low[a]:g} ... {high[a]:g} mm" for a in range(3))
+        names, text = points.texts("point"), "is not between measured sites"
+        raise InputError([fault(points, row, f"point '{names[row]}' {text}", box) for row in lost[:20].tolist()])
+    value, std = _trilinear_errors((at, weights), errors, covariance)
+    bend = _bend(sites, errors)[np.maximum(at, 0)].max(axis=1) / np.sqrt(3)
+    inner = (np.abs(weights).max(axis=1) < 1 - 1e-9)[:, None]
+    columns = {"point": np.array(points.texts("point"))} | {axis: places[:, n] for n, axis in enumerate("xyz")}
+    columns |= {f"e{axis}": value[:, n] for n, axis in enumerate("xyz")}
+    total = np.sqrt(std**2 + np.where(inner, bend, 0.0) ** 2)
+    columns |= {f"s_e{axis}": total[:, n] for n, axis in enumerate("xyz")}
+    if form is not None:
+        smoothed, spread_of = form.at(places)
+        columns |= {f"smooth_e{axis}": smoothed[:, n] for n, axis in enumerate("xyz")}
+        columns |= {f"s_smooth_e{axis}": spread_of[:, n] for n, axis in enumerate("xyz")}
+    return Table(columns, {name: "mm" for name in columns if name != "point"})
+
+
+def _trilinear_errors(corners: tuple[Index, Array], errors: Array, covariance: Covariance) -> tuple[Array, Array]:
+    """Return the weighted errors (n, 3) and their standard uncertainties (n, 3), some hundred points at a time."""
+    at, weights = corners
+    std = np.empty((len(at), 3))
+    for start in range(0, len(at), _AT_ONCE):
+        part = slice(start, start + _AT_ONCE)
+        spread = np.zeros((len(at[part]), len(errors)))
+        np.add.at(spread, (np.arange(len(spread))[:, None], at[part]), weights[part])
+        std[part] = np.sqrt(np.maximum(np.einsum("cnn->nc", covariance(spread)), 0.0))
+    return np.einsum("nk,nka->na", weights, errors[at]), std
+
+
+def _bend(sites: Index, errors: Array) -> Array:
+    """Return an eighth of the second differences at each site, added over the directions, (sites, 3)."""
+    total = np.zeros_like(errors)
+    for axis in np.eye(3, dtype=np.intp):
+        before, after = numbers_at(sites, sites - axis), numbers_at(sites, sites + axis)
+        both = (before >= 0) & (after >= 0)
+        second = np.abs(errors[after[both]] - 2 * errors[both] + errors[before[both]]) / 8
+        total[both] += second
+    return total

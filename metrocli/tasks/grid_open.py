@@ -1,0 +1,316 @@
+"""What a set of views leaves undetermined, named by pattern before any number, and which view would remove it.
+
+Six rigid motions of the machine error, six of the artefact error and one common scale stay open whatever the views are;
+anything more is a family of fields. A family is named by how much of a pattern's space lies among the open directions:
+the eigenvalues 1 of `Q' P Q`, Q an orthonormal basis of the open machine errors, P the projector onto the pattern.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from metrocli.adjust.blocks import Array
+from metrocli.adjust.coupled import Design, in_datum
+from metrocli.adjust.observations import Index, Mask
+from metrocli.instruments import ball_grid as bg
+from metrocli.tasks.grid_problem import Problem
+from metrocli.tasks.grid_settings import Rotate, turn_in_words
+
+_ONE = 1e-6
+_NEGLIGIBLE = 1e-6
+_QUARTER = np.pi / 2
+_TURNS = 30
+_ENOUGH = 1 / 3
+
+Projector = Callable[[Array], Array]
+"""From fields (sites, 3, k) to their part of a pattern"""
+
+
+@dataclass(frozen=True)
+class Family:
+    """Undetermined fields of one pattern."""
+
+    pattern: str
+    count: int
+
+
+@dataclass(frozen=True)
+class Remedy:
+    """A further view, and what would then be left."""
+
+    words: str
+    left: int
+
+
+@dataclass(frozen=True)
+class Open:
+    """What the views leave undetermined."""
+
+    scale: bool
+    """Whether the common scale is"""
+    families: tuple[Family, ...]
+    """Beyond the rigid motions and the scale"""
+    remedies: tuple[Remedy, ...]
+    """Views that would remove some of the families, the best first"""
+
+    @property
+    def count(self) -> int:
+        """Undetermined directions in all."""
+        return 12 + self.scale + sum(family.count for family in self.families)
+
+    def sentences(self) -> list[str]:
+        """Return what is undetermined and what would determine it, in words."""
+        fixed = "; the scale is that of the lengths"
+        scale = ", 1 common scale: give one calibrated length to fix it" if self.scale else fixed
+        rigid = "6 rigid motions of the machine error, 6 of the artefact error"
+        lines = [f"{self.count} directions undetermined: {rigid}{scale}"]
+        if self.families:
+            families = "; ".join(f"{one.pattern} ({one.count})" for one in self.families)
+            lines.append(f"the views also leave open: {families}")
+        if self.remedies:
+            least = self.remedies[0].left
+            best = [one.words for one in self.remedies if one.left == least]
+            lines.append(f"a further view {' or '.join(best)} would leave {least}")
+        return lines
+
+
+def opened(problem: Problem, design: Design) -> Open:
+    """Return the open directions of a design, named."""
+    scale = not problem.scale_given
+    extra = design.null.shape[1] - 12 - scale
+    if extra <= 0:
+        return Open(scale, (), ())
+    basis, fields = _machine_fields(problem, design)
+    families = tuple(_families(problem, basis, fields, extra))
+    remedies = sorted(_remedies(problem, design), key=lambda one: one.left)
+    return Open(scale, families, tuple(one for one in remedies if one.left < design.null.shape[1]))
+
+
+def determined(problem: Problem, design: Design) -> dict[str, Mask]:
+    """Return which entries of both fields are determined but for rigid motion and scale, each (members, 3).
+
+    The open directions Z agree there with a combination of the standard ones E: `min sum_i |Z_i - E_i M|` over M, by
+    reweighted least squares, makes the rows that can agree do so. Where that holds for less than a third of the entries
+    the datum over all of them is kept: determined is what no direction moves in it.
+    """
+    columns = [design.partition.columns[name] for name in (bg.MACHINE, bg.ARTEFACT)]
+    if design.null.shape[1] <= 13 - problem.scale_given:
+        return {name: places >= 0 for name, places in zip((bg.MACHINE, bg.ARTEFACT), columns, strict=True)}
+    rows = np.concatenate([places[places >= 0] for places in columns])
+    standard = _standard(problem)
+    moves = np.concatenate(
+        [standard[name][places >= 0] for name, places in zip((bg.MACHINE, bg.ARTEFACT), columns, strict=True)]
+    )
+    moves = moves / np.linalg.norm(moves, axis=0)
+    null = (design.null / np.linalg.norm(design.null[rows], axis=0))[rows]
+    left = _disagreement(null, moves)
+    agree = left < _NEGLIGIBLE * max(float(left.max()), _NEGLIGIBLE)
+    if agree.mean() < _ENOUGH:
+        rest = np.linalg.norm(null - moves @ np.linalg.lstsq(moves, null, rcond=None)[0], axis=1)
+        agree = rest < _NEGLIGIBLE * max(float(rest.max()), _NEGLIGIBLE)
+    known = np.zeros(design.partition.width, dtype=bool)
+    known[rows] = agree
+    both = zip((bg.MACHINE, bg.ARTEFACT), columns, strict=True)
+    return {name: np.asarray(known[places] & (places >= 0)) for name, places in both}
+
+
+def _disagreement(null: Array, moves: Array) -> Array:
+    """Return |Z_i - E_i M| (rows,) for the M with the least sum of them."""
+    weights = np.ones(len(null))
+    for turn in range(_TURNS):
+        fit = np.linalg.lstsq(moves * weights[:, None], null * weights[:, None], rcond=None)[0]
+        left: Array = np.linalg.norm(null - moves @ fit, axis=1)
+        weights = 1 / np.sqrt(np.maximum(left, max(float(left.max()), 1e-12) * 0.3**turn))
+    return left
+
+
+def with_determined_datum(problem: Problem, design: Design) -> Design:
+    """Return the design with its datum over the determined entries only, where the views leave more than 13 open."""
+    if design.null.shape[1] <= 13 - problem.scale_given:
+        return design
+    known = determined(problem, design)
+    conditions = {name: given * known[name] for name, given in problem.fields.conditions.items()}
+    return in_datum(replace(problem.fields, conditions=conditions), design)
+
+
+def _standard(problem: Problem) -> dict[str, Array]:
+    """Return the directions that every set of views leaves open, in the blocks of the fields and views."""
+    sites, balls = problem.grid.site_places, problem.grid.ball_places
+    turns = np.stack([view.turn for view in problem.views])
+    shifts = np.stack([view.shift for view in problem.views]) * problem.grid.pitch
+    count = 13 if not problem.scale_given else 12
+    machine, artefact = np.zeros((len(sites), 3, count)), np.zeros((len(balls), 3, count))
+    mounting = np.zeros((len(turns), 6, count))
+    machine[:, :, :6] = bg.rigid(sites)
+    mounting[:, :, :6] = -np.eye(6)
+    artefact[:, :, 6:12] = bg.rigid(balls)
+    # a turn w of the artefact is the turn Rot w of the view, about its shifted centre
+    mounting[:, :3, 6:9] = -turns
+    mounting[:, 3:, 9:12] = -turns
+    mounting[:, :3, 9:12] = -np.cross(shifts[:, :, None], turns, axis=1)
+    if not problem.scale_given:
+        machine[:, :, 12], artefact[:, :, 12] = sites, -balls
+        mounting[:, :3, 12] = -shifts
+    return {bg.MACHINE: machine, bg.ARTEFACT: artefact, bg.VIEW: mounting}
+
+
+def _machine_fields(problem: Problem, design: Design) -> tuple[Array, Array]:
+    """Return an orthonormal basis of the open machine errors, (3 sites, k), and the same as fields (sites, 3, k)."""
+    columns = design.partition.columns[bg.MACHINE]
+    null = np.where((columns >= 0)[:, :, None], design.null[np.maximum(columns, 0)], 0.0).reshape(columns.size, -1)
+    left, sizes, _ = np.linalg.svd(null, full_matrices=False)
+    basis = left[:, sizes > 1e-9 * sizes.max(initial=1e-300)]
+    return basis, basis.reshape(*columns.shape, -1)
+
+
+def _families(problem: Problem, basis: Array, fields: Array, extra: int) -> Iterator[Family]:
+    """Yield the families, the simplest patterns first, each without what was named before it."""
+    named = _within(basis, _standard(problem)[bg.MACHINE].reshape(len(basis), -1))
+    left = extra
+    for pattern, projector in _patterns(problem):
+        inside = basis.T @ projector(fields).reshape(basis.shape)
+        values, vectors = np.linalg.eigh((inside + inside.T) / 2)
+        found = vectors[:, values > 1 - _ONE]
+        fresh = found - named @ (named.T @ found)
+        new, sizes, _ = np.linalg.svd(fresh, full_matrices=False)
+        new = new[:, sizes > 1e-4]
+        if new.shape[1]:
+            named = np.concatenate([named, new], axis=1)
+            left -= new.shape[1]
+            yield Family(pattern, new.shape[1])
+    if left > 0:
+        yield Family("other fields that look the same in every view", left)
+
+
+def _within(basis: Array, fields: Array) -> Array:
+    """Return an orthonormal basis of fields in the coordinates of `basis`."""
+    inside = basis.T @ fields
+    lengths = np.linalg.norm(fields, axis=0)
+    inside = inside[:, lengths > 0] / lengths[lengths > 0]
+    left, sizes, _ = np.linalg.svd(inside, full_matrices=False)
+    return left[:, sizes > 1e-6]
+
+
+def _patterns(problem: Problem) -> Iterator[tuple[str, Projector]]:
+    sites = problem.grid.sites
+    pairs = _lonely(problem)
+    if pairs.any():
+        yield "machine errors at sites seen once, by a ball seen once", _chosen(pairs)
+    for a in range(3):
+        yield f"another scale along {'xyz'[a]}", _onto(np.eye(3)[a] * sites[:, a, None])
+    for a, b in ((0, 1), (0, 2), (1, 2)):
+        shear = np.zeros((len(sites), 3))
+        shear[:, a], shear[:, b] = sites[:, b], sites[:, a]
+        yield f"the squareness of {'xyz'[a]} and {'xyz'[b]}", _onto(shear)
+    for a in range(3):
+        twist: Array = np.asarray(np.cross(np.eye(3)[a], sites) * sites[:, a, None], dtype=float)
+        yield f"a twist about {'xyz'[a]}: planes across it turn in proportion to {'xyz'[a]}", _onto(twist)
+    for a in range(3):
+        across = np.delete(np.eye(3), a, axis=0)
+        bowl = -sites[:, a, None] * (sites @ across.T) @ across
+        bowl[:, a] = ((sites @ across.T) ** 2).sum(axis=1) / 2
+        yield f"planes across {'xyz'[a]} bend to bowls, the wider the higher", _onto(bowl)
+    for a in range(3):
+        for c in (a, (a + 1) % 3, (a + 2) % 3):
+            yield f"each plane across {'xyz'[a]} moves by itself along {'xyz'[c]}", _planes(sites[:, [a]], (c,))
+    for a in range(3):
+        yield f"each line along {'xyz'[a]} moves by itself", _planes(np.delete(sites, a, axis=1), (0, 1, 2))
+    turns = _group([view.turn for view in problem.views])
+    if len(turns) > 1:
+        yield "fields that all rotations of the views carry into themselves", _symmetric(sites, turns)
+
+
+def _lonely(problem: Problem) -> Array:
+    """Return the sites (n,) that one reading only touches, of a ball that no other reading touches."""
+    index = problem.readings.observations.index
+    site, ball = index[bg.MACHINE], index[bg.ARTEFACT]
+    alone = (np.bincount(site)[site] == 1) & (np.bincount(ball)[ball] == 1)
+    lonely = np.zeros(len(problem.grid.sites), dtype=bool)
+    lonely[site[alone]] = True
+    return lonely
+
+
+def _chosen(sites: Array) -> Projector:
+    return lambda fields: np.asarray(fields * sites[:, None, None])
+
+
+def _onto(field: Array) -> Projector:
+    """Return the projector onto one field (sites, 3)."""
+    unit = field / max(float(np.linalg.norm(field)), 1e-300)
+    return lambda fields: np.asarray(np.einsum("na,k->nak", unit, np.einsum("na,nak->k", unit, fields)))
+
+
+def _planes(keys: Index, components: tuple[int, ...]) -> Projector:
+    """Return the projector onto fields that are constant over sites with equal keys, in some components."""
+    _, label = np.unique(keys, axis=0, return_inverse=True)
+    label = label.reshape(-1)
+    counts = np.bincount(label)
+
+    def project(fields: Array) -> Array:
+        result = np.zeros_like(fields)
+        for c in components:
+            sums = np.zeros((len(counts), fields.shape[2]))
+            np.add.at(sums, label, fields[:, c])
+            result[:, c] = (sums / counts[:, None])[label]
+        return result
+
+    return project
+
+
+def _group(turns: list[Array]) -> list[Array]:
+    """Return all products of the rotations."""
+    found = {np.eye(3).tobytes(): np.eye(3)}
+    while True:
+        more = {(a @ b + 0.0).tobytes(): a @ b + 0.0 for a in found.values() for b in turns}
+        if not set(more) - set(found):
+            return list(found.values())
+        found |= more
+
+
+def _symmetric(sites: Index, turns: list[Array]) -> Projector:
+    """Return the projector onto fields with `G(R q) = R G(q)`; sites without all their images count as they are."""
+    at = np.stack([bg.numbers_at(sites, np.rint(sites @ turn.T).astype(np.intp)) for turn in turns])
+    whole = np.asarray((at >= 0).all(axis=0))
+
+    def project(fields: Array) -> Array:
+        total = sum(np.einsum("ba,nbk->nak", turn, fields[row]) for turn, row in zip(turns, at, strict=True))
+        return np.asarray(np.where(whole[:, None, None], total / len(turns), fields))
+
+    return project
+
+
+def _remedies(problem: Problem, design: Design) -> Iterator[Remedy]:
+    """Yield for each simple view more what would then be left open."""
+    for words, view in candidates():
+        yield Remedy(words, _left_with(problem, design, view))
+
+
+def candidates() -> Iterator[tuple[str, bg.View]]:
+    """Yield simple views in words: shifts by a pitch, and turns by 90 degrees."""
+    for a in range(3):
+        yield f"shifted by one pitch along {'xyz'[a]}", bg.View("+", np.eye(3), np.eye(3)[a])
+    for axis in "xyz":
+        turn = Rotate(axis, _QUARTER).matrix
+        yield turn_in_words(turn), bg.View("+", turn, np.zeros(3))
+
+
+def _left_with(problem: Problem, design: Design, view: bg.View) -> int:
+    """Return how many directions stay open with one view more: Z c that a mounting of that view can follow."""
+    at = bg.numbers_at(problem.grid.sites, view.sites(problem.grid.balls))
+    balls = np.flatnonzero(at >= 0)
+    artefact = np.einsum("ab,nbk->nak", view.turn, _entries(design, bg.ARTEFACT)[balls])
+    seen = _entries(design, bg.MACHINE)[at[balls]] + artefact
+    flat = seen.reshape(-1, seen.shape[2])
+    mounting = np.linalg.qr(bg.rigid(problem.grid.sites[at[balls]] / problem.grid.half.max()).reshape(len(flat), 6))[0]
+    flat = flat - mounting @ (mounting.T @ flat)
+    values = np.linalg.eigvalsh(flat.T @ flat)
+    return int((values < 1e-9 * max(values.max(initial=0.0), 1e-12)).sum())
+
+
+def _entries(design: Design, block: str) -> Array:
+    columns = design.partition.columns[block]
+    null = design.null / np.linalg.norm(design.null, axis=0)
+    return np.where((columns >= 0)[:, :, None], null[np.maximum(columns, 0)], 0.0)

@@ -1,0 +1,126 @@
+"""Which views determine what, before anything is measured: null space and noise gain of planned and other views."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from metrocli.adjust.observations import Index
+from metrocli.errors import UndeterminedError
+from metrocli.instruments import ball_grid as bg
+from metrocli.plan import Plan
+from metrocli.result import Estimate
+from metrocli.table import Table
+from metrocli.tasks.grid_open import Open, candidates, determined, opened
+from metrocli.tasks.grid_problem import Problem, build
+from metrocli.tasks.grid_readings import Readings
+from metrocli.tasks.grid_report import KIND
+from metrocli.tasks.grid_settings import Settings, turn_in_words, views_of
+from metrocli.tasks.grid_simulation import balls_of, on_the_grid
+from metrocli.tasks.grid_solve import design
+
+if TYPE_CHECKING:
+    from metrocli.table import Values
+
+_TRIED = 5
+"""Sets of views are compared on a grid of at most so many balls a side; noise gains hardly depend on it"""
+_WORKED_OUT = 11
+
+
+@dataclass(frozen=True)
+class _Worth:
+    """What a set of views is worth."""
+
+    found: Open
+    gain: float
+    """Root mean square standard uncertainty of the machine error over the noise; inf where something is open"""
+    largest: float
+    readings: int
+
+
+def plan(settings: Settings) -> Plan:
+    """Return the null space and the uncertainties of the planned views, and what one view more or less would change."""
+    views, half = views_of(settings), settings.grid.half
+    small = np.minimum(half, _TRIED // 2)
+    own = _worth(views, np.minimum(half, _WORKED_OUT // 2), settings)
+    table = _table([(words, _tried(some, small, settings)) for words, some in _sets(views)])
+    gain = Estimate("s_machine_error", 0.0, own.gain * settings.noise, "mm")
+    most = Estimate("s_machine_error_max", 0.0, own.largest * settings.noise, "mm")
+    size = " x ".join(str(2 * n + 1) for n in small.tolist())
+    notes = (
+        *own.found.sentences(),
+        f"noise gain {own.gain:.3f} rms, {own.largest:.3f} at most",
+        f"other sets of views, on a grid of {size}:",
+    )
+    figures = () if own.found.families else (gain, most)
+    files = {"views_to_measure.csv": _sheet(settings, views)}
+    return Plan(KIND, notes, figures, {"view_sets": table}, files, shown=("view_sets",))
+
+
+def _sets(views: Sequence[bg.View]) -> Iterator[tuple[str, list[bg.View]]]:
+    """Yield the planned views, these with one more, and with one less."""
+    yield "planned", list(views)
+    for words, view in candidates():
+        yield f"with a view {words}", [*views, view]
+    for one in views if len(views) > 2 else ():
+        yield f"without '{one.name}'", [view for view in views if view is not one]
+
+
+def _tried(views: Sequence[bg.View], half: Index, settings: Settings) -> _Worth | None:
+    try:
+        return _worth(views, half, settings)
+    except UndeterminedError:
+        return None
+
+
+def _worth(views: Sequence[bg.View], half: Index, settings: Settings) -> _Worth:
+    problem = _problem(views, half, settings)
+    taken = design(problem)
+    found = opened(problem, taken)
+    std = np.where(determined(problem, taken)[bg.MACHINE], taken.std(bg.MACHINE), np.inf)[problem.grid.within > 0]
+    std = std / settings.noise
+    return _Worth(found, float(np.sqrt((std**2).mean())), float(std.max()), problem.readings.observations.count)
+
+
+def _problem(views: Sequence[bg.View], half: Index, settings: Settings) -> Problem:
+    """Return the adjustment of views whose readings are those of a grid without errors."""
+    balls = balls_of(half)
+    named = [bg.View(f"{n}", view.turn, view.shift) for n, view in enumerate(views)]
+    each = [on_the_grid(view, balls, half) for view in named]
+    values = [view.sites(one) * settings.grid.pitch for view, one in zip(named, each, strict=True)]
+    count = [len(one) for one in each]
+    ball = np.concatenate(each)
+    columns: dict[str, Values] = {"view": np.repeat(np.array([view.name for view in named]), count)}
+    columns |= {name: ball[:, n] for n, name in enumerate("ijk")}
+    view = np.repeat(np.arange(len(named)), count)
+    readings = Readings(tuple(named), view, ball, np.concatenate(values), Table(columns))
+    return build(readings, (half, settings.grid.pitch), settings.noise)
+
+
+def _table(rows: Sequence[tuple[str, _Worth | None]]) -> Table:
+    columns: dict[str, Values] = {
+        "views": np.array([words for words, _ in rows]),
+        "undetermined": np.array([str(worth.found.count) if worth else "more" for _, worth in rows]),
+        "noise_gain": np.array([worth.gain if worth else np.inf for _, worth in rows]),
+        "largest_gain": np.array([worth.largest if worth else np.inf for _, worth in rows]),
+    }
+    return Table(columns)
+
+
+def _sheet(settings: Settings, views: Sequence[bg.View]) -> Table:
+    """Return where each ball is to be measured, in the order of the views."""
+    balls = balls_of(settings.grid.half)
+    each = [on_the_grid(view, balls, settings.grid.half) for view in views]
+    places = np.concatenate([view.sites(one) for view, one in zip(views, each, strict=True)]) * settings.grid.pitch
+    ball = np.concatenate(each)
+    count = [len(one) for one in each]
+    columns: dict[str, Values] = {
+        "view": np.repeat(np.array([view.name for view in views]), count),
+        "mounting": np.repeat(np.array([turn_in_words(view.turn) for view in views]), count),
+    }
+    columns |= {name: ball[:, n].astype(np.int64) for n, name in enumerate("ijk")}
+    columns |= {name: places[:, n] for n, name in enumerate("xyz")}
+    return Table(columns, dict.fromkeys("xyz", "mm"))

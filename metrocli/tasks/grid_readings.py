@@ -1,0 +1,74 @@
+"""Readings of the views, joined to balls and sites; every row that cannot be one is told."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrocli.adjust.blocks import Array
+from metrocli.adjust.observations import Index, Mask
+from metrocli.errors import Fault, InputError
+from metrocli.instruments.ball_grid import View
+from metrocli.table import Table
+from metrocli.words import suggestion
+
+_MOST = 20
+
+
+@dataclass(frozen=True)
+class Readings:
+    """What the machine read, row by row."""
+
+    views: tuple[View, ...]
+    """Those that have readings"""
+    view: Index
+    """(n,)"""
+    balls: Index
+    """Ball of each reading (n, 3)"""
+    values: Array
+    """(n, 3) [mm]"""
+    table: Table
+
+    def at(self, view: int) -> Mask:
+        """Return the readings of a view, (n,)."""
+        return np.asarray(self.view == view)
+
+
+def read(views: Sequence[View], half: Index, table: Table) -> Readings:
+    """Match the rows to views and balls; InputError for every row that names none."""
+    names = [view.name for view in views]
+    said = table.texts("view")
+    balls = np.asarray(np.rint(table.stacked("ijk")), dtype=np.intp)
+    outside = (np.abs(balls) > half).any(axis=1)
+    faults = [
+        fault(table, row, f"view '{said[row]}' is not among the job's views", suggestion(said[row], names))
+        for row in [row for row, name in enumerate(said) if name not in names][:_MOST]
+    ]
+    sizes = " x ".join(str(2 * n + 1) for n in half)
+    limits = ", ".join(f"{name} from {-n} to {n}" for name, n in zip("ijk", half.tolist(), strict=True))
+    faults += [
+        fault(table, row, f"ball ({_ball(balls[row])}) is outside the grid of {sizes}", f"{limits}")
+        for row in np.flatnonzero(outside)[:_MOST].tolist()
+    ]
+    if faults:
+        raise InputError(sorted(faults, key=lambda one: one.line or 0)[:_MOST])
+    used = [view for view in views if view.name in set(said)]
+    place = {view.name: n for n, view in enumerate(used)}
+    at = np.array([place[name] for name in said], dtype=np.intp)
+    return Readings(tuple(used), at, balls, table.stacked("xyz"), table)
+
+
+def fault(table: Table, row: int, message: str, hint: str | None = None) -> Fault:
+    """Return a fault of one row of a table."""
+    return Fault(message, table.file, table.lines[row] if table.lines else None, hint=hint)
+
+
+def _ball(ball: Index) -> str:
+    return ", ".join(map(str, ball.tolist()))
+
+
+def ball_name(ball: Index) -> str:
+    """Return 'ball (1, 0, -2)'."""
+    return f"ball ({_ball(ball)})"

@@ -1,0 +1,84 @@
+"""selfcal-grid: errors of a machine and of an artefact from views of a ball grid that nobody calibrated."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from metrocli.effects.model import extended
+from metrocli.effects.wanted import Wanted
+from metrocli.errors import InputError
+from metrocli.plan import Plan
+from metrocli.result import Result
+from metrocli.simulation import Simulation, SimulationOptions
+from metrocli.table import Table
+from metrocli.tasks import grid_mountings, grid_plan, grid_readings
+from metrocli.tasks.grid_open import opened
+from metrocli.tasks.grid_problem import Problem, build
+from metrocli.tasks.grid_report import KIND, report
+from metrocli.tasks.grid_sequence import in_sequence
+from metrocli.tasks.grid_settings import Inputs, Settings, views_of
+from metrocli.tasks.grid_simulation import simulated
+from metrocli.tasks.grid_solve import leave_one_out, solve
+
+SIMULATED = ("views",)
+SUMMARY = "machine and artefact errors from views of an uncalibrated ball grid"
+_MANY = 20_000
+"""Readings beyond which views are left out in turn only where the job asks for it"""
+
+
+def run(
+    settings: Settings,
+    views: Table,
+    lengths: Table | None = None,
+    map: Table | None = None,
+    effects: Sequence[Wanted] = (),
+    **_: object,
+) -> Result:
+    """Find both fields; raises InputError, UndeterminedError or NotConvergedError."""
+    problem = _problem(settings, views, lengths)
+    if effects:
+        problem = problem.with_model(extended(problem.model(), effects))
+    solved = solve(problem, settings.outliers == "remove")
+    wanted = settings.leave_one_out == "yes" or (settings.leave_one_out == "auto" and len(views) <= _MANY)
+    return report(solved, opened(solved.problem, solved.design), leave_one_out(solved) if wanted else [], map)
+
+
+def compare(settings: Settings, views: Table, lengths: Table | None = None, **_: object) -> Table:
+    """Return the joint adjustment beside the sequence of the paper, views 1-3 fitted first."""
+    return in_sequence(_problem(settings, views, lengths))
+
+
+def _problem(settings: Settings, views: Table, lengths: Table | None) -> Problem:
+    readings = grid_readings.read(views_of(settings), settings.grid.half, views)
+    warnings = grid_mountings.check(readings, settings.grid.pitch)
+    problem = build(readings, (settings.grid.half, settings.grid.pitch), settings.noise, lengths)
+    return problem.warned(warnings)
+
+
+def simulate(
+    settings: Settings,
+    options: SimulationOptions,
+    views: Table | None = None,
+    effects: Sequence[Wanted] = (),
+    **_: object,
+) -> Simulation:
+    """Return views of an artefact and a machine with the errors of `simulation:`, and with effects in them.
+
+    Where the job's views exist, their balls, times and temperatures are those of the simulation.
+    """
+    if settings.simulation is None:
+        raise InputError(
+            "simulate needs the truth: write `simulation: {machine_error: 17 um, artefact_error: 0.3 mm, "
+            "shift: 0.2 mm, tilt: 1 mrad}`"
+        )
+    return simulated(settings, views, effects, np.random.default_rng(options.seed))
+
+
+def plan(settings: Settings, **_: object) -> Plan:
+    """Return what the views of the job will determine, and what others would."""
+    return grid_plan.plan(settings)
+
+
+__all__ = ["KIND", "SIMULATED", "SUMMARY", "Inputs", "Settings", "compare", "plan", "run", "simulate"]

@@ -1,0 +1,70 @@
+"""Sparse Cholesky by fronts: the same as dense algebra, whatever the matrix and the places of its unknowns."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.sparse import csr_array
+
+from metrocli.adjust.dissection import dissect
+from metrocli.adjust.sparse_cholesky import factor
+
+
+def lattice(shape: tuple[int, ...], seed: int) -> tuple[csr_array, np.ndarray]:
+    """A positive definite matrix that couples neighbours on a lattice, with one long link, and their places."""
+    places = np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), axis=-1).reshape(-1, len(shape))
+    rng = np.random.default_rng(seed)
+    near = np.abs(places[:, None] - places).sum(axis=2) == 1
+    near[0, -1] = near[-1, 0] = True
+    strength = np.triu(near * rng.normal(size=near.shape), 1)
+    matrix = strength + strength.T
+    return csr_array(matrix + np.diag(np.abs(matrix).sum(axis=1) + rng.uniform(0.1, 1, len(matrix)))), places.astype(
+        float
+    )
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (7, 3), (30, 30), (9, 9, 9), (900, 1), (1, 1, 400)])
+def test_it_solves_and_inverts(shape: tuple[int, ...]) -> None:
+    matrix, places = lattice(shape, 1)
+    dense = matrix.toarray()
+    cholesky = factor(matrix, dissect(matrix, places))
+    right = np.random.default_rng(2).normal(size=(len(dense), 3))
+    assert np.allclose(cholesky.solve(right), np.linalg.solve(dense, right), rtol=0, atol=1e-10)
+    assert np.allclose(cholesky.solve(right[:, 0]), cholesky.solve(right)[:, 0])
+    inverse = cholesky.inverse(matrix)
+    wanted = np.where(dense != 0, np.linalg.inv(dense), 0.0)
+    assert np.abs(inverse.toarray() - wanted).max() < 1e-12 * np.abs(wanted).max() * 100
+
+
+def test_every_unknown_is_eliminated_once_and_after_its_children() -> None:
+    matrix, places = lattice((12, 12, 4), 3)
+    fronts = dissect(matrix, places)
+    order = np.concatenate([front.pivots for front in fronts])
+    assert sorted(order.tolist()) == list(range(matrix.shape[0]))
+    turn = np.empty(len(order), dtype=int)
+    for i, front in enumerate(fronts):
+        turn[front.pivots] = i
+    assert all((turn[front.border] > i).all() for i, front in enumerate(fronts))
+    assert all(child < i for i, front in enumerate(fronts) for child in front.children)
+
+
+def test_parts_without_connection_and_shared_places() -> None:
+    """Two matrices side by side, all unknowns of one at the same place: a front that cannot be cut."""
+    first, places = lattice((20, 20), 4)
+    rng = np.random.default_rng(5)
+    root = rng.normal(size=(300, 300))
+    second = root @ root.T + 300 * np.eye(300)
+    matrix = csr_array(np.block([[first.toarray(), np.zeros((400, 300))], [np.zeros((300, 400)), second]]))
+    both = np.concatenate([places, np.full((300, 2), 99.0)])
+    cholesky = factor(matrix, dissect(matrix, both))
+    right = rng.normal(size=700)
+    assert np.allclose(matrix @ cholesky.solve(right), right, atol=1e-9)
+    assert np.allclose(cholesky.inverse(matrix).toarray()[400:, 400:], np.linalg.inv(second), atol=1e-12)
+
+
+def test_an_indefinite_matrix_is_refused() -> None:
+    matrix, places = lattice((30, 30), 6)
+    spoilt = matrix.copy()
+    spoilt.setdiag(matrix.diagonal() - 10.0)
+    with pytest.raises(np.linalg.LinAlgError, match="not positive definite"):
+        factor(spoilt, dissect(spoilt, places))

@@ -1,0 +1,80 @@
+"""A fixed tenth of the hidden-effect campaign: the promised rates, as far as so few cases can show them.
+
+The whole of it: python -m benchmarks hidden_effects
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import pytest
+
+from benchmarks.hidden import rates
+from benchmarks.hidden.case import Found
+from benchmarks.hidden_effects import KINDS, results
+
+COUNT = 60
+"""Three rounds of the twenty scenarios"""
+
+
+@cache
+def found(kind: str) -> tuple[Found, ...]:
+    return tuple(results(kind, COUNT))
+
+
+@pytest.fixture(params=KINDS)
+def cases(request: pytest.FixtureRequest) -> tuple[Found, ...]:
+    return found(request.param)
+
+
+def hidden(cases: tuple[Found, ...], known: bool) -> list[Found]:
+    return [one for one in cases if one.case.hidden and (one.case.hidden[0].name[0] != "_") is known]
+
+
+def test_where_nothing_is_hidden_nothing_is_named(cases: tuple[Found, ...]) -> None:
+    nothing = [one for one in cases if not one.case.hidden]
+    assert len(nothing) >= 20
+    assert sum(bool(one.diagnosis.findings) for one in nothing) <= 1
+    assert not any(finding.gain.shown for one in nothing for finding in one.diagnosis.findings)
+    assert sum(one.diagnosis.verdict == "clean" for one in nothing) >= 0.9 * len(nothing)
+
+
+def test_what_is_hidden_is_found_and_named(cases: tuple[Found, ...]) -> None:
+    known = hidden(cases, known=True)
+    assert len(known) >= 25
+    large = [one for one in known if not one.case.scenario.endswith(" 1x")]
+    assert all(one.diagnosis.verdict != "clean" for one in large)
+    named = [one for one in known if one.diagnosis.findings]
+    assert sum(map(rates._each_in_sets, named)) >= 0.95 * len(named)
+
+
+def test_a_name_stands_alone_where_no_other_is_alike(cases: tuple[Found, ...]) -> None:
+    known = [one for one in hidden(cases, known=True) if len(one.case.hidden) == 1 and one.case.hidden[0].distinct]
+    large = [one for one in known if one.case.scenario.split()[-1] in ("2x", "3x")]
+    assert len(large) >= 8
+    assert sum(map(rates._sole, large)) >= 0.9 * len(large)
+
+
+def test_an_effect_of_no_table_is_called_unknown(cases: tuple[Found, ...]) -> None:
+    outside = [one for one in hidden(cases, known=False) if one.case.hidden[0].distinct]
+    assert len(outside) >= 3
+    assert all(one.diagnosis.verdict == "unexplained" for one in outside)
+    assert all(one.diagnosis.left is not None and one.diagnosis.left.depends_on for one in outside)
+
+
+def test_a_name_is_told_from_what_it_is_not_by_its_region(cases: tuple[Found, ...]) -> None:
+    covered = [hit for one in cases for hit in one.covered]
+    assert len(covered) >= 20
+    assert sum(covered) >= 0.88 * len(covered)
+
+
+def test_the_noise_is_found(cases: tuple[Found, ...]) -> None:
+    ratios = [one.diagnosis.noise for one in cases if not one.case.hidden and "noisier" not in one.case.scenario]
+    truths = [one.case.noise for one in cases if not one.case.hidden and "noisier" not in one.case.scenario]
+    inside = [noise.low <= truth <= noise.high for noise, truth in zip(ratios, truths, strict=True)]
+    assert sum(inside) >= 0.85 * len(inside)
+
+
+def test_it_does_not_take_long(cases: tuple[Found, ...]) -> None:
+    """CPU time, since the machine may be busy."""
+    assert max(one.seconds for one in cases) < 5

@@ -1,0 +1,83 @@
+"""Mistakes in the files of a job are found by adjusting it without them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.hidden import lengths
+from metrocli.diagnosis.mistakes import strangeness, without_mistakes
+from metrocli.table import Table
+from metrocli.tasks import multilaterate
+from metrocli.tasks.multilaterate import Inputs, LengthNoise, Settings
+
+SETTINGS = Settings(Inputs(Path("-"), Path("-")), LengthNoise(*lengths.NOISE))
+
+
+def files(seed: int = 0) -> dict[str, Table]:
+    m = lengths.measurement(np.random.default_rng([5, seed]), 40)
+    point, tracer = np.array([f"P{i}" for i in m.point]), np.array([f"T{j}" for j in m.tracer])
+
+    def places(key: str, letter: str, values: np.typing.NDArray[np.float64]) -> Table:
+        names = np.array([f"{letter}{i}" for i in range(len(values))])
+        return Table({key: names, **dict(zip("xyz", values.T, strict=True))}, dict.fromkeys("xyz", "mm"))
+
+    return {
+        "lengths": Table({"point": point, "tracer": tracer, "length": m.length}, {"length": "mm"}),
+        "points": places("point", "P", m.nominal),
+        "tracers": places("tracer", "T", m.said),
+    }
+
+
+def changed(table: Table, **columns: np.typing.NDArray[np.float64]) -> Table:
+    return replace(table, columns={**table.columns, **columns})
+
+
+def adjust(inputs: dict[str, Table]) -> object:
+    return multilaterate.diagnosed(SETTINGS, **inputs)
+
+
+WRONG = {
+    "lengths in inches": (
+        "lengths",
+        lambda t: changed(t, length=t.numbers("length") / 25.4),
+        "lengths: written in inches",
+    ),
+    "points in metres": (
+        "points",
+        lambda t: changed(t, **{a: t.numbers(a) / 1000 for a in "xyz"}),
+        "points: a thousand times too small",
+    ),
+    "x and z swapped": (
+        "points",
+        lambda t: changed(t, x=t.numbers("z"), z=t.numbers("x")),
+        "points: x and z are swapped",
+    ),
+    "y mirrored": ("tracers", lambda t: changed(t, y=-t.numbers("y")), "tracers: y has the wrong sign"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_the_mistake_is_told(name: str) -> None:
+    key, spoil, words = WRONG[name]
+    inputs = files()
+    subject, mistaken = without_mistakes({**inputs, key: spoil(inputs[key])}, adjust)
+    assert mistaken is not None
+    assert any(str(mistake).startswith(words) for mistake in mistaken.mistakes), [str(m) for m in mistaken.mistakes]
+    assert strangeness(subject) < 1
+    assert mistaken.after < mistaken.before / 10
+
+
+def test_a_job_without_mistakes_is_left_alone() -> None:
+    calls = []
+
+    def counted(inputs: dict[str, Table]) -> object:
+        calls.append(1)
+        return adjust(inputs)
+
+    _, mistaken = without_mistakes(files(), counted)
+    assert mistaken is None
+    assert len(calls) == 1

@@ -1,0 +1,205 @@
+"""The statistics of diagnosis against plain least squares, scipy's distributions and simulated noise."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from benchmarks.hidden import lengths
+from metrocli.diagnosis.candidates import families_of
+from metrocli.diagnosis.diagnose import field_of_job
+from metrocli.diagnosis.distributions import chi_interval, log_family, log_tail, noncentrality
+from metrocli.diagnosis.gain import _held, _without
+from metrocli.diagnosis.noise import apart
+from metrocli.diagnosis.projection import System, linearised, signature
+from metrocli.diagnosis.race import PRIOR, Field, independent, nothing, quadratic
+from metrocli.diagnosis.selection import select
+from metrocli.diagnosis.subject import Subject
+
+Array = np.typing.NDArray[np.float64]
+
+
+@cache
+def subject() -> Subject:
+    return lengths.measurement(np.random.default_rng(2), 30).subject()
+
+
+@cache
+def field() -> Field:
+    return field_of_job(subject(), {}, np.random.default_rng(3))[0]
+
+
+@cache
+def plain() -> tuple[Array, Array, Array]:
+    """Derivatives by differences of the chain's predictions, residuals and standard deviations, one reading a row."""
+    model = subject().model
+    group = model.readings[0]
+    columns = []
+    for name, block in model.blocks.items():
+        for member, column in zip(*np.nonzero(block.free), strict=True):
+            step = np.zeros(block.values.shape)
+            step[member, column] = 0.01
+
+            def at(h: float, name: str = name, block=block, step: Array = step) -> Array:  # type: ignore[no-untyped-def]
+                return group.chain.predict({**model.blocks, name: block.moved(h * step)}, group.observations)[0]
+
+            columns.append((at(1.0) - at(-1.0)) / 0.02)
+    sigma = group.observations.sigma[0]
+    return np.stack(columns, axis=1) / sigma[:, None], group.residuals(model.blocks)[0] / sigma, sigma
+
+
+def test_what_is_seen_is_what_least_squares_leaves() -> None:
+    system = field().system
+    values = np.random.default_rng(0).normal(size=(system.rows, 3))
+    size = np.linalg.norm(plain()[0], axis=0)
+    expected = values - (plain()[0] / size) @ np.linalg.lstsq(plain()[0] / size, values, rcond=1e-9)[0]
+    assert np.abs(system.seen(values) - expected).max() < 1e-6
+    assert system.dof == system.rows - plain()[0].shape[1] + 6
+
+
+def test_absorbed_changes_are_those_of_the_adjustment_in_its_datum() -> None:
+    system = field().system
+    model = subject().model
+    values = np.random.default_rng(1).normal(size=system.rows)
+    shift = system.shift(values[:, None], "point", (0, 1, 2))[:, :, 0]
+    tracer = system.shift(values[:, None], "tracer", (0, 1, 2, 3))[:, :, 0]
+    block = model.blocks["point"]
+    free = [np.nonzero(b.free) for b in model.blocks.values()]
+    full = np.concatenate(
+        [
+            (shift if name == "point" else tracer)[where]
+            for (name, _), where in zip(model.blocks.items(), free, strict=True)
+        ]
+    )
+    assert np.abs(values - system.seen(values) - plain()[0] @ full).max() < 1e-5
+    assert np.abs(shift.sum(axis=0)).max() < 1e-9
+    assert (
+        np.abs(np.cross(block.values, shift).sum(axis=0)).max()
+        < 1e-4 * np.abs(block.values).max() * np.abs(shift).max()
+    )
+
+
+def test_a_score_is_the_fall_of_the_sum_of_squares() -> None:
+    system, chosen = field().system, field()
+    start = nothing(system)
+    for number, family in enumerate(chosen.families):
+        score = chosen.score(number, start)
+        for at in {0, len(family.alternatives) - 1, score.best}:
+            if score.rank[at] < family.columns.shape[2]:
+                continue  # dependent columns: their rank depends on where the line is drawn
+            columns = family.columns[:, at]
+            size = np.linalg.norm(columns, axis=0)
+            fit = (columns / size) @ np.linalg.lstsq(columns / size, system.residual, rcond=1e-5)[0]
+            gain = float(fit @ system.residual)
+            assert abs(score.gain[at] - gain) < 1e-4 * max(gain, 1.0), (family.name, at)
+
+
+def test_scores_given_a_column_are_those_of_both_together() -> None:
+    chosen = field()
+    number = next(i for i, f in enumerate(chosen.families) if f.name == "dead-path-drift")
+    columns = chosen.families[number].columns
+    start = nothing(chosen.system)
+    given = start.with_columns(columns[:, 0])
+    both = start.with_columns(np.concatenate([columns[:, 0], columns[:, 1]], axis=1))
+    assert np.isclose(chosen.score(number, given).gain[1], given.squares - both.squares, rtol=1e-6)
+    assert chosen.score(number, given).rank[0] == 0
+
+
+def test_outliers_have_their_studentised_residuals() -> None:
+    system, chosen = field().system, field()
+    redundancy = 1 - (system.basis**2).sum(axis=1)
+    score = chosen.outliers(nothing(system))
+    good = score.rank > 0
+    assert good.mean() > 0.9
+    assert np.allclose(score.gain[good], (system.residual**2 / redundancy)[good], rtol=1e-8)
+
+
+@pytest.mark.parametrize(("q", "rest"), [(1, 42), (3, 220), (7, 30), (19, 200)])
+def test_tails_are_those_of_the_f_distribution(q: int, rest: int) -> None:
+    share = np.array([0.0, 0.01, 0.1, 0.3, 0.6])
+    f = share / q / ((1 - share) / rest)
+    assert np.allclose(log_tail(share, q, rest), stats.f.logsf(f, q, rest), rtol=1e-6, atol=1e-12)
+    far = log_tail(np.array([1 - 1e-12]), q, 20 * rest)
+    assert far < -2000
+    assert np.isfinite(far)
+
+
+@pytest.mark.parametrize("level", [0.03, 1e-4, 1e-8])
+@pytest.mark.parametrize(("q", "rest"), [(1, 42), (3, 220)])
+def test_the_least_detectable_size_has_its_power(level: float, q: int, rest: int) -> None:
+    critical = stats.f.isf(level, q, rest)
+    assert np.isclose(stats.ncf.sf(critical, q, rest, noncentrality(level, q, rest)), 0.8, atol=2e-3)
+
+
+def test_levels_of_many_tests() -> None:
+    p = np.array([1e-300, 1e-12, 1e-3, 0.2])
+    expected = [np.log(1e-300) + np.log(50), *np.log(-np.expm1(50 * np.log1p(-p[1:])))]
+    assert np.allclose(log_family(np.log(p), 50.0), expected, rtol=1e-6)
+    draws = np.random.default_rng(5).uniform(size=(4000, 37)).min(axis=1)
+    assert 30 < independent(np.log(draws)) < 45
+
+
+def test_the_interval_of_the_noise() -> None:
+    low, high = chi_interval(222.0, 222.0)
+    assert np.isclose(low, np.sqrt(222 / stats.chi2.ppf(0.975, 222)))
+    assert np.isclose(high, np.sqrt(222 / stats.chi2.ppf(0.025, 222)))
+
+
+def test_small_systems_with_and_without_full_rank() -> None:
+    a = np.array([[[4.0, 0.0], [0.0, 9.0]], [[1.0, 1.0], [1.0, 1.0]], [[0.0, 0.0], [0.0, 0.0]]])
+    gain, rank = quadratic(a, np.array([[2.0, 3.0], [1.0, 1.0], [0.0, 0.0]]), np.ones((3, 2)))
+    assert np.allclose(gain, [2.0, 1.0, 0.0])
+    assert rank.tolist() == [2, 1, 0]
+
+
+def test_held_out_errors_are_those_of_an_adjustment_without_them() -> None:
+    """Leaving one reading out, by the formula and by least squares on the others."""
+    jacobian, residual, _ = plain()
+    system = field().system
+    size = np.linalg.norm(jacobian, axis=0)
+    for row in (3, 77):
+        held = _held(field(), nothing(system), np.array([row]))
+        rest = np.arange(len(residual)) != row
+        step = np.linalg.lstsq((jacobian / size)[rest], residual[rest], rcond=1e-9)[0]
+        expected = residual[row] - (jacobian / size)[row] @ step
+        assert np.isclose(held.errors[0] / system.scale[row], expected, rtol=1e-3)
+        assert np.isclose(_without(field(), np.array([row])).dof, system.dof - 1 + PRIOR)
+
+
+def test_in_noise_the_levels_are_what_they_say() -> None:
+    """Of many draws of white noise as residuals, few name anything, and about as many as the level allows."""
+    chosen = field()
+    rng = np.random.default_rng(11)
+    named = 0
+    for _ in range(200):
+        r = chosen.system.seen(rng.normal(size=chosen.system.rows))
+        start = nothing(chosen.system)
+        named += bool(select(chosen, replace(start, residual=r, squares=float(r @ r) + PRIOR)).chosen)
+    assert named <= 14
+
+
+def test_a_signature_is_the_difference_of_predictions() -> None:
+    model, system = subject().model, field().system
+    for family in families_of(subject(), system)[0]:
+        alternative = family.alternatives[-1]
+        full = signature(model, system, alternative.effect, alternative.instance, dict(alternative.scanned))
+        assert np.allclose(np.linalg.norm(full, axis=0), family.raw[-1])
+        assert np.allclose(system.seen(full), family.columns[:, -1], atol=1e-9 * family.raw[-1].max())
+
+
+@pytest.mark.parametrize("noisier", [False, True])
+def test_a_noisier_tracer_is_found(noisier: bool) -> None:
+    found = []
+    for seed in range(6):
+        rng = np.random.default_rng([4, seed])
+        m = lengths.measurement(rng, 60)
+        m = lengths.noisier(m, rng) if noisier else m
+        one = m.subject()
+        system: System = linearised(one.model)
+        found.append(apart(one, system, nothing(system), rng))
+    assert sum(unit is not None for unit in found) == (6 if noisier else 0)
+    assert all(2 < unit.ratio < 4.5 for unit in found if unit is not None)

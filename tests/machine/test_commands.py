@@ -1,0 +1,250 @@
+"""The commands on jobs of this kind: simulate, check, run, show, export, and every fault of a job at once."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from metrocli.formats import csv, hdf5
+from metrocli.tasks.machine_settings import TRACK
+
+Metrocli = Callable[..., Any]
+HEAD = """metrocli: 1
+job: calibrate-machine
+machine:
+  chain: wXbYZt
+  axes: {x: {range: [0 mm, 600 mm], knots: 5}, y: {range: [-260 mm, 260 mm], knots: 5}, z: {range: [-500 mm, 0 mm], knots: 5}}
+  tools: {T1: [0 mm, 0 mm, 120 mm], T2: [110 mm, 20 mm, 150 mm], T3: [-30 mm, 100 mm, 210 mm]}
+output: result.h5
+"""
+STANDSTILL = (
+    HEAD
+    + """method: standstill
+inputs: {points: points.csv}
+noise: {beam: 1 um, lateral: {constant: 2 um, proportional: 3 um/m}}
+simulation: {error: 80 um, points: 200}
+"""
+)
+FLIGHT = (
+    HEAD
+    + """method: on-the-fly
+inputs: {path: path.csv, track: track.csv}
+noise: {beam: 1 um, radial: 5 um}
+simulation: {error: 117 um, sampling: 50 ms}
+"""
+)
+LINES = (
+    HEAD.replace(
+        "tools: {T1: [0 mm, 0 mm, 120 mm], T2: [110 mm, 20 mm, 150 mm], T3: [-30 mm, 100 mm, 210 mm]}",
+        "tool: [0 mm, 0 mm, 0 mm]",
+    )
+    + """method: six-dof
+inputs: {lines: lines.csv}
+noise: {displacement: 0.5 um, straightness: 1 um, angle: 1 urad}
+simulation: {error: 50 um, step: 20 mm}
+"""
+)
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def made(folder: Path, text: str, metrocli: Metrocli) -> Path:
+    """A job with its simulated measurement."""
+    job = folder / "job.yaml"
+    job.write_text(text)
+    if "path.csv" in text:
+        assert metrocli("plan", job, "--out", folder / "plan").code == 0
+        (folder / "path.csv").write_text((folder / "plan" / "path.csv").read_text())
+    assert metrocli("simulate", job, "--out", folder / "new", "--seed", 3).code == 0
+    for path in (folder / "new").glob("*.csv"):
+        (folder / path.name).write_text(path.read_text())
+    return job
+
+
+@pytest.mark.parametrize("text", [STANDSTILL, FLIGHT, LINES], ids=["standstill", "on-the-fly", "six-dof"])
+def test_what_is_simulated_is_found_again(folder: Path, text: str, metrocli: Metrocli) -> None:
+    job = made(folder, text, metrocli)
+    assert metrocli("check", job).code == 0
+    ran = metrocli("calibrate-machine", job, "--json")
+    assert ran.code == 0, ran.err
+    summary = json.loads(ran.out)
+    truth = json.loads((folder / "new" / "truth.json").read_text())
+    assert set(summary["estimates"]) == {"A0Z", "B0Z", "C0Y"}
+    for name, estimate in summary["estimates"].items():
+        assert abs(estimate["value"] - truth[name]) < 4.5 * estimate["std"]
+        assert estimate["unit"] == "rad"
+    true = csv.read(folder / "new" / "true_errors.csv", columns_of_truth())
+    result, _ = hdf5.read(folder / "result.h5")
+    for name in set(true.texts("error")):
+        rows = np.array(true.texts("error")) == name
+        value = np.nan_to_num(true.numbers("value")[rows]) + np.nan_to_num(true.numbers("turn")[rows])
+        table = result.tables[f"tables/{name}"]
+        std = table.numbers("std")
+        assert np.abs((table.numbers("value") - value) / np.maximum(std, 1e-12)).max() < 5, name
+    shown = metrocli("show", folder / "result.h5")
+    assert "every error is determined" in shown.out and "C0Y" in shown.out
+    assert metrocli("export", folder / "result.h5", "--to", "csv", "--out", folder / "out").code == 0
+
+
+def columns_of_truth():  # type: ignore[no-untyped-def]
+    from metrocli.table import TEXT, Column, Columns
+
+    return Columns(
+        (
+            Column("error", TEXT),
+            Column("position", "length"),
+            Column("value", "length", may_be_empty=True),
+            Column("turn", "angle", may_be_empty=True),
+        )
+    )
+
+
+PLANTED = {
+    "backlash:axis=x,width=9um": ("backlash, axis: x", {"backlash.x.width": 0.009}),
+    "screw-pitch-error:axis=y,amplitude=5um,phase=2rad,period=27mm": (
+        "screw-pitch-error, axis: y, period: 27 mm",
+        {"screw-pitch-error.y.amplitude": 0.005, "screw-pitch-error.y.phase": 2.0},
+    ),
+    "load-sag:pair=yz,c=4e-7 1/mm": ("load-sag, pair: yz", {"load-sag.yz.c": 4e-7}),
+    "machine-drift:vx=3um/min,vy=-2um/min,vz=6um/min": (
+        "machine-drift",
+        {"machine-drift.vx": 5e-5, "machine-drift.vy": -2e-3 / 60, "machine-drift.vz": 1e-4},
+    ),
+}
+
+
+@pytest.mark.parametrize("planted", PLANTED)
+@pytest.mark.parametrize("text", [STANDSTILL, FLIGHT], ids=["standstill", "on-the-fly"])
+def test_an_effect_that_is_planted_is_estimated(folder: Path, text: str, planted: str, metrocli: Metrocli) -> None:
+    job = made(folder, text, metrocli)
+    assert metrocli("simulate", job, "--out", folder / "new", "--force", "--effect", planted).code == 0
+    for name in ("points.csv", "track.csv"):
+        if (folder / "new" / name).exists():
+            (folder / name).write_text((folder / "new" / name).read_text())
+    plain = json.loads(metrocli("calibrate-machine", job, "--json").out)
+    wanted, truth = PLANTED[planted]
+    job.write_text(f"{text}effects: [{{name: {wanted}}}]\n")
+    found = json.loads(metrocli("calibrate-machine", job, "--json").out)
+    assert plain["statistics"]["sigma0"] > 1.05 > found["statistics"]["sigma0"]
+    for name, value in truth.items():
+        estimate = found["estimates"][name]
+        off = estimate["value"] - value
+        if name.endswith("phase"):
+            off = (off + np.pi) % (2 * np.pi) - np.pi
+        assert abs(off) < 4.5 * estimate["std"], name
+        assert abs(value) > 4 * estimate["std"], name
+    true = json.loads((folder / "new" / "truth.json").read_text())
+    assert set(truth) <= set(true)
+
+
+def test_what_cannot_be_told_apart_is_refused(folder: Path, metrocli: Metrocli) -> None:
+    """One tracker sees machine and tracker drift as one."""
+    job = made(folder, STANDSTILL, metrocli)
+    job.write_text(STANDSTILL + "effects: [{name: machine-drift}, {name: tracker-drift}]\n")
+    ran = metrocli("calibrate-machine", job)
+    assert ran.code == 4
+    assert "machine-drift" in ran.err and "tracker-drift" in ran.err
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("chain: wXbYZt", "chain: wXbYt", "'wXbYt' is not a chain of the axes X, Y and Z"),
+        ("range: [0 mm, 600 mm]", "range: [600 mm, 0 mm]", "the range does not ascend"),
+        ("knots: 5", "knots: 1", "1 is out of range"),
+        ("method: standstill", "method: on-the-fly", "method on-the-fly needs the input 'track'"),
+        ("method: standstill", "method: six-dof", "method six-dof needs the noise 'displacement'"),
+        ("noise: {beam: 1 um, ", "noise: {", "method standstill needs the noise 'beam'"),
+        (
+            "lateral: {constant: 2 um, proportional: 3 um/m}",
+            "lateral: 2 um, radial: 2 um",
+            "lateral and radial are the same",
+        ),
+        ("method: standstill", "method: standstill\nestimate: [EXX, EXQ]", "unknown word 'EXQ'"),
+        ("tools: {T1", "tool: [0 mm, 0 mm, 0 mm]\n  tools: {T1", "tool and tools say the same thing"),
+        ("120 mm]", "120]", "120 has no unit"),
+        ("x: {range", "u: {range", "unknown key 'u'"),
+    ],
+)
+def test_faults_of_a_job_are_told(folder: Path, old: str, new: str, said: str, metrocli: Metrocli) -> None:
+    (folder / "job.yaml").write_text(STANDSTILL.replace(old, new, 1))
+    (folder / "points.csv").write_text("point,x_mm,y_mm,z_mm,mx_mm,my_mm,mz_mm,tool\na,0,0,0,0,0,0,T1\n")
+    ran = metrocli("check", "job.yaml")
+    assert ran.code == 3
+    assert said in ran.err
+    assert "job.yaml:" in ran.err
+
+
+@pytest.mark.parametrize(
+    ("change", "code", "said"),
+    [
+        (lambda lines: [lines[0], lines[1].replace(",T", ",X"), *lines[2:]], 3, "points.csv:2: error: tool 'X"),
+        (lambda lines: [lines[0].replace("mx_mm,my_mm,mz_mm", "mx_m,my_m,mz_m"), *lines[1:]], 3, "1000 times as large"),
+        (lambda lines: [lines[0].replace("mx_mm,my_mm", "my_mm,mx_mm"), *lines[1:]], 3, "mirror image"),
+        (
+            lambda lines: [lines[0], lines[1].replace(lines[1].split(",")[4], "nan"), *lines[2:]],
+            3,
+            "'nan' is not a finite number",
+        ),
+        (
+            lambda lines: [
+                lines[0],
+                *[
+                    ",".join([*row.split(",")[:1], *other.split(",")[1:4], *row.split(",")[4:]])
+                    for row, other in zip(lines[1:-1], reversed(lines[1:-1]), strict=True)
+                ],
+                "",
+            ],
+            3,
+            "do not have the shape",
+        ),
+        (lambda lines: [lines[0].replace(",tool", ",kind"), *lines[1:]], 3, "the file has no column 'tool'"),
+        (lambda lines: [*lines[:3], ""], 3, "2 points are too few"),
+        (lambda lines: [*lines[:20], ""], 4, "combinations of errors open"),
+        (
+            lambda lines: [lines[0], "A,700," + lines[1].split(",", 2)[2], *lines[2:]],
+            3,
+            "points.csv:2: error: x = 700 mm is outside the range of the axis, 0 to 600 mm",
+        ),
+    ],
+)
+def test_wrong_points_are_told(folder: Path, change, code: int, said: str, metrocli: Metrocli) -> None:  # type: ignore[no-untyped-def]
+    job = made(folder, STANDSTILL, metrocli)
+    lines = (folder / "points.csv").read_text().split("\n")
+    (folder / "points.csv").write_text("\n".join(change(lines)))
+    ran = metrocli("calibrate-machine", job)
+    assert (ran.code, said in ran.err) == (code, True), ran.err
+    assert not (folder / "result.h5").exists()
+
+
+def test_numbers_that_are_none_in_the_stream_are_told_with_their_line(folder: Path, metrocli: Metrocli) -> None:
+    job = made(folder, FLIGHT, metrocli)
+    lines = (folder / "track.csv").read_text().split("\n")
+    lines[400] = ",".join(["nan", *lines[400].split(",")[1:]])
+    (folder / "track.csv").write_text("\n".join(lines))
+    ran = metrocli("calibrate-machine", job)
+    assert ran.code == 3
+    assert "track.csv:401:1: error: column 'x_mm': 'nan' is not a finite number" in ran.err
+
+
+def test_simulate_wants_a_truth(folder: Path, metrocli: Metrocli) -> None:
+    (folder / "job.yaml").write_text(STANDSTILL.replace("simulation: {error: 80 um, points: 200}\n", ""))
+    ran = metrocli("simulate", "job.yaml", "--out", "new")
+    assert ran.code == 3 and "simulate needs the truth" in ran.err
+
+
+def test_the_schema_names_what_a_job_may_say(metrocli: Metrocli) -> None:
+    schema = json.loads(metrocli("schema", "calibrate-machine").out)
+    assert {"method", "machine", "estimate", "inputs", "noise", "volume", "simulation", "plan"} <= set(
+        schema["properties"]
+    )
+    assert TRACK.columns[0].name == "x"

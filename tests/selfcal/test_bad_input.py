@@ -1,0 +1,142 @@
+"""Bad input is found and named: wrong mountings by trying the alternatives, wrong rows by their line."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from simulated_grid import grid
+
+from metrocli.formats import csv
+
+JOB = """metrocli: 1
+job: selfcal-grid
+inputs: {views: views.csv}
+grid: {size: [5, 5, 5], pitch: 65 mm}
+views: [{name: "1"}, {name: "2", rotate: {axis: z, angle: 90 deg}}, {name: "3", rotate: {axis: x, angle: 90 deg}}, {name: "4", shift: [1, 0, 0]}]
+noise: 0.5 um
+output: o.h5
+"""
+Metrocli = Callable[..., Any]
+Rows = list[list[str]]
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    csv.write(tmp_path / "views.csv", grid(5, seed=2).read(np.random.default_rng(1)))
+    (tmp_path / "job.yaml").write_text(JOB)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def change(folder: Path, edit: Callable[[Rows], Rows]) -> None:
+    path = folder / "views.csv"
+    rows = [line.split(",") for line in path.read_text().splitlines()]
+    path.write_text("\n".join(",".join(row) for row in [rows[0], *edit(rows[1:])]) + "\n")
+
+
+def swapped(first: str, second: str) -> Callable[[Rows], Rows]:
+    other = {first: second, second: first}
+    return lambda rows: [[other.get(row[0], row[0]), *row[1:]] for row in rows]
+
+
+def exchanged(a: int, b: int, views: str = "1234") -> Callable[[Rows], Rows]:
+    """Rows with two index columns exchanged in some views."""
+    order = list(range(7))
+    order[a], order[b] = b, a
+    return lambda rows: [[row[k] for k in order] if row[0] in views else row for row in rows]
+
+
+def set_cell(row: int, cell: int, text: str) -> Callable[[Rows], Rows]:
+    return lambda rows: [
+        [text if (n, k) == (row, cell) else old for k, old in enumerate(line)] for n, line in enumerate(rows)
+    ]
+
+
+CASES: dict[str, tuple[str, Callable[[Rows], Rows], str]] = {
+    "rotation sense about z": ("angle: 90 deg}}, {name: \"3\"=angle: -90 deg}}, {name: \"3\"", lambda rows: rows, "view '2' stands turned by 90 deg about z, declared turned by -90 deg about z; is the sense of its rotation wrong?"),
+    "rotation sense about x": ("x, angle: 90 deg=x, angle: -90 deg", lambda rows: rows, "view '3' stands turned by 90 deg about x, declared turned by -90 deg about x; is the sense"),
+    "wrong axis": ("axis: x=axis: y", lambda rows: rows, "view '3' stands turned by 90 deg about x, declared turned by 90 deg about y"),
+    "shift of the other sign": ("[1, 0, 0]=[-1, 0, 0]", lambda rows: [row for row in rows if row[0] != "4" or row[1] in "01"], "view '4' stands shifted by [1, 0, 0] pitches against the others, declared [-1, 0, 0]"),
+    "views 2 and 3 swapped": ("", swapped("2", "3"), "views '2' and '3' are exchanged"),
+    "views 1 and 2 swapped": ("", swapped("1", "2"), "views '1' and '2' are exchanged"),
+    "views 1 and 4 swapped": ("", swapped("1", "4"), "views '1' and '4' are exchanged"),
+    "i and j exchanged": ("", exchanged(1, 2), "in all views i and j are exchanged"),
+    "j and k exchanged in one view": ("", exchanged(2, 3, "3"), "in view '3' j and k are exchanged"),
+    "i counted backwards": ("", lambda rows: [[row[0], str(-int(row[1])), *row[2:]] for row in rows], "in all views i counts against its axis"),
+    "an index outside": ("", set_cell(3, 2, "7"), "views.csv:5: error: ball (-2, 7, 1) is outside the grid of 5 x 5 x 5"),
+    "a wrong index inside": ("", lambda rows: [row for n, row in enumerate(set_cell(3, 1, "1")(rows)) if n == 3 or row[:4] != ["1", "1", "-2", "1"]], "views.csv:5: error: ball (1, -2, 1) of view '1' is read 195 mm from its place, where ball (-2, -2, 1) stands"),
+    "a duplicate without repeat": ("", lambda rows: [*rows, rows[7]], "view 1, i -2, j -1, k 0: a second row"),
+    "an unknown view": ("", set_cell(0, 0, "7"), "views.csv:2: error: view '7' is not among the job's views"),
+    "an even grid": ("[5, 5, 5]=[5, 4, 5]", lambda rows: rows, "4 is even"),
+    "an odd angle": ("x, angle: 90 deg=x, angle: 45 deg", lambda rows: rows, "only multiples of 90 deg"),
+    "a name twice": ("name: \"4\"=name: \"3\"", lambda rows: rows, "two views have the name '3'"),
+    "a reading in another row's place": ("", set_cell(9, 5, "0.0"), "views.csv:11: error: ball (-2, -1, 2) of view '1' is read 64.8 mm from its place, where ball (-2, 0, 2) stands"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_it_is_refused_and_told(name: str, folder: Path, metrocli: Metrocli) -> None:
+    job, edit, words = CASES[name]
+    if job:
+        old, new = job.split("=")
+        assert old in JOB
+        (folder / "job.yaml").write_text(JOB.replace(old, new))
+    change(folder, edit)
+    ran = metrocli("selfcal-grid", "job.yaml")
+    assert ran.code == 3, ran.err
+    assert words in ran.err
+    assert not (folder / "o.h5").exists()
+
+
+def test_the_good_input_is_good(folder: Path, metrocli: Metrocli) -> None:
+    """Or the tests above would pass whatever is refused."""
+    ran = metrocli("selfcal-grid", "job.yaml")
+    assert ran.code == 0, ran.err
+    assert ran.err == ""
+
+
+def test_only_the_wrong_view_is_named(folder: Path, metrocli: Metrocli) -> None:
+    change(folder, swapped("2", "3"))
+    assert metrocli("selfcal-grid", "job.yaml").err.count("error") == 1
+
+
+def test_a_mounting_off_by_degrees_is_no_fault(folder: Path, metrocli: Metrocli) -> None:
+    """Three degrees are a bad mounting, not another one: the adjustment finds them, exact rotations hold."""
+    one = grid(5, seed=2)
+    one.mountings["2"] = (np.array([3.0, 1.0, -2.0]), np.array([0.02, -0.05, 0.03]))
+    csv.write(folder / "views.csv", one.read(np.random.default_rng(1), noise=0.0))
+    ran = metrocli("selfcal-grid", "job.yaml", "--quiet")
+    assert ran.code == 0, ran.err
+    from metrocli.formats import hdf5
+
+    found = hdf5.read(folder / "o.h5")[0].tables["machine_error"].stacked(["ex", "ey", "ez"])
+    assert np.abs(found - one.machine).max() < 1e-9
+
+
+def test_one_view_is_not_enough(folder: Path, metrocli: Metrocli) -> None:
+    change(folder, lambda rows: [row for row in rows if row[0] == "1"])
+    ran = metrocli("selfcal-grid", "job.yaml")
+    assert ran.code == 4
+    assert "one view shows only the sum of machine and artefact error" in ran.err
+
+
+BAD_LENGTHS = {
+    "a ball outside": ("1,-2,-2,-2,2,2,9,450.3,0.001", "ball (2, 2, 9) is not in the views"),
+    "an exact length": ("1,-2,-2,-2,2,2,2,450.33,0", "must be above zero"),
+    "another length": ("1,-2,-2,-2,2,2,2,45.033,0.001", "these balls are 450.333 mm apart"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_LENGTHS)
+def test_bad_lengths_are_told(name: str, folder: Path, metrocli: Metrocli) -> None:
+    row, words = BAD_LENGTHS[name]
+    (folder / "lengths.csv").write_text(f"view,i1,j1,k1,i2,j2,k2,length_mm,sigma_mm\n{row}\n")
+    (folder / "job.yaml").write_text(JOB.replace("views.csv}", "views.csv, lengths: lengths.csv}"))
+    ran = metrocli("selfcal-grid", "job.yaml")
+    assert ran.code == 3
+    assert "lengths.csv:2: error" in ran.err
+    assert words in ran.err

@@ -1,0 +1,186 @@
+"""From files to files: the sample project, simulation with effects, the plan, the map, the export."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from metrocli.formats import csv, hdf5
+from metrocli.table import TEXT, WHOLE, Column, Columns
+
+Metrocli = Callable[..., Any]
+ERRORS = Columns((*(Column(k, WHOLE) for k in "ijk"), *(Column(f"e{a}", "length") for a in "xyz")))
+
+
+@pytest.fixture
+def project(tmp_path: Path, metrocli: Metrocli, monkeypatch: pytest.MonkeyPatch) -> Path:
+    assert metrocli("init", tmp_path / "cube", "--sample", "ball-cube").code == 0
+    monkeypatch.chdir(tmp_path / "cube")
+    return tmp_path / "cube"
+
+
+def test_the_sample_holds_the_truth(project: Path, metrocli: Metrocli) -> None:
+    ran = metrocli("run", project)
+    assert ran.code == 0, ran.err
+    true = csv.read(project / "data" / "true_machine_error.csv", ERRORS).stacked(["ex", "ey", "ez"])
+    found = hdf5.read(project / "results" / "views.h5")[0].tables["machine_error"]
+    share = (found.stacked(["ex", "ey", "ez"]) - true) / found.stacked(["s_ex", "s_ey", "s_ez"])
+    assert np.abs(share).max() < 4.5
+    assert np.sqrt((share**2).mean()) == pytest.approx(1.0, abs=0.15)
+    scaled = hdf5.read(project / "results" / "scaled.h5")[0]
+    assert scaled.statistics["undetermined"] == 12
+
+
+def test_the_map_and_a_point_agree_with_the_sites(project: Path, metrocli: Metrocli) -> None:
+    assert metrocli("selfcal-grid", "jobs/views.yaml", "--quiet").code == 0
+    result = hdf5.read(project / "results" / "views.h5")[0]
+    sites, mapped = result.tables["machine_error"], result.tables["map"]
+    row = np.flatnonzero((sites.stacked("ijk") == 0).all(axis=1))[0]
+    assert mapped.texts("point")[0] == "centre"
+    for name in ("ex", "ey", "ez", "s_ex", "s_ey", "s_ez"):
+        assert mapped.numbers(name)[0] == pytest.approx(sites.numbers(name)[row], rel=1e-9)
+    shown = json.loads(metrocli("show", "results/views.h5", "--at", "120 mm", "120 mm", "120 mm", "--json").out)
+    at = {one["name"]: one for one in shown}
+    for name in ("ex", "ey", "ez", "smooth_ex", "smooth_ey", "smooth_ez"):
+        assert at[name]["value"] == pytest.approx(mapped.numbers(name)[2], rel=1e-9)
+        assert at[name]["std"] == pytest.approx(mapped.numbers(f"s_{name}")[2], rel=1e-6)
+    assert metrocli("show", "results/views.h5", "--at", "140 mm", "0 mm", "0 mm").code == 2
+
+
+def test_between_sites_both_forms_agree_with_the_truth(tmp_path: Path) -> None:
+    """A smooth machine error, known also between the sites: off by no more than the uncertainties say."""
+    from simulated_grid import PITCH, Grid, grid, in_gauge
+
+    from metrocli.table import Table
+    from metrocli.tasks import selfcal_grid
+
+    def field(places: np.ndarray) -> np.ndarray:
+        x, y, z = places.T / 130.0
+        return 0.01 * np.stack([x * x + 0.5 * y * z, y**3 - x * z, np.cos(1.5 * z) * x], axis=1)
+
+    one = grid(5, seed=20)
+    r = one.balls * PITCH
+    machine, artefact = in_gauge(r, field(r), one.artefact)
+    moved = Grid(5, "1234", one.balls, machine, artefact, one.mountings)
+    rng = np.random.default_rng(3)
+    places = rng.uniform(-129, 129, (300, 3))
+    points = Table(
+        {"point": np.arange(300).astype(str), **dict(zip("xyz", places.T, strict=True))}, dict.fromkeys("xyz", "mm")
+    )
+    result = selfcal_grid.run(moved.settings(leave_one_out="no"), moved.read(rng), None, points)
+    basis = np.concatenate([np.ones((125, 1)), r], axis=1)
+    # what the gauge took away is linear in the place
+    removed = np.linalg.lstsq(basis, field(r) - machine, rcond=None)[0]
+    true = field(places) - np.concatenate([np.ones((300, 1)), places], axis=1) @ removed
+    found = result.tables["map"]
+    for form in ("", "smooth_"):
+        share = (found.stacked([f"{form}e{a}" for a in "xyz"]) - true) / found.stacked([f"s_{form}e{a}" for a in "xyz"])
+        assert 0.3 < np.sqrt((share**2).mean()) < 1.3, form
+        assert np.abs(share).max() < 5
+    assert np.abs(found.stacked(["smooth_ex", "smooth_ey", "smooth_ez"]) - true).max() < 2e-3
+
+
+def test_effects_are_planted_and_found(project: Path, metrocli: Metrocli) -> None:
+    planted = (
+        "artefact-expansion:view=3,scale=80um/m",
+        "drift-in-view:view=2,vx=0um/h,vy=0um/h,vz=30um/h",
+        "moved-ball:ball=1 0 -2,from_view=3,dx=0.1mm,dy=0mm,dz=-0.05mm",
+    )
+    options = [word for text in planted for word in ("--effect", text)]
+    ran = metrocli("simulate", "jobs/views.yaml", "--out", "new", "--seed", "5", "--set", "noise=0.5 um", *options)
+    assert ran.code == 0, ran.err
+    effects = '[{name: artefact-expansion, view: "3"}, {name: drift-in-view, view: "2"}, {name: moved-ball, ball: [1, 0, -2], from_view: "3"}]'
+    job = (
+        (project / "jobs" / "views.yaml")
+        .read_text()
+        .replace("noise: 5 um", f"effects: {effects}\nnoise: 0.5 um")
+        .replace("../data/views.csv", "../new/views.csv")
+    )
+    (project / "jobs" / "more.yaml").write_text(job.replace("../results/views.h5", "../results/more.h5"))
+    ran = metrocli("selfcal-grid", "jobs/more.yaml", "--json")
+    assert ran.code == 0, ran.err
+    found = json.loads(ran.out)["estimates"]
+    truth = json.loads((project / "new" / "truth.json").read_text())
+    names = [name for name in found if name.startswith(("artefact", "drift", "moved"))]
+    assert len(names) == 7
+    for name in [*names, "2.x", "4.gamma"]:
+        assert abs(found[name]["value"] - truth[name]) < 4 * found[name]["std"], name
+
+
+def test_an_effect_that_the_views_absorb_is_refused(project: Path, metrocli: Metrocli) -> None:
+    """A ball displaced in the only view that sees it beside the first: nothing tells it from a wrong place of the site."""
+    rows = (project / "data" / "views.csv").read_text().splitlines()
+    kept = [row for row in rows if row.split(",")[0] in ("view", "1", "2")]
+    (project / "data" / "views.csv").write_text("\n".join(kept) + "\n")
+    job = (
+        (project / "jobs" / "views.yaml")
+        .read_text()
+        .replace("noise: 5 um", 'effects: [{name: moved-ball, ball: [0, 0, 1], from_view: "2"}]\nnoise: 5 um')
+    )
+    (project / "jobs" / "views.yaml").write_text(job)
+    ran = metrocli("selfcal-grid", "jobs/views.yaml")
+    assert ran.code == 4
+    assert "these views do not determine moved-ball.0 0 1" in ran.err
+
+
+def test_the_plan_says_what_other_views_would_give(project: Path, metrocli: Metrocli) -> None:
+    (project / "data" / "views.csv").unlink()
+    ran = metrocli("plan", "jobs/views.yaml", "--out", "planned")
+    assert ran.code == 0, ran.err
+    assert "13 directions undetermined" in ran.out
+    sets = csv.read(
+        project / "planned" / "view_sets.csv", Columns((Column("views", TEXT), Column("undetermined", TEXT)))
+    )
+    worth = dict(zip(sets.texts("views"), sets.texts("undetermined"), strict=True))
+    assert worth["planned"] == "13"
+    assert worth["without '4'"] == "27"
+    assert worth["without '3'"] == "18"
+    assert worth["without '2'"] == "31"
+    sheet = csv.read(
+        project / "planned" / "views_to_measure.csv",
+        Columns((Column("view", TEXT), *(Column(k, WHOLE) for k in "ijk"), *(Column(a, "length") for a in "xyz"))),
+    )
+    assert len(sheet) == 475
+    row = np.flatnonzero(
+        (np.array(sheet.texts("view")) == "2")
+        & (sheet.numbers("i") == 2)
+        & (sheet.numbers("j") == 1)
+        & (sheet.numbers("k") == 0)
+    )[0]
+    assert [sheet.numbers(a)[row] for a in "xyz"] == [-65.0, 130.0, 0.0]
+
+
+def test_the_correction_is_minus_the_error(project: Path, metrocli: Metrocli) -> None:
+    assert metrocli("selfcal-grid", "jobs/views.yaml", "--quiet").code == 0
+    assert metrocli("export", "results/views.h5", "--to", "csv", "--out", "export").code == 0
+    wanted = Columns((*(Column(a, "length") for a in "xyz"), *(Column(f"add_{a}", "length") for a in "xyz")))
+    table = csv.read(project / "export" / "correction.csv", wanted)
+    sites = hdf5.read(project / "results" / "views.h5")[0].tables["machine_error"]
+    assert np.allclose(table.stacked("xyz"), 65.0 * sites.stacked("ijk"))
+    assert np.allclose(table.stacked(["add_x", "add_y", "add_z"]), -sites.stacked(["ex", "ey", "ez"]))
+
+
+def test_the_largest_length_error_is_that_of_all_pairs(project: Path, metrocli: Metrocli) -> None:
+    assert metrocli("selfcal-grid", "jobs/views.yaml", "--quiet").code == 0
+    result = hdf5.read(project / "results" / "views.h5")[0]
+    sites = result.tables["machine_error"]
+    r, e = 65.0 * sites.stacked("ijk"), sites.stacked(["ex", "ey", "ez"])
+    largest = 0.0
+    for n in range(len(r)):
+        between = np.delete(r - r[n], n, axis=0)
+        error = np.einsum("na,na->n", np.delete(e - e[n], n, axis=0), between) / np.linalg.norm(between, axis=1)
+        largest = max(largest, float(np.abs(error).max()))
+    assert abs(result.statistics["largest_length_error"]["mm"]) == pytest.approx(largest, rel=1e-12)
+    assert result.tables["length_error"].numbers("lengths").sum() == 125 * 124 / 2
+
+
+def test_the_published_sequence_is_shown_beside(project: Path, metrocli: Metrocli) -> None:
+    ran = metrocli("selfcal-grid", "jobs/views.yaml", "--compare", "--json")
+    assert ran.code == 0, ran.err
+    joint, sequence = (row["noise_gain"] for row in json.loads(ran.out)["rows"])
+    assert joint < sequence

@@ -1,0 +1,158 @@
+"""What is undetermined is said in words before any number, with the view that would remove it; nothing is guessed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from simulated_grid import NOISE, grid, without
+
+from metrocli.instruments.ball_grid import rigid
+from metrocli.tasks import selfcal_grid
+
+FAMILIES = {
+    "123": [("fields that all rotations of the views carry into themselves", 14)],
+    "124": [
+        ("another scale along z", 1),
+        ("planes across z bend to bowls, the wider the higher", 1),
+        ("each plane across z moves by itself along z", 3),
+    ],
+    "134": [
+        ("another scale along x", 1),
+        ("a twist about x: planes across it turn in proportion to x", 1),
+        ("each line along x moves by itself", 16),
+    ],
+    "1246": [("another scale along z", 1)],
+}
+REMEDIES = {
+    "123": "a further view shifted by one pitch along x or shifted by one pitch along y or shifted by one pitch along z would leave 13",
+    "124": "a further view turned by 90 deg about x or turned by 90 deg about y would leave 13",
+    "134": "a further view turned by 90 deg about y or turned by 90 deg about z would leave 13",
+    "1246": "a further view turned by 90 deg about x or turned by 90 deg about y would leave 13",
+}
+
+
+def run(views: str, drop: float = 0.0, **more: object):  # type: ignore[no-untyped-def]
+    one = grid(5, views, seed=8)
+    table = one.read(np.random.default_rng(2))
+    table = without(table, np.random.default_rng(3).random(len(table)) < drop)
+    return one, selfcal_grid.run(one.settings(leave_one_out="no", **more), table)
+
+
+@pytest.mark.parametrize("views", FAMILIES)
+def test_families_are_named_with_their_remedy(views: str) -> None:
+    _, result = run(views)
+    table = result.tables["undetermined"]
+    named = list(zip(table.texts("pattern"), table.numbers("directions").astype(int).tolist(), strict=True))
+    assert named[:3] == [
+        ("rigid motion of the machine error", 6),
+        ("rigid motion of the artefact error", 6),
+        ("common scale", 1),
+    ]
+    assert named[3:] == FAMILIES[views]
+    assert REMEDIES[views] in result.notes
+    assert REMEDIES[views] in result.warnings
+
+
+def test_four_views_say_thirteen_and_no_more() -> None:
+    _, result = run("1234")
+    assert result.notes[0] == (
+        "13 directions undetermined: 6 rigid motions of the machine error, 6 of the artefact error, "
+        "1 common scale: give one calibrated length to fix it"
+    )
+    assert result.warnings == ()
+
+
+DETERMINED = {"123": 0.0, "124": 0.6, "134": 0.3, "1246": 0.7}
+"""At least this share of the machine error's components"""
+
+
+@pytest.mark.parametrize("views", FAMILIES)
+def test_what_is_determined_is_right_and_the_rest_is_not_given_out(views: str) -> None:
+    """Components with a finite uncertainty agree with the truth but for the datum; the others are marked."""
+    one, result = run(views)
+    table = result.tables["machine_error"]
+    std = table.stacked(["s_ex", "s_ey", "s_ez"])
+    finite = np.isfinite(std)
+    assert not finite.all()
+    if views == "1246":
+        assert np.isinf(std[one.balls[:, 2] != 0, 2]).all()
+        assert finite[:, :2].all()
+    if not finite.any():
+        return
+    error = (table.stacked(["ex", "ey", "ez"]) - one.machine)[finite]
+    motions = np.concatenate([rigid(one.balls.astype(float)), one.balls[:, :, None]], axis=2)[finite]
+    error = error - motions @ np.linalg.lstsq(motions, error, rcond=None)[0]
+    assert np.abs(error / std[finite]).max() < 5
+    assert np.sqrt(((error / std[finite]) ** 2).mean()) == pytest.approx(1.0, abs=0.25)
+
+
+def test_a_ball_seen_once_at_a_site_seen_once() -> None:
+    """Two views by rotation about the same axis and a missing ball: a local pair is named as such."""
+    one = grid(3, "1234", seed=1)
+    table = one.read(np.random.default_rng(2))
+    ball = (table.numbers("i") == 1) & (table.numbers("j") == 1) & (table.numbers("k") == 1)
+    view = np.array(table.texts("view"))
+    turned = one.balls[[tuple(b) == (1, 1, 1) for b in one.balls.tolist()]][0]
+    drop = ball & (view != "1")
+    for name, image in (("2", (1, -1, 1)), ("3", (1, 1, -1)), ("4", (0, 1, 1))):
+        drop |= (
+            (view == name)
+            & (table.numbers("i") == image[0])
+            & (table.numbers("j") == image[1])
+            & (table.numbers("k") == image[2])
+        )
+    assert turned.tolist() == [1, 1, 1]
+    result = selfcal_grid.run(one.settings(leave_one_out="no"), without(table, drop))
+    table = result.tables["undetermined"]
+    assert table.texts("pattern")[3:] == ["machine errors at sites seen once, by a ball seen once"]
+    assert table.numbers("directions")[3:].tolist() == [3]
+    found = result.tables["machine_error"]
+    corner = (found.stacked("ijk") == 1).all(axis=1)
+    std = found.stacked(["s_ex", "s_ey", "s_ez"])
+    assert np.isinf(std[corner]).all()
+    assert np.isfinite(std[~corner]).all()
+
+
+def test_outliers_are_named_and_left_out() -> None:
+    one = grid(5, seed=9)
+    table = one.read(np.random.default_rng(5))
+    rows = [7, 200, 430]
+    for row in rows:
+        table.columns["y"][row] += 40 * NOISE
+    reported = selfcal_grid.run(one.settings(leave_one_out="no"), table)
+    names = list(
+        zip(
+            reported.tables["suspects"].texts("view"),
+            *(reported.tables["suspects"].numbers(k).astype(int).tolist() for k in "ijk"),
+            strict=True,
+        )
+    )
+    wanted = [(table.texts("view")[row], *(int(table.numbers(k)[row]) for k in "ijk")) for row in rows]
+    assert set(wanted) <= set(names)
+    removed = selfcal_grid.run(one.settings(leave_one_out="no", outliers="remove"), table)
+    out = removed.tables["rejected"]
+    gone = list(zip(out.texts("view"), *(out.numbers(k).astype(int).tolist() for k in "ijk"), strict=True))
+    assert sorted(gone) == sorted(wanted)
+    assert removed.statistics["sigma0"] == pytest.approx(1.0, abs=0.15)
+
+
+def test_a_view_that_does_not_agree_is_told() -> None:
+    """The artefact grew by 20 um/m in view 3: the other views fit without it."""
+    one = grid(5, "123456", seed=10)
+    table = one.read(np.random.default_rng(5))
+    rows = np.array(table.texts("view")) == "3"
+    for axis in "xyz":
+        table.columns[axis][rows] *= 1 + 2e-5
+    result = selfcal_grid.run(one.settings(), table)
+    told = [line for line in result.warnings if "does not agree with the others" in line]
+    assert len(told) == 1
+    assert told[0].startswith("view '3'")
+    views = result.tables["views"]
+    assert views.numbers("left_out_p")[2] < 1e-6
+
+
+def test_good_views_agree() -> None:
+    one = grid(5, "123456", seed=11)
+    result = selfcal_grid.run(one.settings(), one.read(np.random.default_rng(6)))
+    assert result.warnings == ()
+    assert (result.tables["views"].numbers("left_out_p") > 1e-3).all()
