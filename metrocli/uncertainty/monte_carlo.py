@@ -137,7 +137,8 @@ def _adaptive(plan: Plan, workers: Workers, digits: int, most: int) -> Outcome:
     """Add chunks until mean, standard uncertainty and interval ends are known to the digits wanted (JCGM 101, 7.9)."""
     kept: list[Batch] = []
     settled = False
-    for batch in _told(workers.ordered(Work(plan, 1), range(max(min(most, _kept(plan)) // plan.chunk, 2))), workers, None):
+    numbers = range(max(min(most, _kept(plan)) // plan.chunk, 2))
+    for batch in _told(workers.ordered(Work(plan, 1), numbers), workers, None):
         kept.append(batch)
         if len(kept) > 1 and _settled(kept, digits):
             settled = True
