@@ -22,8 +22,8 @@ from metrocli.uncertainty.trials import Batch, Plan, Tally, Work, counted
 from metrocli.uncertainty.workers import Workers
 
 Array = npt.NDArray[np.float64]
-KEPT = 2_000_000
-"""Trials of which all values are kept."""
+KEPT, KEPT_VALUES = 2_000_000, 8_000_000
+"""Trials of which all values are kept, and values of all measurands together at most"""
 CHUNKS_OF_A_BATCH, PILOT = 100, 10
 
 
@@ -46,7 +46,7 @@ def run(plan: Plan, workers: Workers, digits: int = 2, most: int = 0) -> Outcome
     if plan.trials is None:
         return _adaptive(plan, workers, digits, most)
     chunks = math.ceil(plan.trials / plan.chunk)
-    if plan.trials <= KEPT:
+    if plan.trials <= _kept(plan):
         work = Work(plan, 1 if chunks < CHUNKS_OF_A_BATCH else 10)
         numbers = range(math.ceil(chunks / work.chunks))
         return _gathered(plan, list(_told(workers.ordered(work, numbers), workers, len(numbers))))
@@ -58,6 +58,11 @@ def run(plan: Plan, workers: Workers, digits: int = 2, most: int = 0) -> Outcome
     assert total is not None
     workers.finished.clear()
     return _outcome(plan, total, work.edges)
+
+
+def _kept(plan: Plan) -> int:
+    """Return up to how many trials all values are kept."""
+    return min(KEPT, KEPT_VALUES // len(plan.models))
 
 
 def _told(batches: Iterator[Batch], workers: Workers, of: int | None) -> Iterator[Batch]:
@@ -132,7 +137,8 @@ def _adaptive(plan: Plan, workers: Workers, digits: int, most: int) -> Outcome:
     """Add chunks until mean, standard uncertainty and interval ends are known to the digits wanted (JCGM 101, 7.9)."""
     kept: list[Batch] = []
     settled = False
-    for batch in _told(workers.ordered(Work(plan, 1), range(min(most, KEPT) // plan.chunk)), workers, None):
+    numbers = range(max(min(most, _kept(plan)) // plan.chunk, 2))
+    for batch in _told(workers.ordered(Work(plan, 1), numbers), workers, None):
         kept.append(batch)
         if len(kept) > 1 and _settled(kept, digits):
             settled = True

@@ -43,8 +43,8 @@ class Plan:
 
     @property
     def chunk(self) -> int:
-        """Trials of one chunk: enough for the probability (JCGM 101, 7.9.4 a)."""
-        return max(CHUNK, math.ceil(100 / (1 - self.probability) * (1 - 1e-9)))
+        """Trials of one chunk; in an adaptive run enough for the interval of each (JCGM 101, 7.9.4 a)."""
+        return CHUNK if self.trials is not None else max(CHUNK, math.ceil(100 / (1 - self.probability) * (1 - 1e-9)))
 
     def count(self, number: int) -> int:
         """Return the trials of a chunk; the last one of a fixed number may be smaller."""

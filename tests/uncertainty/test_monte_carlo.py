@@ -107,6 +107,7 @@ def test_an_adaptive_run_is_as_good_as_it_says() -> None:
 def test_an_adaptive_run_needs_more_trials_for_rarer_ends() -> None:
     assert plan_of(MODELS, inputs(), 0, 0.95, None).chunk == 10_000
     assert plan_of(MODELS, inputs(), 0, 0.9999, None).chunk == 1_000_000
+    assert plan_of(MODELS, inputs(), 0, 0.9999, 5_000_000).chunk == 10_000
 
 
 def test_an_adaptive_run_does_not_claim_what_it_has_not_reached() -> None:
@@ -211,3 +212,14 @@ def test_ten_million_trials_in_bounded_memory(tmp_path: Path) -> None:
     })  # fmt: skip
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert float(ran.stdout) < 300
+
+
+def test_many_measurands_are_counted_sooner() -> None:
+    models = {f"y{n}": parse(f"a + {n}*b*c") for n in range(20)}
+    outcome = monte_carlo.run(plan_of(models, inputs(), 1, 0.95, 500_000), Workers(2))
+    assert all(isinstance(sample, Binned) for sample in outcome.samples)
+    assert outcome.covariance.shape == (20, 20)
+    few = monte_carlo.run(plan_of({"y3": models["y3"]}, inputs(), 1, 0.95, 500_000), Workers(2))
+    assert isinstance(few.samples[0], Sorted)
+    for one, other in zip(outcome.samples[3].symmetric(0.95), few.samples[0].symmetric(0.95), strict=True):
+        assert abs(one - other) <= outcome.samples[3].resolution
