@@ -27,6 +27,8 @@ class Covariate:
     """Of the polynomials that are tried, or the highest harmonic"""
     angle: bool = False
     """It comes round: harmonics of it are tried"""
+    periodic: bool = False
+    """Sines of it are tried, over a scan of periods"""
 
 
 @dataclass(frozen=True)
