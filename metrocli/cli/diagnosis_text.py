@@ -57,8 +57,7 @@ def _sentences(diagnosis: Diagnosis, extended: Path | None) -> Iterator[str]:
     for finding in diagnosis.findings:
         yield from _about(finding, diagnosis.subject)
     if diagnosis.left is not None:
-        on, chance = " and ".join(diagnosis.left.depends_on), _chance(diagnosis.left.p_value)
-        yield f"Structure is left that no known effect explains ({chance}); it varies with {on}."
+        yield from _left(diagnosis)
     elif diagnosis.findings:
         yield f"After that no structure is left ({_chance(diagnosis.after)})."
     yield from _noise(diagnosis)
@@ -68,6 +67,18 @@ def _sentences(diagnosis: Diagnosis, extended: Path | None) -> Iterator[str]:
         yield f"Wrong readings: {', '.join(told)}{more}; `outliers: remove` leaves them out, or read them again."
     if extended is not None:
         yield f"The job with what was named is {extended}; run it, and diagnose it again."
+
+
+def _left(diagnosis: Diagnosis) -> Iterator[str]:
+    left = diagnosis.left
+    if left is None:
+        return
+    on, where = " and ".join(left.depends_on), f" in the readings of {', '.join(left.where)}" if left.where else ""
+    size, unit = units.readable(left.size, diagnosis.subject.reading[1])
+    yield f"Structure is left that no known effect explains ({_chance(left.p_value)}); it varies with {on}{where}."
+    if left.size:
+        yield f"What shows of it is {size:.2g} {unit} (root mean square)."
+    yield "Standard uncertainties of the result do not count it."
 
 
 def _about(finding: Finding, subject: Subject) -> Iterator[str]:

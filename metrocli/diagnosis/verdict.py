@@ -14,6 +14,7 @@ from metrocli.diagnosis.diagnose import Diagnosis, Finding
 from metrocli.diagnosis.mended import sizes
 from metrocli.diagnosis.mistakes import Mistaken
 from metrocli.diagnosis.naming import Named, Rival
+from metrocli.diagnosis.structure import Left
 from metrocli.diagnosis.subject import Subject
 
 NAMED, EXCLUDED, CANNOT_SEE = "named", "excluded", "cannot-see"
@@ -38,7 +39,7 @@ def as_data(diagnosis: Diagnosis) -> dict[str, Any]:
             *(_effect(diagnosis.subject, finding) for finding in diagnosis.findings),
         ],
         "structure": {"before": diagnosis.before, "after": diagnosis.after},
-        "unexplained": None if left is None else {"p_value": left.p_value, "depends_on": list(left.depends_on)},
+        "unexplained": None if left is None else _left(diagnosis.subject, left),
         "candidates": candidates(diagnosis.subject, diagnosis.design, [f.named for f in diagnosis.findings]),
         "alike": alike(diagnosis.design),
         "separate_by": list(diagnosis.separate_by),
@@ -88,6 +89,16 @@ def _effect(subject: Subject, finding: Finding) -> dict[str, Any]:
             "shown": gain.shown,
             "result_shift": _delivered(subject, finding.shift),
         },
+    }
+
+
+def _left(subject: Subject, left: Left) -> dict[str, Any]:
+    unit = units.find_unit(*subject.reading)
+    return {
+        "p_value": left.p_value,
+        "depends_on": list(left.depends_on),
+        "where": list(left.where),
+        "size": {"value": unit.outside(left.size), "unit": unit.symbol},
     }
 
 
