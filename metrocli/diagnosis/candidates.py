@@ -94,8 +94,8 @@ def _joined(parts: Sequence[Family]) -> Family:
 
 def instances(model: Model, effect: Effect) -> list[tuple[str, ...]]:
     """Return all places where an effect could act."""
-    found = list(product(*(model.places[key].names for key in effect.keys)))
-    return found[:_MOST_PLACES]
+    names = [model.places[key].names[key in effect.not_first :] for key in effect.keys]
+    return list(product(*names))[:_MOST_PLACES]
 
 
 def _of_effect(subject: Subject, system: System, effect: Effect) -> Iterator[Family]:
@@ -129,9 +129,16 @@ def _scans(model: Model, effect: Effect) -> list[tuple[tuple[str, float], ...]]:
         if parameter.place:
             values = np.arange(1.0, len(model.places[parameter.place].names))
         elif parameter.grid is not None:
-            values = parameter.grid(model.readings[0].observations.conditions)
+            values = thinned(parameter.grid(model.readings[0].observations.conditions), parameter.tried)
         grids.append([(parameter.name, float(value)) for value in values])
     return list(product(*grids))
+
+
+def thinned(values: Array, most: int) -> Array:
+    """Return at most so many of some values, evenly from all of them."""
+    if len(values) <= most:
+        return values
+    return np.asarray(values[np.linspace(0, len(values) - 1, most).astype(int)])
 
 
 def _columns(

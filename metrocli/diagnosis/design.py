@@ -148,7 +148,7 @@ def _candidate(subject: Subject, field: Field, family: int, chosen: Sequence[int
     at = chosen[int(order[len(order) // 2])]
     rank = int(ranks[order[len(order) // 2]])
     alternative = field.families[family].alternatives[at]
-    plausible = float(np.sqrt(np.mean([p.plausible**2 for p in alternative.effect.parameters])))
+    plausible = _plausible(alternative.effect)
     raw = field.scales[family][at]
     visible = float(np.sqrt(np.mean(np.diag(gram[at]) / np.where(raw > 0, raw, 1.0) ** 2)))
     size = detectable_size(field, family, at, noise) if rank else float("inf")
@@ -168,6 +168,12 @@ def _candidate(subject: Subject, field: Field, family: int, chosen: Sequence[int
         hides * reached,
         () if rank else _absorbers(field.system, full),
     )
+
+
+def _plausible(effect: Effect) -> float:
+    """Return the plausible size of an effect's parameters of the same dimension as the first, root mean square."""
+    alike = [p.plausible for p in effect.parameters if p.dimension == effect.parameters[0].dimension]
+    return float(np.sqrt(np.mean(np.square(alike))))
 
 
 def _typical(system: System) -> float:

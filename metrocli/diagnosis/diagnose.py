@@ -15,6 +15,7 @@ from metrocli.diagnosis.mended import field_of_job, recentred
 from metrocli.diagnosis.mistakes import Mistaken
 from metrocli.diagnosis.naming import Named, named
 from metrocli.diagnosis.noise import Noise, Unit, apart, noise_of, weighted
+from metrocli.diagnosis.polish import polished
 from metrocli.diagnosis.projection import System, signature
 from metrocli.diagnosis.race import Field, nothing
 from metrocli.diagnosis.selection import Selection, select
@@ -85,6 +86,7 @@ def diagnose(subject: Subject, say: Say = lambda line: None) -> Diagnosis:
     rng = np.random.default_rng(_SEED)
     say("looking for structure")
     field, not_tested, units, selection = _selected(subject, rng)
+    selection = polished(subject, selection)
     names = named(selection)
     before = strongest(field)
     say("holding parts of the readings out")

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from metrocli.adjust.blocks import Array
+from metrocli.adjust.blocks import Array, Block
 from metrocli.adjust.observations import Mask
 from metrocli.diagnosis.candidates import NotTested, families_of
 from metrocli.diagnosis.naming import Named
@@ -17,6 +17,7 @@ from metrocli.diagnosis.race import Field, Given, field_of, nothing
 from metrocli.diagnosis.selection import Selection
 from metrocli.diagnosis.smooth import smooth_families
 from metrocli.diagnosis.subject import Subject
+from metrocli.effects.effect import Parameter
 from metrocli.effects.model import Model, with_effect
 
 
@@ -44,14 +45,47 @@ def extended_model(subject: Subject, names: Sequence[Named]) -> Model:
     for name in names:
         alternative = name.alternative
         model = with_effect(model, alternative.effect, [alternative.instance], dict(alternative.scanned))
-        added = model.added[-1]
-        block = model.blocks[added.block]
-        values = block.values.copy()
-        row = block.members.index(alternative.instance[0]) if alternative.instance and added.effect.link is None else -1
+        block, row = _own_row(model, name)
+        step = np.zeros(block.values.shape)
         for parameter, value in zip(alternative.parameters, name.values, strict=True):
-            values[row, block.column(parameter)] += value
-        model = model.with_blocks({**model.blocks, block.name: block.with_values(values)})
+            step[row, block.column(parameter)] = value
+        model = model.with_blocks({**model.blocks, block.name: block.moved(step)})
     return model
+
+
+def _own_row(model: Model, name: Named) -> tuple[Block, int]:
+    """Return the block of the effect that was added last, and the member that it acts on."""
+    added = model.added[-1]
+    block = model.blocks[added.block]
+    place = name.alternative.instance
+    return block, block.members.index(place[0]) if place and added.effect.link is None else -1
+
+
+@dataclass(frozen=True)
+class Size:
+    """What was found of one parameter of an effect."""
+
+    parameter: Parameter
+    value: float
+    """Of a column that the model has, the change against the job"""
+    std: float | None
+    """None where it was scanned"""
+
+
+def sizes(subject: Subject, name: Named) -> tuple[Size, ...]:
+    """Return the parameters of a named effect, for the noise that was found."""
+    alternative = name.alternative
+    block, row = _own_row(extended_model(subject, [name]), name)
+    before = subject.model.blocks.get(block.name)
+    by_step = block.space.by_step(block.values)[row]
+    std = np.sqrt(np.maximum(np.diag(name.covariance), 0.0))
+    known = {p.name: p for p in alternative.effect.all_parameters}
+    found = []
+    for at, key in enumerate(alternative.parameters):
+        column = block.column(key)
+        was = before.values[row, column] if before is not None and column < before.size else 0.0
+        found.append(Size(known[key], float(block.values[row, column] - was), float(std[at] * by_step[column])))
+    return (*found, *(Size(known[key], value, None) for key, value in alternative.scanned))
 
 
 def mended(subject: Subject, names: Sequence[Named], kept: Mapping[str, Mask]) -> Subject | None:

@@ -35,6 +35,8 @@ class Given:
     squares: float
     """Sum of squares of the residual, and what the declared noise adds (`PRIOR`)"""
     dof: float
+    prior: float = PRIOR
+    """The part of the squares that the declared noise adds"""
 
     def with_columns(self, columns: Array) -> Given:
         """Return it with more columns (rows, q) in the model; what is not visible beside the others adds nothing."""
@@ -44,7 +46,8 @@ class Given:
         new = orthonormal(left, _VISIBLE)
         residual = self.residual - new @ (new.T @ self.residual)
         basis = np.concatenate([self.basis, new], axis=1)
-        return Given(basis, residual, float(residual @ residual) + PRIOR, self.dof - new.shape[1])
+        squares = float(residual @ residual) + self.prior
+        return Given(basis, residual, squares, self.dof - new.shape[1], self.prior)
 
 
 def orthonormal(columns: Array, least: float) -> Array:
@@ -62,9 +65,11 @@ def orthonormal(columns: Array, least: float) -> Array:
 
 
 def nothing(system: System) -> Given:
-    """Return the model as it is."""
+    """Return the model as it is; a noise declared larger than it is counts as large as it is."""
     r = system.residual
-    return Given(np.zeros((system.rows, 0)), r, float(r @ r) + PRIOR, system.dof + PRIOR)
+    squares = float(r @ r)
+    prior = PRIOR * min(1.0, squares / max(system.dof, 1))
+    return Given(np.zeros((system.rows, 0)), r, squares + prior, system.dof + PRIOR, prior)
 
 
 @dataclass(frozen=True)

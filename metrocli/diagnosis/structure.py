@@ -20,6 +20,8 @@ _AFTER, _NOTHING_NAMED = 0.03, 0.005
 """Levels, counted over all smooth functions, of structure that is left beside names, and where there is none"""
 _CARRIED = 0.2
 """Level that it must keep, counted over all that is tried, without the few readings that speak for it most"""
+_NEGLIGIBLE = 0.05
+"""Share of the largest below which a reading does not count as touched"""
 REPEATS = "what repeated readings have in common"
 
 
@@ -29,6 +31,10 @@ class Left:
 
     p_value: float
     depends_on: tuple[str, ...]
+    where: tuple[str, ...] = ()
+    """The units (tracers, images) whose readings hold it; empty where all do"""
+    size: float = 0.0
+    """What shows of it, root mean square over those readings, in their unit"""
 
 
 @dataclass(frozen=True)
@@ -101,5 +107,19 @@ def left_over(selection: Selection, names: Sequence[Named], field: Field, given:
     if unknown:
         levels = dict(zip(map(id, selection.chosen), selection.levels(), strict=True))
         p = float(np.exp(min(levels[id(one)] for one in selection.unknown)))
-        return Left(p, tuple(dict.fromkeys([*unknown, *after]))), level
-    return (Left(level, tuple(after)) if after else None), level
+        places = [selection.field.families[one.family].alternatives[one.number].instance for one in selection.unknown]
+        size = _size(selection.field, selection.given(without=selection.unknown), selection.given())
+        where = tuple(dict.fromkeys(name for place in places for name in place))
+        return Left(p, tuple(dict.fromkeys([*unknown, *after])), where, size), level
+    if not after:
+        return None, level
+    family = field.families[number]
+    size = _size(field, given, given.with_columns(family.columns[:, best]))
+    return Left(level, tuple(after), family.alternatives[best].instance, size), level
+
+
+def _size(field: Field, without: Given, beside: Given) -> float:
+    """Return what shows of terms in the readings that they touch, root mean square, in the unit of these."""
+    shown = (without.residual - beside.residual) * field.system.scale
+    heavy = np.abs(shown) > _NEGLIGIBLE * np.abs(shown).max(initial=0.0)
+    return float(np.sqrt((shown[heavy] ** 2).mean())) if heavy.any() else 0.0

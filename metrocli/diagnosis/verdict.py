@@ -11,8 +11,10 @@ from metrocli import units
 from metrocli.diagnosis.candidates import Alternative, NotTested
 from metrocli.diagnosis.design import Candidate, Design, WrongReading
 from metrocli.diagnosis.diagnose import Diagnosis, Finding
+from metrocli.diagnosis.mended import sizes
 from metrocli.diagnosis.mistakes import Mistaken
 from metrocli.diagnosis.naming import Named, Rival
+from metrocli.diagnosis.structure import Left
 from metrocli.diagnosis.subject import Subject
 
 NAMED, EXCLUDED, CANNOT_SEE = "named", "excluded", "cannot-see"
@@ -37,7 +39,7 @@ def as_data(diagnosis: Diagnosis) -> dict[str, Any]:
             *(_effect(diagnosis.subject, finding) for finding in diagnosis.findings),
         ],
         "structure": {"before": diagnosis.before, "after": diagnosis.after},
-        "unexplained": None if left is None else {"p_value": left.p_value, "depends_on": list(left.depends_on)},
+        "unexplained": None if left is None else _left(diagnosis.subject, left),
         "candidates": candidates(diagnosis.subject, diagnosis.design, [f.named for f in diagnosis.findings]),
         "alike": alike(diagnosis.design),
         "separate_by": list(diagnosis.separate_by),
@@ -72,7 +74,7 @@ def _effect(subject: Subject, finding: Finding) -> dict[str, Any]:
     return {
         "name": name.alternative.effect.name,
         "where": name.alternative.where,
-        "parameters": _parameters(name),
+        "parameters": _parameters(subject, name),
         "p_value": float(np.exp(name.log_level)),
         "alternatives": [_rival(rival) for rival in name.rivals],
         "gain": {
@@ -90,15 +92,21 @@ def _effect(subject: Subject, finding: Finding) -> dict[str, Any]:
     }
 
 
-def _parameters(name: Named) -> dict[str, Any]:
-    known = {p.name: p for p in name.alternative.effect.all_parameters}
-    std = np.sqrt(np.maximum(np.diag(name.covariance), 0.0))
-    found: dict[str, Any] = {
-        key: {"value": float(value), "std": float(spread), "unit": known[key].unit}
-        for key, value, spread in zip(name.alternative.parameters, name.values, std, strict=True)
+def _left(subject: Subject, left: Left) -> dict[str, Any]:
+    unit = units.find_unit(*subject.reading)
+    return {
+        "p_value": left.p_value,
+        "depends_on": list(left.depends_on),
+        "where": list(left.where),
+        "size": {"value": unit.outside(left.size), "unit": unit.symbol},
     }
-    scanned = {key: {"value": value, "std": None, "unit": known[key].unit} for key, value in name.alternative.scanned}
-    return found | scanned
+
+
+def _parameters(subject: Subject, name: Named) -> dict[str, Any]:
+    return {
+        size.parameter.name: {"value": size.value, "std": size.std, "unit": size.parameter.unit}
+        for size in sizes(subject, name)
+    }
 
 
 def _rival(rival: Rival) -> dict[str, Any]:
