@@ -33,7 +33,8 @@ def _is(finding: Finding, hidden: Hidden) -> bool:
 
 
 def _in_set(finding: Finding, hidden: Hidden) -> bool:
-    return (hidden.name, tuple(hidden.where.values())) in spots(finding.named)
+    place = tuple(name for key, name in hidden.where.items() if key != "by")
+    return (hidden.name, place) in spots(finding.named)
 
 
 def _covers(finding: Finding, hidden: Hidden, diagnosis: Diagnosis) -> bool:

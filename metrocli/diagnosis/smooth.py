@@ -38,6 +38,8 @@ def _of(subject: Subject, system: System, covariate: Covariate) -> Iterator[Fami
         if values is None:
             continue
         for where, mask in _parts(subject, group):
+            if not mask.any():
+                continue
             terms = (harmonics if covariate.angle else polynomials)(np.atleast_2d(values)[:, mask], covariate.degree)
             if mask.sum() < _FEWEST_FOR * terms.shape[1]:
                 continue
