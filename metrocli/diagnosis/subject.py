@@ -27,6 +27,8 @@ class Covariate:
     """Of the polynomials that are tried, or the highest harmonic"""
     angle: bool = False
     """It comes round: harmonics of it are tried"""
+    together: bool = False
+    """Its coordinates (k, n) are the terms themselves, of readings of all groups at once: an unknown that moves"""
 
 
 @dataclass(frozen=True)
