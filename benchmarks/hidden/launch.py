@@ -299,6 +299,6 @@ _SCENARIOS = (
     "noise declared half and an effect of 2x",
     "an effect of 2x",
     "two effects",
-    "outside the table",
-    "outside the table",
+    "outside the table, few poses",
+    "outside the table, few poses",
 )
