@@ -175,11 +175,16 @@ def _solve(problem: _Problem, state: Mapping[str, Block], normals: Normals) -> t
 
 
 def _held(matrix: Array, frame: Frame | None) -> Array:
-    """Add stiffness along the open movements of the frame, so that the matrix can be factored."""
+    """Add stiffness along the open movements of the frame, so that the matrix can be factored.
+
+    In units in which every unknown has stiffness 1, since those of the blocks may be as far apart as mm and 1/s.
+    """
     if frame is None or not len(matrix):
         return matrix
-    unit, _ = np.linalg.qr(frame.reduced)
-    held: Array = matrix + np.trace(matrix) / len(matrix) * (unit @ unit.T)
+    size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    unit, _ = np.linalg.qr(frame.reduced * size[:, None])
+    stiff = unit * size[:, None]
+    held: Array = matrix + stiff @ stiff.T
     return held
 
 

@@ -94,6 +94,10 @@ class System:
         places = self.entries(block)[:, list(columns)]
         return np.where((places >= 0)[:, :, None], change[np.maximum(places, 0)], 0.0)
 
+    def shifts(self, values: Array, blocks: Sequence[str], columns: tuple[int, ...]) -> Array:
+        """Return `shift` of several blocks, one after the other."""
+        return np.concatenate([self.shift(values, block, columns) for block in blocks])
+
 
 def by_rows(linear: Linear) -> Array:
     """Return the residuals of a group with the components of each reading together."""

@@ -69,11 +69,11 @@ def to_camera(rig: str) -> tuple[Link, ...]:
     board: the view's pose carries the board into the camera; cmm and network: the pose is that of the camera in the
     frame of the targets, one for all images or one each.
     """
-    targets, camera = Quantity.POINT_ON_TARGETS, Quantity.POINT_IN_CAMERA
-    step: Link = (
-        OutOf(VIEW, targets, camera) if rig == "board" else Into(TAPER if rig == "cmm" else VIEW, targets, camera)
-    )
-    return (PointOf(TARGET, targets), step)
+    camera = Quantity.POINT_IN_CAMERA
+    if rig == "board":
+        return (PointOf(TARGET, Quantity.POINT_ON_BOARD), OutOf(VIEW, Quantity.POINT_ON_BOARD, camera))
+    targets = Quantity.POINT_ON_TARGETS
+    return (PointOf(TARGET, targets), Into(TAPER if rig == "cmm" else VIEW, targets, camera))
 
 
 def chain(rig: str, convention: str) -> Chain:
