@@ -9,10 +9,11 @@ from functools import cached_property
 import numpy as np
 
 from metrocli.adjust.blocks import Array, Block
-from metrocli.adjust.covariance import Covariance, Gauge, shapes_of
+from metrocli.adjust.covariance import Covariance, shapes_of
 from metrocli.adjust.datum import Datum, Frame, open_frame
 from metrocli.adjust.groups import Group
 from metrocli.adjust.layout import Layout, arrange, considered_covariance
+from metrocli.adjust.members import Gauge, Members
 from metrocli.adjust.normals import Normals, assemble, cost_of
 from metrocli.adjust.outcome import Combination, Outcome
 from metrocli.adjust.portions import Split, split
@@ -255,15 +256,15 @@ def _with_covariance(solution: Solution, problem: _Problem, normals: Normals) ->
         return replace(counted, outcome=Outcome.TOO_FEW)
     free = layout.free
     inverse = _cholesky_solve(held[:free, :free], np.eye(free)) if free else np.zeros((0, 0))
-    invariant = _widened(inverse, layout)
-    cofactor = Covariance(layout, shapes_of(blocks), invariant, normals.parts, problem.split.portions, invariant)
+    own, gauge = _widened(inverse, layout), None
     if frame is not None and frame.datum.block == layout.eliminated:
-        own, shares = _in_eliminated_datum(frame, normals, inverse)
-        gauge = Gauge(frame, blocks[frame.datum.block], shares)
-        cofactor = replace(cofactor, reduced=_widened(own, layout), gauge=gauge)
+        own = _widened(_in_eliminated_datum(frame, normals, inverse), layout)
+        gauge = Gauge(frame, blocks[frame.datum.block])
     elif frame is not None:
         transform = frame.transform(layout)[:free, :free]
-        cofactor = replace(cofactor, reduced=_widened(transform @ inverse @ transform.T, layout))
+        own = _widened(transform @ inverse @ transform.T, layout)
+    members = Members(normals.shape, normals.parts, problem.split.portions, own, gauge)
+    cofactor = Covariance(layout, shapes_of(blocks), own, members)
     joint = replace(cofactor, reduced=_considered(blocks, layout, held, cofactor.reduced))
     return replace(counted, cofactor=cofactor, covariance=joint)
 
@@ -275,8 +276,8 @@ def _widened(inverse: Array, layout: Layout) -> Array:
     return widened
 
 
-def _in_eliminated_datum(frame: Frame, normals: Normals, inverse: Array) -> tuple[Array, tuple[Array, ...]]:
-    """Return the reduced covariance in a datum of inner constraints on the eliminated block, and each part's `D^-1 H'`.
+def _in_eliminated_datum(frame: Frame, normals: Normals, inverse: Array) -> Array:
+    """Return the reduced covariance in a datum of inner constraints on the eliminated block.
 
     With `h = H e = -A r + sum H_i n_i`, `A = sum H_i W_i`, n_i the noise of member i of covariance D_i^-1:
     `r' = (I + E A) r - E sum H_i n_i`.
@@ -286,8 +287,7 @@ def _in_eliminated_datum(frame: Frame, normals: Normals, inverse: Array) -> tupl
     e = frame.reduced[:free]
     coupled, gram = (np.sum([one[i] for one in found], axis=0) for i in (0, 1))
     transform = np.eye(free) + e @ coupled[:, :free]
-    noise = e @ gram @ e.T
-    return transform @ inverse @ transform.T + noise, tuple(share for _, _, share in found)
+    return np.asarray(transform @ inverse @ transform.T + e @ gram @ e.T)
 
 
 def _considered(blocks: Mapping[str, Block], layout: Layout, matrix: Array, noise_only: Array) -> Array:

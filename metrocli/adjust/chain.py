@@ -40,11 +40,12 @@ class Local:
 
     def index(self, block: str) -> Index:
         """Return which member each reading touches, (n,) or (k, n); zeros for a block of one member."""
-        lattice = self.observations.lattice
+        index, lattice = self.observations.index.get(block), self.observations.lattice
+        if index is not None:
+            return index
         if lattice is not None and (block == lattice.block or block in lattice.slots):
             return lattice.index(block)
-        index = self.observations.index.get(block)
-        return np.zeros(self.observations.count, dtype=np.intp) if index is None else index
+        return np.zeros(self.observations.count, dtype=np.intp)
 
     def slots(self, block: str) -> Index:
         """Return which member each reading touches, or each slot of a lattice; one for the block of its members."""
@@ -65,8 +66,9 @@ class Local:
         return np.moveaxis(per_member, 0, -1) if len(per_member) == 1 else self._at_readings(per_member, block)
 
     def _at_readings(self, per_member: Array, block: str) -> Array:
-        if self.observations.lattice is not None:
-            return self.observations.lattice.spread(per_member, block)
+        lattice = self.observations.lattice
+        if lattice is not None and block not in self.observations.index:
+            return lattice.spread(per_member, block)
         return np.ascontiguousarray(np.moveaxis(per_member, 0, -1))[..., self.index(block)]
 
 

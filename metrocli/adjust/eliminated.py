@@ -223,14 +223,18 @@ class Eliminated:
         np.add.at(full, places, solved.swapaxes(0, 1))
         return np.ascontiguousarray(full[:-1].transpose(2, 1, 0))
 
-    def moments(self, fields: Array) -> tuple[Array, Array, Array]:
-        """Return `H' W`, `H' D^-1 H` and `D^-1 H` of fields H (k, s, f): (f, width), (f, f), (k, s, f)."""
+    def solved(self, fields: Array) -> Array:
+        """Return `D^-1 H` of fields H (k, s, f), (k, s, f)."""
+        return self.backward(self.forward(fields.transpose(1, 2, 0))).transpose(2, 0, 1)
+
+    def moments(self, fields: Array) -> tuple[Array, Array]:
+        """Return `H' W` and `H' D^-1 H` of fields H (k, s, f): (f, width), (f, f)."""
         through = self.forward(fields.transpose(1, 2, 0))
         rows, places = self.coupling()
         flat = _flat(np.ascontiguousarray(through.swapaxes(0, 1)))
         coupled = np.zeros((self.width + 1, len(flat)))
         np.add.at(coupled, places, _flat(rows) @ flat.T)
-        return coupled[:-1].T, flat @ flat.T, self.backward(through).transpose(2, 0, 1)
+        return coupled[:-1].T, flat @ flat.T
 
     @staticmethod
     def _shared(coupled: tuple[Array, Index], reduced: Array) -> tuple[Array, Array]:
@@ -246,29 +250,43 @@ class Eliminated:
 
     def covariance(self, reduced: Array) -> Array:
         """Return `D^-1 + W Q W'` of each member, (k, s, s)."""
-        inner = self._shared(self.coupling(), reduced)[1]
+        return self._covariance(self._shared(self.coupling(), reduced)[1])
+
+    def _covariance(self, between: Array) -> Array:
+        """Return `L'^-1 (I + Y Q Y') L^-1` of each member, (k, s, s)."""
+        inner = between.copy()
         for a in range(len(inner)):
             inner[a, a] += 1.0
         half = self.backward(inner)
         full = self.backward(np.ascontiguousarray(half.swapaxes(0, 1)))
         return self._members(full)
 
-    def explained(self, reduced: Array) -> list[Array]:
-        """Return the variance of each reading as adjusted, `diag(A Q A')`, for each group of rows, (d, m k).
+    def adjusted(self, reduced: Array) -> tuple[Array, tuple[Array, ...]]:
+        """Return `D^-1 + W Q W'` (k, s, s), and for each group of rows the variance of its readings, (d, m k).
 
-        With `U` the reading's own part, `U'U + U' Y Q Y' U - 2 U' Y Q K' + K Q K'`; where Z is small, by what is
-        left, `1 - Z (I - X Q X') Z'`, `X = Z'K`.
+        Those are as adjusted, `diag(J D^-1 J' + A Q A')` with `A = K - J W`.
         """
-        if self._few:
-            spare = self._spare()
-            left = -self._shared(self._combined(len(spare[0]), spare), reduced)[1]
-            for a in range(len(left)):
-                left[a, a] += 1.0
-            return [(1 - np.einsum("qdmk,rdmk,qrk->dmk", z, z, left)).reshape(z.shape[1], -1) for z in spare]
-        product, between = self._shared(self.coupling(), reduced)
+        own = [self.whitened(part) for part in self.rows]
+        coupled = self._combined(len(self.free), own)
+        product, between = self._shared(coupled, reduced)
+        explained = self._left(reduced) if self._few else self._explained(own, product, between, _padded(reduced))
+        return self._covariance(between), tuple(one.reshape(len(one), -1) for one in explained)
+
+    def _left(self, reduced: Array) -> list[Array]:
+        """Return the variance of each reading as adjusted by what is left, `1 - Z (I - X Q X') Z'`, `X = Z'K`."""
+        spare = self._spare()
+        left = -self._shared(self._combined(len(spare[0]), spare), reduced)[1]
+        for a in range(len(left)):
+            left[a, a] += 1.0
+        return [1 - np.einsum("qdmk,rdmk,qrk->dmk", z, z, left) for z in spare]
+
+    def _explained(self, own: Sequence[Array], product: Array, between: Array, reduced: Array) -> list[Array]:
+        """Return the variance of each reading as adjusted, for each group of rows, (d, m, k).
+
+        With `U` the reading's own part, `U'U + U' Y Q Y' U - 2 U' Y Q K' + K Q K'`.
+        """
         found, at = [], 0
-        for part in self.rows:
-            u = self.whitened(part)
+        for part, u in zip(self.rows, own, strict=True):
             total = np.einsum("admk,admk->dmk", u, u)
             for a in range(len(u)):
                 total += np.einsum("dmk,bdmk,bk->dmk", u[a], u, between[a])
@@ -282,8 +300,8 @@ class Eliminated:
                     total -= 2 * along * beside.jacobian[:, c]
             for first in part.beside:
                 for second in part.beside:
-                    total += _variance(first, second, _padded(reduced))
-            found.append(total.reshape(len(total), -1))
+                    total += _variance(first, second, reduced)
+            found.append(total)
         return found
 
 

@@ -80,11 +80,19 @@ class Gathered:
         weights = self.weights()
         return self.inverse() + (weights @ reduced) @ np.swapaxes(weights, 1, 2)
 
-    def moments(self, fields: Array) -> tuple[Array, Array, Array]:
-        """Return `H' W`, `H' D^-1 H` and `D^-1 H` of fields H (members, s, f): (f, width), (f, f), (members, s, f)."""
-        share = np.asarray(np.linalg.solve(self.d, fields), dtype=float)
+    def adjusted(self, reduced: Array) -> tuple[Array, tuple[Array, ...]]:
+        """Return `D^-1 + W Q W'` (members, s, s); nothing of single readings."""
+        return self.covariance(reduced), ()
+
+    def solved(self, fields: Array) -> Array:
+        """Return `D^-1 H` of fields H (members, s, f), (members, s, f)."""
+        return np.asarray(np.linalg.solve(self.d, fields), dtype=float)
+
+    def moments(self, fields: Array) -> tuple[Array, Array]:
+        """Return `H' W` and `H' D^-1 H` of fields H (members, s, f): (f, width), (f, f)."""
         flat = fields.reshape(self.right.size, fields.shape[2])
-        return flat.T @ self._weights.reshape(len(flat), self.b.shape[2]), flat.T @ share.reshape(flat.shape), share
+        weights = self._weights.reshape(len(flat), self.b.shape[2])
+        return flat.T @ weights, flat.T @ self.solved(fields).reshape(flat.shape)
 
 
 def _diagonal(matrix: Array) -> Array:

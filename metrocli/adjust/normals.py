@@ -58,8 +58,14 @@ class Part(Protocol):
     def covariance(self, reduced: Array) -> Array:
         """Return `D^-1 + W Q W'` of each member, (k, s, s)."""
 
-    def moments(self, fields: Array) -> tuple[Array, Array, Array]:
-        """Return `H' W`, `H' D^-1 H` and `D^-1 H` of fields H (k, s, f): (f, width), (f, f), (k, s, f)."""
+    def adjusted(self, reduced: Array) -> tuple[Array, tuple[Array, ...]]:
+        """Return what `covariance` does, and for each group of a portion the variance of its readings as adjusted."""
+
+    def solved(self, fields: Array) -> Array:
+        """Return `D^-1 H` of fields H (k, s, f), (k, s, f)."""
+
+    def moments(self, fields: Array) -> tuple[Array, Array]:
+        """Return `H' W` and `H' D^-1 H` of fields H (k, s, f): (f, width), (f, f)."""
 
 
 @dataclass(frozen=True)

@@ -100,23 +100,28 @@ def residuals_of(solution: Solution, group: Group) -> Residuals:
 
     For correlated components all four refer to the decorrelated (whitened) components.
     """
-    values = group.residuals(solution.blocks)
+    values, explained = _adjusted(solution, group)
     whitened = group.observations.whitened(values)
-    redundancy = np.clip(1 - _explained(solution, group), 0.0, 1.0)
+    redundancy = np.clip(1 - explained, 0.0, 1.0)
     controlled = redundancy > 1e-6
     normalised = np.where(controlled, whitened / np.sqrt(np.where(controlled, redundancy, 1.0)), 0.0)
     return Residuals(values, group.observations.sigma, redundancy, normalised)
 
 
-def _explained(solution: Solution, group: Group) -> Array:
-    """Return diag(J Q J') of a group, (d, n), block by block of what each reading touches."""
+def _adjusted(solution: Solution, group: Group) -> tuple[Array, Array]:
+    """Return the residuals of a group and diag(J Q J'), both (d, n)."""
     cofactor = solution.cofactor
     if cofactor is None:
         raise RuntimeError(solution.outcome.value)
+    members, shape = cofactor.eliminated, group.observations.readings.shape
     for place, one in enumerate(solution.groups):
-        found = cofactor.explained(place, group.observations.readings.shape) if one is group else None
-        if found is not None:
-            return found
+        if one is group and members.reads(place):
+            return members.residuals(place, solution.blocks, shape), cofactor.factor * members.explained(place, shape)
+    return group.residuals(solution.blocks), _explained(solution, group, cofactor)
+
+
+def _explained(solution: Solution, group: Group, cofactor: Covariance) -> Array:
+    """Return diag(J Q J') of a group, (d, n), block by block of what each reading touches."""
     touches = group.linear(solution.blocks, cofactor.layout.wanted).touches
     total = np.zeros(group.observations.readings.shape)
     for i, first in enumerate(touches):

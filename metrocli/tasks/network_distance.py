@@ -28,14 +28,15 @@ def factors(covariance: Covariance, chosen: Mask) -> dict[str, Array]:
     Of eliminated points the shared part is `W Q_r W'`, and `-E S' - S E'` where the datum is on them.
     """
     if covariance.layout.eliminated == t.POINT:
-        core, gauge = covariance.reduced, covariance.gauge
+        points = covariance.eliminated
+        core, gauge = covariance.reduced, points.gauge
         if gauge is not None:
             k = gauge.reduced.shape[1]
             exchange = -np.kron([[0.0, 1.0], [1.0, 0.0]], np.eye(k))
             core = np.block([[core, np.zeros((len(core), 2 * k))], [np.zeros((2 * k, len(core))), exchange]])
         if 3 * int(chosen.sum()) * len(core) > _LARGEST:
             return {}
-        parts = [covariance.weights] + ([] if gauge is None else [gauge.moves, covariance.share])
+        parts = [points.weights] + ([] if gauge is None else [gauge.moves, points.share])
         common: Array | None = np.concatenate([part[chosen] for part in parts], axis=2)
     else:
         size = 3 * int(chosen.sum())
