@@ -11,7 +11,7 @@ from metrocli.cli import options
 
 @click.command("diagnose", help="Say what the model of a job gets wrong, why, and what mending it gains.")
 @options.JOB
-@click.option("--design", is_flag=True, help="Say what the measurement could see at all, without looking at residuals.")
+@click.option("--design", is_flag=True, help="Say what the measurement could see at all, also before it is made.")
 @options.SET
 @options.JSON
 @options.QUIET
@@ -20,19 +20,19 @@ def command(job: Path, design: bool, overrides: tuple[str, ...], as_json: bool, 
     """Diagnose, write the extended job where an effect was named, and print the report."""
     from metrocli.cli import diagnosis_text, summary
     from metrocli.diagnosis import verdict
-    from metrocli.diagnosis.diagnose import planned
-    from metrocli.project import diagnosed
-    from metrocli.project.job import Wishes, load
+    from metrocli.project import diagnosed, runner
+    from metrocli.project.job import Wishes, kind_of_job, load
 
     voice = options.Voice(quiet or as_json, verbose)
-    loaded = load(job, Wishes(overrides))
     if design:
-        subject = diagnosed.subject_of(loaded)
-        found = planned(subject)
+        kind = kind_of_job(job)
+        not_needed = runner.simulated_inputs(kind) if kind else ()
+        subject, found = diagnosed.design_of(load(job, Wishes(overrides, not_needed=not_needed)))
         if as_json:
             click.echo(summary.as_json(verdict.design_data(subject, found)))
         voice.line(diagnosis_text.of_design(subject, found))
         return 0
+    loaded = load(job, Wishes(overrides))
     diagnosis = diagnosed.carry_out(loaded, voice.waiting)
     extended = diagnosed.write_extended(loaded, diagnosis)
     if as_json:

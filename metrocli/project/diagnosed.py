@@ -7,7 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from metrocli import tasks
-from metrocli.diagnosis.diagnose import Diagnosis, diagnose
+from metrocli.diagnosis.design import Design
+from metrocli.diagnosis.diagnose import Diagnosis, diagnose, planned
 from metrocli.diagnosis.mistakes import without_mistakes
 from metrocli.diagnosis.subject import Subject
 from metrocli.diagnosis.verdict import as_job
@@ -17,7 +18,8 @@ from metrocli.nodes import Node
 from metrocli.project import yaml_text
 from metrocli.project.inputs import read_inputs
 from metrocli.project.job import Job
-from metrocli.project.runner import Say
+from metrocli.project.runner import Say, simulate, simulated_inputs
+from metrocli.simulation import SimulationOptions
 
 
 def subject_of(job: Job) -> Subject:
@@ -31,6 +33,18 @@ def carry_out(job: Job, say: Say = lambda line: None) -> Diagnosis:
     say(f"{job.file}: adjusting")
     subject, mistaken = without_mistakes(read_inputs(job), adjust)
     return replace(diagnose(subject, lambda line: say(f"{job.file}: {line}")), mistaken=mistaken)
+
+
+def design_of(job: Job) -> tuple[Subject, Design]:
+    """Return what the measurement of a job can see; readings that do not exist yet are simulated by it."""
+    wanted = simulated_inputs(job.kind)
+    held = read_inputs(job, wanted)
+    if not set(wanted) & set(held) and any(item.key in wanted for item in job.inputs):
+        files = simulate(job, SimulationOptions()).files
+        made = {Path(name).stem: table for name, table in files.items()}
+        held |= {item.key: made[item.key] for item in job.inputs if item.key in wanted and item.key in made}
+    subject = _adjuster(job)(held)
+    return subject, planned(subject)
 
 
 def _adjuster(job: Job) -> Callable[[Mapping[str, object]], Subject]:

@@ -158,6 +158,19 @@ def test_the_design_does_not_look_at_residuals(folder: Path, metrocli: Metrocli)
     assert "hard to tell apart" in metrocli("diagnose", job, "--design").out
 
 
+def test_the_design_is_told_before_there_are_readings(folder: Path, metrocli: Metrocli) -> None:
+    job = write(folder, measured())
+    (folder / "lengths.csv").unlink()
+    job.write_text(JOB + "simulation: {mover_error: 5 um, interval: 20 s}\n")
+    ran = metrocli("diagnose", job, "--design", "--json")
+    assert ran.code == 0, ran.err
+    states = {(one["name"], *one["where"].values()): one["status"] for one in json.loads(ran.out)["candidates"]}
+    assert states["dead-path-drift", "T3"] == "excluded"
+    assert states["length-scale",] == "not-testable"
+    assert not (folder / "lengths.csv").exists()
+    assert metrocli("diagnose", job).code == 3
+
+
 def test_inseparable_names_come_with_what_tells_them_apart(folder: Path, metrocli: Metrocli) -> None:
     data = json.loads(metrocli("diagnose", write(folder, measured("dead-path-drift")), "--json").out)
     assert data["verdict"] == "indistinct"
