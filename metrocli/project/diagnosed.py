@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -67,30 +68,48 @@ def _declared(node: Node | None) -> str:
     return node.text if node.kind == "scalar" else ", ".join(filter(None, (_declared(one) for _, one in node.entries)))
 
 
-def write_extended(job: Job, diagnosis: Diagnosis) -> Path | None:
-    """Write the job with the named effects beside it, `NAME.extended.yaml`; None where there is nothing to add."""
+def write_extended(job: Job, diagnosis: Diagnosis, path: Path | None = None) -> Path | None:
+    """Write the job with the named effects, beside it as `NAME.extended.yaml`; None where there is nothing to add.
+
+    Elsewhere its paths are made to lead to the same files.
+    """
     if not diagnosis.findings:
         return None
-    path = job.file.with_name(f"{job.file.stem}.extended.yaml")
+    path = path or job.file.with_name(f"{job.file.stem}.extended.yaml")
     new = [_node(job, as_job(finding.named.alternative)) for finding in diagnosis.findings]
-    text = f"# {job.file.name} with the effects that metrocli diagnose named\n{yaml_text.emit(_extended(job, new))}"
+    heading = f"# {job.file.name} with the effects that metrocli diagnose named\n"
+    text = heading + yaml_text.emit(_extended(job, new, path.parent))
     with written_aside(path) as aside:
         aside.write_text(text, encoding="utf-8")
     return path
 
 
-def _extended(job: Job, effects: Sequence[Node]) -> Node:
+def _extended(job: Job, effects: Sequence[Node], folder: Path) -> Node:
     listed = job.root.get("effects")
     items = [*(listed.items if listed is not None else ()), *effects]
     output = job.output.with_name(f"{job.output.stem}.extended.h5")
-    try:
-        shown = output.relative_to(job.folder).as_posix()
-    except ValueError:
-        shown = str(output)
     below = replace(job.root, kind="list", text="", entries=(), items=tuple(items))
-    word = replace(job.root, kind="scalar", text=shown, entries=(), items=())
-    kept = [(key, value) for key, value in job.root.entries if key.text not in ("effects", "output")]
-    return replace(job.root, entries=(*kept, (_key(job, "effects"), below), (_key(job, "output"), word)))
+    kept = [
+        (key, _led(value, job.folder, folder) if key.text == "inputs" else value)
+        for key, value in job.root.entries
+        if key.text not in ("effects", "output")
+    ]
+    last = (_key(job, "output"), _key(job, _path(output, folder)))
+    return replace(job.root, entries=(*kept, (_key(job, "effects"), below), last))
+
+
+def _path(path: Path, folder: Path) -> str:
+    return Path(os.path.relpath(path, folder)).as_posix()
+
+
+def _led(node: Node, old: Path, new: Path) -> Node:
+    """Return the paths of a node so that they lead from another folder to the same files."""
+    if os.path.abspath(old) == os.path.abspath(new):
+        return node
+    if node.kind == "scalar":
+        return node if Path(node.text).is_absolute() else replace(node, text=_path(old / node.text, new))
+    items = tuple(_led(item, old, new) for item in node.items)
+    return replace(node, items=items, entries=tuple((key, _led(value, old, new)) for key, value in node.entries))
 
 
 def _key(job: Job, text: str) -> Node:

@@ -98,6 +98,25 @@ def test_the_extended_job_runs_unmodified_and_is_clean(folder: Path, metrocli: M
     assert not (folder / "job.extended.extended.yaml").exists()
 
 
+def test_the_extended_job_can_stand_elsewhere(folder: Path, metrocli: Metrocli) -> None:
+    job = write(folder, measured("tracer-scale"))
+    (folder / "elsewhere").mkdir()
+    data = json.loads(metrocli("diagnose", job, "--json", "--output", "elsewhere/new.yaml").out)
+    assert data["extended_job"] == "elsewhere/new.yaml"
+    assert not (folder / "job.extended.yaml").exists()
+    assert metrocli("multilaterate", "elsewhere/new.yaml").code == 0
+    assert (folder / "results" / "points.extended.h5").exists()
+
+
+def test_a_folder_that_cannot_be_written_to_costs_the_job_only(folder: Path, metrocli: Metrocli) -> None:
+    job = write(folder, measured("tracer-scale"))
+    (folder / "job.extended.yaml").mkdir()
+    ran = metrocli("diagnose", job, "--json")
+    assert (ran.code, json.loads(ran.out)["extended_job"]) == (0, None)
+    assert "no extended job" in ran.err
+    assert metrocli("diagnose", job, "--output", "job.extended.yaml").code == 3
+
+
 def test_a_jump_keeps_its_time_in_the_extended_job(folder: Path, metrocli: Metrocli) -> None:
     job = write(folder, measured("dead-path-jump", 4.0))
     metrocli("diagnose", job)
