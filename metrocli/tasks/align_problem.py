@@ -43,9 +43,7 @@ class Problem:
 
     def model(self) -> Model:
         """Return the alignment as a model that effects can be added to."""
-        seen = np.unique(self.images.observations.index[TARGET]).tolist()
-        targets = tuple(self.sighted.targets.names[i] for i in seen)
-        places = places_of(self.sighted.images, targets)
+        places = places_of(self.sighted.images, self.sighted.targets.names)
         return Model(self.blocks, (self.images, *self.others), None, (IMAGES,), places, added=self.effects)
 
     def with_model(self, model: Model) -> Problem:

@@ -55,9 +55,8 @@ class Problem:
 
     def model(self) -> Model:
         """Return the calibration as a model that effects can be added to."""
-        seen = np.bincount(self.images.observations.index[camera.TARGET], minlength=len(self.sighted.targets.names))
-        targets = tuple(name for name, n in zip(self.sighted.targets.names, seen, strict=True) if n)
-        places = {"image": Place(self.sighted.images, "view"), "target": Place(targets, camera.TARGET)}
+        targets = Place(self.sighted.targets.names, camera.TARGET)
+        places = {"image": Place(self.sighted.images, "view"), "target": targets}
         return Model(self.blocks, (self.images, *self.others), self.datum, (IMAGES,), places, added=self.effects)
 
     def with_model(self, model: Model) -> Problem:

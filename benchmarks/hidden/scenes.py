@@ -51,7 +51,8 @@ def ellipse_centres(points: Array, turn: Array, radius: float) -> Array:
     `turn` (n, 3, 3) has the circle's axes as columns; the conic through five of its projected points gives the centre.
     """
     around = np.arange(5) * (2 * np.pi / 5)
-    rim = points[:, None] + radius * (np.cos(around)[:, None] * turn[:, None, :, 0] + np.sin(around)[:, None] * turn[:, None, :, 1])
+    across, along = turn[:, None, :, 0], turn[:, None, :, 1]
+    rim = points[:, None] + radius * (np.cos(around)[:, None] * across + np.sin(around)[:, None] * along)
     plane = points[:, None, :2] / points[:, None, 2:]
     x, y = np.moveaxis((rim[..., :2] / rim[..., 2:] - plane) / (radius / points[:, None, None, 2]), -1, 0)
     rows = np.stack([x * x, x * y, y * y, x, y], axis=-1)
@@ -70,21 +71,20 @@ class Scene:
     noise: float
     targets: Array
     """(m, 3)"""
-    images: int
     view: Index
     target: Index
-    time: Array
-    """(images,) [s]"""
-    warmth: Array
-    """(images,) [degC]"""
     lens: Mapping[str, float]
-    lens_free: tuple[str, ...]
     unknowns: Array
     """Poses and the like, flat"""
+    lens_free: tuple[str, ...] = ()
     given: Mapping[str, Array] = field(default_factory=dict)
     """spindle (images, 6), mounting (6,)"""
     radius: float = 0.0
     angle_free: bool = True
+    time: Array = field(default_factory=lambda: np.zeros(0))
+    """(images,) [s]"""
+    warmth: Array = field(default_factory=lambda: np.zeros(0))
+    """(images,) [degC]"""
 
     @property
     def elapsed(self) -> Array:
@@ -100,6 +100,19 @@ class Scene:
         """The scene with some of its readings."""
         return replace(self, view=self.view[keep], target=self.target[keep])
 
+    def with_lens(self, rng: np.random.Generator) -> Scene:
+        """The scene with a principal point and decentring drawn at random, all lens parameters unknown."""
+        lens = dict(self.lens)
+        lens |= {"cx": lens["cx"] + rng.uniform(-12, 12), "cy": lens["cy"] + rng.uniform(-12, 12)}
+        lens |= {"p1": rng.normal(0, 4e-4), "p2": rng.normal(0, 4e-4)}
+        return replace(self, lens=lens, lens_free=tuple(lens))
+
+    def without(self, names: tuple[str, ...]) -> Scene:
+        """The scene with lens parameters that the job takes as known: no distortion, the middle of the image."""
+        middle = {"cx": (self.image_size[0] - 1) / 2, "cy": (self.image_size[1] - 1) / 2}
+        lens = {**self.lens, **{name: middle.get(name, 0.0) for name in names}}
+        return replace(self, lens=lens, lens_free=tuple(name for name in self.lens_free if name not in names))
+
     def start(self) -> Array:
         """All unknowns, those of the lens first."""
         return np.concatenate([[self.lens[name] for name in self.lens_free], self.unknowns])
@@ -111,15 +124,15 @@ class Scene:
         points, turn = (aligned if self.kind == "align-part" else calibrated)(self, unknowns[k:], effects)
         for name in LENS:
             lens[name] = lens.get(name, 0.0) + effects.get(name, 0.0)
-        lens["f"] = lens["f"] * (1 + effects.get("focal_t", 0.0) * self.elapsed) * (1 + effects.get("focal_T", 0.0) * self.warming)
-        lens["f"] = lens["f"] * (1 + effects.get("ratio", 0.0))
+        grown = effects.get("focal_t", 0.0) * self.elapsed + effects.get("focal_T", 0.0) * self.warming
+        lens["f"] = lens["f"] * (1 + grown + effects.get("ratio", 0.0))
         lens["cx"] = lens["cx"] + effects.get("rate_u", 0.0) * self.elapsed
         lens["cy"] = lens["cy"] + effects.get("rate_v", 0.0) * self.elapsed
         found = pixels(points, lens)
         if "factor" in effects:
             found = found + effects["factor"] * (pixels(ellipse_centres(points, turn, self.radius), lens) - found)
         if "outside" in effects:
-            found = found + effects["outside"](self, found - [lens["cx"], lens["cy"]], points) * effects["size"]
+            found = found + effects["outside"](self, found - np.column_stack([lens["cx"], lens["cy"]]), points) * effects["size"]
         return found
 
     def listed(self, effects: Effects) -> Array:
@@ -158,7 +171,8 @@ def aligned(scene: Scene, unknowns: Array, effects: Effects) -> tuple[Array, Arr
         spindle[effects["image"], :3] += effects["bad_pose"]
     mounting = scene.given["mounting"]
     gamma = unknowns[6] if scene.angle_free else effects.get("gamma_s", 0.0)
-    clamp = rotation(np.array([0.0, 0.0, -gamma])) @ rotation(np.array([effects.get("alpha_s", 0.0), effects.get("beta_s", 0.0), 0.0]))
+    tilt = np.array([effects.get("alpha_s", 0.0), effects.get("beta_s", 0.0), 0.0])
+    clamp = rotation(np.array([0.0, 0.0, -gamma])) @ rotation(tilt)
     held = rotation(spindle[:, 3:]) @ clamp
     camera = held @ rotation(mounting[3:])
     centre = held @ (mounting[:3] + [effects.get("dx", 0.0), effects.get("dy", 0.0), 0.0]) + spindle[:, :3]
@@ -169,21 +183,34 @@ def aligned(scene: Scene, unknowns: Array, effects: Effects) -> tuple[Array, Arr
     return np.einsum("nab,nb->na", into, machine - centre[scene.view]), into @ part
 
 
-def strength(scene: Scene, effects: Effects, small: float = 1e-3) -> float:
-    """Norm of what the scene's unknowns leave of the effect, over the noise: from differences at a small share of it."""
+@dataclass(frozen=True)
+class Sight:
+    """What of a change of the image points the unknowns of a scene leave, from differences of its image points."""
+
+    scene: Scene
+    taken: Array
+    """Orthonormal basis of what the unknowns can do, (coordinates, unknowns)"""
+
+    def strength(self, effects: Effects, small: float = 1e-3) -> float:
+        """Norm of what is left of an effect, over the noise: from differences at a small share of it."""
+        start = self.scene.start()
+        change = self.scene.predicted(start, scaled(effects, small)) - self.scene.predicted(start, {})
+        signature = (change / small).ravel()
+        left = signature - self.taken @ (self.taken.T @ signature)
+        return float(np.linalg.norm(left - self.taken @ (self.taken.T @ left)) / self.scene.noise)
+
+
+def sight(scene: Scene) -> Sight:
+    """What the unknowns of a scene take in of its image points."""
     start = scene.start()
-    plain = scene.predicted(start, {})
     columns = []
     for i, value in enumerate(start):
         step = np.zeros(len(start))
         step[i] = 1e-5 * max(abs(value), 1.0)
-        columns.append(((scene.predicted(start + step, {}) - scene.predicted(start - step, {})) / (2 * step[i])).ravel())
+        columns.append((scene.predicted(start + step, {}) - scene.predicted(start - step, {})).ravel())
     jacobian = np.stack(columns, axis=1)
-    jacobian /= np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
-    q, _ = np.linalg.qr(jacobian)
-    signature = ((scene.predicted(start, scaled(effects, small)) - plain) / small).ravel()
-    left = signature - q @ (q.T @ signature)
-    return float(np.linalg.norm(left - q @ (q.T @ left)) / scene.noise)
+    taken, _ = np.linalg.qr(jacobian / np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300))
+    return Sight(scene, taken)
 
 
 def scaled(effects: Effects, share: float) -> dict[str, Any]:
@@ -201,70 +228,63 @@ def scaled(effects: Effects, share: float) -> dict[str, Any]:
     return {name: smaller(name, value) for name, value in effects.items()}
 
 
-def board_scene(rng: np.random.Generator, views: int = 14) -> Scene:
-    """A board of 8 x 10 circles, 25 mm apart, in `views` poses before a camera of 640 x 480 pixels."""
-    x, y = np.meshgrid(25.0 * np.arange(10), 25.0 * np.arange(8))
-    targets = np.column_stack([x.ravel(), y.ravel(), np.zeros(80)])
-    tilt = np.column_stack([rng.uniform(-0.6, 0.6, (views, 2)), rng.uniform(-np.pi, np.pi, views)])
-    turn = rotation(np.column_stack([np.zeros((views, 2)), tilt[:, 2]])) @ rotation(tilt * [1, 1, 0])
-    away = rng.uniform(330.0, 560.0, views)
-    aim = np.column_stack([rng.uniform(-0.12, 0.12, (views, 2)) * away[:, None], away])
-    shift = aim - turn @ targets.mean(axis=0)
-    poses = np.column_stack([shift, angles(turn)])
-    lens = {"f": rng.uniform(780, 820), "cx": rng.uniform(310, 330), "cy": rng.uniform(230, 250), "k1": -0.2, "k2": 0.07}
-    return _timed(rng, "calibrate-camera", "board", (640, 480), 0.1, targets, _grid(views, 80), lens, poses.ravel(), 30.0)
+def board_scene(rng: np.random.Generator, views: int = 14, size: tuple[int, int] = (10, 8)) -> Scene:
+    """A board of circles, 25 mm apart, in `views` poses before a camera of 640 x 480 pixels."""
+    x, y = np.meshgrid(25.0 * np.arange(size[0]), 25.0 * np.arange(size[1]))
+    targets = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+    tilt, roll = rng.uniform(-0.6, 0.6, (views, 2)), rng.uniform(-np.pi, np.pi, views)
+    flat, none = np.zeros((views, 2)), np.zeros(views)
+    turn = rotation(np.column_stack([flat, roll])) @ rotation(np.column_stack([tilt, none]))
+    away = rng.uniform(330.0, 560.0, views) * max(size) / 10
+    shift = np.column_stack([rng.uniform(-0.12, 0.12, (views, 2)) * away[:, None], away]) - turn @ targets.mean(axis=0)
+    poses = np.column_stack([shift, angles(turn)]).ravel()
+    lens = {"f": rng.uniform(780, 820), "cx": 319.5, "cy": 239.5, "k1": -0.2, "k2": 0.07}
+    index = np.repeat(np.arange(views), x.size), np.tile(np.arange(x.size), views)
+    blank = Scene("calibrate-camera", "board", (640, 480), 0.1, targets, *index, lens, poses, radius=10.0)
+    return timed(blank.with_lens(rng), rng, 30.0)
 
 
 def cmm_scene(rng: np.random.Generator, places: int = 120) -> Scene:
     """A target carried to places in five planes before a spindle camera of 2592 x 1944 pixels, seen twice at each."""
     z = rng.choice([395.0, 650.0, 900.0, 1150.0, 1430.0], places)
     targets = np.column_stack([rng.uniform(-0.4, 0.4, places) * z, rng.uniform(-0.3, 0.3, places) * z, z - 320.0])
-    lens = {"f": rng.uniform(2780, 2840), "cx": rng.uniform(1270, 1310), "cy": rng.uniform(980, 1010), "k1": 0.2, "k2": -0.1}
+    lens = {"f": rng.uniform(2780, 2840), "cx": 1295.5, "cy": 971.5, "k1": 0.2, "k2": -0.1}
     pose = np.array([*rng.normal(0, 3, 2), -320.0, *rng.normal(0, 0.02, 3)])
-    order = np.concatenate([rng.permutation(places), rng.permutation(places)])
-    index = np.arange(2 * places), order
-    return _timed(rng, "calibrate-camera", "cmm", (2592, 1944), 0.05, targets, index, lens, pose, 25.0)
+    index = np.arange(2 * places), np.concatenate([rng.permutation(places), rng.permutation(places)])
+    blank = Scene("calibrate-camera", "cmm", (2592, 1944), 0.05, targets, *index, lens, pose, radius=3.0)
+    return timed(blank.with_lens(rng), rng, 25.0)
 
 
-def part_scene(rng: np.random.Generator, images: int = 40, targets: int = 12, turned: bool = True, least: int = 1) -> Scene:
-    """A part of 1 m x 0.7 m seen by a camera in the spindle from poses that each show some of its targets."""
+def part_scene(rng: np.random.Generator, images: int = 40, targets: int = 12, turned: bool = True) -> Scene:
+    """A part of 1 m x 0.7 m seen by a camera in the spindle from poses that each show some of its targets.
+
+    Turned: in any order and with the spindle at four angles; else each target in two images that follow each other.
+    """
     mounting = np.array([*rng.normal(0, 2, 2), -320.0, *rng.normal(0, 0.01, 2), rng.normal(0, 0.03)])
-    lens = {"f": rng.uniform(2780, 2840), "cx": rng.uniform(1270, 1310), "cy": rng.uniform(980, 1010), "k1": 0.2, "k2": -0.1}
-    points = np.column_stack([rng.uniform(0, 1000, targets), rng.uniform(0, 700, targets), rng.uniform(0, 250, targets)])
-    part = np.array([*rng.normal([-700, -350, 200], 40), *rng.normal(0, 0.008, 3)])
-    seen_at: list[Array] = []
-    while len(seen_at) < images:
-        aim = points[(len(seen_at) // 2 if not turned else int(rng.integers(targets))) % targets]
-        pose = np.array([*(part[:3] + aim + [0, 0, -rng.uniform(250, 420)] - mounting[:3] + [*rng.uniform(-70, 70, 2), 0]), 0, 0, 0])
-        if turned:
-            pose[3:] = [*rng.normal(0, 0.03, 2), rng.choice([0, np.pi / 2, np.pi, -np.pi / 2])]
-        seen_at.append(pose)
-    spindle = np.array(seen_at)
-    every = _grid(images, targets)
-    known = {"spindle": spindle, "mounting": mounting}
+    lens = {"f": rng.uniform(2780, 2840), "cx": 1290.0, "cy": 990.0, "k1": 0.2, "k2": -0.1, "p1": -2e-4, "p2": 9e-4}
+    points = rng.uniform(0, 1, (targets, 3)) * [1000, 700, 250]
+    part = np.array([*rng.normal([-500, -350, 200], 40), *rng.normal(0, 0.008, 3)])
+    aim = points[rng.integers(targets, size=images) if turned else np.arange(images) // 2 % targets]
+    away = np.column_stack([rng.uniform(-70, 70, (images, 2)), -rng.uniform(250, 420, images)])
+    spindle = np.column_stack([part[:3] + aim + away - mounting[:3], np.zeros((images, 3))])
+    if turned:
+        spindle[:, 3:5] = rng.normal(0, 0.03, (images, 2))
+        spindle[:, 5] = rng.choice([0, np.pi / 2, np.pi, -np.pi / 2], images)
+    index = np.repeat(np.arange(images), targets), np.tile(np.arange(targets), images)
     unknowns = np.concatenate([part, [rng.normal(0, 0.003)]])
-    scene = _timed(rng, "align-part", "", (2592, 1944), 0.05, points, every, lens, unknowns, 25.0, known)
-    inside = _inside(scene)
-    enough = np.bincount(scene.view, inside, minlength=images) >= least
-    return part_scene(rng, images, targets, turned, least) if not enough.all() else scene.only(inside)
+    given = {"spindle": spindle, "mounting": mounting}
+    blank = Scene("align-part", "", (2592, 1944), 0.05, points, *index, lens, unknowns, (), given, 6.0)
+    return timed(blank, rng, 25.0)
 
 
-def _grid(images: int, targets: int) -> tuple[Index, Index]:
-    return np.repeat(np.arange(images), targets), np.tile(np.arange(targets), images)
-
-
-def _timed(
-    rng: np.random.Generator, kind: str, rig: str, size: tuple[int, int], noise: float, targets: Array,
-    index: tuple[Index, Index], lens: Mapping[str, float], unknowns: Array, interval: float, given: Mapping[str, Array] | None = None,
-) -> Scene:  # fmt: skip
-    images = int(index[0].max()) + 1
+def timed(scene: Scene, rng: np.random.Generator, interval: float) -> Scene:
+    """The scene with times and temperatures of its images, and with the readings that lie inside its images."""
+    images = int(scene.view.max()) + 1
     time = interval * np.arange(images) + rng.uniform(0, 0.2 * interval, images)
-    wave = np.cumsum(rng.normal(0, 0.3 / np.sqrt(images), images))
-    warmth = 20 + wave + 0.8 * np.sin(rng.uniform(0, 6) + 2.5 * time / time[-1])
-    lens = dict(lens) | {"p1": rng.normal(0, 4e-4), "p2": rng.normal(0, 4e-4)}
-    free = () if kind == "align-part" else tuple(lens)
-    scene = Scene(kind, rig, size, noise, targets, images, *index, time, warmth, lens, free, unknowns, given or {}, 4.0)
-    return scene if kind == "align-part" else scene.only(_inside(scene))
+    swing = 0.8 * np.sin(rng.uniform(0, 6) + 2.5 * time / time[-1])
+    warmth = 20 + np.cumsum(rng.normal(0, 0.3 / np.sqrt(images), images)) + swing
+    scene = replace(scene, time=time, warmth=warmth)
+    return scene.only(_inside(scene))
 
 
 def _inside(scene: Scene) -> npt.NDArray[np.bool_]:
@@ -276,6 +296,5 @@ def _inside(scene: Scene) -> npt.NDArray[np.bool_]:
 
 def angles(turn: Array) -> Array:
     """Angles (a, b, c) of rotations (..., 3, 3)."""
-    return np.stack(
-        [np.arctan2(turn[..., 2, 1], turn[..., 2, 2]), -np.arcsin(turn[..., 2, 0]), np.arctan2(turn[..., 1, 0], turn[..., 0, 0])], axis=-1
-    )
+    a, b = np.arctan2(turn[..., 2, 1], turn[..., 2, 2]), -np.arcsin(turn[..., 2, 0])
+    return np.stack([a, b, np.arctan2(turn[..., 1, 0], turn[..., 0, 0])], axis=-1)
