@@ -141,9 +141,16 @@ def _scans(model: Model, effect: Effect) -> list[tuple[tuple[str, float], ...]]:
         if parameter.place:
             values = np.arange(1.0, len(model.places[parameter.place].names))
         elif parameter.grid is not None:
-            values = parameter.grid(model.readings[0].observations.conditions)
+            values = thinned(parameter.grid(model.readings[0].observations.conditions), parameter.tried)
         grids.append([(parameter.name, float(value)) for value in values])
     return list(product(*grids))
+
+
+def thinned(values: Array, most: int) -> Array:
+    """Return at most so many of some values, evenly from all of them."""
+    if len(values) <= most:
+        return values
+    return np.asarray(values[np.linspace(0, len(values) - 1, most).astype(int)])
 
 
 def _columns(

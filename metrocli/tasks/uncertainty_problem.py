@@ -15,8 +15,9 @@ from metrocli.errors import Fault
 from metrocli.result import Result
 from metrocli.settings import Placed
 from metrocli.table import Table
+from metrocli.tasks import uncertainty_correlations as correlations
 from metrocli.tasks import uncertainty_decisions
-from metrocli.tasks.uncertainty_quantity import quantity, unit_of
+from metrocli.tasks.uncertainty_quantity import column_of, quantity, unit_of
 from metrocli.tasks.uncertainty_sources import identity, shared
 from metrocli.tasks.uncertainty_values import Model
 from metrocli.uncertainty import dimensions
@@ -60,8 +61,9 @@ def build(settings: Settings, results: Mapping[str, Result], files: Mapping[str,
         return gathered.faults
     assert gathered.inputs is not None
     models = {name: placed.value.model.expression for name, placed in settings.measurands.items()}
-    used = {name: result for name, result in results.items() if any(n.startswith(f"{name}.") for n in gathered.named)}
-    warnings = [*shared(used, settings.quantities), *_heavy_tails(gathered.inputs)]
+    prefixes = {gathered.target(name).partition(".")[0] for name in gathered.named}
+    used = {name: result for name, result in results.items() if name in prefixes}
+    warnings = [*gathered.noted, *shared(used, settings.quantities), *_heavy_tails(gathered.inputs)]
     return Problem(gathered.inputs, models, gathered.wanted, settings.measurands, tuple(warnings))
 
 
@@ -85,6 +87,7 @@ class _Gathering:
     named: tuple[str, ...] = ()
     inputs: Inputs | None = None
     reserved: set[str] = field(default_factory=set)
+    noted: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         for name, placed in self.settings.quantities.items():
@@ -97,9 +100,10 @@ class _Gathering:
         self._unused()
         for name, placed in self.settings.measurands.items():
             self._measurand(name, placed)
-        pairs = self._correlations()
+        known = {*self.settings.quantities, *self.named}
+        self.faults += correlations.misnamed(self.settings.correlations, known, self.results is not None)
         if not self.faults and self._whole():
-            self._join(pairs, blocks)
+            self._join(blocks)
 
     def _whole(self) -> bool:
         return all(name in self.quantities for name in self.named)
@@ -115,6 +119,9 @@ class _Gathering:
             self.faults.append(node.fault(f"'{name}' is reserved: it has a meaning of its own", hint))
         elif name in self.settings.inputs.results:
             self.faults.append(node.fault(f"'{name}' is the name of a result too", "give one of them another name"))
+        if self.target(name) != name:
+            self._must_be_estimate(name, placed)
+            return
         held = [getattr(placed.value, key, None) is not None for key in ("readings", "samples")]
         if unit := unit_of(placed):
             self.units[name] = unit
@@ -125,11 +132,28 @@ class _Gathering:
             self.quantities[name] = found
             self.units[name] = found.unit
 
+    def target(self, name: str) -> str:
+        """Return the estimate that a quantity stands for, the name itself where it stands for none."""
+        placed = self.settings.quantities.get(name)
+        return (getattr(placed.value, "estimate", None) or name) if placed is not None else name
+
+    def _must_be_estimate(self, name: str, placed: Placed) -> None:
+        prefix, _, estimate = self.target(name).partition(".")
+        node, files = placed.node.at("estimate"), self.settings.inputs.results
+        if prefix not in files:
+            hint = suggestion(prefix, files) if files else "name the result under `inputs: {results: {NAME: FILE.h5}}`"
+            self.faults.append(node.fault(f"there is no result '{prefix}' under inputs", hint))
+        elif self.results is not None:
+            known = [item.name for item in self.results[prefix].estimates]
+            if estimate not in known:
+                hint = suggestion(estimate, known)
+                self.faults.append(node.fault(f"the result '{prefix}' has no estimate '{estimate}'", hint))
+
     def _results(self) -> list[Block]:
         """Take the estimates of results that the models name: one block for each file, however many names it has."""
         files: dict[str, list[tuple[str, Result, int]]] = {}
         for name in self.named:
-            prefix, _, estimate = name.partition(".")
+            prefix, _, estimate = self.target(name).partition(".")
             result = (self.results or {}).get(prefix)
             known = [item.name for item in result.estimates] if result is not None else []
             if result is not None and estimate in known:
@@ -142,7 +166,8 @@ class _Gathering:
         found = [compound(result.estimates[index].unit) for index in at]
         scale = np.array([unit.factor for unit in found])
         covariance = np.asarray(result.covariance)[np.ix_(at, at)] * scale[:, None] * scale
-        if not np.isfinite(covariance).all() or not np.allclose(covariance, covariance.T, rtol=1e-6, atol=0.0):
+        size = np.sqrt(np.abs(np.diag(covariance)))
+        if not np.isfinite(covariance).all() or (abs(covariance - covariance.T) > 1e-6 * np.outer(size, size)).any():
             node = self.settings.measurands[next(iter(self.settings.measurands))].node
             self.faults.append(
                 node.fault(f"the result of {held[0][0]} has no covariance that can be used", "run its job again")
@@ -208,55 +233,30 @@ class _Gathering:
             self.faults.append(node.fault(said, f"unit: one such as {_example(found)}"))
         self.wanted[name] = wanted
 
-    def _correlations(self) -> list[tuple[str, str, float]]:
-        pairs: list[tuple[str, str, float]] = []
-        for placed in self.settings.correlations:
-            a, b = placed.value.between
-            for name in (a, b):
-                if (
-                    name not in self.settings.quantities
-                    and (self.results is not None or "." not in name)
-                    and name not in self.named
-                ):
-                    hint = suggestion(name, [*self.settings.quantities, *(n for n in self.named if "." in n)])
-                    self.faults.append(
-                        placed.node.at("between").fault(f"correlation of '{name}', which is no quantity", hint)
-                    )
-            if any({a, b} == {c, d} for c, d, _ in pairs):
-                self.faults.append(placed.node.fault(f"the correlation of {a} and {b} is given twice", "give it once"))
-            pairs.append((a, b, placed.value.value))
-        return pairs
-
-    def _join(self, pairs: list[tuple[str, str, float]], blocks: list[Block]) -> None:
-        held = [block.names for block in blocks]
-        for (a, b, _), placed in zip(pairs, self.settings.correlations, strict=True):
-            if any(a in names and b in names for names in held):
-                said = f"{a} and {b} are estimates of one result, which states their covariance"
-                self.faults.append(placed.node.fault(said, "leave this correlation out"))
-            for name in (a, b):
-                if self.quantities[name].std == 0:
-                    self.faults.append(
-                        placed.node.fault(f"{name} has no uncertainty that could be correlated", "leave it out")
-                    )
+    def _join(self, blocks: list[Block]) -> None:
+        """Put the quantities together with their correlations."""
+        declared = [placed.value for placed in self.settings.correlations]
+        self.faults += correlations.refused(self.settings.correlations, self.quantities, blocks)
         if self.faults:
             return
+        together = correlations.simultaneous(self._readings(), {frozenset(pair.between) for pair in declared})
+        self.noted += [pair.said for pair in together]
+        pairs = [(*pair.between, pair.value) for pair in (*declared, *together)]
+        # In the order of the job, then estimates of results in that of the models.
+        order = [quantity for name, quantity in self.quantities.items() if name in self.named]
         try:
-            self.inputs = join([self.quantities[name] for name in self.named], pairs, blocks)
+            self.inputs = join(order, pairs, blocks)
         except NotSemiDefiniteError as error:
-            self.faults += self._contradiction(error, pairs)
+            first = next(iter(self.settings.measurands.values())).node
+            self.faults.append(correlations.contradiction(error, self.settings.correlations, first))
 
-    def _contradiction(self, error: NotSemiDefiniteError, pairs: list[tuple[str, str, float]]) -> list[Fault]:
-        involved = [n for n, (a, b, _) in enumerate(pairs) if a in error.names and b in error.names]
-        said = ", ".join(f"r({pairs[n][0]}, {pairs[n][1]}) = {pairs[n][2]:g}" for n in involved)
-        message = f"these correlations contradict each other: {said} (smallest eigenvalue {error.eigenvalue:.3g})"
-        nodes = [self.settings.correlations[n].node for n in involved] or [
-            self.settings.measurands[next(iter(self.settings.measurands))].node
-        ]
-        if not involved:
-            message = (
-                f"the covariance of {', '.join(error.names)} is not positive semi-definite ({error.eigenvalue:.3g})"
-            )
-        return [nodes[0].fault(message, "no quantities can have all of them: one is too large, or has the wrong sign")]
+    def _readings(self) -> Iterable[tuple[str, Table, str]]:
+        """Yield the name, file and column of each quantity that is evaluated from readings."""
+        for name in self.named:
+            placed = self.settings.quantities.get(name)
+            table = (self.files or {}).get(f"{placed.node.path}.readings") if placed is not None else None
+            if placed is not None and table is not None and isinstance(self.quantities[name].distribution, Normal):
+                yield name, table, column_of(placed.value, table)
 
 
 def _keyword(name: str) -> bool:
