@@ -94,8 +94,8 @@ def _joined(parts: Sequence[Family]) -> Family:
 
 def instances(model: Model, effect: Effect) -> list[tuple[str, ...]]:
     """Return all places where an effect could act."""
-    found = list(product(*(model.places[key].names for key in effect.keys)))
-    return found[:_MOST_PLACES]
+    names = [model.places[key].names[key in effect.not_first :] for key in effect.keys]
+    return list(product(*names))[:_MOST_PLACES]
 
 
 def _of_effect(subject: Subject, system: System, effect: Effect) -> Iterator[Family]:

@@ -41,11 +41,24 @@ class Given:
         left = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
         for _ in range(2):
             left = left - self.basis @ (self.basis.T @ left)
-        u, s, _ = np.linalg.svd(left, full_matrices=False)
-        new = u[:, s > _VISIBLE]
+        new = orthonormal(left, _VISIBLE)
         residual = self.residual - new @ (new.T @ self.residual)
         basis = np.concatenate([self.basis, new], axis=1)
         return Given(basis, residual, float(residual @ residual) + PRIOR, self.dof - new.shape[1])
+
+
+def orthonormal(columns: Array, least: float) -> Array:
+    """Return a basis of the span of columns (rows, q), without directions whose singular value is not above `least`.
+
+    By the eigenvectors of the Gram matrix, twice (as Cholesky QR is done): for many rows far faster than an SVD.
+    """
+    bound = least**2
+    for _ in range(2):
+        values, vectors = np.linalg.eigh(columns.T @ columns)
+        kept = values > bound
+        columns = columns @ (vectors[:, kept] / np.sqrt(values[kept]))
+        bound = 0.0
+    return columns
 
 
 def nothing(system: System) -> Given:

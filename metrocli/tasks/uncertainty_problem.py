@@ -241,7 +241,9 @@ class _Gathering:
         if self.faults:
             return
         try:
-            self.inputs = join([self.quantities[name] for name in self.named], pairs, blocks)
+            # In the order of the job, then estimates of results in that of the models.
+            order = [name for name in self.quantities if name in self.named]
+            self.inputs = join([self.quantities[name] for name in order], pairs, blocks)
         except NotSemiDefiniteError as error:
             self.faults += self._contradiction(error, pairs)
 

@@ -18,8 +18,9 @@ from metrocli.uncertainty import monte_carlo
 from metrocli.uncertainty.distributions import Normal, Uniform
 from metrocli.uncertainty.expression import parse
 from metrocli.uncertainty.inputs import Inputs, Quantity, join
-from metrocli.uncertainty.monte_carlo import Outcome, plan_of, tolerance_of
-from metrocli.uncertainty.samples import Binned, Edges, Sorted
+from metrocli.uncertainty.monte_carlo import Outcome, tolerance_of
+from metrocli.uncertainty.samples import BINS, Binned, Edges, Sorted
+from metrocli.uncertainty.trials import Plan, plan_of
 from metrocli.uncertainty.workers import Workers
 
 MODELS = {"sum": parse("a + b"), "product": parse("a*b*c")}
@@ -55,7 +56,7 @@ def test_the_same_bits_whatever_the_number_of_workers(trials: int | None) -> Non
 def test_counted_values_give_quantiles_within_the_stated_error() -> None:
     values = np.random.default_rng(0).standard_t(4, size=400_000)
     edges = Edges.around(values[:20_000])
-    counts = np.bincount(edges.places(values), minlength=monte_carlo.BINS + 2)
+    counts = np.bincount(edges.places(values), minlength=BINS + 2)
     binned, exact = Binned(edges, counts), Sorted(np.sort(values))
     for p in (0.5, 0.95, 0.99):
         for found, true in zip(binned.symmetric(p), exact.symmetric(p), strict=True):
@@ -142,13 +143,13 @@ def test_a_killed_run_goes_on_from_its_finished_chunks(tmp_path: Path, monkeypat
     for extra in sorted(folder.folder.glob("*.npz"))[2:]:
         extra.unlink()
     done: list[int] = []
-    outcomes = monte_carlo.Plan.outcomes
+    outcomes = Plan.outcomes
 
-    def counted(plan: monte_carlo.Plan, number: int) -> np.ndarray:
+    def counted(plan: Plan, number: int) -> np.ndarray:
         done.append(number)
         return outcomes(plan, number)
 
-    monkeypatch.setattr(monte_carlo.Plan, "outcomes", counted)
+    monkeypatch.setattr(Plan, "outcomes", counted)
     resumed = monte_carlo.run(plan, Workers(2, finished=folder))
     assert same(whole, resumed)
     assert set(done) == {*range(10), *range(200, 450)}
