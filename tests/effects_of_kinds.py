@@ -14,6 +14,7 @@ import simulated_grid
 import simulated_launch
 import simulated_lengths
 import simulated_machine
+from effects_of_images import alignment, calibration
 
 from metrocli.adjust.adjustment import adjust
 from metrocli.adjust.design import unit_noise
@@ -100,6 +101,8 @@ def calibrate_machine(effect: Effect) -> Model:
 
 
 MEASURED: dict[str, Measured] = {
+    "calibrate-camera": Measured(lambda effect: with_conditions(calibration(effect)), {}),
+    "align-part": Measured(lambda effect: with_conditions(alignment(effect)), {}),
     "calibrate-machine": Measured(calibrate_machine, {"period": 37.0}),
     "multilaterate": Measured(multilaterate, {"at": 900.0}),
     "locate-launch-unit": Measured(locate_launch_unit, {}),

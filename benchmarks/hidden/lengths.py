@@ -155,8 +155,8 @@ _PARAMETERS = {
 }
 
 
-def visible(m: Measurement, changes: Array) -> Array:
-    """Return what points, tracers and dead paths leave of changes (n, k), in standard deviations."""
+def absorbed_by(m: Measurement) -> Array:
+    """Return an orthonormal basis of what points, tracers and dead paths take up, in standard deviations (n, k)."""
     u = m.beam / m.distance[:, None]
     n, k = len(m.points), len(m.tracers)
     rows = np.arange(len(m.t))
@@ -165,19 +165,26 @@ def visible(m: Measurement, changes: Array) -> Array:
         jacobian[rows, 3 * m.point + a] = u[:, a]
         jacobian[rows, 3 * n + 4 * m.tracer + a] = -u[:, a]
     jacobian[rows, 3 * n + 4 * m.tracer + 3] = -1.0
-    taken = np.linalg.lstsq(jacobian / m.sigma[:, None], changes / m.sigma[:, None], rcond=1e-11)[0]
-    return np.asarray((changes - jacobian @ taken) / m.sigma[:, None])
+    left, values, _ = np.linalg.svd(jacobian / m.sigma[:, None], full_matrices=False)
+    return np.asarray(left[:, values > 1e-11 * values[0]])
 
 
-def nearest(m: Measurement, name: str, at: int, change: Array) -> float:
+def visible(m: Measurement, taken: Array, changes: Array) -> Array:
+    """Return what the unknowns leave of changes (n, k), in standard deviations."""
+    whitened = changes / m.sigma[:, None]
+    return np.asarray(whitened - taken @ (taken.T @ whitened))
+
+
+def nearest(m: Measurement, taken: Array, hidden: tuple[str, int], change: Array) -> float:
     """Return the largest cosine of what is visible of a change with another known effect on the same tracer."""
+    name, at = hidden
     spans = {other: _span(m, other, at) for other in _PARAMETERS if other != name}
     alone = _span(m, "refraction-drift", at)
     spans |= {f"refraction by {i}": alone[:, [i]] for i in range(2) if name != "refraction-drift"}
     spans.pop("refraction-drift", None)
     jumps = spans.pop("dead-path-jump", np.zeros((len(m.t), 0)))
     spans |= {f"jump {i}": jumps[:, [i]] for i in range(jumps.shape[1])}
-    seen = visible(m, np.column_stack([change, *spans.values()]))
+    seen = visible(m, taken, np.column_stack([change, *spans.values()]))
     mine, place, most = seen[:, 0] / np.linalg.norm(seen[:, 0]), 1, 0.0
     for span in spans.values():
         basis, _ = np.linalg.qr(seen[:, place : place + span.shape[1]])
@@ -210,12 +217,12 @@ def planted(m: Measurement, rng: np.random.Generator, name: str, times: float) -
     direction = rng.normal(size=len(names))
     values |= dict(zip(names, (direction / np.linalg.norm(direction) * 1e-6).tolist(), strict=True))
     wanted = times * np.sqrt(stated(m.subject(), name, len(names)))
-    unit = signature(name, at, values)(m)
-    factor = wanted / float(np.linalg.norm(visible(m, unit[:, None])))
+    taken, unit = absorbed_by(m), signature(name, at, values)(m)
+    factor = wanted / float(np.linalg.norm(visible(m, taken, unit[:, None])))
     values |= {key: values[key] * factor for key in names}
     change = signature(name, at, values)(m)
     where = {"tracer": f"T{at}"} if name not in EVERYWHERE else {}
-    hidden = Hidden(name, where, values, distinct=nearest(m, name, at, change) < ALIKE)
+    hidden = Hidden(name, where, values, distinct=nearest(m, taken, (name, at), change) < ALIKE)
     return replace(m, length=m.length + change), hidden
 
 

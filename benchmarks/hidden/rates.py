@@ -22,7 +22,7 @@ def found(case: Case) -> Found:
         _covers(finding, hidden, diagnosis)
         for hidden in case.hidden
         for finding in diagnosis.findings
-        if _is(finding, hidden)
+        if _is(finding, hidden) and set(finding.named.alternative.parameters) <= set(hidden.values)
     )
     return Found(case, diagnosis, seconds, covered)
 
@@ -33,7 +33,8 @@ def _is(finding: Finding, hidden: Hidden) -> bool:
 
 
 def _in_set(finding: Finding, hidden: Hidden) -> bool:
-    return (hidden.name, tuple(hidden.where.values())) in spots(finding.named)
+    place = tuple(name for key, name in hidden.where.items() if key != "by")
+    return (hidden.name, place) in spots(finding.named)
 
 
 def _covers(finding: Finding, hidden: Hidden, diagnosis: Diagnosis) -> bool:
@@ -41,8 +42,6 @@ def _covers(finding: Finding, hidden: Hidden, diagnosis: Diagnosis) -> bool:
     from scipy.special import fdtri
 
     name = finding.named
-    if any(key not in hidden.values for key in name.alternative.parameters):
-        return True
     off = name.values - np.array([hidden.values[key] for key in name.alternative.parameters])
     size = np.sqrt(np.diag(name.covariance))
     scaled = name.covariance / size / size[:, None]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -40,20 +40,38 @@ class Local:
 
     def index(self, block: str) -> Index:
         """Return which member each reading touches, (n,) or (k, n); zeros for a block of one member."""
+        lattice = self.observations.lattice
+        if lattice is not None and (block == lattice.block or block in lattice.slots):
+            return lattice.index(block)
         index = self.observations.index.get(block)
         return np.zeros(self.observations.count, dtype=np.intp) if index is None else index
+
+    def slots(self, block: str) -> Index:
+        """Return which member each reading touches, or each slot of a lattice; one for the block of its members."""
+        lattice = self.observations.lattice
+        if lattice is None:
+            return self.index(block)
+        return lattice.slots.get(block, np.zeros(1, dtype=np.intp))
 
     def rows(self, block: str) -> Array:
         """Return the values touched by each reading, (size, n), or (size, 1) for a block of one member."""
         values = self.blocks[block].values
         if len(values) == 1:
             return values.T
-        return np.ascontiguousarray(values.T)[:, self.index(block)]
+        return self._at_readings(values, block)
 
     def spread(self, per_member: Array, block: str) -> Array:
         """Return values computed once for each member (members, ...) at each reading, (..., n) or (..., 1)."""
-        moved = np.moveaxis(per_member, 0, -1)
-        return moved if moved.shape[-1] == 1 else np.ascontiguousarray(moved)[..., self.index(block)]
+        return np.moveaxis(per_member, 0, -1) if len(per_member) == 1 else self._at_readings(per_member, block)
+
+    def _at_readings(self, per_member: Array, block: str) -> Array:
+        if self.observations.lattice is not None:
+            return self.observations.lattice.spread(per_member, block)
+        return np.ascontiguousarray(np.moveaxis(per_member, 0, -1))[..., self.index(block)]
+
+
+IDENTITY = np.eye(3)[:, :, None]
+"""Derivative of a point by itself, (3, 3, 1)"""
 
 
 class Link(Protocol):
@@ -115,16 +133,22 @@ class Chain:
     def spliced(self, effects: Sequence[Link]) -> Chain:
         """Return the chain with each effect put behind the last link that gives its quantity.
 
+        An effect on the parameters of a block (`varies` names it) is put in front of every link that reads the block;
+        one that looks at the links before it (`within`) is given them.
         Raises ValueError, naming the quantities passed through, where an effect cannot act.
         """
-        links = list(self.links)
+        links = self.links
         for effect in effects:
-            places = [i for i, link in enumerate(links) if link.gives is effect.takes]
-            if not places or effect.gives is not effect.takes:
+            put = _put(links, effect)
+            if put is None:
                 passed = ", ".join(quantity.value for quantity in self.quantities)
                 raise ValueError(f"{type(effect).__name__} cannot act here: the chain passes through {passed}")
-            links.insert(places[-1] + 1, effect)
-        return Chain(tuple(links))
+            links = put
+        return Chain(links)
+
+    def takes(self, effect: Link) -> bool:
+        """Whether an effect can be put into the chain."""
+        return _put(self.links, effect) is not None
 
     def predict(self, blocks: Mapping[str, Block], observations: Observations) -> Array:
         """Return the predicted readings (d, n)."""
@@ -162,9 +186,83 @@ class Chain:
         return total
 
 
+@dataclass(frozen=True)
+class Varied:
+    """A link that sees the parameters of a block as an effect changes them, each reading its own."""
+
+    link: Link
+    block: str
+    effect: Link
+    """Takes and gives the values that each reading touches, (size, n)"""
+
+    @property
+    def takes(self) -> Quantity | None:
+        """What the link takes."""
+        return self.link.takes
+
+    @property
+    def gives(self) -> Quantity:
+        """What the link gives."""
+        return self.link.gives
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """Blocks of the link and of the effect."""
+        return tuple(dict.fromkeys((*self.link.blocks, *self.effect.blocks)))
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the link's step at the changed parameters, with derivatives by the block through the effect."""
+        shape = (local.blocks[self.block].size, local.observations.count)
+        changed = self.effect.step(np.array(np.broadcast_to(local.rows(self.block), shape)), local)
+        step = self.link.step(value, self._seen(np.broadcast_to(changed.value, shape), local))
+        by_block = dict(step.by_block)
+        outer = by_block.pop(self.block, None)
+        if outer is not None:
+            for name, inner in changed.by_block.items():
+                part = through(outer, inner)
+                by_block[name] = by_block[name] + part if name in by_block else part
+            by_block[self.block] = outer if changed.by_input is None else through(outer, changed.by_input)
+        return replace(step, by_block={name: part for name, part in by_block.items() if name in local.wanted})
+
+    def _seen(self, values: Array, local: Local) -> Local:
+        """Return what the link sees: a member of the block for each reading, all of it wanted if the effect is."""
+        block, observations, wanted = local.blocks[self.block], local.observations, local.wanted
+        used = block.free.any(axis=0) | (block.considered is not None)
+        if wanted.intersection(self.effect.blocks):
+            used, wanted = np.array(True), wanted | {self.block}
+        n = observations.count
+        members = tuple(map(str, range(n)))
+        each = replace(block, values=values.T, members=members, free=np.asarray(used), considered=None)
+        index = {**observations.index, self.block: np.arange(n)}
+        return Local({**local.blocks, self.block: each}, replace(observations, index=index), wanted)
+
+
+def _put(links: tuple[Link, ...], effect: Link) -> tuple[Link, ...] | None:
+    """Return the links with an effect among them; None where it cannot act."""
+    varies: str | None = getattr(effect, "varies", None)
+    return _behind_last(links, effect) if varies is None else _in_front_of_readers(links, effect, varies)
+
+
+def _behind_last(links: tuple[Link, ...], effect: Link) -> tuple[Link, ...] | None:
+    places = [i + 1 for i, link in enumerate(links) if link.gives is effect.takes is effect.gives]
+    if not places:
+        return None
+    before = links[: places[-1]]
+    within = getattr(effect, "within", None)
+    return (*before, effect if within is None else within(Chain(before)), *links[places[-1] :])
+
+
+def _in_front_of_readers(links: tuple[Link, ...], effect: Link, block: str) -> tuple[Link, ...] | None:
+    if not any(block in link.blocks for link in links):
+        return None
+    return tuple(Varied(link, block, effect) if block in link.blocks else link for link in links)
+
+
 def _behind(outer: Array | None, inner: Array) -> Array:
     if outer is None:
         return inner
+    if inner is IDENTITY:
+        return outer
     if inner.ndim == 4:
         return np.stack([through(outer, slot) for slot in inner])
     return through(outer, inner)

@@ -9,7 +9,8 @@ class Quantity(Enum):
     """A kind of value that a link takes or gives; frames are told apart so that chains cannot be joined wrongly."""
 
     PARAMETERS = "parameters of a block"
-    POINT_ON_TARGETS = "point in the frame of the target list (board, reference or network)"
+    POINT_ON_BOARD = "point on the board"
+    POINT_ON_TARGETS = "point in the frame of the target list (reference or network)"
     POINT_IN_PART = "point in the part"
     BALL_IN_ARTEFACT = "ball in the frame of the artefact"
     BALL_ON_TABLE = "ball in the frame of the view's nominal mounting"

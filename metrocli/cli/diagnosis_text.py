@@ -12,6 +12,7 @@ from metrocli import units
 from metrocli.diagnosis import verdict
 from metrocli.diagnosis.design import Candidate, Design
 from metrocli.diagnosis.diagnose import Diagnosis, Finding
+from metrocli.diagnosis.mended import sizes
 from metrocli.diagnosis.naming import Named
 from metrocli.diagnosis.subject import Subject
 
@@ -56,8 +57,7 @@ def _sentences(diagnosis: Diagnosis, extended: Path | None) -> Iterator[str]:
     for finding in diagnosis.findings:
         yield from _about(finding, diagnosis.subject)
     if diagnosis.left is not None:
-        on, chance = " and ".join(diagnosis.left.depends_on), _chance(diagnosis.left.p_value)
-        yield f"Structure is left that no known effect explains ({chance}); it varies with {on}."
+        yield from _left(diagnosis)
     elif diagnosis.findings:
         yield f"After that no structure is left ({_chance(diagnosis.after)})."
     yield from _noise(diagnosis)
@@ -69,10 +69,22 @@ def _sentences(diagnosis: Diagnosis, extended: Path | None) -> Iterator[str]:
         yield f"The job with what was named is {extended}; run it, and diagnose it again."
 
 
+def _left(diagnosis: Diagnosis) -> Iterator[str]:
+    left = diagnosis.left
+    if left is None:
+        return
+    on, where = " and ".join(left.depends_on), f" in the readings of {', '.join(left.where)}" if left.where else ""
+    size, unit = units.readable(left.size, diagnosis.subject.reading[1])
+    yield f"Structure is left that no known effect explains ({_chance(left.p_value)}); it varies with {on}{where}."
+    if left.size:
+        yield f"What shows of it is {size:.2g} {unit} (root mean square)."
+    yield "Standard uncertainties of the result do not count it."
+
+
 def _about(finding: Finding, subject: Subject) -> Iterator[str]:
     name, gain = finding.named, finding.gain
     cause = name.alternative.effect.cause
-    yield f"{name.alternative} explains it: {cause}; {', '.join(_parameters(finding))}."
+    yield f"{name.alternative} explains it: {cause}; {', '.join(_parameters(finding, subject))}."
     yield f"That this is chance: {_chance(float(np.exp(name.log_level)))}."
     if name.rivals:
         others = " or ".join(str(rival.alternative) for rival in name.rivals[:_SHOWN])
@@ -86,17 +98,15 @@ def _about(finding: Finding, subject: Subject) -> Iterator[str]:
         yield f"A gain on readings that were held out is not shown ({score})."
 
 
-def _parameters(finding: Finding) -> Iterator[str]:
-    name = finding.named
-    known = {p.name: p for p in name.alternative.effect.all_parameters}
-    std = np.sqrt(np.maximum(np.diag(name.covariance), 0.0))
-    for key, value, spread in zip(name.alternative.parameters, name.values, std, strict=True):
-        dimension = known[key].dimension
-        _, symbol = units.readable(float(value), dimension)
+def _parameters(finding: Finding, subject: Subject) -> Iterator[str]:
+    for size in sizes(subject, finding.named):
+        key, dimension = size.parameter.name, size.parameter.dimension
+        if size.std is None:
+            yield f"{key} {size.value:.6g} {size.parameter.unit}"
+            continue
+        _, symbol = units.readable(size.value, dimension)
         factor = units.find_unit(symbol, dimension).outside(1.0) if dimension and symbol != "1" else 1.0
-        yield f"{key} = {units.format_quantity(float(value) * factor, symbol, float(spread) * factor)}"
-    for key, value in name.alternative.scanned:
-        yield f"{key} {value:.6g} {known[key].unit}"
+        yield f"{key} = {units.format_quantity(size.value * factor, symbol, size.std * factor)}"
 
 
 def _noise(diagnosis: Diagnosis) -> Iterator[str]:
@@ -122,7 +132,7 @@ def _row(finding: Finding, subject: Subject) -> tuple[str, ...]:
     shift, unit = units.readable(finding.shift, subject.delivered.dimension)
     return (
         str(name.alternative),
-        ", ".join(_parameters(finding)),
+        ", ".join(_parameters(finding, subject)),
         _chance(float(np.exp(name.log_level))),
         ", ".join(str(rival.alternative) for rival in name.rivals) or "-",
         f"{-100 * gain.reduction:+.0f} %" + ("" if gain.shown else " (not shown)"),
@@ -137,6 +147,11 @@ def _candidates(subject: Subject, design: Design, named: Sequence[Named]) -> lis
         word = verdict.status(candidate, named)
         rows.setdefault((candidate.alternative.effect.name, word), []).append(candidate)
     lines = [_line(subject, name, word, found) for (name, word), found in rows.items()]
+    for wrong in design.readings:
+        size, unit = units.readable(wrong.detectable, wrong.effect.parameters[0].dimension)
+        hides, at = units.readable(wrong.hides, subject.delivered.dimension)
+        cells = ("one reading", verdict.EXCLUDED, f"{size:.2g} {unit}", f"{hides:.2g} {at}")
+        lines.append((wrong.effect.name, *cells, "else an outlier"))
     lines += [(one.effect.name, "", verdict.NOT_TESTED, "-", "-", one.reason) for one in design.not_tested]
     return _table(("effect", "where", "", "seen from", "hides up to", ""), lines)
 

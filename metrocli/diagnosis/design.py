@@ -12,8 +12,9 @@ from metrocli.diagnosis.candidates import Alternative, NotTested
 from metrocli.diagnosis.distributions import noncentrality, single_level
 from metrocli.diagnosis.projection import System, linearised, signature
 from metrocli.diagnosis.race import Field, quadratic
-from metrocli.diagnosis.selection import FIRST
+from metrocli.diagnosis.selection import FIRST, WRONG_READING
 from metrocli.diagnosis.subject import Subject
+from metrocli.effects.effect import Effect
 
 _POWER = 0.8
 _ALIKE = 0.9
@@ -80,18 +81,49 @@ class Pair:
 
 
 @dataclass(frozen=True)
+class WrongReading:
+    """What an error of a single reading must be to be found."""
+
+    effect: Effect
+    detectable: float
+    """The median of all readings, in their unit"""
+    hides: float
+    """Largest change of what is delivered by an error of one reading that just escapes"""
+    unchecked: int
+    """Readings whose errors no other reading shows"""
+
+
+@dataclass(frozen=True)
 class Design:
     """What a measurement can see."""
 
     candidates: tuple[Candidate, ...]
     not_tested: tuple[NotTested, ...]
     pairs: tuple[Pair, ...]
+    readings: tuple[WrongReading, ...] = ()
 
 
 def design(subject: Subject, field: Field, not_tested: Sequence[NotTested], noise: float = 1.0) -> Design:
     """Return what a measurement can see, for a noise in units of the declared one."""
     candidates = tuple(_candidate(subject, field, *spot, noise) for spot in _spots(field))
-    return Design(candidates, tuple(not_tested), tuple(_pairs(field, candidates, noise)))
+    readings = tuple(_wrong_reading(subject, field, e, noise) for e in subject.effects if e.of_one_reading)
+    return Design(candidates, tuple(not_tested), tuple(_pairs(field, candidates, noise)), readings)
+
+
+def _wrong_reading(subject: Subject, field: Field, effect: Effect, noise: float) -> WrongReading:
+    """Return the least detectable error of a reading, `sqrt(lambda / r) sigma` (Baarda 1968)."""
+    system = field.system
+    level = single_level(single_level(WRONG_READING, field.causes), field.tests[-1])
+    power = noncentrality(level, 1, max(system.dof - 1, 1), _POWER)
+    rows = field.places[~field.excluded]
+    rows = rows[rows >= 0]
+    redundancy = 1 - (system.basis[rows] ** 2).sum(axis=1)
+    least = np.sqrt(power / np.maximum(redundancy, 1e-12)) * noise
+    places = system.entries(subject.delivered.block)[:, list(subject.delivered.columns)]
+    moved = system.solver[np.maximum(places, 0)] @ system.basis[rows].T
+    shift = np.sqrt((np.where((places >= 0)[:, :, None], moved, 0.0) ** 2).sum(axis=1)).max(axis=0, initial=0.0)
+    detectable = float(np.median(least * system.scale[rows]))
+    return WrongReading(effect, detectable, float((shift * least).max(initial=0.0)), int(field.excluded.sum()))
 
 
 def _spots(field: Field) -> Iterable[tuple[int, Sequence[int]]]:
@@ -116,7 +148,7 @@ def _candidate(subject: Subject, field: Field, family: int, chosen: Sequence[int
     at = chosen[int(order[len(order) // 2])]
     rank = int(ranks[order[len(order) // 2]])
     alternative = field.families[family].alternatives[at]
-    plausible = float(np.sqrt(np.mean([p.plausible**2 for p in alternative.effect.parameters])))
+    plausible = _plausible(alternative.effect)
     raw = field.scales[family][at]
     visible = float(np.sqrt(np.mean(np.diag(gram[at]) / np.where(raw > 0, raw, 1.0) ** 2)))
     size = detectable_size(field, family, at, noise) if rank else float("inf")
@@ -136,6 +168,12 @@ def _candidate(subject: Subject, field: Field, family: int, chosen: Sequence[int
         hides * reached,
         () if rank else _absorbers(field.system, full),
     )
+
+
+def _plausible(effect: Effect) -> float:
+    """Return the plausible size of an effect's parameters of the same dimension as the first, root mean square."""
+    alike = [p.plausible for p in effect.parameters if p.dimension == effect.parameters[0].dimension]
+    return float(np.sqrt(np.mean(np.square(alike))))
 
 
 def _typical(system: System) -> float:

@@ -41,7 +41,7 @@ class Unit:
 
 def noise_of(given: Given) -> Noise:
     """Return the noise that is left, with its 95 % interval (chi-squared)."""
-    squares, dof = given.squares - PRIOR, max(given.dof - PRIOR, 1.0)
+    squares, dof = given.squares - given.prior, max(given.dof - PRIOR, 1.0)
     low, high = chi_interval(squares, dof)
     return Noise(float(np.sqrt(squares / dof)), low, high)
 

@@ -158,10 +158,7 @@ def _factored(model: Model, layout: Layout, jacobian: Array) -> tuple[Array, Arr
     if model.datum is not None:
         frame = open_frame(model.datum, model.blocks, layout, jacobian.T @ jacobian)
         if frame is not None:
-            conditions = np.zeros((len(frame.constraint), layout.width))
-            places = layout.columns[model.datum.block].ravel()
-            conditions[:, places[places >= 0]] = frame.constraint[:, places >= 0]
-            conditions = conditions / size
+            conditions = frame.conditions(layout) / size
             rows = np.concatenate([scaled, conditions / np.linalg.norm(conditions, axis=1, keepdims=True)])
     q, triangle = np.linalg.qr(rows)
     inverse = np.linalg.inv(triangle)

@@ -19,6 +19,8 @@ Beside outliers the first name has the level of further ones: where readings are
 _STEPS = 40
 _SHARE = 0.1
 """Readings that may be called outliers at most"""
+_TOGETHER = 4
+"""Effects at most that may stand for one smooth term"""
 _ALIKE = 0.3
 """Correlation of two outliers above which they are not taken in one step"""
 _FEW = 3
@@ -63,6 +65,11 @@ class Selection:
         """The wrong readings."""
         return tuple(one for one in self.chosen if one.outlier)
 
+    @property
+    def members(self) -> frozenset[tuple[int, int]]:
+        """Family and number of all that was chosen."""
+        return frozenset((one.family, one.number) for one in self.chosen)
+
     def given(self, without: Sequence[Chosen] = ()) -> Given:
         """Return the model with what was chosen, but for some."""
         kept = [one.columns for one in self.chosen if not any(one is other for other in without)]
@@ -83,9 +90,10 @@ def select(field: Field, start: Given) -> Selection:
     selection = Selection(field, start)
     for _ in range(_STEPS):
         step = _step(selection)
-        if step is None:
+        settled = selection if step is None else _settled(step)
+        if settled.members == selection.members:
             break
-        selection = _settled(step)
+        selection = settled
     return _settled(selection)
 
 
@@ -112,11 +120,49 @@ def _step(selection: Selection) -> Selection | None:
         if family < 0:
             return _with_outliers(selection, wrong, given)
         score = scores[family]
-        if field.families[family].unknown and carried_by_few(field, given, family, score.best) > np.log(UNKNOWN):
-            continue
-        columns = field.families[family].columns[:, score.best]
-        return selection.with_one(Chosen(family, score.best, columns))
+        if field.families[family].unknown:
+            if carried_by_few(field, given, family, score.best) > np.log(UNKNOWN):
+                continue
+            known = _with_effects(selection)
+            best = field.score(family, known.given())
+            left = field.overall(field.level(family, best.log_p[best.best]))
+            if left > np.log(UNKNOWN) and _together(selection, known) <= level:
+                return known
+        return _with_best(selection, family, score)
     return None
+
+
+def _with_best(selection: Selection, family: int, score: Score) -> Selection:
+    columns = selection.field.families[family].columns[:, score.best]
+    return selection.with_one(Chosen(family, score.best, columns))
+
+
+def _with_effects(selection: Selection) -> Selection:
+    """Return the selection with the effects that win a race without smooth terms: several may make up one of them."""
+    field = selection.field
+    for _ in range(_TOGETHER):
+        given = selection.given()
+        found = [
+            (field.level(i, score.log_p[score.best]), i, score)
+            for i, score in enumerate(field.scores(given))
+            if len(score.gain) and not field.families[i].unknown
+        ]
+        level, family, score = min(found, key=lambda one: one[0])
+        if given.dof < 3 or field.overall(level) > np.log(_allowed(selection, family)):
+            break
+        selection = _with_best(selection, family, score)
+    return selection
+
+
+def _together(selection: Selection, known: Selection) -> float:
+    """Return ln of the level of all that one selection has more than another, counted over their families."""
+    before, after = selection.given(), known.given()
+    gain, q = before.squares - after.squares, int(before.dof - after.dof)
+    if q < 1:
+        return 0.0
+    new = known.chosen[len(selection.chosen) :]
+    tries = sum(float(np.log(selection.field.tests[one.family])) for one in new)
+    return float(log_tail(np.array(gain / max(before.squares, 1e-300)), q, max(after.dof, 1.0))) + tries
 
 
 def carried_by_few(field: Field, given: Given, family: int, number: int) -> float:

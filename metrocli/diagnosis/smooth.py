@@ -14,22 +14,38 @@ from metrocli.diagnosis.projection import System
 from metrocli.diagnosis.subject import Covariate, Subject
 from metrocli.effects.effect import Effect, Parameter
 
+_FEWEST_STEPS = 6
+"""Values that a covariate must take for sines of it to be tried"""
+_MOST_PERIODS = 60.0
 _FEWEST_FOR = 4
 """Readings for each term that a unit must have to get terms of its own"""
 
 
 def smooth_families(subject: Subject, system: System) -> list[Family]:
-    """Return for each covariate polynomials of it: one for all readings, and one for each unit (tracer, image)."""
-    return [family for covariate in subject.covariates for family in _of(subject, system, covariate)]
+    """Return for each covariate polynomials of it: one for all readings, and one for each unit (tracer, image).
+
+    And sines where it asks for them, a scan over their periods.
+    """
+    smooth = [family for covariate in subject.covariates for family in _of(subject, system, covariate)]
+    waves = [family for one in subject.covariates if one.periodic for family in _waves(subject, system, one)]
+    return smooth + waves
 
 
 def _of(subject: Subject, system: System, covariate: Covariate) -> Iterator[Family]:
+    if covariate.together:
+        columns = _together(subject, system, covariate)
+        raw = np.linalg.norm(columns, axis=0)[None]
+        one = (_alternative(covariate, ()),)
+        yield Family(f"moving with {covariate.name}", one, system.seen(columns)[:, None], raw, covariate.name)
+        return
     found: list[tuple[Alternative, Array]] = []
     for group in subject.model.readings:
         values = covariate.values.get(group.name)
         if values is None:
             continue
         for where, mask in _parts(subject, group):
+            if not mask.any():
+                continue
             terms = (harmonics if covariate.angle else polynomials)(np.atleast_2d(values)[:, mask], covariate.degree)
             if mask.sum() < _FEWEST_FOR * terms.shape[1]:
                 continue
@@ -45,6 +61,40 @@ def _of(subject: Subject, system: System, covariate: Covariate) -> Iterator[Fami
         shape = columns.shape
         seen = system.seen(columns.reshape(shape[0], -1)).reshape(shape)
         yield Family(f"smooth in {covariate.name}", tuple(a for a, _ in items), seen, raw, unknown=covariate.name)
+
+
+def _waves(subject: Subject, system: System, covariate: Covariate) -> Iterator[Family]:
+    """Yield cosine and sine of a covariate for each component, from one period over the measurement on.
+
+    Up to one in two of the steps that the covariate takes (Nyquist); half a period apart, so that none falls between.
+    """
+    for group in subject.model.readings:
+        values = covariate.values.get(group.name)
+        steps = np.unique(np.zeros(0) if values is None else values)
+        if values is None or len(steps) < _FEWEST_STEPS:
+            continue
+        turns = 2 * np.pi * (values - steps[0]) / np.ptp(steps)
+        columns: list[Array] = []
+        names: list[Alternative] = []
+        for periods in np.arange(1.0, min((len(steps) - 1) / 2, _MOST_PERIODS) + 0.1, 0.5):
+            terms = np.stack([np.cos(periods * turns), np.sin(periods * turns)], axis=1)
+            full = _components(system, group, terms)
+            for i, component in enumerate(group.observations.components):
+                columns.append(full[:, 2 * i : 2 * i + 2])
+                names.append(_alternative(covariate, (component, f"{periods:g} periods")))
+        stacked = np.stack(columns, axis=1)
+        seen = system.seen(stacked.reshape(len(stacked), -1)).reshape(stacked.shape)
+        raw = np.linalg.norm(stacked, axis=0)
+        yield Family(f"waves in {covariate.name}", tuple(names), seen, raw, unknown=covariate.name)
+
+
+def _together(subject: Subject, system: System, covariate: Covariate) -> Array:
+    """Return the terms of readings of one component each, whitened, all groups one after the other, (rows, k)."""
+    full = np.zeros((system.rows, len(np.atleast_2d(next(iter(covariate.values.values()))))))
+    for group in subject.model.readings:
+        rows = system.first[group.name] + np.arange(group.observations.count)
+        full[rows] = np.atleast_2d(covariate.values[group.name]).T / system.scale[rows, None]
+    return full
 
 
 def _parts(subject: Subject, group: Group) -> Iterator[tuple[tuple[str, ...], Array]]:

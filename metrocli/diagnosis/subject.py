@@ -27,6 +27,10 @@ class Covariate:
     """Of the polynomials that are tried, or the highest harmonic"""
     angle: bool = False
     """It comes round: harmonics of it are tried"""
+    periodic: bool = False
+    """Sines of it are tried, over a scan of periods"""
+    together: bool = False
+    """Its coordinates (k, n) are the terms themselves, of readings of all groups at once: an unknown that moves"""
 
 
 @dataclass(frozen=True)
@@ -67,6 +71,8 @@ class Subject:
     """Adjusts a model made from this one to some of the readings of each group"""
     reading: tuple[str, str] = ("um", "length")
     """Unit and dimension in which held-out errors of readings are told"""
+    replicates: Mapping[str, Index] = field(default_factory=dict)
+    """For each group a number (n,) that readings have in common which were repeated under the same conditions"""
     astray: float = 0.0
     """How far places are from where the files say, over what is plausible; beyond 1 a file is wrong"""
     fewest: int = 3

@@ -9,10 +9,12 @@ import numpy as np
 
 from metrocli import units
 from metrocli.diagnosis.candidates import Alternative, NotTested
-from metrocli.diagnosis.design import Candidate, Design
+from metrocli.diagnosis.design import Candidate, Design, WrongReading
 from metrocli.diagnosis.diagnose import Diagnosis, Finding
+from metrocli.diagnosis.mended import sizes
 from metrocli.diagnosis.mistakes import Mistaken
 from metrocli.diagnosis.naming import Named, Rival
+from metrocli.diagnosis.structure import Left
 from metrocli.diagnosis.subject import Subject
 
 NAMED, EXCLUDED, CANNOT_SEE = "named", "excluded", "cannot-see"
@@ -21,7 +23,7 @@ NOT_TESTABLE, NOT_TESTED = "not-testable", "not-tested"
 
 def as_data(diagnosis: Diagnosis) -> dict[str, Any]:
     """Return a diagnosis by the keys of the contract; units are internal ones unless a `unit` says otherwise."""
-    noise, left = diagnosis.noise, diagnosis.left
+    noise, left, repeats = diagnosis.noise, diagnosis.left, diagnosis.repeats
     return {
         "verdict": diagnosis.verdict,
         "noise": {
@@ -29,6 +31,7 @@ def as_data(diagnosis: Diagnosis) -> dict[str, Any]:
             "ratio": noise.ratio,
             "interval": [noise.low, noise.high],
             "apart": [{unit.key: unit.name, "ratio": unit.ratio} for unit in diagnosis.apart],
+            "repeats": None if repeats is None else {"ratio": repeats.ratio, "lack_of_fit": repeats.lack_of_fit},
         },
         "outliers": [{"observation": dict(one.keys), "w": one.test} for one in diagnosis.outliers],
         "effects": [
@@ -36,7 +39,7 @@ def as_data(diagnosis: Diagnosis) -> dict[str, Any]:
             *(_effect(diagnosis.subject, finding) for finding in diagnosis.findings),
         ],
         "structure": {"before": diagnosis.before, "after": diagnosis.after},
-        "unexplained": None if left is None else {"p_value": left.p_value, "depends_on": list(left.depends_on)},
+        "unexplained": None if left is None else _left(diagnosis.subject, left),
         "candidates": candidates(diagnosis.subject, diagnosis.design, [f.named for f in diagnosis.findings]),
         "alike": alike(diagnosis.design),
         "separate_by": list(diagnosis.separate_by),
@@ -71,7 +74,7 @@ def _effect(subject: Subject, finding: Finding) -> dict[str, Any]:
     return {
         "name": name.alternative.effect.name,
         "where": name.alternative.where,
-        "parameters": _parameters(name),
+        "parameters": _parameters(subject, name),
         "p_value": float(np.exp(name.log_level)),
         "alternatives": [_rival(rival) for rival in name.rivals],
         "gain": {
@@ -89,15 +92,21 @@ def _effect(subject: Subject, finding: Finding) -> dict[str, Any]:
     }
 
 
-def _parameters(name: Named) -> dict[str, Any]:
-    known = {p.name: p for p in name.alternative.effect.all_parameters}
-    std = np.sqrt(np.maximum(np.diag(name.covariance), 0.0))
-    found: dict[str, Any] = {
-        key: {"value": float(value), "std": float(spread), "unit": known[key].unit}
-        for key, value, spread in zip(name.alternative.parameters, name.values, std, strict=True)
+def _left(subject: Subject, left: Left) -> dict[str, Any]:
+    unit = units.find_unit(*subject.reading)
+    return {
+        "p_value": left.p_value,
+        "depends_on": list(left.depends_on),
+        "where": list(left.where),
+        "size": {"value": unit.outside(left.size), "unit": unit.symbol},
     }
-    scanned = {key: {"value": value, "std": None, "unit": known[key].unit} for key, value in name.alternative.scanned}
-    return found | scanned
+
+
+def _parameters(subject: Subject, name: Named) -> dict[str, Any]:
+    return {
+        size.parameter.name: {"value": size.value, "std": size.std, "unit": size.parameter.unit}
+        for size in sizes(subject, name)
+    }
 
 
 def _rival(rival: Rival) -> dict[str, Any]:
@@ -132,7 +141,20 @@ def candidates(subject: Subject, design: Design, named: Iterable[Named]) -> list
     """Return all candidates, tested or not."""
     names = list(named)
     tested = [_candidate(subject, candidate, status(candidate, names)) for candidate in design.candidates]
-    return tested + [_missing(one) for one in design.not_tested]
+    readings = [_wrong_reading(subject, one) for one in design.readings]
+    return tested + readings + [_missing(one) for one in design.not_tested]
+
+
+def _wrong_reading(subject: Subject, one: WrongReading) -> dict[str, Any]:
+    unchecked = f"; {one.unchecked} readings cannot be checked" if one.unchecked else ""
+    return {
+        "name": one.effect.name,
+        "where": {},
+        "status": EXCLUDED,
+        "minimal_detectable": {"value": one.detectable, "unit": one.effect.parameters[0].unit},
+        "hides": _delivered(subject, one.hides),
+        "reason": f"wrong readings are listed as outliers; the size is that of the median reading{unchecked}",
+    }
 
 
 def _candidate(subject: Subject, candidate: Candidate, word: str) -> dict[str, Any]:

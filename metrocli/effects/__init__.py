@@ -12,6 +12,8 @@ if TYPE_CHECKING:
     from metrocli.effects.effect import Effect
 
 TABLES: dict[str, str] = {
+    "calibrate-camera": "metrocli.effects.calibrate_camera",
+    "align-part": "metrocli.effects.align_part",
     "calibrate-machine": "metrocli.effects.calibrate_machine",
     "multilaterate": "metrocli.effects.multilaterate",
     "locate-launch-unit": "metrocli.effects.locate_launch_unit",

@@ -24,17 +24,12 @@ MakeLink = Callable[[str, Mapping[str, str]], Link]
 
 Grid = Callable[[Mapping[str, Array]], Array]
 """Gives the values to try from the conditions of the readings"""
-_FINEST = 120
-"""Values of a scan at most"""
 
 
 def change_points(conditions: Mapping[str, Array]) -> Array:
-    """Return times between readings at which something may have changed."""
+    """Return the times between readings, at which something may have changed."""
     times = np.unique(conditions["t"])
-    between = (times[1:] + times[:-1]) / 2
-    if len(between) <= _FINEST:
-        return np.asarray(between)
-    return np.asarray(between[np.linspace(0, len(between) - 1, _FINEST).astype(int)])
+    return np.asarray((times[1:] + times[:-1]) / 2)
 
 
 @dataclass(frozen=True)
@@ -49,7 +44,9 @@ class Parameter:
     place: str = ""
     """Of a scanned parameter: the kind of place it names instead of being a number, such as `view`"""
     grid: Grid | None = None
-    """Of a scanned parameter that is a number: the values that `diagnose` tries"""
+    """Of a scanned parameter that is a number: the values that it may have, in order"""
+    tried: int = 120
+    """How many of them `diagnose` tries at first; it then looks between the best and its neighbours"""
 
     @property
     def spec(self) -> Spec:

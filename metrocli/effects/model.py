@@ -115,8 +115,22 @@ def with_conditions(model: Model) -> Model:
 
 
 def can_act(model: Model, effect: Effect) -> bool:
-    """Whether the readings have the conditions that an effect needs."""
-    return any(all(name in group.observations.conditions for name in effect.needs) for group in model.readings)
+    """Whether the readings have the conditions that an effect needs, and their chains the quantity that it changes."""
+    if any(not model.places[key].names for key in effect.keys):
+        return False
+    somewhere = {key: model.places[key].names[0] for key in effect.keys}
+    return any(_has(group, effect.needs) and _reaches(group, effect, somewhere) for group in model.readings)
+
+
+def _has(group: Group, needs: Sequence[str]) -> bool:
+    conditions = group.observations.conditions
+    return all(name in conditions and np.isfinite(conditions[name]).any() for name in needs)
+
+
+def _reaches(group: Group, effect: Effect, where: Mapping[str, str]) -> bool:
+    if effect.link is None:
+        return effect.columns_of in group.chain.blocks
+    return group.chain.takes(effect.link("", where))
 
 
 def with_effect(
@@ -198,7 +212,7 @@ def _block(
 
 
 def _passes(group: Group, link: Link, model: Model) -> bool:
-    return group.name in model.measured and link.takes in group.chain.quantities
+    return group.name in model.measured and group.chain.takes(link)
 
 
 def _spliced(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -45,7 +46,7 @@ def distort(x: Array, y: Array, k: Mapping[str, float], wanted: tuple[str, ...] 
     top = 1 + r2 * (g["k1"] + r2 * (g["k2"] + r2 * g["k3"]))
     top_by = g["k1"] + r2 * (2 * g["k2"] + r2 * (3 * g["k3"]))
     radial, radial_by, below = top, top_by, None
-    if any(g[name] for name in RATIONAL) or any(name in wanted for name in RATIONAL):
+    if any(np.any(g[name]) for name in RATIONAL) or any(name in wanted for name in RATIONAL):
         bottom = 1 + r2 * (g["k4"] + r2 * (g["k5"] + r2 * g["k6"]))
         below = 1 / bottom
         radial = top * below
@@ -55,7 +56,7 @@ def distort(x: Array, y: Array, k: Mapping[str, float], wanted: tuple[str, ...] 
     cross = 2 * xy * radial_by + 2 * (g["p1"] * x + g["p2"] * y)
     by_x = (radial + 2 * xx * radial_by + 2 * g["p1"] * y + 6 * g["p2"] * x, cross)
     by_y = (cross, radial + 2 * yy * radial_by + 6 * g["p1"] * y + 2 * g["p2"] * x)
-    if any(g[name] for name in PRISM):
+    if any(np.any(g[name]) for name in PRISM):
         slope_x, slope_y = 2 * g["s1"] + 4 * g["s2"] * r2, 2 * g["s3"] + 4 * g["s4"] * r2
         xd, yd = xd + r2 * (g["s1"] + g["s2"] * r2), yd + r2 * (g["s3"] + g["s4"] * r2)
         by_x = (by_x[0] + x * slope_x, by_x[1] + x * slope_y)
@@ -151,6 +152,20 @@ def ideal_point(values: Mapping[str, float], u: Array, v: Array, convention: str
     return undistort(x, y, values)
 
 
+def _parameters(local: Local, name: str) -> dict[str, Any]:
+    """Return the lens parameters: numbers, or (n,) each where readings see different lenses."""
+    rows = local.rows(name)
+    values = rows[:, 0].tolist() if rows.shape[1] == 1 else rows
+    return dict(zip(local.blocks[name].columns, values, strict=True))
+
+
+def _wanted(local: Local, name: str) -> tuple[str, ...]:
+    """Return the lens parameters whose derivatives are used."""
+    block = local.blocks[name]
+    used = block.free.any(axis=0) | (block.considered is not None)
+    return tuple(np.array(block.columns)[used].tolist()) if name in local.wanted else ()
+
+
 @dataclass(frozen=True)
 class Lens:
     """Image of a point in the camera, distortion taken at the ideal point (OpenCV)."""
@@ -170,13 +185,7 @@ class Lens:
         Behind the camera it is nan.
         """
         block = local.blocks[self.block]
-        k = dict(zip(block.columns, block.values[0], strict=True))
-        wanted = tuple(
-            name
-            for name, free in zip(block.columns, block.free[0], strict=True)
-            if free or block.considered is not None
-        )
-        wanted = wanted if self.block in local.wanted else ()
+        k, wanted = _parameters(local, self.block), _wanted(local, self.block)
         fx, fy = focal(k)
         skew = k.get("skew", 0.0)
         inverse_z = 1 / np.where(value[2] > 0, value[2], np.nan)
@@ -229,13 +238,7 @@ class LensBackward:
         Behind the camera it is nan.
         """
         block = local.blocks[self.block]
-        k = dict(zip(block.columns, block.values[0], strict=True))
-        wanted = tuple(
-            name
-            for name, free in zip(block.columns, block.free[0], strict=True)
-            if free or block.considered is not None
-        )
-        wanted = wanted if self.block in local.wanted else ()
+        k, wanted = _parameters(local, self.block), _wanted(local, self.block)
         fx, fy = focal(k)
         skew = k.get("skew", 0.0)
         u, v = local.observations.readings

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from metrocli.adjust.outcome import Outcome
+from metrocli.diagnosis.subject import Subject
+from metrocli.effects.model import extended
+from metrocli.effects.wanted import Wanted
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.geometry.poses import EULER, pose_from_euler
 from metrocli.imageset import ImageSet
@@ -18,13 +21,16 @@ from metrocli.settings import Choice, Either, FileOf, ImageFiles, ListOf, Quanti
 from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import TEXT, Column, Columns, Table
 from metrocli.targets.pattern import Pattern
-from metrocli.tasks.align_problem import build, spindle_poses
+from metrocli.tasks.align_diagnosis import subject
+from metrocli.tasks.align_problem import Problem, build, spindle_poses
 from metrocli.tasks.align_report import KIND, explained, predicted, report
+from metrocli.tasks.align_simulation import Truth, true_model
 from metrocli.tasks.camera_model import camera_of
 from metrocli.tasks.camera_settings import CameraFile, Extrinsics
-from metrocli.tasks.image_adjustment import Options, adjust_images, must_converge
+from metrocli.tasks.image_adjustment import Adjusted, Options, adjust_images, must_converge
 from metrocli.tasks.image_settings import eccentricity_setting, image_faults
-from metrocli.tasks.image_simulation import Shown, pictures, sightings_table, true_targets
+from metrocli.tasks.image_simulation import Draw, Shown, pictures, sightings_table, sights, true_targets
+from metrocli.tasks.planted_effects import planted, refuse_pictures
 from metrocli.tasks.sightings import OBSERVATIONS, START_NOISE, Needs, sightings
 from metrocli.tasks.target_list import TARGETS, known_targets
 
@@ -108,21 +114,58 @@ def run(
     targets: Table,
     observations: Table | None = None,
     images: ImageSet | None = None,
+    effects: Sequence[Wanted] = (),
 ) -> Result:
     """Locate the part; raises InputError, UndeterminedError or NotConvergedError."""
-    model = camera_of(camera)
-    if images is not None:
-        model.must_fit(images)
-    sighted = sightings(settings, observations, targets, images, Needs(fewest=1))
-    problem = build(model, sighted, poses, free_angle="clamping-angle" in settings.estimate)
+    problem = prepared(settings, camera, poses, Seen(targets, observations, images), effects)
     prediction = predicted(problem)
+    return report(problem, solved(settings, problem), prediction)
+
+
+def diagnosed(
+    settings: Settings,
+    camera: Result | CameraFile,
+    poses: Table,
+    targets: Table,
+    observations: Table | None = None,
+    images: ImageSet | None = None,
+    effects: Sequence[Wanted] = (),
+) -> Subject:
+    """Return the job as diagnosis sees it, with all its readings; raises as `run` does."""
+    problem = prepared(settings, camera, poses, Seen(targets, observations, images), effects)
+    return subject(problem, solved(replace(settings, outliers="report"), problem))
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What was seen of which targets."""
+
+    targets: Table
+    observations: Table | None
+    images: ImageSet | None
+
+
+def prepared(
+    settings: Settings, camera: Result | CameraFile, poses: Table, seen: Seen, effects: Sequence[Wanted]
+) -> Problem:
+    """Return the adjustment with its starting values and the effects of the job."""
+    model = camera_of(camera)
+    if seen.images is not None:
+        model.must_fit(seen.images)
+    sighted = sightings(settings, seen.observations, seen.targets, seen.images, Needs(fewest=1))
+    problem = build(model, sighted, poses, free_angle="clamping-angle" in settings.estimate)
+    return problem.with_model(extended(problem.model(), effects)) if effects else problem
+
+
+def solved(settings: Settings, problem: Problem) -> Adjusted:
+    """Adjust a problem; raises UndeterminedError or NotConvergedError where it has no good solution."""
     options = Options(settings.outliers == "remove", settings.noise == "estimated", problem.camera.image_size)
     adjusted = adjust_images(problem.blocks, problem.images, problem.others, None, options)
     solution = adjusted.solution
     if solution.undetermined or solution.outcome is Outcome.TOO_FEW:
         raise UndeterminedError(explained(problem, solution))
     must_converge(solution)
-    return report(problem, adjusted, prediction)
+    return adjusted
 
 
 def simulate(
@@ -131,9 +174,13 @@ def simulate(
     camera: Result | CameraFile,
     poses: Table,
     targets: Table,
+    effects: Sequence[Wanted] = (),
     **_: object,
 ) -> Simulation:
-    """Return what the camera sees of the part of `simulation:` from each pose, with noise; pictures if asked for."""
+    """Return what the camera sees of the part of `simulation:` from each pose, with noise and effects.
+
+    Pictures too if asked for.
+    """
     truth = settings.simulation
     if truth is None:
         raise InputError("simulate needs the truth: give `simulation: {part: {x: 10 mm, ...}, clamping_angle: 1 mm/m}`")
@@ -142,13 +189,20 @@ def simulate(
     known = true_targets(known_targets(settings.pattern, targets, 0.0), rng)
     at = np.array([getattr(truth.part, name) for name in EULER])
     held = spindle_poses(poses, range(len(poses)))
-    seen = part_in_camera(pose_from_euler(at[:3], at[3:]), held, truth.clamping_angle, model.taper)
-    shown = Shown(model.lens, model.image_size, tuple(poses.texts("image")), seen, known, model.convention)
+    part = pose_from_euler(at[:3], at[3:])
+    to_camera = part_in_camera(part, held, truth.clamping_angle, model.taper)
+    images, times = tuple(poses.texts("image")), {name: poses.numbers(name) for name in ("t", "temp") if name in poses}
+    shown = Shown(model.lens, model.image_size, images, to_camera, known, model.convention, times)
     sigma = settings.noise if isinstance(settings.noise, float) else START_NOISE
-    table = sightings_table(shown, sigma, rng)
-    drawn = pictures(shown, settings.pattern, rng) if options.images and settings.pattern is not None else ()
+    seen = sights(shown)
+    seen, values = planted(true_model(model, shown, seen, Truth(part, held, truth.clamping_angle)), seen, effects)
+    table = sightings_table(replace(shown, conditions={}), seen, sigma, rng)
+    drawn: Iterable[tuple[str, Draw]] = ()
+    if options.images and settings.pattern is not None:
+        refuse_pictures(effects)
+        drawn = pictures(shown, settings.pattern, rng)
     true = dict(zip(EULER, at.tolist(), strict=True)) | {"gamma_s": truth.clamping_angle}
-    return Simulation({"observations.csv": table}, true, drawn)
+    return Simulation({"observations.csv": table}, true | values, drawn)
 
 
 __all__ = ["KIND", "SIMULATED", "SUMMARY", "Inputs", "Settings", "run", "simulate"]

@@ -11,6 +11,7 @@ from metrocli.adjust.blocks import Array, Block
 from metrocli.adjust.chain import Chain
 from metrocli.adjust.groups import Group, priors
 from metrocli.adjust.observations import Index
+from metrocli.effects.model import Added, Model, Place
 from metrocli.errors import Fault, InputError
 from metrocli.geometry import poses
 from metrocli.instruments import spindle_camera as spindle
@@ -38,11 +39,33 @@ class Problem:
     images: Group
     others: tuple[Group, ...]
     warnings: tuple[str, ...] = ()
+    effects: tuple[Added, ...] = ()
+
+    def model(self) -> Model:
+        """Return the alignment as a model that effects can be added to."""
+        places = places_of(self.sighted.images, self.sighted.targets.names)
+        return Model(self.blocks, (self.images, *self.others), None, (IMAGES,), places, added=self.effects)
+
+    def with_model(self, model: Model) -> Problem:
+        """Return the alignment with the blocks, groups and effects of a model made from it."""
+        images = next(group for group in model.groups if group.name == IMAGES)
+        others = tuple(group for group in model.groups if group.name != IMAGES)
+        return replace(self, blocks=model.blocks, images=images, others=others, effects=model.added)
 
     @property
     def free_angle(self) -> bool:
         """Whether the clamping angle is estimated (7D)."""
         return bool(self.blocks[spindle.COUPLING].free.any())
+
+
+def places_of(images: Sequence[str], targets: Sequence[str]) -> dict[str, Place]:
+    """Return where effects can act: images, targets, axes and pairs of axes of the machine."""
+    return {
+        "image": Place(tuple(images), "view"),
+        "target": Place(tuple(targets), TARGET),
+        "axis": Place(("x", "y", "z")),
+        "pair": Place(("xy", "xz", "yz")),
+    }
 
 
 def build(camera: CameraModel, sighted: Sighted, table: Table, free_angle: bool) -> Problem:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +11,10 @@ import numpy as np
 from metrocli.adjust.adjustment import covariance_at
 from metrocli.adjust.blocks import Array
 from metrocli.adjust.solution import Solution
+from metrocli.effects.estimates import estimates as effect_estimates
+from metrocli.effects.estimates import free_blocks
+from metrocli.effects.estimates import tables as effect_results
+from metrocli.effects.model import Added
 from metrocli.geometry import poses
 from metrocli.instruments import spindle_camera as spindle
 from metrocli.instruments.camera import TARGET
@@ -53,37 +59,41 @@ def predicted(problem: Problem) -> Prediction | None:
     design = covariance_at(problem.blocks.values(), [problem.images, *problem.others])
     if design.covariance is None:
         return None
-    names, _, covariance = _estimates(design)
+    names, _, covariance, _ = _estimates(design)
     std = np.sqrt(np.diag(covariance))
     correlation = covariance[6, 3:6] / (std[6] * std[3:6])
     worst = int(np.argmax(np.abs(correlation)))
     return Prediction(float(std[6]), float(correlation[worst]), names[3 + worst])
 
 
-def _estimates(solution: Solution) -> tuple[tuple[str, ...], Array, Array]:
-    """Return names, values and covariance of x y z alpha beta gamma and, in 7D, gamma_s."""
-    known = solution.known()
+def _estimates(
+    solution: Solution, effects: Sequence[Added] = ()
+) -> tuple[tuple[str, ...], Array, Array, tuple[str, ...]]:
+    """Return names, values, covariance and units of x y z alpha beta gamma, of gamma_s in 7D, and of effects."""
     pose = solution.blocks[spindle.PART].values[0]
-    change = poses.euler_form_by_step(pose)
-    covariance = change @ known.of(spindle.PART) @ change.T
-    values, names = poses.euler_form(pose), list(poses.EULER)
-    if solution.blocks[spindle.COUPLING].free.any():
-        cross = change @ known.between(spindle.PART, spindle.COUPLING)
-        covariance = np.block([[covariance, cross], [cross.T, known.of(spindle.COUPLING)]])
-        values = np.concatenate([values, solution.blocks[spindle.COUPLING].values[0]])
-        names.append("gamma_s")
-    return tuple(names), values, (covariance + covariance.T) / 2
+    angle = solution.blocks[spindle.COUPLING]
+    found = effect_estimates(effects, solution)
+    covariance = solution.joint([spindle.PART, spindle.COUPLING, *free_blocks(effects)])
+    change = np.eye(len(covariance))
+    change[:6, :6] = poses.euler_form_by_step(pose)
+    covariance = change @ covariance @ change.T
+    turns = [math.remainder(float(turn), math.tau) for turn in angle.values[angle.free]]
+    values = np.concatenate([poses.euler_form(pose), turns, [one.value for one in found]])
+    names = (*poses.EULER, *(["gamma_s"] if angle.free.any() else []), *(one.name for one in found))
+    units = (*_UNITS[: len(names) - len(found)], *(one.unit for one in found))
+    return names, values, (covariance + covariance.T) / 2, units
 
 
 def report(problem: Problem, adjusted: Adjusted, prediction: Prediction | None) -> Result:
     """Return the result of a solved alignment."""
     solution = adjusted.solution
     found = adjusted.known_residuals()
-    names, values, covariance = _estimates(solution)
+    names, values, covariance, units = _estimates(solution, problem.effects)
+    effect_tables, effect_arrays = effect_results(problem.effects, solution)
     std = np.sqrt(np.diag(covariance))
     estimates = tuple(
         Estimate(name, float(value), float(s), unit)
-        for name, value, s, unit in zip(names, values, std, _UNITS, strict=False)
+        for name, value, s, unit in zip(names, values, std, units, strict=True)
     )
     statistics = basic_statistics(solution, {"px": root_mean_square(found.values)})
     statistics |= {
@@ -100,11 +110,13 @@ def report(problem: Problem, adjusted: Adjusted, prediction: Prediction | None) 
     views = rms_table(found.values, adjusted.group, "image", index["view"], images)
     correlation = covariance / std[:, None] / std
     arrays = {"rotation": poses.rotation_of(solution.blocks[spindle.PART].values[0]), "correlation": correlation}
+    arrays |= effect_arrays
     tables = {
         "residuals": residual_table(found, adjusted.group),
         "views": views,
         "targets": rms_table(found.values, adjusted.group, "target", index[TARGET], targets),
         "rejected": adjusted.rejected,
+        **effect_tables,
     }
     return Result(
         kind=KIND,

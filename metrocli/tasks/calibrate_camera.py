@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from metrocli.adjust.blocks import Array
 from metrocli.adjust.outcome import Outcome
+from metrocli.diagnosis.subject import Subject
+from metrocli.effects.model import extended
+from metrocli.effects.wanted import Wanted
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.geometry import poses
-from metrocli.geometry.rotations import rotation_from_euler, rotation_from_vector
 from metrocli.imageset import ImageSet
 from metrocli.result import Result
 from metrocli.settings import Choice, Either, ImageFiles, Quantity, Section, TableFile, setting
@@ -21,14 +22,17 @@ from metrocli.table import TEXT, Column, Columns, Table
 from metrocli.targets.pattern import Pattern
 from metrocli.tasks.camera_advice import explained, ran_out
 from metrocli.tasks.camera_compare import compare_models
+from metrocli.tasks.camera_diagnosis import subject
 from metrocli.tasks.camera_problem import Problem, build
 from metrocli.tasks.camera_report import KIND, report
 from metrocli.tasks.camera_settings import Camera, CameraSimulation
-from metrocli.tasks.image_adjustment import Options, adjust_images, must_converge
+from metrocli.tasks.camera_simulation import conditions, simulated_views, true_model
+from metrocli.tasks.image_adjustment import Adjusted, Options, adjust_images, must_converge
 from metrocli.tasks.image_settings import eccentricity_setting, image_faults
-from metrocli.tasks.image_simulation import Shown, pictures, sightings_table, true_targets
+from metrocli.tasks.image_simulation import Draw, Shown, pictures, sightings_table, sights, true_targets
+from metrocli.tasks.planted_effects import planted, refuse_pictures
 from metrocli.tasks.sightings import OBSERVATIONS, START_NOISE, Needs, sightings
-from metrocli.tasks.target_list import TARGETS, Targets, known_targets
+from metrocli.tasks.target_list import TARGETS, known_targets
 
 SIMULATED = ("observations", "images")
 SUMMARY = "camera model from images or observed points"
@@ -98,9 +102,31 @@ def run(
     targets: Table | None = None,
     images: ImageSet | None = None,
     scale_bars: Table | None = None,
+    effects: Sequence[Wanted] = (),
 ) -> Result:
     """Calibrate; raises InputError, UndeterminedError or NotConvergedError."""
-    return solved(*prepared(settings, observations, targets, images, scale_bars))
+    settings, problem = prepared(settings, observations, targets, images, scale_bars)
+    problem = with_effects(problem, effects)
+    return report(problem, settings.camera, solved(settings, problem))
+
+
+def diagnosed(
+    settings: Settings,
+    observations: Table | None = None,
+    targets: Table | None = None,
+    images: ImageSet | None = None,
+    scale_bars: Table | None = None,
+    effects: Sequence[Wanted] = (),
+) -> Subject:
+    """Return the job as diagnosis sees it, with all its readings; raises as `run` does."""
+    settings, problem = prepared(settings, observations, targets, images, scale_bars)
+    problem = with_effects(problem, effects)
+    return subject(problem, solved(replace(settings, outliers="report"), problem))
+
+
+def with_effects(problem: Problem, effects: Sequence[Wanted]) -> Problem:
+    """Return the calibration with the effects of the job."""
+    return problem.with_model(extended(problem.model(), effects)) if effects else problem
 
 
 def compare(
@@ -135,19 +161,25 @@ def prepared(
     return settings, build(settings.rig, settings.camera, sighted, scale_bars)
 
 
-def solved(settings: Settings, problem: Problem) -> Result:
-    """Adjust a problem and report it."""
+def solved(settings: Settings, problem: Problem) -> Adjusted:
+    """Adjust a problem; raises UndeterminedError or NotConvergedError where it has no good solution."""
     options = Options(settings.outliers == "remove", settings.noise == "estimated", problem.image_size)
     adjusted = adjust_images(problem.blocks, problem.images, problem.others, problem.datum, options)
     solution = adjusted.solution
     if solution.undetermined or solution.outcome is Outcome.TOO_FEW or ran_out(problem, solution):
         raise UndeterminedError(explained(problem, solution))
     must_converge(solution)
-    return report(problem, settings.camera, adjusted)
+    return adjusted
 
 
-def simulate(settings: Settings, options: SimulationOptions, targets: Table | None = None, **_: object) -> Simulation:
-    """Return the sightings that the camera of `simulation:` gives, with noise, and pictures if they are asked for."""
+def simulate(
+    settings: Settings,
+    options: SimulationOptions,
+    targets: Table | None = None,
+    effects: Sequence[Wanted] = (),
+    **_: object,
+) -> Simulation:
+    """Return the sightings that the camera of `simulation:` gives, with noise and effects; pictures if asked for."""
     truth, size = settings.simulation, settings.camera.image_size
     if truth is None or size is None:
         raise InputError(
@@ -157,48 +189,20 @@ def simulate(settings: Settings, options: SimulationOptions, targets: Table | No
     known = true_targets(known_targets(settings.pattern, targets, 0.0), rng)
     views = simulated_views(settings.rig, truth, known, rng)
     lens = {"cx": (size[0] - 1) / 2, "cy": (size[1] - 1) / 2, **truth.lens.given()}
-    shown = Shown(lens, size, views.images, views.to_camera, known, settings.camera.convention)
+    times = conditions(truth, len(views.images))
+    shown = Shown(lens, size, views.images, views.to_camera, known, settings.camera.convention, times)
     sigma = settings.noise if isinstance(settings.noise, float) else START_NOISE
-    table = sightings_table(shown, sigma, rng, views.only)
-    drawn = (
-        pictures(shown, settings.pattern, rng, views.only) if options.images and settings.pattern is not None else ()
-    )
+    seen = sights(shown, views.only)
+    seen, values = planted(true_model(settings.rig, shown, seen), seen, effects)
+    table = sightings_table(shown, seen, sigma, rng)
+    drawn: Iterable[tuple[str, Draw]] = ()
+    if options.images and settings.pattern is not None:
+        refuse_pictures(effects)
+        drawn = pictures(shown, settings.pattern, rng, views.only)
     true = dict(lens)
     if truth.extrinsics is not None:
         true |= {name: float(getattr(truth.extrinsics, name)) for name in poses.EULER}
-    return Simulation({"observations.csv": table}, true, drawn)
-
-
-@dataclass(frozen=True)
-class Views:
-    """Images of a simulation: their names, the pose that carries targets into each, and the targets that each shows."""
-
-    images: tuple[str, ...]
-    to_camera: Array
-    only: Callable[[int], list[int]] | None = None
-
-
-def simulated_views(rig: str, truth: CameraSimulation, known: Targets, rng: np.random.Generator) -> Views:
-    """Return one image for each target with rig cmm, else views from random sides of the targets."""
-    if rig == "cmm":
-        if truth.extrinsics is None:
-            raise InputError("simulation: rig cmm needs extrinsics: where the camera is in the reference frame")
-        at = np.array([getattr(truth.extrinsics, name) for name in poses.EULER])
-        back = poses.inverse(poses.pose_from_euler(at[:3], at[3:]))
-        names = tuple(f"{name}.png" for name in known.names)
-        return Views(names, np.broadcast_to(back, (len(names), 6)), lambda image: [image])
-    n = truth.images
-    axis, tilt, roll = (
-        rng.uniform(0, 2 * np.pi, n),
-        truth.tilt * np.sqrt(rng.uniform(0, 1, n)),
-        rng.uniform(-np.pi, np.pi, n),
-    )
-    vector = np.column_stack([np.cos(axis) * tilt, np.sin(axis) * tilt, np.zeros(n)])
-    rotation = rotation_from_euler(np.zeros(n), np.zeros(n), roll) @ rotation_from_vector(vector)
-    extent = float(np.ptp(known.points, axis=0).max())
-    aim = np.column_stack([rng.uniform(-0.1, 0.1, (n, 2)) * extent, truth.distance * rng.uniform(0.85, 1.2, n)])
-    centre = known.points.mean(axis=0)
-    return Views(tuple(f"view{i + 1:02d}.png" for i in range(n)), poses.pose(rotation, aim - rotation @ centre))
+    return Simulation({"observations.csv": table}, true | values, drawn)
 
 
 __all__ = ["KIND", "SIMULATED", "SUMMARY", "Inputs", "Settings", "compare", "run", "simulate"]

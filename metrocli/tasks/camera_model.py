@@ -43,9 +43,9 @@ class CameraModel:
 
     def blocks(self) -> tuple[Block, Block]:
         """Return the blocks of the lens and of the taper; free where the calibration gives them a covariance."""
-        columns = tuple(self.lens)
         known = self.covariance is not None
-        values = np.array([list(self.lens.values())])
+        held = {"k1": 0.0, **self.lens}  # an effect may change it, also where the calibration left it out
+        columns, values = tuple(held), np.array([list(held.values())])
         lens = Block(LENS, values, columns, free=np.isin(columns, self.estimated) if known else np.array(False))
         taper = Block(TAPER, self.taper[None], poses.COLUMNS, free=np.array(known), space=Space.POSE)
         return lens, taper
@@ -96,13 +96,14 @@ def camera_of_result(result: Result) -> CameraModel:
     at = np.array([values[name] for name in poses.EULER])
     size = (int(_number(result, "image_width")), int(_number(result, "image_height")))
     estimated = tuple(name for name in values if name in lens)
+    delivered = len(estimated) + len(poses.EULER)
     return CameraModel(
         lens,
         poses.pose_from_euler(at[:3], at[3:]),
         size,
         str(result.statistics["convention"]),
         estimated,
-        result.covariance,
+        result.covariance[:delivered, :delivered],
     )
 
 

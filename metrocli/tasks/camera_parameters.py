@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from metrocli.adjust.blocks import Array
-from metrocli.adjust.covariance import Covariance
 from metrocli.adjust.solution import Solution
+from metrocli.effects.estimates import estimates, free_blocks
+from metrocli.effects.model import Added
 from metrocli.geometry import poses
 from metrocli.instruments import camera
 from metrocli.instruments.lens import DISTORTION, PIXELS
@@ -77,22 +79,30 @@ def unit_of(name: str) -> str:
     return "px" if name in PIXELS else "1"
 
 
-def parameters(rig: str, solution: Solution, covariance: Covariance) -> Parameters:
-    """Return the estimated lens parameters and, for rig cmm, the camera in the reference frame.
+def parameters(rig: str, solution: Solution, effects: Sequence[Added] = ()) -> Parameters:
+    """Return the estimated lens parameters, for rig cmm the camera in the reference frame, and effects.
 
-    The latter as x y z alpha beta gamma.
+    The camera as x y z alpha beta gamma.
     """
     lens = solution.blocks[camera.LENS]
     free = np.flatnonzero(lens.free[0])
     names = [lens.columns[i] for i in free]
     units = [unit_of(name) for name in names]
-    values, matrix = lens.values[0, free], covariance.of(camera.LENS)[np.ix_(free, free)]
+    values = lens.values[0, free]
+    blocks = [camera.LENS]
     if rig == "cmm":
-        pose = solution.blocks[camera.TAPER].values[0]
-        change = poses.euler_form_by_step(pose)
-        cross = covariance.between(camera.LENS, camera.TAPER)[free] @ change.T
-        matrix = np.block([[matrix, cross], [cross.T, change @ covariance.of(camera.TAPER) @ change.T]])
-        values = np.concatenate([values, poses.euler_form(pose)])
+        values = np.concatenate([values, poses.euler_form(solution.blocks[camera.TAPER].values[0])])
         names += list(poses.EULER)
         units += POSE_UNITS
+        blocks.append(camera.TAPER)
+    found = estimates(effects, solution)
+    matrix = solution.joint([*blocks, *free_blocks(effects)])
+    if rig == "cmm":
+        change = np.eye(len(matrix))
+        pose = slice(len(free), len(free) + 6)
+        change[pose, pose] = poses.euler_form_by_step(solution.blocks[camera.TAPER].values[0])
+        matrix = change @ matrix @ change.T
+    names += [one.name for one in found]
+    units += [one.unit for one in found]
+    values = np.concatenate([values, [one.value for one in found]])
     return Parameters(tuple(names), values, (matrix + matrix.T) / 2, tuple(units))

@@ -14,6 +14,7 @@ from metrocli.adjust.datum import Datum
 from metrocli.adjust.groups import Group, priors
 from metrocli.adjust.observations import Index, Mask, Observations
 from metrocli.adjust.robust import robust_start, typical
+from metrocli.effects.model import Added, Model, Place
 from metrocli.errors import Fault, InputError, UndeterminedError
 from metrocli.geometry import poses
 from metrocli.instruments import camera
@@ -50,6 +51,19 @@ class Problem:
     images: Group
     others: tuple[Group, ...]
     datum: Datum | None
+    effects: tuple[Added, ...] = ()
+
+    def model(self) -> Model:
+        """Return the calibration as a model that effects can be added to."""
+        targets = Place(self.sighted.targets.names, camera.TARGET)
+        places = {"image": Place(self.sighted.images, "view"), "target": targets}
+        return Model(self.blocks, (self.images, *self.others), self.datum, (IMAGES,), places, added=self.effects)
+
+    def with_model(self, model: Model) -> Problem:
+        """Return the calibration with the blocks, groups and effects of a model made from it."""
+        images = next(group for group in model.groups if group.name == IMAGES)
+        others = tuple(group for group in model.groups if group.name != IMAGES)
+        return replace(self, blocks=model.blocks, images=images, others=others, effects=model.added)
 
     def with_estimate(self, estimate: Sequence[str]) -> Problem:
         """Return the problem with other lens parameters free; distortion that is not estimated keeps its value."""

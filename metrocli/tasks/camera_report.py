@@ -11,6 +11,7 @@ from metrocli.adjust.blocks import Array, Block
 from metrocli.adjust.covariance import Covariance
 from metrocli.adjust.observations import Index
 from metrocli.adjust.solution import Residuals, Solution
+from metrocli.effects.estimates import tables as effect_results
 from metrocli.geometry import poses
 from metrocli.instruments import camera
 from metrocli.instruments.conventions import projection_range
@@ -74,10 +75,11 @@ def report(problem: Problem, settings: Camera, adjusted: Adjusted) -> Result:
     """Return the result of a solved calibration."""
     solution = adjusted.solution
     covariance = solution.known()
-    p = parameters(problem.rig, solution, covariance)
+    p = parameters(problem.rig, solution, problem.effects)
+    effect_tables, effect_arrays = effect_results(problem.effects, solution)
     solved = _Calibration(problem, settings, adjusted, adjusted.known_residuals(), covariance, p)
     views = _views(solved)
-    arrays: dict[str, Array] = {"correlation": p.correlation}
+    arrays: dict[str, Array] = {"correlation": p.correlation, **effect_arrays}
     form = photogrammetric_form(problem, settings, solution)
     if form is not None:
         arrays["photogrammetric_covariance"] = form_covariance(form, covariance)
@@ -90,6 +92,7 @@ def report(problem: Problem, settings: Camera, adjusted: Adjusted) -> Result:
         "significance": p.significance(),
         "conventions": conventions_table(problem, settings, solution, covariance),
         "camera": _camera(solved),
+        **effect_tables,
     }
     if problem.rig != "cmm":
         tables["views"] = views

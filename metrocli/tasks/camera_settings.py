@@ -112,6 +112,12 @@ class CameraSimulation:
     tilt: float = setting(
         Quantity("angle", positive=True), "rigs board and network: largest tilt of a view", default=0.6
     )
+    interval: float | None = setting(
+        Quantity("time", positive=True), "time from image to image; without it no times are written", default=None
+    )
+    warming: float = setting(
+        Quantity("temperature difference"), "how much it warms up from the first image to the last", default=0.0
+    )
 
     def faults(self) -> Iterable[tuple[str, str]]:
         """Yield what does not fit together."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,6 +19,7 @@ from metrocli.tasks.target_list import Targets
 
 if TYPE_CHECKING:
     from metrocli.imageset import Picture
+    from metrocli.table import Values
 
 Draw = Callable[[], "Picture"]
 _MARGIN = 2.0
@@ -36,6 +37,8 @@ class Shown:
     """The pose that carries targets into the camera for each image, (images, 6)"""
     targets: Targets
     convention: str = "forward"
+    conditions: Mapping[str, Array] = field(default_factory=dict)
+    """Time and temperature of each image, (images,)"""
 
 
 def true_targets(listed: Targets, rng: np.random.Generator) -> Targets:
@@ -45,26 +48,42 @@ def true_targets(listed: Targets, rng: np.random.Generator) -> Targets:
     )
 
 
-def sightings_table(
-    shown: Shown, sigma: float, rng: np.random.Generator, only: Callable[[int], list[int]] | None = None
-) -> Table:
-    """Return the image points of the targets inside each image, with noise; `only` names the targets of each image."""
-    rows: list[tuple[str, str, float, float]] = []
-    for i, image in enumerate(shown.images):
+@dataclass(frozen=True)
+class Sights:
+    """What the camera sees of each target: image points before noise, those inside the images only."""
+
+    view: Index
+    target: Index
+    uv: Array
+    """(2, n)"""
+
+
+def sights(shown: Shown, only: Callable[[int], list[int]] | None = None) -> Sights:
+    """Return the image points of the targets inside each image; `only` names the targets of each image."""
+    views, targets, points = [np.zeros(0, dtype=np.intp)], [np.zeros(0, dtype=np.intp)], [np.zeros((0, 2))]
+    for i in range(len(shown.images)):
         chosen = np.arange(len(shown.targets.names)) if only is None else np.array(only(i), dtype=np.intp)
         uv, inside = _projected(shown, i, chosen)
-        uv = uv + rng.normal(0.0, sigma, uv.shape)
-        rows += [
-            (image, shown.targets.names[t], u, v)
-            for t, (u, v) in zip(chosen[inside].tolist(), uv[inside].tolist(), strict=True)
-        ]
-    if not rows:
+        views.append(np.full(int(inside.sum()), i))
+        targets.append(chosen[inside])
+        points.append(uv[inside])
+    if sum(map(len, views)) == 0:
         raise InputError("simulation: no target is inside any image; check the poses and the distance")
-    columns = {
-        name: np.array(values)
-        for name, values in zip(("image", "target", "u", "v"), zip(*rows, strict=True), strict=True)
+    return Sights(np.concatenate(views), np.concatenate(targets), np.concatenate(points).T)
+
+
+def sightings_table(shown: Shown, seen: Sights, sigma: float, rng: np.random.Generator) -> Table:
+    """Return the table of observations, with noise, and with the conditions of the images."""
+    u, v = seen.uv + rng.normal(0.0, sigma, seen.uv.T.shape).T
+    columns: dict[str, Values] = {
+        "image": np.array(shown.images)[seen.view],
+        "target": np.array(shown.targets.names)[seen.target],
+        "u": u,
+        "v": v,
     }
-    return Table(columns, {"u": "px", "v": "px"})
+    columns |= {name: values[seen.view] for name, values in shown.conditions.items()}
+    units = {"u": "px", "v": "px", "t": "s", "temp": "degC"}
+    return Table(columns, {name: unit for name, unit in units.items() if name in columns})
 
 
 def _projected(shown: Shown, image: int, chosen: Index) -> tuple[Array, Mask]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -10,15 +10,22 @@ import pytest
 from scipy import stats
 
 from benchmarks.hidden import lengths
+from metrocli.adjust.blocks import Block
+from metrocli.adjust.chain import Chain, Local, Step
+from metrocli.adjust.groups import Group
+from metrocli.adjust.observations import Observations
+from metrocli.adjust.quantities import Quantity
 from metrocli.diagnosis.candidates import families_of
-from metrocli.diagnosis.diagnose import field_of_job
 from metrocli.diagnosis.distributions import chi_interval, log_family, log_tail, noncentrality
 from metrocli.diagnosis.gain import _held, _without
+from metrocli.diagnosis.mended import field_of_job
 from metrocli.diagnosis.noise import apart
 from metrocli.diagnosis.projection import System, linearised, signature
 from metrocli.diagnosis.race import PRIOR, Field, independent, nothing, quadratic
 from metrocli.diagnosis.selection import select
+from metrocli.diagnosis.structure import pure_error
 from metrocli.diagnosis.subject import Subject
+from metrocli.effects.model import Model
 
 Array = np.typing.NDArray[np.float64]
 
@@ -203,3 +210,41 @@ def test_a_noisier_tracer_is_found(noisier: bool) -> None:
         found.append(apart(one, system, nothing(system), rng))
     assert sum(unit is not None for unit in found) == (6 if noisier else 0)
     assert all(2 < unit.ratio < 4.5 for unit in found if unit is not None)
+
+
+def test_repeated_readings_tell_noise_from_a_wrong_model() -> None:
+    """Twenty places read twice: a straight line through readings of a bent one lacks fit."""
+    rng = np.random.default_rng(3)
+    x = np.repeat(np.linspace(0, 1, 20), 2)
+    for bent in (0.0, 2.0):
+        block = Block("line", np.zeros((1, 2)), ("offset", "slope"))
+        y = 40 * x + 40 * bent * (x - 0.5) ** 2 + rng.normal(size=40)
+        observations = Observations(y[None], np.ones(1), {}, conditions={"x": x})
+        group = Group("readings", Chain((Straight(),)), observations)
+        model = Model({"line": block}, (group,), None, ("readings",))
+        system = linearised(model)
+        one = replace(subject(), model=model, replicates={"readings": np.repeat(np.arange(20), 2)})
+        found = pure_error(one, system, nothing(system))
+        pairs = y.reshape(20, 2)
+        squares = float(((pairs[:, 0] - pairs[:, 1]) ** 2).sum() / 2)
+        assert found is not None
+        assert found.dof == 20
+        assert np.isclose(found.ratio, np.sqrt(squares / 20))
+        rest = float(system.residual @ system.residual) - squares
+        expected = stats.f.sf(rest / 18 / (squares / 20), 18, 20)
+        assert np.isclose(found.lack_of_fit, expected, rtol=1e-6)
+        assert (found.lack_of_fit < 1e-3) == (bent > 0)
+
+
+@dataclass(frozen=True)
+class Straight:
+    """`y = offset + slope x`."""
+
+    takes = None
+    gives = Quantity.LENGTH
+    blocks = ("line",)
+
+    def step(self, value: Array, local: Local) -> Step:
+        x = local.observations.conditions["x"]
+        terms = np.stack([np.ones_like(x), x])[None]
+        return Step((local.rows("line") * terms[0]).sum(axis=0)[None], by_block={"line": terms})

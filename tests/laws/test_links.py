@@ -10,7 +10,7 @@ import pytest
 
 from metrocli.adjust import groups, quantities
 from metrocli.adjust.blocks import Array, Block, Space
-from metrocli.adjust.chain import Chain, Link, Local
+from metrocli.adjust.chain import Chain, Link, Local, Step, Varied
 from metrocli.adjust.groups import Group, ReadBlock, ReadBlocks
 from metrocli.adjust.observations import Observations
 from metrocli.adjust.quantities import Quantity
@@ -38,6 +38,28 @@ ONE_F, TWO_F = {"f": 2500.0}, {"fx": 2510.0, "fy": 2490.0}
 ALL = {**ONE_F, "aspect": 0.02, **CENTRE, "skew": 0.01, **COEFFICIENTS, **RATIONAL, **PRISM}
 
 
+@dataclass(frozen=True)
+class Warmer:
+    """A lens whose focal length grows from reading to reading, and whose principal point moves: an effect on its parameters."""
+
+    name: str = "warmth"
+    varies: str = "lens"
+    takes = gives = Quantity.PARAMETERS
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        return (self.name,)
+
+    def step(self, value: Array, local: Local) -> Step:
+        rate, shift = local.rows(self.name)
+        order, f, cx = np.arange(N), *(local.blocks["lens"].column(name) for name in ("f", "cx"))
+        changed, by_value, by_own = value.copy(), np.repeat(np.eye(len(value))[:, :, None], N, axis=2), np.zeros((len(value), 2, N))
+        changed[f] *= 1 + rate * order
+        changed[cx] += shift
+        by_value[f, f], by_own[f, 0], by_own[cx, 1] = 1 + rate * order, value[f] * order, 1.0
+        return Step(changed, by_value, {self.name: by_own})
+
+
 def pose_block(name: str, members: int) -> Block:
     return Block(name, POSES[:members], poses.COLUMNS, tuple("abcd"[:members]), space=Space.POSE)
 
@@ -48,6 +70,12 @@ def point_block(members: int) -> Block:
 
 def lens_block(**values: float) -> Block:
     return Block("lens", np.array([list(values.values())]), tuple(values))
+
+
+def lens_blocks(**values: float) -> Block:
+    """Three lenses, each a little different."""
+    rows = np.array([list(values.values())]) * [[1.0], [1.02], [0.97]]
+    return Block("lens", rows, tuple(values), ("a", "b", "c"))
 
 
 def unit_block() -> Block:
@@ -142,6 +170,18 @@ CASES: dict[str, Case] = {
             "all, distortion 0": {**ALL, **dict.fromkeys([*COEFFICIENTS, *RATIONAL, *PRISM], 0.0)},
         }.items()
     },
+    **{f"{kind.__name__}, several": Case(kind(), (lens_blocks(**ALL),)) for kind in (Lens, LensBackward)},
+    "Varied": Case(Varied(Lens(), "lens", Warmer()), (lens_block(**ALL), Block("warmth", np.array([[1e-3, 2.0]]), ("rate", "shift")))),
+    "Varied, backward": Case(
+        Varied(LensBackward(), "lens", Warmer()), (lens_block(**ALL), Block("warmth", np.array([[1e-3, 2.0]]), ("rate", "shift")))
+    ),
+    "Varied, several": Case(
+        Varied(Lens(), "lens", Warmer()), (lens_blocks(**ALL), Block("warmth", np.array([[1e-3, 2.0]]), ("rate", "shift")))
+    ),
+    "Varied twice": Case(
+        Varied(Varied(Lens(), "lens", Warmer()), "lens", Warmer("sun")),
+        (lens_block(**ALL), *(Block(name, np.array([[1e-3, 2.0]]), ("rate", "shift")) for name in ("warmth", "sun"))),
+    ),
 }
 
 
@@ -332,6 +372,27 @@ def test_effects_are_put_behind_the_last_link_that_gives_their_quantity() -> Non
     spliced = chain.spliced([on_image, first, second])
     assert spliced.links == (*chain.links[:2], first, second, chain.links[2], on_image)
     assert chain.spliced([]) == chain
+
+
+def test_effects_on_parameters_are_put_in_front_of_the_links_that_read_them() -> None:
+    chain = Chain(CHAINS["board"])
+    assert chain.spliced([Warmer()]).links == (*chain.links[:2], Varied(chain.links[2], "lens", Warmer()))
+    assert chain.takes(Warmer()) and not chain.takes(Warmer(varies="tracer"))
+    with pytest.raises(ValueError, match="Warmer cannot act here"):
+        chain.spliced([Warmer(varies="tracer")])
+
+
+def test_an_effect_is_given_the_links_before_it() -> None:
+    @dataclass(frozen=True)
+    class Bound(Shifted):
+        before: Chain = Chain(())
+
+        def within(self, before: Chain) -> Bound:
+            return replace(self, before=before)
+
+    chain = Chain(CHAINS["board"])
+    put = chain.spliced([Bound(IN_CAMERA, IN_CAMERA)]).links[2]
+    assert isinstance(put, Bound) and put.before.links == chain.links[:2]
 
 
 @pytest.mark.parametrize(

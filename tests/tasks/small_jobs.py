@@ -121,6 +121,26 @@ def one_position(folder: Path, images: int = 3, step: float = 0.0) -> Path:
     return alignment(folder, targets, poses)
 
 
+def turned(folder: Path) -> Path:
+    """Write an alignment of six targets over 300 mm, seen from twelve poses with the spindle turned, with times."""
+    rows = [(0, 0, 0), (80, 0, 25), (80, 60, 0), (0, 60, -25), (40, 30, 40), (20, 50, 0)]
+    points = np.array(rows, dtype=float)
+    names, columns = np.array([f"C{i + 1}" for i in range(len(points))]), dict(zip("xyz", points.T, strict=True))
+    targets = Table({"target": names, **columns}, dict.fromkeys("xyz", "mm"))
+    part, turn = coverage.PART, np.tile([0.0, np.pi / 2, np.pi, -np.pi / 2], 3)
+    rng = np.random.default_rng(3)
+    x, y = np.array([[part.x + 40], [part.y + 30]]) + rng.uniform(-60, 60, (2, 12))
+    z = part.z - coverage.TRUE_MOUNTING.z - np.repeat([260.0, 330.0, 400.0], 4)
+    zero = np.zeros(12)
+    held = {"x": x, "y": y, "z": z, "a": zero, "b": zero, "c": turn, "t": 40.0 * np.arange(12)}
+    units = {**dict.fromkeys("xyz", "mm"), **dict.fromkeys("abc", "rad"), "t": "s"}
+    poses = Table({"image": np.array([f"image{i + 1}" for i in range(12)]), **held}, units)
+    job = alignment(folder, targets, poses)
+    at = ", ".join(f"{name}: {getattr(part, name)} {'rad' if len(name) > 1 else 'mm'}" for name in ("x", "y", "z", "alpha", "beta", "gamma"))
+    job.write_text(f"{job.read_text()}simulation: {{part: {{{at}}}, clamping_angle: 1 mrad}}\n")
+    return job
+
+
 JOBS: dict[str, Callable[[Path], Path]] = {
     "board": board,
     "cmm": cmm,

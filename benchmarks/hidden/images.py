@@ -1,0 +1,331 @@
+"""Image points with something hidden in them: cameras on a board or a measuring machine, parts seen from a spindle."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from benchmarks.hidden.case import Case, Hidden
+from benchmarks.hidden.scenes import Scene, board_scene, cmm_scene, part_scene, sight
+from benchmarks.hidden.stated import stated
+from metrocli.diagnosis.subject import Subject
+from metrocli.table import Table
+from metrocli.tasks import align_part, calibrate_camera
+from metrocli.tasks.camera_settings import Camera, CameraFile, Extrinsics
+
+Array = npt.NDArray[np.float64]
+NOWHERE = Path("-")
+
+
+@dataclass(frozen=True)
+class Images:
+    """A scene as it was read."""
+
+    scene: Scene
+    uv: Array
+    """(n, 2)"""
+    declared: float = 1.0
+    """Declared noise over the true one"""
+
+    def subject(self) -> Subject:
+        """Return it as the job that a user would give."""
+        scene = self.scene
+        names, images = _names("T", len(scene.targets)), _names("I", len(scene.time))
+        seen = {"image": images[scene.view], "target": names[scene.target], "u": self.uv[:, 0], "v": self.uv[:, 1]}
+        points = dict(zip("xyz", scene.targets.T, strict=True)) | {"radius": np.full(len(names), scene.radius)}
+        targets = Table({"target": names, **points}, dict.fromkeys(points, "mm"))
+        noise = scene.noise * self.declared
+        if scene.kind == "align-part":
+            return self._alignment(Table(seen, {"u": "px", "v": "px"}), targets, noise)
+        seen |= {"t": scene.time[scene.view], "temp": scene.warmth[scene.view]}
+        settings = calibrate_camera.Settings(
+            rig=scene.rig,
+            inputs=calibrate_camera.Inputs(observations=NOWHERE, targets=NOWHERE),
+            noise=noise,
+            camera=Camera(image_size=scene.image_size, estimate=scene.lens_free),
+        )
+        units = {"u": "px", "v": "px", "t": "s", "temp": "degC"}
+        return calibrate_camera.diagnosed(settings, observations=Table(seen, units), targets=targets)
+
+    def _alignment(self, observations: Table, targets: Table, noise: float) -> Subject:
+        scene = self.scene
+        held, mounting = scene.given["spindle"].T, scene.given["mounting"]
+        columns = {"image": _names("I", len(scene.time)), **dict(zip("xyzabc", held, strict=True)), "t": scene.time}
+        poses = Table(columns, {**dict.fromkeys("xyz", "mm"), **dict.fromkeys("abc", "rad"), "t": "s"})
+        place = dict(zip(("x", "y", "z", "alpha", "beta", "gamma"), mounting.tolist(), strict=True))
+        camera = CameraFile(image_size=scene.image_size, extrinsics=Extrinsics(**place), **scene.lens)
+        files = align_part.Inputs(camera=NOWHERE, poses=NOWHERE, targets=NOWHERE, observations=NOWHERE)
+        estimate = ("part-pose", "clamping-angle") if scene.angle_free else ("part-pose",)
+        settings = align_part.Settings(inputs=files, noise=noise, estimate=estimate)
+        return align_part.diagnosed(settings, camera, poses, targets, observations)
+
+
+def _names(letter: str, count: int) -> npt.NDArray[np.str_]:
+    return np.array([f"{letter}{i:03d}" for i in range(count)])
+
+
+@dataclass(frozen=True)
+class Plant:
+    """How an effect of the tables is planted: the scene's own name of each parameter, and what the job leaves out."""
+
+    parameters: Mapping[str, str]
+    """Parameter of the table: short name in the scene, or a place in an array of it, as `moved.0`"""
+    left_out: tuple[str, ...] = ()
+    """Lens parameters that the job does not estimate"""
+    where: str = ""
+    """target, image, axis or pair"""
+    by: str = ""
+    distinct: bool = True
+    rigs: tuple[str, ...] = ("board", "cmm", "")
+
+
+_XYZ = ("dx", "dy", "dz")
+PLANTS: dict[str, dict[str, Plant]] = {
+    "calibrate-camera": {
+        "radial-distortion": Plant({"k2": "k2"}, ("k2",)),
+        "decentring-distortion": Plant({"p1": "p1", "p2": "p2"}, ("p1", "p2"), distinct=False),
+        "thin-prism": Plant({"s1": "s1", "s3": "s3"}, ("p1", "p2"), distinct=False),
+        "aspect-ratio": Plant({"aspect": "aspect"}),
+        "axis-skew": Plant({"skew": "skew"}),
+        "principal-point": Plant({"cx": "cx", "cy": "cy"}, ("cx", "cy"), distinct=False),
+        "target-plane-bend": Plant({"bxx": "bend.0", "bxy": "bend.1", "byy": "bend.2"}, rigs=("board",)),
+        "focal-drift": Plant({"rate": "focal_t"}, by="t"),
+        "focal-drift, T": Plant({"rate": "focal_T"}, by="T"),
+        "principal-point-drift": Plant({"rate_u": "rate_u", "rate_v": "rate_v"}),
+        "moved-target": Plant({name: f"moved.{i}" for i, name in enumerate(_XYZ)}, where="target"),
+    },
+    "align-part": {
+        "clamping-angle": Plant({"gamma_s": "gamma_s"}),
+        "coupling-tilt": Plant({"alpha_s": "alpha_s", "beta_s": "beta_s"}, distinct=False),
+        "coupling-shift": Plant({"dx": "dx", "dy": "dy"}),
+        "part-expansion": Plant({"scale": "scale"}),
+        "moved-target": Plant({name: f"moved.{i}" for i, name in enumerate(_XYZ)}, where="target"),
+        "bad-pose": Plant({name: f"bad_pose.{i}" for i, name in enumerate(_XYZ)}, where="image"),
+        "focal-change": Plant({"ratio": "ratio"}),
+        "principal-point-shift": Plant({"du": "cx", "dv": "cy"}, distinct=False),
+        "machine-scale": Plant({"scale": "machine_scale"}, where="axis"),
+        "machine-squareness": Plant({"angle": "squareness"}, where="pair"),
+        "part-drift": Plant({name: f"drift.{i}" for i, name in enumerate(("vx", "vy", "vz"))}),
+        "radial-distortion": Plant({"dk1": "k1"}),
+    },
+}
+_TYPICAL = {"drift": 1e-5, "focal_t": 1e-6, "rate_u": 1e-3, "bend": 1e-6, "moved": 0.1, "bad_pose": 0.1, "cx": 1.0}
+"""Sizes at which signatures are taken, where 1e-4 is not of the right order"""
+PAIRS = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
+
+
+def _effects(plant: Plant, values: Mapping[str, float], place: str) -> dict[str, Any]:
+    """Return an effect as a scene takes it."""
+    found: dict[str, Any] = {}
+    for name, short in plant.parameters.items():
+        key, _, at = short.partition(".")
+        if at:
+            found.setdefault(key, np.zeros(3))[int(at)] = values[name]
+        elif key == "machine_scale":
+            found[key] = [("xyz".index(place), values[name])]
+        elif key == "squareness":
+            found[key] = [(*PAIRS[place], values[name])]
+        else:
+            found[key] = values[name]
+    if plant.where in ("target", "image"):
+        found[plant.where] = int(place[1:])
+    return found
+
+
+def _place(scene: Scene, plant: Plant, rng: np.random.Generator) -> str:
+    if plant.where == "axis":
+        return str(rng.choice(list("xyz")))
+    if plant.where == "pair":
+        return str(rng.choice(list(PAIRS)))
+    if not plant.where:
+        return ""
+    of, letter = (scene.target, "T") if plant.where == "target" else (scene.view, "I")
+    counts = np.bincount(of)
+    return f"{letter}{rng.choice(np.flatnonzero(counts >= min(2, counts.max()))):03d}"
+
+
+def planted(images: Images, rng: np.random.Generator, name: str, times: float) -> tuple[Images, Hidden] | None:
+    """Return the images with an effect of so many times its least detectable size; None where nothing of it shows."""
+    scene = images.scene
+    plant = PLANTS[scene.kind][name]
+    place = _place(scene, plant, rng)
+    direction = rng.normal(size=len(plant.parameters))
+    size = _TYPICAL.get(next(iter(plant.parameters.values())).partition(".")[0], 1e-4)
+    values = dict(zip(plant.parameters, (direction / np.linalg.norm(direction) * size).tolist(), strict=True))
+    effect = name.partition(",")[0]
+    shows = sight(scene).strength(_effects(plant, values, place))
+    if shows < 1e-3:
+        return None
+    factor = times * np.sqrt(stated(images.subject(), effect, len(plant.parameters))) / shows
+    values = {key: value * factor for key, value in values.items()}
+    noise = images.uv - scene.predicted(scene.start(), {})
+    uv = scene.predicted(scene.start(), _effects(plant, values, place)) + noise
+    where = ({plant.where: place} if plant.where else {}) | ({"by": plant.by} if plant.by else {})
+    known = values | ({"k3": 0.0} if "k2" in values else {})
+    return replace(images, uv=uv), Hidden(effect, where, known, plant.distinct)
+
+
+Outside = Callable[[Scene, Array, Array], Array]
+
+
+def _outside(name: str, rng: np.random.Generator) -> Outside:
+    """Return the image points' change by an effect that is in no table, of size 1 px."""
+    phase, period = rng.uniform(0, 6), rng.uniform(3.5, 8.0)
+
+    def change(scene: Scene, off: Array, points: Array) -> Array:
+        radius = np.hypot(*off.T)
+        outwards = off / np.maximum(radius, 1e-9)[:, None]
+        share = radius / np.hypot(*scene.image_size) * 2
+        zero = np.zeros(len(off))
+        if name == "_six-lobe":
+            return outwards * np.cos(6 * np.arctan2(off[:, 1], off[:, 0]) + phase)[:, None]
+        if name == "_order-wave":
+            return np.column_stack([zero, np.sin(2 * np.pi * scene.view / period + phase)])
+        if name == "_ripple":
+            return outwards * np.sin(14 * share + phase)[:, None]
+        return np.column_stack([np.where(off[:, 0] > 0, 0.5, -0.5), zero])
+
+    return change
+
+
+OUTSIDE = ("_six-lobe", "_order-wave", "_ripple", "_sensor-step")
+
+
+def unknown(images: Images, rng: np.random.Generator, name: str, times: float) -> tuple[Images, Hidden]:
+    """Return the images with an effect that is in no table."""
+    scene = images.scene
+    change = _outside(name, rng)
+    like = "part-expansion" if scene.kind == "align-part" else "aspect-ratio"
+    shows = sight(scene).strength({"outside": change, "size": 1.0})
+    size = times * np.sqrt(stated(images.subject(), like, 2)) / max(shows, 1e-3)
+    uv = (
+        images.uv
+        + scene.predicted(scene.start(), {"outside": change, "size": size})
+        - scene.predicted(scene.start(), {})
+    )
+    return replace(images, uv=uv), Hidden(name, {}, {"c": float(size)})
+
+
+def spoilt(images: Images, rng: np.random.Generator, share: float) -> tuple[Images, frozenset[tuple[str, ...]]]:
+    """Return the images with a share of the coordinates wrong by 6 to 25 standard deviations."""
+    wrong = rng.random(images.uv.shape) < share
+    off = rng.uniform(6, 25, wrong.shape) * rng.choice([-1, 1], wrong.shape) * images.scene.noise * wrong
+    view, target = images.scene.view, images.scene.target
+    keys = frozenset((f"I{view[i]:03d}", f"T{target[i]:03d}", "uv"[j]) for i, j in np.argwhere(wrong).tolist())
+    return replace(images, uv=images.uv + off), keys
+
+
+def noisier(images: Images, rng: np.random.Generator) -> Images:
+    """Return the images with one image three times as noisy as the others."""
+    counts = np.bincount(images.scene.view)
+    here = images.scene.view == rng.choice(np.flatnonzero(counts >= min(3, counts.max())))
+    more = rng.normal(size=images.uv.shape) * images.scene.noise * np.sqrt(8.0)
+    return replace(images, uv=images.uv + more * here[:, None])
+
+
+def read(scene: Scene, rng: np.random.Generator) -> Images:
+    """Return the scene as it is read, with noise."""
+    return Images(scene, scene.predicted(scene.start(), {}) + rng.normal(0, scene.noise, (len(scene.view), 2)))
+
+
+def calibrations(count: int) -> Iterator[Case]:
+    """Yield so many seeded calibrations, the scenarios in turn, boards and measuring machines in turn."""
+    for number in range(count):
+        yield _case("calibrate-camera", number)
+
+
+def alignments(count: int) -> Iterator[Case]:
+    """Yield so many seeded alignments, the scenarios in turn."""
+    for number in range(count):
+        yield _case("align-part", number)
+
+
+def _scene(kind: str, scenario: str, rng: np.random.Generator, rig: str) -> Scene:
+    if kind == "align-part":
+        return part_scene(rng, 8, 4, turned=False) if "few" in scenario else part_scene(rng)
+    if rig == "cmm" and "noisier" not in scenario:
+        return cmm_scene(rng, 20 if "few" in scenario else 120)
+    return board_scene(rng, 8, (5, 4)) if "few" in scenario else board_scene(rng)
+
+
+def _case(kind: str, number: int) -> Case:
+    rng = np.random.default_rng([44, len(kind), number])
+    scenario = _SCENARIOS[number % len(_SCENARIOS)]
+    turn = number // len(_SCENARIOS) + 5 * (number % len(_SCENARIOS))
+    rig = ("board", "cmm")[turn % 2] if kind == "calibrate-camera" else ""
+    while True:
+        found = _tried(kind, scenario, rng, (turn, rig))
+        if found is not None:
+            return found
+
+
+def _tried(kind: str, scenario: str, rng: np.random.Generator, at: tuple[int, str]) -> Case | None:
+    """Return a case; None where nothing of the effect that was drawn shows in the scene that was drawn."""
+    turn, rig = at
+    scene = _scene(kind, scenario, rng, rig)
+    known = [name for name, plant in PLANTS[kind].items() if (scene.rig or "") in plant.rigs]
+    wanted: list[str] = []
+    if scenario.endswith("x"):
+        wanted = [known[(turn // 2 if rig else turn) % len(known)]]
+    elif "two effects" in scenario:
+        plain = [name for name in known if PLANTS[kind][name].distinct]
+        wanted = [str(rng.choice(plain)), str(rng.choice(known))]
+        if wanted[0].partition(",")[0] == wanted[1].partition(",")[0]:
+            return None
+    scene = _without(scene, [PLANTS[kind][name] for name in wanted], wanted)
+    images = read(scene, rng)
+    hidden: list[Hidden] = []
+    for name in wanted:
+        times = float(scenario.split()[-1][:-1]) if scenario.endswith("x") else float(rng.uniform(2, 4))
+        made = planted(images, rng, name, times)
+        if made is None:
+            return None
+        images = made[0]
+        hidden.append(made[1])
+    wrong: frozenset[tuple[str, ...]] = frozenset()
+    if "outside" in scenario:
+        images, one = unknown(images, rng, OUTSIDE[turn % len(OUTSIDE)], float(rng.uniform(2, 3.5)))
+        hidden.append(one)
+    if "outliers" in scenario:
+        images, wrong = spoilt(images, rng, 0.02)
+    if "noisier" in scenario:
+        images = noisier(images, rng)
+    ratio = 2.0 if "half" in scenario else 0.5 if "double" in scenario else 1.0
+    return Case(scenario, replace(images, declared=1 / ratio).subject, tuple(hidden), wrong, ratio)
+
+
+def _without(scene: Scene, plants: list[Plant], names: list[str]) -> Scene:
+    left_out = tuple(dict.fromkeys(name for plant in plants for name in plant.left_out))
+    if "clamping-angle" in names:
+        return replace(scene, angle_free=False, unknowns=scene.unknowns[:6])
+    return scene.without(left_out) if scene.lens_free else scene
+
+
+_SCENARIOS = (
+    "nothing",
+    "nothing, few",
+    "nothing, 2 % outliers",
+    "nothing, noise declared half",
+    "nothing, noise declared double",
+    "nothing, one image noisier",
+    "nothing",
+    "an effect of 1x",
+    "an effect of 1.5x",
+    "an effect of 2x",
+    "an effect of 3x",
+    "2 % outliers and an effect of 2x",
+    "noise declared half and an effect of 2x",
+    "one image noisier and an effect of 3x",
+    "few and an effect of 2x",
+    "two effects",
+    "two effects",
+    "outside the table",
+    "outside the table",
+    "outside the table",
+)
+"""Few: 8 images of 20 targets (board), 20 places seen twice (cmm), 8 images of one of 4 targets each (part)"""

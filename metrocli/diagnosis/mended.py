@@ -1,0 +1,131 @@
+"""The job with the named effects in its model, adjusted again."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from metrocli.adjust.blocks import Array, Block
+from metrocli.adjust.observations import Mask
+from metrocli.diagnosis.candidates import NotTested, families_of
+from metrocli.diagnosis.naming import Named
+from metrocli.diagnosis.noise import Unit, weighted
+from metrocli.diagnosis.projection import linearised
+from metrocli.diagnosis.race import Field, Given, field_of, nothing
+from metrocli.diagnosis.selection import Selection
+from metrocli.diagnosis.smooth import smooth_families
+from metrocli.diagnosis.subject import Subject
+from metrocli.effects.effect import Parameter
+from metrocli.effects.model import Model, with_effect
+
+
+def field_of_job(
+    subject: Subject, weights: Mapping[str, Array], rng: np.random.Generator
+) -> tuple[Field, list[NotTested]]:
+    """Return the race of everything that could be in a job, and the effects that its data do not allow to test."""
+    system = linearised(subject.model, weights)
+    families, not_tested = families_of(subject, system)
+    everything = [*families, *smooth_families(subject, system)]
+    return field_of(system, everything, rng, subject.single_components), not_tested
+
+
+def weights_of(subject: Subject, units: Sequence[Unit]) -> Mapping[str, Array]:
+    """Return the factors on whitened readings that bring units to the noise of the others."""
+    weights: Mapping[str, Array] = {}
+    for unit in units:
+        weights = weighted(subject, weights, unit)
+    return weights
+
+
+def extended_model(subject: Subject, names: Sequence[Named]) -> Model:
+    """Return the model with the named effects in it, at what was found of them."""
+    model = subject.model
+    for name in names:
+        alternative = name.alternative
+        model = with_effect(model, alternative.effect, [alternative.instance], dict(alternative.scanned))
+        block, row = _own_row(model, name)
+        step = np.zeros(block.values.shape)
+        for parameter, value in zip(alternative.parameters, name.values, strict=True):
+            step[row, block.column(parameter)] = value
+        model = model.with_blocks({**model.blocks, block.name: block.moved(step)})
+    return model
+
+
+def _own_row(model: Model, name: Named) -> tuple[Block, int]:
+    """Return the block of the effect that was added last, and the member that it acts on."""
+    added = model.added[-1]
+    block = model.blocks[added.block]
+    place = name.alternative.instance
+    return block, block.members.index(place[0]) if place and added.effect.link is None else -1
+
+
+@dataclass(frozen=True)
+class Size:
+    """What was found of one parameter of an effect."""
+
+    parameter: Parameter
+    value: float
+    """Of a column that the model has, the change against the job"""
+    std: float | None
+    """None where it was scanned"""
+
+
+def sizes(subject: Subject, name: Named) -> tuple[Size, ...]:
+    """Return the parameters of a named effect, for the noise that was found."""
+    alternative = name.alternative
+    block, row = _own_row(extended_model(subject, [name]), name)
+    before = subject.model.blocks.get(block.name)
+    by_step = block.space.by_step(block.values)[row]
+    std = np.sqrt(np.maximum(np.diag(name.covariance), 0.0))
+    known = {p.name: p for p in alternative.effect.all_parameters}
+    found = []
+    for at, key in enumerate(alternative.parameters):
+        column = block.column(key)
+        was = before.values[row, column] if before is not None and column < before.size else 0.0
+        found.append(Size(known[key], float(block.values[row, column] - was), float(std[at] * by_step[column])))
+    return (*found, *(Size(known[key], value, None) for key, value in alternative.scanned))
+
+
+def mended(subject: Subject, names: Sequence[Named], kept: Mapping[str, Mask]) -> Subject | None:
+    """Return the subject with the named effects in its model, adjusted to the kept readings; None where that fails."""
+    model = extended_model(subject, names)
+    solution = subject.refit(model, kept)
+    if not solution.outcome.good:
+        return None
+    blocks = {name: block.with_values(solution.blocks[name].values) for name, block in model.blocks.items()}
+    return replace(subject, model=model.with_blocks(blocks))
+
+
+def recentred(
+    subject: Subject, selection: Selection, names: Sequence[Named], units: Sequence[Unit], rng: np.random.Generator
+) -> tuple[Field, Given]:
+    """Return the smooth functions' race about the solution with the named effects adjusted, outliers left out of it.
+
+    Where that adjustment fails the linear solution serves.
+    """
+    if not names:
+        return selection.field, selection.given()
+    changed = mended(subject, names, kept(selection))
+    if changed is None:
+        return selection.field, selection.given()
+    system = linearised(changed.model, weights_of(subject, units))
+    field = field_of(system, smooth_families(changed, system), rng, subject.single_components)
+    wrong = [field.of_reading(one.number) for one in selection.outliers]
+    given = nothing(system)
+    return field, given.with_columns(np.concatenate(wrong, axis=1)) if wrong else given
+
+
+def kept(selection: Selection) -> dict[str, Mask]:
+    """Return for each group the readings that are not outliers, in any component."""
+    field = selection.field
+    wrong = np.zeros(field.system.rows)
+    for one in selection.outliers:
+        wrong[field.places[one.number][field.places[one.number] >= 0]] = 1.0
+    found = {}
+    for group in field.system.model.readings:
+        d, n = group.observations.readings.shape
+        start = field.system.first[group.name]
+        found[group.name] = wrong[start : start + n * d].reshape(n, d).max(axis=1) == 0
+    return found
