@@ -108,12 +108,18 @@ def _parts(subject: Subject, group: Group) -> Iterator[tuple[tuple[str, ...], Ar
 
 def _components(system: System, group: Group, terms: Array) -> Array:
     """Return terms (n, k) for each component of the readings on its own, whitened, (rows, k components)."""
-    d, n = group.observations.readings.shape
-    full = np.zeros((system.rows, terms.shape[1] * d))
+    observations = group.observations
+    d, n = observations.readings.shape
+    k = terms.shape[1]
+    full = np.zeros((system.rows, k * d))
     start = system.first[group.name]
+    rows = slice(start, start + d * n)
+    factor = observations.sigma.T.ravel() / system.scale[rows]
     for i in range(d):
-        rows = start + i + d * np.arange(n)
-        full[rows, i * terms.shape[1] : (i + 1) * terms.shape[1]] = terms / system.scale[rows, None]
+        change = np.zeros((d, k, n))
+        change[i] = terms.T
+        whitened = np.moveaxis(observations.whitened(change), -1, 0).reshape(n * d, k)
+        full[rows, i * k : (i + 1) * k] = whitened * factor[:, None]
     return full
 
 
