@@ -64,7 +64,8 @@ def _words(block: Block, dwell: str) -> list[str]:
         case Rapid(to):
             return [f"G0 {_position(to)}"]
         case Feed(to, speed):
-            return [f"G1 {_position(to)} F{find_unit('mm/min', 'speed').outside(speed):.0f}"]
+            feed = f"{find_unit('mm/min', 'speed').outside(speed):.{_DIGITS}f}".rstrip("0").rstrip(".")
+            return [f"G1 {_position(to)} F{feed}"]
         case Dwell(time):
             return [f"G4 {dwell}{time:.3f}"]
         case Stop(message):

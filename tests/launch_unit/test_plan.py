@@ -253,6 +253,11 @@ def test_comments_cannot_break_a_program() -> None:
     assert done.comments == ["a [b] ?", "M30]", "x G0 X0", "s]"] and not done.rapids
 
 
+@pytest.mark.parametrize(("feed", "word"), [(2000 / 60, "F2000"), (0.4 / 60, "F0.4"), (1000.5 / 60, "F1000.5")])
+def test_a_slow_feed_is_not_none(feed: float, word: str) -> None:
+    assert f"G1 X1.0000 {word}\n" in nc_program.program("", (), [nc_program.Feed({"x": 1.0}, feed)])
+
+
 def test_settings_that_leave_no_room_are_refused() -> None:
     assert list(Planned(PAPER_PLAN.axes, 50.0, 4000.0).faults())
     assert not list(PAPER_PLAN.faults())
