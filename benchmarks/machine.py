@@ -164,7 +164,7 @@ def paths() -> None:
                 ratio = f"{identify(planned_problem(job, PathPlan(), path)).ratio:.1f}"
             except UndeterminedError as error:
                 ratio = str(error).splitlines()[0]
-            print(f"{str(knots):14s} {label:20s} {len(path.lengths):3d} legs {path.length / UM:5.1f} m  {ratio}")
+            print(f"{knots!s:14s} {label:20s} {len(path.lengths):3d} legs {path.length / UM:5.1f} m  {ratio}")
 
 
 def coverage(runs: int) -> None:
