@@ -132,7 +132,8 @@ class Scene:
         if "factor" in effects:
             found = found + effects["factor"] * (pixels(ellipse_centres(points, turn, self.radius), lens) - found)
         if "outside" in effects:
-            found = found + effects["outside"](self, found - np.column_stack([lens["cx"], lens["cy"]]), points) * effects["size"]
+            off = found - np.column_stack([lens["cx"], lens["cy"]])
+            found = found + effects["size"] * effects["outside"](self, off, points)
         return found
 
     def listed(self, effects: Effects) -> Array:
