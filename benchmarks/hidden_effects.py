@@ -11,13 +11,14 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 
-from benchmarks.hidden import images, lengths, rates
+from benchmarks.hidden import images, launch, lengths, rates
 from benchmarks.hidden.case import Case, Found
 
 KINDS: dict[str, Callable[[int], Iterator[Case]]] = {
     "multilaterate": lengths.cases,
     "calibrate-camera": images.calibrations,
     "align-part": images.alignments,
+    "locate-launch-unit": launch.cases,
 }
 COUNT = 600
 

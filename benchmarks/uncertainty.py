@@ -31,6 +31,7 @@ from metrocli.uncertainty import monte_carlo
 from metrocli.uncertainty.distributions import Arcsine, CurvilinearTrapezoid, Normal, Uniform
 from metrocli.uncertainty.expression import parse
 from metrocli.uncertainty.inputs import Inputs, Quantity, join
+from metrocli.uncertainty.trials import plan_of
 from metrocli.uncertainty.volume import extremes
 from metrocli.uncertainty.workers import Workers
 
@@ -82,7 +83,7 @@ def plain_numpy(trials: int) -> tuple[float, float, float]:
 
 def ours(trials: int, workers: int = 1) -> tuple[float, float, float]:
     """Return the same by metrocli's kernel, draws, intervals and covariance included."""
-    plan = monte_carlo.plan_of({"l": parse(GAUGE)}, gauge(), 1, 0.99, trials)
+    plan = plan_of({"l": parse(GAUGE)}, gauge(), 1, 0.99, trials)
     outcome = monte_carlo.run(plan, Workers(workers))
     low, high = outcome.samples[0].shortest(0.99)
     return float(outcome.covariance[0, 0] ** 0.5), low + outcome.centres[0], high + outcome.centres[0]

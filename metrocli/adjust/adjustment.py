@@ -4,21 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from metrocli.adjust.blocks import Array, Block
 from metrocli.adjust.covariance import Covariance, Gauge, shapes_of
 from metrocli.adjust.datum import Datum, Frame, open_frame
-from metrocli.adjust.groups import Group, Linear
+from metrocli.adjust.groups import Group
 from metrocli.adjust.layout import Layout, arrange, considered_covariance
-from metrocli.adjust.normals import Normals, assemble
+from metrocli.adjust.normals import Normals, assemble, cost_of
 from metrocli.adjust.outcome import Combination, Outcome
+from metrocli.adjust.portions import Split, split
 from metrocli.adjust.rank import open_combinations
 from metrocli.adjust.solution import Solution
 
 _ROUNDING = 1e-13
 """A fall of the sum of squares below this share of it is rounding."""
+_LAST_DIGITS = 4 * float(np.finfo(float).eps)
+"""What rounding leaves unsure of a predicted reading, as a share of it"""
 _DAMPING_START, _DAMPING_END, _DAMPING_LIMIT = 1e-9, 1e-11, 1e8
 
 
@@ -39,12 +43,25 @@ class _Problem:
     groups: Sequence[Group]
     layout: Layout
     datum: Datum | None
+    split: Split
 
-    def linear(self, blocks: Mapping[str, Block]) -> list[Linear]:
-        return [group.linear(blocks, self.layout.wanted) for group in self.groups]
+    @cached_property
+    def size(self) -> float:
+        """Root of the sum of squares of the readings in their standard deviations."""
+        whitened = (group.observations.whitened(group.observations.readings) for group in self.groups)
+        return float(np.sqrt(sum(np.vdot(values, values) for values in whitened)))
+
+    def normals(self, blocks: Mapping[str, Block]) -> Normals:
+        with np.errstate(all="ignore"):
+            return assemble(self.groups, self.split, blocks, self.layout)
+
+    def cost(self, blocks: Mapping[str, Block]) -> float:
+        with np.errstate(all="ignore"):
+            return cost_of(self.groups, self.split, blocks)
 
     def frame(self, blocks: Mapping[str, Block], matrix: Array) -> Frame | None:
-        return open_frame(self.datum, blocks, self.layout, matrix) if self.datum else None
+        with np.errstate(all="ignore"):
+            return open_frame(self.datum, blocks, self.layout, matrix) if self.datum else None
 
 
 def adjust(
@@ -58,32 +75,21 @@ def adjust(
     """
     control = control or Control()
     state = {block.name: block for block in blocks}
-    problem = _Problem(groups, arrange(state, groups, _kept(state, datum)), datum)
+    layout = arrange(state, groups, _kept(state, datum))
+    problem = _Problem(groups, layout, datum, split(groups, state, layout.eliminated))
     unknowns = sum(int(block.free.sum()) for block in state.values())
-    linears = problem.linear(state)
-    if not np.isfinite(sum(linear.cost for linear in linears)):
-        lost = Solution(Outcome.NO_START, state, tuple(groups), float("inf"), 0, unknowns)
-        return (
-            replace(lost, outcome=Outcome.TOO_FEW)
-            if lost.observations < unknowns - len(datum.names if datum else ())
-            else lost
-        )
-    damping, iterations, outcome = 0.0, 0, Outcome.ITERATION_LIMIT if control.limit else Outcome.CONVERGED
-    while iterations < control.limit:
-        normals = assemble(groups, linears, state, problem.layout)
+    descent = _Descent(problem, state, control.covariance)
+    lost = Solution(Outcome.NO_START, state, tuple(groups), float("inf"), 0, unknowns)
+    if not np.isfinite(descent.cost):
+        few = lost.observations < unknowns - len(datum.names if datum else ())
+        return replace(lost, outcome=Outcome.TOO_FEW) if few else lost
+    outcome = Outcome.ITERATION_LIMIT if control.limit else Outcome.CONVERGED
+    iterations = 0
+    while iterations < control.limit and outcome is Outcome.ITERATION_LIMIT:
         iterations += 1
-        found = _descend(problem, state, normals, damping, control.tolerance**2 * max(unknowns, 1))
-        if found is None:
-            outcome = Outcome.DIVERGED
-            break
-        state, linears, damping, last = found
-        if last:
-            outcome = Outcome.CONVERGED
-            break
-    solution = Solution(outcome, state, tuple(groups), sum(linear.cost for linear in linears), iterations, unknowns)
-    if not control.covariance:
-        return solution
-    return _with_covariance(solution, problem, assemble(groups, linears, state, problem.layout))
+        outcome = descent.step(control.tolerance**2 * max(unknowns, 1))
+    solution = replace(lost, outcome=outcome, blocks=descent.state, cost=descent.cost, iterations=iterations)
+    return _with_covariance(solution, problem, descent.here()) if control.covariance else solution
 
 
 def _kept(blocks: Mapping[str, Block], datum: Datum | None) -> tuple[str, ...]:
@@ -97,51 +103,75 @@ def covariance_at(blocks: Iterable[Block], groups: Sequence[Group], datum: Datum
     return adjust(blocks, groups, datum, Control(limit=0))
 
 
-_Found = tuple[dict[str, Block], list[Linear], float, bool]
+class _Descent:
+    """The way down: where it stands, with the normal equations there."""
 
+    def __init__(self, problem: _Problem, state: Mapping[str, Block], wanted: bool) -> None:
+        """Stand at `state`; `wanted` says whether the normal equations of the last place are needed."""
+        self.problem, self.state, self.damping, self.wanted = problem, dict(state), 0.0, wanted
+        self.normals: Normals | None = problem.normals(self.state)
+        self.cost = self.normals.cost
 
-def _descend(
-    problem: _Problem, state: Mapping[str, Block], normals: Normals, damping: float, small: float
-) -> _Found | None:
-    """Take one step that does not raise the cost; None where none is found.
+    def here(self) -> Normals:
+        """Return the normal equations at the present state."""
+        if self.normals is None:
+            self.normals = self.problem.normals(self.state)
+        return self.normals
 
-    Returns the new blocks, their linearisation, the damping left, and whether the step was the last.
-    """
-    frame: Frame | None = None
-    while damping <= _DAMPING_LIMIT:
-        damped = normals.damped(damping) if damping else normals
-        try:
-            step_r, frame = _solve(problem, state, damped)
-            step_e = damped.back(step_r)
-        except np.linalg.LinAlgError:
-            damping = max(damping * 10, _DAMPING_START)
-            continue
-        fall = float(normals.right_r @ step_r + np.vdot(normals.right_e, step_e))
-        moved = _moved(problem, state, step_r, step_e, frame)
-        with np.errstate(all="ignore"):
-            linears = problem.linear(moved)
-        cost = sum(linear.cost for linear in linears)
-        last = fall <= small + _ROUNDING * normals.cost
-        if cost <= normals.cost or (last and cost <= normals.cost * (1 + _ROUNDING) + small):
-            return moved, linears, _relaxed(damping), last and damping <= 1e-4
-        if last:
-            return dict(state), problem.linear(state), damping, True
-        damping = max(damping * 10, _DAMPING_START)
-    return None
+    def step(self, small: float) -> Outcome:
+        """Take one step that does not raise the cost; CONVERGED after the last, DIVERGED where none is found.
+
+        The normal equations of the old place are let go before those of the new one are made: they are most of the
+        memory. They are made again where the step is not taken.
+        """
+        while self.damping <= _DAMPING_LIMIT:
+            try:
+                moved, fall = self._moved()
+            except np.linalg.LinAlgError:
+                self._damp()
+                continue
+            self.normals = None
+            last = fall <= small + _ROUNDING * self.cost
+            found = None if last and not self.wanted else self.problem.normals(moved)
+            cost = found.cost if found else self.problem.cost(moved)
+            if cost <= self.cost or (last and cost <= self.cost + small + self._rounding()):
+                done = last and self.damping <= 1e-4
+                self.state, self.normals, self.cost, self.damping = moved, found, cost, _relaxed(self.damping)
+                return Outcome.CONVERGED if done else Outcome.ITERATION_LIMIT
+            if last:
+                return Outcome.CONVERGED
+            self._damp()
+        return Outcome.DIVERGED
+
+    def _rounding(self) -> float:
+        """Return how much of a sum of squares may be rounding (Cauchy, Schwarz): `2 |residual| |readings| eps`."""
+        return 2 * float(np.sqrt(self.cost)) * _LAST_DIGITS * self.problem.size + _ROUNDING * self.cost
+
+    def _damp(self) -> None:
+        self.damping = max(self.damping * 10, _DAMPING_START)
+
+    def _moved(self) -> tuple[dict[str, Block], float]:
+        """Return the blocks after the damped step, and the fall of the sum of squares that the model promises."""
+        normals = self.here()
+        with np.errstate(all="ignore"):  # what is absurd ends as LinAlgError or as a step that is not taken
+            damped = normals.damped(self.damping) if self.damping else normals
+            step, fall, frame = _solve(self.problem, self.state, damped)
+            return _moved(self.problem, self.state, step, damped.back(step), frame), fall
 
 
 def _relaxed(damping: float) -> float:
     return damping / 10 if damping / 10 > _DAMPING_END else 0.0
 
 
-def _solve(problem: _Problem, state: Mapping[str, Block], normals: Normals) -> tuple[Array, Frame | None]:
+def _solve(problem: _Problem, state: Mapping[str, Block], normals: Normals) -> tuple[Array, float, Frame | None]:
+    """Return the step of the reduced unknowns, the fall that all promise, `g' H^-1 g`, and the open movements."""
     free = problem.layout.free
-    matrix, right = normals.reduced()
+    matrix, right, alone = normals.reduced()
     frame = problem.frame(state, matrix)
     step = np.zeros(problem.layout.width)
     if free:
         step[:free] = _cholesky_solve(_held(matrix, frame)[:free, :free], right[:free])
-    return step, frame
+    return step, alone + float(right @ step), frame
 
 
 def _held(matrix: Array, frame: Frame | None) -> Array:
@@ -149,7 +179,7 @@ def _held(matrix: Array, frame: Frame | None) -> Array:
 
     In units in which every unknown has stiffness 1, since those of the blocks may be as far apart as mm and 1/s.
     """
-    if frame is None:
+    if frame is None or not len(matrix):
         return matrix
     size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     unit, _ = np.linalg.qr(frame.reduced * size[:, None])
@@ -179,12 +209,13 @@ def _moved(
         name: np.where(columns >= 0, step_r[np.maximum(columns, 0)], 0.0) for name, columns in layout.columns.items()
     }
     if layout.eliminated:
-        steps[layout.eliminated] = np.where(state[layout.eliminated].free, step_e, 0.0)
-    if frame is not None and problem.datum is not None:
-        block = state[problem.datum.block]
-        amounts = frame.step(problem.datum, block.values + steps.get(block.name, np.zeros_like(block.values)))
-        for name, moves in frame.moves.items():
-            steps[name] = steps.get(name, 0.0) + moves @ amounts
+        steps[layout.eliminated] = (
+            step_e if state[layout.eliminated].all_free else step_e * state[layout.eliminated].free
+        )
+    if frame is not None:
+        block = state[frame.datum.block]
+        shifts = frame.steps(state, block.values + steps.get(block.name, np.zeros_like(block.values)))
+        steps |= {name: steps.get(name, 0.0) + shift for name, shift in shifts.items()}
     for name, step in steps.items():
         if state[name].free.any():
             moved[name] = state[name].moved(step)
@@ -194,7 +225,7 @@ def _moved(
 def _with_covariance(solution: Solution, problem: _Problem, normals: Normals) -> Solution:
     blocks, layout = solution.blocks, problem.layout
     try:
-        matrix, _ = normals.reduced()
+        matrix = normals.reduced()[0]
         frame = problem.frame(blocks, matrix)
     except np.linalg.LinAlgError:
         matrix, frame = np.full((layout.width, layout.width), np.nan), None
@@ -209,52 +240,46 @@ def _with_covariance(solution: Solution, problem: _Problem, normals: Normals) ->
         return replace(counted, outcome=Outcome.TOO_FEW)
     free = layout.free
     inverse = _cholesky_solve(held[:free, :free], np.eye(free)) if free else np.zeros((0, 0))
-    gauge: Gauge | None = None
-    if frame is not None and problem.datum is not None:
-        if problem.datum.block == layout.eliminated:
-            inverse, gauge = _in_eliminated_datum(frame, problem.datum.block, normals, inverse)
-        else:
-            transform = frame.transform(layout, problem.datum)[:free, :free]
-            inverse = transform @ inverse @ transform.T
-    noise_only = np.zeros((layout.width, layout.width))
-    noise_only[:free, :free] = (inverse + inverse.T) / 2
-    return replace(
-        counted,
-        cofactor=replace(_cofactor(blocks, layout, normals, noise_only), gauge=gauge),
-        covariance=replace(_considered(blocks, layout, normals, held, noise_only), gauge=gauge),
-    )
+    invariant = _widened(inverse, layout)
+    cofactor = Covariance(layout, shapes_of(blocks), invariant, normals.parts, problem.split.portions, invariant)
+    if frame is not None and frame.datum.block == layout.eliminated:
+        own, shares = _in_eliminated_datum(frame, normals, inverse)
+        gauge = Gauge(frame, blocks[frame.datum.block], shares)
+        cofactor = replace(cofactor, reduced=_widened(own, layout), gauge=gauge)
+    elif frame is not None:
+        transform = frame.transform(layout)[:free, :free]
+        cofactor = replace(cofactor, reduced=_widened(transform @ inverse @ transform.T, layout))
+    joint = replace(cofactor, reduced=_considered(blocks, layout, held, cofactor.reduced))
+    return replace(counted, cofactor=cofactor, covariance=joint)
 
 
-def _in_eliminated_datum(frame: Frame, name: str, normals: Normals, inverse: Array) -> tuple[Array, Gauge]:
-    """Return the reduced covariance in a datum of inner constraints on the eliminated block, and what they add to it.
+def _widened(inverse: Array, layout: Layout) -> Array:
+    """Return a covariance of the free columns, made symmetric, with zeros for the considered ones."""
+    widened = np.zeros((layout.width, layout.width))
+    widened[: layout.free, : layout.free] = (inverse + inverse.T) / 2
+    return widened
+
+
+def _in_eliminated_datum(frame: Frame, normals: Normals, inverse: Array) -> tuple[Array, tuple[Array, ...]]:
+    """Return the reduced covariance in a datum of inner constraints on the eliminated block, and each part's `D^-1 H'`.
 
     With `h = H e = -A r + sum H_i n_i`, `A = sum H_i W_i`, n_i the noise of member i of covariance D_i^-1:
     `r' = (I + E A) r - E sum H_i n_i`.
     """
     free = len(inverse)
-    h = frame.of_members(normals.d.shape[1])
-    share: Array = np.asarray(np.linalg.solve(normals.d, np.swapaxes(h, 1, 2)), dtype=float)
-    transform = np.eye(free) + frame.reduced[:free] @ np.einsum("mks,msw->kw", h, normals.weights[:, :, :free])
-    noise = frame.reduced[:free] @ np.einsum("mks,msl->kl", h, share) @ frame.reduced[:free].T
-    return transform @ inverse @ transform.T + noise, Gauge(frame.moves[name], share, frame.reduced)
+    found = [part.moments(frame.constraint(part.members)) for part in normals.parts]
+    e = frame.reduced[:free]
+    coupled, gram = (np.sum([one[i] for one in found], axis=0) for i in (0, 1))
+    transform = np.eye(free) + e @ coupled[:, :free]
+    noise = e @ gram @ e.T
+    return transform @ inverse @ transform.T + noise, tuple(share for _, _, share in found)
 
 
-def _cofactor(blocks: Mapping[str, Block], layout: Layout, normals: Normals, reduced: Array) -> Covariance:
-    inverse, weights = normals.d, normals.weights
-    if layout.eliminated:
-        free = blocks[layout.eliminated].free
-        inverse = np.asarray(np.linalg.inv(normals.d), dtype=float) * free[:, :, None] * free[:, None, :]
-        weights = weights * free[:, :, None]
-    return Covariance(layout, shapes_of(blocks), reduced, weights, inverse)
-
-
-def _considered(
-    blocks: Mapping[str, Block], layout: Layout, normals: Normals, matrix: Array, noise_only: Array
-) -> Covariance:
+def _considered(blocks: Mapping[str, Block], layout: Layout, matrix: Array, noise_only: Array) -> Array:
     """Add what the considered blocks bring: `K = S_ff^-1 S_fc`, `Q_ff + K C K'`, `Q_fc = -K C`."""
     free = layout.free
     if free == layout.width:
-        return _cofactor(blocks, layout, normals, noise_only)
+        return noise_only
     joint = noise_only.copy()
     given = considered_covariance(blocks, layout)
     sensitivity = noise_only[:free, :free] @ matrix[:free, free:]
@@ -262,4 +287,4 @@ def _considered(
     joint[:free, free:] = -sensitivity @ given
     joint[free:, :free] = joint[:free, free:].T
     joint[free:, free:] = given
-    return _cofactor(blocks, layout, normals, joint)
+    return joint

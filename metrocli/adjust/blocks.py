@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -95,13 +96,19 @@ class Block:
             )
         object.__setattr__(self, "values", values)
         free = np.zeros(values.shape, dtype=bool) if self.considered is not None else self.free
-        object.__setattr__(self, "free", np.broadcast_to(np.asarray(free, dtype=bool), values.shape))
+        free = np.asarray(free, dtype=bool)
+        object.__setattr__(self, "free", free if free.shape == values.shape else np.broadcast_to(free, values.shape))
         object.__setattr__(self, "reach", np.broadcast_to(np.asarray(self.reach, dtype=float), values.shape[1:]))
 
     @property
     def size(self) -> int:
         """Number of unknowns of one member."""
         return len(self.columns)
+
+    @cached_property
+    def all_free(self) -> bool:
+        """Whether every entry is solved for."""
+        return bool(self.free.all())
 
     def with_values(self, values: Array) -> Block:
         """Return the block at other values."""

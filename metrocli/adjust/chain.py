@@ -40,20 +40,38 @@ class Local:
 
     def index(self, block: str) -> Index:
         """Return which member each reading touches, (n,) or (k, n); zeros for a block of one member."""
+        lattice = self.observations.lattice
+        if lattice is not None and (block == lattice.block or block in lattice.slots):
+            return lattice.index(block)
         index = self.observations.index.get(block)
         return np.zeros(self.observations.count, dtype=np.intp) if index is None else index
+
+    def slots(self, block: str) -> Index:
+        """Return which member each reading touches, or each slot of a lattice; one for the block of its members."""
+        lattice = self.observations.lattice
+        if lattice is None:
+            return self.index(block)
+        return lattice.slots.get(block, np.zeros(1, dtype=np.intp))
 
     def rows(self, block: str) -> Array:
         """Return the values touched by each reading, (size, n), or (size, 1) for a block of one member."""
         values = self.blocks[block].values
         if len(values) == 1:
             return values.T
-        return np.ascontiguousarray(values.T)[:, self.index(block)]
+        return self._at_readings(values, block)
 
     def spread(self, per_member: Array, block: str) -> Array:
         """Return values computed once for each member (members, ...) at each reading, (..., n) or (..., 1)."""
-        moved = np.moveaxis(per_member, 0, -1)
-        return moved if moved.shape[-1] == 1 else np.ascontiguousarray(moved)[..., self.index(block)]
+        return np.moveaxis(per_member, 0, -1) if len(per_member) == 1 else self._at_readings(per_member, block)
+
+    def _at_readings(self, per_member: Array, block: str) -> Array:
+        if self.observations.lattice is not None:
+            return self.observations.lattice.spread(per_member, block)
+        return np.ascontiguousarray(np.moveaxis(per_member, 0, -1))[..., self.index(block)]
+
+
+IDENTITY = np.eye(3)[:, :, None]
+"""Derivative of a point by itself, (3, 3, 1)"""
 
 
 class Link(Protocol):
@@ -243,6 +261,8 @@ def _in_front_of_readers(links: tuple[Link, ...], effect: Link, block: str) -> t
 def _behind(outer: Array | None, inner: Array) -> Array:
     if outer is None:
         return inner
+    if inner is IDENTITY:
+        return outer
     if inner.ndim == 4:
         return np.stack([through(outer, slot) for slot in inner])
     return through(outer, inner)

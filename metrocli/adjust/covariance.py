@@ -7,27 +7,45 @@ eliminated members; where it does (inner constraints on them) the terms of `Gaug
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from metrocli.adjust.blocks import Array, Block
+from metrocli.adjust.datum import Frame
+from metrocli.adjust.eliminated import Eliminated
 from metrocli.adjust.layout import Layout
+from metrocli.adjust.normals import Part
 from metrocli.adjust.observations import Index, Mask
+from metrocli.adjust.portions import Portion
 
 
 @dataclass(frozen=True)
 class Gauge:
     """What inner constraints on the eliminated block add: its noise E then enters the common movement h = sum H e."""
 
-    moves: Array
-    """E of the eliminated members, (members, s, k)"""
-    share: Array
-    """`D^-1 H'` of each member: the covariance of its own noise with the movement, (members, s, k)"""
-    reduced: Array
-    """E in the reduced system, (width, k)"""
+    frame: Frame
+    block: Block
+    """The eliminated block at the solution"""
+    shares: tuple[Array, ...]
+    """`D^-1 H'` of each part: the covariance of its own noise with the movement, (k, s, f)"""
+
+    def moves_of(self, members: Index | slice) -> Array:
+        """Return E of some members, (k, s, f)."""
+        moves = self.frame.moves[self.block.name].at(self.block.values, members)
+        return moves if self.block.all_free else np.asarray(moves * self.block.free[members, :, None])
+
+    @cached_property
+    def moves(self) -> Array:
+        """E of the eliminated members, (members, s, f)."""
+        return self.moves_of(np.arange(len(self.block.members)))
+
+    @property
+    def reduced(self) -> Array:
+        """E in the reduced system, (width, f)."""
+        return self.frame.reduced
 
 
 @dataclass(frozen=True)
@@ -38,13 +56,55 @@ class Covariance:
     shapes: Mapping[str, tuple[int, int]]
     reduced: Array
     """(width, width)"""
-    weights: Array
-    """W, (members, s, width)"""
-    inverse: Array
-    """D^-1 of the eliminated members with zeros at fixed entries, (members, s, s)"""
+    parts: tuple[Part, ...]
+    """The eliminated members at the solution"""
+    portions: tuple[Portion, ...]
+    """The readings of each part, where they are in portions"""
+    invariant: Array
+    """The covariance of the reduced unknowns in a frame that they define alone, (width, width)"""
     factor: float = 1.0
     """sigma0^2 where the noise is estimated, else 1"""
     gauge: Gauge | None = None
+
+    @cached_property
+    def weights(self) -> Array:
+        """W, (members, s, width)."""
+        return self._collected([part.weights() for part in self.parts])
+
+    @cached_property
+    def inverse(self) -> Array:
+        """D^-1 of the eliminated members with zeros at fixed entries, (members, s, s)."""
+        return self._collected([part.inverse() for part in self.parts])
+
+    @cached_property
+    def share(self) -> Array:
+        """`D^-1 H'` of the gauge, (members, s, f)."""
+        return self._collected(self.gauge.shares if self.gauge else [])
+
+    def _collected(self, found: Sequence[Array]) -> Array:
+        """Return what was found for each part in the order of the members."""
+        if not self.layout.eliminated:
+            return np.zeros((0, 0, 0))
+        full = np.empty((self.shapes[self.layout.eliminated][0], *found[0].shape[1:]))
+        for part, values in zip(self.parts, found, strict=True):
+            full[part.members] = values
+        return full
+
+    def explained(self, place: int, group_readings: tuple[int, int]) -> Array | None:
+        """Return the variance of the adjusted, whitened readings of the group at `place`, `diag(J Q J')`, (d, n).
+
+        It is the same in every frame. None where its readings are not in portions.
+        """
+        if not any(piece.place == place for portion in self.portions for piece in portion.pieces):
+            return None
+        full = np.empty(group_readings)
+        for part, portion in zip(self.parts, self.portions, strict=False):
+            if not isinstance(part, Eliminated):
+                return None
+            for piece, values in zip(portion.pieces, part.explained(self.invariant), strict=True):
+                if piece.place == place:
+                    full[:, piece.rows] = values
+        return self.factor * full
 
     def scaled(self, factor: float) -> Covariance:
         """Return the covariance multiplied by `factor`."""
@@ -63,7 +123,7 @@ class Covariance:
             view = full.reshape(m, s, m, s)
             view[np.arange(m), :, np.arange(m), :] += self.inverse
             if self.gauge is not None:
-                shared = self.gauge.moves.reshape(m * s, -1) @ self.gauge.share.reshape(m * s, -1).T
+                shared = self.gauge.moves.reshape(m * s, -1) @ self.share.reshape(m * s, -1).T
                 full -= shared + shared.T
             return self.factor * full
         if other == self.layout.eliminated:
@@ -76,15 +136,23 @@ class Covariance:
         """Return the covariance of each member of a block, (members, size, size)."""
         m, s = self.shapes[name]
         if name == self.layout.eliminated:
-            own = self.inverse + self._cross @ np.swapaxes(self.weights, 1, 2)
-            if self.gauge is not None:
-                own -= self.gauge.moves @ np.swapaxes(self.gauge.share, 1, 2)
-            return self.factor * own
+            own = np.empty((m, s, s))
+            for i, part in enumerate(self.parts):
+                own[part.members] = self.factor * self._own(i, part)
+            return own
         columns = self.layout.columns.get(name)
         if columns is None:
             return np.zeros((m, s, s))
         inside = (columns >= 0)[:, :, None] & (columns >= 0)[:, None, :]
         return self.factor * np.where(inside, self.reduced[columns[:, :, None], columns[:, None, :]], 0.0)
+
+    def _own(self, i: int, part: Part) -> Array:
+        """Return the covariance of the members of one part, (k, s, s)."""
+        own = part.covariance(self.reduced)
+        if self.gauge is not None:
+            shared = np.einsum("nsf,ntf->stn", self.gauge.moves_of(part.members), self.gauge.shares[i])
+            own = own - (shared + shared.swapaxes(0, 1)).transpose(2, 0, 1)
+        return own
 
     def pairs(self, name: str, index: Index, other: str, other_index: Index) -> Array:
         """Return the covariance of chosen pairs of members of two blocks, (size, size', n).
@@ -112,7 +180,7 @@ class Covariance:
     def _cross(self) -> Array:
         """Minus the covariance of the eliminated members with the reduced unknowns, (members, s, width)."""
         product: Array = self.weights @ self.reduced
-        return product if self.gauge is None else product + self.gauge.share @ self.gauge.reduced.T
+        return product if self.gauge is None else product + self.share @ self.gauge.reduced.T
 
     def _places(self, name: str, index: Index) -> tuple[Index, Mask]:
         columns = self.layout.columns.get(name)

@@ -13,13 +13,15 @@ import numpy as np
 
 from metrocli.adjust.blocks import Array, Block
 from metrocli.adjust.layout import Layout
+from metrocli.adjust.movements import Affine, Listed, Movement
+from metrocli.adjust.observations import Index
 
 _OPEN = 1e-11
 """A movement is open where its share of the normal matrix is rounding"""
 _LOOSE = 1e-12
 """The members of a datum do not hold a movement that moves them by less than this against the others"""
 
-Movements = Callable[[Mapping[str, Block]], Mapping[str, Array]]
+Movements = Mapping[str, Affine] | Callable[[Mapping[str, Block]], Mapping[str, Array]]
 
 
 @dataclass(frozen=True)
@@ -32,69 +34,102 @@ class Datum:
     members: Array
     """(members,) 1 for a member that takes part, else 0"""
     movements: Movements
-    """From the blocks the change of each by each freedom, name -> (members, size, freedoms)"""
+    """The change of each block by each freedom, affine in its values; or found from the blocks, (members, size, f)"""
     names: tuple[str, ...]
     """The freedoms in words: 'shift along x', 'rotation about z', 'scale'"""
+
+    def of(self, blocks: Mapping[str, Block]) -> Mapping[str, Movement]:
+        """Return the movements of the blocks."""
+        if not callable(self.movements):
+            return self.movements
+        return {name: Listed(moves) for name, moves in self.movements(blocks).items()}
+
+    def at_reference(self, blocks: Mapping[str, Block]) -> Movement:
+        """Return the movements of the datum block at its reference."""
+        return self.of({**blocks, self.block: blocks[self.block].with_values(self.reference)})[self.block]
 
 
 @dataclass(frozen=True)
 class Frame:
     """The part of a datum that the data leave open, at the present values."""
 
+    datum: Datum
     reduced: Array
     """E in the reduced system, (width, k)"""
-    moves: Mapping[str, Array]
-    """E for each block, (members, size, k)"""
-    constraint: Array
-    """`(G' E)^-1 G'` on the datum block, (k, members*size)"""
+    moves: Mapping[str, Movement]
+    """E for each block"""
+    reference: Movement
+    """G of the datum block"""
+    amounts: Array
+    """`(G' E)^-1`, (k, k)"""
 
-    def step(self, datum: Datum, values: Array) -> Array:
-        """Return the amounts of each movement that restore the condition at `values` of the datum block, (k,)."""
-        amounts: Array = -self.constraint @ (values - datum.reference).ravel()
-        return amounts
+    def steps(self, blocks: Mapping[str, Block], values: Array) -> dict[str, Array]:
+        """Return the step (members, size) of each block that restores the condition at `values` of the datum block."""
+        datum = self.datum
+        off = values - datum.reference
+        if not (datum.members == 1).all():
+            off *= datum.members[:, None]
+        by = -self.amounts @ self.reference.dot(datum.reference, off)
+        steps = {name: move.step(blocks[name].values, by) for name, move in self.moves.items()}
+        return {name: step if blocks[name].all_free else step * blocks[name].free for name, step in steps.items()}
 
-    def transform(self, layout: Layout, datum: Datum) -> Array:
+    def constraint(self, members: Index | slice) -> Array:
+        """Return `(G' E)^-1 G'` of some members of the datum block, (members, size, k)."""
+        g = self.reference.mixed(self.amounts.T).at(self.datum.reference, members)
+        weights = self.datum.members[members]
+        return g if (weights == 1).all() else np.asarray(g * weights[:, None, None])
+
+    def conditions(self, layout: Layout) -> Array:
+        """Return the conditions `(G' E)^-1 G'` on a reduced system that holds the datum block, (k, width)."""
+        columns = layout.columns[self.datum.block]
+        conditions = np.zeros((layout.width, self.reduced.shape[1]))
+        conditions[columns[columns >= 0]] = self.constraint(np.arange(len(columns)))[columns >= 0]
+        return conditions.T
+
+    def transform(self, layout: Layout) -> Array:
         """Return the S-transformation `I - E H` of the reduced system that holds the datum block, (width, width)."""
-        reach = np.zeros((self.reduced.shape[1], layout.width))
-        columns = layout.columns[datum.block].ravel()
-        reach[:, columns[columns >= 0]] = self.constraint[:, columns >= 0]
-        transform: Array = np.eye(layout.width) - self.reduced @ reach
+        transform: Array = np.eye(layout.width) - self.reduced @ self.conditions(layout)
         return transform
-
-    def of_members(self, size: int) -> Array:
-        """Return the constraint member by member, H (members, k, size)."""
-        return np.moveaxis(self.constraint.reshape(len(self.constraint), -1, size), 0, 1)
 
 
 def open_frame(datum: Datum, blocks: Mapping[str, Block], layout: Layout, matrix: Array) -> Frame | None:
     """Return the movements of the datum that the reduced normal matrix does not see; None if it sees them all."""
-    moves = datum.movements(blocks)
+    moves = datum.of(blocks)
     full = np.zeros((layout.width, len(datum.names)))
     for name, move in moves.items():
         columns = layout.columns.get(name)
         if columns is not None:
-            full[columns[columns >= 0]] = move[columns >= 0]
-    size = np.abs(full)
-    lengths = np.sqrt(np.maximum(np.einsum("ik,ij,jk->k", size, np.abs(matrix), size, optimize=True), 1e-300))
-    unit = full / lengths
-    seen, basis = np.linalg.eigh(unit.T @ matrix @ unit)
-    open_ones = seen < _OPEN
-    if not open_ones.any():
+            full[columns[columns >= 0]] = move.at(blocks[name].values, np.arange(len(columns)))[columns >= 0]
+    mix = _open(full, matrix)
+    if not mix.size:
         return None
-    mix = basis[:, open_ones] / lengths[:, None]
-    chosen = {name: (move @ mix) * blocks[name].free[:, :, None] for name, move in moves.items()}
-    movements = chosen[datum.block]
-    at_reference = (
-        datum.movements({**blocks, datum.block: blocks[datum.block].with_values(datum.reference)})[datum.block] @ mix
-    )
-    g = (at_reference * datum.members[:, None, None]).reshape(-1, mix.shape[1])
-    return Frame(full @ mix, chosen, _constraint(g, movements.reshape(g.shape)))
+    reference = datum.at_reference(blocks).mixed(mix)
+    mixed = {name: move.mixed(mix) for name, move in moves.items()}
+    amounts = _amounts(datum, blocks[datum.block], reference, mixed[datum.block])
+    return Frame(datum, full @ mix, mixed, reference, amounts)
 
 
-def _constraint(g: Array, e: Array) -> Array:
-    """Return `(G' E)^-1 G'`; LinAlgError where the members of the datum do not hold every open movement."""
-    held = e * (g != 0).any(axis=1)[:, None]
-    g_unit, e_unit = (part / np.maximum(np.linalg.norm(part, axis=0), 1e-300) for part in (g, held))
-    if np.linalg.svd(g_unit.T @ e_unit, compute_uv=False).min() < _LOOSE:
+def _open(full: Array, matrix: Array) -> Array:
+    """Return the combinations of the movements (width, f) that the matrix does not see, (f, k).
+
+    A movement without a part in the reduced system is seen: the readings of each eliminated member determine it.
+    """
+    moving = np.flatnonzero((full != 0).any(axis=0))
+    size = np.abs(full[:, moving])
+    lengths = np.sqrt(np.maximum(np.einsum("ik,ij,jk->k", size, np.abs(matrix), size, optimize=True), 1e-300))
+    unit = full[:, moving] / lengths
+    seen, basis = np.linalg.eigh(unit.T @ matrix @ unit)
+    mix = np.zeros((full.shape[1], int((seen < _OPEN).sum())))
+    mix[moving] = basis[:, seen < _OPEN] / lengths[:, None]
+    return mix
+
+
+def _amounts(datum: Datum, block: Block, reference: Movement, moves: Movement) -> Array:
+    """Return `(G' E)^-1`; LinAlgError where the members of the datum do not hold every open movement."""
+    seen = datum.members if block.all_free else datum.members[:, None] * block.free
+    product = reference.gram(datum.reference, moves, block.values, seen)
+    own = np.diag(reference.gram(datum.reference, reference, datum.reference, datum.members**2))
+    share = product / np.sqrt(np.maximum(own[:, None] * own, 1e-300))
+    if not np.isfinite(share).all() or np.linalg.svd(share, compute_uv=False).min() < _LOOSE:
         raise np.linalg.LinAlgError("the members of the datum leave a movement open")
-    return np.asarray(np.linalg.solve(g.T @ e, g.T), dtype=float)
+    return np.asarray(np.linalg.inv(product), dtype=float)

@@ -19,7 +19,7 @@ class Touch:
 
     block: str
     index: Index
-    """Member touched by each reading, (n,)"""
+    """Member touched by each reading, (n,), of a lattice by each of its slots, (m,)"""
     jacobian: Array
     """(d, size, n)"""
 
@@ -58,10 +58,10 @@ class Group:
         touches = []
         for name, jacobian in self.chain.derivatives(steps, wanted).items():
             slots = jacobian if jacobian.ndim == 4 else jacobian[None]
-            index = np.atleast_2d(local.index(name))
+            index = np.atleast_2d(local.slots(name))
             for slot, members in zip(slots, index, strict=True):
-                full = np.broadcast_to(slot, (*slot.shape[:2], observations.count))
-                touches.append(Touch(name, members, self._weighted(observations.whitened(full))))
+                whitened = self._weighted(observations.whitened(slot))
+                touches.append(Touch(name, members, np.broadcast_to(whitened, (*slot.shape[:2], observations.count))))
         return Linear(residual, tuple(touches))
 
     def residuals(self, blocks: Mapping[str, Block]) -> Array:

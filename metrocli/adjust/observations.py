@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -11,6 +12,38 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 Mask = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """Readings in regular order: of k members of one block the first reading each, then the second, up to the m-th.
+
+    Reading `j k + i` is the j-th of `members[i]`; of every other block it touches `slots[block][j]`.
+    """
+
+    block: str
+    members: Index | slice
+    """(k,)"""
+    slots: Mapping[str, Index]
+    """(m,) for each other block"""
+    shape: tuple[int, int]
+    """(m, k)"""
+
+    def index(self, block: str) -> Index:
+        """Return which member of a block each reading touches, (m k,)."""
+        if block == self.block:
+            members = self.members
+            here = np.arange(members.start, members.stop) if isinstance(members, slice) else members
+            return np.tile(here, self.shape[0])
+        return np.repeat(self.slots[block], self.shape[1])
+
+    def spread(self, per_member: Array, block: str) -> Array:
+        """Return values of the members (members, ...) at each reading, (..., m k)."""
+        along_members = block == self.block
+        chosen = np.moveaxis(per_member[self.members if along_members else self.slots[block]], 0, -1)
+        full = np.empty((*chosen.shape[:-1], *self.shape))
+        full[...] = chosen[..., None, :] if along_members else chosen[..., None]
+        return full.reshape(*chosen.shape[:-1], self.shape[0] * self.shape[1])
 
 
 @dataclass(frozen=True)
@@ -32,6 +65,8 @@ class Observations:
     components: tuple[str, ...] = ("",)
     """Name of each of the d components: u, v."""
     unit: str = ""
+    lattice: Lattice | None = None
+    """In place of `index` where readings are in regular order: those of a portion of the normal equations"""
     _whitening: Array | None = field(default=None, init=False, repr=False)
     """Inverse Cholesky factor of `covariance`, (n, d, d)"""
 
@@ -61,13 +96,22 @@ class Observations:
         chosen = np.flatnonzero(keep) if keep.dtype == bool else keep
         return replace(
             self,
-            readings=self.readings[:, chosen],
-            sigma=self.sigma[:, chosen],
+            **self._numbers(chosen),
             index={name: index[..., chosen] for name, index in self.index.items()},
-            covariance=None if self.covariance is None else self.covariance[:, :, chosen],
             keys={name: tuple(values[i] for i in chosen) for name, values in self.keys.items()},
-            conditions={name: values[chosen] for name, values in self.conditions.items()},
         )
+
+    def in_lattice(self, chosen: Index, lattice: Lattice) -> Observations:
+        """Return the readings chosen by indices (n,), which are in the regular order of `lattice`; without keys."""
+        return replace(self, **self._numbers(chosen), index={}, keys={}, lattice=lattice)
+
+    def _numbers(self, chosen: Mask | Index) -> dict[str, Any]:
+        return {
+            "readings": self.readings[:, chosen],
+            "sigma": self.sigma[:, chosen],
+            "covariance": None if self.covariance is None else self.covariance[:, :, chosen],
+            "conditions": {name: values[chosen] for name, values in self.conditions.items()},
+        }
 
     def with_readings(self, readings: Array) -> Observations:
         """Return the same design with other readings."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from metrocli.adjust.blocks import Array, Block
 from metrocli.adjust.layout import Layout
-from metrocli.adjust.normals import Normals
+from metrocli.adjust.normals import Normals, Part
 from metrocli.adjust.outcome import Combination
 
 _INFLATION = 1e6
@@ -31,7 +31,7 @@ def open_combinations(
     single = _open_members(blocks, layout, normals)
     if single or not layout.free:
         return single
-    reach = _reach(blocks, layout, np.diag(normals.n))[: layout.free]
+    reach = _reach(blocks, layout, normals.diagonal)[: layout.free]
     scaled = matrix[: layout.free, : layout.free] * reach[:, None] * reach
     if _surely_determined(scaled):
         return ()
@@ -41,7 +41,7 @@ def open_combinations(
         if value < max(1.0, _ROUNDING * values[-1]):
             step = np.zeros(layout.width)
             step[: layout.free] = vector * reach
-            found.append(_combination(blocks, layout, step, normals.weights, value))
+            found.append(_combination(blocks, layout, step, normals, value))
     return tuple(found)
 
 
@@ -76,32 +76,49 @@ def _open_members(blocks: Mapping[str, Block], layout: Layout, normals: Normals)
     """Return members of the eliminated block that their own readings do not determine."""
     if layout.eliminated is None:
         return ()
-    block = blocks[layout.eliminated]
-    diagonal = np.einsum("mii->mi", normals.d)
-    reach = np.where(
-        block.free, _limited(np.broadcast_to(block.reach, diagonal.shape), np.where(block.free, diagonal, 0.0)), 1.0
-    )
-    scaled = normals.d * reach[:, :, None] * reach[:, None, :] + np.eye(block.size) * ~block.free[:, None, :] * 2
+    return tuple(found for part in normals.parts for found in _open_in(blocks[layout.eliminated], part))
+
+
+def _open_in(block: Block, part: Part) -> list[Combination]:
+    matrices, free = part.normals(), block.free[part.members]
+    diagonal = np.einsum("mii->mi", matrices)
+    reach = np.where(free, _limited(np.broadcast_to(block.reach, diagonal.shape), np.where(free, diagonal, 0.0)), 1.0)
+    if _all_determined(part, reach):
+        return []
+    names = np.arange(len(block.members))[part.members]
+    scaled = matrices * reach[:, :, None] * reach[:, None, :] + np.eye(block.size) * ~free[:, None, :] * 2
     values, vectors = np.linalg.eigh(scaled)
     bad = np.flatnonzero(values[:, 0] < 1)
     found = []
     for member in bad:
-        vector = np.abs(vectors[member, :, 0]) * block.free[member]
+        vector = np.abs(vectors[member, :, 0]) * free[member]
         parts = [
-            (block.name, column, f"{block.noun} {block.members[member]}".strip(), float(share))
+            (block.name, column, f"{block.noun} {block.members[names[member]]}".strip(), float(share))
             for column, share in zip(block.columns, vector / vector.max(), strict=True)
             if share > _SHARE
         ]
         found.append(Combination(tuple(parts), _spread(float(values[member, 0]))))
-    return tuple(found)
+    return found
 
 
-def _combination(blocks: Mapping[str, Block], layout: Layout, step: Array, weights: Array, value: float) -> Combination:
+def _all_determined(part: Part, reach: Array) -> bool:
+    """Whether the trace of the inverse of every member is below 1, so that none can be open."""
+    try:
+        inverse = part.inverse()
+    except np.linalg.LinAlgError:
+        return False
+    traces = np.einsum("mii,mi->m", inverse, 1 / reach**2)
+    return bool((traces < 1).all() and (np.einsum("mii->mi", inverse) >= 0).all())
+
+
+def _combination(
+    blocks: Mapping[str, Block], layout: Layout, step: Array, normals: Normals, value: float
+) -> Combination:
     moves: dict[str, Array] = {}
     for name, columns in layout.columns.items():
         moves[name] = np.where(columns >= 0, step[np.maximum(columns, 0)], 0.0)
     if layout.eliminated:
-        moves[layout.eliminated] = (weights @ step) * blocks[layout.eliminated].free
+        moves[layout.eliminated] = normals.following(step) * blocks[layout.eliminated].free
     relative = {name: np.abs(move) / _unit(blocks[name], move) for name, move in moves.items()}
     largest = max(float(part.max(initial=0.0)) for part in relative.values()) or 1.0
     parts = [part for name, share in relative.items() for part in _named(blocks[name], share / largest)]

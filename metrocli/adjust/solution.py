@@ -113,6 +113,10 @@ def _explained(solution: Solution, group: Group) -> Array:
     cofactor = solution.cofactor
     if cofactor is None:
         raise RuntimeError(solution.outcome.value)
+    for place, one in enumerate(solution.groups):
+        found = cofactor.explained(place, group.observations.readings.shape) if one is group else None
+        if found is not None:
+            return found
     touches = group.linear(solution.blocks, cofactor.layout.wanted).touches
     total = np.zeros(group.observations.readings.shape)
     for i, first in enumerate(touches):

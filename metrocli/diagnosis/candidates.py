@@ -12,9 +12,11 @@ from metrocli.adjust.blocks import Array
 from metrocli.diagnosis.projection import System, signatures
 from metrocli.diagnosis.subject import Subject
 from metrocli.effects.effect import COLUMN, Effect
-from metrocli.effects.model import Model, can_act
+from metrocli.effects.model import Model, can_act, names_for
 
 _MOST_PLACES = 3000
+_ABSORBED = 1e-6
+"""Share of a signature that is rounding"""
 
 
 @dataclass(frozen=True)
@@ -94,8 +96,8 @@ def _joined(parts: Sequence[Family]) -> Family:
 
 def instances(model: Model, effect: Effect) -> list[tuple[str, ...]]:
     """Return all places where an effect could act."""
-    names = [model.places[key].names[key in effect.not_first :] for key in effect.keys]
-    return list(product(*names))[:_MOST_PLACES]
+    found = list(product(*(names_for(model, effect, key) for key in effect.keys)))
+    return found[:_MOST_PLACES]
 
 
 def _of_effect(subject: Subject, system: System, effect: Effect) -> Iterator[Family]:
@@ -105,13 +107,23 @@ def _of_effect(subject: Subject, system: System, effect: Effect) -> Iterator[Fam
         if not chosen:
             continue
         found = [_columns(subject, system, effect, chosen, dict(scan)) for scan in _scans(subject.model, effect)]
-        kept = [(one, columns, raw) for part in found for one, columns, raw in part]
+        kept = _telling([(one, columns, raw) for part in found for one, columns, raw in part])
         by_size: dict[int, list[tuple[Alternative, Array, Array]]] = {}
         for item in kept:
             by_size.setdefault(item[1].shape[1], []).append(item)
         for items in by_size.values():
             columns = np.stack([columns for _, columns, _ in items], axis=1)
             yield Family(effect.name, tuple(one for one, _, _ in items), columns, np.stack([raw for *_, raw in items]))
+
+
+def _telling(items: Sequence[tuple[Alternative, Array, Array]]) -> list[tuple[Alternative, Array, Array]]:
+    """Return the items without values of a scan at which the unknowns absorb all, where they do not at others.
+
+    A step at a time before all readings that it concerns is such a value.
+    """
+    seen = [bool((np.linalg.norm(columns, axis=0) > _ABSORBED * raw).any()) for _, columns, raw in items]
+    somewhere = {one.instance for (one, _, _), visible in zip(items, seen, strict=True) if visible}
+    return [item for item, visible in zip(items, seen, strict=True) if visible or item[0].instance not in somewhere]
 
 
 def _absent(model: Model, effect: Effect) -> list[tuple[str, ...]]:

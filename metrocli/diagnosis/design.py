@@ -153,7 +153,7 @@ def _candidate(subject: Subject, field: Field, family: int, chosen: Sequence[int
     visible = float(np.sqrt(np.mean(np.diag(gram[at]) / np.where(raw > 0, raw, 1.0) ** 2)))
     size = detectable_size(field, family, at, noise) if rank else float("inf")
     full = signature(subject.model, field.system, alternative.effect, alternative.instance, dict(alternative.scanned))
-    shift = field.system.shift(full, subject.delivered.block, subject.delivered.columns)
+    shift = field.system.shifts(full, subject.delivered.blocks, subject.delivered.columns)
     hides = float(np.sqrt((shift**2).sum(axis=(1, 2)).max(initial=0.0) / full.shape[1]))
     if hides < _NOTHING * np.linalg.norm(full) / np.sqrt(full.shape[1]) * _typical(field.system):
         hides = 0.0

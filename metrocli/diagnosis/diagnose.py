@@ -168,7 +168,7 @@ def _shift(subject: Subject, system: System, name: Named) -> float:
     """Return by how much what is delivered changes at most when an effect is taken into the model."""
     alternative = name.alternative
     full = signature(subject.model, system, alternative.effect, alternative.instance, dict(alternative.scanned))
-    shift = system.shift((full @ name.values)[:, None], subject.delivered.block, subject.delivered.columns)
+    shift = system.shifts((full @ name.values)[:, None], subject.delivered.blocks, subject.delivered.columns)
     return float(np.sqrt((shift**2).sum(axis=(1, 2)).max(initial=0.0)))
 
 

@@ -123,6 +123,10 @@ def _of_table(table: Table) -> Iterator[tuple[str, Table]]:
         degree = next(unit.inside(1.0) for unit in DIMENSIONS["angle"].units if unit.symbol == "deg")
         yield "degrees, read as radians", _scaled(table, angles, degree)
         yield "radians, read as degrees", _scaled(table, angles, 1 / degree)
+    for one, other in combinations(angles, 2):
+        yield f"{one} and {other} are swapped", _swapped(table, one, other)
+    for angle in angles:
+        yield f"{angle} has the wrong sign", _scaled(table, [angle], -1.0)
     axes = [name for name in "xyz" if name in table]
     for one, other in combinations(axes, 2):
         yield f"{one} and {other} are swapped", _swapped(table, one, other)

@@ -94,6 +94,10 @@ class System:
         places = self.entries(block)[:, list(columns)]
         return np.where((places >= 0)[:, :, None], change[np.maximum(places, 0)], 0.0)
 
+    def shifts(self, values: Array, blocks: Sequence[str], columns: tuple[int, ...]) -> Array:
+        """Return `shift` of several blocks, one after the other."""
+        return np.concatenate([self.shift(values, block, columns) for block in blocks])
+
 
 def by_rows(linear: Linear) -> Array:
     """Return the residuals of a group with the components of each reading together."""
@@ -154,10 +158,7 @@ def _factored(model: Model, layout: Layout, jacobian: Array) -> tuple[Array, Arr
     if model.datum is not None:
         frame = open_frame(model.datum, model.blocks, layout, jacobian.T @ jacobian)
         if frame is not None:
-            conditions = np.zeros((len(frame.constraint), layout.width))
-            places = layout.columns[model.datum.block].ravel()
-            conditions[:, places[places >= 0]] = frame.constraint[:, places >= 0]
-            conditions = conditions / size
+            conditions = frame.conditions(layout) / size
             rows = np.concatenate([scaled, conditions / np.linalg.norm(conditions, axis=1, keepdims=True)])
     q, triangle = np.linalg.qr(rows)
     inverse = np.linalg.inv(triangle)

@@ -65,6 +65,11 @@ class Selection:
         """The wrong readings."""
         return tuple(one for one in self.chosen if one.outlier)
 
+    @property
+    def members(self) -> frozenset[tuple[int, int]]:
+        """Family and number of all that was chosen."""
+        return frozenset((one.family, one.number) for one in self.chosen)
+
     def given(self, without: Sequence[Chosen] = ()) -> Given:
         """Return the model with what was chosen, but for some."""
         kept = [one.columns for one in self.chosen if not any(one is other for other in without)]
@@ -85,9 +90,10 @@ def select(field: Field, start: Given) -> Selection:
     selection = Selection(field, start)
     for _ in range(_STEPS):
         step = _step(selection)
-        if step is None:
+        settled = selection if step is None else _settled(step)
+        if settled.members == selection.members:
             break
-        selection = _settled(step)
+        selection = settled
     return _settled(selection)
 
 
@@ -119,7 +125,8 @@ def _step(selection: Selection) -> Selection | None:
                 continue
             known = _with_effects(selection)
             best = field.score(family, known.given())
-            if field.overall(field.level(family, best.log_p[best.best])) > np.log(UNKNOWN):
+            left = field.overall(field.level(family, best.log_p[best.best]))
+            if left > np.log(UNKNOWN) and _together(selection, known) <= level:
                 return known
         return _with_best(selection, family, score)
     return None
@@ -145,6 +152,17 @@ def _with_effects(selection: Selection) -> Selection:
             break
         selection = _with_best(selection, family, score)
     return selection
+
+
+def _together(selection: Selection, known: Selection) -> float:
+    """Return ln of the level of all that one selection has more than another, counted over their families."""
+    before, after = selection.given(), known.given()
+    gain, q = before.squares - after.squares, int(before.dof - after.dof)
+    if q < 1:
+        return 0.0
+    new = known.chosen[len(selection.chosen) :]
+    tries = sum(float(np.log(selection.field.tests[one.family])) for one in new)
+    return float(log_tail(np.array(gain / max(before.squares, 1e-300)), q, max(after.dof, 1.0))) + tries
 
 
 def carried_by_few(field: Field, given: Given, family: int, number: int) -> float:

@@ -32,6 +32,12 @@ def smooth_families(subject: Subject, system: System) -> list[Family]:
 
 
 def _of(subject: Subject, system: System, covariate: Covariate) -> Iterator[Family]:
+    if covariate.together:
+        columns = _together(subject, system, covariate)
+        raw = np.linalg.norm(columns, axis=0)[None]
+        one = (_alternative(covariate, ()),)
+        yield Family(f"moving with {covariate.name}", one, system.seen(columns)[:, None], raw, covariate.name)
+        return
     found: list[tuple[Alternative, Array]] = []
     for group in subject.model.readings:
         values = covariate.values.get(group.name)
@@ -80,6 +86,15 @@ def _waves(subject: Subject, system: System, covariate: Covariate) -> Iterator[F
         seen = system.seen(stacked.reshape(len(stacked), -1)).reshape(stacked.shape)
         raw = np.linalg.norm(stacked, axis=0)
         yield Family(f"waves in {covariate.name}", tuple(names), seen, raw, unknown=covariate.name)
+
+
+def _together(subject: Subject, system: System, covariate: Covariate) -> Array:
+    """Return the terms of readings of one component each, whitened, all groups one after the other, (rows, k)."""
+    full = np.zeros((system.rows, len(np.atleast_2d(next(iter(covariate.values.values()))))))
+    for group in subject.model.readings:
+        rows = system.first[group.name] + np.arange(group.observations.count)
+        full[rows] = np.atleast_2d(covariate.values[group.name]).T / system.scale[rows, None]
+    return full
 
 
 def _parts(subject: Subject, group: Group) -> Iterator[tuple[tuple[str, ...], Array]]:

@@ -19,7 +19,7 @@ from metrocli.diagnosis.subject import Subject
 _AFTER, _NOTHING_NAMED = 0.03, 0.005
 """Levels, counted over all smooth functions, of structure that is left beside names, and where there is none"""
 _CARRIED = 0.2
-"""Level that it must keep, counted over all that is tried, without the few readings that speak for it most"""
+"""Level that it must keep beside outliers, counted over all, without the few readings that speak for it most"""
 _NEGLIGIBLE = 0.05
 """Share of the largest below which a reading does not count as touched"""
 REPEATS = "what repeated readings have in common"
@@ -102,7 +102,8 @@ def left_over(selection: Selection, names: Sequence[Named], field: Field, given:
     log_level, number, best = min(found, default=(0.0, -1, 0))
     level = float(np.exp(log_family(log_level, field.unknowns)))
     stays = number >= 0 and level < (_AFTER if names else _NOTHING_NAMED)
-    stays = stays and carried_by_few(field, given, number, best) < np.log(_CARRIED)
+    if stays and selection.outliers:
+        stays = carried_by_few(field, given, number, best) < np.log(_CARRIED)
     after = [field.families[number].unknown] if stays else []
     if unknown:
         levels = dict(zip(map(id, selection.chosen), selection.levels(), strict=True))

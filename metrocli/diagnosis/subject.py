@@ -29,6 +29,8 @@ class Covariate:
     """It comes round: harmonics of it are tried"""
     periodic: bool = False
     """Sines of it are tried, over a scan of periods"""
+    together: bool = False
+    """Its coordinates (k, n) are the terms themselves, of readings of all groups at once: an unknown that moves"""
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,13 @@ class Delivered:
     unit: str
     """Unit for people, such as um"""
     dimension: str
+    also: tuple[str, ...] = ()
+    """More blocks of the same kind, with the same columns"""
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """All blocks."""
+        return (self.block, *self.also)
 
 
 @dataclass(frozen=True)

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from metrocli.adjust.blocks import Space
+from collections.abc import Mapping
+
+import numpy as np
+
+from metrocli.adjust.blocks import Array, Space
 from metrocli.effects.effect import Effect, Parameter
-from metrocli.effects.motions import Backlash, LoadSag, MachineDrift, ScrewPitchError, ThermalGrowth
+from metrocli.effects.motions import AXES, Backlash, LoadSag, MachineDrift, ScrewPitchError, ThermalGrowth
 from metrocli.effects.trackers import TrackerEccentricity, TrackerMoves, TrackerScale
 from metrocli.units import parse_quantity
 
@@ -17,6 +21,17 @@ def _size(name: str, dimension: str, plausible: str) -> Parameter:
 
 def _velocity() -> tuple[Parameter, ...]:
     return tuple(_size(name, "speed", "1 um/min") for name in ("vx", "vy", "vz"))
+
+
+_SHORTEST, _LONGEST = 2.0, 50.0
+"""Periods that are looked for [mm]"""
+
+
+def _periods(conditions: Mapping[str, Array]) -> Array:
+    """Return periods so close that the phase of none is off by more than a quarter of a turn at the ends of an axis."""
+    longest = max(float(np.ptp(conditions[axis])) for axis in AXES)
+    count = int(np.ceil(2 * longest * (1 / _SHORTEST - 1 / _LONGEST))) + 1
+    return np.asarray(1 / np.linspace(1 / _LONGEST, 1 / _SHORTEST, count))
 
 
 EFFECTS: tuple[Effect, ...] = (
@@ -36,7 +51,7 @@ EFFECTS: tuple[Effect, ...] = (
         (_size("amplitude", "length", "10 um"), _size("phase", "angle", "6.3 rad")),
         lambda block, where: ScrewPitchError(block, where["axis"]),
         where=("axis",),
-        scanned=(Parameter("period", "length"),),
+        scanned=(Parameter("period", "length", grid=_periods),),
         space=Space.WAVE,
         reveal="a line of points closer than a quarter of the pitch, at steps that are no multiple of it",
         source="ISO 230-2:2014 (targets not at multiples of the pitch, for this error)",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from metrocli.effects.balls import BallShift, Bending, Growth, ReadingDrift, ReadingScale, ReadingStep
-from metrocli.effects.effect import ELAPSED, Effect, Parameter
+from metrocli.effects.effect import ELAPSED, Effect, Parameter, change_points
 from metrocli.units import parse_quantity
 
 AXES = ("x", "y", "z")
@@ -52,7 +52,7 @@ EFFECTS: tuple[Effect, ...] = (
         tuple(_size(name, "length", "0.1 mm") for name in ("dx", "dy", "dz")),
         lambda block, where: ReadingStep(block),
         where=("view",),
-        scanned=(Parameter("at", "time"),),
+        scanned=(Parameter("at", "time", grid=change_points),),
         needs=("t",),
         confused_with=("drift-in-view",),
         reveal="the first balls again at the end of the view",

@@ -113,13 +113,17 @@ class BallDistance:
         return Step(distance[None], by_block={ARTEFACT: np.stack([towards, -towards])})
 
 
+def mounted(views: Sequence[View], pitch: float) -> Mounted:
+    """Return the link of the nominal mountings."""
+    return Mounted(np.stack([view.turn for view in views]), np.stack([view.shift for view in views]) * pitch)
+
+
 def chain(views: Sequence[View], balls: Index, pitch: float) -> Chain:
     """Return the forward model of a reading; balls (n, 3) are those of the artefact's block."""
-    turns, shifts = np.stack([view.turn for view in views]), np.stack([view.shift for view in views]) * pitch
     return Chain(
         (
             BallOf(np.asarray(balls * pitch, dtype=float)),
-            Mounted(turns, shifts),
+            mounted(views, pitch),
             OutOf(VIEW, Quantity.BALL_ON_TABLE, Quantity.POINT_IN_MACHINE),
             WithMachineError(),
         )

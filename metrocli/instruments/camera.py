@@ -9,9 +9,9 @@ import numpy as np
 from metrocli.adjust.blocks import Array, Block, Space
 from metrocli.adjust.chain import Chain, Link
 from metrocli.adjust.datum import Datum
+from metrocli.adjust.movements import of_members, of_points
 from metrocli.adjust.quantities import Quantity
 from metrocli.geometry import poses
-from metrocli.geometry.rotations import cross_matrix
 from metrocli.instruments.frames import Into, OutOf, PointOf
 from metrocli.instruments.lens import PIXELS, Lens, LensBackward
 
@@ -99,16 +99,6 @@ FREEDOMS = (
 
 def network_datum(targets: Block, takes_part: Array) -> Datum:
     """Return the inner constraints of a network: targets that define the frame keep their mean place, turn and size."""
-    return Datum(TARGET, targets.values, takes_part, _movements, FREEDOMS)
-
-
-def _movements(blocks: Mapping[str, Block]) -> dict[str, Array]:
-    """Return how targets and camera poses change when the network is shifted, turned and scaled."""
-    points, views = blocks[TARGET].values, blocks[VIEW].values
-    moves = {TARGET: np.zeros((len(points), 3, 7)), VIEW: np.zeros((len(views), 6, 7))}
-    for name, places in ((TARGET, points), (VIEW, views[:, :3])):
-        moves[name][:, :3, :3] = np.eye(3)
-        moves[name][:, :3, 3:6] = -cross_matrix(places)
-        moves[name][:, :3, 6] = places
-    moves[VIEW][:, 3:, 3:6] = np.eye(3)
-    return moves
+    points = of_points(scale=True)
+    views = of_members(len(poses.COLUMNS), points, turns=slice(3, 6))
+    return Datum(TARGET, targets.values, takes_part, {TARGET: points, VIEW: views}, FREEDOMS)

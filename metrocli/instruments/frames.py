@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from metrocli.adjust.blocks import Array
-from metrocli.adjust.chain import Local, Step, through
+from metrocli.adjust.chain import IDENTITY, Local, Step, through
 from metrocli.adjust.quantities import Quantity
 from metrocli.geometry import poses
 
@@ -28,8 +28,10 @@ class PointOf:
 
     def step(self, value: Array, local: Local) -> Step:
         """Return the point (3, n) and its derivative by itself."""
-        point = local.rows(self.block) + np.array(self.offset)[:, None]
-        return Step(point, by_block={self.block: np.eye(3)[:, :, None]} if self.block in local.wanted else {})
+        point = local.rows(self.block)
+        if any(self.offset):
+            point = point + np.array(self.offset)[:, None]
+        return Step(point, by_block={self.block: IDENTITY} if self.block in local.wanted else {})
 
 
 @dataclass(frozen=True)

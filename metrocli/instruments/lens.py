@@ -16,7 +16,7 @@ RADIAL, RATIONAL = ("k1", "k2", "k3"), ("k4", "k5", "k6")
 TANGENTIAL, PRISM = ("p1", "p2"), ("s1", "s2", "s3", "s4")
 DISTORTION = (*RADIAL, *RATIONAL, *TANGENTIAL, *PRISM)
 PARAMETERS = ("f", "fx", "fy", "aspect", "cx", "cy", "skew", *DISTORTION)
-"""`fx = f (1 + aspect)`, `fy = f` where one focal length is used (beside fx and fy it does nothing); `u += fx skew y'`."""
+"""`fx = f (1 + aspect)`, `fy = f` where one focal length is used (else aspect does nothing); `u += fx skew y'`."""
 PIXELS = ("f", "fx", "fy", "cx", "cy")
 """Parameters in pixels; all others are numbers."""
 

@@ -124,15 +124,12 @@ def start_pose(lines: Rays, turns: int = 40) -> tuple[Array, float]:
     object space (Lu, Hager and Mjolsness 2000, for several centres); tried from the linear start and from turns of 90
     degrees where that fails.
     """
-    starts = [_linear(lines)]
-    best, misfit = _refined(lines, starts[0], turns)
+    best, misfit = _best(lines, _linear(lines)[None], turns)
     if misfit > _FAILED:
         from metrocli.instruments.camera_start import cube_rotations
 
-        for rotation in cube_rotations():
-            attempt, value = _refined(lines, rotation, turns)
-            if value < misfit:
-                best, misfit = attempt, value
+        attempt, value = _best(lines, cube_rotations(), turns)
+        best, misfit = (attempt, value) if value < misfit else (best, misfit)
     return best, misfit
 
 
@@ -163,21 +160,21 @@ def _linear(lines: Rays) -> Array:
     return nearest_rotation(entries)
 
 
-def _refined(lines: Rays, rotation: Array, turns: int) -> tuple[Array, float]:
+def _best(lines: Rays, rotations: Array, turns: int) -> tuple[Array, float]:
+    """Return the pose of least misfit that is reached from any of the rotations (k, 3, 3), and that misfit."""
     across = _across(lines)
     gain = np.linalg.pinv(across.sum(axis=0))
-    centre = lines.point.mean(axis=0)
-    shift = np.zeros(3)
+    local = lines.point - lines.point.mean(axis=0)
     for _ in range(turns):
-        turned = lines.point @ rotation.T
-        shift = gain @ (across @ (lines.origin - turned)[:, :, None]).sum(axis=0)[:, 0]
-        seen = turned + shift
-        goal = seen - (across @ (seen - lines.origin)[:, :, None])[:, :, 0]
-        rotation = nearest_rotation((goal - goal.mean(axis=0)).T @ (lines.point - centre))
-    gap = lines.point @ rotation.T + shift - lines.origin
-    depth = (gap * lines.direction).sum(axis=1)
-    off = np.linalg.norm((across @ gap[:, :, None])[:, :, 0], axis=1)
-    misfit = (
-        float(np.sqrt(np.mean((off / np.where(depth > 0, depth, 1.0)) ** 2))) if (depth > 0).all() else float("inf")
-    )
-    return poses.pose(rotation, shift), misfit
+        turned = lines.point @ np.swapaxes(rotations, 1, 2)
+        shift = np.einsum("nab,knb->ka", across, lines.origin - turned) @ gain
+        seen = turned + shift[:, None]
+        goal = seen - np.einsum("nab,knb->kna", across, seen - lines.origin)
+        rotations = nearest_rotation(np.swapaxes(goal - goal.mean(axis=1, keepdims=True), 1, 2) @ local)
+    gap = lines.point @ np.swapaxes(rotations, 1, 2) + shift[:, None] - lines.origin
+    depth = (gap * lines.direction).sum(axis=2)
+    off = np.linalg.norm(np.einsum("nab,knb->kna", across, gap), axis=2)
+    misfit = np.sqrt(((off / np.where(depth > 0, depth, 1.0)) ** 2).mean(axis=1))
+    misfit[(depth <= 0).any(axis=1)] = np.inf
+    best = int(np.argmin(misfit))
+    return poses.pose(rotations[best], shift[best]), float(misfit[best])

@@ -10,10 +10,10 @@ import numpy as np
 from metrocli.adjust.blocks import Array, Block, Mask
 from metrocli.adjust.chain import Chain, Local, Step
 from metrocli.adjust.datum import Datum
+from metrocli.adjust.movements import of_members, of_points
 from metrocli.adjust.noise import Aspect
 from metrocli.adjust.observations import Observations
 from metrocli.adjust.quantities import Quantity
-from metrocli.geometry.rotations import cross_matrix
 from metrocli.instruments.frames import PointOf
 
 POINT, TRACER = "point", "tracer"
@@ -52,12 +52,15 @@ class LengthFrom:
         from_tracer = value - tracer[:3]
         distance = np.sqrt(np.einsum("an,an->n", from_tracer, from_tracer))
         scale = tracer[4]
+        length = (scale * distance - tracer[3])[None]
+        if not local.wanted:
+            return Step(length)
         towards = from_tracer * (scale / distance)
         by_tracer = np.empty((1, 5, len(distance)))
-        by_tracer[0, :3] = -towards
+        np.negative(towards, out=by_tracer[0, :3])
         by_tracer[0, 3] = -1.0
         by_tracer[0, 4] = distance
-        return Step((scale * distance - tracer[3])[None], towards[None], {self.block: by_tracer})
+        return Step(length, towards[None], {self.block: by_tracer})
 
 
 def chain() -> Chain:
@@ -106,16 +109,6 @@ def tracer_block(values: Array, names: Sequence[str], free: Mask, extent: float)
 
 def datum(points: Block, takes_part: Array) -> Datum:
     """Return the inner constraints of a free network on the points (Härtig et al. eq. 8)."""
-    return Datum(POINT, points.values, takes_part, _movements, FREEDOMS)
-
-
-def _movements(blocks: Mapping[str, Block]) -> dict[str, Array]:
-    """Return how points and tracers move when the network is shifted and turned."""
-    moves = {}
-    for name in (POINT, TRACER):
-        places = blocks[name].values[:, :3]
-        move = np.zeros((*blocks[name].values.shape, 6))
-        move[:, :3, :3] = np.eye(3)
-        move[:, :3, 3:] = -cross_matrix(places)
-        moves[name] = move
-    return moves
+    places = of_points()
+    tracers = of_members(len(COLUMNS), places)
+    return Datum(POINT, points.values, takes_part, {POINT: places, TRACER: tracers}, FREEDOMS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -76,7 +77,8 @@ def _estimates(
     change = np.eye(len(covariance))
     change[:6, :6] = poses.euler_form_by_step(pose)
     covariance = change @ covariance @ change.T
-    values = np.concatenate([poses.euler_form(pose), angle.values[angle.free], [one.value for one in found]])
+    turns = [math.remainder(float(turn), math.tau) for turn in angle.values[angle.free]]
+    values = np.concatenate([poses.euler_form(pose), turns, [one.value for one in found]])
     names = (*poses.EULER, *(["gamma_s"] if angle.free.any() else []), *(one.name for one in found))
     units = (*_UNITS[: len(names) - len(found)], *(one.unit for one in found))
     return names, values, (covariance + covariance.T) / 2, units

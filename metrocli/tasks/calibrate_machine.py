@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from metrocli.diagnosis.subject import Subject
 from metrocli.effects.wanted import Wanted
 from metrocli.errors import InputError
 from metrocli.plan import Plan
 from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import Table
+from metrocli.tasks.machine_diagnosis import subject
 from metrocli.tasks.machine_on_the_fly import on_the_fly
 from metrocli.tasks.machine_plan import plan as planned
 from metrocli.tasks.machine_problem import Problem
@@ -47,6 +49,20 @@ def problem_of(settings: Settings, points: Table | None, lines: Table | None) ->
     if lines is not None:
         return six_dof(settings, lines)
     raise InputError(f"method {settings.method} has no readings")
+
+
+def diagnosed(
+    settings: Settings,
+    points: Table | None = None,
+    path: Table | None = None,
+    track: Table | None = None,
+    lines: Table | None = None,
+    effects: Sequence[Wanted] = (),
+) -> Subject:
+    """Return the adjusted calibration as diagnosis sees it."""
+    if path is not None and track is not None:
+        return subject(on_the_fly(settings, path, track, effects))
+    return subject(solve(problem_of(settings, points, lines).with_effects(effects), settings.outliers == "remove"))
 
 
 def simulate(

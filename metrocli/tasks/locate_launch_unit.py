@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from metrocli.diagnosis.subject import Subject
 from metrocli.effects.wanted import Wanted
 from metrocli.errors import InputError, MetrocliError
 from metrocli.plan import Plan
@@ -15,6 +16,7 @@ from metrocli.result import Result
 from metrocli.settings import Choice, Flag, ListOf, Quantity, Section, TableFile, setting
 from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import Table
+from metrocli.tasks.launch_diagnosis import subject
 from metrocli.tasks.launch_plan import figures, planned_measurement
 from metrocli.tasks.launch_plan_settings import Planned
 from metrocli.tasks.launch_readings import PLACES, POSES, read
@@ -75,6 +77,11 @@ class Settings:
 def run(settings: Settings, poses: Table, effects: Sequence[Wanted] = (), **_: object) -> Result:
     """Locate the unit; raises InputError, UndeterminedError or NotConvergedError."""
     return report(locate(read(poses), settings.noise, _how(settings, effects)), settings.method)
+
+
+def diagnosed(settings: Settings, poses: Table, effects: Sequence[Wanted] = (), **_: object) -> Subject:
+    """Return the job as diagnosis sees it; raises as `run` does."""
+    return subject(locate(read(poses), settings.noise, How(settings.method, effects=effects)))
 
 
 def _how(settings: Settings, effects: Sequence[Wanted]) -> How:

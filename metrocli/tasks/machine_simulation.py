@@ -105,17 +105,18 @@ def truth_of(settings: Settings, simulation: MachineSimulation, rng: np.random.G
     }
     tables = {name: table / (lever if is_angle(name) else 1.0) for name, table in tables.items()}
     square = {name: float(rng.normal()) / lever for name in SQUARENESS_NAMES}
-    unit = Truth(machine, _blocks(settings, machine, tables, square))
+    unit = Truth(machine, blocks_of(settings, machine, tables, square))
     grid = grid_of(machine, (6, 6, 6))
     error = without_rigid_motion(unit.error(grid, np.zeros(grid.shape[1], dtype=np.intp)), grid)
     size = simulation.error / float(np.linalg.norm(error, axis=0).mean())
     scaled = {name: table * size for name, table in tables.items()}
-    return Truth(machine, _blocks(settings, machine, scaled, {name: value * size for name, value in square.items()}))
+    return Truth(machine, blocks_of(settings, machine, scaled, {name: value * size for name, value in square.items()}))
 
 
-def _blocks(
+def blocks_of(
     settings: Settings, machine: Machine, tables: Mapping[str, Array], square: Mapping[str, float]
 ) -> dict[str, Block]:
+    """Return a machine with these tables (at its knots, in the gauge) and squareness; errors not estimated are zero."""
     wanted = settings.estimated
     kept = {name: table for name, table in tables.items() if name in wanted}
     axes = {axis.block: axis.block_of(kept, wanted) for axis in machine.axes}

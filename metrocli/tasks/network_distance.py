@@ -28,22 +28,20 @@ def factors(covariance: Covariance, chosen: Mask) -> dict[str, Array]:
     Of eliminated points the shared part is `W Q_r W'`, and `-E S' - S E'` where the datum is on them.
     """
     if covariance.layout.eliminated == t.POINT:
-        parts, core = [covariance.weights], covariance.reduced
-        if covariance.gauge is not None:
-            parts += [covariance.gauge.moves, covariance.gauge.share]
-            k = covariance.gauge.moves.shape[2]
+        core, gauge = covariance.reduced, covariance.gauge
+        if gauge is not None:
+            k = gauge.reduced.shape[1]
             exchange = -np.kron([[0.0, 1.0], [1.0, 0.0]], np.eye(k))
             core = np.block([[core, np.zeros((len(core), 2 * k))], [np.zeros((2 * k, len(core))), exchange]])
-        common = np.concatenate([part[chosen] for part in parts], axis=2) if _fits(parts, chosen) else None
+        if 3 * int(chosen.sum()) * len(core) > _LARGEST:
+            return {}
+        parts = [covariance.weights] + ([] if gauge is None else [gauge.moves, covariance.share])
+        common: Array | None = np.concatenate([part[chosen] for part in parts], axis=2)
     else:
         size = 3 * int(chosen.sum())
         core = covariance.of(t.POINT)[np.ix_(*[np.repeat(chosen, 3)] * 2)] if size**2 <= _LARGEST else np.zeros((0, 0))
         common = np.eye(size).reshape(-1, 3, size) if size**2 <= _LARGEST else None
     return {} if common is None else {COMMON: common, CORE: covariance.factor * core}
-
-
-def _fits(parts: list[Array], chosen: Mask) -> bool:
-    return bool(3 * int(chosen.sum()) * sum(part.shape[2] for part in parts) <= _LARGEST)
 
 
 def distance(result: Result, first: str, second: str) -> Estimate:

@@ -15,6 +15,7 @@ from metrocli.uncertainty import monte_carlo
 from metrocli.uncertainty.correlated import UnreachableError
 from metrocli.uncertainty.derivatives import NoValueError
 from metrocli.uncertainty.propagation import Coverage, Propagated, covered, propagate
+from metrocli.uncertainty.trials import plan_of
 from metrocli.uncertainty.workers import Workers
 
 SUMMARY = "GUM and Monte Carlo uncertainty, budget, capability"
@@ -87,7 +88,7 @@ def _fails(model: Model, problem: Problem) -> bool:
 def _trials(settings: Settings, problem: Problem, probability: float, workers: Workers) -> monte_carlo.Outcome:
     wanted = settings.monte_carlo
     try:
-        plan = monte_carlo.plan_of(problem.models, problem.inputs, wanted.seed, probability, wanted.trials)
+        plan = plan_of(problem.models, problem.inputs, wanted.seed, probability, wanted.trials)
     except UnreachableError as error:
         node = settings.correlations[0].node
         raise InputError([node.fault(str(error), "use a smaller correlation, or other distributions")]) from error

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from metrocli.diagnosis.subject import Subject
 from metrocli.effects.model import extended
 from metrocli.effects.wanted import Wanted
 from metrocli.errors import InputError
@@ -14,6 +15,7 @@ from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import Table
 from metrocli.tasks import grid_mountings, grid_plan, grid_readings
+from metrocli.tasks.grid_diagnosis import subject
 from metrocli.tasks.grid_open import opened
 from metrocli.tasks.grid_problem import Problem, build
 from metrocli.tasks.grid_report import KIND, report
@@ -37,12 +39,21 @@ def run(
     **_: object,
 ) -> Result:
     """Find both fields; raises InputError, UndeterminedError or NotConvergedError."""
-    problem = _problem(settings, views, lengths)
-    if effects:
-        problem = problem.with_model(extended(problem.model(), effects))
+    problem = _with(_problem(settings, views, lengths), effects)
     solved = solve(problem, settings.outliers == "remove")
     wanted = settings.leave_one_out == "yes" or (settings.leave_one_out == "auto" and len(views) <= _MANY)
     return report(solved, opened(solved.problem, solved.design), leave_one_out(solved) if wanted else [], map)
+
+
+def diagnosed(
+    settings: Settings, views: Table, lengths: Table | None = None, effects: Sequence[Wanted] = (), **_: object
+) -> Subject:
+    """Return the job as diagnosis sees it, with all its readings; raises as `run` does."""
+    return subject(solve(_with(_problem(settings, views, lengths), effects), remove=False))
+
+
+def _with(problem: Problem, effects: Sequence[Wanted]) -> Problem:
+    return problem.with_model(extended(problem.model(), effects)) if effects else problem
 
 
 def compare(settings: Settings, views: Table, lengths: Table | None = None, **_: object) -> Table:
@@ -81,4 +92,4 @@ def plan(settings: Settings, **_: object) -> Plan:
     return grid_plan.plan(settings)
 
 
-__all__ = ["KIND", "SIMULATED", "SUMMARY", "Inputs", "Settings", "compare", "plan", "run", "simulate"]
+__all__ = ["KIND", "SIMULATED", "SUMMARY", "Inputs", "Settings", "compare", "diagnosed", "plan", "run", "simulate"]

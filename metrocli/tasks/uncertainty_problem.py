@@ -60,7 +60,8 @@ def build(settings: Settings, results: Mapping[str, Result], files: Mapping[str,
         return gathered.faults
     assert gathered.inputs is not None
     models = {name: placed.value.model.expression for name, placed in settings.measurands.items()}
-    used = {name: result for name, result in results.items() if any(n.startswith(f"{name}.") for n in gathered.named)}
+    prefixes = {gathered.target(name).partition(".")[0] for name in gathered.named}
+    used = {name: result for name, result in results.items() if name in prefixes}
     warnings = [*shared(used, settings.quantities), *_heavy_tails(gathered.inputs)]
     return Problem(gathered.inputs, models, gathered.wanted, settings.measurands, tuple(warnings))
 
@@ -115,6 +116,9 @@ class _Gathering:
             self.faults.append(node.fault(f"'{name}' is reserved: it has a meaning of its own", hint))
         elif name in self.settings.inputs.results:
             self.faults.append(node.fault(f"'{name}' is the name of a result too", "give one of them another name"))
+        if self.target(name) != name:
+            self._must_be_estimate(name, placed)
+            return
         held = [getattr(placed.value, key, None) is not None for key in ("readings", "samples")]
         if unit := unit_of(placed):
             self.units[name] = unit
@@ -125,11 +129,28 @@ class _Gathering:
             self.quantities[name] = found
             self.units[name] = found.unit
 
+    def target(self, name: str) -> str:
+        """Return the estimate that a quantity stands for, the name itself where it stands for none."""
+        placed = self.settings.quantities.get(name)
+        return (getattr(placed.value, "estimate", None) or name) if placed is not None else name
+
+    def _must_be_estimate(self, name: str, placed: Placed) -> None:
+        prefix, _, estimate = self.target(name).partition(".")
+        node, files = placed.node.at("estimate"), self.settings.inputs.results
+        if prefix not in files:
+            hint = suggestion(prefix, files) if files else "name the result under `inputs: {results: {NAME: FILE.h5}}`"
+            self.faults.append(node.fault(f"there is no result '{prefix}' under inputs", hint))
+        elif self.results is not None:
+            known = [item.name for item in self.results[prefix].estimates]
+            if estimate not in known:
+                hint = suggestion(estimate, known)
+                self.faults.append(node.fault(f"the result '{prefix}' has no estimate '{estimate}'", hint))
+
     def _results(self) -> list[Block]:
         """Take the estimates of results that the models name: one block for each file, however many names it has."""
         files: dict[str, list[tuple[str, Result, int]]] = {}
         for name in self.named:
-            prefix, _, estimate = name.partition(".")
+            prefix, _, estimate = self.target(name).partition(".")
             result = (self.results or {}).get(prefix)
             known = [item.name for item in result.estimates] if result is not None else []
             if result is not None and estimate in known:
@@ -142,7 +163,8 @@ class _Gathering:
         found = [compound(result.estimates[index].unit) for index in at]
         scale = np.array([unit.factor for unit in found])
         covariance = np.asarray(result.covariance)[np.ix_(at, at)] * scale[:, None] * scale
-        if not np.isfinite(covariance).all() or not np.allclose(covariance, covariance.T, rtol=1e-6, atol=0.0):
+        size = np.sqrt(np.abs(np.diag(covariance)))
+        if not np.isfinite(covariance).all() or (abs(covariance - covariance.T) > 1e-6 * np.outer(size, size)).any():
             node = self.settings.measurands[next(iter(self.settings.measurands))].node
             self.faults.append(
                 node.fault(f"the result of {held[0][0]} has no covariance that can be used", "run its job again")
@@ -241,7 +263,9 @@ class _Gathering:
         if self.faults:
             return
         try:
-            self.inputs = join([self.quantities[name] for name in self.named], pairs, blocks)
+            # In the order of the job, then estimates of results in that of the models.
+            order = [name for name in self.quantities if name in self.named]
+            self.inputs = join([self.quantities[name] for name in order], pairs, blocks)
         except NotSemiDefiniteError as error:
             self.faults += self._contradiction(error, pairs)
 

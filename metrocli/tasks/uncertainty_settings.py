@@ -23,6 +23,7 @@ from metrocli.settings import (
     Text,
     Whole,
     setting,
+    settings_of,
 )
 from metrocli.table import Columns
 from metrocli.tasks import KINDS
@@ -66,6 +67,16 @@ class Given:
     readings: Path | None = setting(TableFile(READINGS), "CSV of readings: type A evaluation", default=None)
     samples: Path | None = setting(TableFile(READINGS), "CSV of values of an earlier evaluation", default=None)
     column: str | None = setting(Text(), "column of readings or samples", default=None)
+    estimate: str | None = setting(
+        Text(), "estimate of a result, such as net.T-1.x, whose own name cannot stand in a model", default=None
+    )
+
+    def faults(self) -> Iterable[tuple[str, ...]]:
+        """Yield what does not fit together."""
+        others = [name for name, _ in settings_of(type(self)).items() if name != "estimate"]
+        extra = next((name for name in others if getattr(self, name) is not None), None)
+        if self.estimate is not None and extra is not None:
+            yield extra, f"the result says all of an estimate; {extra} is too much", f"leave {extra} out"
 
 
 @dataclass(frozen=True)

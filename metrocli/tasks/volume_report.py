@@ -22,6 +22,7 @@ from metrocli.uncertainty.distributions import Normal, Uniform
 from metrocli.uncertainty.expression import Expression, parse
 from metrocli.uncertainty.inputs import Inputs, Quantity, join
 from metrocli.uncertainty.propagation import Coverage, coverage_factor, covered, effective_dof
+from metrocli.uncertainty.trials import plan_of
 from metrocli.uncertainty.validation import Judged, judge
 from metrocli.uncertainty.volume import AXES, Contribution, Extremes, by_source, extremes
 from metrocli.uncertainty.workers import Workers
@@ -96,7 +97,7 @@ def _axis(axis: int, found: Extremes, parts: tuple[Contribution, ...], settings:
     mc = None
     if settings.monte_carlo.trials != 0:
         wanted = settings.monte_carlo
-        plan = monte_carlo.plan_of({"sum": total}, inputs, wanted.seed, covered(coverage), wanted.trials)
+        plan = plan_of({"sum": total}, inputs, wanted.seed, covered(coverage), wanted.trials)
         mc = monte_carlo.run(plan, workers, wanted.digits, wanted.most)
     pointwise, place = float(found.pointwise[axis]), found.places[axis]
     k = coverage_factor(coverage, dof)

@@ -2,7 +2,7 @@
 
 Forward mode: each step of an expression takes value, gradient and Hessian of its arguments to its own by the chain
 rule. Derivatives stand in the first axes, points of evaluation in the last: value (...), gradient (n, ...), Hessian
-(n, n, ...).
+(n, n, ...). A derivative that is zero throughout is the number 0, so that a sum of many inputs costs no Hessians.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ class Jet:
     """A value with its derivatives by n inputs."""
 
     value: Any
-    gradient: Array
+    gradient: Any
     """(n, ...)"""
-    hessian: Array | None = None
+    hessian: Any = None
     """(n, n, ...)"""
-    along: Array | None = None
+    along: Any = None
     """(n, n, ...): derivative of the Hessian along the direction"""
 
 
@@ -50,22 +50,23 @@ class Jets:
 
     def number(self, value: float) -> Jet:
         """Return a plain number: all its derivatives are 0."""
-        return self._with_zeros(value, np.zeros(len(self.names)))
+        return self._flat(value, 0.0)
 
     def name(self, part: Part) -> Jet:
         """Return an input: its derivative by itself is 1."""
-        unit = np.zeros(len(self.names))
-        if part.name in self.names:
-            unit[self.names.index(part.name)] = 1.0
-        return self._with_zeros(self.values[part.name], unit)
-
-    def _with_zeros(self, value: Any, gradient: Array) -> Jet:
+        value = self.values[part.name]
+        if part.name not in self.names:
+            return self._flat(value, 0.0)
         # One axis for each axis of the points, also for a value that is the same at all of them.
         points = (1,) * max(map(np.ndim, self.values.values()), default=0)
-        zeros = np.zeros((len(self.names), len(self.names), *points)) if self.order > 1 else None
-        gradient = gradient.reshape(-1, *points)
-        # Numbers of numpy: those of Python raise exceptions where a result is infinite.
-        return Jet(np.asarray(value, dtype=float)[()], gradient, zeros, zeros if self.direction is not None else None)
+        unit = np.zeros(len(self.names))
+        unit[self.names.index(part.name)] = 1.0
+        return self._flat(value, unit.reshape(-1, *points))
+
+    def _flat(self, value: Any, gradient: Any) -> Jet:
+        """Return a jet without curvature; its value a number of numpy: Python's raise where a result is infinite."""
+        curved = 0.0 if self.order > 1 else None
+        return Jet(np.asarray(value, dtype=float)[()], gradient, curved, 0.0 if self.direction is not None else None)
 
     def apply(self, part: Part, arguments: Sequence[Jet]) -> Jet:
         """Return the outcome of one operation; raises NoValueError where it, or a derivative, is not finite."""
@@ -98,43 +99,42 @@ class Jets:
         return self._composed(first, _FUNCTIONS[operation](first.value))
 
     def _raised(self, base: Jet, exponent: Jet) -> Jet:
-        if np.ndim(exponent.value) == 0 and not exponent.gradient.any():
+        if np.ndim(exponent.value) == 0 and not np.any(exponent.gradient):
             return self._composed(base, _power(base.value, float(exponent.value)))
         logarithm = self._composed(base, _FUNCTIONS["log"](base.value))
         product = self._product(exponent, logarithm)
         return self._composed(product, _FUNCTIONS["exp"](product.value))
 
-    def _along(self, derivative: Array) -> Array:
+    def _along(self, derivative: Any) -> Any:
         assert self.direction is not None
-        moved: Array = np.tensordot(self.direction, derivative, (0, 0))
-        return moved
+        return np.tensordot(self.direction, derivative, (0, 0)) if np.ndim(derivative) else 0.0
 
     def _composed(self, x: Jet, derivatives: Sequence[Any]) -> Jet:
         """Return f(x) from f, f', f'', f''' at the value of x."""
         f0, f1, f2, f3 = derivatives
-        gradient = f1 * x.gradient
+        gradient = _times(f1, x.gradient)
         if x.hessian is None:
             return Jet(f0, gradient)
         square = _outer(x.gradient, x.gradient)
-        hessian = f2 * square + f1 * x.hessian
+        hessian = _times(f2, square) + _times(f1, x.hessian)
         if x.along is None:
             return Jet(f0, gradient, hessian)
         step, turn = self._along(x.gradient), self._along(x.hessian)
-        cross = _outer(turn, x.gradient)
-        along = f3 * step * square + f2 * (cross + cross.swapaxes(0, 1) + step * x.hessian) + f1 * x.along
+        turned = _both_ways(_outer(turn, x.gradient))
+        along = _times(f3 * step, square) + _times(f2, turned + _times(step, x.hessian)) + _times(f1, x.along)
         return Jet(f0, gradient, hessian, along)
 
     def _product(self, x: Jet, y: Jet) -> Jet:
-        gradient = x.value * y.gradient + y.value * x.gradient
+        gradient = _times(x.value, y.gradient) + _times(y.value, x.gradient)
         if x.hessian is None or y.hessian is None:
             return Jet(x.value * y.value, gradient)
-        cross = _outer(x.gradient, y.gradient)
-        hessian = x.value * y.hessian + y.value * x.hessian + cross + cross.swapaxes(0, 1)
+        cross = _both_ways(_outer(x.gradient, y.gradient))
+        hessian = _times(x.value, y.hessian) + _times(y.value, x.hessian) + cross
         if x.along is None or y.along is None:
             return Jet(x.value * y.value, gradient, hessian)
         turned = _outer(self._along(x.hessian), y.gradient) + _outer(x.gradient, self._along(y.hessian))
-        along = x.value * y.along + y.value * x.along + turned + turned.swapaxes(0, 1)
-        along = along + self._along(x.gradient) * y.hessian + self._along(y.gradient) * x.hessian
+        along = _times(x.value, y.along) + _times(y.value, x.along) + _both_ways(turned)
+        along = along + _times(self._along(x.gradient), y.hessian) + _times(self._along(y.gradient), x.hessian)
         return Jet(x.value * y.value, gradient, hessian, along)
 
 
@@ -144,9 +144,17 @@ def _not_differentiable(message: str, start: int) -> NoValueError:
     return error
 
 
-def _outer(a: Array, b: Array) -> Array:
-    product: Array = a[:, None] * b[None, :]
-    return product
+def _times(factor: Any, derivative: Any) -> Any:
+    """Return the product; the number 0 stays it, whatever the shape of the factor."""
+    return factor * derivative if np.ndim(derivative) else 0.0
+
+
+def _outer(a: Any, b: Any) -> Any:
+    return a[:, None] * b[None, :] if np.ndim(a) and np.ndim(b) else 0.0
+
+
+def _both_ways(matrix: Any) -> Any:
+    return matrix + matrix.swapaxes(0, 1) if np.ndim(matrix) else 0.0
 
 
 def _scaled(x: Jet, factor: Any) -> Jet:
@@ -163,8 +171,8 @@ def _sum(x: Jet, y: Jet, factor: Any) -> Jet:
 
 
 def _imaginary(x: Jet) -> Jet:
-    hessian = None if x.hessian is None else x.hessian.imag
-    return Jet(np.imag(x.value), x.gradient.imag, hessian, None if x.along is None else x.along.imag)
+    hessian = None if x.hessian is None else np.imag(x.hessian)
+    return Jet(np.imag(x.value), np.imag(x.gradient), hessian, None if x.along is None else np.imag(x.along))
 
 
 def _power(x: Any, p: float) -> tuple[Any, ...]:

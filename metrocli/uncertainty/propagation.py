@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -92,11 +92,10 @@ def _linear(model: Expression, inputs: Inputs) -> Linear:
     used = [i for i, name in enumerate(names) if name in model.names]
     own = covariance[np.ix_(used, used)]
     algebra = Jets(model, tuple(names[i] for i in used), values)
-    gradient = model.carried_out(algebra).gradient
-    jet = model.carried_out(Jets(model, algebra.names, values, 3, own @ gradient))
-    assert jet.hessian is not None and jet.along is not None
+    gradient = np.broadcast_to(model.carried_out(replace(algebra, order=1)).gradient, len(used))
+    jet = model.carried_out(replace(algebra, direction=own @ gradient))
     variance = max(float(gradient @ own @ gradient), 0.0)
-    turned = jet.hessian @ own
+    turned = np.broadcast_to(jet.hessian, own.shape) @ own
     more = 0.5 * float(np.trace(turned @ turned)) + float(np.sum(jet.along * own))
     slopes = np.zeros(len(names))
     slopes[used] = gradient

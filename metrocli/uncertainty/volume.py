@@ -60,6 +60,7 @@ def of_models(models: Sequence[Expression], values: dict[str, Any], covariance: 
     columns = []
     for model in models:
         slope = model.carried_out(Jets(model, names, values, order=1)).gradient
+        slope = slope if np.ndim(slope) else np.zeros((len(names), 1))
         spread = np.einsum("i...,ij,j...->...", slope, covariance, slope)
         columns.append(np.sqrt(np.maximum(np.atleast_1d(spread), 0.0)))
     return np.stack(np.broadcast_arrays(*columns), axis=-1)

@@ -110,16 +110,19 @@ def _do(work: Callable[[int], T], number: int) -> T:
 def _client(address: str) -> Any:
     """Return a client of a running cluster, or raise InputError in a few seconds."""
     try:
-        from distributed import Client
+        import distributed
     except ImportError as error:
         raise InputError("--scheduler needs the library 'distributed': pip install 'metrocli[cluster]'") from error
     import logging
 
+    library: Any = distributed
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
     file = not address.startswith(("tcp://", "tls://", "ucx://", "ws://", "wss://"))
     if file and not os.path.isfile(address):
         raise InputError(f"--scheduler {address}: no such scheduler file; write tcp://HOST:PORT or the path of one")
     try:
-        return Client(scheduler_file=address, timeout=PATIENCE_S) if file else Client(address, timeout=PATIENCE_S)
+        if file:
+            return library.Client(scheduler_file=address, timeout=PATIENCE_S)
+        return library.Client(address, timeout=PATIENCE_S)
     except (OSError, TimeoutError, ValueError) as error:
         raise InputError(f"--scheduler {address}: no Dask scheduler answers there ({error})") from error

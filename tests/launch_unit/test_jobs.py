@@ -134,3 +134,29 @@ def test_the_sample_runs_and_holds_the_truth(tmp_path: Path, metrocli: Callable[
     )
     compared = metrocli("locate-launch-unit", project / "jobs" / "table.yaml", "--compare")
     assert compared.code == 0 and "closed-loop" in compared.out  # type: ignore[attr-defined]
+
+
+SWAPPED = {"phi1 and phi4": ("phi1_rad", "phi4_rad"), "phi2 and phi3": ("phi2_rad", "phi3_rad"), "phi3 and phi4": ("phi3_rad", "phi4_rad")}
+
+
+@pytest.mark.parametrize("columns", SWAPPED)
+def test_diagnose_finds_swapped_columns(columns: str, job: Path, metrocli: Callable[..., object]) -> None:
+    metrocli("simulate", job, "--out", "new", "--seed", "3")
+    one, other = SWAPPED[columns]
+    text = Path("new/poses.csv").read_text()
+    Path("new/poses.csv").write_text(text.replace(one, "?").replace(other, one).replace("?", other))
+    ran = metrocli("diagnose", job)
+    assert ran.code == 0, ran.err  # type: ignore[attr-defined]
+    assert f"{columns} are swapped" in " ".join(ran.out.split())  # type: ignore[attr-defined]
+
+
+def test_diagnose_names_what_was_planted(job: Path, metrocli: Callable[..., object]) -> None:
+    planted, _ = PLANTED["base-tilt.launch"]
+    metrocli("simulate", job, "--out", "new", "--effect", planted, "--seed", "5")
+    found = json.loads(metrocli("diagnose", job, "--json").out)  # type: ignore[attr-defined]
+    assert (found["verdict"], [e["name"] for e in found["effects"]]) == ("explained", ["base-tilt"])
+    assert found["effects"][0]["where"] == {"unit": "launch"}
+    hidden = {c["name"]: c["status"] for c in found["candidates"] if c["where"] == {"encoder": "phi1"}}
+    assert hidden["encoder-offset"] == "not-testable"
+    extended = metrocli("locate-launch-unit", found["extended_job"])
+    assert extended.code == 0, extended.err  # type: ignore[attr-defined]

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from metrocli.geometry.poses import EULER
@@ -106,6 +107,29 @@ def test_results_are_shown(spindle: Path, metrocli: Metrocli) -> None:
     summary = json.loads(metrocli("show", spindle / "results" / "camera.h5", "--json").out)
     assert summary["kind"] == "calibrate-camera"
     assert set(summary["estimates"]) == {"f", "cx", "cy", "k1", "k2", "p1", "p2", *EULER}
+
+
+@pytest.mark.slow
+def test_the_machine_is_the_true_one_at_every_feed(tmp_path_factory: pytest.TempPathFactory) -> None:
+    import csv
+
+    from metrocli.formats import hdf5
+
+    project = _run("otf-tracker", tmp_path_factory)
+    true: dict[str, list[float]] = {}
+    with (project / "data" / "true_errors.csv").open(encoding="utf-8") as file:
+        for row in csv.DictReader(file):
+            true.setdefault(row["error"], []).append(float(row["value_mm"] or row["turn_rad"]))
+    for feed in ("2500", "5000", "10000", "15000"):
+        found, _ = hdf5.read(project / "results" / f"feed-{feed}.h5")
+        status = dict(zip(found.tables["errors"].texts("error"), found.tables["errors"].texts("status"), strict=True))
+        determined = [name for name in true if status[name] == "determined"]
+        assert len(determined) == 12
+        off = [np.subtract(found.tables[f"tables/{name}"].numbers("value"), true[name]) for name in determined]
+        std = [np.maximum(found.tables[f"tables/{name}"].numbers("std"), 1e-12) for name in determined]
+        scores = np.concatenate([a / b for a, b in zip(off, std, strict=True)])
+        assert np.abs(scores).max() < 4.5
+        assert np.sqrt((scores**2).mean()) < 1.3
 
 
 @pytest.mark.slow

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import pytest
 
 from benchmarks import alignment
+from benchmarks.coverage import alignment_settings, corners, poses_over, true_camera
+from metrocli.simulation import SimulationOptions
+from metrocli.tasks import align_part
 
 
 @pytest.fixture(scope="module")
@@ -44,3 +49,15 @@ def test_not_knowing_the_angle_costs_little(found: dict[str, alignment.Array]) -
 
 def test_seven_unknowns_with_covariance_take_less_than_a_fifth_of_a_second() -> None:
     assert alignment.seconds(5) < 0.2
+
+
+def test_a_start_for_any_clamping_angle_takes_less_than_half_a_second() -> None:
+    """CPU time: twelve angles are tried from 25 turns of the part each."""
+    targets = corners()
+    poses = poses_over(targets)
+    settings = alignment_settings(0.05, np.radians(40.0))
+    seen = align_part.simulate(settings, SimulationOptions(7), true_camera(), poses, targets)
+    began = time.process_time()
+    result = align_part.run(settings, true_camera(), poses, targets, observations=seen.files["observations.csv"])
+    assert time.process_time() - began < 0.5
+    assert {e.name: e.value for e in result.estimates}["gamma_s"] == pytest.approx(np.radians(40.0), abs=1e-3)

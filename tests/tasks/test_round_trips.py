@@ -123,7 +123,7 @@ def test_tilted_rings_are_freed_of_eccentricity(tmp_path: Path, metrocli: Metroc
     assert abs(ignored["z"]["value"] - truth["z"]) > 0.01
 
 
-@pytest.mark.parametrize("clamping", ["0.1 deg", "35 deg", "-170 deg"])
+@pytest.mark.parametrize("clamping", ["0.1 deg", "35 deg", "172 deg", "-170 deg"])
 def test_a_camera_that_looks_down_finds_the_part_at_any_clamping_angle(
     clamping: str, tmp_path: Path, metrocli: Metrocli
 ) -> None:

@@ -18,8 +18,9 @@ from metrocli.uncertainty import monte_carlo
 from metrocli.uncertainty.distributions import Normal, Uniform
 from metrocli.uncertainty.expression import parse
 from metrocli.uncertainty.inputs import Inputs, Quantity, join
-from metrocli.uncertainty.monte_carlo import Outcome, plan_of, tolerance_of
-from metrocli.uncertainty.samples import Binned, Edges, Sorted
+from metrocli.uncertainty.monte_carlo import Outcome, tolerance_of
+from metrocli.uncertainty.samples import BINS, Binned, Edges, Sorted
+from metrocli.uncertainty.trials import Plan, plan_of
 from metrocli.uncertainty.workers import Workers
 
 MODELS = {"sum": parse("a + b"), "product": parse("a*b*c")}
@@ -55,7 +56,7 @@ def test_the_same_bits_whatever_the_number_of_workers(trials: int | None) -> Non
 def test_counted_values_give_quantiles_within_the_stated_error() -> None:
     values = np.random.default_rng(0).standard_t(4, size=400_000)
     edges = Edges.around(values[:20_000])
-    counts = np.bincount(edges.places(values), minlength=monte_carlo.BINS + 2)
+    counts = np.bincount(edges.places(values), minlength=BINS + 2)
     binned, exact = Binned(edges, counts), Sorted(np.sort(values))
     for p in (0.5, 0.95, 0.99):
         for found, true in zip(binned.symmetric(p), exact.symmetric(p), strict=True):
@@ -106,6 +107,7 @@ def test_an_adaptive_run_is_as_good_as_it_says() -> None:
 def test_an_adaptive_run_needs_more_trials_for_rarer_ends() -> None:
     assert plan_of(MODELS, inputs(), 0, 0.95, None).chunk == 10_000
     assert plan_of(MODELS, inputs(), 0, 0.9999, None).chunk == 1_000_000
+    assert plan_of(MODELS, inputs(), 0, 0.9999, 5_000_000).chunk == 10_000
 
 
 def test_an_adaptive_run_does_not_claim_what_it_has_not_reached() -> None:
@@ -142,13 +144,13 @@ def test_a_killed_run_goes_on_from_its_finished_chunks(tmp_path: Path, monkeypat
     for extra in sorted(folder.folder.glob("*.npz"))[2:]:
         extra.unlink()
     done: list[int] = []
-    outcomes = monte_carlo.Plan.outcomes
+    outcomes = Plan.outcomes
 
-    def counted(plan: monte_carlo.Plan, number: int) -> np.ndarray:
+    def counted(plan: Plan, number: int) -> np.ndarray:
         done.append(number)
         return outcomes(plan, number)
 
-    monkeypatch.setattr(monte_carlo.Plan, "outcomes", counted)
+    monkeypatch.setattr(Plan, "outcomes", counted)
     resumed = monte_carlo.run(plan, Workers(2, finished=folder))
     assert same(whole, resumed)
     assert set(done) == {*range(10), *range(200, 450)}
@@ -210,3 +212,14 @@ def test_ten_million_trials_in_bounded_memory(tmp_path: Path) -> None:
     })  # fmt: skip
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert float(ran.stdout) < 300
+
+
+def test_many_measurands_are_counted_sooner() -> None:
+    models = {f"y{n}": parse(f"a + {n}*b*c") for n in range(20)}
+    outcome = monte_carlo.run(plan_of(models, inputs(), 1, 0.95, 500_000), Workers(2))
+    assert all(isinstance(sample, Binned) for sample in outcome.samples)
+    assert outcome.covariance.shape == (20, 20)
+    few = monte_carlo.run(plan_of({"y3": models["y3"]}, inputs(), 1, 0.95, 500_000), Workers(2))
+    assert isinstance(few.samples[0], Sorted)
+    for one, other in zip(outcome.samples[3].symmetric(0.95), few.samples[0].symmetric(0.95), strict=True):
+        assert abs(one - other) <= outcome.samples[3].resolution

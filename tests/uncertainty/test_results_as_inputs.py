@@ -72,6 +72,22 @@ def test_one_result_under_two_names_is_one_result(tmp_path: Path) -> None:
     assert ran.details("s")["std"] == pytest.approx(math.sqrt(13e-6))
 
 
+def test_an_estimate_under_another_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    where = stored(tmp_path, "part", [[4e-6, 3e-6], [3e-6, 9e-6]])
+    wanted: dict[str, Any] = job({"s": {"model": "first + part.b", "unit": "mm"}}, part=where)
+    ran = carry_out(tmp_path, wanted | {"quantities": {"first": {"estimate": "part.a"}}})
+    assert ran.details("s")["value"] == pytest.approx(30.0)
+    assert ran.details("s")["std"] == pytest.approx(math.sqrt(19e-6))
+    assert ran.details("s")["mc"]["std"] == pytest.approx(math.sqrt(19e-6), rel=0.01)
+    for given, message in (
+        ({"estimate": "part.q"}, "no estimate 'q'"),
+        ({"estimate": "pat.a"}, "no result 'pat'"),
+        ({"estimate": "part.a", "std": "1 mm"}, "std is too much"),
+    ):
+        assert carry_out(tmp_path, wanted | {"quantities": {"first": given}}).code == 3
+        assert message in capsys.readouterr().err
+
+
 def test_results_with_a_common_source_are_named(tmp_path: Path) -> None:
     camera = InputFile("camera.h5", "c" * 64, 5)
     own = InputFile("one.csv", "1" * 64, 5)

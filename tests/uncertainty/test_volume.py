@@ -235,7 +235,7 @@ def test_a_large_volume_is_quick() -> None:
 @pytest.mark.slow
 def test_a_table_of_maxima_holds_in_simulated_measurements() -> None:
     """The benchmark makes 1000 repeats; here U of each corner holds its error as often as k = 2 promises."""
-    found = bench.repeats(150)
-    sure = 3.3 * math.sqrt(0.95 * 0.05 / 150)
+    found = bench.repeats(100)
+    sure = 3.3 * math.sqrt(0.95 * 0.05 / 100)
     assert (found.held_pointwise > 0.9545 - sure).all()
-    assert found.held_pointwise.mean() == pytest.approx(0.955, abs=0.02)
+    assert found.held_pointwise.mean() == pytest.approx(0.9545, abs=0.025)

@@ -1,0 +1,191 @@
+"""Trials of Monte Carlo in chunks: each a pure function of its number, and what is kept of it.
+
+Each chunk has a random stream of its own, made from the seed and the number of the chunk.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from metrocli.errors import UndeterminedError
+from metrocli.uncertainty.expression import Expression
+from metrocli.uncertainty.inputs import Inputs
+from metrocli.uncertainty.numbers import evaluate
+from metrocli.uncertainty.samples import BINS, Counts, Edges, Sorted
+
+Array = npt.NDArray[np.float64]
+CHUNK = 10_000
+"""Least trials of a chunk (JCGM 101, 7.9.4 a)"""
+Source = Callable[[np.random.Generator, int], Sequence[tuple[int, Array]]]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is drawn and computed: everything that a chunk needs besides its number."""
+
+    models: tuple[Expression, ...]
+    names: tuple[str, ...]
+    values: tuple[float, ...]
+    """Best estimates of the quantities"""
+    centres: tuple[float, ...]
+    """Model values at the best estimates, from which trials are counted"""
+    sources: tuple[Source, ...]
+    seed: int
+    probability: float
+    trials: int | None
+    """None: adaptive"""
+
+    @property
+    def chunk(self) -> int:
+        """Trials of one chunk; in an adaptive run enough for the interval of each (JCGM 101, 7.9.4 a)."""
+        return CHUNK if self.trials is not None else max(CHUNK, math.ceil(100 / (1 - self.probability) * (1 - 1e-9)))
+
+    def count(self, number: int) -> int:
+        """Return the trials of a chunk; the last one of a fixed number may be smaller."""
+        return self.chunk if self.trials is None else min(self.chunk, self.trials - number * self.chunk)
+
+    def outcomes(self, number: int) -> Array:
+        """Return the deviations of the measurands from their centres in one chunk, (measurands, trials)."""
+        rng = np.random.Generator(np.random.SFC64(np.random.SeedSequence(self.seed, spawn_key=(number,))))
+        count = self.count(number)
+        values: dict[str, Any] = dict(zip(self.names, self.values, strict=True))
+        for source in self.sources:
+            for index, deviations in source(rng, count):
+                deviations += self.values[index]
+                values[self.names[index]] = deviations
+        found = np.empty((len(self.models), count))
+        for row, model, centre in zip(found, self.models, self.centres, strict=True):
+            np.subtract(evaluate(model, values), centre, out=row)
+        return found
+
+
+def plan_of(
+    models: Mapping[str, Expression], inputs: Inputs, seed: int, probability: float, trials: int | None
+) -> Plan:
+    """Return the plan of a run; raises UnreachableError where correlations cannot be drawn."""
+    values = inputs.values
+    centres = [float(evaluate(model, values)) for model in models.values()]
+    finite = tuple(centre if math.isfinite(centre) else 0.0 for centre in centres)
+    sources = inputs.sources()
+    means = tuple(values.values())
+    return Plan(tuple(models.values()), inputs.names, means, finite, sources, seed, probability, trials)
+
+
+@dataclass(frozen=True)
+class Tally:
+    """Counts, means and sums of products of some trials; two of them add up to those of both."""
+
+    count: int
+    mean: Array
+    products: Array
+    """(m, m), of deviations from the means"""
+
+    @classmethod
+    def of(cls, outcomes: Array) -> Tally:
+        """Return the tally of outcomes (m, trials)."""
+        mean = outcomes.mean(axis=1)
+        deviations = outcomes - mean[:, None]
+        return cls(outcomes.shape[1], mean, deviations @ deviations.T)
+
+    def __add__(self, other: Tally) -> Tally:
+        """Return the tally of both (Chan, Golub and LeVeque 1979)."""
+        count = self.count + other.count
+        apart = other.mean - self.mean
+        mean = self.mean + apart * (other.count / count)
+        products = self.products + other.products + np.outer(apart, apart) * (self.count * other.count / count)
+        return Tally(count, mean, products)
+
+    @property
+    def covariance(self) -> Array:
+        """(m, m)"""
+        return self.products / (self.count - 1)
+
+
+@dataclass(frozen=True)
+class Batch:
+    """What comes back of some chunks."""
+
+    tally: Tally
+    spread: Array
+    """(chunks, 4, m): mean, standard deviation and symmetric interval of each chunk"""
+    values: Array | None
+    """(m, trials), where all are kept"""
+    counts: Counts | None
+    """(m, BINS + 2), where they are counted"""
+
+    def arrays(self) -> dict[str, Any]:
+        """Return a counted batch as arrays by name."""
+        tally = self.tally
+        return {"count": tally.count, "mean": tally.mean, "products": tally.products, "counts": self.counts}
+
+    @classmethod
+    def restored(cls, arrays: Mapping[str, Any]) -> Batch:
+        """Return the batch of such arrays."""
+        tally = Tally(int(arrays["count"]), arrays["mean"], arrays["products"])
+        return cls(tally, np.array([]), None, arrays["counts"])
+
+
+@dataclass(frozen=True)
+class Work:
+    """Do batches of chunks."""
+
+    plan: Plan
+    chunks: int
+    """Of one batch"""
+    edges: tuple[Edges, ...] = ()
+    """Of each measurand; empty where all values are kept"""
+
+    def __call__(self, number: int) -> Batch:
+        tally: Tally | None = None
+        kept: list[Array] = []
+        spread: list[Array] = []
+        places: list[list[npt.NDArray[np.int32]]] = []
+        for chunk in range(number * self.chunks, (number + 1) * self.chunks):
+            if self.plan.count(chunk) <= 0:
+                break
+            found = self.plan.outcomes(chunk)
+            _refuse_lost(found, self.plan)
+            tally = Tally.of(found) if tally is None else tally + Tally.of(found)
+            if self.plan.trials is None:
+                spread.append(spread_of(found, self.plan.probability))
+            if self.edges:
+                places.append([edges.places(row) for edges, row in zip(self.edges, found, strict=True)])
+            else:
+                kept.append(found)
+        assert tally is not None
+        values = np.concatenate(kept, axis=1) if kept else None
+        return Batch(tally, np.array(spread), values, counted(places) if places else None)
+
+
+def counted(places: Sequence[Sequence[npt.NDArray[np.int32]]]) -> Counts:
+    """Return how many values fell into each bin, (m, BINS + 2), from the bins of the values of some chunks."""
+    rows = [np.bincount(np.concatenate(column), minlength=BINS + 2) for column in zip(*places, strict=True)]
+    return np.array(rows, dtype=np.int64)
+
+
+class NoOutcomeError(UndeterminedError):
+    """Trials in which a model has no value."""
+
+
+def _refuse_lost(found: Array, plan: Plan) -> None:
+    lost = ~np.isfinite(found)
+    if lost.any():
+        row = int(np.argmax(lost.any(axis=1)))
+        raise NoOutcomeError(
+            f"{int(lost[row].sum())} of {found.shape[1]} trials of '{plan.models[row].text}' have no value: a root or "
+            "logarithm of a negative number, or a division by zero\n"
+            "  a distribution reaches beyond what the model allows: bound it (uniform, triangular), or change the model"
+        )
+
+
+def spread_of(found: Array, probability: float) -> Array:
+    """Return mean, standard deviation and interval ends of one chunk, (4, m)."""
+    ordered = np.sort(found, axis=1)
+    ends = np.array([Sorted(row).symmetric(probability) for row in ordered]).T
+    return np.vstack([found.mean(axis=1), found.std(axis=1, ddof=1), ends])
