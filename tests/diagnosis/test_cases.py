@@ -66,7 +66,7 @@ def _marked(folder: Path) -> Any:
     return pytest.param(folder, marks=missed, id=name)
 
 
-@pytest.mark.parametrize("folder", map(_marked, FOLDERS))
+@pytest.mark.parametrize("folder", [_marked(folder) for folder in FOLDERS])
 def test_the_verdict_is_right(folder: Path) -> None:
     truth = json.loads((folder / "truth.json").read_text())
     diagnosis = diagnose(subject_of(load(folder / "job.yaml")))
