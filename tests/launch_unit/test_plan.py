@@ -202,7 +202,7 @@ def check_program(text: str, plan: Plan, line: str, unit: np.ndarray, job: Plann
             if word[0] in "XYZ"
         ]
     )
-    done = nc_interpreter.run(text, park, nc_program.DWELL_WORDS[job.control])
+    done = nc_interpreter.run(text, park, job.control)
     points = plan.tables["points"]
     mine = points.stacked("xyz")[np.array(points.texts("line")) == line]
     assert np.array([at for at, _ in done.dwells]) == pytest.approx(mine, abs=0.6e-4)
@@ -221,7 +221,7 @@ def check_program(text: str, plan: Plan, line: str, unit: np.ndarray, job: Plann
         assert (move[1] >= job.axes.box[:, 0] - 1e-3).all() and (move[1] <= job.axes.box[:, 1] + 1e-3).all()
 
 
-@pytest.mark.parametrize("control", nc_program.DWELL_WORDS)
+@pytest.mark.parametrize("control", nc_program.CONTROLS)
 def test_the_programs_of_the_paper_s_scenario_run(control: str) -> None:
     job = replace(PAPER_PLAN, control=control, dwell=2.5, feed=25.0)
     plan = planned(paper(), job)
