@@ -52,9 +52,10 @@ def _covariates(model: Model, group: Group) -> Iterator[Covariate]:
     """Yield what an unknown effect could vary with: time, place, and the beam."""
     conditions, name = group.observations.conditions, group.name
     if ELAPSED in conditions:
-        yield Covariate("t_s", {name: conditions[ELAPSED]}, 8)
+        yield Covariate("t_s", {name: conditions[ELAPSED]}, 6, periodic=True)
     else:
-        yield Covariate("order of the readings", {name: np.arange(group.observations.count, dtype=float)}, 8)
+        order = np.arange(group.observations.count, dtype=float)
+        yield Covariate("order of the readings", {name: order}, 6, periodic=True)
     position = np.stack([conditions[axis] for axis in POSITION])
     yield Covariate("place in the machine", {name: position}, 3)
     if TRACKER in model.blocks:
