@@ -155,6 +155,18 @@ def test_one_gross_error_is_not_taken_for_a_shuffle(folder: Path, metrocli: Metr
     assert "1 lengths are left out as wrong: P0/T2" in ran.err
 
 
+def test_several_gross_errors_of_one_tracer_are_named(folder: Path, metrocli: Metrocli) -> None:
+    """Three of 25 lengths of one tracer, too many for least squares to start from."""
+
+    def spoil(values: list[float]) -> list[float]:
+        return [values[0] + 300.0, values[1] - 1000.0, *values[2:9], values[9] + 1000.0, *values[10:]]
+
+    change(folder / "lengths.csv", lambda rows: of_tracer(rows, "T2", spoil))
+    ran = metrocli("multilaterate", "job.yaml", "--set", "outliers=remove")
+    assert ran.code == 0, ran.err
+    assert "3 lengths are left out as wrong: P0/T2, P1/T2, P9/T2" in ran.err
+
+
 def test_a_wrong_entry_among_the_points_is_named(folder: Path, metrocli: Metrocli) -> None:
     """A typing error of 1 mm: the frame follows it by 1/25 of that, so it must not pass in silence."""
 
