@@ -115,6 +115,34 @@ def test_it_is_refused_and_told(name: str, folder: Path, metrocli: Metrocli) -> 
     assert not (folder / "o.h5").exists()
 
 
+@pytest.mark.parametrize("command", [("check",), ("multilaterate", "--dry-run")])
+def test_all_faults_are_told_at_once_without_computing(
+    command: tuple[str, ...], folder: Path, metrocli: Metrocli
+) -> None:
+    change(folder / "lengths.csv", lambda rows: [*rows, "P99,T0,500.0", "P3,T9,500.0"])
+    change(folder / "points.csv", lambda rows: [f"{rows[0]},sigma_mm", *(f"{row},-1" for row in rows[1:])])
+    ran = metrocli(*command, "job.yaml")
+    assert ran.code == 3
+    for words in ("point 'P99' is not in", "tracer 'T9' is not in", "points.csv:2: error: a standard deviation is"):
+        assert words in ran.err
+
+
+def test_check_looks_at_distances_effects_and_probing(folder: Path, metrocli: Metrocli) -> None:
+    (folder / "bars.csv").write_text("from,to,length_mm,sigma_mm\nP1,P1,10,1e-3\nP2,P3,-5,1e-3\nP4,P5,5,0\n")
+    (folder / "probing.csv").write_text("feature,point,x_mm,y_mm,z_mm\nplane,Q1,1,2,-3000\n")
+    more = "effects: [{name: tracer-scale, tracer: T9}]\n"
+    (folder / "job.yaml").write_text(
+        JOB.replace("tracers.csv}", "tracers.csv, distances: bars.csv, probing: probing.csv}") + more
+    )
+    ran = metrocli("check", "job.yaml")
+    assert ran.code == 3
+    assert "bars.csv:2: error: a distance of a point to itself" in ran.err
+    assert "bars.csv:3: error: a distance is not above zero" in ran.err
+    assert "bars.csv:4: error: the standard deviation of a distance is not above zero" in ran.err
+    assert "there is no tracer 'T9'" in ran.err
+    assert "probing.csv:2: error: probing point 'Q1' has no replayed point" in ran.err
+
+
 def test_the_good_input_is_good(folder: Path, metrocli: Metrocli) -> None:
     """Or the tests above would pass whatever is refused."""
     ran = metrocli("multilaterate", "job.yaml")
