@@ -169,6 +169,14 @@ def test_files_in_different_units_that_say_so_are_one(folder: Path, metrocli: Me
     assert metrocli("multilaterate", "job.yaml").code == 0
 
 
+def test_a_mirrored_list_of_points_is_told_by_the_tracers(folder: Path, metrocli: Metrocli) -> None:
+    """Lengths fit the mirror image as well: the list of tracers alone shows it."""
+    assert "far from where their list says" not in metrocli("multilaterate", "job.yaml").err
+    change(folder / "points.csv", lambda rows: [rows[0].replace("x_mm,y_mm", "y_mm,x_mm"), *rows[1:]])
+    ran = metrocli("multilaterate", "job.yaml")
+    assert "tracers are far from where their list says: T1" in ran.err
+
+
 def test_one_gross_error_is_not_taken_for_a_shuffle(folder: Path, metrocli: Metrocli) -> None:
     def spoil(values: list[float]) -> list[float]:
         return [values[0] + 300.0, *values[1:]]

@@ -57,7 +57,7 @@ def test_degenerate_layouts_are_named(name: str) -> None:
 
 
 def test_three_absolute_tracers_are_not_enough_where_nothing_is_known() -> None:
-    net = replace(network(30, 3), dead=np.zeros(3)).read(RNG)
+    net = replace(network(30, 3), dead=np.zeros(3)).read(np.random.default_rng(1))
     with pytest.raises(UndeterminedError, match="positions from absolute distances need 4 or more"):
         multilaterate.run(settings(measures="absolute"), net.lengths(), net.point_table())
 
