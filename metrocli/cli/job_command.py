@@ -56,8 +56,9 @@ def _carry_out(kind: str, path: Path, voice: Voice, wanted: dict[str, Any]) -> i
         return 0
     from metrocli.uncertainty.workers import Workers
 
-    workers = Workers(wanted.get("workers", 0), wanted.get("scheduler", ""), tell=voice.counting())
-    done = runner.carry_out(job, wanted["force"], voice.progress, workers)
+    with voice.counting() as tell:
+        workers = Workers(wanted.get("workers", 0), wanted.get("scheduler", ""), tell=tell)
+        done = runner.carry_out(job, wanted["force"], voice.progress, workers)
     if wanted["as_json"]:
         click.echo(summary.json_of(done.result, done.record, done.path))
     else:

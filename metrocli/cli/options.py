@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -56,19 +57,26 @@ class Voice:
         if self.verbose or (not self.quiet and sys.stderr.isatty()):
             click.echo(line, err=True)
 
-    def counting(self) -> Callable[[int, int | None], None]:
-        """Return what tells on a terminal how many parts of a long computation are done, after two seconds."""
+    @contextmanager
+    def counting(self) -> Iterator[Callable[[int, int | None], None]]:
+        """Give what tells on a terminal how many parts of a long computation are done, after two seconds."""
         import sys
         import time
 
-        begun = time.monotonic()
+        begun, told = time.monotonic(), False
         shown = not self.quiet and sys.stderr.isatty()
 
         def tell(done: int, of: int | None) -> None:
+            nonlocal told
             if shown and time.monotonic() - begun > 2:
-                click.echo(f"\r{done} of {of} parts" if of else f"\r{done} parts", err=True, nl=done == of)
+                click.echo(f"\r{done} of {of} parts" if of else f"\r{done} parts", err=True, nl=False)
+                told = True
 
-        return tell
+        try:
+            yield tell
+        finally:
+            if told:
+                click.echo(err=True)
 
     def warning(self, line: str) -> None:
         """Tell on stderr what the user should know."""

@@ -15,8 +15,9 @@ from metrocli.errors import Fault
 from metrocli.result import Result
 from metrocli.settings import Placed
 from metrocli.table import Table
+from metrocli.tasks import uncertainty_correlations as correlations
 from metrocli.tasks import uncertainty_decisions
-from metrocli.tasks.uncertainty_quantity import quantity, unit_of
+from metrocli.tasks.uncertainty_quantity import column_of, quantity, unit_of
 from metrocli.tasks.uncertainty_sources import identity, shared
 from metrocli.tasks.uncertainty_values import Model
 from metrocli.uncertainty import dimensions
@@ -62,7 +63,7 @@ def build(settings: Settings, results: Mapping[str, Result], files: Mapping[str,
     models = {name: placed.value.model.expression for name, placed in settings.measurands.items()}
     prefixes = {gathered.target(name).partition(".")[0] for name in gathered.named}
     used = {name: result for name, result in results.items() if name in prefixes}
-    warnings = [*shared(used, settings.quantities), *_heavy_tails(gathered.inputs)]
+    warnings = [*gathered.noted, *shared(used, settings.quantities), *_heavy_tails(gathered.inputs)]
     return Problem(gathered.inputs, models, gathered.wanted, settings.measurands, tuple(warnings))
 
 
@@ -86,6 +87,7 @@ class _Gathering:
     named: tuple[str, ...] = ()
     inputs: Inputs | None = None
     reserved: set[str] = field(default_factory=set)
+    noted: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         for name, placed in self.settings.quantities.items():
@@ -98,9 +100,10 @@ class _Gathering:
         self._unused()
         for name, placed in self.settings.measurands.items():
             self._measurand(name, placed)
-        pairs = self._correlations()
+        known = {*self.settings.quantities, *self.named}
+        self.faults += correlations.misnamed(self.settings.correlations, known, self.results is not None)
         if not self.faults and self._whole():
-            self._join(pairs, blocks)
+            self._join(blocks)
 
     def _whole(self) -> bool:
         return all(name in self.quantities for name in self.named)
@@ -230,57 +233,30 @@ class _Gathering:
             self.faults.append(node.fault(said, f"unit: one such as {_example(found)}"))
         self.wanted[name] = wanted
 
-    def _correlations(self) -> list[tuple[str, str, float]]:
-        pairs: list[tuple[str, str, float]] = []
-        for placed in self.settings.correlations:
-            a, b = placed.value.between
-            for name in (a, b):
-                if (
-                    name not in self.settings.quantities
-                    and (self.results is not None or "." not in name)
-                    and name not in self.named
-                ):
-                    hint = suggestion(name, [*self.settings.quantities, *(n for n in self.named if "." in n)])
-                    self.faults.append(
-                        placed.node.at("between").fault(f"correlation of '{name}', which is no quantity", hint)
-                    )
-            if any({a, b} == {c, d} for c, d, _ in pairs):
-                self.faults.append(placed.node.fault(f"the correlation of {a} and {b} is given twice", "give it once"))
-            pairs.append((a, b, placed.value.value))
-        return pairs
-
-    def _join(self, pairs: list[tuple[str, str, float]], blocks: list[Block]) -> None:
-        held = [block.names for block in blocks]
-        for (a, b, _), placed in zip(pairs, self.settings.correlations, strict=True):
-            if any(a in names and b in names for names in held):
-                said = f"{a} and {b} are estimates of one result, which states their covariance"
-                self.faults.append(placed.node.fault(said, "leave this correlation out"))
-            for name in (a, b):
-                if self.quantities[name].std == 0:
-                    self.faults.append(
-                        placed.node.fault(f"{name} has no uncertainty that could be correlated", "leave it out")
-                    )
+    def _join(self, blocks: list[Block]) -> None:
+        """Put the quantities together with their correlations."""
+        declared = [placed.value for placed in self.settings.correlations]
+        self.faults += correlations.refused(self.settings.correlations, self.quantities, blocks)
         if self.faults:
             return
+        together = correlations.simultaneous(self._readings(), {frozenset(pair.between) for pair in declared})
+        self.noted += [pair.said for pair in together]
+        pairs = [(*pair.between, pair.value) for pair in (*declared, *together)]
+        # In the order of the job, then estimates of results in that of the models.
+        order = [quantity for name, quantity in self.quantities.items() if name in self.named]
         try:
-            # In the order of the job, then estimates of results in that of the models.
-            order = [name for name in self.quantities if name in self.named]
-            self.inputs = join([self.quantities[name] for name in order], pairs, blocks)
+            self.inputs = join(order, pairs, blocks)
         except NotSemiDefiniteError as error:
-            self.faults += self._contradiction(error, pairs)
+            first = next(iter(self.settings.measurands.values())).node
+            self.faults.append(correlations.contradiction(error, self.settings.correlations, first))
 
-    def _contradiction(self, error: NotSemiDefiniteError, pairs: list[tuple[str, str, float]]) -> list[Fault]:
-        involved = [n for n, (a, b, _) in enumerate(pairs) if a in error.names and b in error.names]
-        said = ", ".join(f"r({pairs[n][0]}, {pairs[n][1]}) = {pairs[n][2]:g}" for n in involved)
-        message = f"these correlations contradict each other: {said} (smallest eigenvalue {error.eigenvalue:.3g})"
-        nodes = [self.settings.correlations[n].node for n in involved] or [
-            self.settings.measurands[next(iter(self.settings.measurands))].node
-        ]
-        if not involved:
-            message = (
-                f"the covariance of {', '.join(error.names)} is not positive semi-definite ({error.eigenvalue:.3g})"
-            )
-        return [nodes[0].fault(message, "no quantities can have all of them: one is too large, or has the wrong sign")]
+    def _readings(self) -> Iterable[tuple[str, Table, str]]:
+        """Yield the name, file and column of each quantity that is evaluated from readings."""
+        for name in self.named:
+            placed = self.settings.quantities.get(name)
+            table = (self.files or {}).get(f"{placed.node.path}.readings") if placed is not None else None
+            if placed is not None and table is not None and isinstance(self.quantities[name].distribution, Normal):
+                yield name, table, column_of(placed.value, table)
 
 
 def _keyword(name: str) -> bool:

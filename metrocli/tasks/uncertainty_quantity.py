@@ -178,7 +178,7 @@ def _from_table(name: str, given: Given, table: Table | None) -> Quantity:
         raise _Wrong(key, f"readings say all of it; {key} is too much", f"leave {key} out")
     if table is None:
         raise _Wrong("readings", "the readings were not read", "give the path of a CSV")
-    column = _column(given, table)
+    column = column_of(given, table)
     unit = _unit_of_column(column)
     values = table.numbers(column) * unit.factor
     if len(values) < 2:
@@ -191,7 +191,8 @@ def _from_table(name: str, given: Given, table: Table | None) -> Quantity:
     return Quantity(name, mean, Normal(std) if std > 0 else None, float(len(values) - 1), unit)
 
 
-def _column(given: Given, table: Table) -> str:
+def column_of(given: Given, table: Table) -> str:
+    """Return the column of a quantity: the one it names, or the only one of numbers."""
     from metrocli.words import suggestion
 
     numeric = [column for column in table if table.columns[column].dtype.kind == "f"]

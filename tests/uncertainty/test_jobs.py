@@ -311,3 +311,30 @@ def test_decisions(tmp_path: Path) -> None:
     del job["tolerance"]["y"]["process"]
     found = carry_out(tmp_path, job).details("y")["tolerance"]
     assert found["guard_band"] == pytest.approx(2.326348e-3 * 2)
+
+
+def test_simultaneous_readings_are_correlated_as_their_rows_are(tmp_path: Path) -> None:
+    """JCGM 100, H.2: impedance from five sets of readings; tables H.3 and H.4."""
+    v, i = (5.007, 4.994, 5.005, 4.990, 4.999), (19.663, 19.639, 19.640, 19.685, 19.678)
+    phi = (1.0456, 1.0438, 1.0468, 1.0428, 1.0433)
+    rows = [",".join(map(repr, row)) for row in zip(v, i, phi, strict=True)]
+    (tmp_path / "z.csv").write_text("v_V,i_mA,phi_rad\n" + "\n".join(rows) + "\n")
+    columns = {"V": "v_V", "I": "i_mA", "phi": "phi_rad"}
+    job: dict[str, Any] = {
+        "quantities": {name: {"readings": "z.csv", "column": column} for name, column in columns.items()},
+        "measurands": {name: {"model": f"V/I{factor}", "unit": "ohm"} for name, factor in (("R", "*cos(phi)"), ("X", "*sin(phi)"), ("Z", ""))},
+        "monte_carlo": {"trials": 100000},
+    }  # fmt: skip
+    ran = carry_out(tmp_path, job)
+    assert ran.result is not None
+    for name, value, std in (("R", 127.732, 0.071), ("X", 219.847, 0.295), ("Z", 254.260, 0.236)):
+        found = ran.details(name)
+        assert (round(found["value"], 3), found["std"]) == (value, pytest.approx(std, abs=6e-4))
+        assert found["dof"] == pytest.approx(4)
+        assert found["mc"]["std"] == pytest.approx(std * math.sqrt(2), rel=0.05)
+    correlation = ran.result.arrays["correlation"]
+    assert [correlation[0, 1], correlation[0, 2], correlation[1, 2]] == pytest.approx([-0.588, -0.485, 0.993], abs=6e-4)
+    assert len(ran.result.warnings) >= 3 and "V and I are readings of one file" in ran.result.warnings[0]
+    apart = [{"between": pair, "value": 0} for pair in (["V", "I"], ["V", "phi"], ["I", "phi"])]
+    ran = carry_out(tmp_path, {**job, "correlations": apart})
+    assert ran.details("Z")["std"] == pytest.approx(math.hypot(0.0032094 / 4.999, 0.009471 / 19.661) * 254.26, rel=1e-3)

@@ -1,0 +1,78 @@
+"""Correlations of a job: those it declares, with their faults, and those of readings taken together."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from metrocli.errors import Fault
+from metrocli.nodes import Node
+from metrocli.settings import Placed
+from metrocli.table import Table
+from metrocli.uncertainty.inputs import Block, NotSemiDefiniteError, Quantity
+from metrocli.words import suggestion
+
+
+def misnamed(declared: Sequence[Placed], known: Collection[str], with_results: bool) -> Iterable[Fault]:
+    """Yield a fault for each name that is none, and for each pair that stands twice."""
+    seen: set[frozenset[str]] = set()
+    for placed in declared:
+        pair = placed.value.between
+        for name in pair:
+            if name not in known and (with_results or "." not in name):
+                said = f"correlation of '{name}', which is no quantity"
+                yield placed.node.at("between").fault(said, suggestion(name, known))
+        if frozenset(pair) in seen:
+            yield placed.node.fault(f"the correlation of {pair[0]} and {pair[1]} is given twice", "give it once")
+        seen.add(frozenset(pair))
+
+
+def refused(declared: Sequence[Placed], quantities: Mapping[str, Quantity], blocks: Sequence[Block]) -> Iterable[Fault]:
+    """Yield a fault for each pair whose correlation is stated already, or that has no uncertainty."""
+    for placed in declared:
+        a, b = placed.value.between
+        if any(a in block.names and b in block.names for block in blocks):
+            said = f"{a} and {b} are estimates of one result, which states their covariance"
+            yield placed.node.fault(said, "leave this correlation out")
+        for name in (a, b):
+            if quantities[name].std == 0:
+                yield placed.node.fault(f"{name} has no uncertainty that could be correlated", "leave it out")
+
+
+@dataclass(frozen=True)
+class Together:
+    """A correlation that readings show."""
+
+    between: tuple[str, str]
+    value: float
+    said: str
+
+
+def simultaneous(readings: Iterable[tuple[str, Table, str]], given: Collection[frozenset[str]]) -> list[Together]:
+    """Return the correlations of readings in the rows of one file (JCGM 100, 5.2.3), but for those that are given."""
+    files: dict[str, list[tuple[str, Table, str]]] = {}
+    for reading in readings:
+        files.setdefault(reading[1].file, []).append(reading)
+    found = []
+    for file, held in files.items():
+        for (a, first, one), (b, second, other) in combinations(held, 2):
+            if frozenset((a, b)) not in given:
+                r = float(np.corrcoef(first.numbers(one), second.numbers(other))[0, 1])
+                said = f"{a} and {b} are readings of one file, {file}: their correlation there, {r:+.3f}, is taken"
+                found.append(Together((a, b), r, f"{said}; declare 0 if the rows do not belong together"))
+    return found
+
+
+def contradiction(error: NotSemiDefiniteError, declared: Sequence[Placed], otherwise: Node) -> Fault:
+    """Return the fault of correlations that no quantities can have, at the first that takes part."""
+    pairs = [placed for placed in declared if set(placed.value.between) <= set(error.names)]
+    hint = "no quantities can have all of them: one is too large, or has the wrong sign"
+    if not pairs:
+        said = f"the covariance of {', '.join(error.names)} is not positive semi-definite ({error.eigenvalue:.3g})"
+        return otherwise.fault(said, hint)
+    each = (f"r({', '.join(placed.value.between)}) = {placed.value.value:g}" for placed in pairs)
+    said = f"these correlations contradict each other: {', '.join(each)} (smallest eigenvalue {error.eigenvalue:.3g})"
+    return pairs[0].node.fault(said, hint)
