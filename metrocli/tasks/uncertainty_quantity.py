@@ -84,7 +84,9 @@ def _written(name: str, given: Given) -> Quantity:
     if given.column is not None:
         raise _Wrong("column", "a column is named, but no readings or samples", "give readings: FILE.csv")
     spread = _spread(given, best)
-    return Quantity(name, best.value, spread.distribution, spread.dof, best.unit)
+    # The mean of what q events leave is q + 1 (JCGM 101, 6.4.11).
+    value = best.value + 1 if isinstance(spread.distribution, Counts) else best.value
+    return Quantity(name, value, spread.distribution, spread.dof, best.unit)
 
 
 def _spread(given: Given, best: Measure) -> Spread:
