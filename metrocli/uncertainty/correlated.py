@@ -61,7 +61,11 @@ class Dependent:
         for i in range(len(indices)):
             for j in range(i):
                 wanted = float(correlation[i, j])
-                normal[i, j] = normal[j, i] = _normal_correlation(distributions[i], distributions[j], wanted)
+                try:
+                    normal[i, j] = normal[j, i] = _normal_correlation(distributions[i], distributions[j], wanted)
+                except UnreachableError as error:
+                    error.between = (indices[i], indices[j])
+                    raise
         root = factor(normal)
         root /= np.linalg.norm(root, axis=1)[:, None]
         return cls(indices, tuple(distributions), root)
@@ -79,8 +83,11 @@ class Dependent:
 class UnreachableError(ValueError):
     """Two distributions cannot have the correlation asked for; `largest` says what they can have."""
 
+    between: tuple[int, int]
+    """Their places among the quantities"""
+
     def __init__(self, largest: float) -> None:
-        super().__init__(f"quantities of these shapes can have a correlation of {largest:.3g} at most")
+        super().__init__(f"quantities of these shapes can have a correlation up to {largest:.3g} only")
         self.largest = largest
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from metrocli.uncertainty.correlated import CLIP, Dependent, Ellipse, factor
+from metrocli.uncertainty.correlated import CLIP, Dependent, Ellipse, UnreachableError, factor
 from metrocli.uncertainty.dimensions import Compound
 from metrocli.uncertainty.distributions import Distribution, Normal, in_trials
 
@@ -81,13 +81,21 @@ class Inputs:
         if len(group) == 1:
             return _Single(group[0], shapes[0])
         part = self.covariance[np.ix_(group, group)]
-        dofs = {self.quantities[i].dof for i in group}
-        if len(dofs) == 1 and all(isinstance(self._shape(i), Normal) for i in group):
-            return Ellipse(group, factor(part), dofs.pop())
         std = np.sqrt(np.diag(part))
         moving = [k for k in range(len(group)) if std[k] > 0]
+        root, dofs = factor(part), {self.quantities[i].dof for i in group}
+        ellipse = Ellipse(group, root, min(dofs))
+        normal = all(isinstance(self._shape(i), Normal) for i in group)
+        # t distributions of different dof cannot keep what a singular covariance says to be exact.
+        if normal and (len(dofs) == 1 or root.shape[1] < len(moving)):
+            return ellipse
         correlation = part[np.ix_(moving, moving)] / std[moving][:, None] / std[moving]
-        return Dependent.of(tuple(group[k] for k in moving), [shapes[k] for k in moving], correlation)
+        try:
+            return Dependent.of(tuple(group[k] for k in moving), [shapes[k] for k in moving], correlation)
+        except UnreachableError:
+            if normal:
+                return ellipse
+            raise
 
     def _shape(self, index: int) -> Distribution:
         return self.quantities[index].distribution or Normal(0.0)

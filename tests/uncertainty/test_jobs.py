@@ -157,7 +157,7 @@ GIVEN = [
     ({"value": 3, "U": 0.6, "k": 2}, 3, 0.3, None), ({"value": 3, "U": 0.6, "k": 3, "dof": 9}, 3, 0.2, 9), ({"value": 3, "std": 1, "distribution": "uniform"}, 3, 1, None),
     ({"value": 3, "half_width": 1, "distribution": "rectangular"}, 3, 1 / math.sqrt(3), None), ({"value": 3, "half_width": 1, "distribution": "U"}, 3, 1 / math.sqrt(2), None),
     ({"value": 3, "half_width": 1, "distribution": "trapezoidal", "beta": 0.5}, 3, math.sqrt(1.25 / 6), None), ({"value": 3, "std": 1, "distribution": "triangular"}, 3, 1, None),
-    ({"value": 3, "distribution": "exponential"}, 3, 3, None), ({"value": 3, "distribution": "counts"}, 3, 2, None), ({"value": 3, "half_width": 1, "dof": 8}, 3, 1 / math.sqrt(3), 8),
+    ({"value": 3, "distribution": "exponential"}, 3, 3, None), ({"value": 3, "distribution": "counts"}, 4, 2, None), ({"value": 3, "half_width": 1, "dof": 8}, 3, 1 / math.sqrt(3), 8),
     ({"value": 3, "std": 0.5, "dof": 4, "distribution": "t"}, 3, 0.5, 4), ({"value": 3, "half_width": 1, "inexactness": 0.3}, 3, math.sqrt(1 / 3 + 0.01), None),
 ]  # fmt: skip
 
@@ -172,8 +172,15 @@ def test_ways_to_say_how_well_a_quantity_is_known(
     found = ran.details("y")
     assert (found["value"], found["std"]) == pytest.approx((value, std))
     assert found["dof"] == (math.inf if dof is None else pytest.approx(dof))
-    if given.get("distribution") != "counts":
-        assert found["mc"]["mean"] == pytest.approx(value, abs=0.05)
+    assert found["mc"]["mean"] == pytest.approx(value, abs=0.05)
+
+
+def test_a_count_has_the_interval_of_its_gamma_distribution(tmp_path: Path) -> None:
+    """25 events: the 95 % interval of gamma(26) is that of chi-squared with 52 degrees of freedom, halved (tables)."""
+    job = {"quantities": {"n": {"value": 25, "distribution": "counts"}}, "measurands": {"m": {"model": "n"}}}
+    found = carry_out(tmp_path, job).details("m")
+    assert (found["value"], found["std"]) == pytest.approx((26.0, math.sqrt(26.0)))
+    assert found["mc"]["interval"] == pytest.approx([33.968 / 2, 73.810 / 2], abs=0.05)
 
 
 def test_a_correlation_is_never_dropped(tmp_path: Path) -> None:
@@ -185,6 +192,22 @@ def test_a_correlation_is_never_dropped(tmp_path: Path) -> None:
         found = ran.details("y")
         assert found["std"] == pytest.approx(u, abs=1e-3)
         assert found["mc"]["std"] == pytest.approx(u * math.sqrt(30 / 28) if extra.get("dof") else u, rel=0.01)
+
+
+def test_a_correlation_that_shapes_cannot_have_is_told_at_its_place(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shape = {"value": 1, "distribution": "exponential"}
+    job = {
+        "quantities": {"a": shape, "b": dict(shape), "c": {"value": 1, "std": 0.1}},
+        "correlations": [{"between": ["a", "c"], "value": 0.2}, {"between": ["a", "b"], "value": -0.9}],
+        "measurands": {"m": {"model": "a + b + c"}},
+    }
+    assert carry_out(tmp_path, job).code == 3
+    told = capsys.readouterr().err
+    line = next(n for n, text in enumerate((tmp_path / "job.yaml").read_text().splitlines(), 1) if "-0.9" in text) - 3
+    assert f"job.yaml:{line}:" in told
+    assert "a and b: quantities of these shapes can have a correlation up to -0.645 only" in told
 
 
 def test_degrees_of_freedom_of_correlated_readings_are_shared(tmp_path: Path) -> None:
