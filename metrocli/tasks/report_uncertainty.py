@@ -88,7 +88,8 @@ def _fails(model: Model, problem: Problem) -> bool:
 def _trials(settings: Settings, problem: Problem, probability: float, workers: Workers) -> monte_carlo.Outcome:
     wanted = settings.monte_carlo
     try:
-        plan = plan_of(problem.models, problem.inputs, wanted.seed, probability, wanted.trials)
+        units = {name: unit.factor for name, unit in problem.units.items()}
+        plan = plan_of(problem.models, problem.inputs, wanted.seed, probability, wanted.trials, units)
     except UnreachableError as error:
         pair = {problem.inputs.names[index] for index in error.between}
         # Estimates of a result can be the pair, which a declared correlation ties to other shapes.

@@ -256,6 +256,22 @@ def test_a_model_without_derivative_has_the_uncertainty_of_monte_carlo(
     assert "Monte Carlo" in capsys.readouterr().err
 
 
+def test_the_verdict_is_by_digits_in_the_unit_asked_for(tmp_path: Path) -> None:
+    """Half of the last of two digits is 5 % of u = 0.10 deg and 2.9 % of the same 1.7 mrad.
+
+    Of a t distribution with 65 degrees of freedom, 2.039 u cover what 2 u do of a normal one.
+    """
+    job = {
+        "quantities": {"a": {"value": "30 deg", "std": "0.1 deg", "dof": 65}},
+        "measurands": {"in_deg": {"model": "a", "unit": "deg"}, "in_mrad": {"model": "a", "unit": "mrad"}},
+        "coverage": {"k": 2},
+        "monte_carlo": {"trials": 1_000_000, "seed": 1},
+    }
+    ran = carry_out(tmp_path, job)
+    assert ran.details("in_deg")["gum_valid"] is True
+    assert ran.details("in_mrad")["gum_valid"] is False
+
+
 def test_reasons_where_gum_does_not_hold(tmp_path: Path) -> None:
     cases = [
         ("x*x", {"value": 0.1, "std": 0.05}, "not linear"), ("x", {"value": 0, "half_width": 1}, "not normal: k = 1.65"),
