@@ -22,6 +22,8 @@ from metrocli.uncertainty.samples import BINS, Counts, Edges, Sorted
 Array = npt.NDArray[np.float64]
 CHUNK = 10_000
 """Least trials of a chunk (JCGM 101, 7.9.4 a)"""
+LARGEST = 1e150
+"""A larger value has no square, and counts as none"""
 Source = Callable[[np.random.Generator, int], Sequence[tuple[int, Array]]]
 
 
@@ -188,12 +190,12 @@ class NoOutcomeError(UndeterminedError):
 
 
 def _refuse_lost(found: Array, plan: Plan) -> None:
-    lost = ~np.isfinite(found)
+    lost = ~(np.abs(found) < LARGEST)
     if lost.any():
         row = int(np.argmax(lost.any(axis=1)))
         raise NoOutcomeError(
             f"{int(lost[row].sum())} of {found.shape[1]} trials of '{plan.models[row].text}' have no value: a root or "
-            "logarithm of a negative number, or a division by zero\n"
+            f"logarithm of a negative number, a division by zero, or a number above {LARGEST:g}\n"
             "  a distribution reaches beyond what the model allows: bound it (uniform, triangular), or change the model"
         )
 

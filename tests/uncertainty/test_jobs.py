@@ -47,6 +47,7 @@ BAD = [
     ("value: 50.000623 mm", "value: 50,000623 mm", 4, 18, "unknown key '000623 mm'", "comma"), ("value: 50.000623 mm", "value: '50,000623 mm'", 4, 15, "decimal comma", "50.000623 mm"), ("0.95}", "0.95, k: 2}", 9, 34, "both given", "one of them"),
     ("unit: mm", "unit: furlong", 8, 44, "unknown unit 'furlong'", ""), ("-0.1 K, std: 0.4 K", "20 degC, std: 0.4 K", 8, 29, "differences of such temperatures", "20 degC"), ("-0.1 K", "-0.1 Kelvin", 6, 18, "unknown unit 'Kelvin'", ""),
     ("quantities:", "volume: {from: [0 mm, 0 mm, 0 mm], to: [1 mm, 1 mm, 1 mm]}\nquantities:", 1, 1, "'contributors' is missing", "volume"), ("seed: 1", "seed: -1", 10, 36, "out of range", "0"), ("seed", "sed", 10, 30, "unknown key 'sed'", "seed"),
+    ("std: 25 nm", "std: 1e-300 nm", 4, 34, "out of range", "1e100"), ("50.000623 mm", "1e300 mm", 4, 15, "out of range", "1e100"), ("alpha*theta)", "1e160*alpha*theta)", 8, 15, "too large for a number", "1e150"),
     ("  theta: {value: -0.1 K, std: 0.4 K}", "  theta: {value: 3.5 K, distribution: counts}", 6, 10, "a count is a whole number", "25"), ("-0.1 K, std: 0.4 K", "-0.1 K, distribution: exponential", 6, 10, "above zero", ""),
 ]  # fmt: skip
 
@@ -155,6 +156,7 @@ def test_units_go_in_and_out(quantities: dict[str, Any], model: str, unit: str, 
 
 GIVEN = [
     ({"value": 3, "U": 0.6, "k": 2}, 3, 0.3, None), ({"value": 3, "U": 0.6, "k": 3, "dof": 9}, 3, 0.2, 9), ({"value": 3, "std": 1, "distribution": "uniform"}, 3, 1, None),
+    ({"value": 3, "std": 1, "dof": "inf"}, 3, 1, None), ({"value": 3, "std": 1, "dof": math.inf, "distribution": "t"}, 3, 1, None),
     ({"value": 3, "half_width": 1, "distribution": "rectangular"}, 3, 1 / math.sqrt(3), None), ({"value": 3, "half_width": 1, "distribution": "U"}, 3, 1 / math.sqrt(2), None),
     ({"value": 3, "half_width": 1, "distribution": "trapezoidal", "beta": 0.5}, 3, math.sqrt(1.25 / 6), None), ({"value": 3, "std": 1, "distribution": "triangular"}, 3, 1, None),
     ({"value": 3, "distribution": "exponential"}, 3, 3, None), ({"value": 3, "distribution": "counts"}, 4, 2, None), ({"value": 3, "half_width": 1, "dof": 8}, 3, 1 / math.sqrt(3), 8),
