@@ -187,8 +187,8 @@ def _from_table(name: str, given: Given, table: Table | None) -> Quantity:
         raise _Wrong("readings", "one reading says nothing of its spread", "two readings or more")
     mean = float(values.mean())
     if sampled:
-        deviations = tuple(np.sort(values - mean).tolist())
-        return Quantity(name, mean, Sampled(deviations) if np.ptp(values) > 0 else None, math.inf, unit)
+        deviations = tuple((values - mean).tolist())
+        return Quantity(name, mean, Sampled(deviations, table.file) if np.ptp(values) > 0 else None, math.inf, unit)
     std = float(values.std(ddof=1)) / math.sqrt(len(values))
     return Quantity(name, mean, Normal(std) if std > 0 else None, float(len(values) - 1), unit)
 

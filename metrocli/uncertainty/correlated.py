@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from metrocli.uncertainty.distributions import Distribution
+from metrocli.uncertainty.distributions import Distribution, Sampled
 
 Array = npt.NDArray[np.float64]
 CLIP = 1e-12
@@ -40,6 +40,18 @@ class Ellipse:
         if math.isfinite(self.dof):
             values /= np.sqrt(rng.chisquare(self.dof, count) / self.dof)
         return list(zip(self.indices, values, strict=True))
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Values of one earlier evaluation, drawn row by row: they stay together as they came out there."""
+
+    indices: tuple[int, ...]
+    shapes: tuple[Sampled, ...]
+
+    def __call__(self, rng: np.random.Generator, count: int) -> Sequence[tuple[int, Array]]:
+        rows = rng.integers(len(self.shapes[0].deviations), size=count)
+        return [(i, np.asarray(shape.deviations)[rows]) for i, shape in zip(self.indices, self.shapes, strict=True)]
 
 
 @dataclass(frozen=True)

@@ -354,6 +354,27 @@ def test_decisions(tmp_path: Path) -> None:
     assert found["guard_band"] == pytest.approx(2.326348e-3 * 2)
 
 
+def test_samples_of_one_file_are_drawn_row_by_row(tmp_path: Path) -> None:
+    """b = a^2 of a symmetric a: not correlated, and yet b - a^2 is always zero. A declared 0 takes them apart."""
+    a = np.random.default_rng(5).normal(size=2000).round(3)
+    a -= a.mean()
+    rows = [f"{x!r},{x * x!r},{-x!r}" for x in a.tolist()]
+    (tmp_path / "s.csv").write_text("a,b,c\n" + "\n".join(rows) + "\n")
+    job: dict[str, Any] = {
+        "quantities": {name: {"samples": "s.csv", "column": name} for name in "abc"},
+        "measurands": {"zero": {"model": "b - a**2"}, "sum": {"model": "a + c"}},
+        "monte_carlo": {"trials": 20_000},
+    }
+    ran = carry_out(tmp_path, job)
+    assert ran.details("zero")["mc"]["std"] == pytest.approx(0.0, abs=1e-9)
+    assert (ran.details("sum")["std"], ran.details("sum")["mc"]["std"]) == pytest.approx((0.0, 0.0), abs=1e-7)
+    assert any("a and c are columns of one file" in line for line in ran.result.warnings)
+    apart = [{"between": pair, "value": 0} for pair in (["a", "b"], ["a", "c"], ["b", "c"])]
+    found = carry_out(tmp_path, {**job, "correlations": apart}, "apart").details("sum")
+    assert found["std"] == pytest.approx(math.sqrt(2) * a.std())
+    assert found["mc"]["std"] == pytest.approx(math.sqrt(2) * a.std(), rel=0.03)
+
+
 def test_simultaneous_readings_are_correlated_as_their_rows_are(tmp_path: Path) -> None:
     """JCGM 100, H.2: impedance from five sets of readings; tables H.3 and H.4."""
     v, i = (5.007, 4.994, 5.005, 4.990, 4.999), (19.663, 19.639, 19.640, 19.685, 19.678)
@@ -375,7 +396,7 @@ def test_simultaneous_readings_are_correlated_as_their_rows_are(tmp_path: Path) 
         assert found["mc"]["std"] == pytest.approx(std * math.sqrt(2), rel=0.05)
     correlation = ran.result.arrays["correlation"]
     assert [correlation[0, 1], correlation[0, 2], correlation[1, 2]] == pytest.approx([-0.588, -0.485, 0.993], abs=6e-4)
-    assert len(ran.result.warnings) >= 3 and "V and I are readings of one file" in ran.result.warnings[0]
+    assert len(ran.result.warnings) >= 3 and "V and I are columns of one file" in ran.result.warnings[0]
     apart = [{"between": pair, "value": 0} for pair in (["V", "I"], ["V", "phi"], ["I", "phi"])]
     ran = carry_out(tmp_path, {**job, "correlations": apart})
     assert ran.details("Z")["std"] == pytest.approx(math.hypot(0.0032094 / 4.999, 0.009471 / 19.661) * 254.26, rel=1e-3)
