@@ -354,6 +354,28 @@ def test_decisions(tmp_path: Path) -> None:
     assert found["guard_band"] == pytest.approx(2.326348e-3 * 2)
 
 
+def test_a_tolerance_that_leaves_nothing_to_accept_says_so(tmp_path: Path) -> None:
+    job: dict[str, Any] = {
+        "quantities": {"x": {"value": "10 mm", "std": "2 um"}}, "measurands": {"y": {"model": "x", "unit": "mm"}}, "coverage": {"k": 2},
+        "tolerance": {"y": {"between": ["9.9945 mm", "10.0055 mm"], "risk": 0.01}}, "monte_carlo": {"trials": 0},
+    }  # fmt: skip
+    found = carry_out(tmp_path, job).details("y")["tolerance"]
+    # Both limits take their part: P(Z < -2.3263) would be 0.01 for one.
+    low, high = found["acceptance_guarded"]
+    assert math.erfc((low - 9.9945) / 0.002 / math.sqrt(2)) / 2 + math.erfc(
+        (10.0055 - low) / 0.002 / math.sqrt(2)
+    ) / 2 == (pytest.approx(0.01, abs=1e-9))
+    assert found["guard_band"] > 2.3264 * 0.002 and low + high == pytest.approx(20.0)
+    assert found["acceptance"] == pytest.approx([9.9985, 10.0015])
+    job["tolerance"]["y"]["between"] = ["9.997 mm", "10.003 mm"]
+    ran = carry_out(tmp_path, job)
+    found = ran.details("y")["tolerance"]
+    assert (found["acceptance"], found["acceptance_2017"], found["acceptance_guarded"]) == ([], [], [])
+    assert math.isnan(found["guard_band"])
+    assert any("no value is within the acceptance zone" in line for line in ran.result.notes)
+    assert any("guard band for a risk of 0.01: there is none" in line for line in ran.result.notes)
+
+
 def test_samples_of_one_file_are_drawn_row_by_row(tmp_path: Path) -> None:
     """b = a^2 of a symmetric a: not correlated, and yet b - a^2 is always zero. A declared 0 takes them apart."""
     a = np.random.default_rng(5).normal(size=2000).round(3)
