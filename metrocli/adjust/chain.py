@@ -75,7 +75,10 @@ IDENTITY = np.eye(3)[:, :, None]
 
 
 class Link(Protocol):
-    """One differentiable step from a quantity to a quantity."""
+    """One differentiable step from a quantity to a quantity.
+
+    Readings come in portions and in any order: what differs from reading to reading is asked of `local`, never kept.
+    """
 
     @property
     def takes(self) -> Quantity | None:
