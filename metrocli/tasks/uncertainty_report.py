@@ -126,7 +126,7 @@ def _measurand(found: Found, index: int, name: str) -> _Measurand:
 def _verdict(found: Found, linear: Linear, k: float, factor: float, mc: dict[str, Any]) -> Verdict:
     """Return whether the law of propagation holds against Monte Carlo, by digits of u in the unit of the measurand."""
     if linear.replaced:
-        return Verdict(False, 0.0, 0.0, 0.0, linear.notes)
+        return Verdict(False, linear.notes)
     normal = coverage_factor(Coverage(covered(found.coverage)), math.inf)
     value, std, second = linear.value / factor, linear.std / factor, linear.second_std / factor
     ends = (mc["interval"][0], mc["interval"][1])

@@ -93,14 +93,13 @@ class Dependent:
 
 
 class UnreachableError(ValueError):
-    """Two distributions cannot have the correlation asked for; `largest` says what they can have."""
+    """Two distributions cannot have the correlation asked for."""
 
     between: tuple[int, int]
     """Their places among the quantities"""
 
     def __init__(self, largest: float) -> None:
         super().__init__(f"quantities of these shapes can have a correlation up to {largest:.3g} only")
-        self.largest = largest
 
 
 def _normal_correlation(a: Distribution, b: Distribution, wanted: float) -> float:

@@ -39,8 +39,6 @@ class Outcome:
     """Of each measurand, as deviations from `centres`"""
     centres: tuple[float, ...]
     trials: int
-    errors: Array
-    """(4, m): standard deviations of mean, standard deviation and interval ends, where the run was adaptive"""
 
 
 def run(plan: Plan, workers: Workers, digits: int = 2, most: int = 0) -> Outcome:
@@ -117,8 +115,7 @@ def _outcome(plan: Plan, total: Batch, edges: tuple[Edges, ...]) -> Outcome:
         assert total.counts is not None
         samples = tuple(Binned(bins, counts) for bins, counts in zip(edges, total.counts, strict=True))
     means = total.tally.mean + np.asarray(plan.centres)
-    errors = _errors(total.spread) if len(total.spread) > 1 else np.zeros((4, len(means)))
-    return Outcome(means, total.tally.covariance, samples, plan.centres, total.tally.count, errors)
+    return Outcome(means, total.tally.covariance, samples, plan.centres, total.tally.count)
 
 
 def _errors(spread: Array) -> Array:
