@@ -63,7 +63,7 @@ def test_a_scheduler_without_workers_is_told(
             _wait(file.is_file)
             ran = carry_out(tmp_path, JOB, "job", "--scheduler", str(file))
         finally:
-            alone.terminate()
+            alone.kill()
             alone.wait(20)
     assert ran.code == 3
     assert "the scheduler has no workers" in capsys.readouterr().err
@@ -95,7 +95,7 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, li
         yield file, started[1:]
     finally:
         for process in reversed(started):
-            process.terminate()
+            process.kill()
         for process in started:
             process.wait(20)
         log.close()
