@@ -237,7 +237,7 @@ class Varied:
         members = tuple(map(str, range(n)))
         each = replace(block, values=values.T, members=members, free=np.asarray(used), considered=None)
         index = {**observations.index, self.block: np.arange(n)}
-        seen = replace(observations, index=index, lattice=None)  # a lattice shares members, here each reading has its own
+        seen = replace(observations, index=index, lattice=None)  # each reading has a member of its own
         return Local({**local.blocks, self.block: each}, seen, wanted)
 
 
