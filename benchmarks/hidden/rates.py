@@ -22,7 +22,9 @@ def found(case: Case) -> Found:
         _covers(finding, hidden, diagnosis)
         for hidden in case.hidden
         for finding in diagnosis.findings
-        if _is(finding, hidden) and set(finding.named.alternative.parameters) <= set(hidden.values)
+        if _is(finding, hidden)
+        and finding.named.seen.all()
+        and set(finding.named.alternative.parameters) <= set(hidden.values)
     )
     return Found(case, diagnosis, seconds, covered)
 

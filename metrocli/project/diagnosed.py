@@ -71,12 +71,14 @@ def _declared(node: Node | None) -> str:
 def write_extended(job: Job, diagnosis: Diagnosis, path: Path | None = None) -> Path | None:
     """Write the job with the named effects, beside it as `NAME.extended.yaml`; None where there is nothing to add.
 
-    Elsewhere its paths are made to lead to the same files.
+    Effects that the readings do not wholly determine are left out: such a job is refused. Elsewhere its paths are made
+    to lead to the same files.
     """
-    if not diagnosis.findings:
+    named = [finding.named for finding in diagnosis.findings if finding.named.seen.all()]
+    if not named:
         return None
     path = path or job.file.with_name(f"{job.file.stem}.extended.yaml")
-    new = [_node(job, as_job(finding.named.alternative)) for finding in diagnosis.findings]
+    new = [_node(job, as_job(one.alternative)) for one in named]
     heading = f"# {job.file.name} with the effects that metrocli diagnose named\n"
     text = heading + yaml_text.emit(_extended(job, new, path.parent))
     with written_aside(path) as aside:
