@@ -1,8 +1,8 @@
 """Geometric errors of a machine from a tracker's track: accuracy, coverage, what paths are worth, and speed.
 
-A machine of 600 x 520 x 500 mm with errors of 117 um on average, measured on the fly (Sanders et al. 2023: 117 um to 0.95 um
-on the path, 103 um to 0.87 um on a grid). Path and grid errors are mean lengths of predicted minus true error, after the best
-shift and turn; on the path across the legs only.
+A machine of 600 x 520 x 500 mm with errors of 117 um on average, measured on the fly (Sanders et al. 2023: 117 um to
+0.95 um on the path, 103 um to 0.87 um on a grid). Path and grid errors are mean lengths of predicted minus true error,
+after the best shift and turn; on the path across the legs only.
 
     python -m benchmarks.machine [RUNS]        # RUNS for coverage, 200 unless given
 """
@@ -51,11 +51,21 @@ LEAST = Noise(beam=1e-9, lateral=1e-9)
 THREE = {"T1": (0.0, 0.0, 120.0), "T2": (110.0, 20.0, 150.0), "T3": (-30.0, 100.0, 210.0)}
 
 
-def settings(knots: tuple[int, int, int] = (13, 11, 11), tools: dict[str, tuple[float, ...]] | None = None, **truth: object) -> Settings:
-    axes = AxesSettings(*(AxisSettings(span, n) for span, n in zip(((0.0, 600.0), (-260.0, 260.0), (-500.0, 0.0)), knots, strict=True)))
+def settings(
+    knots: tuple[int, int, int] = (13, 11, 11), tools: dict[str, tuple[float, ...]] | None = None, **truth: object
+) -> Settings:
+    axes = AxesSettings(
+        *(AxisSettings(span, n) for span, n in zip(((0.0, 600.0), (-260.0, 260.0), (-500.0, 0.0)), knots, strict=True))
+    )
     machine = MachineSettings("wXbYZt", axes, tools=tools or {"": (0.0, 0.0, 120.0)})
     noise = Noise(beam=1e-3, lateral=5e-3)
-    return Settings("on-the-fly", machine, Inputs(path=NOWHERE, track=NOWHERE), noise, simulation=MachineSimulation(error=0.117, **truth))  # type: ignore[arg-type]
+    return Settings(
+        "on-the-fly",
+        machine,
+        Inputs(path=NOWHERE, track=NOWHERE),
+        noise,
+        simulation=MachineSimulation(error=0.117, **truth),
+    )  # type: ignore[arg-type]
 
 
 def planned(job: Settings) -> Table:
@@ -108,7 +118,12 @@ class Measured:
 def tables_as_truth(result: Result, job: Settings) -> Truth:
     """A machine with the tables of a result; what was not determined is zero."""
     machine = machine_of(job)
-    tables = {name: np.nan_to_num(table.numbers("value")) for key, table in result.tables.items() if key.startswith("tables/") for name in [key[7:]]}
+    tables = {
+        name: np.nan_to_num(table.numbers("value"))
+        for key, table in result.tables.items()
+        if key.startswith("tables/")
+        for name in [key[7:]]
+    }
     square = {estimate.name: estimate.value for estimate in result.estimates}
     return Truth(machine, blocks_of(job, machine, tables, square))
 
@@ -159,7 +174,10 @@ def paths() -> None:
         machine = machine_of(job)
         proposed = calibrate_machine.plan(job)
         vertices = proposed.files["path.csv"].stacked("xyz")  # type: ignore[union-attr]
-        for label, path in (("edges and diagonals", edges_and_diagonals(machine)), ("planned", Path.of(vertices, np.zeros(len(vertices), dtype=int)))):
+        for label, path in (
+            ("edges and diagonals", edges_and_diagonals(machine)),
+            ("planned", Path.of(vertices, np.zeros(len(vertices), dtype=int))),
+        ):
             try:
                 ratio = f"{identify(planned_problem(job, PathPlan(), path)).ratio:.1f}"
             except UndeterminedError as error:
@@ -189,7 +207,10 @@ def coverage(runs: int) -> None:
         predicted, std = (grid.stacked(tuple(f"{p}{a}" for a in "xyz"))[rows].T for p in ("e", "s_e"))
         volume.append((np.abs(predicted - error) < 1.96 * std).mean())
     spread = np.std(volume) / np.sqrt(runs)
-    print(f"\ncoverage of 95 % intervals over {runs} runs, three tools: tables {np.mean(tables):.1%}, volumetric error {np.mean(volume):.1%} (+- {spread:.1%}), sigma0 {np.mean(sigma0):.4f}")
+    print(
+        f"\ncoverage of 95 % intervals over {runs} runs, three tools: tables {np.mean(tables):.1%}, "
+        f"volumetric error {np.mean(volume):.1%} (+- {spread:.1%}), sigma0 {np.mean(sigma0):.4f}"
+    )
 
 
 def other_tool() -> None:
@@ -198,13 +219,20 @@ def other_tool() -> None:
     found = measured(job, planned(job), 1, exact=True)
     machine = tables_as_truth(found.result, job)
     position = grid_of(machine.machine, (7, 6, 6))
-    print("\ncalibrated with one tool (0, 0, 120), used with another: error left of the error there, refused by metrocli")
+    print(
+        "\ncalibrated with one tool (0, 0, 120), used with another: error left of the error there, refused by metrocli"
+    )
     for vector in ((0.0, 0.0, 120.0), (0.0, 0.0, 220.0), (80.0, 0.0, 120.0)):
         errors = []
         for one in (found.truth, machine):
             block = replace(one.blocks["tool"], values=np.array([vector]))
-            errors.append(Truth(one.machine, {**one.blocks, "tool": block}).error(position, np.zeros(position.shape[1], dtype=int))[:3])
-        print(f"  {vector!s:20s} {mean_length(errors[1] - errors[0], position):7.3f} um of {mean_length(errors[0], position):6.1f} um")
+            errors.append(
+                Truth(one.machine, {**one.blocks, "tool": block}).error(
+                    position, np.zeros(position.shape[1], dtype=int)
+                )[:3]
+            )
+        left, whole = mean_length(errors[1] - errors[0], position), mean_length(errors[0], position)
+        print(f"  {vector!s:20s} {left:7.3f} um of {whole:6.1f} um")
 
 
 def speed() -> None:
@@ -218,7 +246,12 @@ def speed() -> None:
             assert job.simulation is not None
             fine = replace(job, simulation=replace(job.simulation, sampling=duration / points))
             csv.write(File(folder) / "track.csv", simulated(fine, {"path": path}, (), 1).files["track.csv"])
-            ran = subprocess.run([sys.executable, "-m", "benchmarks.machine", "--read", folder], capture_output=True, text=True, check=True)
+            ran = subprocess.run(
+                [sys.executable, "-m", "benchmarks.machine", "--read", folder],
+                capture_output=True,
+                text=True,
+                check=True,
+            )
             print("  " + ran.stdout.strip())
     dense()
 
@@ -233,7 +266,10 @@ def read(folder: str) -> None:
     result = calibrate_machine.run(settings(), path=path, track=track)
     end = time.process_time()
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    print(f"{len(track):7d} points: reading {middle - start:4.2f} s, rest {end - middle:4.2f} s, {memory:4.0f} MB; condensed to {result.statistics['condensed_points']}")
+    print(
+        f"{len(track):7d} points: reading {middle - start:4.2f} s, rest {end - middle:4.2f} s, {memory:4.0f} MB; "
+        f"condensed to {result.statistics['condensed_points']}"
+    )
 
 
 def dense() -> None:
@@ -243,7 +279,10 @@ def dense() -> None:
         matrix = rng.normal(size=(2 * points, 219))
         start = time.process_time()
         np.linalg.pinv(matrix)
-        print(f"  dense pseudo-inverse, {points} points: {time.process_time() - start:5.2f} s, {matrix.nbytes / 2**20:.0f} MB for the matrix ({matrix.nbytes / points * 5e5 / 2**20:.0f} MB at 500,000)")
+        print(
+            f"  dense pseudo-inverse, {points} points: {time.process_time() - start:5.2f} s, "
+            f"{matrix.nbytes / 2**20:.0f} MB for the matrix ({matrix.nbytes / points * 5e5 / 2**20:.0f} MB at 500,000)"
+        )
 
 
 def main(arguments: list[str]) -> None:

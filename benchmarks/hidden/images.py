@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmarks.hidden.case import Case, Hidden
-from benchmarks.hidden.scenes import Scene, board_scene, cmm_scene, part_scene, sight
+from benchmarks.hidden.scenes import Scene, Sight, board_scene, cmm_scene, part_scene, sight
 from benchmarks.hidden.stated import stated
 from metrocli.diagnosis.subject import Subject
 from metrocli.table import Table
@@ -80,7 +80,6 @@ class Plant:
     where: str = ""
     """target, image, axis or pair"""
     by: str = ""
-    distinct: bool = True
     rigs: tuple[str, ...] = ("board", "cmm", "")
 
 
@@ -88,11 +87,11 @@ _XYZ = ("dx", "dy", "dz")
 PLANTS: dict[str, dict[str, Plant]] = {
     "calibrate-camera": {
         "radial-distortion": Plant({"k2": "k2"}, ("k2",)),
-        "decentring-distortion": Plant({"p1": "p1", "p2": "p2"}, ("p1", "p2"), distinct=False),
-        "thin-prism": Plant({"s1": "s1", "s3": "s3"}, ("p1", "p2"), distinct=False),
+        "decentring-distortion": Plant({"p1": "p1", "p2": "p2"}, ("p1", "p2")),
+        "thin-prism": Plant({"s1": "s1", "s3": "s3"}, ("p1", "p2")),
         "aspect-ratio": Plant({"aspect": "aspect"}),
         "axis-skew": Plant({"skew": "skew"}),
-        "principal-point": Plant({"cx": "cx", "cy": "cy"}, ("cx", "cy"), distinct=False),
+        "principal-point": Plant({"cx": "cx", "cy": "cy"}, ("cx", "cy")),
         "target-plane-bend": Plant({"bxx": "bend.0", "bxy": "bend.1", "byy": "bend.2"}, rigs=("board",)),
         "focal-drift": Plant({"rate": "focal_t"}, by="t"),
         "focal-drift, T": Plant({"rate": "focal_T"}, by="T"),
@@ -101,13 +100,13 @@ PLANTS: dict[str, dict[str, Plant]] = {
     },
     "align-part": {
         "clamping-angle": Plant({"gamma_s": "gamma_s"}),
-        "coupling-tilt": Plant({"alpha_s": "alpha_s", "beta_s": "beta_s"}, distinct=False),
+        "coupling-tilt": Plant({"alpha_s": "alpha_s", "beta_s": "beta_s"}),
         "coupling-shift": Plant({"dx": "dx", "dy": "dy"}),
         "part-expansion": Plant({"scale": "scale"}),
         "moved-target": Plant({name: f"moved.{i}" for i, name in enumerate(_XYZ)}, where="target"),
         "bad-pose": Plant({name: f"bad_pose.{i}" for i, name in enumerate(_XYZ)}, where="image"),
         "focal-change": Plant({"ratio": "ratio"}),
-        "principal-point-shift": Plant({"du": "cx", "dv": "cy"}, distinct=False),
+        "principal-point-shift": Plant({"du": "cx", "dv": "cy"}),
         "machine-scale": Plant({"scale": "machine_scale"}, where="axis"),
         "machine-squareness": Plant({"angle": "squareness"}, where="pair"),
         "part-drift": Plant({name: f"drift.{i}" for i, name in enumerate(("vx", "vy", "vz"))}),
@@ -116,6 +115,7 @@ PLANTS: dict[str, dict[str, Plant]] = {
 }
 _TYPICAL = {"drift": 1e-5, "focal_t": 1e-6, "rate_u": 1e-3, "bend": 1e-6, "moved": 0.1, "bad_pose": 0.1, "cx": 1.0}
 """Sizes at which signatures are taken, where 1e-4 is not of the right order"""
+_ALIKE = 0.9
 PAIRS = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 
 
@@ -137,28 +137,45 @@ def _effects(plant: Plant, values: Mapping[str, float], place: str) -> dict[str,
     return found
 
 
-def _place(scene: Scene, plant: Plant, rng: np.random.Generator) -> str:
-    if plant.where == "axis":
-        return str(rng.choice(list("xyz")))
-    if plant.where == "pair":
-        return str(rng.choice(list(PAIRS)))
-    if not plant.where:
-        return ""
-    of, letter = (scene.target, "T") if plant.where == "target" else (scene.view, "I")
-    counts = np.bincount(of)
-    return f"{letter}{rng.choice(np.flatnonzero(counts >= min(2, counts.max()))):03d}"
+def _places(scene: Scene, plant: Plant) -> list[str]:
+    """Return all places where an effect can be; targets and images that are seen twice, where there are any."""
+    if plant.where in ("target", "image"):
+        letter, counts = plant.where[0].upper(), np.bincount(scene.target if plant.where == "target" else scene.view)
+        return [f"{letter}{i:03d}" for i in np.flatnonzero(counts >= min(2, counts.max()))]
+    return {"axis": list("xyz"), "pair": list(PAIRS)}.get(plant.where, [""])
+
+
+def _size(plant: Plant) -> float:
+    return _TYPICAL.get(next(iter(plant.parameters.values())).partition(".")[0], 1e-4)
+
+
+def _alone(seen: Sight, kind: str, effect: tuple[str, str], left: Array) -> bool:
+    """Whether no other cause or place explains more than 0.9 of what an effect leaves (a cosine)."""
+    for name, plant in PLANTS[kind].items():
+        if (seen.scene.rig or "") not in plant.rigs or set(plant.left_out) & set(seen.scene.lens_free):
+            continue
+        for place in _places(seen.scene, plant):
+            if (name.partition(",")[0], place) == effect:
+                continue
+            units = [{key: _size(plant) * (key == own) for key in plant.parameters} for own in plant.parameters]
+            columns = np.stack([seen.left(_effects(plant, unit, place)) for unit in units], axis=1)
+            u, s, _ = np.linalg.svd(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300), full_matrices=False)
+            if np.linalg.norm(u[:, s > 1e-4].T @ left) > _ALIKE * np.linalg.norm(left):
+                return False
+    return True
 
 
 def planted(images: Images, rng: np.random.Generator, name: str, times: float) -> tuple[Images, Hidden] | None:
     """Return the images with an effect of so many times its least detectable size; None where nothing of it shows."""
     scene = images.scene
     plant = PLANTS[scene.kind][name]
-    place = _place(scene, plant, rng)
+    place = str(rng.choice(_places(scene, plant)))
     direction = rng.normal(size=len(plant.parameters))
-    size = _TYPICAL.get(next(iter(plant.parameters.values())).partition(".")[0], 1e-4)
-    values = dict(zip(plant.parameters, (direction / np.linalg.norm(direction) * size).tolist(), strict=True))
-    effect = name.partition(",")[0]
-    shows = sight(scene).strength(_effects(plant, values, place))
+    direction *= _size(plant) / np.linalg.norm(direction)
+    values = dict(zip(plant.parameters, direction.tolist(), strict=True))
+    effect, seen = name.partition(",")[0], sight(scene)
+    left = seen.left(_effects(plant, values, place))
+    shows = float(np.linalg.norm(left)) / scene.noise
     if shows < 1e-3:
         return None
     factor = times * np.sqrt(stated(images.subject(), effect, len(plant.parameters))) / shows
@@ -167,7 +184,7 @@ def planted(images: Images, rng: np.random.Generator, name: str, times: float) -
     uv = scene.predicted(scene.start(), _effects(plant, values, place)) + noise
     where = ({plant.where: place} if plant.where else {}) | ({"by": plant.by} if plant.by else {})
     known = values | ({"k3": 0.0} if "k2" in values else {})
-    return replace(images, uv=uv), Hidden(effect, where, known, plant.distinct)
+    return replace(images, uv=uv), Hidden(effect, where, known, _alone(seen, scene.kind, (effect, place), left))
 
 
 Outside = Callable[[Scene, Array, Array], Array]
@@ -258,10 +275,11 @@ def _case(kind: str, number: int) -> Case:
     scenario = _SCENARIOS[number % len(_SCENARIOS)]
     turn = number // len(_SCENARIOS) + 5 * (number % len(_SCENARIOS))
     rig = ("board", "cmm")[turn % 2] if kind == "calibrate-camera" else ""
-    while True:
-        found = _tried(kind, scenario, rng, (turn, rig))
+    for later in range(100):
+        found = _tried(kind, scenario, rng, (turn + 2 * later, rig))
         if found is not None:
             return found
+    raise RuntimeError(f"nothing that could be planted shows in case {number}")
 
 
 def _tried(kind: str, scenario: str, rng: np.random.Generator, at: tuple[int, str]) -> Case | None:
@@ -273,9 +291,9 @@ def _tried(kind: str, scenario: str, rng: np.random.Generator, at: tuple[int, st
     if scenario.endswith("x"):
         wanted = [known[(turn // 2 if rig else turn) % len(known)]]
     elif "two effects" in scenario:
-        plain = [name for name in known if PLANTS[kind][name].distinct]
-        wanted = [str(rng.choice(plain)), str(rng.choice(known))]
-        if wanted[0].partition(",")[0] == wanted[1].partition(",")[0]:
+        wanted = rng.choice(known, 2, replace=False).tolist()
+        lens = [name for name in wanted if PLANTS[kind][name].left_out]
+        if wanted[0].partition(",")[0] == wanted[1].partition(",")[0] or len(lens) == 2:
             return None
     scene = _without(scene, [PLANTS[kind][name] for name in wanted], wanted)
     images = read(scene, rng)

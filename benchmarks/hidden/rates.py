@@ -22,7 +22,9 @@ def found(case: Case) -> Found:
         _covers(finding, hidden, diagnosis)
         for hidden in case.hidden
         for finding in diagnosis.findings
-        if _is(finding, hidden) and set(finding.named.alternative.parameters) <= set(hidden.values)
+        if _is(finding, hidden)
+        and finding.named.seen.all()
+        and set(finding.named.alternative.parameters) <= set(hidden.values)
     )
     return Found(case, diagnosis, seconds, covered)
 
@@ -72,15 +74,18 @@ class Rate:
     @property
     def share(self) -> float:
         """The share."""
-        return self.hits / self.of if self.of else float("nan")
+        return self.hits / self.of
 
     @property
     def met(self) -> bool:
-        """Whether the share is where it should be."""
-        return self.of == 0 or self.least <= self.share <= self.most
+        """Whether the share is where it should be; of a band, whether the interval of the share reaches it."""
+        if self.least > 0 and self.most < 1:
+            low, high = self.bounds
+            return low <= self.most and high >= self.least
+        return self.least <= self.share <= self.most
 
     def __str__(self) -> str:
-        low, high = self.bounds if self.of else (0.0, 1.0)
+        low, high = self.bounds
         wanted = f">= {self.least:.0%}" if self.least else ""
         wanted += (" and " if wanted and self.most < 1 else "") + (f"<= {self.most:.0%}" if self.most < 1 else "")
         verdict = "" if not wanted else ("met" if self.met else "NOT MET")
@@ -163,7 +168,7 @@ def rates(results: Sequence[Found]) -> Iterator[Rate]:
 
 def print_rates(results: Sequence[Found]) -> bool:
     """Print the rates and return whether all that are promised are met."""
-    listed = list(rates(results))
+    listed = [rate for rate in rates(results) if rate.of]
     for rate in listed:
         print(rate)
     times = np.array([one.seconds for one in results])

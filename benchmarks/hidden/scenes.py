@@ -132,7 +132,8 @@ class Scene:
         if "factor" in effects:
             found = found + effects["factor"] * (pixels(ellipse_centres(points, turn, self.radius), lens) - found)
         if "outside" in effects:
-            found = found + effects["outside"](self, found - np.column_stack([lens["cx"], lens["cy"]]), points) * effects["size"]
+            off = found - np.column_stack([lens["cx"], lens["cy"]])
+            found = found + effects["size"] * effects["outside"](self, off, points)
         return found
 
     def listed(self, effects: Effects) -> Array:
@@ -193,11 +194,15 @@ class Sight:
 
     def strength(self, effects: Effects, small: float = 1e-3) -> float:
         """Norm of what is left of an effect, over the noise: from differences at a small share of it."""
+        return float(np.linalg.norm(self.left(effects, small)) / self.scene.noise)
+
+    def left(self, effects: Effects, small: float = 1e-3) -> Array:
+        """What is left of an effect, (coordinates,)."""
         start = self.scene.start()
         change = self.scene.predicted(start, scaled(effects, small)) - self.scene.predicted(start, {})
         signature = (change / small).ravel()
-        left = signature - self.taken @ (self.taken.T @ signature)
-        return float(np.linalg.norm(left - self.taken @ (self.taken.T @ left)) / self.scene.noise)
+        seen = signature - self.taken @ (self.taken.T @ signature)
+        return np.asarray(seen - self.taken @ (self.taken.T @ seen))
 
 
 def sight(scene: Scene) -> Sight:

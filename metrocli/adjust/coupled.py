@@ -275,8 +275,3 @@ def _constraint(conditions: Array, null: Array) -> Array:
     rest = null @ mix[fixed:].T
     every = np.concatenate([conditions, rest.T])
     return np.asarray(np.linalg.pinv(every @ null) @ every)
-
-
-def with_groups(fields: Fields, groups: Sequence[Group]) -> Fields:
-    """Return the fields with other readings."""
-    return replace(fields, groups=tuple(groups))

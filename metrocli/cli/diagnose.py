@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -11,30 +12,41 @@ from metrocli.cli import options
 
 @click.command("diagnose", help="Say what the model of a job gets wrong, why, and what mending it gains.")
 @options.JOB
-@click.option("--design", is_flag=True, help="Say what the measurement could see at all, without looking at residuals.")
+@click.option("--design", is_flag=True, help="Say what the measurement could see at all, also before it is made.")
+@click.option("--output", type=click.Path(path_type=Path), metavar="FILE.yaml", help="Write the extended job here.")
 @options.SET
 @options.JSON
 @options.QUIET
 @options.VERBOSE
-def command(job: Path, design: bool, overrides: tuple[str, ...], as_json: bool, quiet: bool, verbose: bool) -> int:
-    """Diagnose, write the extended job where an effect was named, and print the report."""
+def command(job: Path, design: bool, output: Path | None, as_json: bool, **wanted: Any) -> int:
+    """Diagnose, write the extended job where an effect was named, and print the report.
+
+    A folder that cannot be written to costs the extended job, not the report, unless `--output` asked for it.
+    """
     from metrocli.cli import diagnosis_text, summary
     from metrocli.diagnosis import verdict
-    from metrocli.diagnosis.diagnose import planned
-    from metrocli.project import diagnosed
-    from metrocli.project.job import Wishes, load
+    from metrocli.errors import InputError
+    from metrocli.project import diagnosed, runner
+    from metrocli.project.job import Wishes, kind_of_job, load
 
-    voice = options.Voice(quiet or as_json, verbose)
-    loaded = load(job, Wishes(overrides))
+    voice, overrides = options.Voice(wanted["quiet"] or as_json, wanted["verbose"]), wanted["overrides"]
     if design:
-        subject = diagnosed.subject_of(loaded)
-        found = planned(subject)
+        kind = kind_of_job(job)
+        not_needed = runner.simulated_inputs(kind) if kind else ()
+        subject, found = diagnosed.design_of(load(job, Wishes(overrides, not_needed=not_needed)))
         if as_json:
             click.echo(summary.as_json(verdict.design_data(subject, found)))
         voice.line(diagnosis_text.of_design(subject, found))
         return 0
+    loaded = load(job, Wishes(overrides))
     diagnosis = diagnosed.carry_out(loaded, voice.waiting)
-    extended = diagnosed.write_extended(loaded, diagnosis)
+    extended = None
+    try:
+        extended = diagnosed.write_extended(loaded, diagnosis, output)
+    except InputError as error:
+        if output is not None:
+            raise
+        click.echo(f"warning: no extended job: {error}", err=True)
     if as_json:
         click.echo(summary.as_json(verdict.as_data(diagnosis) | {"extended_job": extended and str(extended)}))
     voice.line(diagnosis_text.of_diagnosis(diagnosis, extended))

@@ -83,9 +83,11 @@ def _left(diagnosis: Diagnosis) -> Iterator[str]:
 
 def _about(finding: Finding, subject: Subject) -> Iterator[str]:
     name, gain = finding.named, finding.gain
-    cause = name.alternative.effect.cause
+    cause, reveal = name.alternative.effect.cause, name.alternative.effect.reveal
     yield f"{name.alternative} explains it: {cause}; {', '.join(_parameters(finding, subject))}."
     yield f"That this is chance: {_chance(float(np.exp(name.log_level)))}."
+    if not name.seen.all():
+        yield f"These readings do not determine all of it, so that no job can estimate it; what would: {reveal}."
     if name.rivals:
         others = " or ".join(str(rival.alternative) for rival in name.rivals[:_SHOWN])
         yield f"With this measurement {others} explains the readings as well."
@@ -102,7 +104,8 @@ def _parameters(finding: Finding, subject: Subject) -> Iterator[str]:
     for size in sizes(subject, finding.named):
         key, dimension = size.parameter.name, size.parameter.dimension
         if size.std is None:
-            yield f"{key} {size.value:.6g} {size.parameter.unit}"
+            digits, partly = ("6g", "") if size.seen else ("2g", " (only in part seen)")
+            yield f"{key} {size.value:.{digits}} {size.parameter.unit}{partly}"
             continue
         _, symbol = units.readable(size.value, dimension)
         factor = units.find_unit(symbol, dimension).outside(1.0) if dimension and symbol != "1" else 1.0

@@ -214,9 +214,14 @@ def _pairs(field: Field, candidates: Sequence[Candidate], noise: float) -> Itera
     """Yield pairs of testable candidates of different causes or places that correlate by more than 0.9."""
     testable = [one for one in candidates if one.testable]
     bases = [_unit(field.families[one.family].columns[:, one.number]) for one in testable]
+    ends = np.cumsum([basis.shape[1] for basis in bases])
+    whole = np.concatenate(bases, axis=1) if bases else np.zeros((0, 0))
+    products = whole.T @ whole
     for i, one in enumerate(testable):
         for j in range(i):
-            rho = float(np.linalg.norm(bases[i].T @ bases[j], 2))
+            product = products[ends[i] - bases[i].shape[1] : ends[i], ends[j] - bases[j].shape[1] : ends[j]]
+            # no singular value is above the root of the sum of squares
+            rho = float(np.linalg.norm(product, 2)) if (product**2).sum() > _ALIKE**2 else 0.0
             if rho > _ALIKE:
                 least = _SEPARATED * noise * np.sqrt(2 / max(1 - rho, 1e-12))
                 size = least / np.sqrt(np.trace(field.grams[one.family][one.number]) / len(one.alternative.parameters))

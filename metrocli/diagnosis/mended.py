@@ -69,7 +69,9 @@ class Size:
     value: float
     """Of a column that the model has, the change against the job"""
     std: float | None
-    """None where it was scanned"""
+    """None where it was scanned, or is not seen"""
+    seen: bool = True
+    """Whether the readings say what it is; else the value is that of the smallest effect that explains them"""
 
 
 def sizes(subject: Subject, name: Named) -> tuple[Size, ...]:
@@ -84,7 +86,9 @@ def sizes(subject: Subject, name: Named) -> tuple[Size, ...]:
     for at, key in enumerate(alternative.parameters):
         column = block.column(key)
         was = before.values[row, column] if before is not None and column < before.size else 0.0
-        found.append(Size(known[key], float(block.values[row, column] - was), float(std[at] * by_step[column])))
+        seen = bool(name.seen[at])
+        spread = float(std[at] * by_step[column]) if seen else None
+        found.append(Size(known[key], float(block.values[row, column] - was), spread, seen))
     return (*found, *(Size(known[key], value, None) for key, value in alternative.scanned))
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from metrocli.adjust.blocks import Array
+from metrocli.adjust.observations import Mask
 from metrocli.diagnosis.candidates import Alternative
 from metrocli.diagnosis.race import Given
 from metrocli.diagnosis.selection import Chosen, Selection, evidence
@@ -20,6 +21,10 @@ _NEAR = 0.9
 """Cosine above which a form with more parameters counts as another explanation"""
 _SIGNIFICANT = 0.05
 _DISTANT = 0.3
+_ROUNDING, _ALIKE = 1e-6, 1e-11
+"""Share of a signature, and of the largest eigenvalue of unit columns, below which there is only rounding"""
+_BLIND = 1e-4
+"""Part of a parameter in a direction that is not seen, from which on nothing is known of it"""
 _DISTINCT = 1e-4
 """Singular value of unit columns below which they are the same"""
 
@@ -46,6 +51,8 @@ class Named:
     """Its parameters"""
     covariance: Array
     """For the noise found"""
+    seen: Mask
+    """Which parameters the readings determine; the others have values of the smallest effect that explains them"""
     rivals: tuple[Rival, ...]
 
 
@@ -59,12 +66,24 @@ def _named(selection: Selection, one: Chosen, level: float) -> Named:
     given, full = selection.given(without=[one]), selection.given()
     alternative = selection.field.families[one.family].alternatives[one.number]
     left = one.columns - given.basis @ (given.basis.T @ one.columns)
-    size = np.maximum(np.linalg.norm(left, axis=0), 1e-300)
-    inverse = np.linalg.pinv((left / size).T @ (left / size), rcond=1e-11, hermitian=True) / size / size[:, None]
+    inverse, seen = _solved(left, selection.field.scales[one.family][one.number])
     values = inverse @ (left.T @ given.residual)
     covariance = inverse * full.squares / max(full.dof, 1)
     rivals = _rivals(selection, one, given, left @ values)
-    return Named(one, alternative, level, values, covariance, rivals)
+    return Named(one, alternative, level, values, covariance, seen, rivals)
+
+
+def _solved(left: Array, whole: Array) -> tuple[Array, Mask]:
+    """Return `(L'L)^+` of visible columns L (rows, q), and which parameters have no part in what it leaves out, (q,).
+
+    A column that is nothing beside its `whole` norm (q,) is rounding.
+    """
+    norm = np.linalg.norm(left, axis=0)
+    size = np.where(norm > _ROUNDING * whole, norm, np.inf)
+    values, vectors = np.linalg.eigh((left / size).T @ (left / size))
+    kept = values > _ALIKE * values[-1]
+    root = vectors[:, kept] / np.sqrt(values[kept]) / size[:, None]
+    return root @ root.T, np.asarray(np.linalg.norm(vectors[:, ~kept], axis=1) < _BLIND)
 
 
 def _rivals(selection: Selection, one: Chosen, given: Given, fitted: Array) -> tuple[Rival, ...]:

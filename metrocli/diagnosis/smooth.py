@@ -24,20 +24,16 @@ _FEWEST_FOR = 4
 def smooth_families(subject: Subject, system: System) -> list[Family]:
     """Return for each covariate polynomials of it: one for all readings, and one for each unit (tracer, image).
 
-    And sines where it asks for them, a scan over their periods.
+    And sines where it asks for them, a scan over their periods; for those that are terms themselves, these.
     """
-    smooth = [family for covariate in subject.covariates for family in _of(subject, system, covariate)]
+    apart = [covariate for covariate in subject.covariates if not covariate.together]
+    smooth = [family for covariate in apart for family in _of(subject, system, covariate)]
+    smooth += [_together(subject, system, covariate) for covariate in subject.covariates if covariate.together]
     waves = [family for one in subject.covariates if one.periodic for family in _waves(subject, system, one)]
     return smooth + waves
 
 
 def _of(subject: Subject, system: System, covariate: Covariate) -> Iterator[Family]:
-    if covariate.together:
-        columns = _together(subject, system, covariate)
-        raw = np.linalg.norm(columns, axis=0)[None]
-        one = (_alternative(covariate, ()),)
-        yield Family(f"moving with {covariate.name}", one, system.seen(columns)[:, None], raw, covariate.name)
-        return
     found: list[tuple[Alternative, Array]] = []
     for group in subject.model.readings:
         values = covariate.values.get(group.name)
@@ -61,6 +57,16 @@ def _of(subject: Subject, system: System, covariate: Covariate) -> Iterator[Fami
         shape = columns.shape
         seen = system.seen(columns.reshape(shape[0], -1)).reshape(shape)
         yield Family(f"smooth in {covariate.name}", tuple(a for a, _ in items), seen, raw, unknown=covariate.name)
+
+
+def _together(subject: Subject, system: System, covariate: Covariate) -> Family:
+    """Return the family whose terms are the coordinates of a covariate, for readings of one component each."""
+    full = np.zeros((system.rows, len(np.atleast_2d(next(iter(covariate.values.values()))))))
+    for group in subject.model.readings:
+        rows = system.first[group.name] + np.arange(group.observations.count)
+        full[rows] = np.atleast_2d(covariate.values[group.name]).T / system.scale[rows, None]
+    alternatives, raw = (_alternative(covariate, ()),), np.linalg.norm(full, axis=0)[None]
+    return Family(f"moving with {covariate.name}", alternatives, system.seen(full)[:, None], raw, covariate.name)
 
 
 def _waves(subject: Subject, system: System, covariate: Covariate) -> Iterator[Family]:
@@ -88,15 +94,6 @@ def _waves(subject: Subject, system: System, covariate: Covariate) -> Iterator[F
         yield Family(f"waves in {covariate.name}", tuple(names), seen, raw, unknown=covariate.name)
 
 
-def _together(subject: Subject, system: System, covariate: Covariate) -> Array:
-    """Return the terms of readings of one component each, whitened, all groups one after the other, (rows, k)."""
-    full = np.zeros((system.rows, len(np.atleast_2d(next(iter(covariate.values.values()))))))
-    for group in subject.model.readings:
-        rows = system.first[group.name] + np.arange(group.observations.count)
-        full[rows] = np.atleast_2d(covariate.values[group.name]).T / system.scale[rows, None]
-    return full
-
-
 def _parts(subject: Subject, group: Group) -> Iterator[tuple[tuple[str, ...], Array]]:
     """Yield all readings, then those of each unit."""
     count = group.observations.count
@@ -111,12 +108,18 @@ def _parts(subject: Subject, group: Group) -> Iterator[tuple[tuple[str, ...], Ar
 
 def _components(system: System, group: Group, terms: Array) -> Array:
     """Return terms (n, k) for each component of the readings on its own, whitened, (rows, k components)."""
-    d, n = group.observations.readings.shape
-    full = np.zeros((system.rows, terms.shape[1] * d))
+    observations = group.observations
+    d, n = observations.readings.shape
+    k = terms.shape[1]
+    full = np.zeros((system.rows, k * d))
     start = system.first[group.name]
+    rows = slice(start, start + d * n)
+    factor = observations.sigma.T.ravel() / system.scale[rows]
     for i in range(d):
-        rows = start + i + d * np.arange(n)
-        full[rows, i * terms.shape[1] : (i + 1) * terms.shape[1]] = terms / system.scale[rows, None]
+        change = np.zeros((d, k, n))
+        change[i] = terms.T
+        whitened = np.moveaxis(observations.whitened(change), -1, 0).reshape(n * d, k)
+        full[rows, i * k : (i + 1) * k] = whitened * factor[:, None]
     return full
 
 

@@ -28,9 +28,9 @@ _SHORTEST, _LONGEST = 2.0, 50.0
 
 
 def _periods(conditions: Mapping[str, Array]) -> Array:
-    """Return periods so close that the phase of none is off by more than a quarter of a turn at the ends of an axis."""
+    """Return periods so close that none is off by more than a sixteenth of a turn at the ends of an axis."""
     longest = max(float(np.ptp(conditions[axis])) for axis in AXES)
-    count = int(np.ceil(2 * longest * (1 / _SHORTEST - 1 / _LONGEST))) + 1
+    count = int(np.ceil(8 * longest * (1 / _SHORTEST - 1 / _LONGEST))) + 1
     return np.asarray(1 / np.linspace(1 / _LONGEST, 1 / _SHORTEST, count))
 
 

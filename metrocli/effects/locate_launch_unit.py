@@ -10,7 +10,8 @@ from metrocli.effects.beams import BeamOffset
 from metrocli.effects.effect import Effect, Parameter
 from metrocli.effects.encoders import BaseTilt, Eccentricity, EncoderOffset, NonOrthogonality
 from metrocli.effects.lengths import LengthOffset, LengthScale
-from metrocli.effects.points import AxisError, PointShift
+from metrocli.effects.points import AxisError
+from metrocli.effects.shifts import Shift
 from metrocli.instruments.launch_unit import ENCODERS
 from metrocli.units import parse_quantity
 
@@ -145,7 +146,7 @@ EFFECTS: tuple[Effect, ...] = (
         "bad-pose",
         "the receiver was not where the file says in one pose",
         tuple(_size(name, "length", "100 mm") for name in ("dx", "dy", "dz")),
-        lambda block, where: PointShift(block),
+        lambda block, where: Shift(block, Quantity.POINT_IN_MACHINE),
         where=("pose",),
         reveal="this pose measured again, with a distance, without which nothing sees its error along the beam",
         source="Baarda 1968 (mean shift of the readings of one pose)",

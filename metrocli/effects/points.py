@@ -30,17 +30,6 @@ class PointStep(OfBlock):
 
 
 @dataclass(frozen=True)
-class PointShift(OfBlock):
-    """`x += d`; columns dx, dy, dz [mm]."""
-
-    takes = gives = Quantity.POINT_IN_MACHINE
-
-    def step(self, value: Array, local: Local) -> Step:
-        """Return the point (3, n)."""
-        return Step(value + local.rows(self.block), _EYE, {self.block: _EYE})
-
-
-@dataclass(frozen=True)
 class AxisError(OfBlock):
     """`x_i += a x_j`: i = j the scale of an axis, else what axis j out of square adds to axis i; columns a [1, rad]."""
 

@@ -16,7 +16,7 @@ RADIAL, RATIONAL = ("k1", "k2", "k3"), ("k4", "k5", "k6")
 TANGENTIAL, PRISM = ("p1", "p2"), ("s1", "s2", "s3", "s4")
 DISTORTION = (*RADIAL, *RATIONAL, *TANGENTIAL, *PRISM)
 PARAMETERS = ("f", "fx", "fy", "aspect", "cx", "cy", "skew", *DISTORTION)
-"""`fx = f (1 + aspect)`, `fy = f` where one focal length is used; skew: `u += fx skew y'`."""
+"""`fx = f (1 + aspect)`, `fy = f` where one focal length is used (else aspect does nothing); `u += fx skew y'`."""
 PIXELS = ("f", "fx", "fy", "cx", "cy")
 """Parameters in pixels; all others are numbers."""
 
@@ -209,7 +209,7 @@ class Lens:
                 by_lens[0 if name == "cx" else 1, place] = 1.0
             elif name == "skew":
                 by_lens[0, place] = fx * d.y
-            else:
+            elif name in d.terms:
                 term_x, term_y = d.terms[name]
                 by_lens[0, place], by_lens[1, place] = fx * (term_x + skew * term_y), fy * term_y
         return Step(uv, by_point, {self.block: by_lens} if wanted else {})
@@ -275,5 +275,5 @@ class LensBackward:
         changes = {"cx": (zero - 1 / fx, zero), "cy": (zero + skew / fy, zero - 1 / fy), "skew": (-my, zero)}
         for focal_name, (of_x, of_y) in _focal_terms(k).items():
             changes[focal_name] = (by_fx[0] * of_x + by_fy[0] * of_y, by_fy[1] * of_y)
-        move_x, move_y = changes[name]
+        move_x, move_y = changes.get(name, (zero, zero))
         return d.by_x[0] * move_x + d.by_y[0] * move_y, d.by_x[1] * move_x + d.by_y[1] * move_y

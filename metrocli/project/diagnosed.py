@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from metrocli import tasks
-from metrocli.diagnosis.diagnose import Diagnosis, diagnose
+from metrocli.diagnosis.design import Design
+from metrocli.diagnosis.diagnose import Diagnosis, diagnose, planned
 from metrocli.diagnosis.mistakes import without_mistakes
 from metrocli.diagnosis.subject import Subject
 from metrocli.diagnosis.verdict import as_job
@@ -17,7 +19,8 @@ from metrocli.nodes import Node
 from metrocli.project import yaml_text
 from metrocli.project.inputs import read_inputs
 from metrocli.project.job import Job
-from metrocli.project.runner import Say
+from metrocli.project.runner import Say, simulate, simulated_inputs
+from metrocli.simulation import SimulationOptions
 
 
 def subject_of(job: Job) -> Subject:
@@ -31,6 +34,18 @@ def carry_out(job: Job, say: Say = lambda line: None) -> Diagnosis:
     say(f"{job.file}: adjusting")
     subject, mistaken = without_mistakes(read_inputs(job), adjust)
     return replace(diagnose(subject, lambda line: say(f"{job.file}: {line}")), mistaken=mistaken)
+
+
+def design_of(job: Job) -> tuple[Subject, Design]:
+    """Return what the measurement of a job can see; readings that do not exist yet are simulated by it."""
+    wanted = simulated_inputs(job.kind)
+    held = read_inputs(job, wanted)
+    if not set(wanted) & set(held) and any(item.key in wanted for item in job.inputs):
+        files = simulate(job, SimulationOptions()).files
+        made = {Path(name).stem: table for name, table in files.items()}
+        held |= {item.key: made[item.key] for item in job.inputs if item.key in wanted and item.key in made}
+    subject = _adjuster(job)(held)
+    return subject, planned(subject)
 
 
 def _adjuster(job: Job) -> Callable[[Mapping[str, object]], Subject]:
@@ -53,30 +68,50 @@ def _declared(node: Node | None) -> str:
     return node.text if node.kind == "scalar" else ", ".join(filter(None, (_declared(one) for _, one in node.entries)))
 
 
-def write_extended(job: Job, diagnosis: Diagnosis) -> Path | None:
-    """Write the job with the named effects beside it, `NAME.extended.yaml`; None where there is nothing to add."""
-    if not diagnosis.findings:
+def write_extended(job: Job, diagnosis: Diagnosis, path: Path | None = None) -> Path | None:
+    """Write the job with the named effects, beside it as `NAME.extended.yaml`; None where there is nothing to add.
+
+    Effects that the readings do not wholly determine are left out: such a job is refused. Elsewhere its paths are made
+    to lead to the same files.
+    """
+    named = [finding.named for finding in diagnosis.findings if finding.named.seen.all()]
+    if not named:
         return None
-    path = job.file.with_name(f"{job.file.stem}.extended.yaml")
-    new = [_node(job, as_job(finding.named.alternative)) for finding in diagnosis.findings]
-    text = f"# {job.file.name} with the effects that metrocli diagnose named\n{yaml_text.emit(_extended(job, new))}"
+    path = path or job.file.with_name(f"{job.file.stem}.extended.yaml")
+    new = [_node(job, as_job(one.alternative)) for one in named]
+    heading = f"# {job.file.name} with the effects that metrocli diagnose named\n"
+    text = heading + yaml_text.emit(_extended(job, new, path.parent))
     with written_aside(path) as aside:
         aside.write_text(text, encoding="utf-8")
     return path
 
 
-def _extended(job: Job, effects: Sequence[Node]) -> Node:
+def _extended(job: Job, effects: Sequence[Node], folder: Path) -> Node:
     listed = job.root.get("effects")
     items = [*(listed.items if listed is not None else ()), *effects]
     output = job.output.with_name(f"{job.output.stem}.extended.h5")
-    try:
-        shown = output.relative_to(job.folder).as_posix()
-    except ValueError:
-        shown = str(output)
     below = replace(job.root, kind="list", text="", entries=(), items=tuple(items))
-    word = replace(job.root, kind="scalar", text=shown, entries=(), items=())
-    kept = [(key, value) for key, value in job.root.entries if key.text not in ("effects", "output")]
-    return replace(job.root, entries=(*kept, (_key(job, "effects"), below), (_key(job, "output"), word)))
+    kept = [
+        (key, _led(value, job.folder, folder) if key.text == "inputs" else value)
+        for key, value in job.root.entries
+        if key.text not in ("effects", "output")
+    ]
+    last = (_key(job, "output"), _key(job, _path(output, folder)))
+    return replace(job.root, entries=(*kept, (_key(job, "effects"), below), last))
+
+
+def _path(path: Path, folder: Path) -> str:
+    return Path(os.path.relpath(path, folder)).as_posix()
+
+
+def _led(node: Node, old: Path, new: Path) -> Node:
+    """Return the paths of a node so that they lead from another folder to the same files."""
+    if os.path.abspath(old) == os.path.abspath(new):
+        return node
+    if node.kind == "scalar":
+        return node if Path(node.text).is_absolute() else replace(node, text=_path(old / node.text, new))
+    items = tuple(_led(item, old, new) for item in node.items)
+    return replace(node, items=items, entries=tuple((key, _led(value, old, new)) for key, value in node.entries))
 
 
 def _key(job: Job, text: str) -> Node:

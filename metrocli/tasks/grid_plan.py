@@ -47,15 +47,15 @@ def plan(settings: Settings) -> Plan:
     small = np.minimum(half, _TRIED // 2)
     own = _worth(views, np.minimum(half, _WORKED_OUT // 2), settings)
     table = _table([(words, _tried(some, small, settings)) for words, some in _sets(views)])
-    gain = Estimate("s_machine_error", 0.0, own.gain * settings.noise, "mm")
-    most = Estimate("s_machine_error_max", 0.0, own.largest * settings.noise, "mm")
+    gain = Estimate("s_machine_error", 0.0, own.gain * settings.declared, "mm")
+    most = Estimate("s_machine_error_max", 0.0, own.largest * settings.declared, "mm")
     size = " x ".join(str(2 * n + 1) for n in small.tolist())
     notes = (
         *own.found.sentences(),
         f"noise gain {own.gain:.3f} rms, {own.largest:.3f} at most",
         f"other sets of views, on a grid of {size}:",
     )
-    figures = () if own.found.families else (gain, most)
+    figures = () if own.found.families or isinstance(settings.noise, str) else (gain, most)
     files = {"views_to_measure.csv": _sheet(settings, views)}
     return Plan(KIND, notes, figures, {"view_sets": table}, files, shown=("view_sets",))
 
@@ -81,7 +81,7 @@ def _worth(views: Sequence[bg.View], half: Index, settings: Settings) -> _Worth:
     taken = design(problem)
     found = opened(problem, taken)
     std = np.where(determined(problem, taken)[bg.MACHINE], taken.std(bg.MACHINE), np.inf)[problem.grid.within > 0]
-    std = std / settings.noise
+    std = std / settings.declared
     return _Worth(found, float(np.sqrt((std**2).mean())), float(std.max()), problem.readings.observations.count)
 
 
@@ -97,7 +97,7 @@ def _problem(views: Sequence[bg.View], half: Index, settings: Settings) -> Probl
     columns |= {name: ball[:, n] for n, name in enumerate("ijk")}
     view = np.repeat(np.arange(len(named)), count)
     readings = Readings(tuple(named), view, ball, np.concatenate(values), Table(columns))
-    return build(readings, (half, settings.grid.pitch), settings.noise)
+    return build(readings, (half, settings.grid.pitch), settings.declared)
 
 
 def _table(rows: Sequence[tuple[str, _Worth | None]]) -> Table:

@@ -36,6 +36,12 @@ class Problem:
     warnings: tuple[str, ...] = ()
     effects: tuple[Added, ...] = ()
 
+    def with_noise(self, noise: float) -> Problem:
+        """Return the problem with another standard deviation of its readings."""
+        observations = self.readings.observations
+        readings = self.readings.with_observations(replace(observations, sigma=np.array(noise)))
+        return replace(self, fields=replace(self.fields, groups=(readings, *self.fields.groups[1:])))
+
     def model(self) -> Model:
         """Return the problem as a model that effects can be added to, its datum as readings."""
         groups = (*self.fields.groups, bg.as_readings(self.fields.conditions, _EXACT * self.noise))

@@ -14,8 +14,10 @@ from metrocli.geometry.rotations import rotation_from_vector
 from metrocli.instruments.ball_grid import View
 from metrocli.settings import Choice, Either, ListOf, Quantity, Section, TableFile, Text, Whole, setting
 from metrocli.table import TEXT, WHOLE, Column, Columns
+from metrocli.units import parse_quantity
 
 _QUARTER = np.pi / 2
+_UNIT = parse_quantity("1 um", "length")
 _PLACE = tuple(Column(axis, "length") for axis in "xyz")
 VIEWS = Columns(
     (
@@ -129,7 +131,10 @@ class Settings:
     inputs: Inputs = setting(Section(Inputs), "the files of the job")
     grid: GridSettings = setting(Section(GridSettings), "the artefact")
     views: tuple[ViewSettings, ...] = setting(ListOf(Section(ViewSettings)), "how the artefact stood")
-    noise: float = setting(Quantity("length", positive=True), "standard deviation of each coordinate of a ball")
+    noise: float | str = setting(
+        Either(Quantity("length", positive=True), Choice("estimated")),
+        "standard deviation of each coordinate of a ball",
+    )
     outliers: str = setting(Choice("report", "remove"), "name outliers, or leave them out", default="report")
     leave_one_out: str = setting(
         Choice("auto", "yes", "no"), "adjust again without each view; auto: up to 20,000 readings", default="auto"
@@ -137,6 +142,11 @@ class Settings:
     simulation: GridSimulation | None = setting(
         Section(GridSimulation), "the truth for `metrocli simulate`", default=None
     )
+
+    @property
+    def declared(self) -> float:
+        """The noise, or the unit in which it is found where it is to be estimated."""
+        return _UNIT if isinstance(self.noise, str) else self.noise
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield names that stand twice, and a list without views."""

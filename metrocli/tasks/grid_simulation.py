@@ -49,7 +49,7 @@ def simulated(
     balls = balls_of(half)
     machine, artefact = _drawn(np.asarray(balls * pitch, dtype=float), truth, rng)
     readings = read(views_of(settings), half, _design(settings, truth) if views is None else views)
-    problem = build(readings, (half, pitch), settings.noise)
+    problem = build(readings, (half, pitch), settings.declared)
     count = len(problem.views)
     mountings = np.column_stack([rng.normal(0.0, truth.shift, (count, 3)), rng.normal(0.0, truth.tilt, (count, 3))])
     fields = ((MACHINE, problem.grid.sites, machine), (ARTEFACT, problem.grid.balls, artefact))
@@ -60,7 +60,7 @@ def simulated(
     model = extended(model, effects) if effects else model
     group = model.readings[0]
     exact = group.chain.predict(model.blocks, group.observations).T
-    files = {"views.csv": _read(readings.table, exact + rng.normal(0.0, 1.0, exact.shape) * settings.noise)}
+    files = {"views.csv": _read(readings.table, exact + rng.normal(0.0, 1.0, exact.shape) * settings.declared)}
     files |= {"true_machine_error.csv": _errors(balls, machine), "true_artefact_error.csv": _errors(balls, artefact)}
     names = [f"{view.name}.{name}" for view in problem.views for name in EULER]
     return Simulation(files, dict(zip(names, mountings.ravel().tolist(), strict=True)) | true_values(model))

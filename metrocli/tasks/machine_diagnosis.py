@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from metrocli.adjust.adjustment import adjust
-from metrocli.adjust.blocks import Array
+from metrocli.adjust.blocks import Array, Space
 from metrocli.adjust.groups import Group
 from metrocli.adjust.observations import Index, Mask
 from metrocli.adjust.solution import Solution
@@ -39,7 +39,7 @@ def subject(solved: Solved) -> Subject:
     return Subject(
         KIND,
         model,
-        effects_of(KIND),
+        tuple(effect for effect in effects_of(KIND) if not (effect.space is Space.WAVE and _condensed(group))),
         tuple(_covariates(model, group)),
         (),
         {group.name: _parts(group)},
@@ -48,13 +48,19 @@ def subject(solved: Solved) -> Subject:
     )
 
 
+def _condensed(group: Group) -> bool:
+    """Whether readings stand for pieces of a path, which a wave shorter than they are does not reach."""
+    return "leg" in group.observations.keys
+
+
 def _covariates(model: Model, group: Group) -> Iterator[Covariate]:
     """Yield what an unknown effect could vary with: time, place, and the beam."""
     conditions, name = group.observations.conditions, group.name
     if ELAPSED in conditions:
-        yield Covariate("t_s", {name: conditions[ELAPSED]}, 8)
+        yield Covariate("t_s", {name: conditions[ELAPSED]}, 6, periodic=True)
     else:
-        yield Covariate("order of the readings", {name: np.arange(group.observations.count, dtype=float)}, 8)
+        order = np.arange(group.observations.count, dtype=float)
+        yield Covariate("order of the readings", {name: order}, 6, periodic=True)
     position = np.stack([conditions[axis] for axis in POSITION])
     yield Covariate("place in the machine", {name: position}, 3)
     if TRACKER in model.blocks:
@@ -66,7 +72,7 @@ def _covariates(model: Model, group: Group) -> Iterator[Covariate]:
 def _parts(group: Group) -> Index:
     """Return ten parts that are held out one after the other: by time, or by legs of a path."""
     keys, conditions = group.observations.keys, group.observations.conditions
-    if "leg" in keys:
+    if _condensed(group):
         legs = np.unique(np.array(keys["leg"], dtype=int), return_inverse=True)[1]
         return np.asarray(legs % _FOLDS)
     when: Array = conditions.get("t", np.arange(group.observations.count, dtype=float))

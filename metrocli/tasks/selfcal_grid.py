@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from metrocli.diagnosis.subject import Subject
 from metrocli.effects.model import extended
 from metrocli.effects.wanted import Wanted
-from metrocli.errors import InputError
+from metrocli.errors import InputError, UndeterminedError
 from metrocli.plan import Plan
 from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions
@@ -22,7 +23,7 @@ from metrocli.tasks.grid_report import KIND, report
 from metrocli.tasks.grid_sequence import in_sequence
 from metrocli.tasks.grid_settings import Inputs, Settings, views_of
 from metrocli.tasks.grid_simulation import simulated
-from metrocli.tasks.grid_solve import leave_one_out, solve
+from metrocli.tasks.grid_solve import Solved, leave_one_out, solve
 
 SIMULATED = ("views",)
 SUMMARY = "machine and artefact errors from views of an uncalibrated ball grid"
@@ -41,8 +42,15 @@ def run(
     """Find both fields; raises InputError, UndeterminedError or NotConvergedError."""
     problem = _with(_problem(settings, views, lengths), effects)
     solved = solve(problem, settings.outliers == "remove")
+    if settings.noise == "estimated":
+        solved = _with_noise_found(solved, settings.outliers == "remove")
     wanted = settings.leave_one_out == "yes" or (settings.leave_one_out == "auto" and len(views) <= _MANY)
-    return report(solved, opened(solved.problem, solved.design), leave_one_out(solved) if wanted else [], map)
+    found = report(solved, opened(solved.problem, solved.design), leave_one_out(solved) if wanted else [], map)
+    if settings.noise == "estimated":
+        noise = solved.problem.noise
+        kept = {name: value for name, value in found.statistics.items() if name != "p_value"}
+        found = replace(found, statistics={**kept, "noise_estimated": True, "noise": {"mm": noise}})
+    return found
 
 
 def diagnosed(
@@ -56,6 +64,13 @@ def _with(problem: Problem, effects: Sequence[Wanted]) -> Problem:
     return problem.with_model(extended(problem.model(), effects)) if effects else problem
 
 
+def _with_noise_found(solved: Solved, remove: bool) -> Solved:
+    """Return the adjustment again with the noise that its residuals show; UndeterminedError without redundancy."""
+    if solved.solution.dof <= 0:
+        raise UndeterminedError("noise: estimated: there are no more readings than unknowns; declare the noise")
+    return solve(solved.whole.with_noise(solved.problem.noise * solved.solution.sigma0), remove)
+
+
 def compare(settings: Settings, views: Table, lengths: Table | None = None, **_: object) -> Table:
     """Return the joint adjustment beside the sequence of the paper, views 1-3 fitted first."""
     return in_sequence(_problem(settings, views, lengths))
@@ -64,7 +79,7 @@ def compare(settings: Settings, views: Table, lengths: Table | None = None, **_:
 def _problem(settings: Settings, views: Table, lengths: Table | None) -> Problem:
     readings = grid_readings.read(views_of(settings), settings.grid.half, views)
     warnings = grid_mountings.check(readings, settings.grid.pitch)
-    problem = build(readings, (settings.grid.half, settings.grid.pitch), settings.noise, lengths)
+    problem = build(readings, (settings.grid.half, settings.grid.pitch), settings.declared, lengths)
     return problem.warned(warnings)
 
 
@@ -79,10 +94,10 @@ def simulate(
 
     Where the job's views exist, their balls, times and temperatures are those of the simulation.
     """
-    if settings.simulation is None:
+    if settings.simulation is None or isinstance(settings.noise, str):
         raise InputError(
-            "simulate needs the truth: write `simulation: {machine_error: 17 um, artefact_error: 0.3 mm, "
-            "shift: 0.2 mm, tilt: 1 mrad}`"
+            "simulate needs the truth and the noise: write `noise: 5 um` and `simulation: {machine_error: 17 um, "
+            "artefact_error: 0.3 mm, shift: 0.2 mm, tilt: 1 mrad}`"
         )
     return simulated(settings, views, effects, np.random.default_rng(options.seed))
 

@@ -98,6 +98,25 @@ def test_the_extended_job_runs_unmodified_and_is_clean(folder: Path, metrocli: M
     assert not (folder / "job.extended.extended.yaml").exists()
 
 
+def test_the_extended_job_can_stand_elsewhere(folder: Path, metrocli: Metrocli) -> None:
+    job = write(folder, measured("tracer-scale"))
+    (folder / "elsewhere").mkdir()
+    data = json.loads(metrocli("diagnose", job, "--json", "--output", "elsewhere/new.yaml").out)
+    assert data["extended_job"] == "elsewhere/new.yaml"
+    assert not (folder / "job.extended.yaml").exists()
+    assert metrocli("multilaterate", "elsewhere/new.yaml").code == 0
+    assert (folder / "results" / "points.extended.h5").exists()
+
+
+def test_a_folder_that_cannot_be_written_to_costs_the_job_only(folder: Path, metrocli: Metrocli) -> None:
+    job = write(folder, measured("tracer-scale"))
+    (folder / "job.extended.yaml").mkdir()
+    ran = metrocli("diagnose", job, "--json")
+    assert (ran.code, json.loads(ran.out)["extended_job"]) == (0, None)
+    assert "no extended job" in ran.err
+    assert metrocli("diagnose", job, "--output", "job.extended.yaml").code == 3
+
+
 def test_a_jump_keeps_its_time_in_the_extended_job(folder: Path, metrocli: Metrocli) -> None:
     job = write(folder, measured("dead-path-jump", 4.0))
     metrocli("diagnose", job)
@@ -156,6 +175,19 @@ def test_the_design_does_not_look_at_residuals(folder: Path, metrocli: Metrocli)
             assert np.isclose(one["minimal_detectable"]["value"], other["minimal_detectable"]["value"], rtol=0.01)
     assert any({"dead-path-drift T1", "tracer-drift T1"} == set(pair["names"]) for pair in plain["alike"])
     assert "hard to tell apart" in metrocli("diagnose", job, "--design").out
+
+
+def test_the_design_is_told_before_there_are_readings(folder: Path, metrocli: Metrocli) -> None:
+    job = write(folder, measured())
+    (folder / "lengths.csv").unlink()
+    job.write_text(JOB + "simulation: {mover_error: 5 um, interval: 20 s}\n")
+    ran = metrocli("diagnose", job, "--design", "--json")
+    assert ran.code == 0, ran.err
+    states = {(one["name"], *one["where"].values()): one["status"] for one in json.loads(ran.out)["candidates"]}
+    assert states["dead-path-drift", "T3"] == "excluded"
+    assert states["length-scale",] == "not-testable"
+    assert not (folder / "lengths.csv").exists()
+    assert metrocli("diagnose", job).code == 3
 
 
 def test_inseparable_names_come_with_what_tells_them_apart(folder: Path, metrocli: Metrocli) -> None:

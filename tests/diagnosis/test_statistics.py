@@ -19,6 +19,7 @@ from metrocli.diagnosis.candidates import families_of
 from metrocli.diagnosis.distributions import chi_interval, log_family, log_tail, noncentrality
 from metrocli.diagnosis.gain import _held, _without
 from metrocli.diagnosis.mended import field_of_job
+from metrocli.diagnosis.naming import _solved
 from metrocli.diagnosis.noise import apart
 from metrocli.diagnosis.projection import System, linearised, signature
 from metrocli.diagnosis.race import PRIOR, Field, independent, nothing, quadratic
@@ -248,3 +249,19 @@ class Straight:
         x = local.observations.conditions["x"]
         terms = np.stack([np.ones_like(x), x])[None]
         return Step((local.rows("line") * terms[0]).sum(axis=0)[None], by_block={"line": terms})
+
+
+def test_parameters_with_a_part_in_a_direction_that_is_not_seen_are_told() -> None:
+    """Columns a, a + b, b and one of rounding, beside an own one: only the last of them is determined."""
+    rng = np.random.default_rng(14)
+    a, b, alone = rng.normal(size=(3, 50))
+    left = np.stack([a, 1e4 * (a + b), b, 1e-9 * rng.normal(size=50), 1e-3 * alone], axis=1)
+    inverse, seen = _solved(left, np.array([10.0, 1e5, 10.0, 10.0, 1.0]))
+    assert seen.tolist() == [False, False, False, False, True]
+    assert inverse[3] == pytest.approx(0)
+    gram = left[:, [0, 2, 4]].T @ left[:, [0, 2, 4]]
+    determined, all_seen = _solved(left[:, [0, 2, 4]], np.ones(3))
+    assert all_seen.all()
+    assert determined @ gram == pytest.approx(np.eye(3), abs=1e-9)
+    fitted = left @ inverse @ left.T
+    assert fitted @ alone == pytest.approx(alone, abs=1e-9), "what is seen is fitted whole"

@@ -14,7 +14,7 @@ from metrocli.tasks import calibrate_machine
 from metrocli.tasks.machine_problem import machine_of
 
 CASES = Path(__file__).parents[2] / ".." / "shared" / "cases" / "calibrate-machine"
-pytestmark = pytest.mark.skipif(not CASES.exists(), reason="../shared/cases is not there")
+absent = pytest.mark.skipif(not CASES.exists(), reason="../shared/cases is not there")
 
 
 def clean() -> list[Path]:
@@ -24,6 +24,7 @@ def clean() -> list[Path]:
     return [case for case in sorted(CASES.iterdir()) if not json.loads((case / "truth.json").read_text())["effects"]]
 
 
+@absent
 @pytest.mark.parametrize("case", clean(), ids=lambda case: case.name)
 def test_tables_are_true_within_their_uncertainty(case: Path) -> None:
     job, truth = load(case / "job.yaml"), json.loads((case / "truth.json").read_text())
@@ -44,6 +45,7 @@ def test_tables_are_true_within_their_uncertainty(case: Path) -> None:
     assert set(result.tables["rejected"].texts("point")) == {outlier["point"] for outlier in truth["outliers"]}
 
 
+@absent
 @pytest.mark.parametrize("case", clean(), ids=lambda case: case.name)
 def test_reference_points_are_predicted(case: Path) -> None:
     """Points that were not measured; where the whole is shifted and turned does not count."""
@@ -67,3 +69,50 @@ def test_reference_points_are_predicted(case: Path) -> None:
     z = np.concatenate([part.ravel() for part in scores])
     assert np.sqrt((z**2).mean()) < 1.5
     assert (np.abs(z) < 1.96).mean() > 0.85
+
+
+def every() -> list[Path]:
+    return sorted(CASES.iterdir()) if CASES.exists() else []
+
+
+@absent
+@pytest.mark.parametrize("case", every(), ids=lambda case: case.name)
+def test_the_verdict_is_right(case: Path) -> None:
+    """Each hidden effect is named with its place, alone or with those that fit as well; outliers are told by name."""
+    from metrocli.diagnosis.diagnose import diagnose
+
+    job, truth = load(case / "job.yaml"), json.loads((case / "truth.json").read_text())
+    found = diagnose(calibrate_machine.diagnosed(job.settings, **read_inputs(job)))
+    assert {outlier.keys["point"] for outlier in found.outliers} == {outlier["point"] for outlier in truth["outliers"]}
+    # with exact tool vectors tracker-scale can be seen, though the truth of the cases calls it not identifiable
+    planted = [e for e in truth["effects"] if e.get("identifiable", True) or (truth["strength"] or 0) > 3]
+    assert len(found.findings) == len([e for e in planted if e["name"][0] != "_"])
+    for effect in planted:
+        if effect["name"][0] == "_":
+            assert found.verdict == "unexplained"
+            continue
+        told = [finding.named for finding in found.findings]
+        names = [(one.alternative, [rival.alternative for rival in one.rivals]) for one in told]
+        assert any(
+            (one.effect.name, dict(one.where)) == (effect["name"], effect["where"])
+            for named, rivals in names
+            for one in (named, *rivals)
+        ), (effect, names)
+    if not planted:
+        assert found.verdict == "clean"
+    if found.verdict != "unexplained":
+        assert found.noise.low * 0.97 <= truth["noise_ratio"] <= found.noise.high * 1.03
+
+
+def test_a_wave_shorter_than_the_pieces_of_a_path_is_not_called_excluded() -> None:
+    import simulated_machine as sim
+
+    from metrocli.tasks.machine_settings import Noise
+
+    rng = np.random.default_rng(81)
+    machine = sim.random_machine(rng)
+    flight = sim.flight(machine, sim.walls(rng, 31), rng, spacing=3.0)
+    settings = sim.settings("on-the-fly", noise=Noise(beam=1e-3, lateral=5e-3))
+    subject = calibrate_machine.diagnosed(settings, path=flight.path, track=flight.track)
+    assert "screw-pitch-error" not in {effect.name for effect in subject.effects}
+    assert "backlash" in {effect.name for effect in subject.effects}

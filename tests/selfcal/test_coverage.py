@@ -61,3 +61,18 @@ def test_the_sequence_of_the_paper_loses_something() -> None:
     joint, sequence = noise_gains(made, np.random.default_rng(1), 60)
     assert joint == pytest.approx(0.64, abs=0.02)
     assert 1.1 < sequence / joint < 1.3
+
+
+def test_estimated_noise_scales_the_uncertainties() -> None:
+    from metrocli.tasks import selfcal_grid
+
+    one = grid(5, seed=12)
+    table = one.read(np.random.default_rng(4), noise=3 * NOISE)
+    declared = selfcal_grid.run(one.settings(3 * NOISE, leave_one_out="no"), table)
+    found = selfcal_grid.run(replace(one.settings(leave_one_out="no"), noise="estimated"), table)
+    ratio = found.tables["machine_error"].numbers("s_ex") / declared.tables["machine_error"].numbers("s_ex")
+    assert np.allclose(ratio, declared.statistics["sigma0"], rtol=1e-6)
+    assert found.statistics["noise"]["mm"] == pytest.approx(3 * NOISE, rel=0.1)
+    assert found.statistics["noise_estimated"] is True
+    assert "p_value" not in found.statistics
+    assert np.allclose(found.tables["machine_error"].numbers("ex"), declared.tables["machine_error"].numbers("ex"), atol=1e-9)

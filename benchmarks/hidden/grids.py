@@ -1,0 +1,358 @@
+"""Views of a ball grid with something hidden in them: plain formulas, random draws and projection."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from benchmarks.hidden.case import Case, Hidden
+from metrocli.diagnosis.design import needed
+from metrocli.diagnosis.diagnose import field_of_job
+from metrocli.diagnosis.subject import Subject
+from metrocli.table import Table
+from metrocli.tasks import selfcal_grid
+from metrocli.tasks.grid_settings import GridSettings, Inputs, Rotate, Settings, ViewSettings
+
+Array = npt.NDArray[np.float64]
+Whole = npt.NDArray[np.int64]
+NOISE, PITCH, HALF = 5e-4, 65.0, 2
+TURNS = {"2": np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]]), "3": np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])}
+SHIFTS = {"4": (1, 0, 0), "5": (0, 1, 0), "6": (0, 0, 1)}
+NAMES = (
+    "artefact-expansion", "artefact-bending", "drift-in-view", "reseated-artefact", "moved-ball", "axis-expansion",
+)  # fmt: skip
+OUTSIDE = ("_oscillation", "_clamping", "_cubic")
+PARAMETERS: dict[str, tuple[str, ...]] = {
+    "artefact-expansion": ("scale",),
+    "artefact-bending": ("b",),
+    "drift-in-view": ("vx", "vy", "vz"),
+    "reseated-artefact": ("dx", "dy", "dz"),
+    "moved-ball": ("dx", "dy", "dz"),
+    "axis-expansion": ("scale",),
+}
+ALIKE = 0.9
+
+
+@dataclass(frozen=True)
+class Views:
+    """Which ball stands where in which view, row by row: the same for all cases with these views."""
+
+    names: str
+    view: Whole
+    ball: Whole
+    """Number of the ball"""
+    balls: Whole
+    """Indices of all balls, (125, 3)"""
+
+    @property
+    def turns(self) -> Array:
+        """Rotation of each row, (n, 3, 3)."""
+        each = np.stack([TURNS.get(name, np.eye(3)) for name in self.names])
+        return np.asarray(each[self.view], dtype=float)
+
+    @property
+    def in_artefact(self) -> Array:
+        """Nominal places of the balls, (n, 3)."""
+        return np.asarray(self.balls[self.ball] * PITCH, dtype=float)
+
+    @property
+    def hanging(self) -> Array:
+        """Places of the balls from the artefact's centre, in the directions of the machine, (n, 3)."""
+        return np.einsum("nab,nb->na", self.turns, self.in_artefact)
+
+    @property
+    def shifts(self) -> Array:
+        """(n, 3)"""
+        return np.array([SHIFTS.get(name, (0, 0, 0)) for name in self.names], dtype=float)[self.view] * PITCH
+
+    @property
+    def sites(self) -> Whole:
+        """Number of the site of each row."""
+        place = np.rint((self.hanging + self.shifts) / PITCH).astype(int) + HALF
+        size = 2 * HALF + 1
+        return np.asarray((place[:, 0] * size + place[:, 1]) * size + place[:, 2])
+
+
+@cache
+def views(names: str) -> Views:
+    """Return the rows of views, balls whose sites lie outside the grid left out."""
+    r = np.arange(-HALF, HALF + 1)
+    balls = np.stack(np.meshgrid(r, r, r, indexing="ij"), axis=-1).reshape(-1, 3)
+    rows = []
+    for number, name in enumerate(names):
+        sites = balls @ TURNS.get(name, np.eye(3, dtype=int)).T + SHIFTS.get(name, (0, 0, 0))
+        inside = np.flatnonzero((np.abs(sites) <= HALF).all(axis=1))
+        rows.append(np.stack([np.full(len(inside), number), inside]))
+    view, ball = np.concatenate(rows, axis=1)
+    return Views(names, view, ball, balls)
+
+
+@cache
+def absorbed(names: str) -> Array:
+    """Return an orthonormal basis of what machine, artefact and mountings can follow, (3 n, rank)."""
+    v = views(names)
+    n, count = len(v.view), len(v.balls)
+    jacobian = np.zeros((n, 3, 6 * count + 6 * len(names)))
+    rows = np.arange(n)
+    place = v.hanging + v.shifts
+    for a in range(3):
+        jacobian[rows, a, 3 * v.sites + a] = 1.0
+        for b in range(3):
+            jacobian[rows, a, 3 * count + 3 * v.ball + b] = v.turns[:, a, b]
+        jacobian[rows, a, 6 * count + 6 * v.view + a] = 1.0
+        turned = np.cross(np.eye(3)[a], place) / PITCH
+        for b in range(3):
+            jacobian[rows, b, 6 * count + 6 * v.view + 3 + a] = turned[:, b]
+    u, sizes, _ = np.linalg.svd(jacobian.reshape(3 * n, -1), full_matrices=False)
+    return np.asarray(u[:, sizes > 1e-9 * sizes[0]])
+
+
+def visible(names: str, changes: Array) -> Array:
+    """Return what the unknowns leave of changes of the readings (n, 3, k), in standard deviations, (3 n, k)."""
+    flat = changes.reshape(-1, changes.shape[-1]) / NOISE
+    basis = absorbed(names)
+    return np.asarray(flat - basis @ (basis.T @ flat))
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """What was read, and when."""
+
+    views: Views
+    t: Array
+    temp: Array
+    readings: Array
+    noise: float = 1.0
+    """By which the true noise is divided in the job's declaration"""
+
+    def subject(self) -> Subject:
+        """Return it as the job that a user would give."""
+        v = self.views
+        balls = v.balls[v.ball]
+        columns = {"view": np.array(list(v.names))[v.view], **dict(zip("ijk", balls.T, strict=True))}
+        columns |= dict(zip("xyz", self.readings.T, strict=True)) | {"t": self.t, "temp": self.temp}
+        table = Table(columns, {"x": "mm", "y": "mm", "z": "mm", "t": "s", "temp": "degC"})
+        return selfcal_grid.diagnosed(job(v.names, NOISE / self.noise), table)
+
+
+def job(names: str, noise: float) -> Settings:
+    """Return the settings of a job with these views."""
+    turns = {"2": Rotate("z", np.pi / 2), "3": Rotate("x", np.pi / 2)}
+    declared = tuple(ViewSettings(name, turns.get(name, ()), SHIFTS.get(name, (0, 0, 0))) for name in names)
+    return Settings(Inputs(Path("-")), GridSettings((2 * HALF + 1,) * 3, PITCH), declared, noise)
+
+
+def _rotation(angles: Array) -> Array:
+    (ca, cb, cc), (sa, sb, sc) = np.cos(angles), np.sin(angles)
+    x = np.array([[1, 0, 0], [0, ca, -sa], [0, sa, ca]])
+    y = np.array([[cb, 0, sb], [0, 1, 0], [-sb, 0, cb]])
+    z = np.array([[cc, -sc, 0], [sc, cc, 0], [0, 0, 1]])
+    return np.asarray(z @ y @ x)
+
+
+def measurement(rng: np.random.Generator, names: str) -> Measurement:
+    """Return views of a machine and an artefact at random, with noise; each view in an order of its own."""
+    v = views(names)
+    machine, artefact = rng.normal(0, 0.008, v.balls.shape), rng.normal(0, 0.03, v.balls.shape)
+    place = np.einsum("nab,nb->na", v.turns, v.in_artefact + artefact[v.ball]) + v.shifts
+    readings = machine[v.sites]
+    t = np.empty(len(v.view))
+    start = float(rng.uniform(0, 500))
+    for number in range(len(names)):
+        rows = np.flatnonzero(v.view == number)
+        readings[rows] += place[rows] @ _rotation(rng.normal(0, 5e-4, 3)).T + rng.normal(0, 0.3, 3)
+        order = rows if rng.random() < 0.5 else rng.permutation(rows)
+        t[order] = start + np.arange(len(rows)) * 15.0 + rng.uniform(0, 5, len(rows))
+        start += len(rows) * 15.0 + float(rng.uniform(300, 1500))
+    temp = 20 + rng.uniform(0.1, 0.4) * np.sin(2 * np.pi * t / rng.uniform(4000, 15000) + rng.uniform(0, 6))
+    return Measurement(v, t, temp, readings + rng.normal(0, NOISE, readings.shape))
+
+
+Values = Mapping[str, float]
+
+
+def change(m: Measurement, name: str, values: Values) -> Array:
+    """Return by how much an effect of these values changes each reading, (n, 3), from the formulas of the contract."""
+    v = m.views
+    here = (v.view == values["view"]).astype(float)[:, None]
+    t = (m.t - m.t.min())[:, None]
+    d = np.array([values.get(key, 0.0) for key in ("dx", "dy", "dz")])
+    if name == "artefact-expansion":
+        return v.hanging * values["scale"] * here
+    if name == "artefact-bending":
+        square = (v.hanging[:, :2] ** 2).sum(axis=1)
+        mean = float(square[v.view == values["view"]].mean())
+        return -values["b"] * (square - mean)[:, None] * np.array([0.0, 0.0, 1.0]) * here
+    if name == "drift-in-view":
+        return np.array([values["vx"], values["vy"], values["vz"]]) * t * here
+    if name == "reseated-artefact":
+        return d * (m.t >= values["at"])[:, None] * here
+    if name == "moved-ball":
+        moved = ((v.ball == values["ball"]) & (v.view >= values["from_view"]))[:, None]
+        return np.einsum("nab,b->na", v.turns, d) * moved
+    x = (v.hanging + v.shifts) / (PITCH * HALF)
+    if name == "axis-expansion":
+        along = np.eye(3)[int(values["axis"])]
+        return (v.hanging + v.shifts) * along * values["scale"] * here
+    c = np.array([values["a"], values["b"], values["c"]])
+    outside = {
+        "_oscillation": np.sin(2 * np.pi * t / values["period"] + values["phase"]) * c,
+        "_clamping": np.stack([x[:, 1] * c[2] + x[:, 2] * c[1], x[:, 0] * c[2], x[:, 0] * c[1]], axis=1) * here,
+        "_cubic": x**3 * c * here,
+    }
+    return outside[name]
+
+
+def _places(rng: np.random.Generator, m: Measurement, name: str) -> dict[str, float]:
+    """Return where an effect acts, drawn at random."""
+    count = len(m.views.names)
+    view = int(rng.integers(1 if name == "artefact-expansion" else 0, count))
+    times = np.sort(m.t[m.views.view == view])
+    return {
+        "view": view,
+        "axis": int(rng.integers(3)),
+        "ball": int(rng.integers(len(m.views.balls))),
+        "from_view": int(rng.integers(1, count - 1)),
+        "at": float(rng.choice(times[len(times) // 5 : -len(times) // 5])) - 1e-3,
+        "period": float(rng.uniform(600, 2500)),
+        "phase": float(rng.uniform(0, 6)),
+    }
+
+
+def _where(m: Measurement, name: str, places: Values) -> dict[str, str]:
+    if name == "moved-ball":
+        return {"ball": " ".join(map(str, m.views.balls[int(places["ball"])].tolist()))}
+    if name[0] == "_":
+        return {}
+    view = {"view": m.views.names[int(places["view"])]}
+    return view | ({"axis": "xyz"[int(places["axis"])]} if name == "axis-expansion" else {})
+
+
+@cache
+def stated(names: str, name: str) -> float:
+    """Return the size, in standard deviations, at which `diagnose` says that it finds an effect with 80 % power."""
+    subject = measurement(np.random.default_rng(5), names).subject()
+    field, _ = field_of_job(subject, {}, np.random.default_rng(1))
+    wanted = name if name in PARAMETERS else "drift-in-view"
+    number = next(i for i, family in enumerate(field.families) if family.name == wanted)
+    return float(np.sqrt(needed(field, number, len(PARAMETERS[wanted]))))
+
+
+def _nearest(m: Measurement, name: str, places: Values, own: Array) -> float:
+    """Return the largest cosine of what is visible of a change with another effect in the same view."""
+    spans = []
+    for other in NAMES:
+        for axis in range(3) if other == "axis-expansion" else (places["axis"],):
+            if (other == name and axis == places["axis"]) or other == "moved-ball" or name == "moved-ball":
+                continue
+            zero: dict[str, float] = {**places, "axis": axis} | dict.fromkeys(PARAMETERS[other], 0.0)
+            units = [change(m, other, zero | {key: 1e-5}) for key in PARAMETERS[other]]
+            spans.append(np.stack(units, axis=-1))
+    most = 0.0
+    for span in spans:
+        seen = visible(m.views.names, span)
+        size = np.linalg.norm(seen, axis=0)
+        u, s, _ = np.linalg.svd(seen[:, size > 0] / size[size > 0], full_matrices=False)
+        most = max(most, float(np.linalg.norm(u[:, s > 1e-4].T @ own)))
+    return most
+
+
+def planted(m: Measurement, rng: np.random.Generator, name: str, times: float) -> tuple[Measurement, Hidden]:
+    """Return the measurement with an effect of so many times its least detectable size in a random direction."""
+    keys = PARAMETERS.get(name, ("a", "b", "c"))
+    while True:
+        places = _places(rng, m, name)
+        direction = rng.normal(size=len(keys))
+        values = places | dict(zip(keys, (direction / np.linalg.norm(direction) * 1e-5).tolist(), strict=True))
+        seen = visible(m.views.names, change(m, name, values)[:, :, None])[:, 0]
+        whole = float(np.linalg.norm(change(m, name, values))) / NOISE
+        # where the unknowns take nearly all of it, its size would be one that nobody has
+        if np.linalg.norm(seen) > 0.02 * whole:
+            break
+    factor = times * stated(m.views.names, name) / float(np.linalg.norm(seen))
+    values = values | {key: values[key] * factor for key in keys}
+    near = _nearest(m, name, places, seen / np.linalg.norm(seen))
+    hidden = Hidden(name, _where(m, name, places), values, distinct=near < ALIKE)
+    return replace(m, readings=m.readings + change(m, name, values)), hidden
+
+
+def spoilt(m: Measurement, rng: np.random.Generator, share: float) -> tuple[Measurement, frozenset[tuple[str, ...]]]:
+    """Return the measurement with a share of its readings wrong in one coordinate by 10 to 25 standard deviations."""
+    wrong = np.flatnonzero(rng.random(len(m.t)) < share)
+    size = rng.uniform(10, 25, len(wrong)) * rng.choice([-1, 1], len(wrong)) * NOISE
+    component = rng.integers(3, size=len(wrong))
+    off, v = np.zeros(m.readings.shape), m.views
+    off[wrong, component] = size
+    keys = frozenset(
+        (v.names[v.view[i]], *map(str, v.balls[v.ball[i]].tolist()), "xyz"[a])
+        for i, a in zip(wrong, component, strict=True)
+    )
+    return replace(m, readings=m.readings + off), keys
+
+
+def noisier(m: Measurement, rng: np.random.Generator) -> Measurement:
+    """Return the measurement with one view three times as noisy as the others."""
+    here = (m.views.view == rng.integers(len(m.views.names)))[:, None]
+    return replace(m, readings=m.readings + rng.normal(size=m.readings.shape) * NOISE * np.sqrt(8.0) * here)
+
+
+def cases(count: int) -> Iterator[Case]:
+    """Yield so many seeded cases, the scenarios in turn, four and six views by turns."""
+    for number in range(count):
+        yield case(number)
+
+
+def case(number: int) -> Case:
+    """Return one seeded case."""
+    rng = np.random.default_rng([34, number])
+    scenario = SCENARIOS[number % len(SCENARIOS)]
+    turn = number // len(SCENARIOS) + number
+    m = measurement(rng, "1234" if turn % 2 else "123456")
+    hidden: list[Hidden] = []
+    wrong: frozenset[tuple[str, ...]] = frozenset()
+    if scenario.endswith("x"):
+        m, one = planted(m, rng, NAMES[turn % len(NAMES)], float(scenario.split()[-1][:-1]))
+        hidden.append(one)
+    if "two effects" in scenario:
+        for name in rng.choice(NAMES, 2, replace=False):
+            m, one = planted(m, rng, str(name), float(rng.uniform(2, 4)))
+            hidden.append(one)
+    if "outside" in scenario:
+        m, one = planted(m, rng, OUTSIDE[turn % len(OUTSIDE)], float(rng.uniform(2, 3.5)))
+        hidden.append(one)
+    if "outliers" in scenario:
+        m, wrong = spoilt(m, rng, 0.02)
+    if "noisier" in scenario:
+        m = noisier(m, rng)
+    if "half" in scenario or "double" in scenario:
+        m = replace(m, noise=2.0 if "half" in scenario else 0.5)
+    return Case(scenario, m.subject, tuple(hidden), wrong, m.noise)
+
+
+SCENARIOS = (
+    "nothing",
+    "an effect of 1x",
+    "nothing, 2 % outliers",
+    "an effect of 2x",
+    "nothing, noise declared half",
+    "an effect of 1.5x",
+    "outside the table",
+    "an effect of 3x",
+    "nothing, noise declared double",
+    "2 % outliers and an effect of 2x",
+    "two effects",
+    "nothing, one view noisier",
+    "noise declared half and an effect of 2x",
+    "an effect of 1.5x",
+    "nothing",
+    "one view noisier and an effect of 3x",
+    "an effect of 1x",
+    "two effects",
+    "outside the table",
+    "nothing",
+)
