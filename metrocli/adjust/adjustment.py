@@ -74,7 +74,7 @@ def adjust(
 
     Gauss-Newton; a step that would raise the sum is shortened by damping (Marquardt 1963), so the sum never rises.
     It stops when a step is short against the standard deviations, whatever the units, or when the steps shrink so fast
-    that the next would be (the contraction of Deuflhard: Newton Methods for Nonlinear Problems, 2004, 4.3). Singular
+    that the next would be (the contraction of Deuflhard: Newton Methods for Nonlinear Problems, 2004). Singular
     problems end with an outcome, not with an exception; ValueError only where blocks and groups do not fit together.
     """
     control = control or Control()

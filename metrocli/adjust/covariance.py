@@ -76,6 +76,9 @@ class Covariance:
 
         n is 1 where both blocks have one member. Of the eliminated block a member is paired with itself only.
         """
+        solved = {self.layout.eliminated, *self.layout.columns}
+        if not {name, other} <= solved:
+            return np.zeros((self.shapes[name][1], self.shapes[other][1], len(index)))
         if other == self.layout.eliminated and name != other:
             return np.swapaxes(self.pairs(other, other_index, name, index), 0, 1)
         if name == other == self.layout.eliminated:
@@ -101,10 +104,7 @@ class Covariance:
         return product if members.gauge is None else product + members.share @ members.gauge.reduced.T
 
     def _places(self, name: str, index: Index) -> tuple[Index, Mask]:
-        columns = self.layout.columns.get(name)
-        if columns is None:
-            shape = (len(index), self.shapes[name][1])
-            return np.zeros(shape, dtype=np.intp), np.zeros(shape, dtype=bool)
+        columns = self.layout.columns[name]
         rows = columns if len(columns) == 1 else columns[index]
         return np.maximum(rows, 0), rows >= 0
 

@@ -184,7 +184,28 @@ def test_nothing_but_points_is_free() -> None:
         solution = adjust([points, tracers.fixed()], made.groups, datum)
         assert solution.outcome is Outcome.CONVERGED
         assert solution.conditions == 0
-        assert covariance_at(solution.blocks.values(), made.groups, datum).known().layout.width == 0
+        known = covariance_at(solution.blocks.values(), made.groups, datum).known()
+        assert known.layout.width == 0
+        index = np.array([3, 1, 2])
+        for one, other in (("point", "tracer"), ("tracer", "point"), ("tracer", "tracer")):
+            shape = (solution.blocks[one].size, solution.blocks[other].size, 3)
+            assert np.array_equal(known.pairs(one, index, other, index), np.zeros(shape))
+
+
+@pytest.mark.parametrize("off", [1e-3, 1.0, 30.0])
+@pytest.mark.parametrize("m", [4, 6])
+def test_the_last_step_leaves_nothing_to_go(m: int, off: float) -> None:
+    """Also where the steps shrink so fast that none is taken to see it."""
+    made = lengths(m=m)
+    points, tracers = made.blocks
+    rng = np.random.default_rng(m)
+    start = replace(points, values=points.values + off * rng.normal(size=points.values.shape))
+    solution = adjust([start, tracers], made.groups, made.datum)
+    assert solution.outcome is Outcome.CONVERGED
+    plain = dense.at_solution(solution.blocks, made.groups)
+    # the next Gauss-Newton step, in standard deviations: 1e-6 is asked for
+    step = np.linalg.lstsq(plain.jacobian, plain.residual, rcond=1e-10)[0]
+    assert np.linalg.norm(plain.jacobian @ step) < 1e-7 * np.sqrt(len(step))
 
 
 def test_without_a_covariance_the_values_are_the_same() -> None:
