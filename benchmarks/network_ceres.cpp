@@ -1,6 +1,6 @@
 // The problem of benchmarks/network_speed.py for Ceres: lengths l = s |x - x0| - l0 of points from tracers.
 //
-//   network_ceres PROBLEM MODE SOLVER      MODE: auto, analytic, pairs   SOLVER: solve, covariance
+//   network_ceres PROBLEM MODE SOLVER TOLERANCE      MODE: auto, analytic, pairs   SOLVER: solve, covariance
 //
 // auto: derivatives by Ceres' jets, a residual for each length. analytic: derivatives written out, sizes known to the
 // compiler (1; 5, 3). pairs: two lengths of a point in one residual (2; 5, 5, 3), for which Ceres has a Schur eliminator
@@ -91,7 +91,7 @@ struct Held : ceres::SizedCostFunction<1, 3> {
 static double seconds() { return double(std::clock()) / CLOCKS_PER_SEC; }
 
 int main(int argc, char** argv) {
-  if (argc < 4) return 2;
+  if (argc < 5) return 2;
   google::InitGoogleLogging(argv[0]);
   FILE* f = fopen(argv[1], "rb");
   long long mn[2];
@@ -138,7 +138,7 @@ int main(int argc, char** argv) {
   options.max_num_iterations = 100;
   options.initial_trust_region_radius = 1e16;
   options.max_trust_region_radius = 1e32;
-  options.function_tolerance = options.parameter_tolerance = options.gradient_tolerance = 1e-14;
+  options.function_tolerance = options.parameter_tolerance = options.gradient_tolerance = std::stod(argv[4]);
   const double built = seconds();
   ceres::Solver::Summary summary;
   ceres::Solve(options, &problem, &summary);
