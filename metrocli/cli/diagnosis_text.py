@@ -14,6 +14,7 @@ from metrocli.diagnosis.design import Candidate, Design
 from metrocli.diagnosis.diagnose import Diagnosis, Finding
 from metrocli.diagnosis.mended import sizes
 from metrocli.diagnosis.naming import Named
+from metrocli.diagnosis.noise import GIVEN
 from metrocli.diagnosis.subject import Subject
 
 _WIDTH = 110
@@ -117,6 +118,11 @@ def _noise(diagnosis: Diagnosis) -> Iterator[str]:
     else:
         yield f"The noise is as declared ({interval} times {declared})."
     for unit in diagnosis.apart:
+        if unit.key == GIVEN:
+            found = unit.ratio * noise.ratio
+            what = unit.name.removeprefix("prior of ")
+            yield f"What the job gives of each {what} is off by {found:.2g} times its stated sigma; correct the sigma."
+            continue
         yield f"{unit.key} {unit.name} is {unit.ratio:.2g} times as noisy as the others."
 
 
@@ -163,7 +169,10 @@ def _line(subject: Subject, name: str, word: str, found: Sequence[Candidate]) ->
     sizes = [one.detectable for one in found if one.testable]
     most = max(one.hides for one in found)
     hides, unit = units.readable(most, subject.delivered.dimension)
-    why = f"absorbed by {', '.join(found[0].absorbed_by)}" if word == verdict.NOT_TESTABLE else ""
+    why = ""
+    if word == verdict.NOT_TESTABLE:
+        plausible, at = units.readable(found[0].plausible, dimension)
+        why = f"absorbed by {', '.join(found[0].absorbed_by)}; hides were it {plausible:.2g} {at}".rstrip()
     seen = _span(min(sizes), max(sizes), dimension) if sizes else "-"
     return name, where, word, seen, f"{hides:.2g} {unit}", why
 

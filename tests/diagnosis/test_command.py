@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -206,3 +207,38 @@ def test_what_cannot_be_diagnosed_is_refused(text: str, code: int, words: str, j
         job.write_text("metrocli: 1\n")
     ran = metrocli("diagnose", job)
     assert (ran.code, words in ran.err) == (code, True)
+
+
+def known(folder: Path, true: float, stated: float, seed: int = 4) -> Path:
+    """Write a measurement whose points are known, with an error that may not be the stated one."""
+    m = lengths.measurement(np.random.default_rng([9, seed]), 50)
+    off = np.random.default_rng([10, seed]).normal(0, true, m.points.shape)
+    job = write(folder, replace(m, nominal=m.points + off))
+    rows = (folder / "points.csv").read_text().splitlines()
+    (folder / "points.csv").write_text("\n".join([f"{rows[0]},sigma_mm", *(f"{row},{stated}" for row in rows[1:])]))
+    return job
+
+
+@pytest.mark.parametrize(("true", "stated"), [(1e-3, 4e-3), (2e-3, 5e-4), (1e-3, 1e-3)])
+def test_a_wrong_sigma_of_known_points_is_told_as_that(
+    folder: Path, metrocli: Metrocli, true: float, stated: float
+) -> None:
+    data = json.loads(metrocli("diagnose", known(folder, true, stated), "--json").out)
+    assert data["verdict"] == "clean" and not data["outliers"]
+    assert 0.9 < data["noise"]["ratio"] < 1.1
+    if true == stated:
+        assert data["noise"]["apart"] == []
+    else:
+        (apart,) = data["noise"]["apart"]
+        assert apart["given"] == "prior of point"
+        assert abs(np.log(apart["ratio"] * stated / true)) < np.log(1.3)
+
+
+def test_known_points_are_no_hindrance_to_what_tells_two_names_apart(folder: Path, metrocli: Metrocli) -> None:
+    m = measured("dead-path-drift", 2.0)
+    job = write(folder, replace(m, nominal=m.points))
+    rows = (folder / "points.csv").read_text().splitlines()
+    (folder / "points.csv").write_text("\n".join([f"{rows[0]},sigma_mm", *(f"{row},0.0001" for row in rows[1:])]))
+    ran = metrocli("diagnose", job, "--json")
+    data = json.loads(ran.out)
+    assert data["verdict"] == "indistinct" and data["separate_by"]
