@@ -86,6 +86,8 @@ def _about(finding: Finding, subject: Subject) -> Iterator[str]:
     name, gain = finding.named, finding.gain
     cause = name.alternative.effect.cause
     yield f"{name.alternative} explains it: {cause}; {', '.join(_parameters(finding, subject))}."
+    if name.held:
+        yield f"The readings do not show {' and '.join(name.held)} apart from that; it is taken as 0."
     yield f"That this is chance: {_chance(float(np.exp(name.log_level)))}."
     if name.rivals:
         others = " or ".join(str(rival.alternative) for rival in name.rivals[:_SHOWN])

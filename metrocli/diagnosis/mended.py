@@ -44,7 +44,7 @@ def extended_model(subject: Subject, names: Sequence[Named]) -> Model:
     model = subject.model
     for name in names:
         alternative = name.alternative
-        model = with_effect(model, alternative.effect, [alternative.instance], dict(alternative.scanned))
+        model = with_effect(model, alternative.effect, [alternative.instance], name.known)
         block, row = _own_row(model, name)
         step = np.zeros(block.values.shape)
         for parameter, value in zip(alternative.parameters, name.values, strict=True):
@@ -69,7 +69,7 @@ class Size:
     value: float
     """Of a column that the model has, the change against the job"""
     std: float | None
-    """None where it was scanned"""
+    """None where it was scanned, or taken as 0 because the readings do not see it apart from the others"""
 
 
 def sizes(subject: Subject, name: Named) -> tuple[Size, ...]:
@@ -85,6 +85,7 @@ def sizes(subject: Subject, name: Named) -> tuple[Size, ...]:
         column = block.column(key)
         was = before.values[row, column] if before is not None and column < before.size else 0.0
         found.append(Size(known[key], float(block.values[row, column] - was), float(std[at] * by_step[column])))
+    found = [replace(size, std=None) if size.parameter.name in name.held else size for size in found]
     return (*found, *(Size(known[key], value, None) for key, value in alternative.scanned))
 
 

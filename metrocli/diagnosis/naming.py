@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from metrocli.adjust.blocks import Array
+from metrocli.adjust.blocks import Array, Mask
 from metrocli.diagnosis.candidates import Alternative
-from metrocli.diagnosis.race import Given
+from metrocli.diagnosis.race import FLAT, VISIBLE, Given
 from metrocli.diagnosis.selection import Chosen, Selection, evidence
 
 _ODDS = 1 / 20
@@ -47,6 +47,13 @@ class Named:
     covariance: Array
     """For the noise found"""
     rivals: tuple[Rival, ...]
+    held: tuple[str, ...] = ()
+    """Parameters taken as 0: the readings do not see them apart from the others"""
+
+    @property
+    def known(self) -> dict[str, float]:
+        """What is not estimated: the scanned parameters, and those taken as 0."""
+        return {**dict(self.alternative.scanned), **dict.fromkeys(self.held, 0.0)}
 
 
 def named(selection: Selection) -> tuple[Named, ...]:
@@ -59,12 +66,31 @@ def _named(selection: Selection, one: Chosen, level: float) -> Named:
     given, full = selection.given(without=[one]), selection.given()
     alternative = selection.field.families[one.family].alternatives[one.number]
     left = one.columns - given.basis @ (given.basis.T @ one.columns)
-    size = np.maximum(np.linalg.norm(left, axis=0), 1e-300)
+    seen = _seen(left, selection.field.scales[one.family][one.number])
+    left = np.where(seen, left, 0.0)
+    size = np.where(seen, np.linalg.norm(left, axis=0), 1.0)
     inverse = np.linalg.pinv((left / size).T @ (left / size), rcond=1e-11, hermitian=True) / size / size[:, None]
     values = inverse @ (left.T @ given.residual)
     covariance = inverse * full.squares / max(full.dof, 1)
     rivals = _rivals(selection, one, given, left @ values)
-    return Named(one, alternative, level, values, covariance, rivals)
+    held = tuple(name for name, free in zip(alternative.parameters, seen, strict=True) if not free)
+    return Named(one, alternative, level, values, covariance, rivals, held)
+
+
+def _seen(left: Array, whole: Array) -> Mask:
+    """Return which parameters (q,) can be estimated together.
+
+    While the readings leave a direction of them unseen, the one that lies most along it is taken out.
+    """
+    seen = np.ones(left.shape[1], dtype=bool)
+    scaled = left / np.where(whole > 0, whole, 1.0)
+    while seen.sum() > 1:
+        columns = scaled[:, seen]
+        values, vectors = np.linalg.eigh(columns.T @ columns)
+        if values[0] > max(VISIBLE**2, FLAT * values[-1]):
+            break
+        seen[np.flatnonzero(seen)[int(np.argmax(np.abs(vectors[:, 0])))]] = False
+    return seen
 
 
 def _rivals(selection: Selection, one: Chosen, given: Given, fitted: Array) -> tuple[Rival, ...]:

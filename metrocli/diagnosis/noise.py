@@ -67,9 +67,13 @@ def apart(subject: Subject, system: System, given: Given, rng: np.random.Generat
     whole = (noise**2).sum(axis=0)
     found = []
     for key, name, rows in units:
+        if rows.sum() - (system.basis[rows] ** 2).sum() - (given.basis[rows] ** 2).sum() < 1:
+            continue
         shares = (noise[rows] ** 2).sum(axis=0) / whole
         share = float((given.residual[rows] ** 2).sum() / max(given.residual @ given.residual, 1e-300))
         found.append((_log_tail(share, shares), key, name, rows))
+    if not found:
+        return None
     log_p, key, name, rows = min(found, key=lambda one: one[0])
     if log_p > np.log(_LEVEL / len(units)):
         return None
@@ -91,11 +95,10 @@ def _units(subject: Subject, system: System) -> Iterator[tuple[str, str, Mask]]:
     for group in subject.model.groups:
         if group.name in subject.model.measured or group.observations.count < _FEWEST:
             continue
-        start, size = system.first[group.name], group.observations.readings.size
+        start = system.first[group.name]
         rows = np.zeros(system.rows, dtype=bool)
-        rows[start : start + size] = True
-        if size - (system.basis[rows] ** 2).sum() > 1:
-            yield GIVEN, group.name, rows
+        rows[start : start + group.observations.readings.size] = True
+        yield GIVEN, group.name, rows
 
 
 def _log_tail(share: float, shares: Array) -> float:

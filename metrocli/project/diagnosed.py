@@ -76,7 +76,7 @@ def write_extended(job: Job, diagnosis: Diagnosis, path: Path | None = None) -> 
     if not diagnosis.findings:
         return None
     path = path or job.file.with_name(f"{job.file.stem}.extended.yaml")
-    new = [_node(job, as_job(finding.named.alternative)) for finding in diagnosis.findings]
+    new = [_node(job, as_job(finding.named)) for finding in diagnosis.findings]
     heading = f"# {job.file.name} with the effects that metrocli diagnose named\n"
     text = heading + yaml_text.emit(_extended(job, new, path.parent))
     with written_aside(path) as aside:
