@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 SHOWN = 160
 """Most characters of an offending line that are shown."""
@@ -54,6 +55,20 @@ class InputError(MetrocliError):
     def __init__(self, faults: Sequence[Fault] | str) -> None:
         self.faults: tuple[Fault, ...] = (Fault(faults),) if isinstance(faults, str) else tuple(faults)
         super().__init__("\n".join(str(fault) for fault in self.faults))
+
+
+def together(*asked: Callable[[], Any]) -> list[Any]:
+    """Return the answers of all; InputError with the faults of all that raise one."""
+    answers: list[Any] = []
+    faults: list[Fault] = []
+    for ask in asked:
+        try:
+            answers.append(ask())
+        except InputError as error:
+            faults.extend(error.faults)
+    if faults:
+        raise InputError(faults)
+    return answers
 
 
 class UndeterminedError(MetrocliError):

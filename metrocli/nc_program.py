@@ -7,8 +7,25 @@ from dataclasses import dataclass
 
 from metrocli.units import find_unit
 
-DWELL_WORDS = {"linuxcnc": "P", "fanuc": "X", "siemens": "F"}
-"""The word of a dwell in seconds (G4), by control; ISO 6983-1 leaves it open"""
+
+@dataclass(frozen=True)
+class Control:
+    """What controls write differently, where ISO 6983-1 leaves it open."""
+
+    dwell: str
+    """The word of the seconds of a dwell (G4)"""
+    metric: str = "G21"
+    comment: tuple[str, str] = ("(", ")")
+    frame: tuple[str, ...] = ("%",)
+    """First and last line of a program"""
+
+
+CONTROLS = {
+    "linuxcnc": Control("P"),
+    "fanuc": Control("X"),
+    "siemens": Control("F", metric="G710", comment=("; ", ""), frame=()),
+}
+"""By name; Siemens in its own language: SINUMERIK ONE, NC programming (12/2019), special characters, G700/G710, G4"""
 _DIGITS = 4
 
 
@@ -49,33 +66,36 @@ Block = Rapid | Feed | Dwell | Stop
 
 
 def program(title: str, remarks: Sequence[str], blocks: Iterable[Block], control: str = "linuxcnc") -> str:
-    """Return the text of a program: remarks, `G17 G21 G40 G90 G94`, the blocks, M30.
+    """Return the text of a program: remarks, `G17 G21 G40 G90 G94` (metric as the control has it), the blocks, M30.
 
-    Positions have four decimals; remarks and messages become comments in parentheses.
+    Positions have four decimals; remarks and messages become comments.
     """
-    lines = ["%", *(_comment(line) for line in (title, *remarks)), "G17 G21 G40 G90 G94"]
+    spoken = CONTROLS[control]
+    lines = [*spoken.frame, *(_comment(line, spoken) for line in (title, *remarks)), f"G17 {spoken.metric} G40 G90 G94"]
     for block in blocks:
-        lines += _words(block, DWELL_WORDS[control])
-    return "\n".join([*lines, "M30", "%", ""])
+        lines += _words(block, spoken)
+    return "\n".join([*lines, "M30", *spoken.frame, ""])
 
 
-def _words(block: Block, dwell: str) -> list[str]:
+def _words(block: Block, control: Control) -> list[str]:
     match block:
         case Rapid(to):
             return [f"G0 {_position(to)}"]
         case Feed(to, speed):
-            return [f"G1 {_position(to)} F{find_unit('mm/min', 'speed').outside(speed):.0f}"]
+            feed = f"{find_unit('mm/min', 'speed').outside(speed):.{_DIGITS}f}".rstrip("0").rstrip(".")
+            return [f"G1 {_position(to)} F{feed}"]
         case Dwell(time):
-            return [f"G4 {dwell}{time:.3f}"]
+            return [f"G4 {control.dwell}{time:.3f}"]
         case Stop(message):
-            return [_comment(message), "M0"]
+            return [_comment(message, control), "M0"]
 
 
 def _position(to: Mapping[str, float]) -> str:
     return " ".join(f"{axis.upper()}{round(value, _DIGITS) + 0.0:.{_DIGITS}f}" for axis, value in to.items())
 
 
-def _comment(text: str) -> str:
-    """Return a comment; parentheses within it would end it, and controls read ASCII only."""
+def _comment(text: str, control: Control) -> str:
+    """Return a comment; parentheses within it could end it, and controls read ASCII only."""
     plain = text.translate({ord("("): "[", ord(")"): "]"}).encode("ascii", "replace").decode()
-    return f"({' '.join(plain.split())})"
+    begin, end = control.comment
+    return f"{begin}{' '.join(plain.split())}{end}"

@@ -10,7 +10,9 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 _WORD = re.compile(r"([A-Z])([+-]?[0-9]+(?:\.[0-9]*)?)")
-_SETTINGS = {"G17", "G21", "G40", "G90", "G94"}
+_SETTINGS = {"G17", "G40", "G90", "G94"}
+_PLAIN = {"linuxcnc": "P", "fanuc": "X"}
+"""Controls with `%`, G21 and comments in parentheses, and their word of a dwell; the other one is Siemens"""
 
 
 @dataclass
@@ -27,25 +29,30 @@ class Run:
     comments: list[str] = field(default_factory=list)
 
 
-def run(text: str, start: Array, dwell: str = "P") -> Run:
+def run(text: str, start: Array, control: str = "linuxcnc") -> Run:
     """Carry out a program from a position."""
     done, settings, feed = Run(np.array(start, dtype=float)), set[str](), float("nan")
-    lines = text.splitlines()
-    assert lines[0] == lines[-1] == "%"
-    for line in lines[1:-1]:
+    lines, plain, dwell = text.splitlines(), control in _PLAIN, _PLAIN.get(control, "F")
+    wanted = _SETTINGS | {"G21" if plain else "G710"}
+    if plain:
+        assert (lines.pop(0), lines.pop()) == ("%", "%")
+    for line in lines:
         assert not done.ended, "something follows M30"
         assert line.isascii() and len(line) < 128
-        if line.startswith("("):
+        if line.startswith(";") and not plain:
+            done.comments.append(line[1:].strip())
+            continue
+        if line.startswith("(") and plain:
             assert line.endswith(")") and "(" not in line[1:] and ")" not in line[:-1]
             done.comments.append(line[1:-1])
             continue
         words = _WORD.findall(line)
         assert "".join(letter + number for letter, number in words) == line.replace(" ", ""), line
         code, rest = words[0][0] + words[0][1], {letter: float(number) for letter, number in words[1:]}
-        if code in _SETTINGS:
+        if code in wanted:
             settings |= {letter + number for letter, number in words}
         elif code in ("G0", "G1"):
-            assert settings == _SETTINGS, "moves before G17 G21 G40 G90 G94"
+            assert settings == wanted, "moves before G17, millimetres, G40 G90 G94"
             target = done.at.copy()
             for i, axis in enumerate("XYZ"):
                 target[i] = rest.get(axis, target[i])

@@ -22,7 +22,9 @@ def found(case: Case) -> Found:
         _covers(finding, hidden, diagnosis)
         for hidden in case.hidden
         for finding in diagnosis.findings
-        if _is(finding, hidden) and set(finding.named.alternative.parameters) <= set(hidden.values)
+        if _is(finding, hidden)
+        and finding.named.seen.all()
+        and set(finding.named.alternative.parameters) <= set(hidden.values)
     )
     return Found(case, diagnosis, seconds, covered)
 
@@ -42,11 +44,9 @@ def _covers(finding: Finding, hidden: Hidden, diagnosis: Diagnosis) -> bool:
     from scipy.special import fdtri
 
     name = finding.named
-    seen = np.array([key not in name.held for key in name.alternative.parameters])
-    off = (name.values - np.array([hidden.values[key] for key in name.alternative.parameters]))[seen]
-    covariance = name.covariance[np.ix_(seen, seen)]
-    size = np.sqrt(np.diag(covariance))
-    scaled = covariance / size / size[:, None]
+    off = name.values - np.array([hidden.values[key] for key in name.alternative.parameters])
+    size = np.sqrt(np.diag(name.covariance))
+    scaled = name.covariance / size / size[:, None]
     distance = float((off / size) @ np.linalg.solve(scaled, off / size))
     return bool(distance / len(off) <= fdtri(len(off), 200, 0.95))
 

@@ -23,6 +23,8 @@ _ROUNDING = 1e-13
 """A fall of the sum of squares below this share of it is rounding."""
 _LAST_DIGITS = 4 * float(np.finfo(float).eps)
 """What rounding leaves unsure of a predicted reading, as a share of it"""
+_NEAR, _FAR_BELOW = 1e3, 1e-2
+"""A step within so many tolerances may be the last if the next is foreseen to be below that share of the tolerance"""
 _DAMPING_START, _DAMPING_END, _DAMPING_LIMIT = 1e-9, 1e-11, 1e8
 
 
@@ -70,8 +72,9 @@ def adjust(
     """Minimise the sum of squares of the whitened residuals over the free entries of the blocks.
 
     Gauss-Newton; a step that would raise the sum is shortened by damping (Marquardt 1963), so the sum never rises.
-    It stops when a step is short against the standard deviations, whatever the units. Singular problems end with an
-    outcome, not with an exception; ValueError only where blocks and groups do not fit together.
+    It stops when a step is short against the standard deviations, whatever the units, or when the steps shrink so fast
+    that the next would be (the contraction of Deuflhard: Newton Methods for Nonlinear Problems, 2004, 4.3). Singular
+    problems end with an outcome, not with an exception; ValueError only where blocks and groups do not fit together.
     """
     control = control or Control()
     state = {block.name: block for block in blocks}
@@ -109,6 +112,7 @@ class _Descent:
     def __init__(self, problem: _Problem, state: Mapping[str, Block], wanted: bool) -> None:
         """Stand at `state`; `wanted` says whether the normal equations of the last place are needed."""
         self.problem, self.state, self.damping, self.wanted = problem, dict(state), 0.0, wanted
+        self.fall = 0.0  # that the last step promised, 0 before the first and after a damped one
         self.normals: Normals | None = problem.normals(self.state)
         self.cost = self.normals.cost
 
@@ -131,17 +135,28 @@ class _Descent:
                 self._damp()
                 continue
             self.normals = None
-            last = fall <= small + _ROUNDING * self.cost
+            short = fall <= small + _ROUNDING * self.cost
+            last = short or self._contracts(fall, small)
             found = None if last and not self.wanted else self.problem.normals(moved)
             cost = found.cost if found else self.problem.cost(moved)
             if cost <= self.cost or (last and cost <= self.cost + small + self._rounding()):
                 done = last and self.damping <= 1e-4
+                self.fall = 0.0 if self.damping else fall
                 self.state, self.normals, self.cost, self.damping = moved, found, cost, _relaxed(self.damping)
                 return Outcome.CONVERGED if done else Outcome.ITERATION_LIMIT
-            if last:
+            if short:
                 return Outcome.CONVERGED
             self._damp()
         return Outcome.DIVERGED
+
+    def _contracts(self, fall: float, small: float) -> bool:
+        """Return whether the step after this one would be far below the tolerance, shrinking as this one has.
+
+        Falls are squares of lengths. The contraction of Gauss-Newton steps, `a + b length`, itself shrinks with them.
+        """
+        if self.damping or not self.fall:
+            return False
+        return fall <= _NEAR**2 * small and fall**2 <= _FAR_BELOW**2 * small * self.fall
 
     def _rounding(self) -> float:
         """Return how much of a sum of squares may be rounding (Cauchy, Schwarz): `2 |residual| |readings| eps`."""

@@ -237,7 +237,8 @@ class Varied:
         members = tuple(map(str, range(n)))
         each = replace(block, values=values.T, members=members, free=np.asarray(used), considered=None)
         index = {**observations.index, self.block: np.arange(n)}
-        return Local({**local.blocks, self.block: each}, replace(observations, index=index), wanted)
+        seen = replace(observations, index=index, lattice=None)  # each reading has a member of its own
+        return Local({**local.blocks, self.block: each}, seen, wanted)
 
 
 def _put(links: tuple[Link, ...], effect: Link) -> tuple[Link, ...] | None:

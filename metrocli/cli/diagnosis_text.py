@@ -84,10 +84,10 @@ def _left(diagnosis: Diagnosis) -> Iterator[str]:
 
 def _about(finding: Finding, subject: Subject) -> Iterator[str]:
     name, gain = finding.named, finding.gain
-    cause = name.alternative.effect.cause
+    cause, reveal = name.alternative.effect.cause, name.alternative.effect.reveal
     yield f"{name.alternative} explains it: {cause}; {', '.join(_parameters(finding, subject))}."
     if name.held:
-        yield f"The readings do not show {' and '.join(name.held)} apart from that; it is taken as 0."
+        yield f"The readings do not show {' and '.join(name.held)} apart from that: taken as 0. What would: {reveal}."
     yield f"That this is chance: {_chance(float(np.exp(name.log_level)))}."
     if name.rivals:
         others = " or ".join(str(rival.alternative) for rival in name.rivals[:_SHOWN])
@@ -105,7 +105,8 @@ def _parameters(finding: Finding, subject: Subject) -> Iterator[str]:
     for size in sizes(subject, finding.named):
         key, dimension = size.parameter.name, size.parameter.dimension
         if size.std is None:
-            yield f"{key} {size.value:.6g} {size.parameter.unit}"
+            digits, partly = ("6g", "") if size.seen else ("2g", " (not seen)")
+            yield f"{key} {size.value:.{digits}} {size.parameter.unit}{partly}"
             continue
         _, symbol = units.readable(size.value, dimension)
         factor = units.find_unit(symbol, dimension).outside(1.0) if dimension and symbol != "1" else 1.0

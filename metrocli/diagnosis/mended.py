@@ -69,7 +69,9 @@ class Size:
     value: float
     """Of a column that the model has, the change against the job"""
     std: float | None
-    """None where it was scanned, or taken as 0 because the readings do not see it apart from the others"""
+    """None where it was scanned, or is not seen"""
+    seen: bool = True
+    """Whether the readings say what it is, apart from the others; else it is taken as 0"""
 
 
 def sizes(subject: Subject, name: Named) -> tuple[Size, ...]:
@@ -84,8 +86,9 @@ def sizes(subject: Subject, name: Named) -> tuple[Size, ...]:
     for at, key in enumerate(alternative.parameters):
         column = block.column(key)
         was = before.values[row, column] if before is not None and column < before.size else 0.0
-        found.append(Size(known[key], float(block.values[row, column] - was), float(std[at] * by_step[column])))
-    found = [replace(size, std=None) if size.parameter.name in name.held else size for size in found]
+        seen = bool(name.seen[at])
+        spread = float(std[at] * by_step[column]) if seen else None
+        found.append(Size(known[key], float(block.values[row, column] - was), spread, seen))
     return (*found, *(Size(known[key], value, None) for key, value in alternative.scanned))
 
 

@@ -36,6 +36,8 @@ class Mistake:
 
     input: str
     words: str
+    shrinks: float = 1.0
+    """The factor by which correcting it makes numbers smaller, and so their residuals whatever is wrong"""
 
     def __str__(self) -> str:
         return f"{self.input}: {self.words}"
@@ -90,10 +92,12 @@ def _explaining(inputs: Inputs, adjust: Adjust, before: float) -> Mistaken | Non
             subject = adjust(changed)
         except (UndeterminedError, NotConvergedError, InputError):
             continue
-        tried.append((strangeness(subject), mistake, subject))
-    tried.sort(key=lambda one: one[0])
-    if not tried or tried[0][0] > 1 or tried[0][0] * _BETTER > before:
+        value = strangeness(subject)
+        if value <= 1 and value * _BETTER <= before * mistake.shrinks:
+            tried.append((value, mistake, subject))
+    if not tried:
         return None
+    tried.sort(key=lambda one: one[0])
     best = tried[0]
     alike = tuple(mistake for value, mistake, _ in tried if value <= max(_AS_GOOD * best[0], _AS_GOOD / _ABSURD))
     return Mistaken(alike, best[2], before, best[0])
@@ -103,11 +107,11 @@ def altered(inputs: Inputs) -> Iterator[tuple[Mistake, Inputs]]:
     """Yield each mistake that could be in the files, with the inputs as they would be without it."""
     for key, table in inputs.items():
         if isinstance(table, Table):
-            for words, changed in _of_table(table):
-                yield Mistake(key, words), {**inputs, key: changed}
+            for words, factor, changed in _of_table(table):
+                yield Mistake(key, words, min(abs(factor), 1.0)), {**inputs, key: changed}
 
 
-def _of_table(table: Table) -> Iterator[tuple[str, Table]]:
+def _of_table(table: Table) -> Iterator[tuple[str, float, Table]]:
     lengths = [name for name, unit in table.units.items() if unit == "mm" and not name.startswith("sigma")]
     per_metre = next(unit.times for unit in DIMENSIONS["length"].units if unit.symbol == "m")
     units = (
@@ -117,21 +121,21 @@ def _of_table(table: Table) -> Iterator[tuple[str, Table]]:
         ("a thousand times too large (millimetres for metres, micrometres for millimetres)", 1 / per_metre),
     )
     for words, factor in units if lengths else ():
-        yield words, _scaled(table, lengths, factor)
+        yield words, factor, _scaled(table, lengths, factor)
     angles = [name for name, unit in table.units.items() if unit == "rad"]
     if angles:
         degree = next(unit.inside(1.0) for unit in DIMENSIONS["angle"].units if unit.symbol == "deg")
-        yield "degrees, read as radians", _scaled(table, angles, degree)
-        yield "radians, read as degrees", _scaled(table, angles, 1 / degree)
+        yield "degrees, read as radians", degree, _scaled(table, angles, degree)
+        yield "radians, read as degrees", 1 / degree, _scaled(table, angles, 1 / degree)
     for one, other in combinations(angles, 2):
-        yield f"{one} and {other} are swapped", _swapped(table, one, other)
+        yield f"{one} and {other} are swapped", 1.0, _swapped(table, one, other)
     for angle in angles:
-        yield f"{angle} has the wrong sign", _scaled(table, [angle], -1.0)
+        yield f"{angle} has the wrong sign", 1.0, _scaled(table, [angle], -1.0)
     axes = [name for name in "xyz" if name in table]
     for one, other in combinations(axes, 2):
-        yield f"{one} and {other} are swapped", _swapped(table, one, other)
+        yield f"{one} and {other} are swapped", 1.0, _swapped(table, one, other)
     for axis in axes:
-        yield f"{axis} has the wrong sign", _scaled(table, [axis], -1.0)
+        yield f"{axis} has the wrong sign", 1.0, _scaled(table, [axis], -1.0)
 
 
 def _scaled(table: Table, names: list[str], factor: float) -> Table:

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from metrocli.adjust.blocks import Array, Mask
+from metrocli.adjust.blocks import Array
+from metrocli.adjust.observations import Mask
 from metrocli.diagnosis.candidates import Alternative
 from metrocli.diagnosis.race import FLAT, VISIBLE, Given
 from metrocli.diagnosis.selection import Chosen, Selection, evidence
@@ -46,9 +47,14 @@ class Named:
     """Its parameters"""
     covariance: Array
     """For the noise found"""
+    seen: Mask
+    """Which parameters the readings determine together; the others are taken as 0"""
     rivals: tuple[Rival, ...]
-    held: tuple[str, ...] = ()
-    """Parameters taken as 0: the readings do not see them apart from the others"""
+
+    @property
+    def held(self) -> tuple[str, ...]:
+        """The parameters taken as 0: the readings do not see them apart from the others."""
+        return tuple(name for name, free in zip(self.alternative.parameters, self.seen, strict=True) if not free)
 
     @property
     def known(self) -> dict[str, float]:
@@ -68,13 +74,13 @@ def _named(selection: Selection, one: Chosen, level: float) -> Named:
     left = one.columns - given.basis @ (given.basis.T @ one.columns)
     seen = _seen(left, selection.field.scales[one.family][one.number])
     left = np.where(seen, left, 0.0)
-    size = np.where(seen, np.linalg.norm(left, axis=0), 1.0)
+    norm = np.linalg.norm(left, axis=0)
+    size = np.where(norm > 0, norm, 1.0)
     inverse = np.linalg.pinv((left / size).T @ (left / size), rcond=1e-11, hermitian=True) / size / size[:, None]
     values = inverse @ (left.T @ given.residual)
     covariance = inverse * full.squares / max(full.dof, 1)
     rivals = _rivals(selection, one, given, left @ values)
-    held = tuple(name for name, free in zip(alternative.parameters, seen, strict=True) if not free)
-    return Named(one, alternative, level, values, covariance, rivals, held)
+    return Named(one, alternative, level, values, covariance, seen, rivals)
 
 
 def _seen(left: Array, whole: Array) -> Mask:

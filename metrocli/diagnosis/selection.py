@@ -19,6 +19,10 @@ Beside outliers the first name has the level of further ones: where readings are
 _STEPS = 40
 _SHARE = 0.1
 """Readings that may be called outliers at most"""
+_AS_MUCH = 0.9
+"""Share of what a smooth function explains from which effects that explain it are named first"""
+_DOMINANT, _MANY = 20.0, 50
+"""By how much effects lower the mean square, and degrees of freedom left, for all else to wait for their adjustment"""
 _TOGETHER = 4
 """Effects at most that may stand for one smooth term"""
 _ALIKE = 0.3
@@ -87,14 +91,27 @@ class Selection:
 
 def select(field: Field, start: Given) -> Selection:
     """Return what wins the race, step by step, until nothing more is beyond chance."""
-    selection = Selection(field, start)
+    selection, passed = Selection(field, start), []
     for _ in range(_STEPS):
         step = _step(selection)
+        if step is not None and _dominated(step):
+            return step
         settled = selection if step is None else _settled(step)
-        if settled.members == selection.members:
+        if settled.members == selection.members or settled.members in passed:
             break
         selection = settled
+        passed.append(selection.members)
     return _settled(selection)
+
+
+def _dominated(selection: Selection) -> bool:
+    """Whether effects make up nearly all of the residuals: what else there is shows when they have been adjusted.
+
+    Their signatures are linear about a model without them; what that leaves of a large effect is structure of its own.
+    """
+    given = selection.given()
+    large = selection.start.squares / selection.start.dof > _DOMINANT * given.squares / max(given.dof, 1.0)
+    return bool(selection.named) and not selection.unknown and large and given.dof > _MANY
 
 
 def _settled(selection: Selection) -> Selection:
@@ -128,6 +145,8 @@ def _step(selection: Selection) -> Selection | None:
             left = field.overall(field.level(family, best.log_p[best.best]))
             if left > np.log(UNKNOWN) and _together(selection, known) <= level:
                 return known
+            if given.squares - known.given().squares > _AS_MUCH * score.gain[score.best]:
+                return known
         return _with_best(selection, family, score)
     return None
 
@@ -148,7 +167,7 @@ def _with_effects(selection: Selection) -> Selection:
             if len(score.gain) and not field.families[i].unknown
         ]
         level, family, score = min(found, key=lambda one: one[0])
-        if given.dof < 3 or field.overall(level) > np.log(_allowed(selection, family)):
+        if given.dof < 3 or field.overall(level) > np.log(_allowed(selection, family)) or _dominated(selection):
             break
         selection = _with_best(selection, family, score)
     return selection

@@ -105,6 +105,7 @@ def _left(subject: Subject, left: Left) -> dict[str, Any]:
 def _parameters(subject: Subject, name: Named) -> dict[str, Any]:
     return {
         size.parameter.name: {"value": size.value, "std": size.std, "unit": size.parameter.unit}
+        | ({} if size.seen else {"unseen": True})
         for size in sizes(subject, name)
     }
 

@@ -71,7 +71,8 @@ def _declared(node: Node | None) -> str:
 def write_extended(job: Job, diagnosis: Diagnosis, path: Path | None = None) -> Path | None:
     """Write the job with the named effects, beside it as `NAME.extended.yaml`; None where there is nothing to add.
 
-    Elsewhere its paths are made to lead to the same files.
+    Parameters that the readings do not show apart from the others are 0 in it. Elsewhere its paths are made to lead to
+    the same files.
     """
     if not diagnosis.findings:
         return None

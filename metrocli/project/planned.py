@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
@@ -29,7 +30,12 @@ def refuse_foreign(folder: Path, force: bool) -> None:
 
 
 def write(files: Mapping[str, Table | str], summary: str, folder: Path) -> Iterator[Path]:
-    """Write the files of a plan and its summary into a folder, and give each path when it is there."""
+    """Write the files of a plan and its summary into a folder, and give each path when it is there.
+
+    Files of an earlier plan that this one has not are removed first: a program left over would be run.
+    """
+    for old in _earlier(folder) - files.keys():
+        (folder / old).unlink(missing_ok=True)
     for name, content in {**files, SUMMARY: summary + "\n"}.items():
         path = folder / name
         if isinstance(content, Table):
@@ -38,3 +44,12 @@ def write(files: Mapping[str, Table | str], summary: str, folder: Path) -> Itera
             with written_aside(path) as aside:
                 aside.write_text(content, encoding="utf-8", newline="\n")
         yield path
+
+
+def _earlier(folder: Path) -> set[str]:
+    """Return the names of the files that the plan in a folder wrote; none where there is no plan."""
+    try:
+        listed = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))["files"]
+        return {Path(name).name for name in listed} - {SUMMARY}
+    except (OSError, ValueError, KeyError, TypeError):
+        return set()

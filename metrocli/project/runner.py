@@ -62,7 +62,7 @@ def verify(job: Job, held: dict[str, Any]) -> None:
     """Raise InputError with what a kind finds wrong with a job and its inputs together, without computing."""
     check = getattr(tasks.load(job.kind), "check", None)
     if check is not None:
-        check(job.settings, **held)
+        check(job.settings, **held, **_effects(job))
 
 
 def answer(job: Job, question: str) -> Table:

@@ -26,6 +26,7 @@ _QUARTER = np.pi / 2
 _TURNS = 30
 _ENOUGH = 1 / 3
 
+
 @dataclass(frozen=True)
 class Family:
     """Undetermined fields of one pattern."""

@@ -54,6 +54,7 @@ def _others(readings: Readings) -> Iterator[tuple[str, Readings]]:
             f"the encoder columns and the spindle's hold {text}",
             replace(readings, angles=angles * factor, spindle=spindle * factor),
         )
+        yield f"the spindle's column holds {text}", replace(readings, spindle=spindle * factor)
     for order in permutations(range(len(ANGLES))):
         moved = [ANGLES[i] for i, at in enumerate(order) if i != at]
         if moved:

@@ -58,7 +58,7 @@ def planned_measurement(located: Located, planned: Planned, noise: NoiseSettings
     lines, refused = measurable(located.place, [*AXES, *planned.diagonals], reach)
     reasons = tuple(f"line {name} cannot be measured: {reason}" for name, reason in refused.items())
     if not lines:
-        cure = "what would allow it: put the unit within the axes' ranges, near a corner of the volume"
+        cure = "what would allow it: the unit within the axes' ranges, near a corner; a smaller `standoff` or `step`"
         raise UndeterminedError("\n  ".join(["no line can be measured from where the unit stands", *reasons, cure]))
     prospect = Prospect(located, planned, noise, tuple(lines))
     margins = _margins(prospect)

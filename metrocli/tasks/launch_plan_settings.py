@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from metrocli.adjust.blocks import Array
-from metrocli.nc_program import DWELL_WORDS
+from metrocli.nc_program import CONTROLS
 from metrocli.settings import Choice, ListOf, Number, Quantity, Section, setting
 from metrocli.units import parse_quantity
 
@@ -67,9 +67,7 @@ class Planned:
         Quantity("speed", positive=True), "feed along the lines", default=parse_quantity("2 m/min", "speed")
     )
     dwell: float = setting(Quantity("time", positive=True), "standstill at each point", default=3.0)
-    control: str = setting(
-        Choice(*DWELL_WORDS), "control that the NC programs are for (the word of a dwell)", default="linuxcnc"
-    )
+    control: str = setting(Choice(*CONTROLS), "control that the NC programs are for", default="linuxcnc")
     confidence: float = setting(Number(above=0.0, maximum=0.999), "probability that counts as safe", default=0.95)
 
     def faults(self) -> Iterable[tuple[str, str]]:

@@ -26,7 +26,7 @@ from metrocli.tasks.sightings import listed
 
 _ABSURD = 100.0
 """A sigma0 that no noise makes"""
-_ENOUGH = 2
+_ENOUGH = 1
 """More poses than this can tell that the columns hold something else"""
 
 

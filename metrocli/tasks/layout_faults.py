@@ -78,10 +78,10 @@ def reasons(network: Network, solution: Solution) -> list[str]:
 
 def _counts(network: Network, solution: Solution) -> Iterator[str]:
     tracers, index = network.blocks[t.TRACER], network.lengths.observations.index
-    m, fewest = len(tracers.members), 3 if network.absolute else 4
+    m, fewest = len(tracers.members), 3 if network.absolute and not network.unknown.all() else 4
     if m < fewest and not (~tracers.free[:, :3]).all():
         kind = "absolute distances" if network.absolute else "length changes"
-        yield f"there are {m} tracers; positions from {kind} need {fewest} or more, not in one plane"
+        yield f"there are {m} tracers; positions from {kind} need {fewest} or more, not in one plane{_three(network)}"
     per_tracer = int(tracers.free.sum()) / m
     there = int((network.seen > 0).sum())
     needed = math.ceil((per_tracer * m - 6) / (m - 3)) if m > 3 else 0
@@ -97,6 +97,11 @@ def _counts(network: Network, solution: Solution) -> Iterator[str]:
     poor = [f"{name} ({n})" for name, n in zip(tracers.members, reads, strict=True) if n < _FEW]
     if poor:
         yield f"tracers that read too few points for their place: {listed(poor)}; six or more spread in space are sound"
+
+
+def _three(network: Network) -> str:
+    known = "where points or tracers are known (sigma_mm)"
+    return f"; three are enough {known}" if network.absolute and network.unknown.all() else ""
 
 
 def _shapes(network: Network, solution: Solution) -> Iterator[str]:

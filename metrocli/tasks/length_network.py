@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -15,7 +16,7 @@ from metrocli.adjust.groups import Group, prior, priors
 from metrocli.adjust.noise import Aspect, Noise
 from metrocli.adjust.observations import Index, Mask, Observations
 from metrocli.effects.model import Added, Model, Place
-from metrocli.errors import Fault, InputError
+from metrocli.errors import Fault, InputError, together
 from metrocli.instruments import tracer as t
 from metrocli.instruments.frames import DistanceBetween
 from metrocli.table import Table
@@ -199,14 +200,22 @@ def _scales(settings: NetworkSettings, block: Block) -> list[Group]:
 def _distances(table: Table | None, names: Sequence[str], seen: Index) -> list[Group]:
     if table is None:
         return []
-    ends = np.stack([matched(table, column, names, "the points") for column in ("from", "to")])
-    unseen = np.flatnonzero((seen[ends] == 0).any(axis=0))
-    if unseen.size:
-        text = "a distance to a point that no tracer reads"
-        raise InputError([Fault(text, table.file, table.lines[i] if table.lines else None) for i in unseen])
-    observations = Observations(
-        table.numbers("length")[None], table.numbers("sigma")[None], {t.POINT: ends}, components=("length",), unit="mm"
-    )
+    ends = np.stack(together(*(partial(matched, table, column, names, "the points") for column in ("from", "to"))))
+    length, sigma = table.numbers("length"), table.numbers("sigma")
+    wrong = {
+        "a distance to a point that no tracer reads": (seen[ends] == 0).any(axis=0),
+        "a distance of a point to itself": ends[0] == ends[1],
+        "a distance is not above zero": length <= 0,
+        "the standard deviation of a distance is not above zero": sigma <= 0,
+    }
+    faults = [
+        Fault(text, table.file, table.lines[row] if table.lines else None)
+        for text, rows in wrong.items()
+        for row in np.flatnonzero(rows).tolist()
+    ]
+    if faults:
+        raise InputError(faults)
+    observations = Observations(length[None], sigma[None], {t.POINT: ends}, components=("length",), unit="mm")
     return [Group(DISTANCES, Chain((DistanceBetween(t.POINT),)), observations)]
 
 

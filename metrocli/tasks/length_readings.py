@@ -9,7 +9,7 @@ import numpy as np
 
 from metrocli.adjust.blocks import Array
 from metrocli.adjust.observations import Index
-from metrocli.errors import Fault, InputError
+from metrocli.errors import Fault, InputError, together
 from metrocli.table import Table
 
 _MOST = 20
@@ -57,16 +57,20 @@ def join(lengths: Table, points: Table, tracers: Table | None, absolute: bool) -
     used = sorted(set(lengths.texts("tracer")))
     listed = used if tracers is None else tracers.texts("tracer")
     stations = [name for name in listed if name in set(used)]
-    names = points.texts("point")
-    point = matched(lengths, "point", names, points.file or "the list of points")
-    station = matched(lengths, "tracer", stations, tracers.file if tracers is not None else "")
+    names, in_points = points.texts("point"), points.file or "the list of points"
+    point, station, point_sigma, tracer_sigma, _ = together(
+        lambda: matched(lengths, "point", names, in_points),
+        lambda: matched(lengths, "tracer", stations, "" if tracers is None else tracers.file),
+        lambda: sigmas(points),
+        lambda: None if tracers is None else sigmas(tracers),
+        lambda: _refuse_readings(lengths, absolute),
+    )
     if tracers is None:
         said = sigma = np.full((len(stations), 3), np.nan)
     else:
         rows = [listed.index(name) for name in stations]
-        said, sigma = tracers.stacked("xyz")[rows], sigmas(tracers)[rows]
+        said, sigma = tracers.stacked("xyz")[rows], tracer_sigma[rows]
         _refuse_negative_paths(lengths, station, tracers, rows)
-    _refuse_readings(lengths, absolute)
     return Readings(
         tuple(names),
         tuple(stations),
@@ -76,7 +80,7 @@ def join(lengths: Table, points: Table, tracers: Table | None, absolute: bool) -
         station,
         points.stacked("xyz"),
         said,
-        sigmas(points),
+        point_sigma,
         sigma,
         absolute,
         lengths.file,

@@ -11,7 +11,7 @@ import numpy as np
 from metrocli.diagnosis.subject import Subject
 from metrocli.effects.model import extended
 from metrocli.effects.wanted import Wanted
-from metrocli.errors import InputError
+from metrocli.errors import InputError, together
 from metrocli.plan import Plan
 from metrocli.result import Result
 from metrocli.settings import Choice, Quantity, Section, TableFile, setting
@@ -19,8 +19,10 @@ from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import TEXT, Column, Columns, Table
 from metrocli.tasks.length_design import Planned
 from metrocli.tasks.length_diagnosis import subject
-from metrocli.tasks.length_network import Network, build
+from metrocli.tasks.length_network import Network, build, network_of
+from metrocli.tasks.length_readings import join
 from metrocli.tasks.length_simulation import simulated
+from metrocli.tasks.network_correction import refuse_lost
 from metrocli.tasks.network_plan import planned
 from metrocli.tasks.network_report import KIND, report
 from metrocli.tasks.network_solve import solve
@@ -148,7 +150,30 @@ def run(
 ) -> Result:
     """Find the points; raises InputError, UndeterminedError or NotConvergedError."""
     network = _with(build(settings, lengths, points, tracers, distances), effects)
+    if probing is not None:
+        refuse_lost(network, probing, settings.tolerance)
     return report(solve(network, settings.outliers == "remove"), probing, settings.tolerance)
+
+
+def check(
+    settings: Settings,
+    lengths: Table,
+    points: Table,
+    tracers: Table | None = None,
+    probing: Table | None = None,
+    distances: Table | None = None,
+    effects: Sequence[Wanted] = (),
+    **_: object,
+) -> None:
+    """Raise InputError with what is wrong with the files together and with the effects, without computing."""
+    readings = join(lengths, points, tracers, settings.measures == "absolute")
+    places = np.column_stack([np.nan_to_num(readings.said), np.zeros(len(readings.said)), np.ones(len(readings.said))])
+    bare = network_of(settings, readings, places, lengths, None)
+    together(
+        lambda: network_of(settings, readings, places, lengths, distances),
+        lambda: _with(bare, effects),
+        lambda: None if probing is None else refuse_lost(bare, probing, settings.tolerance),
+    )
 
 
 def diagnosed(
@@ -210,4 +235,4 @@ def simulate(
     return simulated(settings, settings.simulation, planned, effects, np.random.default_rng(options.seed))
 
 
-__all__ = ["KIND", "PLANNED", "SIMULATED", "SUMMARY", "Inputs", "Settings", "plan", "run", "simulate"]
+__all__ = ["KIND", "PLANNED", "SIMULATED", "SUMMARY", "Inputs", "Settings", "check", "plan", "run", "simulate"]

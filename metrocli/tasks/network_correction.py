@@ -22,29 +22,40 @@ _FAR, _PLAIN, _ENOUGH = 12.0, 1e-4, 6
 volume, where there are so many points"""
 
 
+_NOWHERE = "probing point '{}' has no replayed point of its name or within {:g} mm"
+_LEFT_OUT = "the replayed point of probing point '{}' was left out: too few of its lengths are right"
+
+
+def refuse_lost(network: Network, probing: Table, tolerance: float) -> None:
+    """Raise InputError that lists every probing point without a replayed point of its name or within the tolerance."""
+    _refuse(probing, _matches(network, probing, tolerance), _NOWHERE, tolerance)
+
+
 def corrected(network: Network, solution: Solution, probing: Table, tolerance: float) -> Table:
     """Return the probing points with the mover's error at their replayed points taken off, in the shape they came.
 
     A probing point belongs to the replayed point of its name, else to the nearest nominal point within the tolerance.
-    Raises InputError that lists every probing point without a replayed one.
+    Raises InputError that lists every probing point whose replayed one the adjustment left out.
     """
     match = _matches(network, probing, tolerance)
-    lost = np.flatnonzero(match < 0)
-    if lost.size:
-        names = probing.texts("point")
-        text = "probing point '{}' has no replayed point of its name or within {:g} mm"
-        lines = [probing.lines[row] if probing.lines else None for row in lost]
+    _refuse(probing, match, _LEFT_OUT, tolerance)
+    error = network.nominal[match] - solution.blocks[t.POINT].values[match]
+    moved = probing.stacked("xyz") - error
+    columns: dict[str, Values] = {name: probing.columns[name] for name in ("feature", "point")}
+    columns |= {name: moved[:, i] for i, name in enumerate("xyz")}
+    return Table(columns, dict.fromkeys("xyz", "mm"))
+
+
+def _refuse(probing: Table, match: Index, text: str, tolerance: float) -> None:
+    lost, names = np.flatnonzero(match < 0).tolist(), probing.texts("point")
+    lines = [probing.lines[row] if probing.lines else None for row in lost]
+    if lost:
         raise InputError(
             [
                 Fault(text.format(names[row], tolerance), probing.file, line)
                 for row, line in zip(lost, lines, strict=True)
             ]
         )
-    error = network.nominal[match] - solution.blocks[t.POINT].values[match]
-    moved = probing.stacked("xyz") - error
-    columns: dict[str, Values] = {name: probing.columns[name] for name in ("feature", "point")}
-    columns |= {name: moved[:, i] for i, name in enumerate("xyz")}
-    return Table(columns, dict.fromkeys("xyz", "mm"))
 
 
 def distant(network: Network, probing: Table | None, tolerance: float) -> tuple[str, ...]:

@@ -29,7 +29,8 @@ if TYPE_CHECKING:
 
 KIND = "multilaterate"
 _UNITS = ("mm", "mm", "mm", "mm", "1")
-
+_ELSEWHERE = 0.5
+"""A tracer is told that is this share of its distance from the points away from where its list says"""
 
 _REASONS = {
     "gross": "far off before the adjustment",
@@ -189,8 +190,24 @@ def _warnings(solved: Solved) -> list[str]:
     gone = [name for name, n, before in _lost(solved) if n == 0 < before]
     if gone:
         lines.append(f"{len(gone)} points are left out, since too few of their lengths are left: {listed(gone)}")
-    lines += wrong_entries(solved.network, solved.solution)
+    lines += [*wrong_entries(solved.network, solved.solution), *_elsewhere(solved)]
     return lines + layout_faults.warnings(solved.network, solved.solution)
+
+
+def _elsewhere(solved: Solved) -> Iterator[str]:
+    """Yield the warning of tracers far from their list: lengths do not tell a layout from its mirror image."""
+    found, network = solved.solution.blocks[t.TRACER], solved.network
+    if not len(network.said):
+        return
+    gap = np.linalg.norm(found.values[:, :3] - network.said, axis=1)
+    away = np.linalg.norm(found.values[:, :3] - network.nominal[network.seen > 0].mean(axis=0), axis=1)
+    far = np.flatnonzero(gap > _ELSEWHERE * away)
+    if far.size:
+        places = [f"{found.members[i]} ({gap[i]:.0f} mm)" for i in far]
+        yield (
+            f"tracers are far from where their list says: {listed(places)}; are axes and signs of both lists the same? "
+            "If those of the points are wrong, so is the result"
+        )
 
 
 def _lost(solved: Solved) -> list[tuple[str, int, int]]:

@@ -84,6 +84,7 @@ def solve(network: Network, remove: bool) -> Solved:
     if len(network.nominal) <= _SMALL_ENOUGH:
         _must_carry(start, covariance_at(state.values(), groups, start.datum))
     gross = far_off(network, state) if remove else {}
+    state = _brought_back(network, state, gross)
     out, back = gross | out, bool(gross)
     for _ in range(_ROUNDS):
         solved = _adjusted(network, state, out)
@@ -97,6 +98,15 @@ def solve(network: Network, remove: bool) -> Solved:
             break
         out |= more
     return solved
+
+
+def _brought_back(network: Network, state: Mapping[str, Block], gross: Mapping[int, Rejected]) -> dict[str, Block]:
+    """Return the start with points that gross errors may have carried away where the mover says they are."""
+    rows = np.unique(network.lengths.observations.index[t.POINT][list(gross)])
+    block = state[t.POINT]
+    values = block.values.copy()
+    values[rows] = network.nominal[rows]
+    return {**state, t.POINT: replace(block, values=values)}
 
 
 def refitted(network: Network, keep: Mask) -> Solution:

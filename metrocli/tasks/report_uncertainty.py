@@ -88,10 +88,15 @@ def _fails(model: Model, problem: Problem) -> bool:
 def _trials(settings: Settings, problem: Problem, probability: float, workers: Workers) -> monte_carlo.Outcome:
     wanted = settings.monte_carlo
     try:
-        plan = plan_of(problem.models, problem.inputs, wanted.seed, probability, wanted.trials)
+        units = {name: unit.factor for name, unit in problem.units.items()}
+        plan = plan_of(problem.models, problem.inputs, wanted.seed, probability, wanted.trials, units)
     except UnreachableError as error:
-        node = settings.correlations[0].node
-        raise InputError([node.fault(str(error), "use a smaller correlation, or other distributions")]) from error
+        pair = {problem.inputs.names[index] for index in error.between}
+        # Estimates of a result can be the pair, which a declared correlation ties to other shapes.
+        declared = [placed for placed in settings.correlations if set(placed.value.between) == pair]
+        node = (*declared, *settings.correlations)[0].node
+        said = f"{' and '.join(sorted(pair))}: {error}"
+        raise InputError([node.fault(said, "use a smaller correlation, or other distributions")]) from error
     return monte_carlo.run(plan, workers, wanted.digits, wanted.most)
 
 

@@ -12,6 +12,8 @@ from metrocli.tasks.length_readings import Readings
 
 _MISFIT = 0.05
 """Lengths whose median misfit is more than this share of the volume are not those of these points"""
+_REMOTE = 500.0
+"""A place further away than this many times the volume is none: from there all lengths change alike"""
 _SPARE = 3
 """Lengths more than unknowns that a tracer needs before its misfit says something"""
 
@@ -24,7 +26,7 @@ def places_of(readings: Readings) -> Array:
     """
     values = np.zeros((len(readings.stations), 5))
     values[:, 4] = 1.0
-    misfits = np.zeros(len(readings.stations))
+    misfits, strange = np.zeros(len(readings.stations)), np.zeros(len(readings.stations), dtype=bool)
     fewest = 3 if readings.absolute else 4
     for i, name in enumerate(readings.stations):
         mine = readings.station == i
@@ -37,7 +39,9 @@ def places_of(readings: Readings) -> Array:
         values[i, :4] = _start_of(readings, i, points, lengths)
         if mine.sum() >= fewest + _SPARE:
             misfits[i] = _misfit(points, lengths, values[i])
-    bad = np.flatnonzero(misfits > _MISFIT * readings.extent)
+            away = float(np.linalg.norm(values[i, :3] - points.mean(axis=0)))
+            strange[i] = misfits[i] > _MISFIT * readings.extent or away > _REMOTE * readings.extent
+    bad = np.flatnonzero(strange)
     if bad.size:
         raise InputError([_strange(readings, int(i), float(misfits[i]), bad.size) for i in bad])
     return values

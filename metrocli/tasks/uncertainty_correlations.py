@@ -61,7 +61,7 @@ def simultaneous(readings: Iterable[tuple[str, Table, str]], given: Collection[f
         for (a, first, one), (b, second, other) in combinations(held, 2):
             if frozenset((a, b)) not in given:
                 r = float(np.corrcoef(first.numbers(one), second.numbers(other))[0, 1])
-                said = f"{a} and {b} are readings of one file, {file}: their correlation there, {r:+.3f}, is taken"
+                said = f"{a} and {b} are columns of one file, {file}: their correlation there, {r:+.3f}, is taken"
                 found.append(Together((a, b), r, f"{said}; declare 0 if the rows do not belong together"))
     return found
 

@@ -123,7 +123,7 @@ def _risks(limits: Limits, found: Measured, ends: Interval, factor: float) -> di
             "producer": risks.producer,
         }
     if limits.risk is not None:
-        specific = guard_for_specific(found.std, limits.risk, found.dof)
+        specific = guard_for_specific(found.std, limits.risk, ends, found.dof)
         guard = specific if items is None else guard_for_global(items, found.std, ends, limits.risk)
         said |= {
             "wanted_risk": limits.risk,
@@ -141,7 +141,8 @@ def _end(limit: Measure | None, otherwise: float) -> float:
 
 
 def _shown(interval: Interval, factor: float) -> list[float]:
-    return [interval.low / factor, interval.high / factor]
+    """Return an interval in the unit of the measurand, empty where nothing is left of it."""
+    return [interval.low / factor, interval.high / factor] if interval.low <= interval.high else []
 
 
 def lines(decision: Mapping[str, Any], unit: str) -> list[str]:
@@ -149,6 +150,8 @@ def lines(decision: Mapping[str, Any], unit: str) -> list[str]:
     low, high = decision["limits"]
     zones = f"{decision['zone']} with U (ISO 14253-1), {decision['zone_2017']} with 1.65 u"
     said = [f"tolerance {low:.10g} to {high:.10g} {unit}: {zones}"]
+    if not decision["acceptance"]:
+        said.append("U is larger than half of the tolerance: no value is within the acceptance zone of ISO 14253-1")
     if "T" in decision:
         words = "capable" if decision["capable"] else "not capable"
         said.append(f"U/T = {100 * decision['U_over_T']:.1f} %: {words} by the 20 % of Berndt")
@@ -159,7 +162,9 @@ def lines(decision: Mapping[str, Any], unit: str) -> list[str]:
         risks = f"consumer {decision['consumer']:.4g} ({of_accepted}), producer {decision['producer']:.4g}"
         said.append(f"global risks: {risks}")
     if "guard_band" in decision:
-        a, b = decision["acceptance_guarded"]
-        band = f"guard band {decision['guard_band']:.4g} {unit} for a risk of {decision['wanted_risk']:g}"
-        said.append(f"{band}: accept {a:.10g} to {b:.10g}")
+        ends = decision["acceptance_guarded"]
+        accept = (
+            f"{decision['guard_band']:.4g} {unit}: accept {ends[0]:.10g} to {ends[1]:.10g}" if ends else "there is none"
+        )
+        said.append(f"guard band for a risk of {decision['wanted_risk']:g}: {accept}")
     return said

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -22,7 +22,7 @@ from metrocli.tasks.uncertainty_sources import identity, shared
 from metrocli.tasks.uncertainty_values import Model
 from metrocli.uncertainty import dimensions
 from metrocli.uncertainty.dimensions import Compound, compound, described
-from metrocli.uncertainty.distributions import Normal
+from metrocli.uncertainty.distributions import Normal, Sampled
 from metrocli.uncertainty.expression import CONSTANTS, FUNCTIONS, NAME, Expression, ExpressionError
 from metrocli.uncertainty.inputs import Block, Inputs, NotSemiDefiniteError, Quantity, join
 from metrocli.words import suggestion
@@ -245,18 +245,28 @@ class _Gathering:
         # In the order of the job, then estimates of results in that of the models.
         order = [quantity for name, quantity in self.quantities.items() if name in self.named]
         try:
-            self.inputs = join(order, pairs, blocks)
+            self.inputs = join(order, pairs, blocks, self._rows({name for pair in declared for name in pair.between}))
         except NotSemiDefiniteError as error:
             first = next(iter(self.settings.measurands.values())).node
             self.faults.append(correlations.contradiction(error, self.settings.correlations, first))
 
     def _readings(self) -> Iterable[tuple[str, Table, str]]:
-        """Yield the name, file and column of each quantity that is evaluated from readings."""
+        """Yield the name, file and column of each quantity that is evaluated from readings, or drawn from samples."""
         for name in self.named:
             placed = self.settings.quantities.get(name)
-            table = (self.files or {}).get(f"{placed.node.path}.readings") if placed is not None else None
-            if placed is not None and table is not None and isinstance(self.quantities[name].distribution, Normal):
-                yield name, table, column_of(placed.value, table)
+            for key in ("readings", "samples"):
+                table = (self.files or {}).get(f"{placed.node.path}.{key}") if placed is not None else None
+                if placed is not None and table is not None and self.quantities[name].distribution is not None:
+                    yield name, table, column_of(placed.value, table)
+
+    def _rows(self, declared: Collection[str]) -> Iterable[list[str]]:
+        """Yield the names of samples in one file, but for those whose correlation the job declares itself."""
+        files: dict[str, list[str]] = {}
+        for name in self.named:
+            shape = self.quantities[name].distribution
+            if isinstance(shape, Sampled) and name not in declared:
+                files.setdefault(shape.file, []).append(name)
+        return (names for names in files.values() if len(names) > 1)
 
 
 def _keyword(name: str) -> bool:

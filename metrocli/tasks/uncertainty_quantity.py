@@ -84,7 +84,9 @@ def _written(name: str, given: Given) -> Quantity:
     if given.column is not None:
         raise _Wrong("column", "a column is named, but no readings or samples", "give readings: FILE.csv")
     spread = _spread(given, best)
-    return Quantity(name, best.value, spread.distribution, spread.dof, best.unit)
+    # The mean of what q events leave is q + 1 (JCGM 101, 6.4.11).
+    value = best.value + 1 if isinstance(spread.distribution, Counts) else best.value
+    return Quantity(name, value, spread.distribution, spread.dof, best.unit)
 
 
 def _spread(given: Given, best: Measure) -> Spread:
@@ -185,8 +187,8 @@ def _from_table(name: str, given: Given, table: Table | None) -> Quantity:
         raise _Wrong("readings", "one reading says nothing of its spread", "two readings or more")
     mean = float(values.mean())
     if sampled:
-        deviations = tuple(np.sort(values - mean).tolist())
-        return Quantity(name, mean, Sampled(deviations) if np.ptp(values) > 0 else None, math.inf, unit)
+        deviations = tuple((values - mean).tolist())
+        return Quantity(name, mean, Sampled(deviations, table.file) if np.ptp(values) > 0 else None, math.inf, unit)
     std = float(values.std(ddof=1)) / math.sqrt(len(values))
     return Quantity(name, mean, Normal(std) if std > 0 else None, float(len(values) - 1), unit)
 

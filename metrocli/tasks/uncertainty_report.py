@@ -115,21 +115,22 @@ def _measurand(found: Found, index: int, name: str) -> _Measurand:
     }  # fmt: skip
     verdict = None
     if mc is not None:
-        details["mc"] = {key: _scaled(item, factor) if key != "trials" else item for key, item in mc.items()}
-        verdict = _verdict(found, linear, k, mc)
+        mc = details["mc"] = {key: _scaled(item, factor) if key != "trials" else item for key, item in mc.items()}
+        verdict = _verdict(found, linear, k, factor, mc)
     details["gum_valid"] = verdict.valid if verdict is not None else math.nan
     if found.settings.tolerance and name in found.settings.tolerance:
         details["tolerance"] = _decision(found, index, name, std, k * std)
     return _Measurand(name, unit.text, linear, linear.value / factor, std / factor, details, verdict)
 
 
-def _verdict(found: Found, linear: Linear, k: float, mc: dict[str, Any]) -> Verdict:
-    """Return whether the law of propagation holds against Monte Carlo."""
+def _verdict(found: Found, linear: Linear, k: float, factor: float, mc: dict[str, Any]) -> Verdict:
+    """Return whether the law of propagation holds against Monte Carlo, by digits of u in the unit of the measurand."""
     if linear.replaced:
-        return Verdict(False, 0.0, 0.0, 0.0, linear.notes)
+        return Verdict(False, linear.notes)
     normal = coverage_factor(Coverage(covered(found.coverage)), math.inf)
-    first = (linear.value, linear.std, k * linear.std, linear.nonlinear, linear.second_std)
-    judged = Judged(*first, mc["mean"], mc["std"], (mc["interval"][0], mc["interval"][1]), normal)
+    value, std, second = linear.value / factor, linear.std / factor, linear.second_std / factor
+    ends = (mc["interval"][0], mc["interval"][1])
+    judged = Judged(value, std, k * std, linear.nonlinear, second, mc["mean"], mc["std"], ends, normal)
     return judge(judged, found.settings.monte_carlo.digits)
 
 

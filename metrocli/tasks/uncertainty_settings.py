@@ -27,7 +27,16 @@ from metrocli.settings import (
 )
 from metrocli.table import Columns
 from metrocli.tasks import KINDS
-from metrocli.tasks.uncertainty_values import AnyQuantity, Limit, Measure, Model, ModelText, Probability, Trials
+from metrocli.tasks.uncertainty_values import (
+    AnyQuantity,
+    DegreesOfFreedom,
+    Limit,
+    Measure,
+    Model,
+    ModelText,
+    Probability,
+    Trials,
+)
 
 READINGS = Columns((), (), "readings", every=True)
 SHAPES = (
@@ -56,7 +65,7 @@ class Given:
     half_width: Measure | None = setting(AnyQuantity(), "half-width of the distribution", default=None)
     U: Measure | None = setting(AnyQuantity(), "expanded uncertainty of a certificate, with its k", default=None)
     k: float | None = setting(Number(above=0), "coverage factor of U", default=None)
-    dof: float | None = setting(Number(above=0), "degrees of freedom of the uncertainty", default=None)
+    dof: float | None = setting(DegreesOfFreedom(), "degrees of freedom of the uncertainty", default=None)
     distribution: str | None = setting(Choice(*SHAPES), "shape of the distribution", default=None)
     inexactness: Measure | None = setting(
         AnyQuantity(), "half-width of the half-width, of a curvilinear trapezoid", default=None
@@ -211,7 +220,7 @@ class Contributor:
         ListOf(ModelText(), 3), "error along each axis, in estimates of results and X Y Z (mm)", default=None
     )
     distribution: str = setting(Choice("normal", "uniform"), "shape for std in Monte Carlo", default="normal")
-    dof: float | None = setting(Number(above=0), "degrees of freedom", default=None)
+    dof: float | None = setting(DegreesOfFreedom(), "degrees of freedom", default=None)
     source: str | None = setting(Text(), "what the uncertainty comes from, where others have it too", default=None)
     includes: tuple[str, ...] = setting(ListOf(Text()), "sources that its figures contain already", default=())
 

@@ -14,6 +14,9 @@ from metrocli.settings import BAD, Number, Schema
 from metrocli.uncertainty.dimensions import Compound, compound
 from metrocli.uncertainty.expression import Expression, ExpressionError, parse
 
+INFINITE = ("inf", ".inf", "infinite")
+SMALLEST, LARGEST = 1e-100, 1e100
+"""Values in base units whose squares and products are numbers too"""
 _NUMBER = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
 _QUANTITY = re.compile(rf"({_NUMBER})\s*(.*)", re.DOTALL)
 _COMMA = re.compile(r"([+-]?[0-9]*),([0-9]+)(.*)", re.DOTALL)
@@ -57,10 +60,10 @@ class AnyQuantity:
             unit = compound(match[2])
         except units.QuantityError as error:
             return _refused(node, faults, error.message, error.hint)
-        number = float(match[1])
-        if not math.isfinite(number):
-            return _refused(node, faults, f"'{text}' is too large for a number", f"expected {self.expects}")
-        return Measure(number, unit, node)
+        measure = Measure(float(match[1]), unit, node)
+        if measure.value and not SMALLEST <= abs(measure.value) <= LARGEST:
+            return _refused(node, faults, f"'{text}' is out of range", "numbers reach from 1e-100 to 1e100")
+        return measure
 
     def schema(self) -> Schema:
         return {"anyOf": [{"type": "number"}, {"type": "string", "pattern": rf"^\s*{_NUMBER}\s*\S*"}]}
@@ -151,6 +154,22 @@ class Probability:
 
     def schema(self) -> Schema:
         return {"type": "number", "exclusiveMinimum": 0, "exclusiveMaximum": 1}
+
+
+@dataclass(frozen=True)
+class DegreesOfFreedom:
+    """A number above 0, or `inf`."""
+
+    expects = "a number above 0, or inf"
+
+    def fits(self, node: Node) -> bool:
+        return node.kind == "scalar" and not node.empty
+
+    def read(self, node: Node, faults: list[Fault]) -> Any:
+        return math.inf if node.text in INFINITE else Number(above=0).read(node, faults)
+
+    def schema(self) -> Schema:
+        return {"anyOf": [{"type": "number", "exclusiveMinimum": 0}, {"enum": list(INFINITE)}]}
 
 
 @dataclass(frozen=True)

@@ -157,6 +157,7 @@ def _of_model(placed: Placed, results: Mapping[str, Result], points: Array) -> A
     values: dict[str, float | Array] = dict(zip(PLACES, points.T, strict=True))
     known = dict.fromkeys(PLACES, compound("mm"))
     covariance = np.zeros((len(names), len(names)))
+    files: dict[str, Result] = {}
     places: dict[str, list[tuple[int, int]]] = {}
     for n, name in enumerate(names):
         prefix, _, estimate = name.partition(".")
@@ -171,12 +172,13 @@ def _of_model(placed: Placed, results: Mapping[str, Result], points: Array) -> A
         unit = compound(result.estimates[at].unit)
         values[name] = result.estimates[at].value * unit.factor
         known[name] = unit
-        places.setdefault(prefix, []).append((n, at))
-    for prefix, pairs in places.items():
+        files[identity(result)] = result
+        places.setdefault(identity(result), []).append((n, at))
+    for file, pairs in places.items():
         own, theirs = map(list, zip(*pairs, strict=True))
         scale = np.array([known[names[n]].factor for n in own])
         covariance[np.ix_(own, own)] = (
-            np.asarray(results[prefix].covariance)[np.ix_(theirs, theirs)] * scale[:, None] * scale
+            np.asarray(files[file].covariance)[np.ix_(theirs, theirs)] * scale[:, None] * scale
         )
     for model in models:
         try:
@@ -211,9 +213,11 @@ def _double(settings: Settings, results: Mapping[str, Result]) -> Iterable[str]:
 
 
 def _of_results(placed: list[Contributor], results: Mapping[str, Result], labels: Mapping[str, str]) -> Iterable[str]:
-    used = {given.result: results[given.result] for given in placed if given.result}
+    held: dict[str, str] = {}
+    for given in placed:
+        held |= {name: given.name for name in _results_of(given) if name not in held}
+    used = {name: results[name] for name in held}
     yield from shared(used)
-    held = {given.result: given.name for given in placed if given.result}
     for name, result in used.items():
         for label in sorted(contributors(result) & set(labels)):
             if labels[label] != held[name]:
@@ -221,7 +225,13 @@ def _of_results(placed: list[Contributor], results: Mapping[str, Result], labels
                 yield f"'{label}' is counted twice: {twice}"
     seen: dict[str, str] = {}
     for given in placed:
-        if given.result:
-            first = seen.setdefault(identity(results[given.result]), given.name)
+        for file in dict.fromkeys(identity(results[name]) for name in _results_of(given)):
+            first = seen.setdefault(file, given.name)
             if first != given.name:
                 yield f"'{given.name}' and '{first}' are the same result: it is counted twice"
+
+
+def _results_of(given: Contributor) -> list[str]:
+    """Return the names of the results that a contributor uses, in the order in which it names them."""
+    named = [name.partition(".")[0] for model in given.model or () for name in model.expression.names]
+    return list(dict.fromkeys([given.result] if given.result else [name for name in named if name not in PLACES]))

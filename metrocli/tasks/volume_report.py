@@ -124,9 +124,14 @@ def _details(axis: _Axis, settings: Settings) -> dict[str, Any]:
         said["tolerance"] = {
             "T": width, "U_over_T": U / width, "capable": capable(U, width),
             "U_over_T_pointwise": axis.k * axis.pointwise / width,
-            "acceptance": width / 2 - U, "acceptance_2017": width / 2 - FACTOR_2017 * axis.std,
+            "acceptance": _left(width, U), "acceptance_2017": _left(width, FACTOR_2017 * axis.std),
         }  # fmt: skip
     return said
+
+
+def _left(width: float, guard: float) -> float:
+    """Return the half-width of what can be accepted, NaN where nothing is left."""
+    return width / 2 - guard if guard <= width / 2 else math.nan
 
 
 def _against_trials(axis: _Axis, mc: monte_carlo.Outcome, U: float, settings: Settings) -> dict[str, Any]:
@@ -224,4 +229,4 @@ def _notes(
 
 
 def _um(length: float) -> str:
-    return f"{converted(length, 'mm', 'um'):.2f}"
+    return f"{converted(length, 'mm', 'um'):.2f}" if math.isfinite(length) else "none"

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from metrocli.uncertainty.distributions import Distribution
+from metrocli.uncertainty.distributions import Distribution, Sampled
 
 Array = npt.NDArray[np.float64]
 CLIP = 1e-12
@@ -43,6 +43,18 @@ class Ellipse:
 
 
 @dataclass(frozen=True)
+class Rows:
+    """Values of one earlier evaluation, drawn row by row: they stay together as they came out there."""
+
+    indices: tuple[int, ...]
+    shapes: tuple[Sampled, ...]
+
+    def __call__(self, rng: np.random.Generator, count: int) -> Sequence[tuple[int, Array]]:
+        rows = rng.integers(len(self.shapes[0].deviations), size=count)
+        return [(i, np.asarray(shape.deviations)[rows]) for i, shape in zip(self.indices, self.shapes, strict=True)]
+
+
+@dataclass(frozen=True)
 class Dependent:
     """Quantities of any distributions with given correlations: normal numbers taken through each one's quantiles.
 
@@ -61,7 +73,11 @@ class Dependent:
         for i in range(len(indices)):
             for j in range(i):
                 wanted = float(correlation[i, j])
-                normal[i, j] = normal[j, i] = _normal_correlation(distributions[i], distributions[j], wanted)
+                try:
+                    normal[i, j] = normal[j, i] = _normal_correlation(distributions[i], distributions[j], wanted)
+                except UnreachableError as error:
+                    error.between = (indices[i], indices[j])
+                    raise
         root = factor(normal)
         root /= np.linalg.norm(root, axis=1)[:, None]
         return cls(indices, tuple(distributions), root)
@@ -77,11 +93,13 @@ class Dependent:
 
 
 class UnreachableError(ValueError):
-    """Two distributions cannot have the correlation asked for; `largest` says what they can have."""
+    """Two distributions cannot have the correlation asked for."""
+
+    between: tuple[int, int]
+    """Their places among the quantities"""
 
     def __init__(self, largest: float) -> None:
-        super().__init__(f"quantities of these shapes can have a correlation of {largest:.3g} at most")
-        self.largest = largest
+        super().__init__(f"quantities of these shapes can have a correlation up to {largest:.3g} only")
 
 
 def _normal_correlation(a: Distribution, b: Distribution, wanted: float) -> float:

@@ -142,12 +142,31 @@ def _integral(items: Items, chance: Callable[[Array], Array], part: Interval, st
     return float((density * chance(y) * weights * half[:, None]).sum())
 
 
-def guard_for_specific(std: float, risk: float, dof: float = math.inf) -> float:
-    """Return the guard band at which a value on the acceptance limit has this risk of not conforming."""
+def guard_for_specific(std: float, risk: float, limits: Interval, dof: float = math.inf) -> float:
+    """Return the guard band at which a value on the acceptance limit has this risk of not conforming.
+
+    NaN where even the middle of the tolerance has a larger one.
+    """
     from scipy.special import ndtri, stdtrit
 
     factor = float(stdtrit(dof, 1 - risk)) if math.isfinite(dof) else float(ndtri(1 - risk))
-    return factor * std
+    if not math.isfinite(limits.width):
+        return factor * std
+
+    def failing(guard: float) -> float:
+        return 1 - conformance(limits.low + guard, std, limits, dof)
+
+    # The other limit takes its part: the band is at least that of one limit.
+    low, high = factor * std, limits.width / 2
+    return math.nan if failing(high) > risk else _root(failing, low, high, risk)
+
+
+def _root(falling: Callable[[float], float], low: float, high: float, wanted: float) -> float:
+    """Return where a falling function comes down to a value, by bisection; on its safe side."""
+    for _ in range(60):
+        middle = (low + high) / 2
+        low, high = (middle, high) if falling(middle) > wanted else (low, middle)
+    return high
 
 
 def guard_for_global(items: Items, std: float, limits: Interval, risk: float) -> float:
@@ -160,9 +179,4 @@ def guard_for_global(items: Items, std: float, limits: Interval, risk: float) ->
         return global_risk(items, std, limits, limits.inside(guard)).consumer
 
     low, high = -6 * std, min(limits.width / 2, 10 * std)
-    if not consumer(high) <= risk <= consumer(low):
-        return math.nan
-    for _ in range(60):
-        middle = (low + high) / 2
-        low, high = (middle, high) if consumer(middle) > risk else (low, middle)
-    return high
+    return _root(consumer, low, high, risk) if consumer(high) <= risk <= consumer(low) else math.nan

@@ -252,7 +252,9 @@ class Sampled:
     """Values of an earlier evaluation, each as probable as the other."""
 
     deviations: tuple[float, ...]
-    """From their mean, in ascending order."""
+    """From their mean, in the order of the evaluation"""
+    file: str = ""
+    """Where they stand: quantities of one file are drawn row by row together"""
 
     @property
     def words(self) -> str:
@@ -267,7 +269,7 @@ class Sampled:
 
     def quantile(self, p: Array) -> Array:
         places = np.minimum((p * len(self.deviations)).astype(np.intp), len(self.deviations) - 1)
-        return np.asarray(self.deviations)[places]
+        return np.sort(self.deviations)[places]
 
 
 def in_trials(distribution: Distribution, dof: float) -> Distribution:

@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from metrocli.uncertainty.correlated import CLIP, Dependent, Ellipse, factor
+from metrocli.uncertainty.correlated import CLIP, Dependent, Ellipse, Rows, UnreachableError, factor
 from metrocli.uncertainty.dimensions import Compound
-from metrocli.uncertainty.distributions import Distribution, Normal, in_trials
+from metrocli.uncertainty.distributions import Distribution, Normal, Sampled, in_trials
 
 Array = npt.NDArray[np.float64]
 
@@ -59,6 +59,8 @@ class Inputs:
     """(n, n)"""
     groups: tuple[tuple[int, ...], ...]
     """Quantities that are correlated with each other or come from one result, each in one group"""
+    together: tuple[tuple[int, ...], ...] = ()
+    """Groups of samples that are drawn row by row"""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -76,18 +78,28 @@ class Inputs:
             self._source(group) for group in self.groups if self.covariance[group[0], group[0]] > 0 or len(group) > 1
         )
 
-    def _source(self, group: tuple[int, ...]) -> Dependent | Ellipse | _Single:
+    def _source(self, group: tuple[int, ...]) -> Dependent | Ellipse | Rows | _Single:
         shapes = [in_trials(self._shape(i), self.quantities[i].dof) for i in group]
         if len(group) == 1:
             return _Single(group[0], shapes[0])
+        if group in self.together:
+            return Rows(group, tuple(shape for shape in shapes if isinstance(shape, Sampled)))
         part = self.covariance[np.ix_(group, group)]
-        dofs = {self.quantities[i].dof for i in group}
-        if len(dofs) == 1 and all(isinstance(self._shape(i), Normal) for i in group):
-            return Ellipse(group, factor(part), dofs.pop())
         std = np.sqrt(np.diag(part))
         moving = [k for k in range(len(group)) if std[k] > 0]
+        root, dofs = factor(part), {self.quantities[i].dof for i in group}
+        ellipse = Ellipse(group, root, min(dofs))
+        normal = all(isinstance(self._shape(i), Normal) for i in group)
+        # t distributions of different dof cannot keep what a singular covariance says to be exact.
+        if normal and (len(dofs) == 1 or root.shape[1] < len(moving)):
+            return ellipse
         correlation = part[np.ix_(moving, moving)] / std[moving][:, None] / std[moving]
-        return Dependent.of(tuple(group[k] for k in moving), [shapes[k] for k in moving], correlation)
+        try:
+            return Dependent.of(tuple(group[k] for k in moving), [shapes[k] for k in moving], correlation)
+        except UnreachableError:
+            if normal:
+                return ellipse
+            raise
 
     def _shape(self, index: int) -> Distribution:
         return self.quantities[index].distribution or Normal(0.0)
@@ -105,11 +117,15 @@ class _Single:
 
 
 def join(
-    quantities: Sequence[Quantity], correlations: Iterable[tuple[str, str, float]] = (), blocks: Sequence[Block] = ()
+    quantities: Sequence[Quantity],
+    correlations: Iterable[tuple[str, str, float]] = (),
+    blocks: Sequence[Block] = (),
+    rows: Iterable[Sequence[str]] = (),
 ) -> Inputs:
     """Return the quantities with their joint covariance; raises NotSemiDefiniteError.
 
-    Covariances of blocks are taken as they stand, rank-deficient ones too; correlations are added to them.
+    Covariances of blocks are taken as they stand, rank-deficient ones too; correlations are added to them. `rows` are
+    samples that are drawn row by row.
     """
     place = {quantity.name: i for i, quantity in enumerate(quantities)}
     std = np.array([quantity.std for quantity in quantities])
@@ -125,7 +141,10 @@ def join(
         # Uncorrelated estimates of one adjustment still share its estimated noise.
         held = [place[name] for name in block.names]
         linked[np.ix_(held, held)] = True
-    return Inputs(tuple(quantities), covariance, _groups(linked))
+    together = [tuple(sorted(place[name] for name in names)) for names in rows]
+    for samples in together:
+        linked[np.ix_(samples, samples)] = True
+    return Inputs(tuple(quantities), covariance, _groups(linked), tuple(together))
 
 
 def _must_be_semi_definite(covariance: Array, names: Sequence[str]) -> None:

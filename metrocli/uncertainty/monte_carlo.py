@@ -25,6 +25,8 @@ Array = npt.NDArray[np.float64]
 KEPT, KEPT_VALUES = 2_000_000, 8_000_000
 """Trials of which all values are kept, and values of all measurands together at most"""
 CHUNKS_OF_A_BATCH, PILOT = 100, 10
+MOST_OF_TWO_CHUNKS = 10_000_000
+"""Trials of two chunks of an adaptive run that fit into memory"""
 
 
 @dataclass(frozen=True)
@@ -37,8 +39,6 @@ class Outcome:
     """Of each measurand, as deviations from `centres`"""
     centres: tuple[float, ...]
     trials: int
-    errors: Array
-    """(4, m): standard deviations of mean, standard deviation and interval ends, where the run was adaptive"""
 
 
 def run(plan: Plan, workers: Workers, digits: int = 2, most: int = 0) -> Outcome:
@@ -115,8 +115,7 @@ def _outcome(plan: Plan, total: Batch, edges: tuple[Edges, ...]) -> Outcome:
         assert total.counts is not None
         samples = tuple(Binned(bins, counts) for bins, counts in zip(edges, total.counts, strict=True))
     means = total.tally.mean + np.asarray(plan.centres)
-    errors = _errors(total.spread) if len(total.spread) > 1 else np.zeros((4, len(means)))
-    return Outcome(means, total.tally.covariance, samples, plan.centres, total.tally.count, errors)
+    return Outcome(means, total.tally.covariance, samples, plan.centres, total.tally.count)
 
 
 def _errors(spread: Array) -> Array:
@@ -135,12 +134,18 @@ def tolerance_of(std: float, digits: int) -> float:
 
 def _adaptive(plan: Plan, workers: Workers, digits: int, most: int) -> Outcome:
     """Add chunks until mean, standard uncertainty and interval ends are known to the digits wanted (JCGM 101, 7.9)."""
+    if 2 * plan.chunk > min(most, MOST_OF_TWO_CHUNKS):
+        raise NotConvergedError(
+            f"{100 * plan.probability:.12g} % needs chunks of {plan.chunk} trials in an adaptive run "
+            f"(JCGM 101, 7.9.4 a), and two of them are more than {min(most, MOST_OF_TWO_CHUNKS)}\n"
+            "  fix the number of trials (`trials`), or ask for a smaller probability or k"
+        )
     kept: list[Batch] = []
     settled = False
     numbers = range(max(min(most, _kept(plan)) // plan.chunk, 2))
     for batch in _told(workers.ordered(Work(plan, 1), numbers), workers, None):
         kept.append(batch)
-        if len(kept) > 1 and _settled(kept, digits):
+        if len(kept) > 1 and _settled(kept, plan.units, digits):
             settled = True
             break
     outcome = _gathered(plan, kept)
@@ -153,9 +158,9 @@ def _adaptive(plan: Plan, workers: Workers, digits: int, most: int) -> Outcome:
     later = itertools.takewhile(lambda n: (first + n * 10) * plan.chunk < most, itertools.count())
     for batch in _told(workers.ordered(_Later(Work(plan, 10, edges), first), later), workers, None):
         total = _both(total, batch)
-        if _small(total.tally, total.spread, digits):
+        if _small(total.tally, total.spread, plan.units, digits):
             return _outcome(plan, total, edges)
-    raise NotConvergedError(_unsettled(total.tally, total.spread, digits))
+    raise NotConvergedError(_unsettled(total.tally, total.spread, plan.units, digits))
 
 
 @dataclass(frozen=True)
@@ -187,20 +192,23 @@ def _tally(batches: Sequence[Batch]) -> Tally:
     return total
 
 
-def _settled(batches: Sequence[Batch], digits: int) -> bool:
-    return _small(_tally(batches), np.concatenate([batch.spread for batch in batches]), digits)
+def _settled(batches: Sequence[Batch], units: Sequence[float], digits: int) -> bool:
+    return _small(_tally(batches), np.concatenate([batch.spread for batch in batches]), units, digits)
 
 
-def _small(tally: Tally, spread: Array, digits: int) -> bool:
+def _small(tally: Tally, spread: Array, units: Sequence[float], digits: int) -> bool:
+    return bool((2 * _errors(spread) <= _wanted(tally, units, digits)).all())
+
+
+def _wanted(tally: Tally, units: Sequence[float], digits: int) -> Array:
+    """Return the numerical tolerance of each measurand, of its standard uncertainty as written in its unit."""
     std = np.sqrt(np.diag(tally.covariance))
-    wanted = np.array([tolerance_of(float(s), digits) for s in std])
-    return bool((2 * _errors(spread) <= wanted).all())
+    return np.array([unit * tolerance_of(float(s) / unit, digits) for s, unit in zip(std, units, strict=True)])
 
 
-def _unsettled(tally: Tally, spread: Array, digits: int) -> str:
-    errors = 2 * _errors(spread)
-    std = np.sqrt(np.diag(tally.covariance))
-    worst = np.array([errors[:, m].max() / (tolerance_of(float(s), digits) or 1.0) for m, s in enumerate(std)])
+def _unsettled(tally: Tally, spread: Array, units: Sequence[float], digits: int) -> str:
+    wanted = _wanted(tally, units, digits)
+    worst = 2 * _errors(spread).max(axis=0) / np.where(wanted > 0, wanted, 1.0)
     less = f"{worst.max():.1f} times less well than {digits} digits of the standard uncertainty ask for"
     hint = "ask for fewer digits, allow more trials (`most`), or fix their number (`trials`)"
     return f"after {tally.count} trials the results are known {less}\n  {hint}"

@@ -75,7 +75,8 @@ def propagate(models: Mapping[str, Expression], inputs: Inputs) -> Propagated:
 
 def _attempt(model: Expression, inputs: Inputs) -> Linear:
     try:
-        return _linear(model, inputs)
+        with np.errstate(over="ignore", invalid="ignore"):
+            return _linear(model, inputs)
     except NoValueError as error:
         value = float(evaluate(model, inputs.values))
         if not error.differentiable or not math.isfinite(value):
@@ -93,15 +94,17 @@ def _linear(model: Expression, inputs: Inputs) -> Linear:
     own = covariance[np.ix_(used, used)]
     algebra = Jets(model, tuple(names[i] for i in used), values)
     gradient = np.broadcast_to(model.carried_out(replace(algebra, order=1)).gradient, len(used))
-    jet = model.carried_out(replace(algebra, direction=own @ gradient))
     variance = max(float(gradient @ own @ gradient), 0.0)
+    if not math.isfinite(variance):
+        raise NoValueError("the uncertainty of the model is too large for a number", 0, "numbers reach to 1e150")
+    jet = model.carried_out(replace(algebra, direction=own @ gradient))
     turned = np.broadcast_to(jet.hessian, own.shape) @ own
     more = 0.5 * float(np.trace(turned @ turned)) + float(np.sum(jet.along * own))
     slopes = np.zeros(len(names))
     slopes[used] = gradient
     dof, notes = effective_dof(inputs, slopes)
     # Where the second-order terms outweigh the first the expansion says nothing.
-    second = math.sqrt(variance + more) if variance + more >= 0 else math.nan
+    second = math.sqrt(variance + more) if 0 <= variance + more < math.inf else math.nan
     return Linear(
         value=float(jet.value),
         std=math.sqrt(variance),

@@ -22,6 +22,8 @@ from metrocli.uncertainty.samples import BINS, Counts, Edges, Sorted
 Array = npt.NDArray[np.float64]
 CHUNK = 10_000
 """Least trials of a chunk (JCGM 101, 7.9.4 a)"""
+LARGEST = 1e150
+"""A larger value has no square, and counts as none"""
 Source = Callable[[np.random.Generator, int], Sequence[tuple[int, Array]]]
 
 
@@ -40,11 +42,16 @@ class Plan:
     probability: float
     trials: int | None
     """None: adaptive"""
+    units: tuple[float, ...]
+    """Of the measurands, in base units: the digits of an adaptive run are those of values in them"""
 
     @property
     def chunk(self) -> int:
         """Trials of one chunk; in an adaptive run enough for the interval of each (JCGM 101, 7.9.4 a)."""
-        return CHUNK if self.trials is not None else max(CHUNK, math.ceil(100 / (1 - self.probability) * (1 - 1e-9)))
+        if self.trials is not None:
+            return CHUNK
+        outside = max(1 - self.probability, 1e-15)
+        return max(CHUNK, math.ceil(100 / outside * (1 - 1e-9)))
 
     def count(self, number: int) -> int:
         """Return the trials of a chunk; the last one of a fixed number may be smaller."""
@@ -66,15 +73,24 @@ class Plan:
 
 
 def plan_of(
-    models: Mapping[str, Expression], inputs: Inputs, seed: int, probability: float, trials: int | None
+    models: Mapping[str, Expression],
+    inputs: Inputs,
+    seed: int,
+    probability: float,
+    trials: int | None,
+    units: Mapping[str, float] | None = None,
 ) -> Plan:
-    """Return the plan of a run; raises UnreachableError where correlations cannot be drawn."""
+    """Return the plan of a run; raises UnreachableError where correlations cannot be drawn.
+
+    `units` are those of the measurands in base units, 1 unless given.
+    """
     values = inputs.values
     centres = [float(evaluate(model, values)) for model in models.values()]
     finite = tuple(centre if math.isfinite(centre) else 0.0 for centre in centres)
     sources = inputs.sources()
     means = tuple(values.values())
-    return Plan(tuple(models.values()), inputs.names, means, finite, sources, seed, probability, trials)
+    shown = tuple((units or {}).get(name, 1.0) for name in models)
+    return Plan(tuple(models.values()), inputs.names, means, finite, sources, seed, probability, trials, shown)
 
 
 @dataclass(frozen=True)
@@ -174,12 +190,12 @@ class NoOutcomeError(UndeterminedError):
 
 
 def _refuse_lost(found: Array, plan: Plan) -> None:
-    lost = ~np.isfinite(found)
+    lost = ~(np.abs(found) < LARGEST)
     if lost.any():
         row = int(np.argmax(lost.any(axis=1)))
         raise NoOutcomeError(
             f"{int(lost[row].sum())} of {found.shape[1]} trials of '{plan.models[row].text}' have no value: a root or "
-            "logarithm of a negative number, or a division by zero\n"
+            f"logarithm of a negative number, a division by zero, or a number above {LARGEST:g}\n"
             "  a distribution reaches beyond what the model allows: bound it (uniform, triangular), or change the model"
         )
 

@@ -33,12 +33,9 @@ class Judged:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Whether GUM holds, how far its interval is off, and why."""
+    """Whether GUM holds, and why not."""
 
     valid: bool
-    allowed: float
-    low: float
-    high: float
     reasons: tuple[str, ...]
 
 
@@ -52,7 +49,7 @@ def judge(found: Judged, digits: int) -> Verdict:
     low = abs(found.value - found.U - found.interval[0])
     high = abs(found.value + found.U - found.interval[1])
     valid = low <= allowed and high <= allowed
-    return Verdict(valid, allowed, low, high, () if valid else tuple(_reasons(found)))
+    return Verdict(valid, () if valid else tuple(_reasons(found)))
 
 
 def _reasons(found: Judged) -> Sequence[str]:

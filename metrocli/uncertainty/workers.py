@@ -17,6 +17,8 @@ from metrocli.errors import InputError
 T = TypeVar("T")
 PATIENCE_S = 2.5
 """How long a scheduler may take to answer."""
+PATIENCE_WITH_WORKERS_S = 60.0
+"""How long the first worker of a cluster may take to appear."""
 
 
 class Finished(Protocol):
@@ -96,6 +98,7 @@ def _window(submit: Callable[[int], Any], numbers: Iterable[int], most: int) -> 
 def _on_cluster(address: str, work: Callable[[int], T], numbers: Iterable[int]) -> Iterator[T]:
     client = _client(address)
     try:
+        _await_worker(client, address)
         scattered = client.scatter(work, broadcast=True)
         threads = max(sum(client.nthreads().values()), 1)
         yield from _window(lambda number: client.submit(_do, scattered, number, pure=False), numbers, 4 * threads)
@@ -103,12 +106,35 @@ def _on_cluster(address: str, work: Callable[[int], T], numbers: Iterable[int]) 
         client.close()
 
 
+def _await_worker(client: Any, address: str) -> None:
+    try:
+        client.wait_for_workers(1, timeout=PATIENCE_WITH_WORKERS_S)
+    except TimeoutError as error:
+        raise InputError(
+            f"--scheduler {address}: the scheduler has no workers after {PATIENCE_WITH_WORKERS_S:g} s; start some"
+        ) from error
+
+
 def _do(work: Callable[[int], T], number: int) -> T:
     return work(number)
 
 
+def _must_listen(address: str) -> None:
+    """Raise InputError where nothing listens at tcp://HOST:PORT: at once, before the library is imported."""
+    import socket
+    from urllib.parse import urlsplit
+
+    try:
+        place = urlsplit(address)
+        socket.create_connection((place.hostname, place.port or 8786), PATIENCE_S).close()
+    except (OSError, ValueError) as error:
+        raise InputError(f"--scheduler {address}: no Dask scheduler answers there ({error})") from error
+
+
 def _client(address: str) -> Any:
     """Return a client of a running cluster, or raise InputError in a few seconds."""
+    if address.startswith(("tcp://", "tls://")):
+        _must_listen(address)
     try:
         import distributed
     except ImportError as error:

@@ -285,6 +285,23 @@ def test_a_plan_needs_no_readings_and_can_be_made_again(job: Path, metrocli: Met
     assert len(json.loads(again.out)["tables"]["places"]["rows"]) == 5
 
 
+def test_a_plan_leaves_no_file_of_an_earlier_one(job: Path, metrocli: Metrocli) -> None:
+    metrocli("plan", job)
+    summary = Path("line.plan/plan.json")
+    told = json.loads(summary.read_text())
+    summary.write_text(json.dumps(told | {"files": [*told["files"], "line.plan/old.nc", "../readings.csv"]}))
+    for name in ("line.plan/old.nc", "line.plan/mine.nc"):
+        Path(name).write_text("G0 X0\n")
+    assert metrocli("plan", job).code == 0
+    assert sorted(path.name for path in Path("line.plan").iterdir()) == [
+        "mine.nc",
+        "places.csv",
+        "plan.json",
+        "program.nc",
+    ]
+    assert Path("readings.csv").exists(), "only files beside plan.json are those of the plan"
+
+
 def test_a_plan_takes_no_folder_of_others(job: Path, metrocli: Metrocli) -> None:
     Path("mine").mkdir()
     Path("mine/notes.txt").write_text("keep\n")

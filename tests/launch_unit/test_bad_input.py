@@ -93,6 +93,7 @@ MISREAD: dict[str, tuple[Callable[[Poses], Poses], str]] = {
     "phi1 the other way round": (rows(lambda a: a.__setitem__(0, -a[0])), "phi1 count the other way round"),
     "phi4 the other way round": (rows(lambda a: a.__setitem__(3, -a[3])), "phi4 count the other way round"),
     "the mirrored unit": (rows(mirrored), r"phi3 and phi4 describe the beam as it travels.*\(the mirror solution\)"),
+    "the spindle in radians": (lambda given: replace(given, psi=given.psi * np.pi / 180), "the spindle's column holds radians"),
     "the spindle the other way round": (lambda given: replace(given, psi=-given.psi), "the spindle's angle counts the other way"),
 }  # fmt: skip
 
@@ -104,6 +105,15 @@ def test_columns_that_hold_something_else_are_named(name: str, distances: bool) 
     given = spoil(anywhere(8, 17, distances).noisy(RNG))
     with pytest.raises(InputError, match=f"fit no place of the unit as they stand.*{words}"):
         locate_launch_unit.run(settings(), given.table())
+
+
+@pytest.mark.parametrize("name", ["radians called degrees", "phi1 and phi4 swapped", "the mirrored unit"])
+@pytest.mark.parametrize("seed", [3, 4])
+def test_two_poses_tell_as_much(name: str, seed: int) -> None:
+    """Eight angles for four unknowns: four are left to tell that the columns hold something else."""
+    spoil, words = MISREAD[name]
+    with pytest.raises(InputError, match=f"fit no place of the unit as they stand.*{words}"):
+        locate_launch_unit.run(settings(), spoil(anywhere(2, seed).noisy(RNG)).table())
 
 
 def test_one_pose_of_the_mirrored_unit_is_named() -> None:

@@ -136,7 +136,11 @@ def test_the_sample_runs_and_holds_the_truth(tmp_path: Path, metrocli: Callable[
     assert compared.code == 0 and "closed-loop" in compared.out  # type: ignore[attr-defined]
 
 
-SWAPPED = {"phi1 and phi4": ("phi1_rad", "phi4_rad"), "phi2 and phi3": ("phi2_rad", "phi3_rad"), "phi3 and phi4": ("phi3_rad", "phi4_rad")}
+SWAPPED = {
+    "phi1 and phi4": ("phi1_rad", "phi4_rad"),
+    "phi2 and phi3": ("phi2_rad", "phi3_rad"),
+    "phi3 and phi4": ("phi3_rad", "phi4_rad"),
+}
 
 
 @pytest.mark.parametrize("columns", SWAPPED)
@@ -160,3 +164,38 @@ def test_diagnose_names_what_was_planted(job: Path, metrocli: Callable[..., obje
     assert hidden["encoder-offset"] == "not-testable"
     extended = metrocli("locate-launch-unit", found["extended_job"])
     assert extended.code == 0, extended.err  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("distances", [False, True])
+def test_what_of_a_bad_pose_is_not_seen_has_no_standard_deviation(
+    distances: bool, job: Path, metrocli: Callable[..., object]
+) -> None:
+    """Without a distance nothing sees the error along the beam, so dx, dy, dz are not known, only their sum across it."""
+    planted = "bad-pose:pose=P7,dx=0.3mm,dy=-0.4mm,dz=0.5mm"
+    metrocli(
+        "simulate",
+        job,
+        "--out",
+        "new",
+        "--effect",
+        planted,
+        "--seed",
+        "5",
+        "--set",
+        f"simulation.distances={distances}".lower(),
+    )
+    found = json.loads(metrocli("diagnose", job, "--json").out)  # type: ignore[attr-defined]
+    assert [(e["name"], e["where"]) for e in found["effects"]] == [("bad-pose", {"pose": "P7"})]
+    parts = found["effects"][0]["parameters"]
+    text = metrocli("diagnose", job).out  # type: ignore[attr-defined]
+    if distances:
+        for name, true in (("dx", 0.3), ("dy", -0.4), ("dz", 0.5)):
+            assert abs(parts[name]["value"] - true) < 4 * parts[name]["std"] < 0.2
+        assert "unseen" not in parts["dx"] and metrocli("locate-launch-unit", found["extended_job"]).code == 0  # type: ignore[attr-defined]
+        return
+    assert all(part["std"] is None and part["unseen"] for part in parts.values())
+    assert found["extended_job"] is None and not Path("job.extended.yaml").exists()
+    assert (
+        "do not determine all of it" in " ".join(text.split())
+        and "±" not in text.split("bad-pose P7", 2)[1].split(";")[1]
+    )

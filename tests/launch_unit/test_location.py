@@ -104,11 +104,12 @@ def test_the_methods_of_the_paper_state_what_they_scatter(method: str) -> None:
 def test_the_scatter_of_the_paper_s_errors_is_the_stated_covariance() -> None:
     """Kuprin et al., table 2, with encoders of 50 urad: 1,000 locations, and the paper's own error among them."""
     noise = Noise(PAPER_ENCODER)
-    results = [located(paper().noisy(RNG, noise), "adjustment", noise) for _ in range(1000)]
+    rng = np.random.default_rng(2022)
+    results = [located(paper().noisy(rng, noise), "adjustment", noise) for _ in range(1000)]
     errors = np.array([off(result, paper().truth) for result in results])
     stated = np.sqrt(np.diag(results[0].covariance))
     # the standard deviation of 1,000 draws is itself uncertain by 2.2 %
-    assert errors.std(axis=0) == pytest.approx(stated, rel=0.08)
+    assert errors.std(axis=0) == pytest.approx(stated, rel=0.05)
     covariance = locate_launch_unit.run(settings("lines", noise), paper().table()).covariance[:3, :3]
     table2 = np.array([0.08, 0.01, -0.04])
     assert table2 @ np.linalg.solve(covariance, table2) < 7.81

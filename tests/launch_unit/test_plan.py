@@ -202,7 +202,7 @@ def check_program(text: str, plan: Plan, line: str, unit: np.ndarray, job: Plann
             if word[0] in "XYZ"
         ]
     )
-    done = nc_interpreter.run(text, park, nc_program.DWELL_WORDS[job.control])
+    done = nc_interpreter.run(text, park, job.control)
     points = plan.tables["points"]
     mine = points.stacked("xyz")[np.array(points.texts("line")) == line]
     assert np.array([at for at, _ in done.dwells]) == pytest.approx(mine, abs=0.6e-4)
@@ -221,7 +221,7 @@ def check_program(text: str, plan: Plan, line: str, unit: np.ndarray, job: Plann
         assert (move[1] >= job.axes.box[:, 0] - 1e-3).all() and (move[1] <= job.axes.box[:, 1] + 1e-3).all()
 
 
-@pytest.mark.parametrize("control", nc_program.DWELL_WORDS)
+@pytest.mark.parametrize("control", nc_program.CONTROLS)
 def test_the_programs_of_the_paper_s_scenario_run(control: str) -> None:
     job = replace(PAPER_PLAN, control=control, dwell=2.5, feed=25.0)
     plan = planned(paper(), job)
@@ -251,6 +251,11 @@ def test_comments_cannot_break_a_program() -> None:
     text = nc_program.program("a (b) ü", ("M30)", "x\nG0 X0"), [nc_program.Stop("s)")])
     done = nc_interpreter.run(text, np.zeros(3))
     assert done.comments == ["a [b] ?", "M30]", "x G0 X0", "s]"] and not done.rapids
+
+
+@pytest.mark.parametrize(("feed", "word"), [(2000 / 60, "F2000"), (0.4 / 60, "F0.4"), (1000.5 / 60, "F1000.5")])
+def test_a_slow_feed_is_not_none(feed: float, word: str) -> None:
+    assert f"G1 X1.0000 {word}\n" in nc_program.program("", (), [nc_program.Feed({"x": 1.0}, feed)])
 
 
 def test_settings_that_leave_no_room_are_refused() -> None:

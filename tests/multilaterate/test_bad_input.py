@@ -115,6 +115,34 @@ def test_it_is_refused_and_told(name: str, folder: Path, metrocli: Metrocli) -> 
     assert not (folder / "o.h5").exists()
 
 
+@pytest.mark.parametrize("command", [("check",), ("multilaterate", "--dry-run")])
+def test_all_faults_are_told_at_once_without_computing(
+    command: tuple[str, ...], folder: Path, metrocli: Metrocli
+) -> None:
+    change(folder / "lengths.csv", lambda rows: [*rows, "P99,T0,500.0", "P3,T9,500.0"])
+    change(folder / "points.csv", lambda rows: [f"{rows[0]},sigma_mm", *(f"{row},-1" for row in rows[1:])])
+    ran = metrocli(*command, "job.yaml")
+    assert ran.code == 3
+    for words in ("point 'P99' is not in", "tracer 'T9' is not in", "points.csv:2: error: a standard deviation is"):
+        assert words in ran.err
+
+
+def test_check_looks_at_distances_effects_and_probing(folder: Path, metrocli: Metrocli) -> None:
+    (folder / "bars.csv").write_text("from,to,length_mm,sigma_mm\nP1,P1,10,1e-3\nP2,P3,-5,1e-3\nP4,P5,5,0\n")
+    (folder / "probing.csv").write_text("feature,point,x_mm,y_mm,z_mm\nplane,Q1,1,2,-3000\n")
+    more = "effects: [{name: tracer-scale, tracer: T9}]\n"
+    (folder / "job.yaml").write_text(
+        JOB.replace("tracers.csv}", "tracers.csv, distances: bars.csv, probing: probing.csv}") + more
+    )
+    ran = metrocli("check", "job.yaml")
+    assert ran.code == 3
+    assert "bars.csv:2: error: a distance of a point to itself" in ran.err
+    assert "bars.csv:3: error: a distance is not above zero" in ran.err
+    assert "bars.csv:4: error: the standard deviation of a distance is not above zero" in ran.err
+    assert "there is no tracer 'T9'" in ran.err
+    assert "probing.csv:2: error: probing point 'Q1' has no replayed point" in ran.err
+
+
 def test_the_good_input_is_good(folder: Path, metrocli: Metrocli) -> None:
     """Or the tests above would pass whatever is refused."""
     ran = metrocli("multilaterate", "job.yaml")
@@ -141,6 +169,14 @@ def test_files_in_different_units_that_say_so_are_one(folder: Path, metrocli: Me
     assert metrocli("multilaterate", "job.yaml").code == 0
 
 
+def test_a_mirrored_list_of_points_is_told_by_the_tracers(folder: Path, metrocli: Metrocli) -> None:
+    """Lengths fit the mirror image as well: the list of tracers alone shows it."""
+    assert "far from where their list says" not in metrocli("multilaterate", "job.yaml").err
+    change(folder / "points.csv", lambda rows: [rows[0].replace("x_mm,y_mm", "y_mm,x_mm"), *rows[1:]])
+    ran = metrocli("multilaterate", "job.yaml")
+    assert "tracers are far from where their list says: T1" in ran.err
+
+
 def test_one_gross_error_is_not_taken_for_a_shuffle(folder: Path, metrocli: Metrocli) -> None:
     def spoil(values: list[float]) -> list[float]:
         return [values[0] + 300.0, *values[1:]]
@@ -153,6 +189,18 @@ def test_one_gross_error_is_not_taken_for_a_shuffle(folder: Path, metrocli: Metr
     rejected: Table = hdf5.read(folder / "o.h5")[0].tables["rejected"]
     assert (rejected.texts("point"), rejected.texts("tracer")) == (["P0"], ["T2"])
     assert "1 lengths are left out as wrong: P0/T2" in ran.err
+
+
+def test_several_gross_errors_of_one_tracer_are_named(folder: Path, metrocli: Metrocli) -> None:
+    """Three of 25 lengths of one tracer, too many for least squares to start from."""
+
+    def spoil(values: list[float]) -> list[float]:
+        return [values[0] + 300.0, values[1] - 1000.0, *values[2:9], values[9] + 1000.0, *values[10:]]
+
+    change(folder / "lengths.csv", lambda rows: of_tracer(rows, "T2", spoil))
+    ran = metrocli("multilaterate", "job.yaml", "--set", "outliers=remove")
+    assert ran.code == 0, ran.err
+    assert "3 lengths are left out as wrong: P0/T2, P1/T2, P9/T2" in ran.err
 
 
 def test_a_wrong_entry_among_the_points_is_named(folder: Path, metrocli: Metrocli) -> None:

@@ -104,6 +104,18 @@ def test_probing_points_without_their_replay_are_all_listed() -> None:
     assert all("has no replayed point of its name or within 1 mm" in fault.message for fault in told.value.faults)
 
 
+def test_a_probing_point_whose_replay_was_left_out_is_told_so() -> None:
+    """With four tracers a point with a wrong length is left out, and its correction with it."""
+    net = network(30, 4, seed=1)
+    net.readings[2, 1] += 0.05
+    probing = table(net.nominal[:3], "point", ["P0", "P1", "P2"])
+    probing = replace(probing, columns={"feature": np.repeat("f", 3), **probing.columns})
+    wanted = replace(settings(), outliers="remove")
+    with pytest.raises(InputError, match="the replayed point of probing point 'P2' was left out") as told:
+        multilaterate.run(wanted, net.lengths(), net.point_table(), probing=probing)
+    assert [fault.line for fault in told.value.faults] == [4]
+
+
 def test_replays_that_were_elsewhere_are_told() -> None:
     net = network(30, 5, seed=1)
     probing = table(net.nominal[:2] + [0, 0, 50.0], "point", ["P0", "P1"])

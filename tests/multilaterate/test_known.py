@@ -14,7 +14,7 @@ from metrocli.tasks import multilaterate
 
 
 def test_absolute_distances_have_no_dead_path() -> None:
-    """Three tracers of unknown place are enough for positions, as long as the points are many."""
+    """Four tracers of unknown place are enough for positions, as long as the points are many."""
     net = replace(network(30, 4, seed=1), dead=np.zeros(4)).read(np.random.default_rng(0))
     result = multilaterate.run(settings(measures="absolute"), net.lengths(), net.point_table())
     assert not any("dead_path" in e.name for e in result.estimates)

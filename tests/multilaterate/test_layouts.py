@@ -56,6 +56,12 @@ def test_degenerate_layouts_are_named(name: str) -> None:
     assert told.value.exit_code == 4
 
 
+def test_three_absolute_tracers_are_not_enough_where_nothing_is_known() -> None:
+    net = replace(network(30, 3), dead=np.zeros(3)).read(np.random.default_rng(1))
+    with pytest.raises(UndeterminedError, match="positions from absolute distances need 4 or more"):
+        multilaterate.run(settings(measures="absolute"), net.lengths(), net.point_table())
+
+
 def test_good_layouts_raise_no_alarm() -> None:
     """300 layouts: 4 to 8 tracers around a volume, 15 to 80 points in it."""
     rng = np.random.default_rng(8)

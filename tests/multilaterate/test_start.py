@@ -63,6 +63,21 @@ def test_of_absolute_distances() -> None:
         assert found[3] == 0
 
 
+@pytest.mark.parametrize("share", [0.05, 0.2, 0.3])
+def test_lengths_that_are_far_off_do_not_spoil_it(share: float) -> None:
+    """Errors of 0.1 mm to 2 m; the place is as near as the mover's errors of 20 um and so many lost lengths allow."""
+    rng = np.random.default_rng(3)
+    for _ in range(40):
+        points = rng.uniform(0, 1, (40, 3)) * [800, 600, 500]
+        place = points.mean(axis=0) + rng.choice([-1, 1], 3) * rng.uniform(500, 2000, 3)
+        length = np.linalg.norm(points - place, axis=1) - 1000
+        wrong = rng.choice(40, round(40 * share), replace=False)
+        length[wrong] += rng.choice([-1, 1], len(wrong)) * 10 ** rng.uniform(-1, 3.3, len(wrong))
+        found = start(points + rng.normal(0, 0.02, points.shape), length)
+        missed = np.abs(np.linalg.norm(points - found[:3], axis=1) - found[3] - length)
+        assert np.median(missed) < 0.1
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_a_job_without_a_list_of_tracers(seed: int, tmp_path: Path, metrocli) -> None:  # type: ignore[no-untyped-def]
     net = network(40, 4 + seed % 3, seed=100 + seed)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -44,8 +43,3 @@ def carry_out(folder: Path, job: dict[str, Any], name: str = "job", *options: st
     code = run(["report-uncertainty", str(path), "--quiet", *options])
     output = folder / f"{name}.h5"
     return Ran(code, hdf5.read(output)[0] if output.is_file() else None, output)
-
-
-def quoted(value: Any) -> str:
-    """Text of a value with all its digits."""
-    return json.dumps(value)

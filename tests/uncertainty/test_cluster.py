@@ -15,6 +15,7 @@ import pytest
 from uncertainty.jobs import carry_out, write
 
 from metrocli.formats import hdf5
+from metrocli.uncertainty import workers
 
 JOB: dict[str, Any] = {
     "quantities": {
@@ -32,13 +33,41 @@ def test_no_scheduler_at_the_address_is_told_soon(tmp_path: Path, capsys: pytest
     ran = carry_out(tmp_path, JOB, "job", "--scheduler", "tcp://127.0.0.1:1")
     assert time.monotonic() - before < 5
     assert ran.code == 3
-    assert "--scheduler" in capsys.readouterr().err
+    assert "no Dask scheduler answers there" in capsys.readouterr().err
     assert not ran.path.exists()
+
+
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:port", "tcp://127.0.0.1:99999", "tcp://"])
+def test_an_address_that_is_none_is_told(address: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert carry_out(tmp_path, JOB, "job", "--scheduler", address).code == 3
+    assert f"--scheduler {address}" in capsys.readouterr().err
 
 
 def test_no_scheduler_file_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert carry_out(tmp_path, JOB, "job", "--scheduler", str(tmp_path / "none.json")).code == 3
     assert "--scheduler" in capsys.readouterr().err
+
+
+SCHEDULER = ["-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard"]
+
+
+def test_a_scheduler_without_workers_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
+    monkeypatch.setattr(workers, "PATIENCE_WITH_WORKERS_S", 0.5)
+    file = tmp_path / "scheduler.json"
+    with (tmp_path / "log.txt").open("wb") as log:
+        alone = _start([sys.executable, *SCHEDULER, "--scheduler-file", str(file)], log, tmp_path)
+        try:
+            _wait(file.is_file)
+            ran = carry_out(tmp_path, JOB, "job", "--scheduler", str(file))
+        finally:
+            alone.kill()
+            alone.wait(20)
+    assert ran.code == 3
+    assert "the scheduler has no workers" in capsys.readouterr().err
+    assert not ran.path.exists()
 
 
 @pytest.fixture(scope="module")
@@ -48,17 +77,7 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, li
     folder = tmp_path_factory.mktemp("cluster")
     file = folder / "scheduler.json"
     log = (folder / "log.txt").open("wb")
-    begin = [
-        sys.executable,
-        "-m",
-        "distributed.cli.dask_scheduler",
-        "--host",
-        "127.0.0.1",
-        "--port",
-        "0",
-        "--no-dashboard",
-    ]
-    started = [_start([*begin, "--scheduler-file", str(file)], log, folder)]
+    started = [_start([sys.executable, *SCHEDULER, "--scheduler-file", str(file)], log, folder)]
     try:
         _wait(file.is_file)
         worker = [
@@ -76,7 +95,7 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, li
         yield file, started[1:]
     finally:
         for process in reversed(started):
-            process.terminate()
+            process.kill()
         for process in started:
             process.wait(20)
         log.close()

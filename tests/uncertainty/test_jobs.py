@@ -47,6 +47,7 @@ BAD = [
     ("value: 50.000623 mm", "value: 50,000623 mm", 4, 18, "unknown key '000623 mm'", "comma"), ("value: 50.000623 mm", "value: '50,000623 mm'", 4, 15, "decimal comma", "50.000623 mm"), ("0.95}", "0.95, k: 2}", 9, 34, "both given", "one of them"),
     ("unit: mm", "unit: furlong", 8, 44, "unknown unit 'furlong'", ""), ("-0.1 K, std: 0.4 K", "20 degC, std: 0.4 K", 8, 29, "differences of such temperatures", "20 degC"), ("-0.1 K", "-0.1 Kelvin", 6, 18, "unknown unit 'Kelvin'", ""),
     ("quantities:", "volume: {from: [0 mm, 0 mm, 0 mm], to: [1 mm, 1 mm, 1 mm]}\nquantities:", 1, 1, "'contributors' is missing", "volume"), ("seed: 1", "seed: -1", 10, 36, "out of range", "0"), ("seed", "sed", 10, 30, "unknown key 'sed'", "seed"),
+    ("std: 25 nm", "std: 1e-300 nm", 4, 34, "out of range", "1e100"), ("50.000623 mm", "1e300 mm", 4, 15, "out of range", "1e100"), ("alpha*theta)", "1e160*alpha*theta)", 8, 15, "too large for a number", "1e150"),
     ("  theta: {value: -0.1 K, std: 0.4 K}", "  theta: {value: 3.5 K, distribution: counts}", 6, 10, "a count is a whole number", "25"), ("-0.1 K, std: 0.4 K", "-0.1 K, distribution: exponential", 6, 10, "above zero", ""),
 ]  # fmt: skip
 
@@ -155,9 +156,10 @@ def test_units_go_in_and_out(quantities: dict[str, Any], model: str, unit: str, 
 
 GIVEN = [
     ({"value": 3, "U": 0.6, "k": 2}, 3, 0.3, None), ({"value": 3, "U": 0.6, "k": 3, "dof": 9}, 3, 0.2, 9), ({"value": 3, "std": 1, "distribution": "uniform"}, 3, 1, None),
+    ({"value": 3, "std": 1, "dof": "inf"}, 3, 1, None), ({"value": 3, "std": 1, "dof": math.inf, "distribution": "t"}, 3, 1, None),
     ({"value": 3, "half_width": 1, "distribution": "rectangular"}, 3, 1 / math.sqrt(3), None), ({"value": 3, "half_width": 1, "distribution": "U"}, 3, 1 / math.sqrt(2), None),
     ({"value": 3, "half_width": 1, "distribution": "trapezoidal", "beta": 0.5}, 3, math.sqrt(1.25 / 6), None), ({"value": 3, "std": 1, "distribution": "triangular"}, 3, 1, None),
-    ({"value": 3, "distribution": "exponential"}, 3, 3, None), ({"value": 3, "distribution": "counts"}, 3, 2, None), ({"value": 3, "half_width": 1, "dof": 8}, 3, 1 / math.sqrt(3), 8),
+    ({"value": 3, "distribution": "exponential"}, 3, 3, None), ({"value": 3, "distribution": "counts"}, 4, 2, None), ({"value": 3, "half_width": 1, "dof": 8}, 3, 1 / math.sqrt(3), 8),
     ({"value": 3, "std": 0.5, "dof": 4, "distribution": "t"}, 3, 0.5, 4), ({"value": 3, "half_width": 1, "inexactness": 0.3}, 3, math.sqrt(1 / 3 + 0.01), None),
 ]  # fmt: skip
 
@@ -172,8 +174,15 @@ def test_ways_to_say_how_well_a_quantity_is_known(
     found = ran.details("y")
     assert (found["value"], found["std"]) == pytest.approx((value, std))
     assert found["dof"] == (math.inf if dof is None else pytest.approx(dof))
-    if given.get("distribution") != "counts":
-        assert found["mc"]["mean"] == pytest.approx(value, abs=0.05)
+    assert found["mc"]["mean"] == pytest.approx(value, abs=0.05)
+
+
+def test_a_count_has_the_interval_of_its_gamma_distribution(tmp_path: Path) -> None:
+    """25 events: the 95 % interval of gamma(26) is that of chi-squared with 52 degrees of freedom, halved (tables)."""
+    job = {"quantities": {"n": {"value": 25, "distribution": "counts"}}, "measurands": {"m": {"model": "n"}}}
+    found = carry_out(tmp_path, job).details("m")
+    assert (found["value"], found["std"]) == pytest.approx((26.0, math.sqrt(26.0)))
+    assert found["mc"]["interval"] == pytest.approx([33.968 / 2, 73.810 / 2], abs=0.05)
 
 
 def test_a_correlation_is_never_dropped(tmp_path: Path) -> None:
@@ -185,6 +194,22 @@ def test_a_correlation_is_never_dropped(tmp_path: Path) -> None:
         found = ran.details("y")
         assert found["std"] == pytest.approx(u, abs=1e-3)
         assert found["mc"]["std"] == pytest.approx(u * math.sqrt(30 / 28) if extra.get("dof") else u, rel=0.01)
+
+
+def test_a_correlation_that_shapes_cannot_have_is_told_at_its_place(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shape = {"value": 1, "distribution": "exponential"}
+    job = {
+        "quantities": {"a": shape, "b": dict(shape), "c": {"value": 1, "std": 0.1}},
+        "correlations": [{"between": ["a", "c"], "value": 0.2}, {"between": ["a", "b"], "value": -0.9}],
+        "measurands": {"m": {"model": "a + b + c"}},
+    }
+    assert carry_out(tmp_path, job).code == 3
+    told = capsys.readouterr().err
+    line = next(n for n, text in enumerate((tmp_path / "job.yaml").read_text().splitlines(), 1) if "-0.9" in text) - 3
+    assert f"job.yaml:{line}:" in told
+    assert "a and b: quantities of these shapes can have a correlation up to -0.645 only" in told
 
 
 def test_degrees_of_freedom_of_correlated_readings_are_shared(tmp_path: Path) -> None:
@@ -231,6 +256,22 @@ def test_a_model_without_derivative_has_the_uncertainty_of_monte_carlo(
     (tmp_path / "job.h5").unlink()
     assert carry_out(tmp_path, {**job, "monte_carlo": {"trials": 0}}).code == 4
     assert "Monte Carlo" in capsys.readouterr().err
+
+
+def test_the_verdict_is_by_digits_in_the_unit_asked_for(tmp_path: Path) -> None:
+    """Half of the last of two digits is 5 % of u = 0.10 deg and 2.9 % of the same 1.7 mrad.
+
+    Of a t distribution with 65 degrees of freedom, 2.039 u cover what 2 u do of a normal one.
+    """
+    job = {
+        "quantities": {"a": {"value": "30 deg", "std": "0.1 deg", "dof": 65}},
+        "measurands": {"in_deg": {"model": "a", "unit": "deg"}, "in_mrad": {"model": "a", "unit": "mrad"}},
+        "coverage": {"k": 2},
+        "monte_carlo": {"trials": 1_000_000, "seed": 1},
+    }
+    ran = carry_out(tmp_path, job)
+    assert ran.details("in_deg")["gum_valid"] is True
+    assert ran.details("in_mrad")["gum_valid"] is False
 
 
 def test_reasons_where_gum_does_not_hold(tmp_path: Path) -> None:
@@ -313,6 +354,49 @@ def test_decisions(tmp_path: Path) -> None:
     assert found["guard_band"] == pytest.approx(2.326348e-3 * 2)
 
 
+def test_a_tolerance_that_leaves_nothing_to_accept_says_so(tmp_path: Path) -> None:
+    job: dict[str, Any] = {
+        "quantities": {"x": {"value": "10 mm", "std": "2 um"}}, "measurands": {"y": {"model": "x", "unit": "mm"}}, "coverage": {"k": 2},
+        "tolerance": {"y": {"between": ["9.9945 mm", "10.0055 mm"], "risk": 0.01}}, "monte_carlo": {"trials": 0},
+    }  # fmt: skip
+    found = carry_out(tmp_path, job).details("y")["tolerance"]
+    # Both limits take their part: P(Z < -2.3263) would be 0.01 for one.
+    low, high = found["acceptance_guarded"]
+    assert math.erfc((low - 9.9945) / 0.002 / math.sqrt(2)) / 2 + math.erfc(
+        (10.0055 - low) / 0.002 / math.sqrt(2)
+    ) / 2 == (pytest.approx(0.01, abs=1e-9))
+    assert found["guard_band"] > 2.3264 * 0.002 and low + high == pytest.approx(20.0)
+    assert found["acceptance"] == pytest.approx([9.9985, 10.0015])
+    job["tolerance"]["y"]["between"] = ["9.997 mm", "10.003 mm"]
+    ran = carry_out(tmp_path, job)
+    found = ran.details("y")["tolerance"]
+    assert (found["acceptance"], found["acceptance_2017"], found["acceptance_guarded"]) == ([], [], [])
+    assert math.isnan(found["guard_band"])
+    assert any("no value is within the acceptance zone" in line for line in ran.result.notes)
+    assert any("guard band for a risk of 0.01: there is none" in line for line in ran.result.notes)
+
+
+def test_samples_of_one_file_are_drawn_row_by_row(tmp_path: Path) -> None:
+    """b = a^2 of a symmetric a: not correlated, and yet b - a^2 is always zero. A declared 0 takes them apart."""
+    a = np.random.default_rng(5).normal(size=2000).round(3)
+    a -= a.mean()
+    rows = [f"{x!r},{x * x!r},{-x!r}" for x in a.tolist()]
+    (tmp_path / "s.csv").write_text("a,b,c\n" + "\n".join(rows) + "\n")
+    job: dict[str, Any] = {
+        "quantities": {name: {"samples": "s.csv", "column": name} for name in "abc"},
+        "measurands": {"zero": {"model": "b - a**2"}, "sum": {"model": "a + c"}},
+        "monte_carlo": {"trials": 20_000},
+    }
+    ran = carry_out(tmp_path, job)
+    assert ran.details("zero")["mc"]["std"] == pytest.approx(0.0, abs=1e-9)
+    assert (ran.details("sum")["std"], ran.details("sum")["mc"]["std"]) == pytest.approx((0.0, 0.0), abs=1e-7)
+    assert any("a and c are columns of one file" in line for line in ran.result.warnings)
+    apart = [{"between": pair, "value": 0} for pair in (["a", "b"], ["a", "c"], ["b", "c"])]
+    found = carry_out(tmp_path, {**job, "correlations": apart}, "apart").details("sum")
+    assert found["std"] == pytest.approx(math.sqrt(2) * a.std())
+    assert found["mc"]["std"] == pytest.approx(math.sqrt(2) * a.std(), rel=0.03)
+
+
 def test_simultaneous_readings_are_correlated_as_their_rows_are(tmp_path: Path) -> None:
     """JCGM 100, H.2: impedance from five sets of readings; tables H.3 and H.4."""
     v, i = (5.007, 4.994, 5.005, 4.990, 4.999), (19.663, 19.639, 19.640, 19.685, 19.678)
@@ -334,7 +418,7 @@ def test_simultaneous_readings_are_correlated_as_their_rows_are(tmp_path: Path) 
         assert found["mc"]["std"] == pytest.approx(std * math.sqrt(2), rel=0.05)
     correlation = ran.result.arrays["correlation"]
     assert [correlation[0, 1], correlation[0, 2], correlation[1, 2]] == pytest.approx([-0.588, -0.485, 0.993], abs=6e-4)
-    assert len(ran.result.warnings) >= 3 and "V and I are readings of one file" in ran.result.warnings[0]
+    assert len(ran.result.warnings) >= 3 and "V and I are columns of one file" in ran.result.warnings[0]
     apart = [{"between": pair, "value": 0} for pair in (["V", "I"], ["V", "phi"], ["I", "phi"])]
     ran = carry_out(tmp_path, {**job, "correlations": apart})
     assert ran.details("Z")["std"] == pytest.approx(math.hypot(0.0032094 / 4.999, 0.009471 / 19.661) * 254.26, rel=1e-3)

@@ -110,6 +110,29 @@ def test_an_adaptive_run_needs_more_trials_for_rarer_ends() -> None:
     assert plan_of(MODELS, inputs(), 0, 0.9999, 5_000_000).chunk == 10_000
 
 
+def test_digits_are_those_of_the_unit_of_the_measurand() -> None:
+    """u = 0.1 of one unit and 0.9 of another: half of the last of two digits is 1/20 of the one, 1/180 of the other."""
+    one, other = (
+        monte_carlo.run(
+            plan_of({"y": parse("a")}, join([Quantity("a", 0.0, Normal(0.1))]), 0, 0.95, None, {"y": unit}),
+            Workers(2), 2, 10_000_000,
+        )
+        for unit in (1.0, 1 / 9)
+    )  # fmt: skip
+    assert other.trials > 20 * one.trials
+
+
+@pytest.mark.parametrize("coverage", [{"k": 10}, {"k": 8}, {"probability": 0.9999999}])
+def test_an_adaptive_run_for_too_rare_ends_is_refused(
+    coverage: dict[str, float], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    job = {"quantities": {"a": {"value": 1, "std": 1}}, "measurands": {"y": {"model": "a"}}, "coverage": coverage}
+    ran = carry_out(tmp_path, {**job, "monte_carlo": {"trials": "adaptive"}})
+    assert ran.code == 5
+    assert "fix the number of trials" in capsys.readouterr().err
+    assert carry_out(tmp_path, {**job, "monte_carlo": {"trials": 10_000}}).code == 0
+
+
 def test_an_adaptive_run_does_not_claim_what_it_has_not_reached() -> None:
     plan = plan_of({"y": parse("a")}, join([Quantity("a", 0.0, Normal(1.0), 2.2)]), 0, 0.95, None)
     with pytest.raises(NotConvergedError, match="less well than 3 digits"):

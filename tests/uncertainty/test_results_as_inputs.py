@@ -142,6 +142,28 @@ def test_degrees_of_freedom_of_a_report_are_carried_on(tmp_path: Path) -> None:
     assert found["k"] == pytest.approx(2.776, abs=1e-3)
 
 
+def test_a_report_of_measurands_with_different_degrees_of_freedom_is_carried_on(tmp_path: Path) -> None:
+    """s + d - 2 a is exactly zero, whatever the degrees of freedom of the three."""
+    quantities = {"a": {"value": 10, "std": 1, "dof": 5}, "b": {"value": 5, "std": 1, "dof": 50}}
+    models = {"s": {"model": "a + b"}, "d": {"model": "a - b"}, "c": {"model": "a"}}
+    assert carry_out(tmp_path, {"quantities": quantities, "measurands": models}, "first").code == 0
+    zero = {"z": {"model": "r.s + r.d - 2*r.c"}}
+    found = carry_out(tmp_path, job(zero, 10_000, r="first.h5")).details("z")
+    assert found["std"] == pytest.approx(0.0, abs=1e-7)
+    assert found["mc"]["std"] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_correlations_that_t_distributions_cannot_have_do_not_stop_a_report(tmp_path: Path) -> None:
+    """One degree of freedom beside 7.2: no joint distribution of these two shapes is correlated so much."""
+    quantities = {"a": {"value": 10, "std": 1, "dof": 1}, "b": {"value": 5, "std": 1.3}}
+    models = {"y": {"model": "a"}, "z": {"model": "a + b"}}
+    assert carry_out(tmp_path, {"quantities": quantities, "measurands": models}, "first").code == 0
+    ran = carry_out(tmp_path, job({"d": {"model": "r.z - r.y"}}, 10_000, r="first.h5"))
+    assert ran.code == 0
+    assert ran.details("d")["std"] == pytest.approx(1.3)
+    assert any("correlated with different degrees of freedom" in line for line in ran.result.warnings)
+
+
 def test_a_correlation_with_a_result_is_taken(tmp_path: Path) -> None:
     where = stored(tmp_path, "part", np.diag([4e-6, 9e-6]))
     wanted = job({"y": {"model": "part.a + t*c", "unit": "mm"}}, part=where)

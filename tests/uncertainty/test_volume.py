@@ -167,6 +167,27 @@ def test_a_model_of_estimates_and_places(tmp_path: Path) -> None:
     assert not each.numbers("u_z").any()
 
 
+def test_models_know_one_result_under_two_names(tmp_path: Path) -> None:
+    """Its error cancels in a difference, and two contributors of it are told."""
+    where = stored(tmp_path, "part", pose_result())
+    inputs = {"results": {"part": where, "same": where}}
+    one = {"name": "one", "model": ["part.x - same.x", "part.x + same.x", "part.z"]}
+    ran = carry_out(tmp_path, volume(BENCH, one, {"name": "two", "result": "same"}, inputs=inputs))
+    assert any("'two' and 'one' are the same result" in line for line in ran.result.warnings)
+    ran = carry_out(tmp_path, volume(BENCH, one, inputs=inputs))
+    assert not any("same result" in line for line in ran.result.warnings)
+    assert ran.details("x")["std"] == pytest.approx(0.0, abs=1e-9)
+    assert ran.details("y")["std"] == pytest.approx(2 * pose_result().estimates[0].std)
+
+
+def test_a_tolerance_below_twice_u_leaves_nothing_to_accept(tmp_path: Path) -> None:
+    job = {**volume(BENCH, {"name": "a", "std": ["1 um", "2 um", "3 um"]}), "tolerance": "7 um"}
+    ran = carry_out(tmp_path, job)
+    assert ran.details("x")["tolerance"]["acceptance"] == pytest.approx(0.0015)
+    assert all(math.isnan(ran.details(axis)["tolerance"]["acceptance"]) for axis in "yz")
+    assert next(line for line in ran.result.notes if "accept within" in line).split()[-3:] == ["1.50", "none", "none"]
+
+
 def test_sources_shared_by_contributors_add_linearly(tmp_path: Path) -> None:
     one, two = ({"name": f"c{n}", "std": "3 um", "source": "thermometer"} for n in "ab")
     ran = carry_out(tmp_path, volume(BENCH, one, two, {"name": "c", "std": "8 um"}))
