@@ -14,6 +14,7 @@ from metrocli.diagnosis.design import Candidate, Design
 from metrocli.diagnosis.diagnose import Diagnosis, Finding
 from metrocli.diagnosis.mended import sizes
 from metrocli.diagnosis.naming import Named
+from metrocli.diagnosis.noise import GIVEN
 from metrocli.diagnosis.subject import Subject
 
 _WIDTH = 110
@@ -85,9 +86,9 @@ def _about(finding: Finding, subject: Subject) -> Iterator[str]:
     name, gain = finding.named, finding.gain
     cause, reveal = name.alternative.effect.cause, name.alternative.effect.reveal
     yield f"{name.alternative} explains it: {cause}; {', '.join(_parameters(finding, subject))}."
+    if name.held:
+        yield f"The readings do not show {' and '.join(name.held)} apart from that: taken as 0. What would: {reveal}."
     yield f"That this is chance: {_chance(float(np.exp(name.log_level)))}."
-    if not name.seen.all():
-        yield f"These readings do not determine all of it, so that no job can estimate it; what would: {reveal}."
     if name.rivals:
         others = " or ".join(str(rival.alternative) for rival in name.rivals[:_SHOWN])
         yield f"With this measurement {others} explains the readings as well."
@@ -104,7 +105,7 @@ def _parameters(finding: Finding, subject: Subject) -> Iterator[str]:
     for size in sizes(subject, finding.named):
         key, dimension = size.parameter.name, size.parameter.dimension
         if size.std is None:
-            digits, partly = ("6g", "") if size.seen else ("2g", " (only in part seen)")
+            digits, partly = ("6g", "") if size.seen else ("2g", " (not seen)")
             yield f"{key} {size.value:.{digits}} {size.parameter.unit}{partly}"
             continue
         _, symbol = units.readable(size.value, dimension)
@@ -120,6 +121,11 @@ def _noise(diagnosis: Diagnosis) -> Iterator[str]:
     else:
         yield f"The noise is as declared ({interval} times {declared})."
     for unit in diagnosis.apart:
+        if unit.key == GIVEN:
+            found = unit.ratio * noise.ratio
+            what = unit.name.removeprefix("prior of ")
+            yield f"What the job gives of each {what} is off by {found:.2g} times its stated sigma; correct the sigma."
+            continue
         yield f"{unit.key} {unit.name} is {unit.ratio:.2g} times as noisy as the others."
 
 
@@ -166,7 +172,10 @@ def _line(subject: Subject, name: str, word: str, found: Sequence[Candidate]) ->
     sizes = [one.detectable for one in found if one.testable]
     most = max(one.hides for one in found)
     hides, unit = units.readable(most, subject.delivered.dimension)
-    why = f"absorbed by {', '.join(found[0].absorbed_by)}" if word == verdict.NOT_TESTABLE else ""
+    why = ""
+    if word == verdict.NOT_TESTABLE:
+        plausible, at = units.readable(found[0].plausible, dimension)
+        why = f"absorbed by {', '.join(found[0].absorbed_by)}; hides were it {plausible:.2g} {at}".rstrip()
     seen = _span(min(sizes), max(sizes), dimension) if sizes else "-"
     return name, where, word, seen, f"{hides:.2g} {unit}", why
 

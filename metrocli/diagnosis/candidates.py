@@ -127,8 +127,12 @@ def _telling(items: Sequence[tuple[Alternative, Array, Array]]) -> list[tuple[Al
 
 
 def _absent(model: Model, effect: Effect) -> list[tuple[str, ...]]:
-    """Return the places where the model does not have the effect yet; scanned ones may be there more than once."""
-    there = {place for one in model.added if one.effect.name == effect.name for place in one.instances}
+    """Return the places where the model does not estimate the effect yet; a known value of it may be wrong.
+
+    Scanned ones may be there more than once.
+    """
+    added = [one for one in model.added if (one.effect.name, one.effect.by) == (effect.name, effect.by) and one.columns]
+    there = {place for one in added for place in one.instances}
     places = instances(model, effect)
     return places if effect.scanned else [place for place in places if place not in there]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -133,7 +133,16 @@ def _selected(subject: Subject, rng: np.random.Generator) -> tuple[Field, list[N
         if unit is None:
             break
         weights, units = weighted(subject, weights, unit), (*units, unit)
-    return field, not_tested, units, selection
+    return field, not_tested, _joined(units), selection
+
+
+def _joined(units: Sequence[Unit]) -> tuple[Unit, ...]:
+    """Return units with one ratio each, the product of those that were found one after the other."""
+    found: dict[tuple[str, str], Unit] = {}
+    for unit in units:
+        before = found.get((unit.key, unit.name))
+        found[unit.key, unit.name] = unit if before is None else replace(unit, ratio=unit.ratio * before.ratio)
+    return tuple(found.values())
 
 
 def _outliers(subject: Subject, selection: Selection) -> tuple[Outlier, ...]:

@@ -44,7 +44,7 @@ def extended_model(subject: Subject, names: Sequence[Named]) -> Model:
     model = subject.model
     for name in names:
         alternative = name.alternative
-        model = with_effect(model, alternative.effect, [alternative.instance], dict(alternative.scanned))
+        model = with_effect(model, alternative.effect, [alternative.instance], name.known)
         block, row = _own_row(model, name)
         step = np.zeros(block.values.shape)
         for parameter, value in zip(alternative.parameters, name.values, strict=True):
@@ -71,7 +71,7 @@ class Size:
     std: float | None
     """None where it was scanned, or is not seen"""
     seen: bool = True
-    """Whether the readings say what it is; else the value is that of the smallest effect that explains them"""
+    """Whether the readings say what it is, apart from the others; else it is taken as 0"""
 
 
 def sizes(subject: Subject, name: Named) -> tuple[Size, ...]:

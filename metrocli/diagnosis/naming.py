@@ -9,7 +9,7 @@ import numpy as np
 from metrocli.adjust.blocks import Array
 from metrocli.adjust.observations import Mask
 from metrocli.diagnosis.candidates import Alternative
-from metrocli.diagnosis.race import Given
+from metrocli.diagnosis.race import FLAT, VISIBLE, Given
 from metrocli.diagnosis.selection import Chosen, Selection, evidence
 
 _ODDS = 1 / 20
@@ -21,10 +21,6 @@ _NEAR = 0.9
 """Cosine above which a form with more parameters counts as another explanation"""
 _SIGNIFICANT = 0.05
 _DISTANT = 0.3
-_ROUNDING, _ALIKE = 1e-6, 1e-11
-"""Share of a signature, and of the largest eigenvalue of unit columns, below which there is only rounding"""
-_BLIND = 1e-4
-"""Part of a parameter in a direction that is not seen, from which on nothing is known of it"""
 _DISTINCT = 1e-4
 """Singular value of unit columns below which they are the same"""
 
@@ -52,8 +48,18 @@ class Named:
     covariance: Array
     """For the noise found"""
     seen: Mask
-    """Which parameters the readings determine; the others have values of the smallest effect that explains them"""
+    """Which parameters the readings determine together; the others are taken as 0"""
     rivals: tuple[Rival, ...]
+
+    @property
+    def held(self) -> tuple[str, ...]:
+        """The parameters taken as 0: the readings do not see them apart from the others."""
+        return tuple(name for name, free in zip(self.alternative.parameters, self.seen, strict=True) if not free)
+
+    @property
+    def known(self) -> dict[str, float]:
+        """What is not estimated: the scanned parameters, and those taken as 0."""
+        return {**dict(self.alternative.scanned), **dict.fromkeys(self.held, 0.0)}
 
 
 def named(selection: Selection) -> tuple[Named, ...]:
@@ -66,24 +72,31 @@ def _named(selection: Selection, one: Chosen, level: float) -> Named:
     given, full = selection.given(without=[one]), selection.given()
     alternative = selection.field.families[one.family].alternatives[one.number]
     left = one.columns - given.basis @ (given.basis.T @ one.columns)
-    inverse, seen = _solved(left, selection.field.scales[one.family][one.number])
+    seen = _seen(left, selection.field.scales[one.family][one.number])
+    left = np.where(seen, left, 0.0)
+    norm = np.linalg.norm(left, axis=0)
+    size = np.where(norm > 0, norm, 1.0)
+    inverse = np.linalg.pinv((left / size).T @ (left / size), rcond=1e-11, hermitian=True) / size / size[:, None]
     values = inverse @ (left.T @ given.residual)
     covariance = inverse * full.squares / max(full.dof, 1)
     rivals = _rivals(selection, one, given, left @ values)
     return Named(one, alternative, level, values, covariance, seen, rivals)
 
 
-def _solved(left: Array, whole: Array) -> tuple[Array, Mask]:
-    """Return `(L'L)^+` of visible columns L (rows, q), and which parameters have no part in what it leaves out, (q,).
+def _seen(left: Array, whole: Array) -> Mask:
+    """Return which parameters (q,) can be estimated together.
 
-    A column that is nothing beside its `whole` norm (q,) is rounding.
+    While the readings leave a direction of them unseen, the one that lies most along it is taken out.
     """
-    norm = np.linalg.norm(left, axis=0)
-    size = np.where(norm > _ROUNDING * whole, norm, np.inf)
-    values, vectors = np.linalg.eigh((left / size).T @ (left / size))
-    kept = values > _ALIKE * values[-1]
-    root = vectors[:, kept] / np.sqrt(values[kept]) / size[:, None]
-    return root @ root.T, np.asarray(np.linalg.norm(vectors[:, ~kept], axis=1) < _BLIND)
+    seen = np.ones(left.shape[1], dtype=bool)
+    scaled = left / np.where(whole > 0, whole, 1.0)
+    while seen.sum() > 1:
+        columns = scaled[:, seen]
+        values, vectors = np.linalg.eigh(columns.T @ columns)
+        if values[0] > max(VISIBLE**2, FLAT * values[-1]):
+            break
+        seen[np.flatnonzero(seen)[int(np.argmax(np.abs(vectors[:, 0])))]] = False
+    return seen
 
 
 def _rivals(selection: Selection, one: Chosen, given: Given, fitted: Array) -> tuple[Rival, ...]:

@@ -18,6 +18,12 @@ _LEVEL = 1e-3
 _DRAWS = 400
 _APART = 1.4
 """Ratio of standard deviations below which a unit is left as it is"""
+GIVEN = "given"
+"""Key of a unit that is no reading: values that the job gives with their sigma, such as known points"""
+_LEAST = 0.1
+"""By how much what is given may gain in weight at once"""
+_FEWEST = 10
+"""Values that are given, below which their spread says little of their sigma"""
 
 
 @dataclass(frozen=True)
@@ -31,9 +37,10 @@ class Noise:
 
 @dataclass(frozen=True)
 class Unit:
-    """A part of the readings with a noise of its own."""
+    """A part of the readings, or of what is given beside them, with a noise of its own."""
 
     key: str
+    """The kind of place, or `GIVEN`"""
     name: str
     ratio: float
     """Of its standard deviation to that of the others"""
@@ -60,13 +67,17 @@ def apart(subject: Subject, system: System, given: Given, rng: np.random.Generat
     whole = (noise**2).sum(axis=0)
     found = []
     for key, name, rows in units:
+        if rows.sum() - (system.basis[rows] ** 2).sum() - (given.basis[rows] ** 2).sum() < 1:
+            continue
         shares = (noise[rows] ** 2).sum(axis=0) / whole
         share = float((given.residual[rows] ** 2).sum() / max(given.residual @ given.residual, 1e-300))
         found.append((_log_tail(share, shares), key, name, rows))
+    if not found:
+        return None
     log_p, key, name, rows = min(found, key=lambda one: one[0])
     if log_p > np.log(_LEVEL / len(units)):
         return None
-    ratio = _ratio(system, given, rows)
+    ratio = max(_ratio(system, given, rows), _LEAST if key == GIVEN else 0.0)
     return None if 1 / _APART < ratio < _APART else Unit(key, name, ratio)
 
 
@@ -81,6 +92,13 @@ def _units(subject: Subject, system: System) -> Iterator[tuple[str, str, Mask]]:
                     rows |= system.spread(group, (index == number).astype(float)) > 0
             if rows.any():
                 yield key, name, rows
+    for group in subject.model.groups:
+        if group.name in subject.model.measured or group.observations.count < _FEWEST:
+            continue
+        start = system.first[group.name]
+        rows = np.zeros(system.rows, dtype=bool)
+        rows[start : start + group.observations.readings.size] = True
+        yield GIVEN, group.name, rows
 
 
 def _log_tail(share: float, shares: Array) -> float:
@@ -109,9 +127,11 @@ def _ratio(system: System, given: Given, rows: Mask) -> float:
 
 def weighted(subject: Subject, weights: Mapping[str, Array], unit: Unit) -> dict[str, Array]:
     """Return factors on the whitened readings of each group that bring those of a unit to the noise of the others."""
+    if unit.key == GIVEN:
+        return {**weights, unit.name: weights.get(unit.name, np.ones(1)) / unit.ratio * _ones(subject, unit.name)}
     place = subject.model.places[unit.key]
     number = place.names.index(unit.name)
-    found = {}
+    found = dict(weights)
     for group in subject.model.readings:
         factor = weights.get(group.name, np.ones(group.observations.count)).copy()
         index = group.observations.index.get(place.index)
@@ -119,3 +139,7 @@ def weighted(subject: Subject, weights: Mapping[str, Array], unit: Unit) -> dict
             factor[index == number] /= unit.ratio
         found[group.name] = factor
     return found
+
+
+def _ones(subject: Subject, group: str) -> Array:
+    return np.ones(next(one.observations.count for one in subject.model.groups if one.name == group))

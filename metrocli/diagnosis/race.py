@@ -17,8 +17,10 @@ from metrocli.diagnosis.candidates import Family
 from metrocli.diagnosis.distributions import log_family, log_tail
 from metrocli.diagnosis.projection import System
 
-_VISIBLE = 1e-6
+VISIBLE = 1e-6
 """Share of a signature below which rounding is all that is left"""
+FLAT = 1e-8
+"""Eigenvalue of several parameters' signatures, as a share of the largest, below which a direction is not seen"""
 _DRAWS = 1000
 _MOST_WORK = 4e9
 PRIOR = 2.0
@@ -43,7 +45,7 @@ class Given:
         left = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
         for _ in range(2):
             left = left - self.basis @ (self.basis.T @ left)
-        new = orthonormal(left, _VISIBLE)
+        new = orthonormal(left, VISIBLE)
         residual = self.residual - new @ (new.T @ self.residual)
         basis = np.concatenate([self.basis, new], axis=1)
         squares = float(residual @ residual) + self.prior
@@ -177,10 +179,10 @@ def quadratic(gram: Array, right: Array, scale: Array) -> tuple[Array, Array]:
     b = right / s
     if a.shape[1] == 1:
         value = a[:, 0, 0]
-        good = value > _VISIBLE**2
+        good = value > VISIBLE**2
         return np.where(good, b[:, 0] ** 2 / np.where(good, value, 1.0), 0.0), good.astype(int)
     values, vectors = np.linalg.eigh(a)
-    good = values > np.maximum(_VISIBLE**2, 1e-8 * values[:, -1:])
+    good = values > np.maximum(VISIBLE**2, FLAT * values[:, -1:])
     along = np.einsum("kqv,kq->kv", vectors, b)
     return (np.where(good, along**2 / np.where(good, values, 1.0), 0.0)).sum(axis=1), good.sum(axis=1)
 
@@ -244,7 +246,7 @@ def _least(gram: Array, right: Array, scale: Array, squares: Array, dof: float, 
     """Return ln of the least level of all alternatives for each draw."""
     s = np.where(scale > 0, scale, 1.0)
     values, vectors = np.linalg.eigh(gram / (s[:, :, None] * s[:, None, :]))
-    good = values > np.maximum(_VISIBLE**2, 1e-8 * values[:, -1:])
+    good = values > np.maximum(VISIBLE**2, FLAT * values[:, -1:])
     root = vectors * np.where(good, 1 / np.sqrt(np.where(good, values, 1.0)), 0.0)[:, None, :]
     along = np.matmul(np.swapaxes(root, 1, 2), right / s[:, :, None])
     gain = (along**2).sum(axis=1)

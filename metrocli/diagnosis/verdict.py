@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from metrocli import units
-from metrocli.diagnosis.candidates import Alternative, NotTested
+from metrocli.diagnosis.candidates import NotTested
 from metrocli.diagnosis.design import Candidate, Design, WrongReading
 from metrocli.diagnosis.diagnose import Diagnosis, Finding
 from metrocli.diagnosis.mended import sizes
@@ -205,14 +205,15 @@ def alike(design: Design) -> list[dict[str, Any]]:
     ]
 
 
-def as_job(alternative: Alternative) -> Mapping[str, str]:
-    """Return an effect as a job names it: to be estimated, with what was scanned."""
+def as_job(name: Named) -> Mapping[str, str]:
+    """Return an effect as a job names it: to be estimated, with what was scanned and what is taken as 0."""
+    alternative = name.alternative
     effect = alternative.effect
-    known = {p.name: p for p in effect.scanned}
+    known = {p.name: p for p in effect.all_parameters}
     found = {"name": effect.name, **dict(zip(effect.keys, alternative.instance, strict=True))}
     if effect.by:
         found["by"] = effect.by
-    return found | {key: _written(value, known[key].unit) for key, value in alternative.scanned}
+    return found | {key: _written(value, known[key].unit) for key, value in name.known.items()}
 
 
 def _written(value: float, unit: str) -> str:

@@ -49,11 +49,20 @@ class Wanted:
         """The name of the effect."""
         return self.forms[0].name
 
+    def same_as(self, other: Wanted) -> bool:
+        """Whether another one says the same; a known value and what is estimated on top of it are not the same."""
+        alike = [form.by for form in self.forms] == [form.by for form in other.forms]
+        return alike and (self.name, self.where, self.values) == (other.name, other.where, other.values)
+
 
 def read(kind: str, nodes: Sequence[Node], faults: list[Fault]) -> tuple[Wanted, ...]:
     """Return the effects that the nodes name, with a fault for each key or value that is wrong."""
     found = [_read(kind, node, faults) for node in nodes]
-    return tuple(wanted for wanted in found if wanted is not None)
+    listed = tuple(wanted for wanted in found if wanted is not None)
+    for number, one in enumerate(listed):
+        if any(one.same_as(other) for other in listed[:number]):
+            faults.append(one.node.fault(f"{one.name} is listed twice", "leave one of them out"))
+    return listed
 
 
 def _read(kind: str, node: Node, faults: list[Fault]) -> Wanted | None:

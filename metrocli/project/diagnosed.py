@@ -71,14 +71,13 @@ def _declared(node: Node | None) -> str:
 def write_extended(job: Job, diagnosis: Diagnosis, path: Path | None = None) -> Path | None:
     """Write the job with the named effects, beside it as `NAME.extended.yaml`; None where there is nothing to add.
 
-    Effects that the readings do not wholly determine are left out: such a job is refused. Elsewhere its paths are made
-    to lead to the same files.
+    Parameters that the readings do not show apart from the others are 0 in it. Elsewhere its paths are made to lead to
+    the same files.
     """
-    named = [finding.named for finding in diagnosis.findings if finding.named.seen.all()]
-    if not named:
+    if not diagnosis.findings:
         return None
     path = path or job.file.with_name(f"{job.file.stem}.extended.yaml")
-    new = [_node(job, as_job(one.alternative)) for one in named]
+    new = [_node(job, as_job(finding.named)) for finding in diagnosis.findings]
     heading = f"# {job.file.name} with the effects that metrocli diagnose named\n"
     text = heading + yaml_text.emit(_extended(job, new, path.parent))
     with written_aside(path) as aside:

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from metrocli.adjust.blocks import Array
+from metrocli.adjust.blocks import Array, Block
 from metrocli.adjust.chain import Chain
-from metrocli.adjust.groups import Group
+from metrocli.adjust.groups import Group, ReadBlock
 from metrocli.adjust.observations import Index, Mask, Observations
 from metrocli.adjust.solution import Solution
 from metrocli.diagnosis.subject import Covariate, Delivered, Subject
@@ -186,10 +186,24 @@ def _with_corners(model: Model) -> Model:
             reference=np.concatenate([datum.reference, corners]),
             members=np.concatenate([datum.members, zeros]),
         )
-    groups = tuple(replace(one, observations=joined(old, changed)) if one is group else one for one in model.groups)
+    groups = tuple(
+        replace(one, observations=joined(old, changed)) if one is group else _of_more(one, points)
+        for one in model.groups
+    )
     places_ = {**model.places, "point": Place(points.members, t.POINT)}
     whole = replace(model, blocks={**model.blocks, t.POINT: points}, groups=groups, datum=datum, places=places_)
     return with_conditions(whole)
+
+
+def _of_more(group: Group, block: Block) -> Group:
+    """Return a group whose priors of a block know the members that the block has in addition."""
+    links = tuple(
+        replace(link, reference=np.concatenate([link.reference, block.values[len(link.reference) :]]))
+        if isinstance(link, ReadBlock) and link.block == block.name
+        else link
+        for link in group.chain.links
+    )
+    return replace(group, chain=Chain(links))
 
 
 def joined(old: Observations, new: Observations) -> Observations:

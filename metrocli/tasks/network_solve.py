@@ -14,6 +14,7 @@ from metrocli.adjust.noise import adjust_with_noise
 from metrocli.adjust.observations import Mask
 from metrocli.adjust.robust import critical_value, robust_start
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
+from metrocli.effects.estimates import absorbed
 from metrocli.errors import NotConvergedError, UndeterminedError
 from metrocli.instruments import tracer as t
 from metrocli.tasks.layout_faults import carries, explained
@@ -77,6 +78,8 @@ def solve(network: Network, remove: bool) -> Solved:
     out = _too_few(network) if remove else {}
     start = network.only(_kept(network, out))
     groups = [start.lengths, *start.others]
+    if network.effects:
+        _must_see_effects(start, covariance_at(start.blocks.values(), groups, start.datum))
     state = robust_start(start.blocks.values(), groups, LENGTHS, start.datum)
     if len(network.nominal) <= _SMALL_ENOUGH:
         _must_carry(start, covariance_at(state.values(), groups, start.datum))
@@ -149,6 +152,12 @@ def _too_few(network: Network) -> dict[int, Rejected]:
 
 def _must_carry(network: Network, solution: Solution) -> None:
     if not carries(network, solution):
+        raise UndeterminedError(explained(network, solution))
+
+
+def _must_see_effects(network: Network, solution: Solution) -> None:
+    """Refuse effects that the unknowns absorb where they are small; the adjustment would carry them far away."""
+    if solution.undetermined and absorbed(network.effects, solution, network.datum):
         raise UndeterminedError(explained(network, solution))
 
 

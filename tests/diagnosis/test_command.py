@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -206,3 +207,106 @@ def test_what_cannot_be_diagnosed_is_refused(text: str, code: int, words: str, j
         job.write_text("metrocli: 1\n")
     ran = metrocli("diagnose", job)
     assert (ran.code, words in ran.err) == (code, True)
+
+
+def known(folder: Path, true: float, stated: float, seed: int = 4) -> Path:
+    """Write a measurement whose points are known, with an error that may not be the stated one."""
+    m = lengths.measurement(np.random.default_rng([9, seed]), 50)
+    off = np.random.default_rng([10, seed]).normal(0, true, m.points.shape)
+    job = write(folder, replace(m, nominal=m.points + off))
+    rows = (folder / "points.csv").read_text().splitlines()
+    (folder / "points.csv").write_text("\n".join([f"{rows[0]},sigma_mm", *(f"{row},{stated}" for row in rows[1:])]))
+    return job
+
+
+@pytest.mark.parametrize(("true", "stated"), [(1e-3, 4e-3), (2e-3, 5e-4), (1e-3, 1e-3)])
+def test_a_wrong_sigma_of_known_points_is_told_as_that(
+    folder: Path, metrocli: Metrocli, true: float, stated: float
+) -> None:
+    data = json.loads(metrocli("diagnose", known(folder, true, stated), "--json").out)
+    assert data["verdict"] == "clean" and not data["outliers"]
+    assert 0.9 < data["noise"]["ratio"] < 1.1
+    if true == stated:
+        assert data["noise"]["apart"] == []
+    else:
+        (apart,) = data["noise"]["apart"]
+        assert apart["given"] == "prior of point"
+        assert abs(np.log(apart["ratio"] * stated / true)) < np.log(1.3)
+
+
+def test_known_points_are_no_hindrance_to_what_tells_two_names_apart(folder: Path, metrocli: Metrocli) -> None:
+    m = measured("dead-path-drift", 2.0)
+    job = write(folder, replace(m, nominal=m.points))
+    rows = (folder / "points.csv").read_text().splitlines()
+    (folder / "points.csv").write_text("\n".join([f"{rows[0]},sigma_mm", *(f"{row},0.0001" for row in rows[1:])]))
+    ran = metrocli("diagnose", job, "--json")
+    data = json.loads(ran.out)
+    assert data["verdict"] == "indistinct" and data["separate_by"]
+
+
+def test_a_wrong_known_value_is_found_as_a_change_of_it(folder: Path, metrocli: Metrocli) -> None:
+    job = write(folder, measured())
+    job.write_text(job.read_text() + "effects: [{name: tracer-scale, tracer: T1, scale: 5 ppm}]\n")
+    data = json.loads(metrocli("diagnose", job, "--json").out)
+    (effect,) = data["effects"]
+    assert (effect["name"], effect["where"]) == ("tracer-scale", {"tracer": "T1"})
+    scale = effect["parameters"]["scale"]
+    assert abs(scale["value"] + 5e-6) < 4 * scale["std"]
+    assert metrocli("multilaterate", data["extended_job"]).code == 0
+    assert json.loads(metrocli("diagnose", data["extended_job"], "--json").out)["verdict"] == "clean"
+
+
+def test_an_effect_listed_twice_is_a_fault_of_the_job(folder: Path, metrocli: Metrocli) -> None:
+    job = write(folder, measured())
+    one = "{name: dead-path-drift, tracer: T1}"
+    job.write_text(job.read_text() + f"effects: [{one}, {one}]\n")
+    ran = metrocli("diagnose", job)
+    assert ran.code == 3 and "dead-path-drift is listed twice" in ran.err
+
+
+@pytest.mark.parametrize("command", ["multilaterate", "diagnose"])
+def test_an_effect_that_the_unknowns_absorb_is_refused_with_the_reason(
+    folder: Path, metrocli: Metrocli, command: str
+) -> None:
+    job = write(folder, measured())
+    job.write_text(job.read_text() + "effects: [{name: reflector-incidence}]\n")
+    ran = metrocli(command, job)
+    assert ran.code == 4 and "reflector-incidence cannot be told from the other unknowns" in ran.err
+
+
+def one_target_an_image(folder: Path, off: tuple[float, float]) -> Path:
+    """Write an alignment by eight images of one target each; the machine stood elsewhere for one of them."""
+    rng = np.random.default_rng(5)
+    targets = np.array([[0.0, 0, 0], [1500, 0, 10], [1480, 1000, 60], [20, 980, 30]])
+    part = targets @ np.array([[1.0, -0.01, 0], [0.01, 1, 0], [0, 0, 1]]).T / np.hypot(1, 0.01) + [40.0, -30, 600]
+    poses, seen = ["image,x_mm,y_mm,z_mm"], ["image,target,u_px,v_px"]
+    for i in range(8):
+        at = part[i % 4] - [0.0, 0.0, 700.0] + rng.uniform(-90, 90, 3)
+        x, y, z = part[i % 4] - at
+        u, v = np.array([1200 + 2800 * x / z, 900 + 2800 * y / z]) + rng.normal(0, 0.05, 2)
+        said = at + np.array([*off, 0.0]) * (i == 4)
+        poses.append(f"I{i}," + ",".join(map(repr, said.tolist())))
+        seen.append(f"I{i},C{i % 4},{float(u)!r},{float(v)!r}")
+    (folder / "poses.csv").write_text("\n".join(poses))
+    (folder / "observations.csv").write_text("\n".join(seen))
+    rows = [f"C{i},{x!r},{y!r},{z!r}" for i, (x, y, z) in enumerate(targets.tolist())]
+    (folder / "targets.csv").write_text("\n".join(["target,x_mm,y_mm,z_mm", *rows]))
+    place = "x: 0 mm, y: 0 mm, z: 0 mm, alpha: 0 rad, beta: 0 rad, gamma: 0 rad"
+    camera = f"{{image_size: [2400, 1800], f: 2800 px, cx: 1200 px, cy: 900 px, extrinsics: {{{place}}}}}\n"
+    (folder / "camera.yaml").write_text(camera)
+    inputs = "{camera: camera.yaml, targets: targets.csv, poses: poses.csv, observations: observations.csv}"
+    job = f"metrocli: 1\njob: align-part\ninputs: {inputs}\nestimate: [part-pose]\nnoise: 0.05 px\noutput: out.h5\n"
+    (folder / "job.yaml").write_text(job)
+    return folder / "job.yaml"
+
+
+def test_a_direction_of_an_effect_that_nothing_shows_is_held_and_told(folder: Path, metrocli: Metrocli) -> None:
+    data = json.loads(metrocli("diagnose", one_target_an_image(folder, (0.5, -0.4)), "--json").out)
+    (effect,) = data["effects"]
+    assert (effect["name"], effect["where"]) == ("bad-pose", {"image": "I4"})
+    dx, dy, dz = (effect["parameters"][key] for key in ("dx", "dy", "dz"))
+    assert dz["value"] == 0 and dz["std"] is None
+    assert abs(dx["value"] + 0.5) < 4 * dx["std"] and abs(dy["value"] - 0.4) < 4 * dy["std"]
+    assert data["noise"]["apart"] == []
+    assert metrocli("align-part", data["extended_job"]).code == 0
+    assert json.loads(metrocli("diagnose", data["extended_job"], "--json").out)["verdict"] == "clean"

@@ -19,7 +19,7 @@ from metrocli.diagnosis.candidates import families_of
 from metrocli.diagnosis.distributions import chi_interval, log_family, log_tail, noncentrality
 from metrocli.diagnosis.gain import _held, _without
 from metrocli.diagnosis.mended import field_of_job
-from metrocli.diagnosis.naming import _solved
+from metrocli.diagnosis.naming import _seen
 from metrocli.diagnosis.noise import apart
 from metrocli.diagnosis.projection import System, linearised, signature
 from metrocli.diagnosis.race import PRIOR, Field, independent, nothing, quadratic
@@ -251,17 +251,14 @@ class Straight:
         return Step((local.rows("line") * terms[0]).sum(axis=0)[None], by_block={"line": terms})
 
 
-def test_parameters_with_a_part_in_a_direction_that_is_not_seen_are_told() -> None:
-    """Columns a, a + b, b and one of rounding, beside an own one: only the last of them is determined."""
+def test_of_parameters_that_are_not_seen_apart_as_few_are_held_as_need_be() -> None:
+    """Columns a, a + b, b and one of rounding, beside an own one: the one of rounding and one of three are held."""
     rng = np.random.default_rng(14)
     a, b, alone = rng.normal(size=(3, 50))
     left = np.stack([a, 1e4 * (a + b), b, 1e-9 * rng.normal(size=50), 1e-3 * alone], axis=1)
-    inverse, seen = _solved(left, np.array([10.0, 1e5, 10.0, 10.0, 1.0]))
-    assert seen.tolist() == [False, False, False, False, True]
-    assert inverse[3] == pytest.approx(0)
-    gram = left[:, [0, 2, 4]].T @ left[:, [0, 2, 4]]
-    determined, all_seen = _solved(left[:, [0, 2, 4]], np.ones(3))
-    assert all_seen.all()
-    assert determined @ gram == pytest.approx(np.eye(3), abs=1e-9)
-    fitted = left @ inverse @ left.T
-    assert fitted @ alone == pytest.approx(alone, abs=1e-9), "what is seen is fitted whole"
+    seen = _seen(left, np.array([10.0, 1e5, 10.0, 10.0, 1.0]))
+    assert seen[[3, 4]].tolist() == [False, True] and seen[:3].sum() == 2
+    assert _seen(left[:, [0, 2, 4]], np.array([10.0, 10.0, 1.0])).all()
+    kept = left[:, seen]
+    fitted = kept @ np.linalg.lstsq(kept, np.stack([a, a + b, b, alone], axis=1), rcond=None)[0]
+    assert fitted == pytest.approx(np.stack([a, a + b, b, alone], axis=1), abs=1e-9), "what is seen is fitted whole"
