@@ -270,7 +270,7 @@ def main() -> None:
         program = ceres_program(Path(name))
         print("adjustment, CPU s (best, first of its process), peak memory in MB")
         print(
-            "Ceres: build + solve (times ours, steps, MB), and by how much its sum of squares is larger, where above 1e-8"
+            "Ceres: build + solve (times ours, steps, MB), by how much its sum of squares is larger, above 1e-8"
         )
         print(f"{'m':>2} {'n':>8} {'ours':>7} {'first':>7} {'MB':>5} {'steps':>5}")
         for m, n in ((4, 1000), (4, 10_000), (4, 100_000), (8, 100_000), (4, 1_000_000)):
