@@ -269,9 +269,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         program = ceres_program(Path(name))
         print("adjustment, CPU s (best, first of its process), peak memory in MB")
-        print(
-            "Ceres: build + solve (times ours, steps, MB), by how much its sum of squares is larger, above 1e-8"
-        )
+        print("Ceres: build + solve (times ours, steps, MB), and its sum of squares above ours if beyond 1e-8")
         print(f"{'m':>2} {'n':>8} {'ours':>7} {'first':>7} {'MB':>5} {'steps':>5}")
         for m, n in ((4, 1000), (4, 10_000), (4, 100_000), (8, 100_000), (4, 1_000_000)):
             print(compared(m, n, program), flush=True)
