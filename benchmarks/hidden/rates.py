@@ -23,7 +23,7 @@ def found(case: Case) -> Found:
         for hidden in case.hidden
         for finding in diagnosis.findings
         if _is(finding, hidden)
-        and finding.named.seen.all()
+        and finding.named.apart.all()
         and set(finding.named.alternative.parameters) <= set(hidden.values)
     )
     return Found(case, diagnosis, seconds, covered)

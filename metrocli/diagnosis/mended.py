@@ -71,7 +71,7 @@ class Size:
     std: float | None
     """None where it was scanned, or is not seen"""
     seen: bool = True
-    """Whether the readings say what it is, apart from the others; else it is taken as 0"""
+    """Whether the readings say what it is, apart from the others; else `value` holds with others taken as 0"""
 
 
 def sizes(subject: Subject, name: Named) -> tuple[Size, ...]:
@@ -86,7 +86,7 @@ def sizes(subject: Subject, name: Named) -> tuple[Size, ...]:
     for at, key in enumerate(alternative.parameters):
         column = block.column(key)
         was = before.values[row, column] if before is not None and column < before.size else 0.0
-        seen = bool(name.seen[at])
+        seen = bool(name.apart[at])
         spread = float(std[at] * by_step[column]) if seen else None
         found.append(Size(known[key], float(block.values[row, column] - was), spread, seen))
     return (*found, *(Size(known[key], value, None) for key, value in alternative.scanned))

@@ -21,6 +21,8 @@ _NEAR = 0.9
 """Cosine above which a form with more parameters counts as another explanation"""
 _SIGNIFICANT = 0.05
 _DISTANT = 0.3
+_BLIND = 1e-2
+"""Part of a parameter in a direction that is not seen, from which on nothing is known of it"""
 _DISTINCT = 1e-4
 """Singular value of unit columns below which they are the same"""
 
@@ -49,6 +51,8 @@ class Named:
     """For the noise found"""
     seen: Mask
     """Which parameters the readings determine together; the others are taken as 0"""
+    apart: Mask
+    """Which parameters have no part in a direction that no reading shows: of the others nothing is known one by one"""
     rivals: tuple[Rival, ...]
 
     @property
@@ -72,7 +76,8 @@ def _named(selection: Selection, one: Chosen, level: float) -> Named:
     given, full = selection.given(without=[one]), selection.given()
     alternative = selection.field.families[one.family].alternatives[one.number]
     left = one.columns - given.basis @ (given.basis.T @ one.columns)
-    seen = _seen(left, selection.field.scales[one.family][one.number])
+    whole = selection.field.scales[one.family][one.number]
+    seen, apart = _seen(left, whole), _apart(left, whole)
     left = np.where(seen, left, 0.0)
     norm = np.linalg.norm(left, axis=0)
     size = np.where(norm > 0, norm, 1.0)
@@ -80,7 +85,7 @@ def _named(selection: Selection, one: Chosen, level: float) -> Named:
     values = inverse @ (left.T @ given.residual)
     covariance = inverse * full.squares / max(full.dof, 1)
     rivals = _rivals(selection, one, given, left @ values)
-    return Named(one, alternative, level, values, covariance, seen, rivals)
+    return Named(one, alternative, level, values, covariance, seen, apart, rivals)
 
 
 def _seen(left: Array, whole: Array) -> Mask:
@@ -97,6 +102,14 @@ def _seen(left: Array, whole: Array) -> Mask:
             break
         seen[np.flatnonzero(seen)[int(np.argmax(np.abs(vectors[:, 0])))]] = False
     return seen
+
+
+def _apart(left: Array, whole: Array) -> Mask:
+    """Return which parameters (q,) have no part in a direction that the readings leave unseen."""
+    columns = left / np.where(whole > 0, whole, 1.0)
+    values, vectors = np.linalg.eigh(columns.T @ columns)
+    open_ones = values <= max(VISIBLE**2, FLAT * values[-1])
+    return np.asarray(np.linalg.norm(vectors[:, open_ones], axis=1) < _BLIND)
 
 
 def _rivals(selection: Selection, one: Chosen, given: Given, fitted: Array) -> tuple[Rival, ...]:

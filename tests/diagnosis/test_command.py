@@ -305,8 +305,9 @@ def test_a_direction_of_an_effect_that_nothing_shows_is_held_and_told(folder: Pa
     (effect,) = data["effects"]
     assert (effect["name"], effect["where"]) == ("bad-pose", {"image": "I4"})
     dx, dy, dz = (effect["parameters"][key] for key in ("dx", "dy", "dz"))
-    assert dz["value"] == 0 and dz["std"] is None
-    assert abs(dx["value"] + 0.5) < 4 * dx["std"] and abs(dy["value"] - 0.4) < 4 * dy["std"]
+    # the beam through the target is oblique: none of the three is known by itself, and dz is taken as 0
+    assert dz["value"] == 0 and all(part["std"] is None and part["unseen"] for part in (dx, dy, dz))
+    assert abs(dx["value"] + 0.5) < 0.1 and abs(dy["value"] - 0.4) < 0.1
     assert data["noise"]["apart"] == []
     assert metrocli("align-part", data["extended_job"]).code == 0
     assert json.loads(metrocli("diagnose", data["extended_job"], "--json").out)["verdict"] == "clean"
