@@ -11,13 +11,14 @@ from metrocli.adjust.blocks import Array
 from metrocli.diagnosis.candidates import NotTested
 from metrocli.diagnosis.design import Design, design, separations
 from metrocli.diagnosis.gain import Gain, gains
+from metrocli.diagnosis.given import nothing
 from metrocli.diagnosis.mended import field_of_job, recentred
 from metrocli.diagnosis.mistakes import Mistaken
 from metrocli.diagnosis.naming import Named, named
 from metrocli.diagnosis.noise import Noise, Unit, apart, noise_of, weighted
 from metrocli.diagnosis.polish import polished
 from metrocli.diagnosis.projection import System, signature
-from metrocli.diagnosis.race import Field, nothing
+from metrocli.diagnosis.race import Field
 from metrocli.diagnosis.selection import Selection, select
 from metrocli.diagnosis.structure import REPEATS, Left, PureError, left_over, pure_error, strongest
 from metrocli.diagnosis.subject import Subject

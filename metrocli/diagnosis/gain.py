@@ -13,8 +13,9 @@ import numpy as np
 
 from metrocli.adjust.blocks import Array
 from metrocli.adjust.observations import Index
+from metrocli.diagnosis.given import Given, nothing
 from metrocli.diagnosis.naming import Named
-from metrocli.diagnosis.race import Field, Given, nothing
+from metrocli.diagnosis.race import Field
 from metrocli.diagnosis.selection import Chosen, Selection, select
 from metrocli.diagnosis.subject import Subject
 

@@ -10,10 +10,11 @@ import numpy as np
 from metrocli.adjust.blocks import Array, Block
 from metrocli.adjust.observations import Mask
 from metrocli.diagnosis.candidates import NotTested, families_of
+from metrocli.diagnosis.given import Given, nothing
 from metrocli.diagnosis.naming import Named
 from metrocli.diagnosis.noise import Unit, weighted
 from metrocli.diagnosis.projection import linearised
-from metrocli.diagnosis.race import Field, Given, field_of, nothing
+from metrocli.diagnosis.race import Field, field_of
 from metrocli.diagnosis.selection import Selection
 from metrocli.diagnosis.smooth import smooth_families
 from metrocli.diagnosis.subject import Subject

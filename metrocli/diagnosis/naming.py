@@ -9,7 +9,8 @@ import numpy as np
 from metrocli.adjust.blocks import Array
 from metrocli.adjust.observations import Mask
 from metrocli.diagnosis.candidates import Alternative
-from metrocli.diagnosis.race import FLAT, VISIBLE, Given
+from metrocli.diagnosis.given import VISIBLE, Given
+from metrocli.diagnosis.race import FLAT
 from metrocli.diagnosis.selection import Chosen, Selection, evidence
 
 _ODDS = 1 / 20

@@ -10,8 +10,8 @@ import numpy as np
 from metrocli.adjust.blocks import Array
 from metrocli.adjust.observations import Mask
 from metrocli.diagnosis.distributions import chi_interval
+from metrocli.diagnosis.given import PRIOR, Given
 from metrocli.diagnosis.projection import System
-from metrocli.diagnosis.race import PRIOR, Given
 from metrocli.diagnosis.subject import Subject
 
 _LEVEL = 1e-3

@@ -15,63 +15,13 @@ from metrocli.adjust.blocks import Array
 from metrocli.adjust.observations import Mask
 from metrocli.diagnosis.candidates import Family
 from metrocli.diagnosis.distributions import log_family, log_tail
+from metrocli.diagnosis.given import PRIOR, VISIBLE, Given
 from metrocli.diagnosis.projection import System
 
-VISIBLE = 1e-6
-"""Share of a signature below which rounding is all that is left"""
 FLAT = 1e-8
 """Eigenvalue of several parameters' signatures, as a share of the largest, below which a direction is not seen"""
 _DRAWS = 1000
 _MOST_WORK = 4e9
-PRIOR = 2.0
-"""Degrees of freedom for which the declared noise counts: with few readings it carries weight, with many it does not"""
-
-
-@dataclass(frozen=True)
-class Given:
-    """What is in the model beside its own unknowns: an orthonormal basis of visible columns, and the residual left."""
-
-    basis: Array
-    """(rows, k)"""
-    residual: Array
-    squares: float
-    """Sum of squares of the residual, and what the declared noise adds (`PRIOR`)"""
-    dof: float
-    prior: float = PRIOR
-    """The part of the squares that the declared noise adds"""
-
-    def with_columns(self, columns: Array) -> Given:
-        """Return it with more columns (rows, q) in the model; what is not visible beside the others adds nothing."""
-        left = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-        for _ in range(2):
-            left = left - self.basis @ (self.basis.T @ left)
-        new = orthonormal(left, VISIBLE)
-        residual = self.residual - new @ (new.T @ self.residual)
-        basis = np.concatenate([self.basis, new], axis=1)
-        squares = float(residual @ residual) + self.prior
-        return Given(basis, residual, squares, self.dof - new.shape[1], self.prior)
-
-
-def orthonormal(columns: Array, least: float) -> Array:
-    """Return a basis of the span of columns (rows, q), without directions whose singular value is not above `least`.
-
-    By the eigenvectors of the Gram matrix, twice (as Cholesky QR is done): for many rows far faster than an SVD.
-    """
-    bound = least**2
-    for _ in range(2):
-        values, vectors = np.linalg.eigh(columns.T @ columns)
-        kept = values > bound
-        columns = columns @ (vectors[:, kept] / np.sqrt(values[kept]))
-        bound = 0.0
-    return columns
-
-
-def nothing(system: System) -> Given:
-    """Return the model as it is; a noise declared larger than it is counts as large as it is."""
-    r = system.residual
-    squares = float(r @ r)
-    prior = PRIOR * min(1.0, squares / max(system.dof, 1))
-    return Given(np.zeros((system.rows, 0)), r, squares + prior, system.dof + PRIOR, prior)
 
 
 @dataclass(frozen=True)
@@ -120,17 +70,28 @@ class Field:
 
     def score(self, number: int, given: Given, chosen: Sequence[int] | None = None) -> Score:
         """Return the tests of one family."""
-        family = self.families[number]
-        columns, gram, scale = family.columns, self.grams[number], self.scales[number]
-        if chosen is not None:
-            columns, gram, scale = columns[:, chosen], gram[list(chosen)], scale[list(chosen)]
+        columns, scale = self.families[number].columns, self.scales[number]
+        if chosen is None:
+            gram = self._left(number, given)
+        else:
+            columns, scale = columns[:, chosen], scale[list(chosen)]
+            gram = self.grams[number][list(chosen)] - _products(given.basis, columns)
         n, k, q = columns.shape
-        flat = columns.reshape(n, k * q)
-        inside = (given.basis.T @ flat).reshape(-1, k, q)
-        gram = gram - np.einsum("skq,skp->kqp", inside, inside)
-        right = (flat.T @ given.residual).reshape(k, q)
+        right = (columns.reshape(n, k * q).T @ given.residual).reshape(k, q)
         gain, rank = quadratic(gram, right, scale)
         return self._scored(gain, rank, given)
+
+    def _left(self, number: int, given: Given) -> Array:
+        """Return what a model leaves of the Gram matrices of a family, (alternatives, q, q)."""
+        columns = self.families[number].columns
+        key = number, columns.shape[1]
+        if key not in given.remembered:
+            if given.larger is None or given.freed is None:
+                left = self.grams[number] - _products(given.basis, columns)
+            else:
+                left = self._left(number, given.larger) + _products(given.freed, columns)
+            given.remembered[key] = left
+        return given.remembered[key]
 
     def _scored(self, gain: Array, rank: Array, given: Given) -> Score:
         share = np.clip(gain / max(given.squares, 1e-300), 0.0, 1.0)
@@ -170,6 +131,13 @@ class Field:
 
 _REDUNDANT = 1e-3
 """Share of a reading's error that must show for it to be called an outlier"""
+
+
+def _products(basis: Array, columns: Array) -> Array:
+    """Return the part of the Gram matrices of columns (rows, k, q) inside a basis, (k, q, q)."""
+    n, k, q = columns.shape
+    inside = np.moveaxis((basis.T @ columns.reshape(n, k * q)).reshape(-1, k, q), 0, 1)
+    return np.asarray(np.swapaxes(inside, 1, 2) @ inside)
 
 
 def quadratic(gram: Array, right: Array, scale: Array) -> tuple[Array, Array]:

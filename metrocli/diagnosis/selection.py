@@ -9,7 +9,8 @@ import numpy as np
 
 from metrocli.adjust.blocks import Array
 from metrocli.diagnosis.distributions import log_tail
-from metrocli.diagnosis.race import Field, Given, Score
+from metrocli.diagnosis.given import Fit, Given
+from metrocli.diagnosis.race import Field, Score
 
 FIRST, LATER, UNKNOWN, WRONG_READING = 0.03, 0.01, 0.005, 0.01
 """Levels, counted over all that is tried: of the first name, of further names, of smooth terms and of outliers
@@ -51,8 +52,9 @@ class Selection:
     """What the readings ask for beside the model of the job."""
 
     field: Field
-    start: Given
+    fit: Fit
     chosen: tuple[Chosen, ...] = ()
+    """What the parts of the fit are, one by one"""
 
     @property
     def named(self) -> tuple[Chosen, ...]:
@@ -76,13 +78,18 @@ class Selection:
 
     def given(self, without: Sequence[Chosen] = ()) -> Given:
         """Return the model with what was chosen, but for some."""
-        kept = [one.columns for one in self.chosen if not any(one is other for other in without)]
-        return self.start.with_columns(np.concatenate(kept, axis=1)) if kept else self.start
+        gone = [number for number, one in enumerate(self.chosen) if any(one is other for other in without)]
+        return self.fit.without(gone) if gone else self.fit.given
 
     def with_one(self, one: Chosen, instead: Chosen | None = None) -> Selection:
         """Return the selection with one more, or with it in the place of another."""
-        kept = tuple(other for other in self.chosen if other is not instead)
-        return replace(self, chosen=(*kept, one))
+        kept = self if instead is None else self.without(instead)
+        return replace(kept, fit=kept.fit.with_part(one.columns), chosen=(*kept.chosen, one))
+
+    def without(self, gone: Chosen) -> Selection:
+        """Return the selection without one."""
+        kept = [number for number, one in enumerate(self.chosen) if one is not gone]
+        return replace(self, fit=self.fit.only(kept), chosen=tuple(self.chosen[number] for number in kept))
 
     def levels(self) -> list[float]:
         """Return ln of the level of each that was chosen, given the others, counted over all that was tried."""
@@ -91,7 +98,7 @@ class Selection:
 
 def select(field: Field, start: Given) -> Selection:
     """Return what wins the race, step by step, until nothing more is beyond chance."""
-    selection, passed = Selection(field, start), []
+    selection, passed = Selection(field, Fit(start)), []
     for _ in range(_STEPS):
         step = _step(selection)
         if step is not None and _dominated(step):
@@ -110,7 +117,7 @@ def _dominated(selection: Selection) -> bool:
     Their signatures are linear about a model without them; what that leaves of a large effect is structure of its own.
     """
     given = selection.given()
-    large = selection.start.squares / selection.start.dof > _DOMINANT * given.squares / max(given.dof, 1.0)
+    large = selection.fit.start.squares / selection.fit.start.dof > _DOMINANT * given.squares / max(given.dof, 1.0)
     return bool(selection.named) and not selection.unknown and large and given.dof > _MANY
 
 
@@ -219,8 +226,9 @@ def _with_outliers(selection: Selection, wrong: Score, given: Given) -> Selectio
             break
         if reading not in there and all(_alike(field, reading, other) < _ALIKE for other in batch):
             batch.append(reading)
-    new = tuple(Chosen(-1, reading, field.of_reading(reading)) for reading in batch)
-    return replace(selection, chosen=(*selection.chosen, *new))
+    for reading in batch:
+        selection = selection.with_one(Chosen(-1, reading, field.of_reading(reading)))
+    return selection
 
 
 def _alike(field: Field, reading: int, other: int) -> float:
@@ -285,9 +293,7 @@ def _dropped(selection: Selection) -> Selection:
         worst = int(np.argmax(over))
         if over[worst] <= 0:
             break
-        selection = replace(
-            selection, chosen=tuple(one for one in selection.chosen if one is not selection.chosen[worst])
-        )
+        selection = selection.without(selection.chosen[worst])
     return selection
 
 

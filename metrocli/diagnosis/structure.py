@@ -10,9 +10,10 @@ import numpy as np
 from metrocli.adjust.blocks import Array
 from metrocli.adjust.observations import Index
 from metrocli.diagnosis.distributions import log_family, log_tail
+from metrocli.diagnosis.given import PRIOR, Given, nothing
 from metrocli.diagnosis.naming import Named
 from metrocli.diagnosis.projection import System
-from metrocli.diagnosis.race import PRIOR, Field, Given, nothing
+from metrocli.diagnosis.race import Field
 from metrocli.diagnosis.selection import Selection, carried_by_few
 from metrocli.diagnosis.subject import Subject
 

@@ -18,11 +18,12 @@ from metrocli.adjust.quantities import Quantity
 from metrocli.diagnosis.candidates import families_of
 from metrocli.diagnosis.distributions import chi_interval, log_family, log_tail, noncentrality
 from metrocli.diagnosis.gain import _held, _without
+from metrocli.diagnosis.given import PRIOR, nothing
 from metrocli.diagnosis.mended import field_of_job
 from metrocli.diagnosis.naming import _seen
 from metrocli.diagnosis.noise import apart
 from metrocli.diagnosis.projection import System, linearised, signature
-from metrocli.diagnosis.race import PRIOR, Field, independent, nothing, quadratic
+from metrocli.diagnosis.race import Field, independent, quadratic
 from metrocli.diagnosis.selection import select
 from metrocli.diagnosis.structure import pure_error
 from metrocli.diagnosis.subject import Subject
