@@ -12,6 +12,7 @@ from metrocli import units
 from metrocli.diagnosis import verdict
 from metrocli.diagnosis.design import Candidate, Design
 from metrocli.diagnosis.diagnose import Diagnosis, Finding
+from metrocli.diagnosis.gain import Gain
 from metrocli.diagnosis.mended import sizes
 from metrocli.diagnosis.naming import Named
 from metrocli.diagnosis.noise import GIVEN
@@ -19,6 +20,8 @@ from metrocli.diagnosis.subject import Subject
 
 _WIDTH = 110
 _SHOWN = 5
+_TOLD = 4
+"""Effects that are told in sentences; the table has all"""
 _SURE = 1e-12
 
 
@@ -55,8 +58,11 @@ def _sentences(diagnosis: Diagnosis, extended: Path | None) -> Iterator[str]:
     elif diagnosis.left is None:
         strongest = f"{_chance(diagnosis.after)} for the strongest structure"
         yield f"The residuals are what noise makes of this model ({strongest})."
-    for finding in diagnosis.findings:
+    for finding in diagnosis.findings[:_TOLD]:
         yield from _about(finding, diagnosis.subject)
+    if len(diagnosis.findings) > _TOLD:
+        yield f"{len(diagnosis.findings) - _TOLD} more are in the table."
+    yield from _together(diagnosis)
     if diagnosis.left is not None:
         yield from _left(diagnosis)
     elif diagnosis.findings:
@@ -94,11 +100,29 @@ def _about(finding: Finding, subject: Subject) -> Iterator[str]:
         yield f"With this measurement {others} explains the readings as well."
     shift, unit = units.readable(finding.shift, subject.delivered.dimension)
     yield f"It changes the {subject.delivered.what} by up to {shift:.2g} {unit}."
-    score = f"log score {gain.log_score:+.1f} ± {gain.log_score_std:.1f}"
     if gain.shown:
-        yield f"Readings that were held out are predicted {100 * gain.reduction:.0f} % better ({score})."
+        yield f"Readings that were held out are predicted {100 * gain.reduction:.0f} % better ({_score(gain)})."
     else:
-        yield f"A gain on readings that were held out is not shown ({score})."
+        yield f"A gain on readings that were held out is not shown ({_score(gain)})."
+
+
+def _together(diagnosis: Diagnosis) -> Iterator[str]:
+    gain = diagnosis.together
+    if gain is None:
+        return
+    before, after = (_error(size, diagnosis.subject) for size in (gain.before, gain.after))
+    what = f"the error of readings that were held out goes from {before} to {after}"
+    shown = "" if gain.shown else "; that this is a gain is not shown"
+    yield f"With all of it {what} (root mean square; {_score(gain)}){shown}."
+
+
+def _error(size: float, subject: Subject) -> str:
+    value, unit = units.readable(size, subject.reading[1])
+    return f"{value:.3g} {unit}"
+
+
+def _score(gain: Gain) -> str:
+    return f"log score {gain.log_score:+.1f} ± {gain.log_score_std:.1f}"
 
 
 def _parameters(finding: Finding, subject: Subject) -> Iterator[str]:

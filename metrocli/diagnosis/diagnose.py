@@ -19,7 +19,8 @@ from metrocli.diagnosis.noise import Noise, Unit, apart, noise_of, weighted
 from metrocli.diagnosis.polish import polished
 from metrocli.diagnosis.projection import System, signature
 from metrocli.diagnosis.race import Field
-from metrocli.diagnosis.selection import Selection, select
+from metrocli.diagnosis.selected import Selection
+from metrocli.diagnosis.selection import select
 from metrocli.diagnosis.structure import REPEATS, Left, PureError, left_over, pure_error, strongest
 from metrocli.diagnosis.subject import Subject
 
@@ -64,6 +65,8 @@ class Diagnosis:
     """Level of the strongest smooth structure left"""
     design: Design
     separate_by: tuple[str, ...]
+    together: Gain | None = None
+    """What all that was named gains, where it is more than one"""
     repeats: PureError | None = None
     """What repeated readings say of the noise, where there are any"""
     mistaken: Mistaken | None = None
@@ -100,7 +103,7 @@ def diagnose(subject: Subject, say: Say = lambda line: None) -> Diagnosis:
     found = noise_of(given)
     say("finding what the measurement could not see")
     findings = tuple(
-        Finding(name, gain, _shift(subject, field.system, name)) for name, gain in zip(names, gained, strict=True)
+        Finding(name, gain, _shift(subject, field.system, name)) for name, gain in zip(names, gained, strict=False)
     )
     return Diagnosis(
         subject,
@@ -113,6 +116,7 @@ def diagnose(subject: Subject, say: Say = lambda line: None) -> Diagnosis:
         after,
         design(subject, field, not_tested, found.ratio),
         _separate(subject, names),
+        gained[-1] if len(names) > 1 else None,
         repeats,
     )
 

@@ -16,7 +16,8 @@ from metrocli.adjust.observations import Index
 from metrocli.diagnosis.given import Given, nothing
 from metrocli.diagnosis.naming import Named
 from metrocli.diagnosis.race import Field
-from metrocli.diagnosis.selection import Chosen, Selection, select
+from metrocli.diagnosis.selected import Chosen, Selection
+from metrocli.diagnosis.selection import select
 from metrocli.diagnosis.subject import Subject
 
 _DETERMINED = 1e-6
@@ -56,20 +57,24 @@ class _Held:
 
 
 def gains(subject: Subject, selection: Selection, names: Sequence[Named]) -> list[Gain]:
-    """Return the gain of each named effect: with what each fold's own selection names of it, against without."""
+    """Return the gain of each named effect, then of all: with what each fold's own selection names of it, and without.
+
+    Smooth terms are in neither, as the extended job has none.
+    """
     field = selection.field
     rows = _rows_of_folds(subject, field)
     spared = np.zeros(field.system.rows, dtype=bool)
     for one in selection.outliers:
         spared[field.places[one.number][field.places[one.number] >= 0]] = True
-    found: list[list[tuple[_Held, _Held]]] = [[] for _ in names]
+    groups: list[Sequence[Named]] = [*([name] for name in names), names]
+    found: list[list[tuple[_Held, _Held]]] = [[] for _ in groups]
     for fold in range(int(rows.max()) + 1):
         out = np.flatnonzero((rows == fold) & ~spared)
         if out.size:
             trained = select(field, _without(field, np.flatnonzero(rows == fold)))
             start = _without(field, np.flatnonzero((rows == fold) & spared))
-            for number, name in enumerate(names):
-                found[number].append(_compared(start, trained, name, out))
+            for number, group in enumerate(groups):
+                found[number].append(_compared(start, trained, group, out))
     return [_gain(pairs) for pairs in found]
 
 
@@ -87,19 +92,19 @@ def _without(field: Field, out: Index) -> Given:
     return nothing(field.system).with_columns(field.system.seen(unit))
 
 
-def _compared(start: Given, trained: Selection, name: Named, out: Index) -> tuple[_Held, _Held]:
-    """Return how well a fold is predicted without and with an effect, as the selection without the fold has it.
+def _compared(start: Given, trained: Selection, names: Sequence[Named], out: Index) -> tuple[_Held, _Held]:
+    """Return how well a fold is predicted without and with effects, as the selection without the fold has them.
 
     In `start` the wrong readings of the fold are unknowns of their own, so that they count for neither.
     """
     field = trained.field
-    spots = {name.alternative.spot, *(rival.alternative.spot for rival in name.rivals)}
+    spots = {spot for name in names for spot in _spots(name)}
 
     def is_it(one: Chosen) -> bool:
         return field.families[one.family].alternatives[one.number].spot in spots
 
-    others = [one for one in trained.chosen if one.outlier or one in trained.unknown or not is_it(one)]
     own = [one for one in trained.named if is_it(one)]
+    others = [one for one in trained.chosen if one not in own and one not in trained.unknown]
     before = _with_all(start, others)
     return _held(field, before, out), _held(field, _with_all(before, own), out)
 
@@ -142,3 +147,7 @@ def _gain(pairs: Sequence[tuple[_Held, _Held]]) -> Gain:
     medians = [float(np.median(np.abs(np.concatenate([held.errors for held in side])))) for side in sides]
     total = float(differences.sum())
     return Gain(rms[0], rms[1], medians[0], medians[1], total, spread * float(np.sqrt(len(differences))))
+
+
+def _spots(name: Named) -> list[tuple[str, tuple[str, ...]]]:
+    return [name.alternative.spot, *(rival.alternative.spot for rival in name.rivals)]

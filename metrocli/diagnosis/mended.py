@@ -15,7 +15,7 @@ from metrocli.diagnosis.naming import Named
 from metrocli.diagnosis.noise import Unit, weighted
 from metrocli.diagnosis.projection import linearised
 from metrocli.diagnosis.race import Field, field_of
-from metrocli.diagnosis.selection import Selection
+from metrocli.diagnosis.selected import Selection
 from metrocli.diagnosis.smooth import smooth_families
 from metrocli.diagnosis.subject import Subject
 from metrocli.effects.effect import Parameter

@@ -11,7 +11,8 @@ from metrocli.adjust.observations import Mask
 from metrocli.diagnosis.candidates import Alternative
 from metrocli.diagnosis.given import VISIBLE, Given
 from metrocli.diagnosis.race import FLAT
-from metrocli.diagnosis.selection import Chosen, Selection, evidence
+from metrocli.diagnosis.selected import Chosen, Selection, levels_of
+from metrocli.diagnosis.selection import evidence
 
 _ODDS = 1 / 20
 _NEEDED = 0.01
@@ -69,12 +70,12 @@ class Named:
 
 def named(selection: Selection) -> tuple[Named, ...]:
     """Return the effects of a selection with their sets of names."""
-    levels = dict(zip(map(id, selection.chosen), selection.levels(), strict=True))
+    levels = dict(zip(map(id, selection.chosen), levels_of(selection), strict=True))
     return tuple(_named(selection, one, levels[id(one)]) for one in selection.named)
 
 
 def _named(selection: Selection, one: Chosen, level: float) -> Named:
-    given, full = selection.given(without=[one]), selection.given()
+    given, full = selection.beside(one), selection.given(without=selection.around(one))
     alternative = selection.field.families[one.family].alternatives[one.number]
     left = one.columns - given.basis @ (given.basis.T @ one.columns)
     whole = selection.field.scales[one.family][one.number]
@@ -149,7 +150,8 @@ def _explains(selection: Selection, one: Chosen, given: Given, family: int, at: 
     """Whether with the rival in the model the named effect is not needed any more, or could not be."""
     field = selection.field
     gain = field.score(one.family, given, [one.number]).gain[0]
-    noise = selection.given().squares / max(selection.given().dof, 1)
+    full = selection.given(without=selection.around(one))
+    noise = full.squares / max(full.dof, 1)
     if (1 - cosine**2) * gain < _TOLD * noise:
         return True
     columns = field.families[family].columns[:, at]

@@ -10,7 +10,7 @@ from metrocli.adjust.blocks import Array
 from metrocli.diagnosis.candidates import Alternative, Family, thinned
 from metrocli.diagnosis.projection import signature
 from metrocli.diagnosis.race import Field
-from metrocli.diagnosis.selection import Chosen, Selection
+from metrocli.diagnosis.selected import Chosen, Selection
 from metrocli.diagnosis.subject import Subject
 
 _TRIED = 40
@@ -50,7 +50,7 @@ def _closer(subject: Subject, selection: Selection, one: Chosen, name: str) -> S
     values = _between(subject, family, alternative, name)
     if not len(values):
         return selection
-    given = selection.given(without=[one])
+    given = selection.beside(one)
     best, most, columns = alternative, field.score(one.family, given, [one.number]).gain[0], one.columns
     for value in values.tolist():
         scanned = tuple((key, value if key == name else old) for key, old in alternative.scanned)
@@ -93,4 +93,5 @@ def _with_alternative(field: Field, number: int, alternative: Alternative, colum
         return (*parts[:number], part, *parts[number + 1 :])
 
     families = (*field.families[:number], grown, *field.families[number + 1 :])
-    return replace(field, families=families, scales=changed(field.scales, grown.raw), grams=changed(field.grams, gram))
+    scales, grams = changed(field.scales, grown.raw), changed(field.grams, gram)
+    return replace(field, families=families, scales=scales, grams=grams, remembered={})

@@ -15,11 +15,13 @@ from metrocli.adjust.blocks import Array
 from metrocli.adjust.observations import Mask
 from metrocli.diagnosis.candidates import Family
 from metrocli.diagnosis.distributions import log_family, log_tail
-from metrocli.diagnosis.given import PRIOR, VISIBLE, Given
+from metrocli.diagnosis.given import PRIOR, VISIBLE, Given, orthonormal
 from metrocli.diagnosis.projection import System
 
 FLAT = 1e-8
 """Eigenvalue of several parameters' signatures, as a share of the largest, below which a direction is not seen"""
+_INSIDE = 0.5
+"""Share of an effect (sum of squares) inside smooth terms from which on it lies in them"""
 _DRAWS = 1000
 _MOST_WORK = 4e9
 
@@ -63,6 +65,8 @@ class Field:
     """Of all families of smooth functions together"""
     excluded: Mask = field(default_factory=lambda: np.zeros(0, dtype=bool))
     """Readings that cannot be called outliers"""
+    remembered: dict[tuple[int, int], tuple[Mask, ...]] = field(default_factory=dict, compare=False, repr=False)
+    """For smooth terms, what lies in them"""
 
     def scores(self, given: Given) -> list[Score]:
         """Return the tests of all families, given what is in the model."""
@@ -112,6 +116,34 @@ class Field:
         rank = np.where(self.excluded, 0, rank)
         return self._scored(np.where(rank > 0, gain, 0.0), rank, given)
 
+    def lying_in(self, family: int, number: int) -> tuple[Mask, ...]:
+        """Return for each family of effects which alternatives lie in smooth terms; for families of these, none."""
+        key = family, number
+        if key not in self.remembered:
+            terms = self.families[family].columns[:, number]
+            basis = orthonormal(terms / np.maximum(np.linalg.norm(terms, axis=0), 1e-300), VISIBLE)
+            self.remembered[key] = tuple(
+                np.zeros(len(f.alternatives), dtype=bool) if f.unknown else lies_in(f.columns, gram, basis)
+                for f, gram in zip(self.families, self.grams, strict=True)
+            )
+        return self.remembered[key]
+
+    def around(self, family: int, number: int) -> list[tuple[int, int]]:
+        """Return the smooth terms in which an effect lies, each by its family and number."""
+        smooth = ((i, at) for i, f in enumerate(self.families) if f.unknown for at in range(len(f.alternatives)))
+        return [one for one in smooth if self.lying_in(*one)[family][number]]
+
+    def causes_in(self, smooth: Sequence[tuple[int, int]]) -> float:
+        """Return as how many independent ones the effects count that lie in smooth terms, `n^2 / sum c_ij`.
+
+        c is the squared correlation of two effects, 1 for aliases (the effective number of tests, Nyholt 2004).
+        """
+        lying = {i: int(np.argmax(m)) for one in smooth for i, m in enumerate(self.lying_in(*one)) if m.any()}
+        columns = [self.families[i].columns[:, at] for i, at in lying.items()]
+        bases = [orthonormal(c / np.maximum(np.linalg.norm(c, axis=0), 1e-300), VISIBLE) for c in columns]
+        alike = [[((a.T @ b) ** 2).sum() / min(a.shape[1], b.shape[1]) for b in bases] for a in bases]
+        return len(bases) ** 2 / float(np.sum(alike)) if bases else 1.0
+
     def level(self, number: int, log_p: float) -> float:
         """Return ln of the level of a family's best alternative, counted over the family."""
         return float(log_family(log_p, self.tests[number]))
@@ -131,6 +163,12 @@ class Field:
 
 _REDUNDANT = 1e-3
 """Share of a reading's error that must show for it to be called an outlier"""
+
+
+def lies_in(columns: Array, gram: Array, basis: Array) -> Mask:
+    """Return for columns (rows, k, q) and their Gram matrices whether most of them is inside a basis, (k,)."""
+    inside = np.einsum("kqq->k", _products(basis, columns))
+    return np.asarray(inside > _INSIDE * np.einsum("kqq->k", gram))
 
 
 def _products(basis: Array, columns: Array) -> Array:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,11 +10,17 @@ from metrocli.adjust.blocks import Array
 from metrocli.diagnosis.distributions import log_tail
 from metrocli.diagnosis.given import Fit, Given
 from metrocli.diagnosis.race import Field, Score
+from metrocli.diagnosis.selected import Chosen, Drop, Selection, levels_of, special
 
 FIRST, LATER, UNKNOWN, WRONG_READING = 0.03, 0.01, 0.005, 0.01
 """Levels, counted over all that is tried: of the first name, of further names, of smooth terms and of outliers
 
 Beside outliers the first name has the level of further ones: where readings are wrong, more are than are found.
+"""
+STANDING_OUT = 0.05
+"""Level at which an effect must stand out of smooth terms in which it lies to be named beside them
+
+Counted over the effects that lie in them.
 """
 _STEPS = 40
 _SHARE = 0.1
@@ -30,70 +35,7 @@ _ALIKE = 0.3
 """Correlation of two outliers above which they are not taken in one step"""
 _FEW = 3
 _CLEARLY = 1.0
-"""By how much the evidence (ln) of another name must be larger to take the place of one that is in the model"""
-
-
-@dataclass(frozen=True)
-class Chosen:
-    """What is in the model: an alternative of a family, or an outlier (family -1, a reading)."""
-
-    family: int
-    number: int
-    columns: Array
-
-    @property
-    def outlier(self) -> bool:
-        """Whether it is a wrong reading."""
-        return self.family < 0
-
-
-@dataclass(frozen=True)
-class Selection:
-    """What the readings ask for beside the model of the job."""
-
-    field: Field
-    fit: Fit
-    chosen: tuple[Chosen, ...] = ()
-    """What the parts of the fit are, one by one"""
-
-    @property
-    def named(self) -> tuple[Chosen, ...]:
-        """The effects, without smooth terms and outliers."""
-        return tuple(one for one in self.chosen if not one.outlier and not self.field.families[one.family].unknown)
-
-    @property
-    def unknown(self) -> tuple[Chosen, ...]:
-        """The smooth terms."""
-        return tuple(one for one in self.chosen if not one.outlier and self.field.families[one.family].unknown)
-
-    @property
-    def outliers(self) -> tuple[Chosen, ...]:
-        """The wrong readings."""
-        return tuple(one for one in self.chosen if one.outlier)
-
-    @property
-    def members(self) -> frozenset[tuple[int, int]]:
-        """Family and number of all that was chosen."""
-        return frozenset((one.family, one.number) for one in self.chosen)
-
-    def given(self, without: Sequence[Chosen] = ()) -> Given:
-        """Return the model with what was chosen, but for some."""
-        gone = [number for number, one in enumerate(self.chosen) if any(one is other for other in without)]
-        return self.fit.without(gone) if gone else self.fit.given
-
-    def with_one(self, one: Chosen, instead: Chosen | None = None) -> Selection:
-        """Return the selection with one more, or with it in the place of another."""
-        kept = self if instead is None else self.without(instead)
-        return replace(kept, fit=kept.fit.with_part(one.columns), chosen=(*kept.chosen, one))
-
-    def without(self, gone: Chosen) -> Selection:
-        """Return the selection without one."""
-        kept = [number for number, one in enumerate(self.chosen) if one is not gone]
-        return replace(self, fit=self.fit.only(kept), chosen=tuple(self.chosen[number] for number in kept))
-
-    def levels(self) -> list[float]:
-        """Return ln of the level of each that was chosen, given the others, counted over all that was tried."""
-        return levels_of(self)
+"""By how much the evidence (ln) of a name must be larger for it to count as a better one"""
 
 
 def select(field: Field, start: Given) -> Selection:
@@ -154,6 +96,9 @@ def _step(selection: Selection) -> Selection | None:
                 return known
             if given.squares - known.given().squares > _AS_MUCH * score.gain[score.best]:
                 return known
+            part = _standing_out(selection, scores)
+            if part is not None:
+                return part
         return _with_best(selection, family, score)
     return None
 
@@ -178,6 +123,29 @@ def _with_effects(selection: Selection) -> Selection:
             break
         selection = _with_best(selection, family, score)
     return selection
+
+
+def _standing_out(selection: Selection, scores: Sequence[Score]) -> Selection | None:
+    """Return the selection with the effect beyond chance that stands out of all smooth terms in which it lies.
+
+    Smooth terms that are many win against one effect among several that they contain; named are causes first.
+    """
+    field = selection.field
+    effects = [i for i, family in enumerate(field.families) if not family.unknown and len(scores[i].gain)]
+    levels = {i: field.overall(field.level(i, scores[i].log_p[scores[i].best])) for i in effects}
+    for family in sorted(effects, key=lambda i: levels[i]):
+        best = scores[family].best
+        if levels[family] < np.log(LATER) and all(
+            _stands_out(field, scores, (family, best), smooth) for smooth in field.around(family, best)
+        ):
+            return _with_best(selection, family, scores[family])
+    return None
+
+
+def _stands_out(field: Field, scores: Sequence[Score], effect: tuple[int, int], smooth: tuple[int, int]) -> bool:
+    own, whole = (Drop(float(scores[i].gain[at]), float(scores[i].rank[at])) for i, at in (effect, smooth))
+    rest = Drop(whole.squares - own.squares, whole.dof - own.dof)
+    return bool(special(field, effect[0], [smooth], own, rest) <= np.log(STANDING_OUT))
 
 
 def _together(selection: Selection, known: Selection) -> float:
@@ -245,50 +213,10 @@ def _diagonal(field: Field, reading: int) -> Array:
     return np.asarray(np.diag(field.blocks[reading])[kept])
 
 
-def levels_of(selection: Selection) -> list[float]:
-    """Return ln of the level of each chosen one given the others."""
-    field, full = selection.field, selection.given()
-    gains = {id(one): selection.given(without=[one]) for one in selection.chosen if not one.outlier}
-    found = _outlier_gains(selection)
-    levels = []
-    for one in selection.chosen:
-        if one.outlier:
-            gain, q = found[id(one)]
-        else:
-            without = gains[id(one)]
-            gain, q = without.squares - full.squares, int(without.dof - full.dof)
-        share = np.array(gain / max(full.squares + gain, 1e-300))
-        log_p = float(log_tail(share, q, max(full.dof, 1))) if q else 0.0
-        levels.append(field.overall(field.level(one.family, log_p)))
-    return levels
-
-
-def _outlier_gains(selection: Selection) -> dict[int, tuple[float, int]]:
-    """Return by how much each outlier lowers the sum of squares beside all else, and its rank, from one solution."""
-    outliers = selection.outliers
-    if not outliers:
-        return {}
-    base = selection.given(without=outliers)
-    x = np.concatenate([one.columns for one in outliers], axis=1)
-    x = x - base.basis @ (base.basis.T @ x)
-    size = np.maximum(np.linalg.norm(x, axis=0), 1e-300)
-    inverse = np.linalg.pinv((x / size).T @ (x / size), rcond=1e-11, hermitian=True)
-    beta = inverse @ ((x / size).T @ base.residual)
-    found, place = {}, 0
-    for one in outliers:
-        own = slice(place, place + one.columns.shape[1])
-        place = own.stop
-        values, vectors = np.linalg.eigh(inverse[own, own])
-        good = values > 1e-9 * max(float(values[-1]), 1e-300)
-        gain = float((((vectors.T @ beta[own]) ** 2)[good] / values[good]).sum())
-        found[id(one)] = gain, int(good.sum())
-    return found
-
-
 def _dropped(selection: Selection) -> Selection:
     """Return the selection without those that are not beyond chance given the others, the least worth first."""
     while selection.chosen:
-        levels = selection.levels()
+        levels = levels_of(selection)
         over = [level - np.log(_bound(selection, one)) for level, one in zip(levels, selection.chosen, strict=True)]
         worst = int(np.argmax(over))
         if over[worst] <= 0:
@@ -300,6 +228,8 @@ def _dropped(selection: Selection) -> Selection:
 def _bound(selection: Selection, one: Chosen) -> float:
     if one.outlier:
         return WRONG_READING
+    if selection.around(one):
+        return 2 * STANDING_OUT
     return FIRST if len(selection.chosen) == 1 else 2 * LATER
 
 
@@ -312,24 +242,51 @@ def evidence(field: Field, given: Given, family: int, score: Score) -> Array:
 
 
 def _swapped(selection: Selection) -> Selection:
-    """Return the selection with each name replaced by one that the others leave more evidence for, if there is one."""
-    field = selection.field
+    """Return the selection with names replaced by ones that the others leave more evidence for, if there are such.
+
+    Only by one beside which it is not needed: what says more of something else has its own turn in the race.
+    """
     for _ in range(5):
         for one in (*selection.named, *selection.unknown):
-            given = selection.given(without=[one])
-            scores = field.scores(given)
-            best = [evidence(field, given, i, score) for i, score in enumerate(scores)]
-            own = best[one.family][one.number]
-            family = int(np.argmax([values.max(initial=-np.inf) for values in best]))
-            number = int(np.argmax(best[family]))
-            differs, old = family != one.family, scores[one.family].log_p[one.number]
-            worse = (
-                field.level(family, scores[family].log_p[number]) > field.level(one.family, old) if differs else False
-            )
-            if best[family][number] > own + (_CLEARLY if differs else 1e-6) and not worse:
-                new = Chosen(family, number, field.families[family].columns[:, number])
+            new = _better(selection, one)
+            if new is not None:
                 selection = selection.with_one(new, instead=one)
                 break
         else:
             break
     return selection
+
+
+def _better(selection: Selection, one: Chosen) -> Chosen | None:
+    """Return what takes the place of one that was chosen, None where it stays."""
+    field, given = selection.field, selection.beside(one)
+    scores = field.scores(given)
+    best = [evidence(field, given, i, score) for i, score in enumerate(scores)]
+    for family, number in field.around(one.family, one.number) if one in selection.named else ():
+        best[family][number] = -np.inf
+    family = _preferred(field, best, one)
+    number = int(np.argmax(best[family]))
+    differs = family != one.family
+    if not differs and best[family][number] <= best[family][one.number] + 1e-6:
+        return None
+    old, its = scores[one.family].log_p[one.number], scores[family].log_p[number]
+    if family > one.family and field.level(family, its) > field.level(one.family, old):
+        return None
+    new = Chosen(family, number, field.families[family].columns[:, number])
+    left = field.score(one.family, given.with_columns(new.columns), [one.number]).log_p[0]
+    needed = field.overall(field.level(one.family, float(left))) < np.log(_bound(selection, one))
+    return None if differs and needed else new
+
+
+def _preferred(field: Field, best: Sequence[Array], one: Chosen) -> int:
+    """Return the family with clearly the most evidence; else, of effects as good, the first in the table of its kind.
+
+    The tables list what is usual first.
+    """
+    most = np.array([values.max(initial=-np.inf) for values in best])
+    own = best[one.family][one.number]
+    if most.max() > own + _CLEARLY and int(most.argmax()) != one.family:
+        return int(most.argmax())
+    if field.families[one.family].unknown:
+        return one.family
+    return int(np.flatnonzero(most[: one.family + 1] >= own - _CLEARLY)[0])

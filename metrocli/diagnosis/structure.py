@@ -14,7 +14,8 @@ from metrocli.diagnosis.given import PRIOR, Given, nothing
 from metrocli.diagnosis.naming import Named
 from metrocli.diagnosis.projection import System
 from metrocli.diagnosis.race import Field
-from metrocli.diagnosis.selection import Selection, carried_by_few
+from metrocli.diagnosis.selected import Selection, levels_of
+from metrocli.diagnosis.selection import carried_by_few
 from metrocli.diagnosis.subject import Subject
 
 _AFTER, _NOTHING_NAMED = 0.03, 0.005
@@ -107,7 +108,7 @@ def left_over(selection: Selection, names: Sequence[Named], field: Field, given:
         stays = carried_by_few(field, given, number, best) < np.log(_CARRIED)
     after = [field.families[number].unknown] if stays else []
     if unknown:
-        levels = dict(zip(map(id, selection.chosen), selection.levels(), strict=True))
+        levels = dict(zip(map(id, selection.chosen), levels_of(selection), strict=True))
         p = float(np.exp(min(levels[id(one)] for one in selection.unknown)))
         places = [selection.field.families[one.family].alternatives[one.number].instance for one in selection.unknown]
         size = _size(selection.field, selection.given(without=selection.unknown), selection.given())

@@ -11,6 +11,7 @@ from metrocli import units
 from metrocli.diagnosis.candidates import NotTested
 from metrocli.diagnosis.design import Candidate, Design, WrongReading
 from metrocli.diagnosis.diagnose import Diagnosis, Finding
+from metrocli.diagnosis.gain import Gain
 from metrocli.diagnosis.mended import sizes
 from metrocli.diagnosis.mistakes import Mistaken
 from metrocli.diagnosis.naming import Named, Rival
@@ -38,6 +39,7 @@ def as_data(diagnosis: Diagnosis) -> dict[str, Any]:
             *([] if diagnosis.mistaken is None else [_mistake(diagnosis.mistaken)]),
             *(_effect(diagnosis.subject, finding) for finding in diagnosis.findings),
         ],
+        "together": None if diagnosis.together is None else _gain(diagnosis.together, diagnosis.subject),
         "structure": {"before": diagnosis.before, "after": diagnosis.after},
         "unexplained": None if left is None else _left(diagnosis.subject, left),
         "candidates": candidates(diagnosis.subject, diagnosis.design, [f.named for f in diagnosis.findings]),
@@ -70,25 +72,28 @@ def _mistake(mistaken: Mistaken) -> dict[str, Any]:
 
 def _effect(subject: Subject, finding: Finding) -> dict[str, Any]:
     name, gain = finding.named, finding.gain
-    unit = units.find_unit(*subject.reading)
     return {
         "name": name.alternative.effect.name,
         "where": name.alternative.where,
         "parameters": _parameters(subject, name),
         "p_value": float(np.exp(name.log_level)),
         "alternatives": [_rival(rival) for rival in name.rivals],
-        "gain": {
-            "holdout_before": unit.outside(gain.before),
-            "holdout_after": unit.outside(gain.after),
-            "holdout_median_before": unit.outside(gain.median_before),
-            "holdout_median_after": unit.outside(gain.median_after),
-            "reduction_percent": 100 * gain.reduction,
-            "unit": unit.symbol,
-            "log_score": gain.log_score,
-            "log_score_std": gain.log_score_std,
-            "shown": gain.shown,
-            "result_shift": _delivered(subject, finding.shift),
-        },
+        "gain": _gain(gain, subject) | {"result_shift": _delivered(subject, finding.shift)},
+    }
+
+
+def _gain(gain: Gain, subject: Subject) -> dict[str, Any]:
+    unit = units.find_unit(*subject.reading)
+    return {
+        "holdout_before": unit.outside(gain.before),
+        "holdout_after": unit.outside(gain.after),
+        "holdout_median_before": unit.outside(gain.median_before),
+        "holdout_median_after": unit.outside(gain.median_after),
+        "reduction_percent": 100 * gain.reduction,
+        "unit": unit.symbol,
+        "log_score": gain.log_score,
+        "log_score_std": gain.log_score_std,
+        "shown": gain.shown,
     }
 
 

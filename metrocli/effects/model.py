@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain, count
 
 import numpy as np
 
@@ -191,7 +192,7 @@ def _number(model: Model, effect: Effect, key: str, value: float | str) -> float
 
 
 def _unused(name: str, taken: Iterable[str]) -> str:
-    names = (name, *(f"{name} {number}" for number in range(2, 1000)))
+    names = chain([name], (f"{name} {number}" for number in count(2)))
     return next(candidate for candidate in names if candidate not in taken)
 
 
