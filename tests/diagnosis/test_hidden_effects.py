@@ -24,7 +24,8 @@ def found(kind: str) -> tuple[Found, ...]:
     return tuple(results(kind, COUNT // 3 if kind in ONE_ROUND else COUNT))
 
 
-@pytest.fixture(params=KINDS)
+# one worker does all tests of a kind, so that its cases are run once
+@pytest.fixture(params=[pytest.param(kind, marks=pytest.mark.xdist_group(kind)) for kind in KINDS])
 def cases(request: pytest.FixtureRequest) -> tuple[Found, ...]:
     return found(request.param)
 
