@@ -74,8 +74,14 @@ def alignment(effect: Effect) -> Model:
 
 def _images(chain: Chain, index: dict[str, Array], view: Array) -> Group:
     rng = np.random.default_rng(9)
-    conditions = {"t": 60.0 * view + 17.0, "temp": 20 + 0.1 * rng.normal(size=8 + 12)[view], "radius": np.full(len(view), 6.0)}
-    observations = Observations(np.zeros((2, len(view))), np.array(0.05), index, conditions=conditions, components=("u", "v"))
+    conditions = {
+        "t": 60.0 * view + 17.0,
+        "temp": 20 + 0.1 * rng.normal(size=8 + 12)[view],
+        "radius": np.full(len(view), 6.0),
+    }
+    observations = Observations(
+        np.zeros((2, len(view))), np.array(0.05), index, conditions=conditions, components=("u", "v")
+    )
     return Group("images", chain, observations)
 
 

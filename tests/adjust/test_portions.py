@@ -87,7 +87,9 @@ def with_priors() -> Lengths:
     some = prior(fixed, np.array([1, 4, 30]), sigma=np.full((3, 3), 0.02))
     part = prior(fixed, np.array([2, 50]), sigma=np.full((2, 1), 0.01), columns=(2,))
     weights = np.random.default_rng(1).uniform(0.1, 1, made.groups[0].observations.count)
-    return Lengths((fixed, replace(tracers, free=of_tracers)), (replace(made.groups[0], weights=weights), some, part), None)
+    return Lengths(
+        (fixed, replace(tracers, free=of_tracers)), (replace(made.groups[0], weights=weights), some, part), None
+    )
 
 
 CASES = {
@@ -265,7 +267,9 @@ def test_a_datum_may_list_its_movements() -> None:
 
     def listed(blocks: Mapping[str, Block]) -> dict[str, Array]:
         assert not callable(affine)
-        return {name: move.at(blocks[name].values, np.arange(len(blocks[name].members))) for name, move in affine.items()}
+        return {
+            name: move.at(blocks[name].values, np.arange(len(blocks[name].members))) for name, move in affine.items()
+        }
 
     one, two = made.solved(), adjust(made.blocks, made.groups, replace(made.datum, movements=listed))
     assert two.conditions == one.conditions == 6

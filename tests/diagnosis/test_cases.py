@@ -29,11 +29,7 @@ pytestmark = pytest.mark.skipif(not FOLDERS, reason=f"no cases at {CASES}")
 def right(diagnosis: Diagnosis, truth: dict[str, Any]) -> bool:
     """Whether the verdict is what the truth asks for."""
     told = {_spot(finding.named.alternative) for finding in diagnosis.findings}
-    sets = told | {
-        _spot(rival.alternative)
-        for finding in diagnosis.findings
-        for rival in finding.named.rivals
-    }
+    sets = told | {_spot(rival.alternative) for finding in diagnosis.findings for rival in finding.named.rivals}
     planted = [effect for effect in truth["effects"] if effect.get("identifiable", True)]
     if not planted:
         return diagnosis.verdict == "clean"

@@ -53,7 +53,11 @@ class Warmer:
     def step(self, value: Array, local: Local) -> Step:
         rate, shift = local.rows(self.name)
         order, f, cx = np.arange(N), *(local.blocks["lens"].column(name) for name in ("f", "cx"))
-        changed, by_value, by_own = value.copy(), np.repeat(np.eye(len(value))[:, :, None], N, axis=2), np.zeros((len(value), 2, N))
+        changed, by_value, by_own = (
+            value.copy(),
+            np.repeat(np.eye(len(value))[:, :, None], N, axis=2),
+            np.zeros((len(value), 2, N)),
+        )
         changed[f] *= 1 + rate * order
         changed[cx] += shift
         by_value[f, f], by_own[f, 0], by_own[cx, 1] = 1 + rate * order, value[f] * order, 1.0
@@ -171,12 +175,17 @@ CASES: dict[str, Case] = {
         }.items()
     },
     **{f"{kind.__name__}, several": Case(kind(), (lens_blocks(**ALL),)) for kind in (Lens, LensBackward)},
-    "Varied": Case(Varied(Lens(), "lens", Warmer()), (lens_block(**ALL), Block("warmth", np.array([[1e-3, 2.0]]), ("rate", "shift")))),
+    "Varied": Case(
+        Varied(Lens(), "lens", Warmer()),
+        (lens_block(**ALL), Block("warmth", np.array([[1e-3, 2.0]]), ("rate", "shift"))),
+    ),
     "Varied, backward": Case(
-        Varied(LensBackward(), "lens", Warmer()), (lens_block(**ALL), Block("warmth", np.array([[1e-3, 2.0]]), ("rate", "shift")))
+        Varied(LensBackward(), "lens", Warmer()),
+        (lens_block(**ALL), Block("warmth", np.array([[1e-3, 2.0]]), ("rate", "shift"))),
     ),
     "Varied, several": Case(
-        Varied(Lens(), "lens", Warmer()), (lens_blocks(**ALL), Block("warmth", np.array([[1e-3, 2.0]]), ("rate", "shift")))
+        Varied(Lens(), "lens", Warmer()),
+        (lens_blocks(**ALL), Block("warmth", np.array([[1e-3, 2.0]]), ("rate", "shift"))),
     ),
     "Varied twice": Case(
         Varied(Varied(Lens(), "lens", Warmer()), "lens", Warmer("sun")),

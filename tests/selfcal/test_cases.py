@@ -30,7 +30,9 @@ def place(where: dict[str, Any]) -> frozenset[tuple[str, str]]:
 def right(diagnosis: Diagnosis, truth: dict[str, Any]) -> bool:
     """Whether the verdict is the expected one, and every planted effect stands in a set of names."""
     sets = {(f.named.alternative.effect.name, place(f.named.alternative.where)) for f in diagnosis.findings}
-    sets |= {(r.alternative.effect.name, place(r.alternative.where)) for f in diagnosis.findings for r in f.named.rivals}
+    sets |= {
+        (r.alternative.effect.name, place(r.alternative.where)) for f in diagnosis.findings for r in f.named.rivals
+    }
     known = [one for one in truth["effects"] if not one["name"].startswith("_")]
     named = all((one["name"], place(one["where"])) in sets for one in known)
     return diagnosis.verdict == truth["expected_verdict"] and named and len(diagnosis.findings) == len(known)

@@ -75,4 +75,6 @@ def test_estimated_noise_scales_the_uncertainties() -> None:
     assert found.statistics["noise"]["mm"] == pytest.approx(3 * NOISE, rel=0.1)
     assert found.statistics["noise_estimated"] is True
     assert "p_value" not in found.statistics
-    assert np.allclose(found.tables["machine_error"].numbers("ex"), declared.tables["machine_error"].numbers("ex"), atol=1e-9)
+    assert np.allclose(
+        found.tables["machine_error"].numbers("ex"), declared.tables["machine_error"].numbers("ex"), atol=1e-9
+    )

@@ -136,7 +136,10 @@ def turned(folder: Path) -> Path:
     units = {**dict.fromkeys("xyz", "mm"), **dict.fromkeys("abc", "rad"), "t": "s"}
     poses = Table({"image": np.array([f"image{i + 1}" for i in range(12)]), **held}, units)
     job = alignment(folder, targets, poses)
-    at = ", ".join(f"{name}: {getattr(part, name)} {'rad' if len(name) > 1 else 'mm'}" for name in ("x", "y", "z", "alpha", "beta", "gamma"))
+    at = ", ".join(
+        f"{name}: {getattr(part, name)} {'rad' if len(name) > 1 else 'mm'}"
+        for name in ("x", "y", "z", "alpha", "beta", "gamma")
+    )
     job.write_text(f"{job.read_text()}simulation: {{part: {{{at}}}, clamping_angle: 1 mrad}}\n")
     return job
 

@@ -73,7 +73,11 @@ def test_what_an_effect_frees_is_part_of_the_camera(
 ) -> None:
     """The lens of the simulation has it, the job frees it by name, and a job that uses the camera is given it."""
     job = calibration(tmp_path, "cmm", "forward", f"{{name: {effect}}}", estimate)
-    job.write_text(job.read_text().replace(LENS, LENS + {"aspect-ratio": ", aspect: 4e-3", "axis-skew": ", skew: -3e-3"}.get(effect, "")))
+    job.write_text(
+        job.read_text().replace(
+            LENS, LENS + {"aspect-ratio": ", aspect: 4e-3", "axis-skew": ", skew: -3e-3"}.get(effect, "")
+        )
+    )
     truth = {"k3": 0.0, "skew": 0.0, "aspect": 0.0} | simulated(tmp_path, job, metrocli)
     ran = metrocli("calibrate-camera", job, "--json", "--set", "inputs.observations=new/observations.csv")
     assert ran.code == 0, ran.err
@@ -131,7 +135,9 @@ def test_an_alignment_finds_what_was_planted(name: str, tmp_path: Path, metrocli
 
 
 def test_every_effect_of_alignments_is_planted_here() -> None:
-    assert {effect.name for effect in effects_of("align-part")} - {"clamping-angle", "target-eccentricity"} == set(ALIGNED)
+    assert {effect.name for effect in effects_of("align-part")} - {"clamping-angle", "target-eccentricity"} == set(
+        ALIGNED
+    )
 
 
 def test_a_known_effect_is_applied(tmp_path: Path, metrocli: Metrocli) -> None:
