@@ -15,13 +15,13 @@ from metrocli.diagnosis.given import nothing
 from metrocli.diagnosis.mended import field_of_job, recentred
 from metrocli.diagnosis.mistakes import Mistaken
 from metrocli.diagnosis.naming import Named, named
-from metrocli.diagnosis.noise import Noise, Unit, apart, noise_of, weighted
+from metrocli.diagnosis.noise import GIVEN, Noise, Unit, apart, noise_of, weighted
 from metrocli.diagnosis.polish import polished
 from metrocli.diagnosis.projection import System, signature
 from metrocli.diagnosis.race import Field
 from metrocli.diagnosis.selected import Selection
 from metrocli.diagnosis.selection import select
-from metrocli.diagnosis.structure import REPEATS, Left, PureError, left_over, pure_error, strongest
+from metrocli.diagnosis.structure import REPEATS, Left, PureError, left_over, log_strongest, pure_error
 from metrocli.diagnosis.subject import Subject
 
 Say = Callable[[str], None]
@@ -92,7 +92,7 @@ def diagnose(subject: Subject, say: Say = lambda line: None) -> Diagnosis:
     field, not_tested, units, selection = _selected(subject, rng)
     selection = polished(subject, selection)
     names = named(selection)
-    before = strongest(field)
+    before = float(np.exp(log_strongest(field, nothing(field.system))))
     say("holding parts of the readings out")
     gained = gains(subject, selection, names) if names else []
     field_after, given = recentred(subject, selection, names, units, rng)
@@ -133,12 +133,24 @@ def _selected(subject: Subject, rng: np.random.Generator) -> tuple[Field, list[N
     units: tuple[Unit, ...] = ()
     for _ in range(_ROUNDS + 1):
         field, not_tested = field_of_job(subject, weights, rng)
-        selection = select(field, nothing(field.system))
-        unit = apart(subject, field.system, selection.given(), rng) if len(units) < _ROUNDS else None
+        last = len(units) == _ROUNDS
+        unit = None if last else _sigma_first(subject, field, rng)
+        if unit is None:
+            selection = select(field, nothing(field.system))
+            unit = None if last else apart(subject, field.system, selection.given(), rng)
         if unit is None:
             break
         weights, units = weighted(subject, weights, unit), (*units, unit)
     return field, not_tested, _joined(units), selection
+
+
+def _sigma_first(subject: Subject, field: Field, rng: np.random.Generator) -> Unit | None:
+    """Return what the job gives with a wrong sigma, where that says more of the residuals than any cause."""
+    given = nothing(field.system)
+    unit = apart(subject, field.system, given, rng)
+    if unit is None or unit.key != GIVEN or unit.ratio < 1:
+        return None
+    return unit if unit.log_level < log_strongest(field, given) else None
 
 
 def _joined(units: Sequence[Unit]) -> tuple[Unit, ...]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from metrocli.adjust.blocks import Array
 from metrocli.adjust.observations import Mask
-from metrocli.diagnosis.distributions import chi_interval
+from metrocli.diagnosis.distributions import chi_interval, log_tail
 from metrocli.diagnosis.given import PRIOR, Given
 from metrocli.diagnosis.projection import System
 from metrocli.diagnosis.subject import Subject
@@ -44,6 +44,8 @@ class Unit:
     name: str
     ratio: float
     """Of its standard deviation to that of the others"""
+    log_level: float = 0.0
+    """ln of the level of the test, counted over all units"""
 
 
 def noise_of(given: Given) -> Noise:
@@ -57,7 +59,8 @@ def apart(subject: Subject, system: System, given: Given, rng: np.random.Generat
     """Return the unit whose noise differs most from that of the others, None where that is chance.
 
     Score test of its variance, `|r_u|^2 / |r|^2` against its null distribution, a scaled chi-squared of the moments
-    that projected white noise has; the ratio by equating sums of squares to their expectations (MINQUE, Rao 1971).
+    that projected white noise has, and for what is given also an F test without it; the ratio by equating sums of
+    squares to their expectations (MINQUE, Rao 1971).
     """
     units = list(_units(subject, system))
     if len(units) < 2:
@@ -71,14 +74,17 @@ def apart(subject: Subject, system: System, given: Given, rng: np.random.Generat
             continue
         shares = (noise[rows] ** 2).sum(axis=0) / whole
         share = float((given.residual[rows] ** 2).sum() / max(given.residual @ given.residual, 1e-300))
-        found.append((_log_tail(share, shares), key, name, rows))
+        log_p = _log_tail(share, shares)
+        if key == GIVEN:
+            log_p = min(log_p, _log_without(system, given, rows))
+        found.append((log_p, key, name, rows))
     if not found:
         return None
     log_p, key, name, rows = min(found, key=lambda one: one[0])
     if log_p > np.log(_LEVEL / len(units)):
         return None
     ratio = max(_ratio(system, given, rows), _LEAST if key == GIVEN else 0.0)
-    return None if 1 / _APART < ratio < _APART else Unit(key, name, ratio)
+    return None if 1 / _APART < ratio < _APART else Unit(key, name, ratio, log_p + float(np.log(len(units))))
 
 
 def _units(subject: Subject, system: System) -> Iterator[tuple[str, str, Mask]]:
@@ -109,6 +115,21 @@ def _log_tail(share: float, shares: Array) -> float:
     scale, dof = variance / (2 * mean), 2 * mean**2 / variance
     tail = min(float(chdtr(dof, share / scale)), float(chdtrc(dof, share / scale)))
     return float(np.log(max(2 * tail, 1e-300)))
+
+
+def _log_without(system: System, given: Given, rows: Mask) -> float:
+    """Return ln of the level of the F test of all that is given in some rows, `F = ((S - S_0)/q) / (S_0/nu_0)`.
+
+    S_0 is the sum of squares where they say nothing: readings that disagree with what is given show it in both.
+    """
+    unit = np.zeros((system.rows, int(rows.sum())))
+    unit[rows, np.arange(unit.shape[1])] = 1.0
+    without = given.with_columns(system.seen(unit))
+    q = given.dof - without.dof
+    if q < 1 or without.dof < 1:
+        return 0.0
+    share = np.array(np.clip(1 - without.squares / max(given.squares, 1e-300), 0.0, 1.0))
+    return float(log_tail(share, q, without.dof))
 
 
 def _ratio(system: System, given: Given, rows: Mask) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 from metrocli.adjust.blocks import Array
 from metrocli.adjust.observations import Index
 from metrocli.diagnosis.distributions import log_family, log_tail
-from metrocli.diagnosis.given import PRIOR, Given, nothing
+from metrocli.diagnosis.given import PRIOR, Given
 from metrocli.diagnosis.naming import Named
 from metrocli.diagnosis.projection import System
 from metrocli.diagnosis.race import Field
@@ -79,12 +79,11 @@ def _within(values: Array, label: Index) -> tuple[float, float]:
     return float(((values - means[number]) ** 2).sum()), float((len(values) - len(counts)) * values.shape[1])
 
 
-def strongest(field: Field) -> float:
-    """Return the level of the strongest candidate in the residuals as they are."""
-    given = nothing(field.system)
+def log_strongest(field: Field, given: Given) -> float:
+    """Return ln of the level of the strongest candidate beside a model, counted over all."""
     levels = [field.level(i, score.log_p[score.best]) for i, score in enumerate(field.scores(given)) if len(score.gain)]
     wrong = field.outliers(given)
-    return float(np.exp(field.overall(min([*levels, field.level(-1, wrong.log_p[wrong.best])]))))
+    return field.overall(min([*levels, field.level(-1, wrong.log_p[wrong.best])]))
 
 
 def left_over(selection: Selection, names: Sequence[Named], field: Field, given: Given) -> tuple[Left | None, float]:
