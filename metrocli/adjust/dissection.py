@@ -1,11 +1,13 @@
 """Order of elimination for a sparse normal matrix: nested dissection by the places of its unknowns (George 1973).
 
-Unknowns at one place are kept together. A part is cut by a plane in the space of places; those on one side that touch
-the other side are the separator, eliminated after both sides. Right for any places, fast where near means coupled.
+A part is cut by a plane in the space of places. Eliminated after both sides is the least set of unknowns that every
+coupling across the plane touches, from the largest matching of these couplings (Koenig 1931; Pothen, Fan 1990). Right
+for any places, fast where near means coupled.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import Any
@@ -24,6 +26,8 @@ _BALANCE = 0.3
 """Neither side of a cut is to have less than this share, where that can be had"""
 _PART, _BORDER = 200.0, 2.0
 """Cost of eliminating a part of n unknowns with a border of b: `_PART (n^2 + _BORDER n b)`; fits parts of 1e3 to 1e5"""
+_TRIED = 3
+"""Planes whose separators are found"""
 
 
 @dataclass(frozen=True)
@@ -44,27 +48,94 @@ class Front:
 
 @dataclass(frozen=True)
 class _Graph:
-    """Places, and which of them are coupled."""
+    """Which unknowns are coupled, each with itself too, and where they are."""
 
-    places: Array
-    touching: Sparse
-    weights: Array
-    """Unknowns at each place"""
-    directions: Array
+    coupled: Sparse
+    places: Index
+    directions: Index
     """Normals of the planes that cut, (directions, k)"""
 
 
 @dataclass(frozen=True)
-class _Cut:
+class _Links:
+    """Couplings of unknowns with those of a part, one after the other; every unknown has one at least."""
+
+    starts: Index
+    """First link of each unknown"""
+    ends: Index
+    """Number in the part of the other unknown"""
+
+    def reach(self, level: Index) -> tuple[Index, Index]:
+        """Return the lowest and the highest level that each unknown is linked to."""
+        levels = level[self.ends]
+        return np.minimum.reduceat(levels, self.starts), np.maximum.reduceat(levels, self.starts)
+
+    def matrix(self, size: int) -> Sparse:
+        """Return 1 for each link, (unknowns, size)."""
+        from scipy.sparse import csr_array
+
+        pointers = np.append(self.starts, len(self.ends))
+        return csr_array((np.ones(len(self.ends), dtype=np.int8), self.ends, pointers), shape=(len(self.starts), size))
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Unknowns that are still to be cut, with the later ones that they touch."""
+
+    unknowns: Index
+    border: Index
+    inner: _Links
+    outer: _Links
+    """From the border"""
+
+    @staticmethod
+    def of(coupled: Sparse, unknowns: Index) -> _Part:
+        """Return a part of a graph."""
+        number = np.full(coupled.shape[0], -1, dtype=np.intp)
+        number[unknowns] = np.arange(len(unknowns))
+        rows = coupled[unknowns]
+        border = np.unique(rows.indices[number[rows.indices] < 0])
+        return _Part(unknowns, border, _links(rows, number), _links(coupled[border], number))
+
+    @property
+    def rows(self) -> Index:
+        """The unknown at which each inner link begins."""
+        return np.repeat(np.arange(len(self.unknowns)), np.diff(self.inner.starts, append=len(self.inner.ends)))
+
+
+def _links(rows: Sparse, number: Index) -> _Links:
+    ends = number[rows.indices]
+    inside = ends >= 0
+    return _Links(np.concatenate([[0], np.cumsum(inside)])[rows.indptr[:-1]], ends[inside])
+
+
+@dataclass(frozen=True)
+class _Plane:
+    """A plane across a part, the best of its direction."""
+
+    left: Mask
+    """What lies on its left"""
+    touched: tuple[int, int]
+    """Unknowns of the border that each side touches"""
+    uneven: bool
     cost: float
+    """Of the cut along it, at most"""
+
+
+@dataclass(frozen=True)
+class _Cut:
+    """Sides of a part and what separates them, by their numbers in the part."""
+
     left: Index
     right: Index
     separator: Index
+    cost: float
 
 
-@dataclass
+@dataclass(frozen=True)
 class _Node:
-    places: Index
+    pivots: Index
+    border: Index
     children: tuple[int, ...]
 
 
@@ -73,121 +144,136 @@ def dissect(matrix: Sparse, places: Array) -> list[Front]:
 
     The last front is the root, whose border is empty; where the matrix falls apart there are several roots.
     """
-    graph, at = _graph(matrix, places)
     nodes: list[_Node] = []
-    _dissected(graph, np.arange(len(graph.weights)), np.zeros(0, dtype=np.intp), nodes)
-    members = np.split(np.argsort(at, kind="stable"), np.cumsum(np.bincount(at))[:-1])
-    return _fronts(graph, nodes, members)
+    _dissected(_graph(matrix, places), np.arange(len(places)), nodes)
+    turn = _turns(nodes, len(places))
+    return [Front(*(part[np.argsort(turn[part])] for part in (one.pivots, one.border)), one.children) for one in nodes]
 
 
-def _graph(matrix: Sparse, places: Array) -> tuple[_Graph, Index]:
-    from scipy.sparse import csr_array
+def _graph(matrix: Sparse, places: Array) -> _Graph:
+    from scipy.sparse import csr_array, eye_array
 
-    distinct, at = np.unique(places, axis=0, return_inverse=True)
-    at = at.reshape(-1)
-    n, m = len(at), len(distinct)
-    coupled = matrix.tocoo()
-    pairs = np.unique(at[coupled.row].astype(np.int64) * m + at[coupled.col])
-    rows, columns = pairs // m, pairs % m
-    apart = rows != columns
-    touching = csr_array((np.ones(int(apart.sum())), (rows[apart], columns[apart])), shape=(m, m))
+    pattern = csr_array((np.ones(matrix.nnz, dtype=np.int8), matrix.indices, matrix.indptr), shape=matrix.shape)
+    coupled = (pattern + eye_array(len(places), dtype=np.int8, format="csr")).tocsr()
     directions = [d for d in product((-1, 0, 1), repeat=places.shape[1]) if next((x for x in d if x), 0) > 0]
-    weights = np.bincount(at, minlength=m).astype(float)
-    assert weights.sum() == n
-    return _Graph(distinct.astype(float), touching, weights, np.array(directions, dtype=float)), at
+    return _Graph(coupled, np.rint(places).astype(np.intp), np.array(directions))
 
 
-def _dissected(graph: _Graph, part: Index, border: Index, nodes: list[_Node]) -> tuple[int, ...]:
+def _dissected(graph: _Graph, unknowns: Index, nodes: list[_Node]) -> tuple[int, ...]:
     """Append the nodes of a part, and return its roots."""
-    cut = _best_cut(graph, part, border) if graph.weights[part].sum() > _LEAF else None
+    part = _Part.of(graph.coupled, unknowns)
+    pieces = _pieces(part)
+    if len(pieces) > 1:
+        return tuple(root for piece in pieces for root in _dissected(graph, unknowns[piece], nodes))
+    cut = _best_cut(graph, part) if len(unknowns) > _LEAF else None
     if cut is None:
-        nodes.append(_Node(part, ()))
-        return (len(nodes) - 1,)
-    around = np.concatenate([border, cut.separator])
-    children: tuple[int, ...] = ()
-    for side in (cut.left, cut.right):
-        children += _dissected(graph, side, _touched(graph, around, side), nodes)
-    if not cut.separator.size:
-        return children
-    nodes.append(_Node(cut.separator, children))
+        nodes.append(_Node(unknowns, part.border, ()))
+    else:
+        children = tuple(root for side in (cut.left, cut.right) for root in _dissected(graph, unknowns[side], nodes))
+        nodes.append(_Node(unknowns[cut.separator], part.border, children))
     return (len(nodes) - 1,)
 
 
-def _touched(graph: _Graph, around: Index, part: Index) -> Index:
-    inside = np.zeros(len(graph.weights))
-    inside[part] = 1.0
-    return np.asarray(around[(graph.touching @ inside)[around] > 0])
+def _pieces(part: _Part) -> list[Index]:
+    """Return what of a part hangs together, by numbers in the part; small pieces are bundled."""
+    from scipy.sparse.csgraph import connected_components
+
+    _, piece = connected_components(part.inner.matrix(len(part.unknowns)), directed=False)
+    sizes = np.bincount(piece)
+    small = np.where(sizes > _LEAF, 0, sizes)
+    bundle = np.where(small > 0, np.cumsum(small) // _LEAF, len(part.unknowns) + np.arange(len(sizes)))[piece]
+    return np.split(np.argsort(bundle, kind="stable"), np.flatnonzero(np.diff(np.sort(bundle))) + 1)
 
 
-def _best_cut(graph: _Graph, part: Index, border: Index) -> _Cut | None:
-    inner = graph.touching[part][:, part]
-    outer = graph.touching[part][:, border].T.tocsr()
-    found = [
-        cut
-        for direction in graph.directions
-        for cut in _cuts(graph, part, border, (inner, outer), graph.places[part] @ direction)
-    ]
-    total = graph.weights[part].sum()
-    weights = graph.weights
-    even = [cut for cut in found if min(weights[cut.left].sum(), weights[cut.right].sum()) > _BALANCE * total]
-    return min(even or found, key=lambda cut: cut.cost, default=None)
+def _best_cut(graph: _Graph, part: _Part) -> _Cut | None:
+    """Return the cheapest cut by the planes that promise most; None where there is none."""
+    planes = sorted(_planes(graph, part), key=lambda plane: (plane.uneven, plane.cost))
+    cuts = [_cut(part, plane) for plane in planes[:_TRIED]]
+    return min((cut for cut in cuts if cut.left.size and cut.right.size), key=lambda cut: cut.cost, default=None)
 
 
-def _cuts(graph: _Graph, part: Index, border: Index, touching: tuple[Sparse, Sparse], height: Array) -> list[_Cut]:
-    inner, outer = touching
-    levels = np.unique(height)[:-1]
-    if not levels.size:
-        return []
-    left = height[:, None] <= levels
-    beside = np.asarray(inner @ left.astype(float)) > 0
-    beyond = np.asarray(inner @ (~left).astype(float)) > 0
-    cuts = []
-    for separator, low, high in ((left & beyond, left & ~beyond, ~left), (~left & beside, left, ~left & ~beside)):
-        weights = graph.weights[part]
-        s, a, b = weights @ separator, weights @ low, weights @ high
-        near = graph.weights[border]
-        shared = near.sum()
-        c, d = (near @ (np.asarray(outer @ side.astype(float)) > 0) if border.size else 0.0 * s for side in (low, high))
-        own = s**3 / 3 + s * s * shared + s * shared**2
-        cost = own + _PART * (a * a + _BORDER * a * (c + s) + b * b + _BORDER * b * (d + s))
-        cost[(a == 0) | (b == 0)] = np.inf
-        best = int(np.argmin(cost))
-        for level in {best, _most_even(a, b, cost)}:
-            if np.isfinite(cost[level]):
-                chosen = (part[low[:, level]], part[high[:, level]], part[separator[:, level]])
-                cuts.append(_Cut(float(cost[level]), *chosen))
-    return cuts
+def _planes(graph: _Graph, part: _Part) -> Iterator[_Plane]:
+    """Yield the best plane of each direction."""
+    n, border = len(part.unknowns), len(part.border)
+    for direction in graph.directions:
+        height = graph.places[part.unknowns] @ direction
+        level = height - height.min()
+        if not level.any():
+            continue
+        (low, high), (nearest, farthest) = part.inner.reach(level), part.outer.reach(level)
+        left, first, last, near, far = (_up_to(levels, level) for levels in (level, low, high, nearest, farthest))
+        separator, touched = np.minimum(left - last, first - left), (near, border - far)
+        costs = _cost((left, n - left), separator, touched, border)
+        share = np.minimum(left, n - left) / n
+        uneven = bool((share <= _BALANCE).all())
+        best = int(np.argmax(share) if uneven else np.argmin(np.where(share > _BALANCE, costs, np.inf)))
+        yield _Plane(level <= best, (int(near[best]), border - int(far[best])), uneven, float(costs[best]))
 
 
-def _most_even(a: Array, b: Array, cost: Array) -> int:
-    """Return the cheapest of the balanced cuts of one direction, or the most even one."""
-    share = np.minimum(a, b) / (a + b)
-    balanced = share > _BALANCE
-    return int(np.argmin(np.where(balanced, cost, np.inf))) if balanced.any() else int(np.argmax(share))
+def _up_to(levels: Index, level: Index) -> Index:
+    """Return how many of some levels are not above each but the last."""
+    return np.cumsum(np.bincount(levels, minlength=int(level.max()) + 1))[:-1]
 
 
-def _fronts(graph: _Graph, nodes: list[_Node], members: list[Index]) -> list[Front]:
-    turn = np.empty(len(graph.weights), dtype=np.intp)
-    for i, node in enumerate(nodes):
-        turn[node.places] = i
-    borders: list[Mask] = []
-    fronts = []
-    empty = np.zeros(0, dtype=np.intp)
-    for i, node in enumerate(nodes):
-        reach = np.zeros(len(turn), dtype=bool)
-        for row in node.places:
-            reach[graph.touching.indices[graph.touching.indptr[row] : graph.touching.indptr[row + 1]]] = True
-        for child in node.children:
-            reach |= borders[child]
-        reach &= turn > i
-        borders.append(reach)
-        border = np.flatnonzero(reach)
-        border = border[np.argsort(turn[border], kind="stable")]
-        fronts.append(
-            Front(
-                np.concatenate([members[p] for p in node.places]),
-                np.concatenate([empty, *(members[p] for p in border)]),
-                node.children,
-            )
-        )
-    return fronts
+def _cost(sides: tuple[Any, Any], separator: Any, touched: tuple[Any, Any], border: int) -> Any:
+    """Return the cost of a cut, from the numbers of unknowns of its parts and of the border that its sides touch."""
+    own = separator**3 / 3 + separator**2 * border + separator * border**2
+    return own + _PART * sum(n * n + _BORDER * n * (b + separator) for n, b in zip(sides, touched, strict=True))
+
+
+def _cut(part: _Part, plane: _Plane) -> _Cut:
+    """Return the cut along a plane, with the least separator."""
+    rows, columns = part.rows, part.inner.ends
+    across = plane.left[rows] & ~plane.left[columns]
+    separating = np.zeros(len(plane.left), dtype=bool)
+    separating[_cover(rows[across], columns[across])] = True
+    left, right = np.flatnonzero(plane.left & ~separating), np.flatnonzero(~plane.left & ~separating)
+    separator = np.flatnonzero(separating)
+    cost = _cost((len(left), len(right)), len(separator), plane.touched, len(part.border))
+    return _Cut(left, right, separator, cost)
+
+
+def _cover(rows: Index, columns: Index) -> Index:
+    """Return the least set of unknowns that every link has an end in; no unknown is both a row and a column.
+
+    Of a largest matching, the rows that no alternating path from an unmatched row reaches, and the columns that one
+    does (Koenig).
+    """
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import maximum_bipartite_matching
+
+    (left, i), (right, j) = (np.unique(side, return_inverse=True) for side in (rows, columns))
+    links = csr_array((np.ones(len(i), dtype=np.int8), (i, j)), shape=(len(left), len(right)))
+    partner = maximum_bipartite_matching(links, perm_type="column")
+    back = np.full(len(right), -1)
+    back[partner[partner >= 0]] = np.flatnonzero(partner >= 0)
+    reached, through = partner < 0, np.zeros(len(right), dtype=bool)
+    new = np.flatnonzero(reached)
+    while new.size:
+        met = np.unique(links[new].indices)
+        met = met[~through[met]]
+        through[met] = True
+        new = back[met]
+        reached[new] = True
+    return np.concatenate([left[~reached], right[through]])
+
+
+def _turns(nodes: Sequence[_Node], count: int) -> Index:
+    """Return the turn of each unknown: node after node, within one those together that the same descendants touch.
+
+    The unknowns of a front that a descendant touches then stand in few runs.
+    """
+    code, scale = np.zeros(count), np.ones(count)
+    at = np.empty(count, dtype=np.intp)
+    for i in reversed(range(len(nodes))):
+        at[nodes[i].pivots] = i
+        borders = [nodes[child].border for child in nodes[i].children]
+        if not borders:
+            continue
+        side = np.repeat(np.linspace(0.0, 1.0, len(borders)), [len(border) for border in borders])
+        touched, which, times = np.unique(np.concatenate(borders), return_inverse=True, return_counts=True)
+        code[touched] += scale[touched] * np.bincount(which, side) / times
+        scale[touched] /= 2 * len(borders)
+    turn = np.empty(count, dtype=np.intp)
+    turn[np.lexsort((code, at))] = np.arange(count)
+    return turn
