@@ -20,14 +20,12 @@ from metrocli.adjust.observations import Index, Mask
 Sparse = Any
 """A scipy.sparse.csr_array; scipy is imported where it is used, and has no types"""
 
-_LEAF = 200
-"""Parts of fewer unknowns are not cut"""
+_LEAF = 300
+"""Parts of so many unknowns or fewer are not cut"""
 _BALANCE = 0.3
 """Neither side of a cut is to have less than this share, where that can be had"""
 _PART, _BORDER = 200.0, 2.0
 """Cost of eliminating a part of n unknowns with a border of b: `_PART (n^2 + _BORDER n b)`; fits parts of 1e3 to 1e5"""
-_TRIED = 3
-"""Planes whose separators are found"""
 
 
 @dataclass(frozen=True)
@@ -98,6 +96,11 @@ class _Part:
         return _Part(unknowns, border, _links(rows, number), _links(coupled[border], number))
 
     @property
+    def is_leaf(self) -> bool:
+        """Whether it is not cut."""
+        return len(self.unknowns) <= _LEAF
+
+    @property
     def rows(self) -> Index:
         """The unknown at which each inner link begins."""
         return np.repeat(np.arange(len(self.unknowns)), np.diff(self.inner.starts, append=len(self.inner.ends)))
@@ -115,8 +118,6 @@ class _Plane:
 
     left: Mask
     """What lies on its left"""
-    touched: tuple[int, int]
-    """Unknowns of the border that each side touches"""
     uneven: bool
     cost: float
     """Of the cut along it, at most"""
@@ -129,14 +130,6 @@ class _Cut:
     left: Index
     right: Index
     separator: Index
-    cost: float
-
-
-@dataclass(frozen=True)
-class _Node:
-    pivots: Index
-    border: Index
-    children: tuple[int, ...]
 
 
 def dissect(matrix: Sparse, places: Array) -> list[Front]:
@@ -144,10 +137,14 @@ def dissect(matrix: Sparse, places: Array) -> list[Front]:
 
     The last front is the root, whose border is empty; where the matrix falls apart there are several roots.
     """
-    nodes: list[_Node] = []
-    _dissected(_graph(matrix, places), np.arange(len(places)), nodes)
-    turn = _turns(nodes, len(places))
-    return [Front(*(part[np.argsort(turn[part])] for part in (one.pivots, one.border)), one.children) for one in nodes]
+    fronts: list[Front] = []
+    _dissected(_graph(matrix, places), np.arange(len(places)), fronts)
+    turn = _turns(fronts, len(places))
+    return [Front(_sorted(one.pivots, turn), _sorted(one.border, turn), one.children) for one in fronts]
+
+
+def _sorted(unknowns: Index, turn: Index) -> Index:
+    return unknowns[np.argsort(turn[unknowns])]
 
 
 def _graph(matrix: Sparse, places: Array) -> _Graph:
@@ -159,37 +156,42 @@ def _graph(matrix: Sparse, places: Array) -> _Graph:
     return _Graph(coupled, np.rint(places).astype(np.intp), np.array(directions))
 
 
-def _dissected(graph: _Graph, unknowns: Index, nodes: list[_Node]) -> tuple[int, ...]:
-    """Append the nodes of a part, and return its roots."""
+def _dissected(graph: _Graph, unknowns: Index, fronts: list[Front]) -> tuple[int, ...]:
+    """Append the fronts of a part, their unknowns in no order yet, and return its roots."""
     part = _Part.of(graph.coupled, unknowns)
     pieces = _pieces(part)
     if len(pieces) > 1:
-        return tuple(root for piece in pieces for root in _dissected(graph, unknowns[piece], nodes))
-    cut = _best_cut(graph, part) if len(unknowns) > _LEAF else None
+        return tuple(root for piece in pieces for root in _dissected(graph, unknowns[piece], fronts))
+    cut = _best_cut(graph, part)
     if cut is None:
-        nodes.append(_Node(unknowns, part.border, ()))
+        fronts.append(Front(unknowns, part.border, ()))
     else:
-        children = tuple(root for side in (cut.left, cut.right) for root in _dissected(graph, unknowns[side], nodes))
-        nodes.append(_Node(unknowns[cut.separator], part.border, children))
-    return (len(nodes) - 1,)
+        children = tuple(root for side in (cut.left, cut.right) for root in _dissected(graph, unknowns[side], fronts))
+        fronts.append(Front(unknowns[cut.separator], part.border, children))
+    return (len(fronts) - 1,)
 
 
 def _pieces(part: _Part) -> list[Index]:
-    """Return what of a part hangs together, by numbers in the part; small pieces are bundled."""
+    """Return what of a part hangs together, by numbers in the part; small pieces are bundled, a leaf stays whole."""
     from scipy.sparse.csgraph import connected_components
 
+    if part.is_leaf:
+        return [np.arange(len(part.unknowns))]
     _, piece = connected_components(part.inner.matrix(len(part.unknowns)), directed=False)
     sizes = np.bincount(piece)
-    small = np.where(sizes > _LEAF, 0, sizes)
-    bundle = np.where(small > 0, np.cumsum(small) // _LEAF, len(part.unknowns) + np.arange(len(sizes)))[piece]
+    # bundles hold less than a leaf: at least one half, and one small piece that reaches across its end
+    half = _LEAF // 2
+    small = np.where(sizes <= half, sizes, 0)
+    bundle = np.where(small > 0, (np.cumsum(small) - small) // half, len(piece) + np.arange(len(sizes)))[piece]
     return np.split(np.argsort(bundle, kind="stable"), np.flatnonzero(np.diff(np.sort(bundle))) + 1)
 
 
 def _best_cut(graph: _Graph, part: _Part) -> _Cut | None:
-    """Return the cheapest cut by the planes that promise most; None where there is none."""
+    """Return the cut along the plane that promises most of those that leave something on both sides, if any does."""
+    if part.is_leaf:
+        return None
     planes = sorted(_planes(graph, part), key=lambda plane: (plane.uneven, plane.cost))
-    cuts = [_cut(part, plane) for plane in planes[:_TRIED]]
-    return min((cut for cut in cuts if cut.left.size and cut.right.size), key=lambda cut: cut.cost, default=None)
+    return next((cut for cut in (_cut(part, plane.left) for plane in planes) if cut.left.size and cut.right.size), None)
 
 
 def _planes(graph: _Graph, part: _Part) -> Iterator[_Plane]:
@@ -207,7 +209,7 @@ def _planes(graph: _Graph, part: _Part) -> Iterator[_Plane]:
         share = np.minimum(left, n - left) / n
         uneven = bool((share <= _BALANCE).all())
         best = int(np.argmax(share) if uneven else np.argmin(np.where(share > _BALANCE, costs, np.inf)))
-        yield _Plane(level <= best, (int(near[best]), border - int(far[best])), uneven, float(costs[best]))
+        yield _Plane(level <= best, uneven, float(costs[best]))
 
 
 def _up_to(levels: Index, level: Index) -> Index:
@@ -215,22 +217,20 @@ def _up_to(levels: Index, level: Index) -> Index:
     return np.cumsum(np.bincount(levels, minlength=int(level.max()) + 1))[:-1]
 
 
-def _cost(sides: tuple[Any, Any], separator: Any, touched: tuple[Any, Any], border: int) -> Any:
-    """Return the cost of a cut, from the numbers of unknowns of its parts and of the border that its sides touch."""
+def _cost(sides: tuple[Index, Index], separator: Index, touched: tuple[Index, Index], border: int) -> Array:
+    """Return the costs of cuts, from the numbers of unknowns of their parts and of the border that the sides touch."""
     own = separator**3 / 3 + separator**2 * border + separator * border**2
-    return own + _PART * sum(n * n + _BORDER * n * (b + separator) for n, b in zip(sides, touched, strict=True))
+    (a, b), (c, d) = sides, (number + separator for number in touched)
+    return np.asarray(own + _PART * (a * (a + _BORDER * c) + b * (b + _BORDER * d)))
 
 
-def _cut(part: _Part, plane: _Plane) -> _Cut:
-    """Return the cut along a plane, with the least separator."""
+def _cut(part: _Part, left: Mask) -> _Cut:
+    """Return the cut between what is left and the rest, with the least separator."""
     rows, columns = part.rows, part.inner.ends
-    across = plane.left[rows] & ~plane.left[columns]
-    separating = np.zeros(len(plane.left), dtype=bool)
-    separating[_cover(rows[across], columns[across])] = True
-    left, right = np.flatnonzero(plane.left & ~separating), np.flatnonzero(~plane.left & ~separating)
-    separator = np.flatnonzero(separating)
-    cost = _cost((len(left), len(right)), len(separator), plane.touched, len(part.border))
-    return _Cut(left, right, separator, cost)
+    across = left[rows] & ~left[columns]
+    between = np.zeros(len(left), dtype=bool)
+    between[_cover(rows[across], columns[across])] = True
+    return _Cut(np.flatnonzero(left & ~between), np.flatnonzero(~left & ~between), np.flatnonzero(between))
 
 
 def _cover(rows: Index, columns: Index) -> Index:
@@ -258,16 +258,16 @@ def _cover(rows: Index, columns: Index) -> Index:
     return np.concatenate([left[~reached], right[through]])
 
 
-def _turns(nodes: Sequence[_Node], count: int) -> Index:
-    """Return the turn of each unknown: node after node, within one those together that the same descendants touch.
+def _turns(fronts: Sequence[Front], count: int) -> Index:
+    """Return the turn of each unknown: front after front, within one those together that the same descendants touch.
 
     The unknowns of a front that a descendant touches then stand in few runs.
     """
     code, scale = np.zeros(count), np.ones(count)
     at = np.empty(count, dtype=np.intp)
-    for i in reversed(range(len(nodes))):
-        at[nodes[i].pivots] = i
-        borders = [nodes[child].border for child in nodes[i].children]
+    for i in reversed(range(len(fronts))):
+        at[fronts[i].pivots] = i
+        borders = [fronts[child].border for child in fronts[i].children]
         if not borders:
             continue
         side = np.repeat(np.linspace(0.0, 1.0, len(borders)), [len(border) for border in borders])

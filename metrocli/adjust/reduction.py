@@ -63,13 +63,24 @@ class Reduction:
 
     def variances(self, rows: Sparse) -> Array:
         """Return `diag(R Q R')` for rows of entries that readings couple, (n,)."""
+        net, scaled, outer = self._shared(rows)
+        own = np.asarray(scaled.multiply(scaled).sum(axis=1)).ravel()
+        return np.asarray(own + self._spread(net) + np.einsum("nb,nb->n", outer @ self.border, outer))
+
+    def covariance(self, rows: Sparse) -> Array:
+        """Return `R Q R'` for any rows, (n, n)."""
+        net, scaled, outer = self._shared(rows)
+        half = self.net.forward(net.T.toarray())
+        return np.asarray((scaled @ scaled.T).toarray() + half.T @ half + outer @ self.border @ outer.T)
+
+    def _shared(self, rows: Sparse) -> tuple[Sparse, Sparse, Array]:
+        """Return what rows weigh in `R Q R'`: the net, the local unknowns over the root of D, and the border."""
         g, rest = self.sizes.net, self.sizes.net + self.sizes.local
         net, local, border = rows[:, :g], rows[:, g:rest], rows[:, rest:]
         scaled = local.multiply(1 / self.diagonal).tocsr()
         net = (net - scaled @ self.towards_net).tocsr()
-        own = np.asarray(scaled.multiply(local).sum(axis=1)).ravel()
         outer = border.toarray() - scaled @ self.towards_border - net @ self.weights
-        return np.asarray(own + self._spread(net) + np.einsum("nb,nb->n", outer @ self.border, outer))
+        return net, local.multiply(1 / np.sqrt(self.diagonal)).tocsr(), outer
 
     def _spread(self, rows: Sparse) -> Array:
         """Return `diag(R S^-1 R')` from the entries of the inverse."""
