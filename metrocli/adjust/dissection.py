@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import product
+from itertools import groupby, product
 from typing import Any
 
 import numpy as np
@@ -143,6 +143,14 @@ def dissect(matrix: Sparse, places: Array) -> list[Front]:
     return [Front(_sorted(one.pivots, turn), _sorted(one.border, turn), one.children) for one in fronts]
 
 
+def connected(matrix: Sparse) -> list[Index]:
+    """Return the unknowns of each piece of a symmetric sparse matrix that hangs together."""
+    from scipy.sparse.csgraph import connected_components
+
+    _, piece = connected_components(matrix, directed=False)
+    return np.split(np.argsort(piece, kind="stable"), np.cumsum(np.bincount(piece))[:-1])
+
+
 def _sorted(unknowns: Index, turn: Index) -> Index:
     return unknowns[np.argsort(turn[unknowns])]
 
@@ -173,17 +181,17 @@ def _dissected(graph: _Graph, unknowns: Index, fronts: list[Front]) -> tuple[int
 
 def _pieces(part: _Part) -> list[Index]:
     """Return what of a part hangs together, by numbers in the part; small pieces are bundled, a leaf stays whole."""
-    from scipy.sparse.csgraph import connected_components
-
     if part.is_leaf:
         return [np.arange(len(part.unknowns))]
-    _, piece = connected_components(part.inner.matrix(len(part.unknowns)), directed=False)
-    sizes = np.bincount(piece)
-    # bundles hold less than a leaf: at least one half, and one small piece that reaches across its end
-    half = _LEAF // 2
-    small = np.where(sizes <= half, sizes, 0)
-    bundle = np.where(small > 0, (np.cumsum(small) - small) // half, len(piece) + np.arange(len(sizes)))[piece]
-    return np.split(np.argsort(bundle, kind="stable"), np.flatnonzero(np.diff(np.sort(bundle))) + 1)
+    half, bundles = _LEAF // 2, []
+    pieces = sorted(connected(part.inner.matrix(len(part.unknowns))), key=len)
+    small = sum(len(piece) <= half for piece in pieces)
+    # what begins in the same half of a leaf stays below a whole one
+    sizes = [len(piece) for piece in pieces[:small]]
+    begins = (np.cumsum(sizes, dtype=np.intp) - sizes) // half
+    for _, numbers in groupby(range(small), key=lambda n: int(begins[n])):
+        bundles.append(np.concatenate([pieces[n] for n in numbers]))
+    return bundles + pieces[small:]
 
 
 def _best_cut(graph: _Graph, part: _Part) -> _Cut | None:
