@@ -83,7 +83,7 @@ def test_the_front_door_says_what_the_commands_say(arguments: list[str]) -> None
 
 
 @pytest.mark.parametrize(("given", "used"), [({}, "1"), ({"OMP_NUM_THREADS": "3"}, "3")])
-def test_a_command_computes_on_one_thread_unless_told(given: dict[str, str], used: str) -> None:
+def test_matrix_products_take_one_thread_unless_told(given: dict[str, str], used: str) -> None:
     script = """
 import atexit, os, sys
 from metrocli.cli.main import main
