@@ -81,7 +81,7 @@ def one(n: int) -> None:
     """Print what one size takes and gives."""
     problem, truth = measured(n)
     took: dict[str, tuple[float, float]] = {}
-    with timed(took, "rank, factor, inverse"):
+    with timed(took, "rank, factor"):
         design = design_of(problem.fields)
     with timed(took, "values"):
         solution = adjust_fields(problem.fields, design).solution

@@ -277,7 +277,7 @@ def _constraint(conditions: Array, null: Array) -> Array:
         return np.zeros((0, len(null)))
     seen = conditions @ null
     _, sizes, mix = np.linalg.svd(seen)
-    fixed = int((sizes > 1e-7 * max(sizes.max(initial=0.0), 1e-300)).sum())
-    rest = null @ mix[fixed:].T
-    every = np.concatenate([conditions, rest.T])
-    return np.asarray(np.linalg.pinv(every @ null) @ every)
+    free = mix[int((sizes > 1e-7 * max(sizes.max(initial=0.0), 1e-300)).sum()) :]
+    inverse = np.linalg.pinv(np.concatenate([seen, free @ (null.T @ null)]))
+    count = len(conditions)
+    return np.asarray(inverse[:, :count] @ conditions + inverse[:, count:] @ free @ null.T)

@@ -151,7 +151,8 @@ def _factored(matrix: Sparse, places: Array) -> tuple[SparseCholesky, Array]:
         pass
     everywhere = np.full(matrix.shape[0], _STIFFNESS * largest)
     opened = _open(matrix, factor(_with_diagonal(matrix, everywhere), fronts), largest)
-    return factor(_with_diagonal(matrix, _holding(opened) * largest), fronts), opened
+    held = _holding(opened, matrix.shape[0])
+    return factor(_with_diagonal(matrix, held * largest), fronts), _side_by_side(opened, matrix.shape[0])
 
 
 def _with_diagonal(matrix: Sparse, added: Array) -> Sparse:
@@ -160,18 +161,23 @@ def _with_diagonal(matrix: Sparse, added: Array) -> Sparse:
     return _sum(matrix, diags_array(added, format="csr"))
 
 
-def _holding(opened: Array) -> Array:
-    """Return 1 at the unknowns whose holding closes all open directions, else 0, (n,)."""
+def _holding(opened: _Opened, count: int) -> Array:
+    """Return 1 at the unknowns whose holding closes all open directions, else 0, (count,)."""
     from scipy.linalg import qr
 
-    _, order = qr(opened.T, mode="r", pivoting=True)
-    held = np.zeros(len(opened))
-    held[order[: opened.shape[1]]] = 1.0
+    held = np.zeros(count)
+    for piece, directions in opened:
+        _, order = qr(directions.T, mode="r", pivoting=True)
+        held[piece[order[: directions.shape[1]]]] = 1.0
     return held
 
 
-def _open(matrix: Sparse, net: SparseCholesky, largest: float) -> Array:
-    """Return the open directions of a singular net by inverse iteration on ever more vectors, (n, k).
+_Opened = list[tuple[Index, Array]]
+"""The unknowns of pieces of a net, and their open directions (unknowns of the piece, k)"""
+
+
+def _open(matrix: Sparse, net: SparseCholesky, largest: float) -> _Opened:
+    """Return the open directions of a singular net by inverse iteration on ever more vectors.
 
     A net that falls apart has them piece by piece; the same columns serve all pieces at once.
     """
@@ -185,7 +191,7 @@ def _open(matrix: Sparse, net: SparseCholesky, largest: float) -> Array:
         if sum(each.shape[1] for each in found) > _MOST:
             raise OpenDesignError(f"more than {_MOST} directions are open")
         if all(each.shape[1] < count or len(each) <= count for each in found):
-            return _assembled(pieces, found)
+            return [(piece, own) for piece, own in zip(pieces, found, strict=True) if own.shape[1]]
         count *= 3
 
 
@@ -207,13 +213,13 @@ def _lowest(matrix: Sparse, vectors: Array, pieces: list[Index], largest: float)
         yield own @ mix[:, values < _SINGULAR * largest]
 
 
-def _assembled(pieces: list[Index], directions: list[Array]) -> Array:
-    """Return directions of single pieces as directions of the whole, side by side."""
-    whole = np.zeros((sum(len(piece) for piece in pieces), sum(each.shape[1] for each in directions)))
+def _side_by_side(opened: _Opened, count: int) -> Array:
+    """Return directions of single pieces as those of the whole, (count, k)."""
+    whole = np.zeros((count, sum(directions.shape[1] for _, directions in opened)))
     at = 0
-    for piece, own in zip(pieces, directions, strict=True):
-        whole[piece, at : at + own.shape[1]] = own
-        at += own.shape[1]
+    for piece, directions in opened:
+        whole[piece, at : at + directions.shape[1]] = directions
+        at += directions.shape[1]
     return whole
 
 
