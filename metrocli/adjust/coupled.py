@@ -76,16 +76,22 @@ class Design:
 
     def variances(self, rows: Sparse) -> Array:
         """Return the variances of sparse combinations of the unknowns, each of entries that readings couple, (n,)."""
-        shared, own = self._gauge
-        moved = np.asarray(rows @ self.null)
+        moved, shared, own = self._in_datum(rows)
         variances = self.reduction.variances(rows)
-        variances -= 2 * np.einsum("nk,nk->n", moved, np.asarray(rows @ shared))
+        variances -= 2 * np.einsum("nk,nk->n", moved, shared)
         variances += np.einsum("nk,kl,nl->n", moved, own, moved)
         return np.maximum(variances, 0.0)
 
     def covariance(self, rows: Sparse) -> Array:
-        """Return the covariance of any combinations of the unknowns, (n, n), at the cost of a solution for each."""
-        return np.asarray(rows @ self.solve(rows.T.toarray()))
+        """Return the covariance of any combinations of the unknowns, (n, n), for half the cost of their solutions."""
+        moved, shared, own = self._in_datum(rows)
+        across = moved @ shared.T
+        return self.reduction.covariance(rows) - across - across.T + moved @ own @ moved.T
+
+    def _in_datum(self, rows: Sparse) -> tuple[Array, Array, Array]:
+        """Return what the datum adds to the covariance of rows R: R Z, R P and H P."""
+        shared, own = self._gauge
+        return np.asarray(rows @ self.null), np.asarray(rows @ shared), own
 
     def std(self, block: str) -> Array:
         """Return the standard uncertainties of a block, (members, size), nan where it is not solved for."""
@@ -271,7 +277,7 @@ def _constraint(conditions: Array, null: Array) -> Array:
         return np.zeros((0, len(null)))
     seen = conditions @ null
     _, sizes, mix = np.linalg.svd(seen)
-    fixed = int((sizes > 1e-7 * max(sizes.max(initial=0.0), 1e-300)).sum())
-    rest = null @ mix[fixed:].T
-    every = np.concatenate([conditions, rest.T])
-    return np.asarray(np.linalg.pinv(every @ null) @ every)
+    free = mix[int((sizes > 1e-7 * max(sizes.max(initial=0.0), 1e-300)).sum()) :]
+    inverse = np.linalg.pinv(np.concatenate([seen, free @ (null.T @ null)]))
+    count = len(conditions)
+    return np.asarray(inverse[:, :count] @ conditions + inverse[:, count:] @ free @ null.T)

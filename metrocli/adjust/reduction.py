@@ -7,19 +7,22 @@ that `S S^- S = S`. The border is small and has its eigenvalues.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from metrocli.adjust.blocks import Array
-from metrocli.adjust.dissection import Sparse, dissect
+from metrocli.adjust.dissection import Sparse, connected, dissect
+from metrocli.adjust.observations import Index
 from metrocli.adjust.partition import Partition
 from metrocli.adjust.sparse_cholesky import SparseCholesky, factor
 
 _STIFFNESS = 1e-9
 _SINGULAR = 1e-9
 """Pivots and eigenvalues below this share of the diagonal are rounding"""
-_MOST = 700
+_MOST = 900
 """Open directions of the net that are looked for"""
 
 
@@ -38,15 +41,20 @@ class Reduction:
     """N_lg, (local, net)"""
     towards_border: Array
     """N_lb, (local, border)"""
+    matrix: Sparse
+    """S"""
     net: SparseCholesky
-    inverse: Sparse
-    """Entries of S^-1 where S has its own"""
     weights: Array
     """`S^-1 B`, B what is left of N_gb, (net, border)"""
     border: Array
     """T^-1 without its open directions, (border, border)"""
     null: Array
     """Everything that is open, Z (unknowns, k)"""
+
+    @cached_property
+    def inverse(self) -> Sparse:
+        """Entries of S^-1 where S has its own."""
+        return self.net.inverse(self.matrix)
 
     def solve(self, right: Array) -> Array:
         """Return a solution of `N x = right`; what of the right side lies in the open directions is left out."""
@@ -63,13 +71,24 @@ class Reduction:
 
     def variances(self, rows: Sparse) -> Array:
         """Return `diag(R Q R')` for rows of entries that readings couple, (n,)."""
+        net, scaled, outer = self._shared(rows)
+        own = np.asarray(scaled.multiply(scaled).sum(axis=1)).ravel()
+        return np.asarray(own + self._spread(net) + np.einsum("nb,nb->n", outer @ self.border, outer))
+
+    def covariance(self, rows: Sparse) -> Array:
+        """Return `R Q R'` for any rows, (n, n)."""
+        net, scaled, outer = self._shared(rows)
+        half = self.net.forward(net.T.toarray())
+        return np.asarray((scaled @ scaled.T).toarray() + half.T @ half + outer @ self.border @ outer.T)
+
+    def _shared(self, rows: Sparse) -> tuple[Sparse, Sparse, Array]:
+        """Return what rows weigh in `R Q R'`: the net, the local unknowns over the root of D, and the border."""
         g, rest = self.sizes.net, self.sizes.net + self.sizes.local
         net, local, border = rows[:, :g], rows[:, g:rest], rows[:, rest:]
         scaled = local.multiply(1 / self.diagonal).tocsr()
         net = (net - scaled @ self.towards_net).tocsr()
-        own = np.asarray(scaled.multiply(local).sum(axis=1)).ravel()
         outer = border.toarray() - scaled @ self.towards_border - net @ self.weights
-        return np.asarray(own + self._spread(net) + np.einsum("nb,nb->n", outer @ self.border, outer))
+        return net, local.multiply(1 / np.sqrt(self.diagonal)).tocsr(), outer
 
     def _spread(self, rows: Sparse) -> Array:
         """Return `diag(R S^-1 R')` from the entries of the inverse."""
@@ -106,7 +125,7 @@ def reduce(jacobian: Sparse, sizes: Partition, places: Array) -> Reduction:
     null_border = np.concatenate([np.zeros((len(corner), open_net.shape[1])), open_border], axis=1)
     null_local = -(towards_net @ null_net + towards_border @ null_border) / diagonal[:, None]
     null = np.concatenate([null_net, null_local, null_border])
-    return Reduction(sizes, diagonal, towards_net, towards_border, net, net.inverse(matrix), weights, border, null)
+    return Reduction(sizes, diagonal, towards_net, towards_border, matrix, net, weights, border, null)
 
 
 def _sum(*matrices: Sparse) -> Sparse:
@@ -132,7 +151,8 @@ def _factored(matrix: Sparse, places: Array) -> tuple[SparseCholesky, Array]:
         pass
     everywhere = np.full(matrix.shape[0], _STIFFNESS * largest)
     opened = _open(matrix, factor(_with_diagonal(matrix, everywhere), fronts), largest)
-    return factor(_with_diagonal(matrix, _holding(opened) * largest), fronts), opened
+    held = _holding(opened, matrix.shape[0])
+    return factor(_with_diagonal(matrix, held * largest), fronts), _side_by_side(opened, matrix.shape[0])
 
 
 def _with_diagonal(matrix: Sparse, added: Array) -> Sparse:
@@ -141,32 +161,66 @@ def _with_diagonal(matrix: Sparse, added: Array) -> Sparse:
     return _sum(matrix, diags_array(added, format="csr"))
 
 
-def _holding(opened: Array) -> Array:
-    """Return 1 at the unknowns whose holding closes all open directions, else 0, (n,)."""
+def _holding(opened: _Opened, count: int) -> Array:
+    """Return 1 at the unknowns whose holding closes all open directions, else 0, (count,)."""
     from scipy.linalg import qr
 
-    _, order = qr(opened.T, mode="r", pivoting=True)
-    held = np.zeros(len(opened))
-    held[order[: opened.shape[1]]] = 1.0
+    held = np.zeros(count)
+    for piece, directions in opened:
+        _, order = qr(directions.T, mode="r", pivoting=True)
+        held[piece[order[: directions.shape[1]]]] = 1.0
     return held
 
 
-def _open(matrix: Sparse, net: SparseCholesky, largest: float) -> Array:
-    """Return the open directions of a singular net by inverse iteration on ever more vectors, (n, k)."""
-    n, rng = matrix.shape[0], np.random.default_rng(0)
-    count = 32
+_Opened = list[tuple[Index, Array]]
+"""The unknowns of pieces of a net, and their open directions (unknowns of the piece, k)"""
+
+
+def _open(matrix: Sparse, net: SparseCholesky, largest: float) -> _Opened:
+    """Return the open directions of a singular net by inverse iteration on ever more vectors.
+
+    A net that falls apart has them piece by piece; the same columns serve all pieces at once.
+    """
+    pieces = connected(matrix)
+    rng, count = np.random.default_rng(0), 32
     while True:
-        count = min(count, n)
-        vectors = np.linalg.qr(rng.normal(size=(n, count)))[0]
+        vectors = rng.normal(size=(matrix.shape[0], count))
         for _ in range(4):
-            vectors = np.linalg.qr(net.solve(vectors))[0]
-        values, mix = np.linalg.eigh(vectors.T @ (matrix @ vectors))
-        small = values < _SINGULAR * largest
-        if small.sum() < count or count == n:
-            return np.asarray(vectors @ mix[:, small])
-        if count > _MOST:
+            vectors = _orthonormal(net.solve(vectors), pieces)
+        found = list(_lowest(matrix, vectors, pieces, largest))
+        if sum(each.shape[1] for each in found) > _MOST:
             raise OpenDesignError(f"more than {_MOST} directions are open")
+        if all(each.shape[1] < count or len(each) <= count for each in found):
+            return [(piece, own) for piece, own in zip(pieces, found, strict=True) if own.shape[1]]
         count *= 3
+
+
+def _orthonormal(vectors: Array, pieces: list[Index]) -> Array:
+    """Return vectors orthonormal over each piece, as many of them as it has unknowns, the others zero."""
+    whole = np.zeros_like(vectors)
+    for piece in pieces:
+        own = np.linalg.qr(vectors[piece, : len(piece)])[0]
+        whole[piece, : own.shape[1]] = own
+    return whole
+
+
+def _lowest(matrix: Sparse, vectors: Array, pieces: list[Index], largest: float) -> Iterator[Array]:
+    """Yield what is open in each piece of what its vectors span, (unknowns of the piece, k)."""
+    applied = matrix @ vectors
+    for piece in pieces:
+        own = vectors[piece, : len(piece)]
+        values, mix = np.linalg.eigh(own.T @ applied[piece, : len(piece)])
+        yield own @ mix[:, values < _SINGULAR * largest]
+
+
+def _side_by_side(opened: _Opened, count: int) -> Array:
+    """Return directions of single pieces as those of the whole, (count, k)."""
+    whole = np.zeros((count, sum(directions.shape[1] for _, directions in opened)))
+    at = 0
+    for piece, directions in opened:
+        whole[piece, at : at + directions.shape[1]] = directions
+        at += directions.shape[1]
+    return whole
 
 
 def _border(matrix: Array, alone: Array) -> tuple[Array, Array]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 
 from metrocli import __version__
@@ -60,6 +61,8 @@ def main() -> None:
     elif arguments == ["--version"]:
         sys.stdout.write(version_text() + "\n")
     else:
+        # threads within one matrix product wait for each other where other programs run; numpy reads this when loaded
+        os.environ.setdefault("OMP_NUM_THREADS", "1")
         from metrocli.cli.commands import run
 
         sys.exit(run(arguments))

@@ -112,12 +112,12 @@ def _of_machine(solved: Solved) -> Covariance:
     places = solved.design.partition.columns[bg.MACHINE][block.free.all(axis=1)]
 
     def covariance(weights: Array) -> Array:
-        found = []
-        for c in range(3):
-            rows = np.zeros((len(weights), solved.design.partition.width))
-            rows[:, places[:, c]] = weights
-            found.append(solved.design.covariance(csr_array(rows)))
-        return np.stack(found)
+        given, width = csr_array(weights), solved.design.partition.width
+        rows = [
+            csr_array((given.data, column[given.indices], given.indptr), shape=(len(weights), width))
+            for column in places.T
+        ]
+        return np.stack([solved.design.covariance(each) for each in rows])
 
     return covariance
 

@@ -48,6 +48,50 @@ def test_every_unknown_is_eliminated_once_and_after_its_children() -> None:
     assert all(child < i for i, front in enumerate(fronts) for child in front.children)
 
 
+def test_a_cut_takes_no_more_unknowns_than_its_couplings_need() -> None:
+    """Twenty places in a row with 40 unknowns each, all coupled there; one of a place is with three of the next."""
+    places = np.repeat(np.arange(20.0), 40)[:, None]
+    dense = np.where(places == places.T, 0.01, 0.0)
+    for place in range(19):
+        dense[40 * place, 40 * place + 41 : 40 * place + 44] = 0.1
+    dense = np.maximum(dense, dense.T) + np.eye(800)
+    fronts = dissect(csr_array(dense), places)
+    assert len(fronts) > 3
+    assert len(fronts[-1].pivots) == 1
+    assert max(len(front.border) for front in fronts) <= 2
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_it_inverts_where_places_say_nothing_of_couplings(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(400, 1200))
+    links = rng.integers(0, n, (2, n + n // 4))
+    dense = np.zeros((n, n))
+    dense[links[0], links[1]] = rng.normal(size=links.shape[1])
+    dense = dense + dense.T
+    dense += np.diag(np.abs(dense).sum(axis=1) + 1)
+    matrix = csr_array(dense)
+    cholesky = factor(matrix, dissect(matrix, rng.integers(0, 6, (n, 3)).astype(float)))
+    wanted = np.where(dense != 0, np.linalg.inv(dense), 0.0)
+    assert np.abs(cholesky.inverse(matrix).toarray() - wanted).max() < 1e-13
+    right = rng.normal(size=(n, 5))
+    assert np.allclose(cholesky.solve(right), np.linalg.solve(dense, right), rtol=0, atol=1e-12)
+    half = cholesky.forward(right)
+    assert np.allclose(half.T @ half, right.T @ np.linalg.solve(dense, right), rtol=0, atol=1e-10)
+
+
+def test_many_small_pieces_share_fronts() -> None:
+    rng = np.random.default_rng(7)
+    roots = rng.normal(size=(500, 3, 3))
+    pieces = roots @ roots.swapaxes(1, 2) + np.eye(3)
+    at = np.arange(1500).reshape(500, 3)
+    pairs = (np.broadcast_to(at[:, :, None], pieces.shape).ravel(), np.broadcast_to(at[:, None], pieces.shape).ravel())
+    matrix = csr_array((pieces.ravel(), pairs))
+    fronts = dissect(matrix, rng.integers(0, 9, (1500, 2)).astype(float))
+    assert len(fronts) < 20
+    assert np.allclose(factor(matrix, fronts).inverse(matrix).data, np.linalg.inv(pieces).reshape(-1, 9).ravel())
+
+
 def test_parts_without_connection_and_shared_places() -> None:
     """Two matrices side by side, all unknowns of one at the same place: a front that cannot be cut."""
     first, places = lattice((20, 20), 4)

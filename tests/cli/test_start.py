@@ -80,3 +80,18 @@ def test_the_front_door_says_what_the_commands_say(arguments: list[str]) -> None
     ]
     assert texts[0]
     assert texts[1] == texts[0] or not arguments
+
+
+@pytest.mark.parametrize(("given", "used"), [({}, "1"), ({"OMP_NUM_THREADS": "3"}, "3")])
+def test_matrix_products_take_one_thread_unless_told(given: dict[str, str], used: str) -> None:
+    script = """
+import atexit, os, sys
+from metrocli.cli.main import main
+atexit.register(lambda: print(os.environ["OMP_NUM_THREADS"], file=sys.stderr))
+sys.argv = ["metrocli", "schema", "selfcal-grid"]
+main()
+"""
+    environment = {key: value for key, value in os.environ.items() if key != "OMP_NUM_THREADS"} | given
+    command = [sys.executable, "-c", script]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
+    assert done.stderr.splitlines()[-1] == used
