@@ -59,6 +59,11 @@ class Problem:
         """All groups."""
         return (self.readings, *self.others)
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What people call each reading: point, leg, or line and place on it."""
+        return tuple(" at ".join(parts) for parts in zip(*self.readings.observations.keys.values(), strict=True))
+
     def model(self) -> Model:
         """Return the problem as a model that effects can be added to."""
         places = {"axis": Place(POSITION), "pair": Place(PAIRS)}

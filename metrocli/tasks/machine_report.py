@@ -216,7 +216,7 @@ def _sigma(solved: Solved, component: int) -> Array:
 
 
 def _suspects(solved: Solved) -> Table:
-    names = next(iter(solved.problem.readings.observations.keys.values()))
+    names = solved.problem.names
     return _named_tests(solved, [names[i] for i in solved.suspects.rows.tolist()], solved.suspects.tests.tolist())
 
 
@@ -279,7 +279,7 @@ def _warnings(solved: Solved) -> list[str]:
         )
     rows, tests = solved.suspects.rows.tolist(), solved.suspects.tests.tolist()
     if rows:
-        key, names = next(iter(solved.problem.readings.observations.keys.items()))
+        key, names = next(iter(solved.problem.readings.observations.keys)), solved.problem.names
         worst = sorted(zip(tests, [names[i] for i in rows], strict=True), reverse=True)
         told = [f"{name} (w = {test:.1f})" for test, name in worst]
         lines.append(

@@ -38,7 +38,7 @@ from metrocli.table import Table
 from metrocli.tasks.machine_on_the_fly import path_of
 from metrocli.tasks.machine_problem import PAIRS, commanded, conditions, error_blocks, machine_of, tools_of
 from metrocli.tasks.machine_settings import ON_THE_FLY, SIX_DOF, STANDSTILL, MachineSimulation, Settings
-from metrocli.tasks.machine_six_dof import laser_noise, line_conditions, planned_lines
+from metrocli.tasks.machine_six_dof import approach, laser_noise, line_conditions, planned_lines
 from metrocli.tasks.machine_standstill import tracker_noise
 from metrocli.tasks.machine_volume import grid_group, grid_of, without_rigid_motion
 
@@ -248,12 +248,13 @@ def _feeds(job: _Job, table: Table, path: Path) -> Array:
 
 
 def _lines(job: _Job, truth: Truth, rng: np.random.Generator) -> tuple[Table, Model]:
-    """Return lines along the axes, up and down, and along the three face diagonals, each with its misalignment."""
+    """Return lines along the axes, to and fro, and along the three face diagonals, each with its misalignment."""
     lines = planned_lines(machine_of(job.settings), job.simulation.step)
     along = lines.along
     block = line_block(lines.names)
     shifts = rng.normal(size=block.values.shape) * _MISALIGNED
-    flow = Flow(lines.position, np.zeros(len(lines.of), dtype=np.intp), line_conditions(lines, along), {LINE: lines.of})
+    given = line_conditions(lines, along) | approach(lines)
+    flow = Flow(lines.position, np.zeros(len(lines.of), dtype=np.intp), given, {LINE: lines.of})
     readings, model = job.read(truth.model(line_chain(truth.machine), {LINE: block.with_values(shifts)}, flow))
     root = np.linalg.cholesky(np.moveaxis(laser_noise(job.settings).covariance(along[lines.of].T), -1, 0))
     readings = readings + np.einsum("nab,bn->an", root, rng.normal(size=readings.shape))

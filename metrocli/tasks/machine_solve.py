@@ -48,7 +48,7 @@ def solve(problem: Problem, remove: bool) -> Solved:
         worst = _worst(doubtful) if remove else np.zeros(0, dtype=np.intp)
         if not worst.size:
             break
-        names = next(iter(problem.readings.observations.keys.values()))
+        names = problem.names
         tests = dict(zip(doubtful.rows.tolist(), doubtful.tests.tolist(), strict=True))
         rejected += [(names[i], tests[i]) for i in worst.tolist()]
         problem, state = _without(problem, worst), solution.blocks

@@ -146,6 +146,20 @@ def test_an_effect_that_is_planted_is_estimated(folder: Path, text: str, planted
     assert set(truth) <= set(true)
 
 
+def test_backlash_is_found_along_lines_that_go_to_and_fro(folder: Path, metrocli: Metrocli) -> None:
+    job = made(folder, LINES, metrocli)
+    planted = "backlash:axis=y,width=3um"
+    assert metrocli("simulate", job, "--out", folder / "new", "--force", "--effect", planted).code == 0
+    (folder / "lines.csv").write_text((folder / "new" / "lines.csv").read_text())
+    job.write_text(f"{LINES}effects: [{{name: backlash, axis: y}}]\n")
+    found = json.loads(metrocli("calibrate-machine", job, "--json").out)
+    width = found["estimates"]["backlash.y.width"]
+    assert abs(width["value"] - 0.003) < 4 * width["std"] < 0.001
+    figures = hdf5.read(folder / "result.h5")[0].tables["positioning"]
+    assert figures.numbers("B")[1] == pytest.approx(0.003, abs=0.002)  # noise of two readings, 27 targets
+    assert max(figures.numbers("B")[[0, 2]]) < 0.0025
+
+
 def test_what_cannot_be_told_apart_is_refused(folder: Path, metrocli: Metrocli) -> None:
     """One tracker sees machine and tracker drift as one."""
     job = made(folder, STANDSTILL, metrocli)
