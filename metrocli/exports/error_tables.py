@@ -195,9 +195,10 @@ _SQUARENESS_NAMES = tuple(name for name, *_ in SQUARENESS)
 
 
 def _tool(result: Result) -> tuple[float, float, float]:
-    """Return the first tool of a result, (0, 0, 0) where it has none."""
+    """Return the first tool that was measured, for which the tables are right; (0, 0, 0) where there is none."""
     if "tools" not in result.tables:
         return (0.0, 0.0, 0.0)
     table = result.tables["tools"]
-    x, y, z = (float(table.numbers(axis)[0]) for axis in ("x", "y", "z"))
+    first = int(np.argmax(np.asarray(table.columns["measured"], dtype=bool))) if "measured" in table else 0
+    x, y, z = (float(table.numbers(axis)[first]) for axis in ("x", "y", "z"))
     return x, y, z

@@ -61,7 +61,7 @@ class Lines:
 
     @property
     def sense(self) -> Array:
-        """Return +1 or -1 for the travel that led to each reading, (n,); for the first and at a turn that which follows.
+        """Return +1 or -1, the travel that led to each reading, (n,); for the first and at a turn that which follows.
 
         At a turn a target is read twice: at the end of one run, and as the first of the next.
         """
@@ -191,7 +191,7 @@ def runs_of(lines: Lines, table: Table) -> list[Run]:
 
 
 def approach(lines: Lines) -> dict[str, Array]:
-    """Return conditions from_x, from_y, from_z: from which side each axis came; 0 where it stands all along its line."""
+    """Return conditions from_x, from_y, from_z: from which side each axis came; 0 where it stands on its line."""
     moved = np.sign(np.where(np.abs(lines.along) > _LEAST_PART, lines.along, 0.0))[lines.of].T * lines.sense
     return dict(zip((f"from_{axis}" for axis in "xyz"), moved, strict=True))
 

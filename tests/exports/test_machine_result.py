@@ -85,6 +85,33 @@ def test_plain_csv_has_value_and_uncertainty_of_every_knot() -> None:
     assert np.abs(value - 1e3 * machine.tables["EYX"]).max() < 5 * std.max()
 
 
+def test_plain_csv_leaves_no_table_of_the_result_out() -> None:
+    """Squareness against both lines, and what is determined, beside the tables of the contract."""
+    _, result = measured(1)
+    files = export("csv", result)
+    assert files["squareness.csv"] is result.tables["squareness"]
+    assert "least_squares" in result.tables["squareness"]
+    assert files["errors-summary.csv"] is result.tables["errors"]
+    held = [one for one in files.values() if not isinstance(one, str)]
+    assert len(held) == sum(len(table) > 0 for table in result.tables.values())
+    assert "error,value_urad,std_urad" in str(files["errors-squareness.csv"])
+
+
+def test_tables_are_written_for_the_tool_that_was_measured() -> None:
+    """A job may list tools that this measurement did not use: tables with an open angle are not right for them."""
+    rng = np.random.default_rng(8)
+    machine = sim.random_machine(rng)
+    used = {"T2": sim.THREE["T2"]}
+    points = sim.points(machine, rng, 400, used)
+    result = calibrate_machine.run(sim.settings(tools=sim.THREE), points=points)
+    tables = error_tables.of(result)
+    assert tables.tool == sim.THREE["T2"]
+    places = sim.commands(rng, 60)
+    true = np.array([machine.first_order(place, np.array(sim.THREE["T2"])) for place in places])
+    left = sim.without_motion(true + etalon.CONTROL.moved(etalon.read(etalon.CONTROL.files(tables)), places), places)
+    assert np.sqrt((left**2).sum(axis=1).mean()) < 0.002 < 0.03 < np.sqrt((true**2).sum(axis=1).mean())
+
+
 def test_another_result_has_no_compensation() -> None:
     other = Result("straight-line", "", (), np.zeros((0, 0)), {}, {"residuals": Table({"a": np.arange(2.0)})})
     for name in set(FORMATS) - {"csv", "dcc"}:
