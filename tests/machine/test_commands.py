@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -160,6 +161,24 @@ def test_backlash_is_found_along_lines_that_go_to_and_fro(folder: Path, metrocli
     assert max(figures.numbers("B")[[0, 2]]) < 0.0025
 
 
+def test_backlash_needs_the_side_of_its_own_axis_only(folder: Path, metrocli: Metrocli) -> None:
+    """Sides of X alone are enough for X; Y and Z are said to be not tested, each with its column."""
+    job = made(folder, STANDSTILL, metrocli)
+    text = (folder / "points.csv").read_text().replace("from_y,from_z", "side_y,side_z", 1)
+    (folder / "points.csv").write_text(text)
+    for axis, code in (("x", 0), ("y", 3)):
+        job.write_text(f"{STANDSTILL}effects: [{{name: backlash, axis: {axis}}}]\n")
+        ran = metrocli("calibrate-machine", job)
+        assert ran.code == code, ran.err
+    assert "backlash needs a column from_y" in ran.err and "from_x" not in ran.err
+    job.write_text(STANDSTILL)
+    listed = json.loads(metrocli("diagnose", job, "--json").out)["candidates"]
+    told = [(one["where"], one["status"], one["reason"]) for one in listed if one["name"] == "backlash"]
+    assert ({"axis": "x"}, "excluded") in [one[:2] for one in told]
+    assert ({"axis": "y"}, "not-tested", "needs a column from_y") in told
+    assert ({"axis": "z"}, "not-tested", "needs a column from_z") in told
+
+
 def test_what_cannot_be_told_apart_is_refused(folder: Path, metrocli: Metrocli) -> None:
     """One tracker sees machine and tracker drift as one."""
     job = made(folder, STANDSTILL, metrocli)
@@ -223,6 +242,11 @@ def test_faults_of_a_job_are_told(folder: Path, old: str, new: str, said: str, m
         ),
         (lambda lines: [lines[0].replace(",tool", ",kind"), *lines[1:]], 3, "the file has no column 'tool'"),
         (lambda lines: [*lines[:3], ""], 3, "2 points are too few"),
+        (
+            lambda lines: [lines[0], re.sub(r"-?1.0,(?=-?1.0,T)", "17.5,", lines[1]), *lines[2:]],
+            3,
+            "y = 17.5 is no dir",
+        ),
         (lambda lines: [*lines[:20], ""], 4, "combinations of errors open"),
         (
             lambda lines: [lines[0], "A,700," + lines[1].split(",", 2)[2], *lines[2:]],
