@@ -129,10 +129,8 @@ def _has(group: Group, needs: Sequence[str]) -> bool:
 
 def lacking(model: Model, effect: Effect, where: Mapping[str, str]) -> str:
     """Return why an effect cannot act at a place, in words."""
-    if not any(_reaches(group, effect, where) for group in model.readings):
-        return _UNTOUCHED
-    columns = [COLUMN.get(name, name) for name in effect.needed(where)]
-    return f"needs a column {' and '.join(columns)}"
+    missing = [name for name in effect.needed(where) if not any(_has(group, [name]) for group in model.readings)]
+    return f"needs a column {' and '.join(COLUMN.get(name, name) for name in missing)}" if missing else _UNTOUCHED
 
 
 def _reaches(group: Group, effect: Effect, where: Mapping[str, str]) -> bool:

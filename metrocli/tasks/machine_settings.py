@@ -49,6 +49,7 @@ LINES = Columns(
         *(Column(name, "length") for name in ("ex", "ey", "ez")),
         *(Column(name, "angle") for name in ("ea", "eb", "ec")),
         *(Column(name, "length", required=False) for name in ("x", "y", "z")),
+        _TIME,
     ),
     (),
     "lines of a laser with six degrees of freedom",
@@ -170,7 +171,9 @@ class MachineSimulation:
         _VECTOR, "place of the tracker in the machine", default=(-1000.0, -800.0, 300.0)
     )
     points: int = setting(Whole(1, 1_000_000), "standstill: number of points", default=226)
-    interval: float = setting(Quantity("time", positive=True), "standstill: time from point to point", default=4.0)
+    interval: float = setting(
+        Quantity("time", positive=True), "standstill, six-dof: time from reading to reading", default=4.0
+    )
     sampling: float = setting(Quantity("time", positive=True), "on-the-fly: time between points", default=0.002)
     feed: float = setting(Quantity("speed", positive=True), "on-the-fly: where the path has no feed", default=40.0)
     step: float = setting(Quantity("length", positive=True), "six-dof: distance of readings", default=25.0)
@@ -204,7 +207,7 @@ class Settings:
         default="all",
     )
     outliers: str = setting(
-        Choice("report", "remove"), "standstill: name outliers, or leave them out", default="report"
+        Choice("report", "remove"), "standstill, six-dof: name outliers, or leave them out", default="report"
     )
     corner: float = setting(
         Quantity("length", minimum=0.0), "on-the-fly: what is cut off both ends of each leg", default=10.0
@@ -233,6 +236,8 @@ class Settings:
             if given != (key in needed):
                 verb = "needs" if key in needed else "does not use"
                 yield "inputs" + (f".{key}" if given else ""), f"method {self.method} {verb} the input '{key}'"
+        if self.method == ON_THE_FLY and self.outliers == "remove":
+            yield "outliers", "on the fly, wild points of the track are cut in any case: leave this key out"
         wanted = ("displacement", "straightness", "angle") if self.method == SIX_DOF else ("beam",)
         for key in wanted:
             if getattr(self.noise, key) is None:

@@ -252,7 +252,8 @@ def _lines(job: _Job, truth: Truth, rng: np.random.Generator) -> tuple[Table, Mo
     along = lines.along
     block = line_block(lines.names)
     shifts = rng.normal(size=block.values.shape) * _MISALIGNED
-    given = line_conditions(lines, along) | approach(lines)
+    time: Array = np.arange(float(len(lines.of))) * job.simulation.interval
+    given = {"t": time} | line_conditions(lines, along) | approach(lines)
     flow = Flow(lines.position, np.zeros(len(lines.of), dtype=np.intp), given, {LINE: lines.of})
     readings, model = job.read(truth.model(line_chain(truth.machine), {LINE: block.with_values(shifts)}, flow))
     root = np.linalg.cholesky(np.moveaxis(laser_noise(job.settings).covariance(along[lines.of].T), -1, 0))
@@ -262,8 +263,9 @@ def _lines(job: _Job, truth: Truth, rng: np.random.Generator) -> tuple[Table, Mo
         "axis": np.array(lines.axis)[lines.of],
         "position": lines.distance,
         **dict(zip(CHANNELS, readings, strict=True)),
+        "t": time,
     }
-    units = {"position": "mm", **dict.fromkeys(CHANNELS[:3], "mm"), **dict.fromkeys(CHANNELS[3:], "rad")}
+    units = {"position": "mm", "t": "s", **dict.fromkeys(CHANNELS[:3], "mm"), **dict.fromkeys(CHANNELS[3:], "rad")}
     return Table(columns, units), model
 
 

@@ -162,7 +162,7 @@ def six_dof(settings: Settings, table: Table) -> Problem:
             "line": tuple(table.texts("line")),
             "at": tuple(f"{distance:g} mm" for distance in lines.distance.tolist()),
         },
-        conditions=conditions(lines.position) | line_conditions(lines, along) | approach(lines),
+        conditions=conditions(lines.position, table) | line_conditions(lines, along) | approach(lines),
         components=CHANNELS,
         unit="mm",
     )

@@ -162,9 +162,10 @@ _REACH = 1000
 def _told(breaks: Index, leg: Index, along: Array, wild: Mask) -> list[str]:
     lines = []
     if len(breaks):
-        places = [f"leg {leg[k] + 1} at {along[k]:.0f} mm" for k in breaks[:5].tolist()]
+        places = [f"leg {leg[k] + 1} at {max(along[k], 0.0):.0f} mm" for k in breaks[:5].tolist()]
         more = f" and {len(breaks) - 5} more" if len(breaks) > 5 else ""
-        lines.append(f"the beam broke {len(breaks)} times, on {', '.join(places)}{more}: what is near is cut")
+        times = "once" if len(breaks) == 1 else f"{len(breaks)} times"
+        lines.append(f"the beam broke {times}, on {', '.join(places)}{more}: what is near is cut")
     if wild.any():
         lines.append(
             f"{int(wild.sum())} points of the track are off the path by more than a machine can be, and are cut"
@@ -177,4 +178,4 @@ def _unseen(seen: Mask, path: Path) -> list[str]:
     if not missing.size:
         return []
     names = ", ".join(str(i + 1) for i in missing[:8])
-    return [f"{missing.size} of {len(path.lengths)} legs have no points: {names}{' ...' if missing.size > 8 else ''}"]
+    return [f"legs without points, of {len(path.lengths)}: {names}{' ...' if missing.size > 8 else ''}"]

@@ -161,6 +161,22 @@ def test_backlash_is_found_along_lines_that_go_to_and_fro(folder: Path, metrocli
     assert max(figures.numbers("B")[[0, 2]]) < 0.0025
 
 
+def test_time_of_a_laser_shows_drift_and_what_it_cannot_see_is_told(folder: Path, metrocli: Metrocli) -> None:
+    job = made(folder, LINES, metrocli)
+    planted = "machine-drift:vx=3um/min,vy=0um/min,vz=0um/min"
+    assert metrocli("simulate", job, "--out", folder / "new", "--force", "--effect", planted).code == 0
+    (folder / "lines.csv").write_text((folder / "new" / "lines.csv").read_text())
+    found = json.loads(metrocli("diagnose", job, "--json").out)
+    assert [one["name"] for one in found["effects"]] == ["machine-drift"]
+    drift = found["effects"][0]["parameters"]["vx"]
+    assert abs(drift["value"] - 5e-5) < 4 * drift["std"] < 5e-6
+    told = {one["name"]: one["reason"] for one in found["candidates"] if one["status"] == "not-tested"}
+    assert told["tracker-scale"] == told["tracker-drift"] == "changes nothing that was measured"
+    job.write_text(f"{LINES}effects: [{{name: tracker-scale}}]\n")
+    ran = metrocli("calibrate-machine", job)
+    assert ran.code == 3 and "tracker-scale changes nothing that was measured" in ran.err
+
+
 def test_backlash_needs_the_side_of_its_own_axis_only(folder: Path, metrocli: Metrocli) -> None:
     """Sides of X alone are enough for X; Y and Z are said to be not tested, each with its column."""
     job = made(folder, STANDSTILL, metrocli)

@@ -113,7 +113,7 @@ def test_a_beam_break_in_the_middle_is_found_cut_and_said(machine: sim.Machine, 
     rows = np.concatenate([np.arange(n // 2), np.arange(n // 2 + 1500, n)])
     result = calibrate_machine.run(job(), path=flight.path, track=of_rows(flight.track, rows))
     assert result.statistics["beam_breaks"] == 1
-    assert any(line.startswith("the beam broke 1 times, on leg") for line in result.warnings)
+    assert any(line.startswith("the beam broke once, on leg") for line in result.warnings)
     _, left = sim.left_in_volume(result.tables["volume"], machine, sim.ONE["T1"])
     assert left < 0.0015
     assert result.statistics["sigma0"] == pytest.approx(1.0, abs=0.1)
@@ -178,6 +178,24 @@ def test_a_tool_that_is_not_in_the_list_is_told(machine: sim.Machine, vertices: 
         calibrate_machine.run(job(tools=two), path=flight.path, track=flight.track)
 
 
+def test_a_path_that_does_not_say_which_of_the_tools_is_told(machine: sim.Machine, vertices: Array) -> None:
+    flight = sim.flight(machine, vertices, np.random.default_rng(44), spacing=4.0)
+    path = Table({axis: flight.path.columns[axis] for axis in "xyz"}, flight.path.units, "path.csv")
+    with pytest.raises(InputError, match="several tools, but the file has no column 'tool'"):
+        calibrate_machine.run(job(tools=sim.THREE), path=path, track=flight.track)
+
+
+def test_no_warning_names_a_key_that_the_method_does_not_take(machine: sim.Machine, vertices: Array) -> None:
+    """On the fly there is neither `outliers: remove` nor a noise to be found."""
+    flight = sim.flight(machine, vertices, np.random.default_rng(46), spacing=4.0)
+    noisy = replace(job(), noise=Noise(beam=1e-4, lateral=1e-3))
+    result = calibrate_machine.run(noisy, path=flight.path, track=flight.track)
+    assert any(line.startswith("sigma0 = ") for line in result.warnings)
+    assert not any("remove" in line or "estimated" in line for line in result.warnings)
+    assert [key for key, _ in replace(job(), outliers="remove").faults()] == ["outliers"]
+    assert not list(job().faults())
+
+
 def test_a_leg_without_points_is_said(machine: sim.Machine, vertices: Array) -> None:
     flight = sim.flight(machine, vertices, np.random.default_rng(45))
     way = np.linalg.norm(flight.commanded - vertices[11], axis=1) < 1e-9
@@ -185,7 +203,7 @@ def test_a_leg_without_points_is_said(machine: sim.Machine, vertices: Array) -> 
     gone = np.arange(np.flatnonzero(way)[-1] - 30, np.flatnonzero(other)[0] + 30)
     keep = np.setdiff1d(np.arange(len(flight.track)), gone)
     result = calibrate_machine.run(job(), path=flight.path, track=of_rows(flight.track, keep))
-    assert any(line == "1 of 30 legs have no points: 12" for line in result.warnings)
+    assert any(line == "legs without points, of 30: 12" for line in result.warnings)
 
 
 def test_the_start_needs_no_hint_of_where_the_tracker_stands(vertices: Array) -> None:
