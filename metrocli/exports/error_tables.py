@@ -82,6 +82,9 @@ class ErrorTables:
     together: tuple[str, ...] = ()
     """Errors that are known only together with those left out: right for the tool of the measurement alone"""
 
+    remarks: tuple[str, ...] = ()
+    """What the format at hand loses"""
+
     def notes(self) -> list[str]:
         """Return what every file says of its errors."""
         lines = [SIGN]
@@ -89,8 +92,8 @@ class ErrorTables:
             lines.append("not determined by the measurement, and left out: " + " ".join(self.left_out))
         if self.together:
             tool = " ".join(f"{offset:g}" for offset in self.tool)
-            lines.append(f"right for the tool ({tool}) mm of the measurement only: " + " ".join(self.together))
-        return lines
+            lines.append(f"right for the tool {tool} mm of the measurement only: " + " ".join(self.together))
+        return [*lines, *self.remarks]
 
     def only(self, curves: Iterator[str] | tuple[str, ...], squareness: bool = False) -> ErrorTables:
         """Return some of the curves, with the squareness or without."""

@@ -35,7 +35,7 @@ def written(tables: ErrorTables) -> Texts:
     if tables.squareness:
         angle = units.find_unit("urad", "angle")
         rows = [
-            f"{name},{angle.outside(value):.6g},{angle.outside(tables.squareness_std.get(name, np.nan)):.3g}"
+            f"{name},{angle.outside(value):.9g},{angle.outside(tables.squareness_std.get(name, np.nan)):.3g}"
             for name, value in tables.squareness.items()
         ]
         texts[_SQUARENESS] = "\n".join([*head, "error,value_urad,std_urad", *rows, ""])

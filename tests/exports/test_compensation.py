@@ -70,14 +70,48 @@ def test_every_format_of_tables_is_tried_here() -> None:
 
 
 @pytest.mark.parametrize("name", CONTROLS)
-@pytest.mark.parametrize("order", ["XYZ", "ZXY"])
+@pytest.mark.parametrize("order", ORDERS)
 def test_a_round_trip_leaves_the_rounding(name: str, order: str) -> None:
     control = CONTROLS[name]
-    for seed in range(5):
+    for seed in range(3):
         carried = control.carried(machine(seed, order))
         texts = control.written(carried)
-        assert control.left(carried, texts) <= control.resolution
-        assert np.abs(carried.at(places_of(carried))).max() > 10 * control.resolution
+        assert control.left(carried, texts) <= control.promised(texts)
+        assert np.abs(carried.at(places_of(carried))).max() > 10 * control.promised(texts)
+
+
+@pytest.mark.parametrize("name", CONTROLS)
+@pytest.mark.parametrize("size", [1.0, 10.0])
+def test_machines_of_all_sizes_are_written(name: str, size: float) -> None:
+    """Axes from 0.1 to 20 m, on both sides of zero or beside it, two knots or a hundred; errors up to some 0.1 mm."""
+    random = np.random.default_rng(int(size))
+    control = CONTROLS[name]
+    for _ in range(6):
+        curves = {}
+        for axis in AXES:
+            length, count = random.choice([100.0, 1234.567, 6000.0, 20000.0]), random.choice([2, 11, 100])
+            grid = random.choice([0.0, -length / 2, 37.3]) + np.linspace(0.0, length, count)
+            for kind in "XYZABC":
+                scale = 0.01 * size / (1.0 if kind in AXES else length)
+                curves[f"E{kind}{axis}"] = Curve(grid, scale * np.cumsum(random.normal(size=count)) / np.sqrt(count))
+        control.files(ErrorTables(curves, {"C0Y": 1.23456789e-5 * size}, "YXZ", (10.5, -20.0, 120.0)))
+
+
+def test_fanuc_says_how_coarse_it_is() -> None:
+    """A step of 60 um between two points of a table of many: increments end at 7, so the unit is magnified."""
+    grid = np.linspace(0.0, 600.0, 121)
+    curve = Curve(grid, 0.03 * (-1.0) ** np.arange(121))
+    control = fanuc.CONTROL
+    texts = control.files(ErrorTables({"EXX": curve}, {}))
+    assert fanuc.read(texts)[0].magnification == 9
+    assert control.promised(texts) == pytest.approx(0.009)
+    assert "SUMS ARE ROUNDED TO X 0.009 MM" in texts["pitch-error.txt"]
+    off = Curve(np.linspace(12.3, 587.1, 13), 0.05 * (-1.0) ** np.arange(13))
+    (text,) = control.files(ErrorTables({"EXX": off}, {}, left_out=("EAZ",), together=("EXZ",))).values()
+    lost = float(re.findall(r"CORNERS ARE ROUNDED BY UP TO (\S+) MM", text)[0])
+    carried = control.carried(ErrorTables({"EXX": off}, {})).curves["EXX"]
+    assert lost == pytest.approx(np.abs(carried.at(off.positions) - off.values + 0.05).max(), abs=1e-4)
+    assert all(line.count("(") <= 1 for line in text.splitlines())
 
 
 @pytest.mark.parametrize("name", CONTROLS)

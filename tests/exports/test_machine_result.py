@@ -65,8 +65,7 @@ def test_what_is_not_determined_is_in_no_file() -> None:
         texts = [text for text in export(name, result).values() if isinstance(text, str)]
         assert any("EAZ EBZ ECZ ECY" in text or "ECY EAZ EBZ ECZ" in text for text in texts), name
         assert any(
-            "120) mm of the measurement only"
-            in text.replace("MM OF THE MEASUREMENT ONLY", "mm of the measurement only")
+            "120 mm of the measurement only" in text.replace("MM OF THE MEASUREMENT ONLY", "mm of the measurement only")
             for text in texts
         ), name
 
