@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -288,6 +290,25 @@ def test_numbers_that_are_none_in_the_stream_are_told_with_their_line(folder: Pa
     ran = metrocli("calibrate-machine", job)
     assert ran.code == 3
     assert "track.csv:401:1: error: column 'x_mm': 'nan' is not a finite number" in ran.err
+
+
+def test_files_are_whole_though_nobody_reads_the_output(folder: Path, metrocli: Metrocli) -> None:
+    """`metrocli plan JOB | head -1` ends the output, not the files."""
+    job = made(folder, FLIGHT, metrocli)
+    assert metrocli("calibrate-machine", job).code == 0
+    for arguments in (
+        ("plan", job, "--out", folder / "piped"),
+        ("export", folder / "result.h5", "--to", "csv", "--out", folder / "piped"),
+        ("simulate", job, "--out", folder / "piped", "--force"),
+    ):
+        ran = subprocess.Popen(
+            [sys.executable, "-m", "metrocli", *map(str, arguments)], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+        )
+        assert ran.stdout is not None
+        ran.stdout.close()
+        ran.wait()
+    whole = {"plan.json", "path.nc", "path.csv", "tables-EXX.csv", "errors-squareness.csv", "track.csv", "truth.json"}
+    assert whole <= {path.name for path in (folder / "piped").iterdir()}
 
 
 def test_simulate_wants_a_truth(folder: Path, metrocli: Metrocli) -> None:
