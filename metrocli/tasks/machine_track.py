@@ -60,7 +60,7 @@ def cut(table: Table, path: Path, tools: Array, track_tool: Index | None, corner
     wild = off > usual * 3 + _WILD
     near_corner = (along < corner) | (along > path.lengths[leg] - corner)
     still = _standing(points, leg)
-    broken, breaks = _breaks(points, wild)
+    broken, breaks = _breaks(points, wild, path.tool[leg])
     kept = ~(wild | near_corner | still | broken)
     time = table.numbers("t") if "t" in table else None
     facts = {
@@ -139,12 +139,12 @@ def _usual(speed: Array, leg: Index) -> Array:
     return np.asarray(speed[order][np.searchsorted(way, (before + total) / 2).clip(0, len(way) - 1)])
 
 
-def _breaks(points: Array, wild: Mask) -> tuple[Mask, Index]:
-    """Return points near a break of the beam, and the points before each break."""
+def _breaks(points: Array, wild: Mask, tool: Index) -> tuple[Mask, Index]:
+    """Return points near a break of the beam, and the points before each break; a change of the tool is none."""
     rows = np.flatnonzero(~wild)
     step = np.linalg.norm(np.diff(points[:, rows], axis=1), axis=0)
     limit = max(_LEAST_BREAK, _BREAK * float(np.median(step[step > 0])) if (step > 0).any() else 0.0)
-    at = np.flatnonzero(step > limit)
+    at = np.flatnonzero((step > limit) & (np.diff(tool[rows]) == 0))
     near = np.zeros(points.shape[1], dtype=bool)
     for k in at.tolist():
         for end, side in (

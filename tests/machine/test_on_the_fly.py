@@ -87,6 +87,7 @@ def test_several_tools_determine_every_table(machine: sim.Machine, vertices: Arr
     flight = sim.flight(machine, vertices[:25], rng, tools=sim.THREE, noise=0.0, spacing=3.0)
     result = calibrate_machine.run(job(tools=sim.THREE), path=flight.path, track=flight.track)
     assert result.statistics["undetermined"] == ""
+    assert result.statistics["beam_breaks"] == 0, "the tool was changed, the beam did not break"
     for name in sim.NAMES:
         assert np.abs(result.tables[f"tables/{name}"].numbers("value") - machine.tables[name]).max() < 1e-6
 
