@@ -103,6 +103,9 @@ def error_blocks(machine: Machine, settings: Settings) -> dict[str, Block]:
     """Return the unknown errors, all zero, and the tools."""
     blocks = [axis.block_of({}, settings.estimated) for axis in machine.axes]
     blocks.append(squareness_block({}, settings.estimated))
+    if not any(block.free.any() for block in blocks):
+        names = " ".join(settings.estimated)
+        raise InputError(f"nothing is unknown: of two knots {names} has none that is not zero; give the axis more knots")
     tools = settings.tools
     blocks.append(tool_block(np.array(list(tools.values())), list(tools), settings.machine.tool_uncertainty))
     return {block.name: block for block in blocks}

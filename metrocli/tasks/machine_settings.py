@@ -236,6 +236,8 @@ class Settings:
             if given != (key in needed):
                 verb = "needs" if key in needed else "does not use"
                 yield "inputs" + (f".{key}" if given else ""), f"method {self.method} {verb} the input '{key}'"
+        if not self.estimated:
+            yield "estimate", "there is no error in it: leave the key out for all, or name some, such as EXX"
         if self.method == ON_THE_FLY and self.outliers == "remove":
             yield "outliers", "on the fly, wild points of the track are cut in any case: leave this key out"
         wanted = ("displacement", "straightness", "angle") if self.method == SIX_DOF else ("beam",)

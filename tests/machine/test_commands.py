@@ -221,6 +221,7 @@ def test_what_cannot_be_told_apart_is_refused(folder: Path, metrocli: Metrocli) 
             "lateral and radial are the same",
         ),
         ("method: standstill", "method: standstill\nestimate: [EXX, EXQ]", "unknown word 'EXQ'"),
+        ("method: standstill", "method: standstill\nestimate: []", "there is no error in it"),
         ("tools: {T1", "tool: [0 mm, 0 mm, 0 mm]\n  tools: {T1", "tool and tools say the same thing"),
         ("120 mm]", "120]", "120 has no unit"),
         ("x: {range", "u: {range", "unknown key 'u'"),
