@@ -105,7 +105,7 @@ def error_blocks(machine: Machine, settings: Settings) -> dict[str, Block]:
     blocks.append(squareness_block({}, settings.estimated))
     if not any(block.free.any() for block in blocks):
         names = " ".join(settings.estimated)
-        raise InputError(f"nothing is unknown: of two knots {names} has none that is not zero; give the axis more knots")
+        raise InputError(f"nothing is unknown: of two knots {names} has none that may move; give the axis more knots")
     tools = settings.tools
     blocks.append(tool_block(np.array(list(tools.values())), list(tools), settings.machine.tool_uncertainty))
     return {block.name: block for block in blocks}
