@@ -74,6 +74,9 @@ def families_of(subject: Subject, system: System) -> tuple[list[Family], list[No
     for effect in subject.effects:
         if effect.of_one_reading:
             continue
+        if effect.name in subject.not_sought:
+            missing.append(NotTested(effect, subject.not_sought[effect.name]))
+            continue
         missing += _blind(subject.model, effect)
         for family in _of_effect(subject, system, effect):
             families.setdefault((family.name, family.columns.shape[2]), []).append(family)
