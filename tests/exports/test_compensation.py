@@ -97,6 +97,17 @@ def test_machines_of_all_sizes_are_written(name: str, size: float) -> None:
         control.files(ErrorTables(curves, {"C0Y": 1.23456789e-5 * size}, "YXZ", (10.5, -20.0, 120.0)))
 
 
+@pytest.mark.parametrize("name", ["siemens-cec", "heidenhain", "isg-csv", "etalon", "csv"])
+def test_squareness_of_an_axis_without_tables_is_carried(name: str) -> None:
+    """A job may ask for ECX and C0Y alone: then the range of Y is known, and no table of it."""
+    curve = Curve(np.linspace(0.0, 600.0, 7), 1e-5 * np.arange(7.0))
+    tables = ErrorTables({"ECX": curve}, {"C0Y": 5e-5}, "XYZ", (0.0, 0.0, 120.0), {"Y": (-260.0, 260.0)})
+    control = CONTROLS[name]
+    held = control.read(control.files(tables))
+    reached = control.moved(held, np.array([[0.0, -260.0, 0.0], [0.0, 260.0, 0.0]]))
+    assert reached[1, 0] - reached[0, 0] == pytest.approx(5e-5 * 520, abs=2e-4)
+
+
 def test_fanuc_says_how_coarse_it_is() -> None:
     """A step of 60 um between two points of a table of many: increments end at 7, so the unit is magnified."""
     grid = np.linspace(0.0, 600.0, 121)
