@@ -165,7 +165,8 @@ def of(result: Result) -> ErrorTables:
 
     named = {name.removeprefix("tables/"): table for name, table in result.tables.items() if name.startswith("tables/")}
     if not named:
-        why = "its job asks for no table" if "axes" in result.tables else "this format needs a result of calibrate-machine"
+        why = "this format needs a result of calibrate-machine"
+        why = "its job asks for none" if "axes" in result.tables else why
         raise InputError(f"the result has no error tables; {why}")
     axes = result.tables["axes"]
     places = dict(zip(axes.texts("axis"), axes.numbers("place").tolist(), strict=True))

@@ -9,7 +9,7 @@ import pytest
 import simulated_machine as sim
 
 from metrocli.adjust.blocks import Array
-from metrocli.errors import InputError
+from metrocli.errors import InputError, UndeterminedError
 from metrocli.instruments.machine import Axis, Machine
 from metrocli.instruments.machine_path import Path
 from metrocli.instruments.track_alignment import align
@@ -184,6 +184,20 @@ def test_a_path_that_does_not_say_which_of_the_tools_is_told(machine: sim.Machin
     path = Table({axis: flight.path.columns[axis] for axis in "xyz"}, flight.path.units, "path.csv")
     with pytest.raises(InputError, match="several tools, but the file has no column 'tool'"):
         calibrate_machine.run(job(tools=sim.THREE), path=path, track=flight.track)
+
+
+def test_a_tool_that_is_not_known_is_found_or_refused_with_a_hint(machine: sim.Machine, vertices: Array) -> None:
+    """3 mm of doubt about the vector change the predicted error by 3 mm times angles; 300 mm are beyond the digits."""
+    flight = sim.flight(machine, vertices, np.random.default_rng(47), spacing=4.0)
+    settings = job()
+    wrong = {"T1": (1.5, -2.0, 121.0)}
+    loose = replace(settings, machine=replace(settings.machine, tools=wrong, tool_uncertainty=3.0))
+    result = calibrate_machine.run(loose, path=flight.path, track=flight.track)
+    _, left = sim.left_in_volume(result.tables["volume"], machine, sim.ONE["T1"])
+    assert left < 0.0015
+    with pytest.raises(UndeterminedError, match="give `tool_uncertainty` as a few mm"):
+        vague = replace(settings.machine, tool_uncertainty=300.0)
+        calibrate_machine.run(replace(settings, machine=vague), path=flight.path, track=flight.track)
 
 
 def test_no_warning_names_a_key_that_the_method_does_not_take(machine: sim.Machine, vertices: Array) -> None:
