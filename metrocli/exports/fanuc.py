@@ -58,7 +58,7 @@ def carried(tables: ErrorTables) -> ErrorTables:
     """Return the positioning errors, on the even grid through machine position 0 that the control can hold."""
     held = tables.only(tuple(f"E{axis}{axis}" for axis in AXES))
     curves = {name: _even(name, curve) for name, curve in held.curves.items()}
-    return replace(held, curves=curves, remarks=tuple(_remarks(held.curves, curves)))
+    return replace(held, curves=curves, remarks=(*held.remarks, *_remarks(held.curves, curves)))
 
 
 def _remarks(before: Mapping[str, Curve], after: Mapping[str, Curve]) -> Iterator[str]:

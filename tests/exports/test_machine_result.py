@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 import simulated_machine as sim
 
 from metrocli.errors import InputError
-from metrocli.exports import FORMATS, error_tables, etalon, export, isg_csv, siemens_cec, siemens_lec
+from metrocli.exports import FORMATS, error_tables, etalon, export, isg_csv, linuxcnc, siemens_cec, siemens_lec
 from metrocli.exports.error_tables import Array
 from metrocli.result import Result
 from metrocli.table import Table
@@ -109,6 +110,24 @@ def test_tables_are_written_for_the_tool_that_was_measured() -> None:
     true = np.array([machine.first_order(place, np.array(sim.THREE["T2"])) for place in places])
     left = sim.without_motion(true + etalon.CONTROL.moved(etalon.read(etalon.CONTROL.files(tables)), places), places)
     assert np.sqrt((left**2).sum(axis=1).mean()) < 0.002 < 0.03 < np.sqrt((true**2).sum(axis=1).mean())
+
+
+def test_backlash_is_compensated_where_a_format_has_a_place_for_it_and_told_elsewhere() -> None:
+    machine, result = measured(3)
+    width = 0.0123
+    name, value, std, unit = (np.array([one]) for one in ("width", width, 0.0002, "mm"))
+    effect = Table({"name": name, "value": value, "std": std, "unit": unit, "estimated": np.array([True])})
+    more = {"effects/backlash.y/parameters": effect, "effects/thermal-growth.x/parameters": effect}
+    found = replace(result, tables={**result.tables, **more})
+    held = linuxcnc.read({name: str(text) for name, text in export("linuxcnc", found).items()})
+    for axis, gap in (("X", 0.0), ("Y", width), ("Z", 0.0)):
+        forward, reverse = held[axis]
+        assert np.abs(reverse.values - forward.values - gap).max() < 3e-7, "trim takes the error away: less forward"
+        assert np.abs((forward.values + reverse.values) / 2 + machine.tables[f"E{axis}{axis}"]).max() < 0.005
+    for form in set(FORMATS) - {"linuxcnc", "dcc"}:
+        told = "\n".join(text for text in export(form, found).values() if isinstance(text, str)).lower()
+        assert "backlash of y, 0.0123 mm, is not in these tables" in told, form
+        assert "in the result, and in no table: thermal-growth.x" in told, form
 
 
 def test_another_result_has_no_compensation() -> None:
