@@ -13,14 +13,15 @@ from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import Table
 from metrocli.tasks.machine_diagnosis import subject
 from metrocli.tasks.machine_on_the_fly import on_the_fly
-from metrocli.tasks.machine_plan import plan as planned
+from metrocli.tasks.machine_plan import plan_of_path
 from metrocli.tasks.machine_problem import Problem
 from metrocli.tasks.machine_report import KIND, report
-from metrocli.tasks.machine_settings import Inputs, Settings
+from metrocli.tasks.machine_settings import SIX_DOF, STANDSTILL, Inputs, Settings
 from metrocli.tasks.machine_simulation import simulated
 from metrocli.tasks.machine_six_dof import six_dof
 from metrocli.tasks.machine_solve import solve
 from metrocli.tasks.machine_standstill import standstill
+from metrocli.tasks.machine_stops_plan import plan_of_lines, plan_of_points
 
 SIMULATED = ("points", "track", "lines")
 PLANNED = ("points", "path", "track", "lines")
@@ -72,9 +73,17 @@ def simulate(
     return simulated(settings, tables, effects, options.seed)
 
 
-def plan(settings: Settings, path: Table | None = None, **_: Table) -> Plan:
-    """Return what the job's path will determine, and a better one."""
-    return planned(settings, path)
+def plan(
+    settings: Settings,
+    points: Table | None = None,
+    path: Table | None = None,
+    track: Table | None = None,
+    lines: Table | None = None,
+) -> Plan:
+    """Return what the job's path, points or lines will determine, and better ones."""
+    if settings.method == STANDSTILL:
+        return plan_of_points(settings, points)
+    return plan_of_lines(settings, lines) if settings.method == SIX_DOF else plan_of_path(settings, path)
 
 
 __all__ = ["KIND", "PLANNED", "SIMULATED", "SUMMARY", "Inputs", "Settings", "plan", "run", "simulate"]

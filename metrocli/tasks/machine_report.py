@@ -276,7 +276,7 @@ def _warnings(solved: Solved, settings: Settings) -> list[str]:
     if identified.ratio > WEAK:
         lines.append(
             f"the volume may be off by {identified.ratio:.0f} times the misfit of the readings in the worst case: "
-            "a good fit says little of the volume (`metrocli plan` proposes a path with 4)"
+            "a good fit says little of the volume (`metrocli plan` proposes what has 4)"
         )
     rows, tests = solved.suspects.rows.tolist(), solved.suspects.tests.tolist()
     if rows:

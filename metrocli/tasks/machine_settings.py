@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from metrocli.instruments.machine import ALL_NAMES, axis_order, canonical
+from metrocli.nc_program import CONTROLS
 from metrocli.settings import (
     Choice,
     Either,
@@ -181,16 +182,19 @@ class MachineSimulation:
 
 @dataclass(frozen=True)
 class PathPlan:
-    """The path that `metrocli plan` looks for."""
+    """The path, or the points, that `metrocli plan` looks for."""
 
     length: float | None = setting(
-        Quantity("length", positive=True), "longest path; that of edges and diagonals unless given", default=None
+        Quantity("length", positive=True),
+        "on-the-fly: longest path; that of edges and diagonals unless given",
+        default=None,
     )
     ratio: float = setting(Number(above=1.0), "largest ratio of volume error to path misfit", default=4.0)
     feed: float = setting(Quantity("speed", positive=True), "feed of the NC program", default=40.0)
     sampling: float = setting(Quantity("time", positive=True), "time between points of the tracker", default=0.002)
     tracker: tuple[float, ...] | None = setting(_VECTOR, "place of the tracker in the machine", default=None)
     seed: int = setting(Whole(0), "of the random chords", default=1)
+    control: str = setting(Choice(*CONTROLS), "control that the NC program is for", default="linuxcnc")
 
 
 @dataclass(frozen=True)
@@ -216,7 +220,7 @@ class Settings:
     simulation: MachineSimulation | None = setting(
         Section(MachineSimulation), "the truth for `metrocli simulate`", default=None
     )
-    plan: PathPlan | None = setting(Section(PathPlan), "on-the-fly: what `metrocli plan` looks for", default=None)
+    plan: PathPlan | None = setting(Section(PathPlan), "what `metrocli plan` looks for", default=None)
 
     @property
     def estimated(self) -> tuple[str, ...]:
