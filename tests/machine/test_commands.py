@@ -312,6 +312,16 @@ def test_files_are_whole_though_nobody_reads_the_output(folder: Path, metrocli: 
     assert whole <= {path.name for path in (folder / "piped").iterdir()}
 
 
+@pytest.mark.parametrize("text", [STANDSTILL, FLIGHT, LINES], ids=["standstill", "on-the-fly", "six-dof"])
+def test_plan_needs_no_measurement_and_says_that_it_has_no_effects(folder: Path, text: str, metrocli: Metrocli) -> None:
+    job = folder / "job.yaml"
+    job.write_text(f"{text}effects: [{{name: backlash, axis: x}}]\n")
+    ran = metrocli("plan", job, "--out", folder / "plan")
+    assert ran.code == 0, ran.err
+    assert "every error is determined" in ran.out and "the effects of the job are not in the plan" in ran.err
+    assert any(path.suffix == ".nc" for path in (folder / "plan").iterdir())
+
+
 def test_simulate_wants_a_truth(folder: Path, metrocli: Metrocli) -> None:
     (folder / "job.yaml").write_text(STANDSTILL.replace("simulation: {error: 80 um, points: 200}\n", ""))
     ran = metrocli("simulate", "job.yaml", "--out", "new")
