@@ -21,6 +21,8 @@ _WILD = 1.0
 """Points farther from the path than this [mm] above the usual are no points of it"""
 _DWELL = 0.2
 """Slower than this share of the leg's usual speed is standing still"""
+_FAST = 3.0
+"""Nine of ten points are slower than the machine at its fastest by less than this; what is faster is a jump"""
 _BREAK = 20.0
 """A step of so many usual steps is a break of the beam ..."""
 _LEAST_BREAK = 3.0
@@ -59,7 +61,8 @@ def cut(table: Table, path: Path, tools: Array, track_tool: Index | None, corner
     usual = float(np.median(off))
     wild = off > usual * 3 + _WILD
     near_corner = (along < corner) | (along > path.lengths[leg] - corner)
-    still = _standing(points, leg)
+    still = np.zeros(len(leg), dtype=bool)
+    still[~wild] = _standing(points[:, ~wild], leg[~wild])
     broken, breaks = _breaks(points, wild, path.tool[leg])
     kept = ~(wild | near_corner | still | broken)
     time = table.numbers("t") if "t" in table else None
@@ -126,7 +129,8 @@ def _standing(points: Array, leg: Index) -> Mask:
     window = int(np.clip(np.ceil(_LEAST_BREAK / max(float(np.median(step)), 1e-9) / 4), 1, max(1, n // 100)))
     left, right = np.maximum(np.arange(n) - window, 0), np.minimum(np.arange(n) + window, n - 1)
     speed = np.linalg.norm(points[:, right] - points[:, left], axis=0) / (right - left)
-    return np.asarray(speed < _DWELL * _usual(speed, leg)[leg])
+    moving = np.minimum(speed, _FAST * np.quantile(speed, 0.9))
+    return np.asarray(speed < _DWELL * _usual(moving, leg)[leg])
 
 
 def _usual(speed: Array, leg: Index) -> Array:

@@ -120,6 +120,33 @@ def test_a_beam_break_in_the_middle_is_found_cut_and_said(machine: sim.Machine, 
     assert result.statistics["sigma0"] == pytest.approx(1.0, abs=0.1)
 
 
+def test_a_tracker_that_looks_elsewhere_takes_no_other_points_with_it(machine: sim.Machine, vertices: Array) -> None:
+    """Wherever it looks for how long: what is measured before and after stays on its leg."""
+    flight = sim.flight(machine, vertices, np.random.default_rng(38), spacing=4.0)
+    lost = []
+    for share, place in ((0.2, [0.0, 0.0, 300.0]), (0.55, [900.0, 0.0, 0.0]), (0.8, [-2000.0, -500.0, 100.0])):
+        xyz = flight.track.stacked("xyz").copy()
+        at = int(share * len(xyz))
+        xyz[at : at + 50] = place
+        result = calibrate_machine.run(job(), path=flight.path, track=changed(flight.track, xyz))
+        lost.append(result.statistics["cut_wild"] - 50)
+        assert not any("legs without points" in line for line in result.warnings)
+    assert lost == [0, 0, 0]
+
+
+def test_a_break_of_most_of_a_leg_leaves_its_ends(machine: sim.Machine, vertices: Array) -> None:
+    """The leap over the gap is not the speed that the rest is held against."""
+    flight = sim.flight(machine, vertices, np.random.default_rng(39), spacing=2.0)
+    start, end = vertices[11], vertices[12]
+    share = (flight.commanded - start) @ (end - start) / ((end - start) @ (end - start))
+    on = np.linalg.norm(flight.commanded - start - share[:, None] * (end - start), axis=1) < 1e-6
+    track = of_rows(flight.track, np.flatnonzero(~(on & (share > 0.2) & (share < 0.8))))
+    result = calibrate_machine.run(job(), path=flight.path, track=track)
+    assert result.statistics["beam_breaks"] == 1
+    assert not any("legs without points" in line for line in result.warnings)
+    assert "12" in result.tables["residuals"].texts("leg")
+
+
 def test_points_off_the_path_while_the_beam_is_lost_are_cut(machine: sim.Machine, vertices: Array) -> None:
     """The tracker looks elsewhere, at its nest, and comes back."""
     rng = np.random.default_rng(37)
