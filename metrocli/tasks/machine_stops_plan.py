@@ -40,7 +40,8 @@ def plan_of_points(settings: Settings, points: Table | None) -> Plan:
     own = []
     if points is not None:
         own = _judged(f"the points of the job: {len(points)}", settings, _seen(settings, points))
-    count = float(_FEWEST)
+    # three coordinates a point, six errors a knot
+    count = max(float(_FEWEST), 2 * sum(len(axis.knots) for axis in machine_of(settings).axes) / len(settings.tools))
     while True:
         table = _all_over(settings, round(count))
         worth = _worth(settings, _seen(settings, table))
