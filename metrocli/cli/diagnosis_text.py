@@ -185,7 +185,10 @@ def _candidates(subject: Subject, design: Design, named: Sequence[Named]) -> lis
         hides, at = units.readable(wrong.hides, subject.delivered.dimension)
         cells = ("one reading", verdict.EXCLUDED, f"{size:.2g} {unit}", f"{hides:.2g} {at}")
         lines.append((wrong.effect.name, *cells, "else an outlier"))
-    lines += [(one.effect.name, "", verdict.NOT_TESTED, "-", "-", one.reason) for one in design.not_tested]
+    lines += [
+        (one.effect.name, " ".join(one.where.values()), verdict.NOT_TESTED, "-", "-", one.reason)
+        for one in design.not_tested
+    ]
     return _table(("effect", "where", "", "seen from", "hides up to", ""), lines)
 
 

@@ -24,6 +24,7 @@ def command(result: Path, form: str, out: Path | None, quiet: bool) -> int:
     from metrocli.table import Table
 
     found, _ = hdf5.read(result)
+    written = []
     for name, content in export(form, found).items():
         path = out / name if out is not None else result.with_name(f"{result.stem}.{name}")
         if isinstance(content, Table):
@@ -31,5 +32,7 @@ def command(result: Path, form: str, out: Path | None, quiet: bool) -> int:
         else:
             with aside.written_aside(path) as temporary:
                 temporary.write_text(content, encoding="utf-8", newline="\n")
+        written.append(path)
+    for path in written:  # not before all are there: whoever reads this output may stop at any line
         options.Voice(quiet).line(str(path))
     return 0

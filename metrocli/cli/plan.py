@@ -34,11 +34,10 @@ def command(job: Path, out: Path | None, overrides: tuple[str, ...], force: bool
     loaded = load(job, Wishes(overrides, not_needed=runner.planned_inputs(kind) if kind else ()))
     plan = runner.plan(loaded)
     text = summary.json_of_plan(plan, folder)
+    written = list(planned.write(planned.files_of(plan), text, folder))
     if not as_json:
-        voice.line(terminal.plan_text(plan))
-    for path in planned.write(planned.files_of(plan), text, folder):
-        if not as_json:
-            voice.line(str(path))
+        for line in (terminal.plan_text(plan), *map(str, written)):
+            voice.line(line)
     if as_json:
         click.echo(text)
     for line in plan.warnings:

@@ -37,6 +37,6 @@ def command(job: Path, out: Path, seed: int, images: bool, quiet: bool, force: b
     kind = kind_of_job(job)
     not_needed = runner.simulated_inputs(kind) if kind else ()
     loaded = load(job, Wishes(wishes["overrides"], not_needed=not_needed, effects=wishes["effects"]))
-    for path in write(runner.simulate(loaded, SimulationOptions(seed, images)), out):
+    for path in list(write(runner.simulate(loaded, SimulationOptions(seed, images)), out)):
         options.Voice(quiet).line(str(path))
     return 0

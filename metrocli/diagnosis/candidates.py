@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import product
 
 import numpy as np
@@ -11,8 +11,8 @@ import numpy as np
 from metrocli.adjust.blocks import Array
 from metrocli.diagnosis.projection import System, signatures
 from metrocli.diagnosis.subject import Subject
-from metrocli.effects.effect import COLUMN, Effect
-from metrocli.effects.model import Model, can_act, names_for
+from metrocli.effects.effect import Effect
+from metrocli.effects.model import Model, can_act, lacking, names_for
 
 _MOST_PLACES = 3000
 _ABSORBED = 1e-6
@@ -60,10 +60,11 @@ class Family:
 
 @dataclass(frozen=True)
 class NotTested:
-    """An effect without candidates, with the reason."""
+    """An effect without candidates, with the reason; at a place, where others have some."""
 
     effect: Effect
     reason: str
+    where: Mapping[str, str] = field(default_factory=dict)
 
 
 def families_of(subject: Subject, system: System) -> tuple[list[Family], list[NotTested]]:
@@ -73,13 +74,14 @@ def families_of(subject: Subject, system: System) -> tuple[list[Family], list[No
     for effect in subject.effects:
         if effect.of_one_reading:
             continue
-        if not can_act(subject.model, effect):
-            missing.append(NotTested(effect, f"needs a column {' and '.join(COLUMN.get(n, n) for n in effect.needs)}"))
+        if effect.name in subject.not_sought:
+            missing.append(NotTested(effect, subject.not_sought[effect.name]))
             continue
+        missing += _blind(subject.model, effect)
         for family in _of_effect(subject, system, effect):
             families.setdefault((family.name, family.columns.shape[2]), []).append(family)
     tested = {name for name, _ in families}
-    seen = [one for one in missing if one.effect.name not in tested]
+    seen = [one for one in missing if one.where or one.effect.name not in tested]
     return [_joined(parts) for parts in families.values()], seen
 
 
@@ -94,10 +96,24 @@ def _joined(parts: Sequence[Family]) -> Family:
     )
 
 
+def _blind(model: Model, effect: Effect) -> list[NotTested]:
+    """Return an effect that cannot be modelled: once where the reason is the same everywhere, else place by place."""
+    places = [dict(zip(effect.keys, place, strict=True)) for place in _places(model, effect)]
+    told = [NotTested(effect, lacking(model, effect, at), at) for at in places if not can_act(model, effect, at)]
+    if len(told) == len(places) and len({one.reason for one in told}) == 1:
+        return [NotTested(effect, told[0].reason)]
+    return told
+
+
 def instances(model: Model, effect: Effect) -> list[tuple[str, ...]]:
     """Return all places where an effect could act."""
-    found = list(product(*(names_for(model, effect, key) for key in effect.keys)))
-    return found[:_MOST_PLACES]
+    return [
+        place for place in _places(model, effect) if can_act(model, effect, dict(zip(effect.keys, place, strict=True)))
+    ]
+
+
+def _places(model: Model, effect: Effect) -> list[tuple[str, ...]]:
+    return list(product(*(names_for(model, effect, key) for key in effect.keys)))[:_MOST_PLACES]
 
 
 def _of_effect(subject: Subject, system: System, effect: Effect) -> Iterator[Family]:

@@ -81,5 +81,7 @@ class Subject:
     """Whether the components of a reading (u, v) go wrong one by one"""
     declared: str = ""
     """The noise as the job declares it, in words"""
+    not_sought: Mapping[str, str] = field(default_factory=dict)
+    """Names of effects that these readings cannot be searched for, each with the reason"""
     offers: Callable[[Model], Iterable[tuple[str, Model]]] = field(default=lambda model: ())
     """What could be measured in addition, in words, with the model of that measurement"""

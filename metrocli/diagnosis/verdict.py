@@ -190,7 +190,7 @@ def reason(candidate: Candidate, word: str) -> str:
 def _missing(one: NotTested) -> dict[str, Any]:
     return {
         "name": one.effect.name,
-        "where": {},
+        "where": dict(one.where),
         "status": NOT_TESTED,
         "minimal_detectable": None,
         "hides": None,

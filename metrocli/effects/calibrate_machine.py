@@ -41,7 +41,7 @@ EFFECTS: tuple[Effect, ...] = (
         (_size("width", "length", "20 um"),),
         lambda block, where: Backlash(block, where["axis"]),
         where=("axis",),
-        needs=("from_x", "from_y", "from_z"),
+        needs=("from_{axis}",),
         reveal="the same points approached from both sides; lines run in both directions",
         source="ISO 230-2:2014, reversal value B; left out by Sanders et al. 2023, section 1.1",
     ),

@@ -86,7 +86,7 @@ class Effect:
     space: Space = Space.FLAT
     """How its parameters change by a step of the adjustment"""
     needs: tuple[str, ...] = ()
-    """Conditions without which it cannot be modelled: t, temp, ..."""
+    """Conditions without which it cannot be modelled: t, temp, ...; `from_{axis}` is another one at each place"""
     not_first: tuple[str, ...] = ()
     """Kinds of place whose first name is what the others are compared with, and therefore is none for this effect"""
     confused_with: tuple[str, ...] = ()
@@ -100,6 +100,10 @@ class Effect:
     def keys(self) -> tuple[str, ...]:
         """The kinds of place that an instance names."""
         return tuple(key for key in self.where if key != "by")
+
+    def needed(self, where: Mapping[str, str]) -> tuple[str, ...]:
+        """Return the conditions that it needs at a place."""
+        return tuple(name.format(**where) for name in self.needs)
 
     @property
     def all_parameters(self) -> tuple[Parameter, ...]:

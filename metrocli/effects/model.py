@@ -21,6 +21,7 @@ from metrocli.words import suggestion
 
 ELSEWHERE = "elsewhere"
 """The member of an effect's block that readings touch on which it does not act; it stays at 0"""
+_UNTOUCHED = "changes nothing that was measured"
 _REACH = 1000.0
 """An effect that is uncertain by more than this many times its plausible size is undetermined"""
 
@@ -80,13 +81,15 @@ def extended(model: Model, wanted: Iterable[Wanted]) -> Model:
     faults: list[Fault] = []
     model = with_conditions(model)
     for one in wanted:
-        effect, own = _form(model, one), _misplaced(model, one)
-        if effect is None:
-            columns = " or ".join(dict.fromkeys(COLUMN.get(name, name) for form in one.forms for name in form.needs))
-            own.append(one.node.fault(f"{one.name} needs a column {columns}", "measure it with each reading"))
-        elif not own:
+        own = _misplaced(model, one)
+        effect = None if own else _form(model, one)
+        if effect is not None:
             values = {key: _number(model, effect, key, value) for key, value in one.values.items()}
             model = with_effect(model, effect, [tuple(one.where[key] for key in effect.keys)], values)
+        elif not own:
+            reasons = dict.fromkeys(lacking(model, form, one.where) for form in one.forms)
+            hint = "" if _UNTOUCHED in reasons else "measure it with each reading"
+            own.append(one.node.fault(f"{one.name} {', or '.join(reasons)}", hint))
         faults.extend(own)
     if faults:
         raise InputError(faults)
@@ -115,17 +118,20 @@ def with_conditions(model: Model) -> Model:
     return replace(model, groups=tuple(groups))
 
 
-def can_act(model: Model, effect: Effect) -> bool:
-    """Whether the readings have the conditions that an effect needs, and their chains the quantity that it changes."""
-    if any(not model.places[key].names for key in effect.keys):
-        return False
-    somewhere = {key: model.places[key].names[0] for key in effect.keys}
-    return any(_has(group, effect.needs) and _reaches(group, effect, somewhere) for group in model.readings)
+def can_act(model: Model, effect: Effect, where: Mapping[str, str]) -> bool:
+    """Whether the readings have the conditions that an effect needs at a place, and their chains what it changes."""
+    return any(_has(group, effect.needed(where)) and _reaches(group, effect, where) for group in model.readings)
 
 
 def _has(group: Group, needs: Sequence[str]) -> bool:
     conditions = group.observations.conditions
     return all(name in conditions and np.isfinite(conditions[name]).any() for name in needs)
+
+
+def lacking(model: Model, effect: Effect, where: Mapping[str, str]) -> str:
+    """Return why an effect cannot act at a place, in words."""
+    missing = [name for name in effect.needed(where) if not any(_has(group, [name]) for group in model.readings)]
+    return f"needs a column {' and '.join(COLUMN.get(name, name) for name in missing)}" if missing else _UNTOUCHED
 
 
 def _reaches(group: Group, effect: Effect, where: Mapping[str, str]) -> bool:
@@ -157,7 +163,7 @@ def with_effect(
 
 
 def _form(model: Model, wanted: Wanted) -> Effect | None:
-    return next((effect for effect in wanted.forms if can_act(model, effect)), None)
+    return next((effect for effect in wanted.forms if can_act(model, effect, wanted.where)), None)
 
 
 def _misplaced(model: Model, wanted: Wanted) -> list[Fault]:

@@ -29,6 +29,8 @@ class Control:
     """By how much the control moves the machine (n, 3) at commanded positions (n, 3), mm"""
     resolution: float
     """Largest rounding of a written error, mm"""
+    coarsened: Callable[[Any], float] = lambda held: 1.0
+    """By how much the tables as the control holds them are coarser than that"""
 
     def files(self, tables: ErrorTables) -> Texts:
         """Return the files, proven on the model of the control.
@@ -38,10 +40,14 @@ class Control:
         """
         carried = self.carried(tables)
         texts = self.written(carried)
-        left = self.left(carried, texts)
-        if left > self.resolution:
-            raise AssertionError(f"the compensation leaves {left:.2g} mm where {self.resolution:.2g} mm was promised")
+        left, promised = self.left(carried, texts), self.promised(texts)
+        if left > promised:
+            raise AssertionError(f"the compensation leaves {left:.2g} mm where {promised:.2g} mm was promised")
         return texts
+
+    def promised(self, texts: Texts) -> float:
+        """Return the largest error (mm) that the rounding in the files may leave."""
+        return self.resolution * self.coarsened(self.read(texts))
 
     def left(self, carried: ErrorTables, texts: Texts) -> float:
         """Return the largest error (mm) that is left when the control applies the files."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
@@ -11,6 +12,7 @@ import numpy.typing as npt
 
 if TYPE_CHECKING:
     from metrocli.result import Result
+    from metrocli.table import Table
 
 Array = npt.NDArray[np.float64]
 
@@ -82,6 +84,11 @@ class ErrorTables:
     together: tuple[str, ...] = ()
     """Errors that are known only together with those left out: right for the tool of the measurement alone"""
 
+    reversal: Mapping[str, float] = field(default_factory=dict)
+    """Width of the backlash by axis, mm: half of it to be added after a move in the positive direction"""
+    remarks: tuple[str, ...] = ()
+    """What the format at hand loses"""
+
     def notes(self) -> list[str]:
         """Return what every file says of its errors."""
         lines = [SIGN]
@@ -89,8 +96,9 @@ class ErrorTables:
             lines.append("not determined by the measurement, and left out: " + " ".join(self.left_out))
         if self.together:
             tool = " ".join(f"{offset:g}" for offset in self.tool)
-            lines.append(f"right for the tool ({tool}) mm of the measurement only: " + " ".join(self.together))
-        return lines
+            lines.append(f"right for the tool {tool} mm of the measurement only: " + " ".join(self.together))
+        back = [f"backlash of {axis}, {width:.4f} mm, is not in these tables" for axis, width in self.reversal.items()]
+        return [*lines, *back, *self.remarks]
 
     def only(self, curves: Iterator[str] | tuple[str, ...], squareness: bool = False) -> ErrorTables:
         """Return some of the curves, with the squareness or without."""
@@ -162,7 +170,9 @@ def of(result: Result) -> ErrorTables:
 
     named = {name.removeprefix("tables/"): table for name, table in result.tables.items() if name.startswith("tables/")}
     if not named:
-        raise InputError("the result has no error tables; this format needs a result of calibrate-machine")
+        why = "this format needs a result of calibrate-machine"
+        why = "its job asks for none" if "axes" in result.tables else why
+        raise InputError(f"the result has no error tables; {why}")
     axes = result.tables["axes"]
     places = dict(zip(axes.texts("axis"), axes.numbers("place").tolist(), strict=True))
     ranges = dict(
@@ -188,16 +198,40 @@ def of(result: Result) -> ErrorTables:
         squareness_std={name: estimate.std for name, estimate in known.items()},
         left_out=left_out,
         together=together,
+        reversal=_reversal(result),
+        remarks=tuple(_others(result)),
     )
+
+
+_EFFECT = re.compile(r"effects/(.+)/parameters")
+_BACKLASH = {f"backlash.{axis.lower()}": axis for axis in AXES}
+
+
+def _effects(result: Result) -> dict[str, Table]:
+    """Return the parameters of the effects in a result by their names, such as `backlash.x`."""
+    found = {name: _EFFECT.fullmatch(name) for name in result.tables}
+    return {match[1]: result.tables[name] for name, match in found.items() if match}
+
+
+def _reversal(result: Result) -> dict[str, float]:
+    found = {_BACKLASH.get(name): table for name, table in _effects(result).items()}
+    return {axis: float(table.numbers("value")[0]) for axis, table in found.items() if axis}
+
+
+def _others(result: Result) -> list[str]:
+    """Return what is said of effects that no table can hold."""
+    names = [name for name in _effects(result) if name not in _BACKLASH]
+    return [f"in the result, and in no table: {' '.join(names)}"] if names else []
 
 
 _SQUARENESS_NAMES = tuple(name for name, *_ in SQUARENESS)
 
 
 def _tool(result: Result) -> tuple[float, float, float]:
-    """Return the first tool of a result, (0, 0, 0) where it has none."""
+    """Return the first tool that was measured, for which the tables are right; (0, 0, 0) where there is none."""
     if "tools" not in result.tables:
         return (0.0, 0.0, 0.0)
     table = result.tables["tools"]
-    x, y, z = (float(table.numbers(axis)[0]) for axis in ("x", "y", "z"))
+    first = int(np.argmax(np.asarray(table.columns["measured"], dtype=bool))) if "measured" in table else 0
+    x, y, z = (float(table.numbers(axis)[first]) for axis in ("x", "y", "z"))
     return x, y, z

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -58,7 +58,15 @@ def carried(tables: ErrorTables) -> ErrorTables:
     """Return the positioning errors, on the even grid through machine position 0 that the control can hold."""
     held = tables.only(tuple(f"E{axis}{axis}" for axis in AXES))
     curves = {name: _even(name, curve) for name, curve in held.curves.items()}
-    return replace(held, curves=curves)
+    return replace(held, curves=curves, remarks=(*held.remarks, *_remarks(held.curves, curves)))
+
+
+def _remarks(before: Mapping[str, Curve], after: Mapping[str, Curve]) -> Iterator[str]:
+    for name, curve in before.items():
+        shift = curve.at(np.zeros(1))
+        lost = float(np.abs(after[name].at(curve.positions) - curve.values + shift).max())
+        if lost > UNIT / 2:
+            yield f"{name}: its knots and 0 are on no common grid; corners are rounded by up to {lost:.4f} mm"
 
 
 def _even(name: str, curve: Curve) -> Curve:
@@ -118,15 +126,18 @@ def written(tables: ErrorTables) -> Texts:
         first = pitches[-1].first + len(pitches[-1].increments) if pitches else 0
         pitches.append(_pitch(name[2], curve, first))
     lines = [line for pitch in pitches for line in _lines(pitch)]
-    return {_FILE: "\n".join(["%", *(f"({line})" for line in _head(pitches[0], tables.notes())), *lines, "%", ""])}
+    return {_FILE: "\n".join(["%", *(f"({line})" for line in _head(pitches, tables.notes())), *lines, "%", ""])}
 
 
-def _head(pitch: Pitch, notes: list[str]) -> list[str]:
-    curve = pitch.curve
+def _head(pitches: Sequence[Pitch], notes: list[str]) -> list[str]:
+    """Return the comments, without parentheses in them: those of the control do not nest."""
+    pitch, curve = pitches[0], pitches[0].curve
+    rounded = ", ".join(f"{one.axis} {one.magnification * UNIT:g} MM" for one in pitches)
     k = int(np.argmax(np.abs(curve.values)))
     return [
         *(line.upper() for line in notes),
         f"VALUE = MINUS THE ERROR, INCREMENTS SEEN FROM THE NEGATIVE SIDE, DETECTION UNIT {UNIT} MM",
+        f"SUMS ARE ROUNDED TO {rounded}",
         "NO PUBLIC MANUAL CONFIRMS THE SIGN. TEST MOVE: AFTER REFERENCE RETURN GO TO "
         f"{pitch.axis} = {curve.positions[k]:.3f} MM: THE AXIS MUST MOVE BY {curve.values[k]:+.3f} MM MORE THAN "
         "WITHOUT COMPENSATION; ELSE CHANGE THE SIGN OF ALL INCREMENTS",
@@ -167,7 +178,12 @@ def moved(held: Mapping[str, Pitch] | list[Pitch], commanded: Array) -> Array:
     return moves
 
 
-CONTROL = Control(carried, written, read, moved, resolution=UNIT)
+def coarsened(held: list[Pitch]) -> float:
+    """Return the largest magnification: sums are rounded to so many detection units."""
+    return float(max(pitch.magnification for pitch in held))
+
+
+CONTROL = Control(carried, written, read, moved, UNIT, coarsened)
 
 
 def files(result: Result) -> Texts:

@@ -8,6 +8,7 @@ silence at the first line that is not three numbers, so the file has no header: 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -32,16 +33,16 @@ def written(tables: ErrorTables) -> Texts:
     for name, curve in tables.curves.items():
         if len(curve.positions) > MOST_POINTS:
             raise InputError(f"{name} has {len(curve.positions)} points; LinuxCNC takes at most {MOST_POINTS} a joint")
-        reached = curve.positions + curve.values
-        rows = [f"{at:.6f} {to:.7f} {to:.7f}" for at, to in zip(curve.positions, reached, strict=True)]
+        reached, half = curve.positions + curve.values, tables.reversal.get(name[2], 0.0) / 2
+        rows = [f"{at:.6f} {to + half:.7f} {to - half:.7f}" for at, to in zip(curve.positions, reached, strict=True)]
         texts[f"{name[2].lower()}.comp"] = "\n".join([*rows, ""])
     if not texts:
         raise InputError("the result determines no positioning error: nothing for COMP_FILE")
     lines = [f"[JOINT_{AXES.index(name[0].upper())}] COMP_FILE = {name}, COMP_FILE_TYPE = 0" for name in texts]
     note = [
-        *tables.notes(),
+        *replace(tables, reversal={}).notes(),
         "each line of a .comp file: nominal, reached going forward, reached in reverse, in mm",
-        "BACKLASH of the joint is ignored where a COMP_FILE is set",
+        "BACKLASH of the joint is ignored where a COMP_FILE is set: what the result has of it is in the two columns",
         *lines,
     ]
     return {**texts, _NOTE: "\n".join([*note, ""])}
@@ -66,11 +67,11 @@ def read(texts: Texts) -> dict[str, tuple[Curve, Curve]]:
 
 
 def moved(held: Mapping[str, tuple[Curve, Curve]], commanded: Array) -> Array:
-    """Return how the control moves the machine going forward: by the trim."""
+    """Return how the control moves the machine, in the mean of both directions: by the trims."""
     moves = np.zeros(commanded.shape)
-    for axis, (forward, _) in held.items():
+    for axis, trims in held.items():
         k = AXES.index(axis)
-        moves[:, k] = forward.at(commanded[:, k])
+        moves[:, k] = sum(trim.at(commanded[:, k]) for trim in trims) / 2
     return moves
 
 

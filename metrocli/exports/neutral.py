@@ -7,34 +7,44 @@ from collections.abc import Iterable
 import numpy as np
 
 from metrocli import units
-from metrocli.exports.compensation import Texts
-from metrocli.exports.error_tables import AXES, Array, ErrorTables
+from metrocli.errors import InputError
+from metrocli.exports.compensation import Control, Texts
+from metrocli.exports.error_tables import AXES, Array, Curve, ErrorTables
+from metrocli.exports.volumetric import chain_note, moved_by_errors
 
 _UNITS = {"um": ("length", "errors.csv"), "urad": ("angle", "errors-angles.csv")}
+_SQUARENESS = "errors-squareness.csv"
 
 
-def texts_of(tables: ErrorTables) -> Texts:
+def carried(tables: ErrorTables) -> ErrorTables:
+    """Return everything."""
+    return tables
+
+
+def written(tables: ErrorTables) -> Texts:
     """Return displacements, angles and squareness, each as the text of a CSV file."""
+    if not tables.curves:
+        raise InputError("the result determines no error table")
     head = [f"# {line}" for line in _head(tables)]
     texts = {}
-    for unit, (dimension, name) in _UNITS.items():
+    for unit, (dimension, file) in _UNITS.items():
         wanted = [name for name in tables.curves if (name[1] in AXES) == (unit == "um")]
         rows = [row for error in wanted for row in _rows(tables, error, units.find_unit(unit, dimension))]
         if rows:
-            texts[name] = "\n".join([*head, f"error,position_mm,value_{unit},std_{unit}", *rows, ""])
+            texts[file] = "\n".join([*head, f"error,position_mm,value_{unit},std_{unit}", *rows, ""])
     if tables.squareness:
         angle = units.find_unit("urad", "angle")
         rows = [
-            f"{name},{angle.outside(value):.6g},{angle.outside(tables.squareness_std.get(name, np.nan)):.3g}"
+            f"{name},{angle.outside(value):.9g},{angle.outside(tables.squareness_std.get(name, np.nan)):.3g}"
             for name, value in tables.squareness.items()
         ]
-        texts["squareness.csv"] = "\n".join([*head, "error,value_urad,std_urad", *rows, ""])
+        texts[_SQUARENESS] = "\n".join([*head, "error,value_urad,std_urad", *rows, ""])
     return texts
 
 
 def _head(tables: ErrorTables) -> Iterable[str]:
     yield from tables.notes()
-    yield f"axes from the workpiece to the tool: {tables.order}; tool {tables.tool} mm"
+    yield chain_note(tables)[0]
     yield "straightness is free of its end-point line; squareness is the angle of these lines"
 
 
@@ -43,3 +53,30 @@ def _rows(tables: ErrorTables, name: str, unit: units.Unit) -> Iterable[str]:
     std: Array = curve.std if curve.std is not None else np.full(len(curve.values), np.nan)
     for at, value, spread in zip(curve.positions.tolist(), curve.values.tolist(), std.tolist(), strict=True):
         yield f"{name},{at:.6f},{unit.outside(value):.6f},{unit.outside(spread):.6f}"
+
+
+def read(texts: Texts) -> tuple[dict[str, Curve], dict[str, float], list[str]]:
+    """Return curves, squareness, and the comments."""
+    curves: dict[str, Curve] = {}
+    for unit, (dimension, file) in _UNITS.items():
+        cells = _cells(texts.get(file, ""))
+        for name in dict.fromkeys(row[0] for row in cells):
+            at, values, std = np.array([row[1:] for row in cells if row[0] == name], dtype=float).T
+            inside = units.find_unit(unit, dimension).inside(1.0)
+            curves[name] = Curve(at, values * inside, std * inside)
+    urad = units.find_unit("urad", "angle")
+    squareness = {row[0]: urad.inside(float(row[1])) for row in _cells(texts.get(_SQUARENESS, ""))}
+    comments = [line for line in next(iter(texts.values())).splitlines() if line.startswith("#")]
+    return curves, squareness, comments
+
+
+def _cells(text: str) -> list[list[str]]:
+    return [line.split(",") for line in text.splitlines() if not line.startswith("#")][1:]
+
+
+def moved(held: tuple[dict[str, Curve], dict[str, float], list[str]], commanded: Array) -> Array:
+    """Return how a control that takes errors moves the machine: against them."""
+    return moved_by_errors(*held, commanded)
+
+
+CONTROL = Control(carried, written, read, moved, resolution=1e-6)

@@ -113,7 +113,7 @@ def _lines(index: int, table: CecTable) -> list[str]:
     grid = table.curve.positions
     step = (grid[-1] - grid[0]) / max(len(grid) - 1, 1)
     return [
-        *(f"$AN_CEC[{index},{k}]={value:.7f}" for k, value in enumerate(table.curve.values)),
+        *(f"$AN_CEC[{index},{k}]={value:.9f}" for k, value in enumerate(table.curve.values)),
         f"$AN_CEC_INPUT_AXIS[{index}]=({table.input_axis}1)",
         f"$AN_CEC_OUTPUT_AXIS[{index}]=({table.output_axis}1)",
         f"$AN_CEC_STEP[{index}]={step:.9f}",

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from metrocli.exports.error_tables import Array, Curve, ErrorTables
+from metrocli.exports.error_tables import AXES, Array, Curve, ErrorTables
 
 _CHAIN = re.compile(r"axes from the workpiece to the tool: (\w+); tool ([^ ]+) ([^ ]+) ([^ ]+) mm")
 
@@ -41,5 +41,6 @@ def moved_by_errors(
     if found is None:
         raise ValueError("the comments do not name the chain")
     tool = (float(found[2]), float(found[3]), float(found[4]))
-    held = ErrorTables(dict(curves), dict(squareness), found[1], tool)
+    ranges = {axis: (float(where.min()), float(where.max())) for axis, where in zip(AXES, commanded.T, strict=True)}
+    held = ErrorTables(dict(curves), dict(squareness), found[1], tool, ranges)
     return -held.at(commanded)

@@ -19,6 +19,8 @@ from metrocli.instruments.machine_path import Path
 _THINNED, _SAMPLES = 800, 2400
 _STILL = 0.1
 """Steps below this share of the usual step are noise of a machine at rest"""
+_JUMP = 10.0
+"""Steps of so many usual steps are jumps"""
 _ROUNDS = 15
 _SETTLED = 0.02
 """The frame is found when a round moves the track by less than this share of the distance of samples"""
@@ -47,26 +49,49 @@ def align(track: Array, track_tool: Index | None, path: Path, tools: Array) -> A
     way, leg, nominal = path.sampled(_SAMPLES)
     nominal = nominal + tools[path.tool[leg]].T
     other = None if track_tool is None else track_tool[rows][:, None] != path.tool[leg]
-    pose = _by_length(points, nominal, way)
+    spacing = path.length / _SAMPLES
+    pose, most = _by_length(points, nominal, way), np.inf
     for _ in range(_ROUNDS):
         aligned = poses.apply(pose, points.T).T
-        matched = _in_order(_distances(aligned, nominal, other))
+        matched = _in_order(np.minimum(_distances(aligned, nominal, other), most**2))
         off = np.linalg.norm(aligned - nominal[:, matched], axis=0)
         good = off <= _WILD * np.median(off)
         pose = np.asarray(poses.fit_pose(points[:, good].T, nominal[:, matched[good]].T))
         moved = np.abs(poses.apply(pose, points.T).T - aligned).max()
-        if moved < _SETTLED * path.length / _SAMPLES:
+        before, most = most, _most(float(np.median(off)), spacing)
+        if moved < _SETTLED * spacing and np.isfinite(before) == np.isfinite(most):
             break
     return Alignment(pose, rows, way[matched], float(np.median(off)))
 
 
+def _most(usual: float, spacing: float) -> float:
+    """Return the distance beyond which it does not matter how far off a point is, once most of them are near.
+
+    Else a point far off draws the matching to where it is least far, and all that follow past where they belong.
+    """
+    return max(_WILD * usual, spacing) if usual < _WILD * spacing else float("inf")
+
+
 def thinned(track: Array) -> Index:
-    """Return rows of a track (3, n) about equally spaced in length, what stands still left out."""
+    """Return rows of a track (3, n) about equally spaced in length, without what stands still or is elsewhere."""
     stride = max(1, track.shape[1] // (4 * _THINNED))
     rows = np.arange(0, track.shape[1], stride)
+    rows = rows[~_elsewhere(track[:, rows])]
     length = _length(track[:, rows])
     wanted = np.linspace(0, length[-1], _THINNED)
     return np.unique(rows[np.clip(np.searchsorted(length, wanted), 0, len(rows) - 1)])
+
+
+def _elsewhere(points: Array) -> Mask:
+    """Return where a tracker without its beam looks at its nest: pieces of no length between two jumps."""
+    step = np.linalg.norm(np.diff(points, axis=1), axis=0)
+    jumps = np.flatnonzero(step > _JUMP * np.quantile(step, 0.9))
+    piece = np.searchsorted(jumps, np.arange(points.shape[1]), side="left")
+    step[jumps], leaps = 0.0, step[jumps]
+    length = np.bincount(piece[:-1], step, minlength=len(jumps) + 1)
+    still = np.zeros(len(length), dtype=bool)
+    still[1:-1] = length[1:-1] < _STILL * np.minimum(leaps[1:], leaps[:-1])
+    return np.asarray(still[piece])
 
 
 def _length(points: Array) -> Array:

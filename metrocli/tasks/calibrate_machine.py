@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from metrocli.diagnosis.subject import Subject
 from metrocli.effects.wanted import Wanted
@@ -13,14 +14,15 @@ from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import Table
 from metrocli.tasks.machine_diagnosis import subject
 from metrocli.tasks.machine_on_the_fly import on_the_fly
-from metrocli.tasks.machine_plan import plan as planned
+from metrocli.tasks.machine_plan import plan_of_path
 from metrocli.tasks.machine_problem import Problem
 from metrocli.tasks.machine_report import KIND, report
-from metrocli.tasks.machine_settings import Inputs, Settings
+from metrocli.tasks.machine_settings import ON_THE_FLY, SIX_DOF, STANDSTILL, Inputs, Settings
 from metrocli.tasks.machine_simulation import simulated
 from metrocli.tasks.machine_six_dof import six_dof
 from metrocli.tasks.machine_solve import solve
 from metrocli.tasks.machine_standstill import standstill
+from metrocli.tasks.machine_stops_plan import plan_of_lines, plan_of_points
 
 SIMULATED = ("points", "track", "lines")
 PLANNED = ("points", "path", "track", "lines")
@@ -72,9 +74,24 @@ def simulate(
     return simulated(settings, tables, effects, options.seed)
 
 
-def plan(settings: Settings, path: Table | None = None, **_: Table) -> Plan:
-    """Return what the job's path will determine, and a better one."""
-    return planned(settings, path)
+def plan(
+    settings: Settings,
+    points: Table | None = None,
+    path: Table | None = None,
+    track: Table | None = None,
+    lines: Table | None = None,
+    effects: Sequence[Wanted] = (),
+) -> Plan:
+    """Return what the job's path, points or lines will determine, and better ones; without its effects."""
+    planned = {
+        STANDSTILL: lambda: plan_of_points(settings, points),
+        SIX_DOF: lambda: plan_of_lines(settings, lines),
+        ON_THE_FLY: lambda: plan_of_path(settings, path),
+    }[settings.method]()
+    return replace(planned, warnings=(*planned.warnings, _WITHOUT)) if effects else planned
+
+
+_WITHOUT = "the effects of the job are not in the plan: its uncertainties are those of the errors alone"
 
 
 __all__ = ["KIND", "PLANNED", "SIMULATED", "SUMMARY", "Inputs", "Settings", "plan", "run", "simulate"]

@@ -65,29 +65,40 @@ class Run:
     axis: str
     targets: Array
     deviation: Array
+    at: tuple[float, ...] = ()
+    """Where the other axes stand"""
 
 
 def positioning(runs: Sequence[Run]) -> Table | None:
     """Return the figures of each axis that was run in both directions over the same targets; None for none.
 
-    All runs of an axis share one zero.
+    One row for each place of the other axes. All runs of a row share one zero.
     """
+    lines = dict.fromkeys((axis, run.at) for axis in "XYZ" for run in runs if run.axis == axis)
     rows = [
-        (axis, found) for axis in "XYZ" if (found := _of_axis([run for run in runs if run.axis == axis])) is not None
+        (*line, found)
+        for line in lines
+        if (found := _of_line([run for run in runs if (run.axis, run.at) == line])) is not None
     ]
     if not rows:
         return None
     columns: dict[str, Values] = {
-        "axis": np.array([axis for axis, _ in rows]),
-        "runs_up": np.array([one.runs[0] for _, one in rows]),
-        "runs_down": np.array([one.runs[1] for _, one in rows]),
+        "axis": np.array([axis for axis, *_ in rows]),
+        "at": np.array([_named(axis, at) for axis, at, _ in rows]),
+        "runs_up": np.array([one.runs[0] for *_, one in rows]),
+        "runs_down": np.array([one.runs[1] for *_, one in rows]),
     }
     names = {"A": "accuracy", "R": "repeatability", "B": "reversal", "E": "systematic", "M": "mean_range"}
-    columns |= {letter: np.array([getattr(one, name) for _, one in rows]) for letter, name in names.items()}
+    columns |= {letter: np.array([getattr(one, name) for *_, one in rows]) for letter, name in names.items()}
     return Table(columns, dict.fromkeys(names, "mm"))
 
 
-def _of_axis(runs: Sequence[Run]) -> Figures | None:
+def _named(axis: str, at: Sequence[float]) -> str:
+    others = [other for other in "XYZ" if other != axis]
+    return ", ".join(f"{other} = {place:g} mm" for other, place in zip(others, at, strict=False))
+
+
+def _of_line(runs: Sequence[Run]) -> Figures | None:
     either: dict[bool, list[Array]] = {True: [], False: []}
     for run in runs:
         order = np.argsort(run.targets, kind="stable")

@@ -23,6 +23,7 @@ from metrocli.tasks.machine_report import KIND
 from metrocli.tasks.machine_solve import Solved
 
 _FOLDS = 10
+_PIECES = "readings stand for pieces of the path longer than a pitch; a job may name it with its period"
 
 
 def subject(solved: Solved) -> Subject:
@@ -39,12 +40,13 @@ def subject(solved: Solved) -> Subject:
     return Subject(
         KIND,
         model,
-        tuple(effect for effect in effects_of(KIND) if not (effect.space is Space.WAVE and _condensed(group))),
+        effects_of(KIND),
         tuple(_covariates(model, group)),
         (),
         {group.name: _parts(group)},
         Delivered("error tables", first, (0, 1, 2), "um", "length", tuple(others)),
         refit,
+        not_sought={one.name: _PIECES for one in effects_of(KIND) if one.space is Space.WAVE and _condensed(group)},
     )
 
 

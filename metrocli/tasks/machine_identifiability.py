@@ -135,7 +135,7 @@ def _refuse_harmful(opened: _Open, grids: Sequence[Array]) -> None:
                 else "the measurement leaves a combination of errors open that moves the tool in the volume:",
                 *lines,
                 *more,
-                "measure lines in other directions (`metrocli plan` proposes a path), use fewer knots or knots that "
+                "measure lines in other directions (`metrocli plan` proposes them), use fewer knots or knots that "
                 "differ between the axes, or leave errors out of `estimate`",
             ]
         )

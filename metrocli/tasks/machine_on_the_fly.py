@@ -89,8 +89,7 @@ def _longest_cell(effects: Sequence[Wanted]) -> float:
 def path_of(settings: Settings, machine: Machine, table: Table) -> Path:
     """Return the legs of a list of vertices; InputError where there are none."""
     vertices = commanded(machine, table).T
-    tool = tools_of(table, settings) if "tool" in table else np.zeros(len(vertices), dtype=np.intp)
-    path = Path.of(vertices, tool)
+    path = Path.of(vertices, tools_of(table, settings))
     if len(path.lengths) < 2:
         raise InputError([Fault("the path has fewer than two legs", table.file)])
     return path

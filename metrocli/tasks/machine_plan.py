@@ -1,7 +1,9 @@
-"""Planning an on-the-fly measurement: what a path will determine, and a path that determines the volume."""
+"""Planning a measurement on the fly: what a path will determine, and a path that determines the volume."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,7 +12,7 @@ from metrocli.adjust.adjustment import covariance_at
 from metrocli.adjust.blocks import Array, Block
 from metrocli.adjust.groups import Group
 from metrocli.adjust.observations import Index, Observations
-from metrocli.errors import InputError, UndeterminedError
+from metrocli.errors import UndeterminedError
 from metrocli.geometry import poses
 from metrocli.instruments.machine import ALL_NAMES, TOOL, Machine
 from metrocli.instruments.machine_path import Path
@@ -25,7 +27,7 @@ from metrocli.tasks.machine_on_the_fly import READINGS, path_of
 from metrocli.tasks.machine_path_search import Found, Wanted, edges_and_diagonals, search
 from metrocli.tasks.machine_problem import Problem, conditions, error_blocks, machine_of, tool_prior
 from metrocli.tasks.machine_report import KIND, identifiability_notes
-from metrocli.tasks.machine_settings import ON_THE_FLY, PathPlan, Settings
+from metrocli.tasks.machine_settings import PathPlan, Settings
 from metrocli.tasks.machine_standstill import tracker_noise
 from metrocli.tasks.machine_tables import Tables, tables_of, unit_of
 from metrocli.tasks.machine_volume_report import volume_tables
@@ -35,8 +37,9 @@ if TYPE_CHECKING:
 
 _MARGIN = 0.97
 """The search stops a little below the ratio wanted"""
-_REST = 0.5
-"""Rest at each vertex [s]"""
+REST = 0.5
+"""Rest at each vertex or point [s]"""
+PLACES = ("positions are machine coordinates of the spindle reference point, no length offset",)
 _GAUSS = np.sqrt(0.6)
 _NODES, _WEIGHTS = np.array([-_GAUSS, 0.0, _GAUSS]) / 2 + 0.5, np.array([5.0, 8.0, 5.0]) / 18.0
 
@@ -44,7 +47,7 @@ _NODES, _WEIGHTS = np.array([-_GAUSS, 0.0, _GAUSS]) / 2 + 0.5, np.array([5.0, 8.
 def planned_problem(settings: Settings, plan: PathPlan, path: Path) -> Problem:
     """Return the adjustment that a path will give, with its readings as the nodes of the cells."""
     machine = machine_of(settings)
-    pose = _tracker_pose(machine, plan)
+    pose = tracker_pose(machine, plan)
     rotation = poses.rotation_of(pose)
     blocks: dict[str, Block] = {
         **error_blocks(machine, settings),
@@ -72,7 +75,7 @@ def planned_problem(settings: Settings, plan: PathPlan, path: Path) -> Problem:
     return Problem(machine, blocks, group, tool_prior(blocks, settings), length, used)
 
 
-def _tracker_pose(machine: Machine, plan: PathPlan) -> Array:
+def tracker_pose(machine: Machine, plan: PathPlan) -> Array:
     """Return the tracker where it stands, or two thirds of the volume's size beside it."""
     size = machine.high - machine.low
     place = machine.low - np.array([1.5, 1.2, -0.5]) * size.max() if plan.tracker is None else np.array(plan.tracker)
@@ -91,10 +94,8 @@ def _nodes(machine: Machine, path: Path, corner: float) -> tuple[Index, Array, A
     return np.repeat(leg, 3), (begin[:, None] + size * _NODES).ravel(), (size * _WEIGHTS).ravel()
 
 
-def plan(settings: Settings, table: Table | None) -> Plan:
+def plan_of_path(settings: Settings, table: Table | None) -> Plan:
     """Return what the path of the job will determine, and a path that determines the volume, with its NC program."""
-    if settings.method != ON_THE_FLY:
-        raise InputError("plan looks for the path of an on-the-fly measurement: this job has another method")
     wanted = settings.plan or PathPlan()
     machine = machine_of(settings)
     own = [] if table is None else _own(settings, wanted, path_of(settings, machine, table))
@@ -102,35 +103,60 @@ def plan(settings: Settings, table: Table | None) -> Plan:
     asked = Wanted(longest, wanted.ratio * _MARGIN, len(settings.tools), wanted.seed)
     found = search(machine, lambda path: planned_problem(settings, wanted, path), asked)
     path = Path.of(found.vertices, found.tool)
-    problem = planned_problem(settings, wanted, path)
+    worth = worth_of(settings, planned_problem(settings, wanted, path))
+    time, ratio = float(travelled_time(path, wanted.feed)), worth.identified.ratio
+    warnings = (
+        []
+        if ratio <= wanted.ratio
+        else [f"the best path found has a ratio of {ratio:.1f}, more than {wanted.ratio:g}: allow a longer one"]
+    )
+    notes = [
+        *own,
+        f"proposed: {len(path.lengths)} legs, {path.length:.0f} mm of at most {longest:.0f} mm, {time:.0f} s",
+        *identifiability_notes(worth.identified)[1:],
+    ]
+    figures = (Estimate("path_length", path.length, 0.0, "mm"), Estimate("duration", time, 0.0, "s"))
+    files: dict[str, Table | str] = {
+        "path.csv": _path_table(settings, found, wanted),
+        "path.nc": _program(settings, found, wanted),
+    }
+    return planned(notes, figures, worth, files, warnings)
+
+
+@dataclass(frozen=True)
+class Worth:
+    """What planned readings will determine, and how well."""
+
+    identified: Identifiability
+    errors: Table
+    volumetric: Table
+
+
+def worth_of(settings: Settings, problem: Problem) -> Worth:
+    """Return what the readings of an adjustment will determine; UndeterminedError where they leave the volume open."""
     identified = identify(problem)
     solution = covariance_at(identified.blocks.values(), problem.groups)
     if not solution.outcome.good:
-        raise UndeterminedError(f"no path of {longest:.0f} mm determines the machine: {solution.outcome.value}")
-    tables = tables_of(machine, solution)
+        raise UndeterminedError(f"the planned readings do not determine the machine: {solution.outcome.value}")
+    tables = tables_of(problem.machine, solution)
     volume = volume_tables(tables, identified, settings.volume.grid, problem.tools_used)["volumetric"]
-    time = float(travelled_time(path, wanted.feed))
-    warnings = (
-        []
-        if identified.ratio <= wanted.ratio
-        else [
-            f"the best path found has a ratio of {identified.ratio:.1f}, more than {wanted.ratio:g}: allow a longer one"
-        ]
-    )
+    return Worth(identified, predicted_errors(tables, identified), volume)
+
+
+def planned(
+    notes: Sequence[str],
+    figures: Sequence[Estimate],
+    worth: Worth,
+    files: Mapping[str, Table | str],
+    warnings: Sequence[str],
+) -> Plan:
+    """Return the plan of readings that are worth so much."""
     return Plan(
         KIND,
-        (
-            *own,
-            f"proposed: {len(path.lengths)} legs, {path.length:.0f} mm of at most {longest:.0f} mm, {time:.0f} s",
-            *identifiability_notes(identified)[1:],
-        ),
-        (
-            Estimate("ratio", identified.ratio, 0.0, "1"),
-            Estimate("path_length", path.length, 0.0, "mm"),
-            Estimate("duration", time, 0.0, "s"),
-        ),
-        {"errors": predicted_errors(tables, identified), "volumetric": volume},
-        {"path.csv": _path_table(settings, found, wanted), "path.nc": _program(settings, found, wanted)},
+        tuple(notes),
+        (Estimate("ratio", worth.identified.ratio, 0.0, "1"), *figures),
+        {"errors": worth.errors, "volumetric": worth.volumetric},
+        files,
         tuple(warnings),
         ("errors", "volumetric: tool, uncertainty"),
     )
@@ -138,7 +164,7 @@ def plan(settings: Settings, table: Table | None) -> Plan:
 
 def travelled_time(path: Path, feed: float) -> float:
     """Return how long a path takes at a feed [s], with rests at the vertices."""
-    return float(path.length / feed + _REST * (len(path.lengths) + 1))
+    return float(path.length / feed + REST * (len(path.lengths) + 1))
 
 
 def _own(settings: Settings, wanted: PathPlan, path: Path) -> list[str]:
@@ -181,11 +207,8 @@ def _program(settings: Settings, found: Found, wanted: PathPlan) -> str:
     for i, vertex in enumerate(found.vertices):
         to = dict(zip("XYZ", vertex.tolist(), strict=True))
         if i == 0 or found.tool[i] != found.tool[i - 1]:
-            blocks += [Stop(f"mount reflector {names[found.tool[i]]}".strip()), Rapid(to), Dwell(_REST)]
+            blocks += [Stop(f"mount reflector {names[found.tool[i]]}".strip()), Rapid(to), Dwell(REST)]
         else:
-            blocks += [Feed(to, wanted.feed), Dwell(_REST)]
-    remarks = [
-        "positions are machine coordinates of the spindle reference point, no length offset",
-        "the reflector faces the tracker; exact stop at every vertex",
-    ]
-    return program("metrocli path for calibrate-machine", remarks, blocks)
+            blocks += [Feed(to, wanted.feed), Dwell(REST)]
+    remarks = [*PLACES, "the reflector faces the tracker; exact stop at every vertex"]
+    return program("metrocli path for calibrate-machine", remarks, blocks, wanted.control)

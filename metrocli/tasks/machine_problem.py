@@ -30,6 +30,9 @@ from metrocli.table import Table
 from metrocli.tasks.machine_settings import Settings
 from metrocli.words import suggestion
 
+SIDES = ("from_x", "from_y", "from_z")
+"""Conditions: 1 where an axis last moved in its positive direction, -1 in its negative, 0 where it has not moved"""
+_SIDE = "expected 1 after a move in the positive direction of the axis, -1 after one in the negative"
 _OUTSIDE = 1e-3
 """Positions may be outside the range by this [mm]: rounding of the control"""
 _SUPPORT = 0.02
@@ -58,6 +61,11 @@ class Problem:
     def groups(self) -> tuple[Group, ...]:
         """All groups."""
         return (self.readings, *self.others)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What people call each reading: point, leg, or line and place on it."""
+        return tuple(" at ".join(parts) for parts in zip(*self.readings.observations.keys.values(), strict=True))
 
     def model(self) -> Model:
         """Return the problem as a model that effects can be added to."""
@@ -95,6 +103,9 @@ def error_blocks(machine: Machine, settings: Settings) -> dict[str, Block]:
     """Return the unknown errors, all zero, and the tools."""
     blocks = [axis.block_of({}, settings.estimated) for axis in machine.axes]
     blocks.append(squareness_block({}, settings.estimated))
+    if not any(block.free.any() for block in blocks):
+        names = " ".join(settings.estimated)
+        raise InputError(f"nothing is unknown: of two knots {names} has none that may move; give the axis more knots")
     tools = settings.tools
     blocks.append(tool_block(np.array(list(tools.values())), list(tools), settings.machine.tool_uncertainty))
     return {block.name: block for block in blocks}
@@ -190,9 +201,20 @@ def conditions(position: Array, table: Table | None = None) -> dict[str, Array]:
     """Return the conditions of readings: commanded position, and what else the file has."""
     found = dict(zip(POSITION, position, strict=True))
     if table is not None:
-        names = ("t", "from_x", "from_y", "from_z")
-        found |= {name: table.numbers(name) for name in names if name in table}
+        _refuse_sides(table)
+        found |= {name: table.numbers(name) for name in ("t", *SIDES) if name in table}
     return found
+
+
+def _refuse_sides(table: Table) -> None:
+    faults = [
+        Fault(f"{name} = {table.numbers(name)[row]:g} is no direction", table.file, line_of(table, row), hint=_SIDE)
+        for name in SIDES
+        if name in table
+        for row in np.flatnonzero(~np.isin(table.numbers(name), (-1, 0, 1))).tolist()
+    ]
+    if faults:
+        raise InputError(faults[:5])
 
 
 ERROR_BLOCKS = ("axis X", "axis Y", "axis Z", SQUARENESS, TOOL)

@@ -16,9 +16,9 @@ from metrocli.instruments.six_dof import LINE
 from metrocli.instruments.tracker import TRACKER
 from metrocli.result import Estimate, Result
 from metrocli.table import Table
-from metrocli.tasks.adjustment_statistics import Statistics, basic_statistics, noise_warnings
+from metrocli.tasks.adjustment_statistics import REMOVE, Statistics, basic_statistics, noise_warnings
 from metrocli.tasks.machine_identifiability import NOT_ESTIMATED, UNDETERMINED, Identifiability
-from metrocli.tasks.machine_settings import Settings
+from metrocli.tasks.machine_settings import ON_THE_FLY, Settings
 from metrocli.tasks.machine_solve import Solved
 from metrocli.tasks.machine_tables import Tables, least_squares_squareness, tables_of, tool_names, unit_of
 from metrocli.tasks.machine_volume_report import volume_tables
@@ -64,9 +64,9 @@ def report(solved: Solved, settings: Settings) -> Result:
             **effect_tables,
         },
         arrays={"tables_covariance": tables.covariance, **effect_arrays},
-        warnings=tuple(_warnings(solved)),
+        warnings=tuple(_warnings(solved, settings)),
         shown=(
-            "errors: error, status, with, largest, largest_std",
+            "errors: error, status, with, largest, largest_std, unit",
             "volumetric",
             *solved.problem.tables,
             *(["suspects"] if len(solved.suspects.rows) else []),
@@ -216,7 +216,7 @@ def _sigma(solved: Solved, component: int) -> Array:
 
 
 def _suspects(solved: Solved) -> Table:
-    names = next(iter(solved.problem.readings.observations.keys.values()))
+    names = solved.problem.names
     return _named_tests(solved, [names[i] for i in solved.suspects.rows.tolist()], solved.suspects.tests.tolist())
 
 
@@ -259,9 +259,10 @@ def _statistics(solved: Solved, settings: Settings) -> Statistics:
     }
 
 
-def _warnings(solved: Solved) -> list[str]:
+def _warnings(solved: Solved, settings: Settings) -> list[str]:
     identified = solved.identified
-    lines = [*solved.problem.warnings, *noise_warnings(solved.solution)]
+    cures = () if settings.method == ON_THE_FLY else (REMOVE,)
+    lines = [*solved.problem.warnings, *noise_warnings(solved.solution, cures)]
     if identified.undetermined:
         lines.append(
             f"not determined by this measurement, and left out of the tables: {' '.join(identified.undetermined)}"
@@ -275,16 +276,16 @@ def _warnings(solved: Solved) -> list[str]:
     if identified.ratio > WEAK:
         lines.append(
             f"the volume may be off by {identified.ratio:.0f} times the misfit of the readings in the worst case: "
-            "a good fit says little of the volume (`metrocli plan` proposes a path with 4)"
+            "a good fit says little of the volume (`metrocli plan` proposes what has 4)"
         )
     rows, tests = solved.suspects.rows.tolist(), solved.suspects.tests.tolist()
     if rows:
-        key, names = next(iter(solved.problem.readings.observations.keys.items()))
+        key, names = next(iter(solved.problem.readings.observations.keys)), solved.problem.names
         worst = sorted(zip(tests, [names[i] for i in rows], strict=True), reverse=True)
         told = [f"{name} (w = {test:.1f})" for test, name in worst]
         lines.append(
             f"{len(told)} readings exceed the outlier bound |w| = {solved.suspects.critical:.2f}: "
-            f"{key} {listed(told, 5)}; `outliers: remove` leaves such out"
+            f"{key} {listed(told, 5)}" + (f"; {REMOVE} leaves such out" if REMOVE in cures else "")
         )
     return lines
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from metrocli.instruments.machine import ALL_NAMES, axis_order, canonical
+from metrocli.nc_program import CONTROLS
 from metrocli.settings import (
     Choice,
     Either,
@@ -49,6 +50,7 @@ LINES = Columns(
         *(Column(name, "length") for name in ("ex", "ey", "ez")),
         *(Column(name, "angle") for name in ("ea", "eb", "ec")),
         *(Column(name, "length", required=False) for name in ("x", "y", "z")),
+        _TIME,
     ),
     (),
     "lines of a laser with six degrees of freedom",
@@ -170,7 +172,9 @@ class MachineSimulation:
         _VECTOR, "place of the tracker in the machine", default=(-1000.0, -800.0, 300.0)
     )
     points: int = setting(Whole(1, 1_000_000), "standstill: number of points", default=226)
-    interval: float = setting(Quantity("time", positive=True), "standstill: time from point to point", default=4.0)
+    interval: float = setting(
+        Quantity("time", positive=True), "standstill, six-dof: time from reading to reading", default=4.0
+    )
     sampling: float = setting(Quantity("time", positive=True), "on-the-fly: time between points", default=0.002)
     feed: float = setting(Quantity("speed", positive=True), "on-the-fly: where the path has no feed", default=40.0)
     step: float = setting(Quantity("length", positive=True), "six-dof: distance of readings", default=25.0)
@@ -178,16 +182,19 @@ class MachineSimulation:
 
 @dataclass(frozen=True)
 class PathPlan:
-    """The path that `metrocli plan` looks for."""
+    """The path, or the points, that `metrocli plan` looks for."""
 
     length: float | None = setting(
-        Quantity("length", positive=True), "longest path; that of edges and diagonals unless given", default=None
+        Quantity("length", positive=True),
+        "on-the-fly: longest path; that of edges and diagonals unless given",
+        default=None,
     )
     ratio: float = setting(Number(above=1.0), "largest ratio of volume error to path misfit", default=4.0)
     feed: float = setting(Quantity("speed", positive=True), "feed of the NC program", default=40.0)
     sampling: float = setting(Quantity("time", positive=True), "time between points of the tracker", default=0.002)
     tracker: tuple[float, ...] | None = setting(_VECTOR, "place of the tracker in the machine", default=None)
     seed: int = setting(Whole(0), "of the random chords", default=1)
+    control: str = setting(Choice(*CONTROLS), "control that the NC program is for", default="linuxcnc")
 
 
 @dataclass(frozen=True)
@@ -204,7 +211,7 @@ class Settings:
         default="all",
     )
     outliers: str = setting(
-        Choice("report", "remove"), "standstill: name outliers, or leave them out", default="report"
+        Choice("report", "remove"), "standstill, six-dof: name outliers, or leave them out", default="report"
     )
     corner: float = setting(
         Quantity("length", minimum=0.0), "on-the-fly: what is cut off both ends of each leg", default=10.0
@@ -213,7 +220,7 @@ class Settings:
     simulation: MachineSimulation | None = setting(
         Section(MachineSimulation), "the truth for `metrocli simulate`", default=None
     )
-    plan: PathPlan | None = setting(Section(PathPlan), "on-the-fly: what `metrocli plan` looks for", default=None)
+    plan: PathPlan | None = setting(Section(PathPlan), "what `metrocli plan` looks for", default=None)
 
     @property
     def estimated(self) -> tuple[str, ...]:
@@ -233,6 +240,10 @@ class Settings:
             if given != (key in needed):
                 verb = "needs" if key in needed else "does not use"
                 yield "inputs" + (f".{key}" if given else ""), f"method {self.method} {verb} the input '{key}'"
+        if not self.estimated:
+            yield "estimate", "there is no error in it: leave the key out for all, or name some, such as EXX"
+        if self.method == ON_THE_FLY and self.outliers == "remove":
+            yield "outliers", "on the fly, wild points of the track are cut in any case: leave this key out"
         wanted = ("displacement", "straightness", "angle") if self.method == SIX_DOF else ("beam",)
         for key in wanted:
             if getattr(self.noise, key) is None:

@@ -36,9 +36,9 @@ from metrocli.instruments.tracker import TRACKER, point_chain, tracker_block
 from metrocli.simulation import Simulation
 from metrocli.table import Table
 from metrocli.tasks.machine_on_the_fly import path_of
-from metrocli.tasks.machine_problem import PAIRS, commanded, conditions, error_blocks, machine_of, tools_of
+from metrocli.tasks.machine_problem import PAIRS, SIDES, commanded, conditions, error_blocks, machine_of, tools_of
 from metrocli.tasks.machine_settings import ON_THE_FLY, SIX_DOF, STANDSTILL, MachineSimulation, Settings
-from metrocli.tasks.machine_six_dof import laser_noise, line_conditions, planned_lines
+from metrocli.tasks.machine_six_dof import approach, laser_noise, line_conditions, planned_lines
 from metrocli.tasks.machine_standstill import tracker_noise
 from metrocli.tasks.machine_volume import grid_group, grid_of, without_rigid_motion
 
@@ -51,7 +51,6 @@ _ACCELERATION = 1000.0
 """Of the simulated machine [mm/s^2]"""
 _REST = 0.5
 """The machine stands so long at each vertex [s]"""
-_FROM = ("from_x", "from_y", "from_z")
 _MISALIGNED = np.array([0.01] * 3 + [1e-4] * 5)
 """Standard deviations of the simulated misalignment of a line [mm, rad]"""
 
@@ -204,7 +203,7 @@ def _points(job: _Job, truth: Truth, rng: np.random.Generator) -> tuple[Table, M
     columns: dict[str, Values] = {"point": np.array([f"P{i + 1:03d}" for i in range(n)])}
     columns |= dict(zip(POSITION, flow.position, strict=True))
     columns |= {f"m{axis}": row for axis, row in zip(POSITION, seen, strict=True)}
-    columns |= {name: flow.conditions[name] for name in ("t", *_FROM)}
+    columns |= {name: flow.conditions[name] for name in ("t", *SIDES)}
     if names != [""]:
         columns["tool"] = np.array(names)[flow.tool]
     return Table(columns, {**dict.fromkeys(("x", "y", "z", "mx", "my", "mz"), "mm"), "t": "s"}), model
@@ -222,7 +221,7 @@ def _stops(job: _Job, machine: Machine, rng: np.random.Generator) -> Flow:
         position = position[:, rng.permutation(count)]
         tool = rng.integers(len(names), size=count)
     moved = np.sign(np.diff(position, axis=1, prepend=position[:, :1] - 1))
-    given = {"t": np.arange(position.shape[1]) * job.simulation.interval, **dict(zip(_FROM, moved, strict=True))}
+    given = {"t": np.arange(position.shape[1]) * job.simulation.interval, **dict(zip(SIDES, moved, strict=True))}
     if table is not None:
         given |= {name: table.numbers(name) for name in given if name in table}
     return Flow(position, tool, given)
@@ -233,7 +232,7 @@ def _track(job: _Job, truth: Truth, rng: np.random.Generator) -> tuple[Table, Mo
     listed = job.tables["path"]
     path = path_of(job.settings, machine_of(job.settings), listed)
     leg, along, time = travelled(path, _feeds(job, listed, path), job.simulation.sampling)
-    given = {"t": time, **{name: signs[leg] for name, signs in zip(_FROM, path.last_moves(), strict=True)}}
+    given = {"t": time, **{name: signs[leg] for name, signs in zip(SIDES, path.last_moves(), strict=True)}}
     seen, model = _seen(job, truth, Flow(path.at(leg, along), path.tool[leg], given), rng)
     columns: dict[str, Values] = {**dict(zip(POSITION, seen, strict=True)), "t": time}
     if "tool" in listed:
@@ -248,12 +247,14 @@ def _feeds(job: _Job, table: Table, path: Path) -> Array:
 
 
 def _lines(job: _Job, truth: Truth, rng: np.random.Generator) -> tuple[Table, Model]:
-    """Return lines along the axes, up and down, and along the three face diagonals, each with its misalignment."""
+    """Return lines along the axes, to and fro, and along the three face diagonals, each with its misalignment."""
     lines = planned_lines(machine_of(job.settings), job.simulation.step)
     along = lines.along
     block = line_block(lines.names)
     shifts = rng.normal(size=block.values.shape) * _MISALIGNED
-    flow = Flow(lines.position, np.zeros(len(lines.of), dtype=np.intp), line_conditions(lines, along), {LINE: lines.of})
+    time: Array = np.arange(float(len(lines.of))) * job.simulation.interval
+    given = {"t": time} | line_conditions(lines, along) | approach(lines)
+    flow = Flow(lines.position, np.zeros(len(lines.of), dtype=np.intp), given, {LINE: lines.of})
     readings, model = job.read(truth.model(line_chain(truth.machine), {LINE: block.with_values(shifts)}, flow))
     root = np.linalg.cholesky(np.moveaxis(laser_noise(job.settings).covariance(along[lines.of].T), -1, 0))
     readings = readings + np.einsum("nab,bn->an", root, rng.normal(size=readings.shape))
@@ -262,8 +263,9 @@ def _lines(job: _Job, truth: Truth, rng: np.random.Generator) -> tuple[Table, Mo
         "axis": np.array(lines.axis)[lines.of],
         "position": lines.distance,
         **dict(zip(CHANNELS, readings, strict=True)),
+        "t": time,
     }
-    units = {"position": "mm", **dict.fromkeys(CHANNELS[:3], "mm"), **dict.fromkeys(CHANNELS[3:], "rad")}
+    units = {"position": "mm", "t": "s", **dict.fromkeys(CHANNELS[:3], "mm"), **dict.fromkeys(CHANNELS[3:], "rad")}
     return Table(columns, units), model
 
 

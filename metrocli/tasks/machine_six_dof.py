@@ -41,6 +41,8 @@ DIRECTIONS = {"x": (0,), "y": (1,), "z": (2,), "xy": (0, 1), "yz": (1, 2), "xz":
 _APART = 0.01
 """Two ways to give a position may differ by this [mm]"""
 _LEAST = 3
+_LEAST_PART = 1e-6
+"""Part of a line's direction below which an axis stands"""
 
 
 @dataclass(frozen=True)
@@ -56,6 +58,17 @@ class Lines:
     """Commanded (3, n)"""
     distance: Array
     """Along the line (n,)"""
+
+    @property
+    def sense(self) -> Array:
+        """Return +1 or -1, the travel that led to each reading, (n,); for the first and at a turn that which follows.
+
+        At a turn a target is read twice: at the end of one run, and as the first of the next.
+        """
+        step = np.sign(np.diff(self.distance))
+        step[np.diff(self.of) != 0] = 0.0
+        before, after = np.append(0.0, step), np.append(step, 0.0)
+        return np.where(before != 0, before, after)
 
     @property
     def along(self) -> Array:
@@ -145,8 +158,11 @@ def six_dof(settings: Settings, table: Table) -> Problem:
         np.ones(1),
         machine.index(lines.position) | {TOOL: np.zeros(len(table), dtype=np.intp), LINE: lines.of},
         covariance=laser.covariance(along[lines.of].T),
-        keys={"line": tuple(table.texts("line"))},
-        conditions=conditions(lines.position) | line_conditions(lines, along),
+        keys={
+            "line": tuple(table.texts("line")),
+            "at": tuple(f"{distance:g} mm" for distance in lines.distance.tolist()),
+        },
+        conditions=conditions(lines.position, table) | line_conditions(lines, along) | approach(lines),
         components=CHANNELS,
         unit="mm",
     )
@@ -156,20 +172,28 @@ def six_dof(settings: Settings, table: Table) -> Problem:
         Group(READINGS, line_chain(machine), observations),
         tool_prior(blocks, settings),
         np.ones(len(table)),
-        ("",),
+        tuple(settings.tools),
         facts={"lines": len(lines.names)},
         tables={"positioning": figures} if figures is not None else {},
     )
 
 
 def runs_of(lines: Lines, table: Table) -> list[Run]:
-    """Return the runs along single axes with their displacement channel."""
+    """Return the runs along single axes with their displacement channel: a line may go to and fro."""
+    turns = np.flatnonzero((np.diff(lines.of) != 0) | (np.diff(lines.sense) != 0)) + 1
     found = []
-    for i, direction in enumerate(lines.axis):
-        if len(DIRECTIONS[direction]) == 1:
-            rows = np.flatnonzero(lines.of == i)
-            found.append(Run(direction.upper(), lines.distance[rows], table.numbers(f"e{direction}")[rows]))
+    for rows in np.split(np.arange(len(lines.of)), turns):
+        direction = lines.axis[lines.of[rows[0]]]
+        if len(DIRECTIONS[direction]) == 1 and len(rows) > 1:
+            at = tuple(np.delete(lines.position[:, rows[0]], DIRECTIONS[direction]).round(2).tolist())
+            found.append(Run(direction.upper(), lines.distance[rows], table.numbers(f"e{direction}")[rows], at))
     return found
+
+
+def approach(lines: Lines) -> dict[str, Array]:
+    """Return conditions from_x, from_y, from_z: from which side each axis came; 0 where it stands on its line."""
+    moved = np.sign(np.where(np.abs(lines.along) > _LEAST_PART, lines.along, 0.0))[lines.of].T * lines.sense
+    return dict(zip((f"from_{axis}" for axis in "xyz"), moved, strict=True))
 
 
 def line_conditions(lines: Lines, along: Array) -> dict[str, Array]:
@@ -184,23 +208,19 @@ def line_conditions(lines: Lines, along: Array) -> dict[str, Array]:
 
 
 def planned_lines(machine: Machine, step: float) -> Lines:
-    """Return lines along the axes, up and down, and along the three face diagonals, with readings every `step`."""
-    names: list[str] = []
-    axes, of, positions, distances = [], [], [], []
-    for direction, moving in DIRECTIONS.items():
+    """Return lines along the axes, to and fro, and along the three face diagonals, with readings every `step`."""
+    of, positions, distances = [], [], []
+    for line, moving in enumerate(DIRECTIONS.values()):
         size = (machine.high - machine.low) * np.isin(np.arange(3), moving)
         length = float(np.linalg.norm(size))
         along = np.linspace(0.0, length, max(_LEAST, round(length / step) + 1))
+        way = np.append(along, along[::-1]) if len(moving) == 1 else along
         start = np.where(size > 0, machine.low, machine.home)
-        for way in (along, along[::-1])[: 2 if len(moving) == 1 else 1]:
-            of.append(np.full(len(way), len(names)))
-            names.append(f"{direction}{len(names) + 1}")
-            axes.append(direction)
-            positions.append(start[:, None] + size[:, None] / length * way)
-            distances.append(way if len(moving) > 1 else positions[-1][moving[0]])
-    return Lines(
-        tuple(names), tuple(axes), np.concatenate(of), np.concatenate(positions, axis=1), np.concatenate(distances)
-    )
+        of.append(np.full(len(way), line))
+        positions.append(start[:, None] + size[:, None] / length * way)
+        distances.append(way if len(moving) > 1 else positions[-1][moving[0]])
+    names = tuple(DIRECTIONS)
+    return Lines(names, names, np.concatenate(of), np.concatenate(positions, axis=1), np.concatenate(distances))
 
 
 def laser_noise(settings: Settings) -> LineNoise:

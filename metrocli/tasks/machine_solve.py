@@ -15,10 +15,12 @@ from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.robust import Fit, Suspects, robust_start, suspects
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
 from metrocli.errors import NotConvergedError, UndeterminedError
+from metrocli.instruments.machine import TOOL
 from metrocli.tasks.machine_identifiability import Identifiability, identify
 from metrocli.tasks.machine_problem import Problem
 
 _ROUNDS = 30
+_VAGUE = "\na tool vector that is not known moves the tracker with it: give `tool_uncertainty` as a few mm, not more"
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,7 @@ def solve(problem: Problem, remove: bool) -> Solved:
         worst = _worst(doubtful) if remove else np.zeros(0, dtype=np.intp)
         if not worst.size:
             break
-        names = next(iter(problem.readings.observations.keys.values()))
+        names = problem.names
         tests = dict(zip(doubtful.rows.tolist(), doubtful.tests.tolist(), strict=True))
         rejected += [(names[i], tests[i]) for i in worst.tolist()]
         problem, state = _without(problem, worst), solution.blocks
@@ -68,7 +70,8 @@ def adjusted(blocks: Mapping[str, Block], groups: tuple[Group, ...]) -> Solution
     solution = adjust(blocks.values(), groups)
     if solution.outcome in (Outcome.UNDETERMINED, Outcome.TOO_FEW):
         open_ones = "\n".join(f"  {combination}" for combination in solution.undetermined[:8])
-        raise UndeterminedError(f"{solution.outcome.value}\n{open_ones}".rstrip())
+        vague = any(part[0] == TOOL for combination in solution.undetermined for part in combination.parts)
+        raise UndeterminedError(f"{solution.outcome.value}\n{open_ones}".rstrip() + _VAGUE * vague)
     if not solution.outcome.good:
         raise NotConvergedError(f"{solution.outcome.value} ({solution.iterations} steps)")
     return solution

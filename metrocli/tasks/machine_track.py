@@ -21,6 +21,8 @@ _WILD = 1.0
 """Points farther from the path than this [mm] above the usual are no points of it"""
 _DWELL = 0.2
 """Slower than this share of the leg's usual speed is standing still"""
+_FAST = 3.0
+"""Nine of ten points are slower than the machine at its fastest by less than this; what is faster is a jump"""
 _BREAK = 20.0
 """A step of so many usual steps is a break of the beam ..."""
 _LEAST_BREAK = 3.0
@@ -59,8 +61,9 @@ def cut(table: Table, path: Path, tools: Array, track_tool: Index | None, corner
     usual = float(np.median(off))
     wild = off > usual * 3 + _WILD
     near_corner = (along < corner) | (along > path.lengths[leg] - corner)
-    still = _standing(points, leg)
-    broken, breaks = _breaks(points, wild)
+    still = np.zeros(len(leg), dtype=bool)
+    still[~wild] = _standing(points[:, ~wild], leg[~wild])
+    broken, breaks = _breaks(points, wild, path.tool[leg])
     kept = ~(wild | near_corner | still | broken)
     time = table.numbers("t") if "t" in table else None
     facts = {
@@ -126,7 +129,8 @@ def _standing(points: Array, leg: Index) -> Mask:
     window = int(np.clip(np.ceil(_LEAST_BREAK / max(float(np.median(step)), 1e-9) / 4), 1, max(1, n // 100)))
     left, right = np.maximum(np.arange(n) - window, 0), np.minimum(np.arange(n) + window, n - 1)
     speed = np.linalg.norm(points[:, right] - points[:, left], axis=0) / (right - left)
-    return np.asarray(speed < _DWELL * _usual(speed, leg)[leg])
+    moving = np.minimum(speed, _FAST * np.quantile(speed, 0.9))
+    return np.asarray(speed < _DWELL * _usual(moving, leg)[leg])
 
 
 def _usual(speed: Array, leg: Index) -> Array:
@@ -139,12 +143,12 @@ def _usual(speed: Array, leg: Index) -> Array:
     return np.asarray(speed[order][np.searchsorted(way, (before + total) / 2).clip(0, len(way) - 1)])
 
 
-def _breaks(points: Array, wild: Mask) -> tuple[Mask, Index]:
-    """Return points near a break of the beam, and the points before each break."""
+def _breaks(points: Array, wild: Mask, tool: Index) -> tuple[Mask, Index]:
+    """Return points near a break of the beam, and the points before each break; a change of the tool is none."""
     rows = np.flatnonzero(~wild)
     step = np.linalg.norm(np.diff(points[:, rows], axis=1), axis=0)
     limit = max(_LEAST_BREAK, _BREAK * float(np.median(step[step > 0])) if (step > 0).any() else 0.0)
-    at = np.flatnonzero(step > limit)
+    at = np.flatnonzero((step > limit) & (np.diff(tool[rows]) == 0))
     near = np.zeros(points.shape[1], dtype=bool)
     for k in at.tolist():
         for end, side in (
@@ -162,9 +166,10 @@ _REACH = 1000
 def _told(breaks: Index, leg: Index, along: Array, wild: Mask) -> list[str]:
     lines = []
     if len(breaks):
-        places = [f"leg {leg[k] + 1} at {along[k]:.0f} mm" for k in breaks[:5].tolist()]
+        places = [f"leg {leg[k] + 1} at {max(along[k], 0.0):.0f} mm" for k in breaks[:5].tolist()]
         more = f" and {len(breaks) - 5} more" if len(breaks) > 5 else ""
-        lines.append(f"the beam broke {len(breaks)} times, on {', '.join(places)}{more}: what is near is cut")
+        times = "once" if len(breaks) == 1 else f"{len(breaks)} times"
+        lines.append(f"the beam broke {times}, on {', '.join(places)}{more}: what is near is cut")
     if wild.any():
         lines.append(
             f"{int(wild.sum())} points of the track are off the path by more than a machine can be, and are cut"
@@ -177,4 +182,4 @@ def _unseen(seen: Mask, path: Path) -> list[str]:
     if not missing.size:
         return []
     names = ", ".join(str(i + 1) for i in missing[:8])
-    return [f"{missing.size} of {len(path.lengths)} legs have no points: {names}{' ...' if missing.size > 8 else ''}"]
+    return [f"legs without points, of {len(path.lengths)}: {names}{' ...' if missing.size > 8 else ''}"]

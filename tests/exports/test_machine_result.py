@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 import simulated_machine as sim
 
 from metrocli.errors import InputError
-from metrocli.exports import FORMATS, error_tables, etalon, export, isg_csv, siemens_cec, siemens_lec
+from metrocli.exports import FORMATS, error_tables, etalon, export, isg_csv, linuxcnc, siemens_cec, siemens_lec
 from metrocli.exports.error_tables import Array
 from metrocli.result import Result
 from metrocli.table import Table
@@ -65,8 +66,7 @@ def test_what_is_not_determined_is_in_no_file() -> None:
         texts = [text for text in export(name, result).values() if isinstance(text, str)]
         assert any("EAZ EBZ ECZ ECY" in text or "ECY EAZ EBZ ECZ" in text for text in texts), name
         assert any(
-            "120) mm of the measurement only"
-            in text.replace("MM OF THE MEASUREMENT ONLY", "mm of the measurement only")
+            "120 mm of the measurement only" in text.replace("MM OF THE MEASUREMENT ONLY", "mm of the measurement only")
             for text in texts
         ), name
 
@@ -83,6 +83,51 @@ def test_plain_csv_has_value_and_uncertainty_of_every_knot() -> None:
     assert np.array([row[1] for row in rows], dtype=float).tolist() == machine.positions("X").tolist()
     assert std[1:-1].min() > 0
     assert np.abs(value - 1e3 * machine.tables["EYX"]).max() < 5 * std.max()
+
+
+def test_plain_csv_leaves_no_table_of_the_result_out() -> None:
+    """Squareness against both lines, and what is determined, beside the tables of the contract."""
+    _, result = measured(1)
+    files = export("csv", result)
+    assert files["squareness.csv"] is result.tables["squareness"]
+    assert "least_squares" in result.tables["squareness"]
+    assert files["errors-summary.csv"] is result.tables["errors"]
+    held = [one for one in files.values() if not isinstance(one, str)]
+    assert len(held) == sum(len(table) > 0 for table in result.tables.values())
+    assert "error,value_urad,std_urad" in str(files["errors-squareness.csv"])
+
+
+def test_tables_are_written_for_the_tool_that_was_measured() -> None:
+    """A job may list tools that this measurement did not use: tables with an open angle are not right for them."""
+    rng = np.random.default_rng(8)
+    machine = sim.random_machine(rng)
+    used = {"T2": sim.THREE["T2"]}
+    points = sim.points(machine, rng, 400, used)
+    result = calibrate_machine.run(sim.settings(tools=sim.THREE), points=points)
+    tables = error_tables.of(result)
+    assert tables.tool == sim.THREE["T2"]
+    places = sim.commands(rng, 60)
+    true = np.array([machine.first_order(place, np.array(sim.THREE["T2"])) for place in places])
+    left = sim.without_motion(true + etalon.CONTROL.moved(etalon.read(etalon.CONTROL.files(tables)), places), places)
+    assert np.sqrt((left**2).sum(axis=1).mean()) < 0.002 < 0.03 < np.sqrt((true**2).sum(axis=1).mean())
+
+
+def test_backlash_is_compensated_where_a_format_has_a_place_for_it_and_told_elsewhere() -> None:
+    machine, result = measured(3)
+    width = 0.0123
+    name, value, std, unit = (np.array([one]) for one in ("width", width, 0.0002, "mm"))
+    effect = Table({"name": name, "value": value, "std": std, "unit": unit, "estimated": np.array([True])})
+    more = {"effects/backlash.y/parameters": effect, "effects/thermal-growth.x/parameters": effect}
+    found = replace(result, tables={**result.tables, **more})
+    held = linuxcnc.read({name: str(text) for name, text in export("linuxcnc", found).items()})
+    for axis, gap in (("X", 0.0), ("Y", width), ("Z", 0.0)):
+        forward, reverse = held[axis]
+        assert np.abs(reverse.values - forward.values - gap).max() < 3e-7, "trim takes the error away: less forward"
+        assert np.abs((forward.values + reverse.values) / 2 + machine.tables[f"E{axis}{axis}"]).max() < 0.005
+    for form in set(FORMATS) - {"linuxcnc", "dcc"}:
+        told = "\n".join(text for text in export(form, found).values() if isinstance(text, str)).lower()
+        assert "backlash of y, 0.0123 mm, is not in these tables" in told, form
+        assert "in the result, and in no table: thermal-growth.x" in told, form
 
 
 def test_another_result_has_no_compensation() -> None:

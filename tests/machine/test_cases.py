@@ -107,6 +107,7 @@ def test_the_verdict_is_right(case: Path) -> None:
 def test_a_wave_shorter_than_the_pieces_of_a_path_is_not_called_excluded() -> None:
     import simulated_machine as sim
 
+    from metrocli.diagnosis.diagnose import diagnose
     from metrocli.tasks.machine_settings import Noise
 
     rng = np.random.default_rng(81)
@@ -114,5 +115,8 @@ def test_a_wave_shorter_than_the_pieces_of_a_path_is_not_called_excluded() -> No
     flight = sim.flight(machine, sim.walls(rng, 31), rng, spacing=3.0)
     settings = sim.settings("on-the-fly", noise=Noise(beam=1e-3, lateral=5e-3))
     subject = calibrate_machine.diagnosed(settings, path=flight.path, track=flight.track)
-    assert "screw-pitch-error" not in {effect.name for effect in subject.effects}
-    assert "backlash" in {effect.name for effect in subject.effects}
+    found = diagnose(subject).design
+    assert "screw-pitch-error" not in {one.alternative.effect.name for one in found.candidates}
+    assert "backlash" in {one.alternative.effect.name for one in found.candidates}
+    reasons = {one.effect.name: one.reason for one in found.not_tested}
+    assert "longer than a pitch" in reasons["screw-pitch-error"]

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -146,6 +149,54 @@ def test_an_effect_that_is_planted_is_estimated(folder: Path, text: str, planted
     assert set(truth) <= set(true)
 
 
+def test_backlash_is_found_along_lines_that_go_to_and_fro(folder: Path, metrocli: Metrocli) -> None:
+    job = made(folder, LINES, metrocli)
+    planted = "backlash:axis=y,width=3um"
+    assert metrocli("simulate", job, "--out", folder / "new", "--force", "--effect", planted).code == 0
+    (folder / "lines.csv").write_text((folder / "new" / "lines.csv").read_text())
+    job.write_text(f"{LINES}effects: [{{name: backlash, axis: y}}]\n")
+    found = json.loads(metrocli("calibrate-machine", job, "--json").out)
+    width = found["estimates"]["backlash.y.width"]
+    assert abs(width["value"] - 0.003) < 4 * width["std"] < 0.001
+    figures = hdf5.read(folder / "result.h5")[0].tables["positioning"]
+    assert figures.numbers("B")[1] == pytest.approx(0.003, abs=0.002)  # noise of two readings, 27 targets
+    assert max(figures.numbers("B")[[0, 2]]) < 0.0025
+
+
+def test_time_of_a_laser_shows_drift_and_what_it_cannot_see_is_told(folder: Path, metrocli: Metrocli) -> None:
+    job = made(folder, LINES, metrocli)
+    planted = "machine-drift:vx=3um/min,vy=0um/min,vz=0um/min"
+    assert metrocli("simulate", job, "--out", folder / "new", "--force", "--effect", planted).code == 0
+    (folder / "lines.csv").write_text((folder / "new" / "lines.csv").read_text())
+    found = json.loads(metrocli("diagnose", job, "--json").out)
+    assert [one["name"] for one in found["effects"]] == ["machine-drift"]
+    drift = found["effects"][0]["parameters"]["vx"]
+    assert abs(drift["value"] - 5e-5) < 4 * drift["std"] < 5e-6
+    told = {one["name"]: one["reason"] for one in found["candidates"] if one["status"] == "not-tested"}
+    assert told["tracker-scale"] == told["tracker-drift"] == "changes nothing that was measured"
+    job.write_text(f"{LINES}effects: [{{name: tracker-scale}}]\n")
+    ran = metrocli("calibrate-machine", job)
+    assert ran.code == 3 and "tracker-scale changes nothing that was measured" in ran.err
+
+
+def test_backlash_needs_the_side_of_its_own_axis_only(folder: Path, metrocli: Metrocli) -> None:
+    """Sides of X alone are enough for X; Y and Z are said to be not tested, each with its column."""
+    job = made(folder, STANDSTILL, metrocli)
+    text = (folder / "points.csv").read_text().replace("from_y,from_z", "side_y,side_z", 1)
+    (folder / "points.csv").write_text(text)
+    for axis, code in (("x", 0), ("y", 3)):
+        job.write_text(f"{STANDSTILL}effects: [{{name: backlash, axis: {axis}}}]\n")
+        ran = metrocli("calibrate-machine", job)
+        assert ran.code == code, ran.err
+    assert "backlash needs a column from_y" in ran.err and "from_x" not in ran.err
+    job.write_text(STANDSTILL)
+    listed = json.loads(metrocli("diagnose", job, "--json").out)["candidates"]
+    told = [(one["where"], one["status"], one["reason"]) for one in listed if one["name"] == "backlash"]
+    assert ({"axis": "x"}, "excluded") in [one[:2] for one in told]
+    assert ({"axis": "y"}, "not-tested", "needs a column from_y") in told
+    assert ({"axis": "z"}, "not-tested", "needs a column from_z") in told
+
+
 def test_what_cannot_be_told_apart_is_refused(folder: Path, metrocli: Metrocli) -> None:
     """One tracker sees machine and tracker drift as one."""
     job = made(folder, STANDSTILL, metrocli)
@@ -170,6 +221,7 @@ def test_what_cannot_be_told_apart_is_refused(folder: Path, metrocli: Metrocli) 
             "lateral and radial are the same",
         ),
         ("method: standstill", "method: standstill\nestimate: [EXX, EXQ]", "unknown word 'EXQ'"),
+        ("method: standstill", "method: standstill\nestimate: []", "there is no error in it"),
         ("tools: {T1", "tool: [0 mm, 0 mm, 0 mm]\n  tools: {T1", "tool and tools say the same thing"),
         ("120 mm]", "120]", "120 has no unit"),
         ("x: {range", "u: {range", "unknown key 'u'"),
@@ -209,6 +261,11 @@ def test_faults_of_a_job_are_told(folder: Path, old: str, new: str, said: str, m
         ),
         (lambda lines: [lines[0].replace(",tool", ",kind"), *lines[1:]], 3, "the file has no column 'tool'"),
         (lambda lines: [*lines[:3], ""], 3, "2 points are too few"),
+        (
+            lambda lines: [lines[0], re.sub(r"-?1.0,(?=-?1.0,T)", "17.5,", lines[1]), *lines[2:]],
+            3,
+            "y = 17.5 is no dir",
+        ),
         (lambda lines: [*lines[:20], ""], 4, "combinations of errors open"),
         (
             lambda lines: [lines[0], "A,700," + lines[1].split(",", 2)[2], *lines[2:]],
@@ -234,6 +291,35 @@ def test_numbers_that_are_none_in_the_stream_are_told_with_their_line(folder: Pa
     ran = metrocli("calibrate-machine", job)
     assert ran.code == 3
     assert "track.csv:401:1: error: column 'x_mm': 'nan' is not a finite number" in ran.err
+
+
+def test_files_are_whole_though_nobody_reads_the_output(folder: Path, metrocli: Metrocli) -> None:
+    """`metrocli plan JOB | head -1` ends the output, not the files."""
+    job = made(folder, FLIGHT, metrocli)
+    assert metrocli("calibrate-machine", job).code == 0
+    for arguments in (
+        ("plan", job, "--out", folder / "piped"),
+        ("export", folder / "result.h5", "--to", "csv", "--out", folder / "piped"),
+        ("simulate", job, "--out", folder / "piped", "--force"),
+    ):
+        ran = subprocess.Popen(
+            [sys.executable, "-m", "metrocli", *map(str, arguments)], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+        )
+        assert ran.stdout is not None
+        ran.stdout.close()
+        ran.wait()
+    whole = {"plan.json", "path.nc", "path.csv", "tables-EXX.csv", "errors-squareness.csv", "track.csv", "truth.json"}
+    assert whole <= {path.name for path in (folder / "piped").iterdir()}
+
+
+@pytest.mark.parametrize("text", [STANDSTILL, FLIGHT, LINES], ids=["standstill", "on-the-fly", "six-dof"])
+def test_plan_needs_no_measurement_and_says_that_it_has_no_effects(folder: Path, text: str, metrocli: Metrocli) -> None:
+    job = folder / "job.yaml"
+    job.write_text(f"{text}effects: [{{name: backlash, axis: x}}]\n")
+    ran = metrocli("plan", job, "--out", folder / "plan")
+    assert ran.code == 0, ran.err
+    assert "every error is determined" in ran.out and "the effects of the job are not in the plan" in ran.err
+    assert any(path.suffix == ".nc" for path in (folder / "plan").iterdir())
 
 
 def test_simulate_wants_a_truth(folder: Path, metrocli: Metrocli) -> None:

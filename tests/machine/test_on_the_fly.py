@@ -9,7 +9,7 @@ import pytest
 import simulated_machine as sim
 
 from metrocli.adjust.blocks import Array
-from metrocli.errors import InputError
+from metrocli.errors import InputError, UndeterminedError
 from metrocli.instruments.machine import Axis, Machine
 from metrocli.instruments.machine_path import Path
 from metrocli.instruments.track_alignment import align
@@ -87,6 +87,7 @@ def test_several_tools_determine_every_table(machine: sim.Machine, vertices: Arr
     flight = sim.flight(machine, vertices[:25], rng, tools=sim.THREE, noise=0.0, spacing=3.0)
     result = calibrate_machine.run(job(tools=sim.THREE), path=flight.path, track=flight.track)
     assert result.statistics["undetermined"] == ""
+    assert result.statistics["beam_breaks"] == 0, "the tool was changed, the beam did not break"
     for name in sim.NAMES:
         assert np.abs(result.tables[f"tables/{name}"].numbers("value") - machine.tables[name]).max() < 1e-6
 
@@ -113,10 +114,37 @@ def test_a_beam_break_in_the_middle_is_found_cut_and_said(machine: sim.Machine, 
     rows = np.concatenate([np.arange(n // 2), np.arange(n // 2 + 1500, n)])
     result = calibrate_machine.run(job(), path=flight.path, track=of_rows(flight.track, rows))
     assert result.statistics["beam_breaks"] == 1
-    assert any(line.startswith("the beam broke 1 times, on leg") for line in result.warnings)
+    assert any(line.startswith("the beam broke once, on leg") for line in result.warnings)
     _, left = sim.left_in_volume(result.tables["volume"], machine, sim.ONE["T1"])
     assert left < 0.0015
     assert result.statistics["sigma0"] == pytest.approx(1.0, abs=0.1)
+
+
+def test_a_tracker_that_looks_elsewhere_takes_no_other_points_with_it(machine: sim.Machine, vertices: Array) -> None:
+    """Wherever it looks for how long: what is measured before and after stays on its leg."""
+    flight = sim.flight(machine, vertices, np.random.default_rng(38), spacing=4.0)
+    lost = []
+    for share, place in ((0.2, [0.0, 0.0, 300.0]), (0.55, [900.0, 0.0, 0.0]), (0.8, [-2000.0, -500.0, 100.0])):
+        xyz = flight.track.stacked("xyz").copy()
+        at = int(share * len(xyz))
+        xyz[at : at + 50] = place
+        result = calibrate_machine.run(job(), path=flight.path, track=changed(flight.track, xyz))
+        lost.append(result.statistics["cut_wild"] - 50)
+        assert not any("legs without points" in line for line in result.warnings)
+    assert lost == [0, 0, 0]
+
+
+def test_a_break_of_most_of_a_leg_leaves_its_ends(machine: sim.Machine, vertices: Array) -> None:
+    """The leap over the gap is not the speed that the rest is held against."""
+    flight = sim.flight(machine, vertices, np.random.default_rng(39), spacing=2.0)
+    start, end = vertices[11], vertices[12]
+    share = (flight.commanded - start) @ (end - start) / ((end - start) @ (end - start))
+    on = np.linalg.norm(flight.commanded - start - share[:, None] * (end - start), axis=1) < 1e-6
+    track = of_rows(flight.track, np.flatnonzero(~(on & (share > 0.2) & (share < 0.8))))
+    result = calibrate_machine.run(job(), path=flight.path, track=track)
+    assert result.statistics["beam_breaks"] == 1
+    assert not any("legs without points" in line for line in result.warnings)
+    assert "12" in result.tables["residuals"].texts("leg")
 
 
 def test_points_off_the_path_while_the_beam_is_lost_are_cut(machine: sim.Machine, vertices: Array) -> None:
@@ -178,6 +206,38 @@ def test_a_tool_that_is_not_in_the_list_is_told(machine: sim.Machine, vertices: 
         calibrate_machine.run(job(tools=two), path=flight.path, track=flight.track)
 
 
+def test_a_path_that_does_not_say_which_of_the_tools_is_told(machine: sim.Machine, vertices: Array) -> None:
+    flight = sim.flight(machine, vertices, np.random.default_rng(44), spacing=4.0)
+    path = Table({axis: flight.path.columns[axis] for axis in "xyz"}, flight.path.units, "path.csv")
+    with pytest.raises(InputError, match="several tools, but the file has no column 'tool'"):
+        calibrate_machine.run(job(tools=sim.THREE), path=path, track=flight.track)
+
+
+def test_a_tool_that_is_not_known_is_found_or_refused_with_a_hint(machine: sim.Machine, vertices: Array) -> None:
+    """3 mm of doubt about the vector change the predicted error by 3 mm times angles; 300 mm are beyond the digits."""
+    flight = sim.flight(machine, vertices, np.random.default_rng(47), spacing=4.0)
+    settings = job()
+    wrong = {"T1": (1.5, -2.0, 121.0)}
+    loose = replace(settings, machine=replace(settings.machine, tools=wrong, tool_uncertainty=3.0))
+    result = calibrate_machine.run(loose, path=flight.path, track=flight.track)
+    _, left = sim.left_in_volume(result.tables["volume"], machine, sim.ONE["T1"])
+    assert left < 0.0015
+    with pytest.raises(UndeterminedError, match="give `tool_uncertainty` as a few mm"):
+        vague = replace(settings.machine, tool_uncertainty=300.0)
+        calibrate_machine.run(replace(settings, machine=vague), path=flight.path, track=flight.track)
+
+
+def test_no_warning_names_a_key_that_the_method_does_not_take(machine: sim.Machine, vertices: Array) -> None:
+    """On the fly there is neither `outliers: remove` nor a noise to be found."""
+    flight = sim.flight(machine, vertices, np.random.default_rng(46), spacing=4.0)
+    noisy = replace(job(), noise=Noise(beam=1e-4, lateral=1e-3))
+    result = calibrate_machine.run(noisy, path=flight.path, track=flight.track)
+    assert any(line.startswith("sigma0 = ") for line in result.warnings)
+    assert not any("remove" in line or "estimated" in line for line in result.warnings)
+    assert [key for key, _ in replace(job(), outliers="remove").faults()] == ["outliers"]
+    assert not list(job().faults())
+
+
 def test_a_leg_without_points_is_said(machine: sim.Machine, vertices: Array) -> None:
     flight = sim.flight(machine, vertices, np.random.default_rng(45))
     way = np.linalg.norm(flight.commanded - vertices[11], axis=1) < 1e-9
@@ -185,7 +245,7 @@ def test_a_leg_without_points_is_said(machine: sim.Machine, vertices: Array) -> 
     gone = np.arange(np.flatnonzero(way)[-1] - 30, np.flatnonzero(other)[0] + 30)
     keep = np.setdiff1d(np.arange(len(flight.track)), gone)
     result = calibrate_machine.run(job(), path=flight.path, track=of_rows(flight.track, keep))
-    assert any(line == "1 of 30 legs have no points: 12" for line in result.warnings)
+    assert any(line == "legs without points, of 30: 12" for line in result.warnings)
 
 
 def test_the_start_needs_no_hint_of_where_the_tracker_stands(vertices: Array) -> None:

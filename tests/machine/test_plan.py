@@ -1,4 +1,4 @@
-"""The planner: a path with the ratio wanted, no longer than that of edges and diagonals, and what it promises comes true."""
+"""The planner: a path, points or lines with the ratio wanted, and what it promises comes true."""
 
 from __future__ import annotations
 
@@ -9,14 +9,17 @@ import numpy as np
 import pytest
 import simulated_machine as sim
 
-from metrocli.errors import InputError
 from metrocli.instruments.machine_path import Path
+from metrocli.plan import Plan
+from metrocli.result import Result
+from metrocli.simulation import SimulationOptions
+from metrocli.table import Table
 from metrocli.tasks import calibrate_machine
 from metrocli.tasks.machine_identifiability import identify
 from metrocli.tasks.machine_path_search import edges_and_diagonals
 from metrocli.tasks.machine_plan import planned_problem
 from metrocli.tasks.machine_problem import machine_of
-from metrocli.tasks.machine_settings import Noise, PathPlan
+from metrocli.tasks.machine_settings import MachineSimulation, Noise, PathPlan
 
 NOISE = Noise(beam=1e-3, lateral=5e-3)
 
@@ -93,6 +96,51 @@ def test_a_length_that_is_too_short_is_said() -> None:
     assert any("allow a longer one" in line for line in plan.warnings)
 
 
-def test_other_methods_have_no_path() -> None:
-    with pytest.raises(InputError, match="plan looks for the path of an on-the-fly measurement"):
-        calibrate_machine.plan(sim.settings("standstill"))
+def promised_over_found(plan: Plan, result: Result) -> list[float]:
+    """Largest standard uncertainties of the errors: of the measurement over those of the plan."""
+    said, got = plan.tables["errors"], result.tables["errors"]
+    assert said.texts("error") == got.texts("error")
+    return (got.numbers("largest_std") / said.numbers("largest_std")).tolist()
+
+
+def test_points_are_planned_and_keep_their_promise() -> None:
+    """As few as reach the ratio, each tool all over the volume; at a third of them not all is determined."""
+    settings = replace(
+        sim.settings(tools=sim.THREE, knots=(7, 6, 6), noise=NOISE), plan=PathPlan(tracker=(-900.0, -700.0, 200.0))
+    )
+    plan = calibrate_machine.plan(settings)
+    figures = {estimate.name: estimate.value for estimate in plan.figures}
+    assert figures["ratio"] <= 4.0 and plan.warnings == ()
+    assert set(plan.tables["errors"].texts("status")) == {"determined"}
+    points = plan.files["points.csv"]
+    assert isinstance(points, Table) and len(points) == figures["points"] < 120
+    done = nc_interpreter.run(str(plan.files["points.nc"]), np.zeros(3))
+    assert done.stops == 3
+    assert np.allclose([at for at, _ in done.dwells], points.stacked("xyz"), atol=1e-4)
+    rng = np.random.default_rng(63)
+    machine = sim.random_machine(rng, knots=(7, 6, 6))
+    at, tool = points.stacked("xyz"), np.array(points.texts("tool"))
+    vectors = np.array([sim.THREE[name] for name in tool])
+    seen = sim.tracker(rng).reads(sim.reached(machine, at, vectors), rng, 1.0)
+    ratios = promised_over_found(plan, calibrate_machine.run(settings, points=sim.point_table(at, seen, tool)))
+    assert min(ratios) > 0.8 and max(ratios) < 1.25
+    fewer = calibrate_machine.plan(settings, points=sim.point_table(at[::3], seen[::3], tool[::3]))
+    assert any("combinations of errors open" in line or "no reading is near" in line for line in fewer.notes)
+
+
+def test_lines_of_a_laser_are_planned_and_keep_their_promise() -> None:
+    settings = sim.settings(
+        "six-dof", tools={"": (0.0, 0.0, 0.0)}, noise=Noise(displacement=5e-4, straightness=1e-3, angle=1e-6)
+    )
+    plan = calibrate_machine.plan(replace(settings, plan=PathPlan(control="siemens")))
+    lines = plan.files["lines.csv"]
+    assert isinstance(lines, Table)
+    assert list(dict.fromkeys(lines.texts("line"))) == ["x", "y", "z", "xy", "yz", "xz"]
+    done = nc_interpreter.run(str(plan.files["lines.nc"]), np.zeros(3), "siemens")
+    assert done.stops == 6
+    assert np.allclose([at for at, _ in done.dwells], lines.stacked("xyz"), atol=1e-4)
+    simulated = calibrate_machine.simulate(
+        replace(settings, simulation=MachineSimulation(error=0.05)), SimulationOptions(3, False)
+    )
+    ratios = promised_over_found(plan, calibrate_machine.run(settings, lines=simulated.files["lines.csv"]))
+    assert max(abs(ratio - 1) for ratio in ratios) < 1e-6

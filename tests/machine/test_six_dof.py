@@ -186,3 +186,53 @@ def test_backlash_shows_in_the_figures(machine: sim.Machine) -> None:
     found = result.tables["positioning"]
     assert found.texts("axis") == ["X"]
     assert found.numbers("B")[0] == pytest.approx(0.004, abs=0.0005)
+
+
+def with_width(one: dict[str, sim.Array], width: float) -> dict[str, sim.Array]:
+    """A line there and back under one alignment, with a reversal error."""
+    there, back = dict(one), {name: values[::-1] for name, values in one.items()}
+    there["ex"], back["ex"] = there["ex"] + width / 2, back["ex"] - width / 2
+    return {name: np.concatenate([there[name], back[name]]) for name in one}
+
+
+def test_a_line_may_go_to_and_fro(machine: sim.Machine) -> None:
+    """The runs of a laser that is set up once: their figures of ISO 230-2."""
+    rng = np.random.default_rng(58)
+    lines = [line(machine, axis, rng) for axis in (*AXES, *DIAGONALS)]
+    table = line_table([with_width(lines[0], 0.004), *lines[1:]])
+    found = calibrate_machine.run(job(), lines=table).tables["positioning"]
+    assert found.texts("axis") == ["X"] and found.texts("at") == ["Y = 0 mm, Z = 0 mm"]
+    assert (found.numbers("runs_up")[0], found.numbers("runs_down")[0]) == (1, 1)
+    assert found.numbers("B")[0] == pytest.approx(0.004, abs=1e-9)
+
+
+def test_runs_in_different_places_are_not_mixed() -> None:
+    """Pitch and yaw make positioning another one elsewhere: each place has its own figures."""
+    targets = np.array([0.0, 1.0, 2.0])
+    runs = [
+        Run("X", targets, np.zeros(3), (0.0, 0.0)),
+        Run("X", targets[::-1], np.full(3, 1.0), (0.0, 0.0)),
+        Run("X", targets, np.full(3, 50.0), (100.0, 0.0)),
+    ]
+    found = positioning(runs)
+    assert found is not None and found.texts("at") == ["Y = 0 mm, Z = 0 mm"]
+    assert found.numbers("B").tolist() == [1.0] and found.numbers("E").tolist() == [1.0]
+    both = positioning([*runs, Run("X", targets[::-1], np.full(3, 47.0), (100.0, 0.0))])
+    assert both is not None and both.numbers("B").tolist() == [1.0, 3.0]
+
+
+def test_the_one_tool_may_have_a_name(machine: sim.Machine) -> None:
+    rng = np.random.default_rng(59)
+    lines = line_table([line(machine, axis, rng) for axis in (*AXES, *DIAGONALS)])
+    named = sim.settings("six-dof", tools={"T1": (0.0, 0.0, 0.0)}, knots=KNOTS, noise=job().noise)
+    result = calibrate_machine.run(named, lines=lines)
+    assert result.tables["tools"].texts("tool") == ["T1"]
+
+
+def test_a_wrong_reading_is_named_with_its_place(machine: sim.Machine) -> None:
+    rng = np.random.default_rng(60)
+    lines = line_table([line(machine, axis, rng) for axis in (*AXES, *DIAGONALS)])
+    lines.columns["ex"][3] += 0.02
+    result = calibrate_machine.run(job(), lines=lines)
+    assert result.tables["suspects"].texts("line")[0] == "L0 at 75 mm"
+    assert any("line L0 at 75 mm (w = " in warning for warning in result.warnings)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import simulated_machine as sim
 
-from metrocli.errors import UndeterminedError
+from metrocli.errors import InputError, UndeterminedError
 from metrocli.instruments.machine import SQUARENESS_NAMES
 from metrocli.table import Table
 from metrocli.tasks import calibrate_machine
@@ -138,6 +138,14 @@ def test_errors_that_are_not_estimated_are_zero_and_have_no_table() -> None:
     status = dict(zip(result.tables["errors"].texts("error"), result.tables["errors"].texts("status"), strict=True))
     assert status["EAX"] == "not estimated" and status["EXX"] == status["C0Y"] == "determined"
     assert np.abs(result.tables["tables/EXX"].numbers("value") - flat["EXX"]).max() < 1e-8
+
+
+def test_two_knots_have_no_straightness() -> None:
+    """Both are zero, the ends of its line: a job that asks for no more has nothing to find."""
+    rng = np.random.default_rng(15)
+    points = sim.points(sim.random_machine(rng), rng, 100)
+    with pytest.raises(InputError, match="nothing is unknown: of two knots EYX EZX"):
+        calibrate_machine.run(sim.settings(knots=(2, 2, 2), estimate=("EYX", "EZX")), points=points)
 
 
 def test_a_knot_that_no_point_supports_is_named() -> None:
