@@ -9,7 +9,8 @@ from itertools import product
 import numpy as np
 
 from metrocli.adjust.blocks import Array
-from metrocli.diagnosis.projection import System, signatures
+from metrocli.diagnosis.projection import System
+from metrocli.diagnosis.signatures import scan
 from metrocli.diagnosis.subject import Subject
 from metrocli.effects.effect import Effect
 from metrocli.effects.model import Model, can_act, lacking, names_for
@@ -122,8 +123,7 @@ def _of_effect(subject: Subject, system: System, effect: Effect) -> Iterator[Fam
     for chosen in [places] if together else [[place] for place in places]:
         if not chosen:
             continue
-        found = [_columns(subject, system, effect, chosen, dict(scan)) for scan in _scans(subject.model, effect)]
-        kept = _telling([(one, columns, raw) for part in found for one, columns, raw in part])
+        kept = _telling(list(_columns(subject, system, effect, chosen)))
         by_size: dict[int, list[tuple[Alternative, Array, Array]]] = {}
         for item in kept:
             by_size.setdefault(item[1].shape[1], []).append(item)
@@ -174,28 +174,26 @@ def thinned(values: Array, most: int) -> Array:
 
 
 def _columns(
-    subject: Subject, system: System, effect: Effect, places: Sequence[tuple[str, ...]], scanned: Mapping[str, float]
-) -> list[tuple[Alternative, Array, Array]]:
-    """Return for each place the visible columns of its parameters (rows, parameters) and their norms before."""
-    model = subject.model
-    full, block, chosen = signatures(model, system, effect, places, scanned)
-    if not chosen.any():
-        return []
-    member, column = np.nonzero(chosen)
-    before = model.blocks.get(block.name)
-    seen = system.seen(full)
-    kept = []
-    for number, place in enumerate(places):
-        own = member == (number + 1 if len(block.members) > 1 and before is None else _row(block.members, place))
-        if not own.any():
-            own = np.ones(len(member), dtype=bool) if len(places) == 1 else own
-        touched = np.flatnonzero(np.abs(full[:, own]).max(axis=1) > 0) if own.any() else np.zeros(0)
-        if len(touched) < subject.fewest:
+    subject: Subject, system: System, effect: Effect, places: Sequence[tuple[str, ...]]
+) -> Iterator[tuple[Alternative, Array, Array]]:
+    """Yield for each place and scan the visible columns of its parameters (rows, parameters) and their norms before."""
+    scans = [dict(one) for one in _scans(subject.model, effect)]
+    for scanned, (full, block, chosen) in zip(
+        scans, scan(subject.model, system, effect, places, scans) if scans else (), strict=True
+    ):
+        if not chosen.any():
             continue
-        names = tuple(block.columns[i] for i in column[own])
-        alternative = Alternative(effect, place, tuple(scanned.items()), names)
-        kept.append((alternative, seen[:, own], np.linalg.norm(full[:, own], axis=0)))
-    return kept
+        member, column = np.nonzero(chosen)
+        before, seen = subject.model.blocks.get(block.name), system.seen(full)
+        for number, place in enumerate(places):
+            own = member == (number + 1 if len(block.members) > 1 and before is None else _row(block.members, place))
+            if not own.any():
+                own = np.ones(len(member), dtype=bool) if len(places) == 1 else own
+            touched = np.flatnonzero(np.abs(full[:, own]).max(axis=1) > 0) if own.any() else np.zeros(0)
+            if len(touched) >= subject.fewest:
+                names = tuple(block.columns[i] for i in column[own])
+                alternative = Alternative(effect, place, tuple(scanned.items()), names)
+                yield alternative, seen[:, own], np.linalg.norm(full[:, own], axis=0)
 
 
 def _row(members: Sequence[str], place: tuple[str, ...]) -> int:

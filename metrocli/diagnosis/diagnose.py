@@ -17,10 +17,11 @@ from metrocli.diagnosis.mistakes import Mistaken
 from metrocli.diagnosis.naming import Named, named
 from metrocli.diagnosis.noise import GIVEN, Noise, Unit, apart, noise_of, weighted
 from metrocli.diagnosis.polish import polished
-from metrocli.diagnosis.projection import System, signature
+from metrocli.diagnosis.projection import System
 from metrocli.diagnosis.race import Field
 from metrocli.diagnosis.selected import Selection
 from metrocli.diagnosis.selection import select
+from metrocli.diagnosis.signatures import signature
 from metrocli.diagnosis.structure import REPEATS, Left, PureError, left_over, log_strongest, pure_error
 from metrocli.diagnosis.subject import Subject
 

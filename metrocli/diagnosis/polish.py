@@ -8,9 +8,9 @@ import numpy as np
 
 from metrocli.adjust.blocks import Array
 from metrocli.diagnosis.candidates import Alternative, Family, thinned
-from metrocli.diagnosis.projection import signature
 from metrocli.diagnosis.race import Field
 from metrocli.diagnosis.selected import Chosen, Selection
+from metrocli.diagnosis.signatures import signature
 from metrocli.diagnosis.subject import Subject
 
 _TRIED = 40

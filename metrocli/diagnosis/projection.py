@@ -8,18 +8,18 @@ on the datum.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
 from metrocli.adjust.blocks import Array, Block
+from metrocli.adjust.chain import Link, through
 from metrocli.adjust.datum import open_frame
 from metrocli.adjust.groups import Group, Linear
 from metrocli.adjust.layout import Layout, arrange
 from metrocli.adjust.observations import Index, Mask
-from metrocli.effects.effect import Effect
-from metrocli.effects.model import Model, with_effect
+from metrocli.effects.model import Model
 from metrocli.errors import InputError
 
 MOST_NUMBERS = 60_000_000
@@ -44,6 +44,8 @@ class System:
     """Standard deviation of each row in the unit of its reading, (rows,)"""
     sizes: Array
     """Norm of J's column of each unknown, (unknowns,)"""
+    runs: dict[str, Run] = field(default_factory=dict, compare=False, repr=False)
+    """What the model's chains pass through, for groups that were asked for"""
 
     @property
     def rows(self) -> int:
@@ -79,6 +81,12 @@ class System:
         full[start : start + d * len(values)] = np.repeat(values, d, axis=0)
         return full
 
+    def run(self, group: Group) -> Run:
+        """Return what the chain of a group of the model passes through."""
+        if group.name not in self.runs:
+            self.runs[group.name] = run_of(group, self.model.blocks)
+        return self.runs[group.name]
+
     def entries(self, block: str) -> Index:
         """Return for each entry of a block its place among the unknowns, -1 where it is none, (members, size)."""
         columns = self.layout.columns.get(block)
@@ -97,6 +105,27 @@ class System:
     def shifts(self, values: Array, blocks: Sequence[str], columns: tuple[int, ...]) -> Array:
         """Return `shift` of several blocks, one after the other."""
         return np.concatenate([self.shift(values, block, columns) for block in blocks])
+
+
+@dataclass(frozen=True)
+class Run:
+    """The values in front of each link of a chain, and the derivatives of the reading by them."""
+
+    links: tuple[Link, ...]
+    values: tuple[Array, ...]
+    """(in, n) of each link, then the predicted reading"""
+    outer: tuple[Array | None, ...]
+    """(d, in, n) of each link but the first; None for the reading by itself"""
+
+
+def run_of(group: Group, blocks: Mapping[str, Block]) -> Run:
+    """Return what a chain passes through at the blocks' values."""
+    links, steps = group.chain.links, group.chain.steps(blocks, group.observations, frozenset(blocks))
+    outer: list[Array | None] = [None]
+    for step in steps[:0:-1]:
+        after, by_input = outer[0], step.by_input
+        outer.insert(0, by_input if after is None or by_input is None else through(after, by_input))
+    return Run(links, (np.zeros((0, group.observations.count)), *(step.value for step in steps)), (None, *outer))
 
 
 def by_rows(linear: Linear) -> Array:
@@ -163,44 +192,3 @@ def _factored(model: Model, layout: Layout, jacobian: Array) -> tuple[Array, Arr
     q, triangle = np.linalg.qr(rows)
     inverse = np.linalg.inv(triangle)
     return q[: len(jacobian)], inverse / size[:, None], size
-
-
-def whitened_columns(model: Model, group: Group, block: Block, chosen: Mask) -> Array:
-    """Return the whitened derivatives of a group by the chosen entries of a block, (rows of the group, entries)."""
-    numbers = np.full(block.values.shape, -1, dtype=np.intp)
-    numbers[chosen] = np.arange(int(chosen.sum()))
-    d, n = group.observations.readings.shape
-    full = np.zeros((n, d, int(chosen.sum())))
-    if block.name in group.chain.blocks:
-        for touch in group.linear(model.blocks, frozenset({block.name})).touches:
-            scatter(full, touch.jacobian, numbers[touch.index])
-    return full.reshape(n * d, -1)
-
-
-def signatures(
-    model: Model, system: System, effect: Effect, places: Sequence[tuple[str, ...]], scanned: Mapping[str, float]
-) -> tuple[Array, Block, Mask]:
-    """Return the whitened columns that an effect at some places adds (rows, entries), with its block and the entries.
-
-    Entries are those of the effect's block that the model did not estimate before, (members, size).
-    """
-    extended = with_effect(model, effect, places, scanned)
-    block = extended.blocks[extended.added[-1].block]
-    before = model.blocks.get(block.name)
-    chosen = block.free.copy()
-    if before is not None:
-        chosen[:, : before.size] &= ~before.free
-    full = np.zeros((system.rows, int(chosen.sum())))
-    for group in extended.readings:
-        found = whitened_columns(extended, group, block, chosen)
-        start = system.first[group.name]
-        factor = group.observations.sigma.T.ravel() / system.scale[start : start + len(found)]
-        full[start : start + len(found)] = found * factor[:, None]
-    return full, block, chosen
-
-
-def signature(
-    model: Model, system: System, effect: Effect, place: tuple[str, ...], scanned: Mapping[str, float]
-) -> Array:
-    """Return the whitened columns of an effect at one place, (rows, parameters)."""
-    return signatures(model, system, effect, [place], scanned)[0]

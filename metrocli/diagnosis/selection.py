@@ -263,7 +263,8 @@ def _better(selection: Selection, one: Chosen) -> Chosen | None:
     scores = field.scores(given)
     best = [evidence(field, given, i, score) for i, score in enumerate(scores)]
     for family, number in field.around(one.family, one.number) if one in selection.named else ():
-        best[family][number] = -np.inf
+        if _stands_out(field, scores, (one.family, one.number), (family, number)):
+            best[family][number] = -np.inf
     family = _preferred(field, best, one)
     number = int(np.argmax(best[family]))
     differs = family != one.family

@@ -25,6 +25,8 @@ def _velocity() -> tuple[Parameter, ...]:
 
 _SHORTEST, _LONGEST = 2.0, 50.0
 """Periods that are looked for [mm]"""
+_TRIED = 1000
+"""Up to axes of 1 m no period falls between two that are tried: a quarter of a turn at the ends of the axis"""
 
 
 def _periods(conditions: Mapping[str, Array]) -> Array:
@@ -51,7 +53,7 @@ EFFECTS: tuple[Effect, ...] = (
         (_size("amplitude", "length", "10 um"), _size("phase", "angle", "6.3 rad")),
         lambda block, where: ScrewPitchError(block, where["axis"]),
         where=("axis",),
-        scanned=(Parameter("period", "length", grid=_periods),),
+        scanned=(Parameter("period", "length", grid=_periods, tried=_TRIED),),
         space=Space.WAVE,
         reveal="a line of points closer than a quarter of the pitch, at steps that are no multiple of it",
         source="ISO 230-2:2014 (targets not at multiples of the pitch, for this error)",

@@ -22,9 +22,10 @@ from metrocli.diagnosis.given import PRIOR, nothing
 from metrocli.diagnosis.mended import field_of_job
 from metrocli.diagnosis.naming import _seen
 from metrocli.diagnosis.noise import apart
-from metrocli.diagnosis.projection import System, linearised, signature
+from metrocli.diagnosis.projection import System, linearised
 from metrocli.diagnosis.race import Field, independent, quadratic
 from metrocli.diagnosis.selection import select
+from metrocli.diagnosis.signatures import signature
 from metrocli.diagnosis.structure import pure_error
 from metrocli.diagnosis.subject import Subject
 from metrocli.effects.model import Model

@@ -1,0 +1,40 @@
+"""The columns that an effect adds, found from its own link alone, against the whole chain linearised anew."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from benchmarks.hidden import grids
+from benchmarks.hidden_effects import KINDS
+from metrocli.diagnosis import signatures
+from metrocli.diagnosis.candidates import instances
+from metrocli.diagnosis.projection import linearised
+from metrocli.diagnosis.subject import Subject
+from metrocli.effects.model import can_act
+
+ALL: dict[str, Callable[[], Subject]] = {kind: next(make(1)).subject for kind, make in KINDS.items()}
+ALL["selfcal-grid"] = next(grids.cases(1)).subject
+
+
+@pytest.mark.parametrize("kind", ALL)
+def test_columns_are_those_of_the_whole_chain(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    subject = ALL[kind]()
+    system = linearised(subject.model)
+    seen = [effect for effect in subject.effects if not effect.of_one_reading and can_act(subject.model, effect)]
+    assert len(seen) >= 5
+    fast = {}
+    for anew in (False, True):
+        if anew:
+            monkeypatch.setattr(signatures, "_spliced", lambda *_: None)
+        for effect in seen:
+            place = instances(subject.model, effect)[-1]
+            scanned = {parameter.name: 3.0 for parameter in effect.scanned}
+            columns = signatures.signature(subject.model, system, effect, place, scanned)
+            if not anew:
+                fast[effect.name, effect.by] = columns
+            else:
+                rounding = 1e-12 * np.abs(columns).max(initial=0.0)
+                np.testing.assert_allclose(fast[effect.name, effect.by], columns, rtol=1e-12, atol=rounding)
