@@ -187,7 +187,7 @@ def _fronts(graph: _Graph, nodes: list[_Node], members: list[Index]) -> list[Fro
             Front(
                 np.concatenate([members[p] for p in node.places]),
                 np.concatenate([empty, *(members[p] for p in border)]),
-                node.children,
+                tuple(child for child in node.children if borders[child].any()),
             )
         )
     return fronts
