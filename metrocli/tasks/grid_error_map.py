@@ -13,7 +13,7 @@ from itertools import product
 import numpy as np
 
 from metrocli.adjust.blocks import Array
-from metrocli.adjust.observations import Index
+from metrocli.adjust.observations import Index, Mask
 from metrocli.errors import InputError
 from metrocli.instruments.ball_grid import numbers_at
 from metrocli.table import Table
@@ -22,6 +22,24 @@ _DEGREES = 6
 _AT_ONCE = 200
 Covariance = Callable[[Array], Array]
 """From weights (rows, sites) on one component to the covariance (3, rows, rows) of the weighted errors"""
+
+
+@dataclass(frozen=True)
+class SiteErrors:
+    """The machine error at sites."""
+
+    sites: Index
+    """(sites, 3) in pitches"""
+    pitch: float
+    values: Array
+    """(sites, 3) [mm]"""
+    std: Array
+    """(sites, 3), inf where the views leave it undetermined"""
+
+    @property
+    def open(self) -> Mask:
+        """Whether a component is undetermined, (sites, 3)."""
+        return np.asarray(~np.isfinite(self.std))
 
 
 @dataclass(frozen=True)
@@ -92,13 +110,13 @@ def trilinear(sites: Index, pitch: float, points: Array) -> tuple[Index, Array]:
     return np.where(lost[:, None], -1, np.maximum(at, 0)), weights
 
 
-def error_map(points: Table, field: tuple[Index, float, Array], covariance: Covariance, form: Smooth | None) -> Table:
+def error_map(points: Table, field: SiteErrors, covariance: Covariance, form: Smooth | None) -> Table:
     """Return the machine error at points, trilinear and smooth; InputError for points outside the sites.
 
-    field is (sites, pitch, errors). The uncertainty of the trilinear value counts, beside the measurement, the bend
-    of the field between sites, `h^2/8` times its second differences, taken as the limit of an even distribution.
+    The uncertainty of the trilinear value counts, beside the measurement, the bend of the field between sites, `h^2/8`
+    times its second differences, taken as the limit of an even distribution; it is inf where a site is undetermined.
     """
-    sites, pitch, errors = field
+    sites, pitch = field.sites, field.pitch
     places = points.stacked("xyz")
     at, weights = trilinear(sites, pitch, places)
     lost = np.flatnonzero(at[:, 0] < 0)
@@ -109,8 +127,8 @@ def error_map(points: Table, field: tuple[Index, float, Array], covariance: Cova
         box = ", ".join(f"{'xyz'[a]} {low[a]:g} ... {high[a]:g} mm" for a in range(3))
         names, text = points.texts("point"), "is not between measured sites"
         raise InputError([fault(points, row, f"point '{names[row]}' {text}", box) for row in lost[:20].tolist()])
-    value, std = _trilinear_errors((at, weights), errors, covariance)
-    bend = _bend(sites, errors)[np.maximum(at, 0)].max(axis=1) / np.sqrt(3)
+    value, std = _trilinear_errors((at, weights), field, covariance)
+    bend = _bend(sites, field.values)[np.maximum(at, 0)].max(axis=1) / np.sqrt(3)
     inner = (np.abs(weights).max(axis=1) < 1 - 1e-9)[:, None]
     columns = {"point": np.array(points.texts("point"))} | {axis: places[:, n] for n, axis in enumerate("xyz")}
     columns |= {f"e{axis}": value[:, n] for n, axis in enumerate("xyz")}
@@ -123,16 +141,17 @@ def error_map(points: Table, field: tuple[Index, float, Array], covariance: Cova
     return Table(columns, {name: "mm" for name in columns if name != "point"})
 
 
-def _trilinear_errors(corners: tuple[Index, Array], errors: Array, covariance: Covariance) -> tuple[Array, Array]:
+def _trilinear_errors(corners: tuple[Index, Array], field: SiteErrors, covariance: Covariance) -> tuple[Array, Array]:
     """Return the weighted errors (n, 3) and their standard uncertainties (n, 3), some hundred points at a time."""
     at, weights = corners
     std = np.empty((len(at), 3))
     for start in range(0, len(at), _AT_ONCE):
         part = slice(start, start + _AT_ONCE)
-        spread = np.zeros((len(at[part]), len(errors)))
+        spread = np.zeros((len(at[part]), len(field.sites)))
         np.add.at(spread, (np.arange(len(spread))[:, None], at[part]), weights[part])
         std[part] = np.sqrt(np.maximum(np.einsum("cnn->nc", covariance(spread)), 0.0))
-    return np.einsum("nk,nka->na", weights, errors[at]), std
+    std[(field.open[at] & (weights != 0)[:, :, None]).any(axis=1)] = np.inf
+    return np.einsum("nk,nka->na", weights, field.values[at]), std
 
 
 def _bend(sites: Index, errors: Array) -> Array:

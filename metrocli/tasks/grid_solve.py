@@ -149,6 +149,9 @@ def leave_one_out(solved: Solved) -> list[LeftOut]:
     view = solved.problem.readings.observations.index[bg.VIEW]
     for n, one in enumerate(solved.problem.views):
         rest = solved.problem.only(np.asarray(view != n))
+        if len(solved.problem.views) < 3:
+            found.append(LeftOut(one.name, float("nan"), 0, float("nan"), 0))
+            continue
         try:
             without = adjust_fields(rest.fields, design_of(rest.fields)).solution
         except OpenDesignError:
