@@ -79,6 +79,8 @@ def compare(settings: Settings, views: Table, lengths: Table | None = None, **_:
 def _problem(settings: Settings, views: Table, lengths: Table | None) -> Problem:
     readings = grid_readings.read(views_of(settings), settings.grid.half, views)
     warnings = grid_mountings.check(readings, settings.grid.pitch)
+    used = {view.name for view in readings.views}
+    warnings += [f"view '{view.name}' has no readings" for view in settings.views if view.name not in used]
     problem = build(readings, (settings.grid.half, settings.grid.pitch), settings.declared, lengths)
     return problem.warned(warnings)
 
