@@ -51,6 +51,7 @@ def report(solved: Solved, found: Open, left_out: Sequence[LeftOut], points: Tab
     machine, artefact = _field(solved, bg.MACHINE), _field(solved, bg.ARTEFACT)
     form, length = _forms(solved, machine)
     mountings, covariance = _mountings(solved)
+    groups = solved.problem.fields.groups
     effects, effect_arrays = effect_results(solved.problem.effects, solved.found)
     tables = {
         "machine_error": _table(machine),
@@ -59,6 +60,7 @@ def report(solved: Solved, found: Open, left_out: Sequence[LeftOut], points: Tab
         "undetermined": _undetermined(found),
         "views": _views(solved, left_out),
         "residuals": residual_table(solved.residuals[0], solved.problem.readings),
+        **({"lengths": residual_table(solved.residuals[1], groups[1])} if len(groups) > 1 else {}),
         "suspects": _suspects(solved),
         "rejected": _rejected(solved),
         **effects,
@@ -294,7 +296,22 @@ def _warnings(solved: Solved, found: Open, machine: _Field, left_out: Sequence[L
             f"{len(told)} readings exceed the outlier bound |w| = {solved.suspects.critical:.2f}: {listed(told, 5)}; "
             "`outliers: remove` leaves such out"
         )
-    return lines + _disagreeing(left_out)
+    return lines + _contradicting(solved) + _disagreeing(left_out)
+
+
+def _contradicting(solved: Solved) -> list[str]:
+    """Return a warning of the calibrated lengths that disagree with the readings or with each other."""
+    if not solved.problem.scale_given:
+        return []
+    tests = np.abs(solved.residuals[1].normalised[0])
+    keys = solved.problem.fields.groups[1].observations.keys
+    told = [
+        " to ".join(f"({', '.join(keys[f'{name}{end}'][n] for name in 'ijk')})" for end in "12")
+        + f" |w| = {tests[n]:.1f}"
+        for n in np.argsort(-tests)
+        if tests[n] > solved.suspects.critical
+    ]
+    return [f"lengths do not agree with each other or with the readings: {listed(told, 5)}"] if told else []
 
 
 def _disagreeing(left_out: Sequence[LeftOut]) -> list[str]:

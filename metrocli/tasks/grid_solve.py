@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -150,10 +150,9 @@ def _worst(solved: Solved, out: dict[int, float]) -> dict[int, float]:
 def leave_one_out(solved: Solved) -> list[LeftOut]:
     """Return for each view what the sum of squares loses without it, and the degrees of freedom that go with it."""
     view = solved.problem.readings.observations.index[bg.VIEW]
-    at_end = replace(solved.problem.fields, blocks=solved.solution.blocks)
     found = []
     for n, one in enumerate(solved.problem.views):
-        without = _adjusted(replace(solved.problem, fields=at_end).only(np.asarray(view != n)))
+        without = _adjusted(solved.problem.only(np.asarray(view != n)))
         if without is None:
             found.append(LeftOut(one.name, float("nan"), 0, float("nan"), 0))
             continue

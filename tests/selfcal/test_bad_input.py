@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from simulated_grid import DECLARED, PITCH, grid
 
-from metrocli.formats import csv
+from metrocli.formats import csv, hdf5
 from metrocli.geometry.rotations import rotation_from_vector
 from metrocli.tasks import selfcal_grid
 
@@ -119,8 +119,6 @@ def test_a_mounting_off_by_degrees_is_no_fault(folder: Path, metrocli: Metrocli)
     csv.write(folder / "views.csv", one.read(np.random.default_rng(1), noise=0.0))
     ran = metrocli("selfcal-grid", "job.yaml", "--quiet")
     assert ran.code == 0, ran.err
-    from metrocli.formats import hdf5
-
     found = hdf5.read(folder / "o.h5")[0].tables["machine_error"].stacked(["ex", "ey", "ez"])
     assert np.abs(found - one.machine).max() < 1e-9
 
@@ -194,9 +192,30 @@ def test_one_view_is_not_enough(folder: Path, metrocli: Metrocli) -> None:
     assert "one view shows only the sum of machine and artefact error" in ran.err
 
 
+@pytest.mark.parametrize("second", ["-2,0,0,2,0,0,261.1,0.001", "0,-2,1,0,2,1,261.1,0.001"])
+def test_lengths_that_contradict_each_other_are_named(second: str, folder: Path, metrocli: Metrocli) -> None:
+    (folder / "lengths.csv").write_text(
+        f"i1,j1,k1,i2,j2,k2,length_mm,sigma_mm\n-2,0,0,2,0,0,260.2,0.001\n{second}\n0,0,-2,0,0,2,260.2,0.5\n"
+    )
+    (folder / "job.yaml").write_text(JOB.replace("views.csv}", "views.csv, lengths: lengths.csv}"))
+    ran = metrocli("selfcal-grid", "job.yaml", "--set", "leave_one_out=no")
+    assert ran.code == 0
+    told = [line for line in ran.err.splitlines() if "lengths do not agree" in line]
+    assert len(told) == 1
+    ends = ", ".join(second.split(",")[:3]), ", ".join(second.split(",")[3:6])
+    assert "(-2, 0, 0) to (2, 0, 0)" in told[0]
+    assert f"({ends[0]}) to ({ends[1]})" in told[0]
+    assert "(0, 0, -2)" not in told[0]
+    table = hdf5.read(folder / "o.h5")[0].tables["lengths"]
+    assert np.abs(table.numbers("residual")[:2].sum()) < 0.01
+    assert table.numbers("residual")[1] == pytest.approx(0.45, abs=0.1)
+
+
 BAD_LENGTHS = {
     "a ball outside": ("1,-2,-2,-2,2,2,9,450.3,0.001", "ball (2, 2, 9) is not in the views"),
     "an exact length": ("1,-2,-2,-2,2,2,2,450.33,0", "must be above zero"),
+    "a ball to itself": ("1,2,0,0,2,0,0,0.0,0.001", "a length from ball (2, 0, 0) to itself"),
+    "a view that is none": ("7,-2,-2,-2,2,2,2,450.33,0.001", "view '7' has no readings"),
     "another length": ("1,-2,-2,-2,2,2,2,45.033,0.001", "these balls are 450.333 mm apart"),
 }
 
