@@ -86,8 +86,12 @@ def _forms(solved: Solved, machine: _Field) -> tuple[Smooth | None, LengthError 
     """Return the smooth form and the length errors; None where a part of the field is undetermined."""
     if not np.isfinite(machine.std).all():
         return None, None
-    places: Array = np.asarray(machine.indices * solved.problem.grid.pitch, dtype=float)
-    return smooth(places, machine.values, _of_machine(solved)), largest(places, machine.values)
+    sites = _at_sites(solved, machine)
+    return smooth(sites, _of_machine(solved)), largest(sites.places, machine.values)
+
+
+def _at_sites(solved: Solved, machine: _Field) -> SiteErrors:
+    return SiteErrors(machine.indices, solved.problem.grid.pitch, machine.values, machine.std)
 
 
 def _field(solved: Solved, name: str) -> _Field:
@@ -201,8 +205,7 @@ def _rejected(solved: Solved) -> Table:
 
 
 def _map(solved: Solved, machine: _Field, points: Table, form: Smooth | None) -> Table:
-    field = SiteErrors(machine.indices, solved.problem.grid.pitch, machine.values, machine.std)
-    return error_map(points, field, _of_machine(solved), form)
+    return error_map(points, _at_sites(solved, machine), _of_machine(solved), form)
 
 
 def _arrays(solved: Solved, machine: _Field, form: Smooth | None) -> dict[str, Array]:
@@ -274,7 +277,8 @@ def _smooth_note(form: Smooth | None) -> tuple[str, ...]:
         return ()
     um = find_unit("um", "length")
     misfit = ", ".join(f"{um.outside(value):.2f}" for value in form.misfit)
-    return (f"smooth form: polynomial of degree {form.degree}, off at sites left out by {misfit} um in x, y, z (rms)",)
+    words = f"off at sites left out by {misfit} um in x, y, z (rms) beyond their noise"
+    return (f"smooth form: polynomial of degree {form.degree}, {words}",)
 
 
 def _warnings(solved: Solved, found: Open, machine: _Field, left_out: Sequence[LeftOut]) -> list[str]:

@@ -52,16 +52,28 @@ def test_the_map_and_a_point_agree_with_the_sites(project: Path, metrocli: Metro
     assert metrocli("show", "results/views.h5", "--at", "140 mm", "0 mm", "0 mm").code == 2
 
 
-def test_between_sites_both_forms_agree_with_the_truth(tmp_path: Path) -> None:
-    """A smooth machine error, known also between the sites: off by no more than the uncertainties say."""
+def bent(places: np.ndarray) -> np.ndarray:
+    """A polynomial that the smooth form can be, of third order."""
+    x, y, z = places.T / 130.0
+    return np.asarray(0.01 * np.stack([x * x + 0.5 * y * z, y**3 - x * z, x * y * z - z * z], axis=1))
+
+
+def waved(places: np.ndarray) -> np.ndarray:
+    """One that it cannot be: a fourth order would meet it at all five sites of a line, and be off between them."""
+    x, y, z = places.T / 130.0
+    return bent(places) + 0.003 * np.sin(3 * np.stack([y, z, x], axis=1) + 1)
+
+
+@pytest.mark.parametrize("field", [bent, waved])
+@pytest.mark.parametrize("noise", [5e-3, 5e-4, 5e-5])
+def test_between_sites_both_forms_are_off_as_their_uncertainties_say(
+    field: Callable[[np.ndarray], np.ndarray], noise: float
+) -> None:
+    """A machine error known also between the sites; where the noise hides what a form misses, and where it does not."""
     from simulated_grid import PITCH, Grid, grid, in_gauge
 
     from metrocli.table import Table
     from metrocli.tasks import selfcal_grid
-
-    def field(places: np.ndarray) -> np.ndarray:
-        x, y, z = places.T / 130.0
-        return 0.01 * np.stack([x * x + 0.5 * y * z, y**3 - x * z, np.cos(1.5 * z) * x], axis=1)
 
     one = grid(5, seed=20)
     r = one.balls * PITCH
@@ -72,7 +84,7 @@ def test_between_sites_both_forms_agree_with_the_truth(tmp_path: Path) -> None:
     points = Table(
         {"point": np.arange(300).astype(str), **dict(zip("xyz", places.T, strict=True))}, dict.fromkeys("xyz", "mm")
     )
-    result = selfcal_grid.run(moved.settings(leave_one_out="no"), moved.read(rng), None, points)
+    result = selfcal_grid.run(moved.settings(noise, leave_one_out="no"), moved.read(rng, noise), None, points)
     basis = np.concatenate([np.ones((125, 1)), r], axis=1)
     # what the gauge took away is linear in the place
     removed = np.linalg.lstsq(basis, field(r) - machine, rcond=None)[0]
@@ -80,9 +92,11 @@ def test_between_sites_both_forms_agree_with_the_truth(tmp_path: Path) -> None:
     found = result.tables["map"]
     for form in ("", "smooth_"):
         share = (found.stacked([f"{form}e{a}" for a in "xyz"]) - true) / found.stacked([f"s_{form}e{a}" for a in "xyz"])
-        assert 0.3 < np.sqrt((share**2).mean()) < 1.3, form
+        assert 0.65 < np.sqrt((share**2).mean()) < 1.35, form
         assert np.abs(share).max() < 5
-    assert np.abs(found.stacked(["smooth_ex", "smooth_ey", "smooth_ez"]) - true).max() < 2e-3
+    if field is bent:
+        smoothed = found.stacked(["smooth_ex", "smooth_ey", "smooth_ez"])
+        assert np.sqrt(((smoothed - true) ** 2).mean()) < 0.3 * noise
 
 
 def test_effects_are_planted_and_found(project: Path, metrocli: Metrocli) -> None:
