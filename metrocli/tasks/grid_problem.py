@@ -9,7 +9,7 @@ import numpy as np
 
 from metrocli.adjust.blocks import Array, Block
 from metrocli.adjust.chain import Chain
-from metrocli.adjust.coupled import Fields
+from metrocli.adjust.coupled import Design, Fields
 from metrocli.adjust.groups import Group
 from metrocli.adjust.observations import Index, Mask, Observations
 from metrocli.effects.model import Added, Model, Place
@@ -42,6 +42,14 @@ class Problem:
         observations = self.readings.observations
         readings = self.readings.with_observations(replace(observations, sigma=np.array(noise)))
         return replace(self, fields=replace(self.fields, groups=(readings, *self.fields.groups[1:])))
+
+    def held(self, design: Design) -> Problem:
+        """Return the problem with a condition for everything that the design leaves open."""
+        conditions = {}
+        for name in (bg.MACHINE, bg.ARTEFACT):
+            places = design.partition.columns[name]
+            conditions[name] = np.where(places >= 0, design.constraint[:, np.maximum(places, 0)], 0.0)
+        return replace(self, fields=replace(self.fields, conditions=conditions))
 
     def model(self) -> Model:
         """Return the problem as a model that effects can be added to, its datum as readings."""

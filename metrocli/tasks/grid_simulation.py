@@ -12,6 +12,7 @@ from metrocli.adjust.observations import Index
 from metrocli.effects.estimates import true_values
 from metrocli.effects.model import extended
 from metrocli.effects.wanted import Wanted
+from metrocli.errors import Fault, InputError
 from metrocli.geometry.poses import EULER, pose_from_euler
 from metrocli.instruments.ball_grid import ARTEFACT, MACHINE, VIEW, View, numbers_at, rigid
 from metrocli.simulation import Simulation
@@ -32,9 +33,19 @@ def balls_of(half: Index) -> Index:
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
-def on_the_grid(view: View, balls: Index, half: Index) -> Index:
-    """Return the balls whose sites lie on the grid in this view."""
+def balls_on(view: View, half: Index) -> Index:
+    """Return the balls whose sites lie on the grid in this view, (n, 3)."""
+    balls = balls_of(half)
     return balls[(np.abs(view.sites(balls)) <= half).all(axis=1)]
+
+
+def views_on_the_grid(settings: Settings) -> list[View]:
+    """Return the nominal mountings; InputError for those that bring no ball to a site of the grid."""
+    views = views_of(settings)
+    lost = [view.name for view in views if not len(balls_on(view, settings.grid.half))]
+    if lost:
+        raise InputError([Fault(f"view '{name}' brings no ball to a site of the grid") for name in lost])
+    return views
 
 
 def simulated(
@@ -82,8 +93,8 @@ def _at(balls: Index, indices: Index, field: Array) -> Array:
 
 def _design(settings: Settings, truth: GridSimulation) -> Table:
     """Return the balls of each view whose sites are on the grid, at their nominal places, one after the other."""
-    views, half = views_of(settings), settings.grid.half
-    each = [np.tile(on_the_grid(view, balls_of(half), half), (truth.repeats, 1)) for view in views]
+    views = views_on_the_grid(settings)
+    each = [np.tile(balls_on(view, settings.grid.half), (truth.repeats, 1)) for view in views]
     count, ball = [len(one) for one in each], np.concatenate(each)
     places = np.concatenate([view.sites(one) for view, one in zip(views, each, strict=True)]) * settings.grid.pitch
     columns: dict[str, Values] = {"view": np.repeat(np.array([view.name for view in views]), count)}

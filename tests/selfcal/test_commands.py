@@ -169,6 +169,37 @@ def test_the_plan_says_what_other_views_would_give(project: Path, metrocli: Metr
     assert [sheet.numbers(a)[row] for a in "xyz"] == [-65.0, 130.0, 0.0]
 
 
+def test_a_view_beside_the_grid_cannot_be_planned(project: Path, metrocli: Metrocli) -> None:
+    for command in ("plan", "simulate"):
+        (project / "data" / "views.csv").unlink(missing_ok=True)
+        ran = metrocli(
+            command, "jobs/views.yaml", "--out", "planned", "--set", "views=[{name: a}, {name: b, shift: [5, 0, 0]}]"
+        )
+        assert ran.code == 3, ran.err
+        assert "view 'b' brings no ball to a site of the grid" in ran.err
+        assert not (project / "planned").exists()
+
+
+@pytest.mark.parametrize(("keep", "least"), [("12", 90), ("124", 290), ("123", 370)])
+def test_diagnosis_of_few_views_sees_what_they_determine(
+    keep: str, least: int, project: Path, metrocli: Metrocli
+) -> None:
+    """What the views leave open is held: it is no effect's, takes no reading away, and hides no metres."""
+    rows = (project / "data" / "views.csv").read_text().splitlines()
+    kept = [row for row in rows if row.split(",")[0] in ("view", *keep)]
+    (project / "data" / "views.csv").write_text("\n".join(kept) + "\n")
+    ran = metrocli("diagnose", "jobs/views.yaml", "--json")
+    assert ran.code == 0, ran.err
+    found = json.loads(ran.out)
+    assert found["verdict"] == "clean"
+    low, high = found["noise"]["interval"]
+    # 95 % of sigma0 with so many degrees of freedom
+    assert high - low < 1.2 * 4 / np.sqrt(2 * least)
+    hidden = [one["hides"] for one in found["candidates"] if one.get("hides")]
+    assert len(hidden) > 10
+    assert all(one["unit"] == "um" and one["value"] < 100 for one in hidden)
+
+
 def test_the_correction_is_minus_the_error(project: Path, metrocli: Metrocli) -> None:
     assert metrocli("selfcal-grid", "jobs/views.yaml", "--quiet").code == 0
     assert metrocli("export", "results/views.h5", "--to", "csv", "--out", "export").code == 0
