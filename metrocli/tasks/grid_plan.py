@@ -41,13 +41,35 @@ class _Worth:
     readings: int
 
 
-def plan(settings: Settings) -> Plan:
+@dataclass(frozen=True)
+class _Given:
+    """What does not depend on the views."""
+
+    settings: Settings
+    lengths: Table | None
+
+    def lengths_on(self, half: Index) -> Table | None:
+        """Return the calibrated lengths as they would be on a grid, ends beyond it at its rim; None for none."""
+        if self.lengths is None:
+            return None
+        names = [[f"{name}{end}" for name in "ijk"] for end in "12"]
+        ends = [np.clip(self.lengths.stacked(one), -half, half) for one in names]
+        length = np.linalg.norm(ends[0] - ends[1], axis=1) * self.settings.grid.pitch
+        kept = length > 0
+        columns: dict[str, Values] = {"length": length[kept], "sigma": self.lengths.numbers("sigma")[kept]}
+        for one, end in zip(names, ends, strict=True):
+            columns |= {name: end[kept, n] for n, name in enumerate(one)}
+        return Table(columns) if kept.any() else None
+
+
+def plan(settings: Settings, lengths: Table | None = None) -> Plan:
     """Return the null space and the uncertainties of the planned views, and what one view more or less would change."""
+    given = _Given(settings, lengths)
     views, half = views_on_the_grid(settings), settings.grid.half
     small = np.minimum(half, _TRIED // 2)
-    own = _worth(views, np.minimum(half, _WORKED_OUT // 2), settings)
+    own = _worth(views, np.minimum(half, _WORKED_OUT // 2), given)
     sets = [(words, some) for words, some in _sets(views) if all(len(balls_on(view, small)) for view in some)]
-    table = _table([(words, _tried(some, small, settings)) for words, some in sets])
+    table = _table([(words, _tried(some, small, given)) for words, some in sets])
     gain = Estimate("s_machine_error", 0.0, own.gain * settings.declared, "mm")
     most = Estimate("s_machine_error_max", 0.0, own.largest * settings.declared, "mm")
     size = " x ".join(str(2 * n + 1) for n in small.tolist())
@@ -71,24 +93,25 @@ def _sets(views: Sequence[bg.View]) -> Iterator[tuple[str, list[bg.View]]]:
         yield f"without '{one.name}'", [view for view in views if view is not one]
 
 
-def _tried(views: Sequence[bg.View], half: Index, settings: Settings) -> _Worth | None:
+def _tried(views: Sequence[bg.View], half: Index, given: _Given) -> _Worth | None:
     try:
-        return _worth(views, half, settings)
+        return _worth(views, half, given)
     except UndeterminedError:
         return None
 
 
-def _worth(views: Sequence[bg.View], half: Index, settings: Settings) -> _Worth:
-    problem = _problem(views, half, settings)
+def _worth(views: Sequence[bg.View], half: Index, given: _Given) -> _Worth:
+    problem = _problem(views, half, given)
     taken = design(problem)
     found = opened(problem, taken)
     std = np.where(determined(problem, taken)[bg.MACHINE], taken.std(bg.MACHINE), np.inf)[problem.grid.within > 0]
-    std = std / settings.declared
+    std = std / given.settings.declared
     return _Worth(found, float(np.sqrt((std**2).mean())), float(std.max()), problem.readings.observations.count)
 
 
-def _problem(views: Sequence[bg.View], half: Index, settings: Settings) -> Problem:
+def _problem(views: Sequence[bg.View], half: Index, given: _Given) -> Problem:
     """Return the adjustment of views whose readings are those of a grid without errors."""
+    settings = given.settings
     each = [balls_on(view, half) for view in views]
     values = [view.sites(one) * settings.grid.pitch for view, one in zip(views, each, strict=True)]
     count = [len(one) for one in each]
@@ -97,7 +120,7 @@ def _problem(views: Sequence[bg.View], half: Index, settings: Settings) -> Probl
     columns |= {name: ball[:, n] for n, name in enumerate("ijk")}
     view = np.repeat(np.arange(len(views)), count)
     readings = Readings(tuple(views), view, ball, np.concatenate(values), Table(columns))
-    return build(readings, (half, settings.grid.pitch), settings.declared)
+    return build(readings, (half, settings.grid.pitch), settings.declared, given.lengths_on(half))
 
 
 def _table(rows: Sequence[tuple[str, _Worth | None]]) -> Table:

@@ -104,9 +104,9 @@ def simulate(
     return simulated(settings, views, effects, np.random.default_rng(options.seed))
 
 
-def plan(settings: Settings, **_: object) -> Plan:
-    """Return what the views of the job will determine, and what others would."""
-    return grid_plan.plan(settings)
+def plan(settings: Settings, lengths: Table | None = None, **_: object) -> Plan:
+    """Return what the views and lengths of the job will determine, and what others would."""
+    return grid_plan.plan(settings, lengths)
 
 
 __all__ = ["KIND", "SIMULATED", "SUMMARY", "Inputs", "Settings", "compare", "diagnosed", "plan", "run", "simulate"]

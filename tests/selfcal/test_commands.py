@@ -169,6 +169,26 @@ def test_the_plan_says_what_other_views_would_give(project: Path, metrocli: Metr
     assert [sheet.numbers(a)[row] for a in "xyz"] == [-65.0, 130.0, 0.0]
 
 
+@pytest.mark.parametrize("size", [5, 13])
+def test_the_plan_knows_the_lengths(size: int, project: Path, metrocli: Metrocli) -> None:
+    """They fix the scale, in the sets of views that are tried on a smaller grid too."""
+    half = size // 2
+    (project / "data" / "lengths.csv").write_text(
+        f"i1,j1,k1,i2,j2,k2,length_mm,sigma_mm\n{-half},0,0,{half},0,0,{65 * 2 * half},0.001\n"
+    )
+    ran = metrocli("plan", "jobs/scaled.yaml", "--out", "planned", "--set", f"grid.size=[{size}, {size}, {size}]")
+    assert ran.code == 0, ran.err
+    assert "12 directions undetermined" in ran.out
+    assert "the scale is that of the lengths" in ran.out
+    sets = csv.read(
+        project / "planned" / "view_sets.csv", Columns((Column("views", TEXT), Column("undetermined", TEXT)))
+    )
+    worth = dict(zip(sets.texts("views"), sets.texts("undetermined"), strict=True))
+    assert worth["planned"] == "12"
+    # without the turn about x the scale along z stays open, and the two kinds of field that planes across z can have
+    assert worth["without '3'"] == "17"
+
+
 def test_a_view_beside_the_grid_cannot_be_planned(project: Path, metrocli: Metrocli) -> None:
     for command in ("plan", "simulate"):
         (project / "data" / "views.csv").unlink(missing_ok=True)
