@@ -61,6 +61,21 @@ def test_families_are_named_with_their_remedy(views: str) -> None:
     assert REMEDIES[views] in result.warnings
 
 
+@pytest.mark.parametrize(("end", "left"), [((2, 2, 0), "along z"), ((0, 0, 2), "across z")])
+def test_a_length_fixes_one_of_two_scales(end: tuple[int, int, int], left: str) -> None:
+    """Without the turn about x the scale along z is one of its own: a length fixes that of its own direction."""
+    one = grid(5, "1246", seed=8)
+    columns = {f"{name}{k}": np.array([sign * end[n]]) for k, sign in ((1, -1), (2, 1)) for n, name in enumerate("ijk")}
+    length = 2 * PITCH * np.linalg.norm(end)
+    lengths = Table(
+        {**columns, "length": np.array([length]), "sigma": np.array([1e-3])}, {"length": "mm", "sigma": "mm"}
+    )
+    result = selfcal_grid.run(one.settings(leave_one_out="no"), one.read(np.random.default_rng(2)), lengths)
+    table = result.tables["undetermined"]
+    assert table.texts("pattern")[2:] == [f"another scale {left}"]
+    assert result.statistics["undetermined"] == 13
+
+
 def test_four_views_say_thirteen_and_no_more() -> None:
     _, result = run("1234")
     assert result.notes[0] == (
