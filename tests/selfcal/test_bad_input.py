@@ -100,6 +100,17 @@ def test_it_is_refused_and_told(name: str, folder: Path, metrocli: Metrocli) -> 
     assert not (folder / "o.h5").exists()
 
 
+def test_an_entry_of_a_list_is_set_by_its_number(folder: Path, metrocli: Metrocli) -> None:
+    ran = metrocli("selfcal-grid", "job.yaml", "--set", "views.2.rotate.angle=-90 deg")
+    assert ran.code == 3
+    assert "view '2' stands turned by 90 deg about z, declared turned by -90 deg about z" in ran.err
+    assert metrocli("selfcal-grid", "job.yaml", "--set", "views.4.name=4", "--set", "grid.size.3=5").code == 0
+    for number in ("0", "5"):
+        ran = metrocli("selfcal-grid", "job.yaml", "--set", f"views.{number}.name=x")
+        assert ran.code == 2
+        assert f"'views' has 4 entries, counted from 1; there is no {number}" in ran.err
+
+
 def test_the_good_input_is_good(folder: Path, metrocli: Metrocli) -> None:
     """Or the tests above would pass whatever is refused."""
     ran = metrocli("selfcal-grid", "job.yaml")
