@@ -40,7 +40,7 @@ def test_fields_are_recovered(n: int, views: str) -> None:
         assert all(abs(found[f"{name}.{column}"] - value) < 1e-9 for column, value in wanted.items())
 
 
-@pytest.mark.parametrize("n", [3, 5, 7, 9, 11, 13])
+@pytest.mark.parametrize("n", [3, 5, 7, 9, 11, 13, 15, 17, 19, 21])
 def test_four_views_leave_thirteen(n: int) -> None:
     one = grid(n)
     found = design_of(problem_of(one, one.read(np.random.default_rng(0))).fields)
