@@ -16,13 +16,13 @@ from metrocli.geometry.poses import EULER, euler_form
 from metrocli.instruments import ball_grid as bg
 from metrocli.result import Estimate, Result
 from metrocli.table import Table
-from metrocli.tasks.adjustment_statistics import Statistics, basic_statistics, noise_warnings
+from metrocli.tasks import grid_warnings
+from metrocli.tasks.adjustment_statistics import Statistics, basic_statistics
 from metrocli.tasks.grid_error_map import Covariance, SiteErrors, Smooth, error_map, smooth
 from metrocli.tasks.grid_lengths import LengthError, largest
 from metrocli.tasks.grid_open import Open, determined
 from metrocli.tasks.grid_solve import LeftOut, Solved
 from metrocli.tasks.image_tables import residual_table
-from metrocli.tasks.sightings import listed
 from metrocli.units import find_unit
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ def report(solved: Solved, found: Open, left_out: Sequence[LeftOut], points: Tab
         statistics=statistics,
         tables=tables,
         arrays=_arrays(solved, machine, form) | effect_arrays,
-        warnings=(*solved.problem.warnings, *_warnings(solved, found, machine, left_out)),
+        warnings=(*solved.problem.warnings, *grid_warnings.warnings(solved, found, machine.std, left_out)),
         shown=("views", *(("suspects",) if len(solved.suspects.rows) else ())),
         notes=(*found.sentences(), *length_note, *_smooth_note(form)),
     )
@@ -279,51 +279,3 @@ def _smooth_note(form: Smooth | None) -> tuple[str, ...]:
     misfit = ", ".join(f"{um.outside(value):.2f}" for value in form.misfit)
     words = f"off at sites left out by {misfit} um in x, y, z (rms) beyond their noise"
     return (f"smooth form: polynomial of degree {form.degree}, {words}",)
-
-
-def _warnings(solved: Solved, found: Open, machine: _Field, left_out: Sequence[LeftOut]) -> list[str]:
-    lines = noise_warnings(solved.solution)
-    if found.families:
-        open_share = float((~np.isfinite(machine.std)).mean())
-        lines += found.sentences()[1:]
-        lines.append(
-            f"{open_share:.0%} of the machine error's components are not determined (standard uncertainty inf): their "
-            "values are those with the least sum of squares of machine and artefact error; the datum is over the "
-            "others, and smooth form and length errors are not given"
-        )
-    if len(solved.suspects.rows):
-        observations = solved.problem.readings.observations
-        keys = observations.keys
-        order = solved.suspects.rows[np.argsort(-solved.suspects.tests)]
-        told = [f"{keys['view'][n]}: ({keys['i'][n]}, {keys['j'][n]}, {keys['k'][n]})" for n in order]
-        lines.append(
-            f"{len(told)} readings exceed the outlier bound |w| = {solved.suspects.critical:.2f}: {listed(told, 5)}; "
-            "`outliers: remove` leaves such out"
-        )
-    return lines + _contradicting(solved) + _disagreeing(left_out)
-
-
-def _contradicting(solved: Solved) -> list[str]:
-    """Return a warning of the calibrated lengths that disagree with the readings or with each other."""
-    if not solved.problem.scale_given:
-        return []
-    tests = np.abs(solved.residuals[1].normalised[0])
-    keys = solved.problem.fields.groups[1].observations.keys
-    told = [
-        " to ".join(f"({', '.join(keys[f'{name}{end}'][n] for name in 'ijk')})" for end in "12")
-        + f" |w| = {tests[n]:.1f}"
-        for n in np.argsort(-tests)
-        if tests[n] > solved.suspects.critical
-    ]
-    return [f"lengths do not agree with each other or with the readings: {listed(told, 5)}"] if told else []
-
-
-def _disagreeing(left_out: Sequence[LeftOut]) -> list[str]:
-    """Return a warning of the view without which the others fit, where there is one and they do not fit with it."""
-    bound = 0.01 / max(len(left_out), 1)
-    odd = [one for one in left_out if one.p_value < bound and one.rest_p_value > bound]
-    return [
-        f"view '{one.view}' does not agree with the others, which fit without it: the sum of squares falls by "
-        f"{one.chi2:.0f} for {one.dof} degrees of freedom (p = {one.p_value:.1g})"
-        for one in sorted(odd, key=lambda one: one.p_value)[:1]
-    ]
