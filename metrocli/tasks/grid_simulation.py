@@ -17,7 +17,7 @@ from metrocli.geometry.poses import EULER, pose_from_euler
 from metrocli.instruments.ball_grid import ARTEFACT, MACHINE, VIEW, View, numbers_at, rigid
 from metrocli.simulation import Simulation
 from metrocli.table import Table
-from metrocli.tasks.grid_problem import build
+from metrocli.tasks.grid_problem import LENGTHS, build
 from metrocli.tasks.grid_readings import read
 from metrocli.tasks.grid_settings import GridSimulation, Settings, views_of
 
@@ -49,18 +49,22 @@ def views_on_the_grid(settings: Settings) -> list[View]:
 
 
 def simulated(
-    settings: Settings, views: Table | None, effects: Sequence[Wanted], rng: np.random.Generator
+    settings: Settings,
+    views: Table | None,
+    effects: Sequence[Wanted],
+    rng: np.random.Generator,
+    lengths: Table | None = None,
 ) -> Simulation:
     """Return the readings of each view with errors drawn for machine, artefact and mountings, and with effects.
 
     The machine's error is smooth, a polynomial of third order. Errors are free of rigid motion and of common scale, as
-    the result states them. Sites outside the grid have no error.
+    the result states them. Sites outside the grid have no error. Calibrated lengths are drawn anew between their balls.
     """
     truth, half, pitch = settings.simulation or GridSimulation(), settings.grid.half, settings.grid.pitch
     balls = balls_of(half)
     machine, artefact = _drawn(np.asarray(balls * pitch, dtype=float), truth, rng)
     readings = read(views_of(settings), half, _design(settings, truth) if views is None else views)
-    problem = build(readings, (half, pitch), settings.declared)
+    problem = build(readings, (half, pitch), settings.declared, lengths)
     count = len(problem.views)
     mountings = np.column_stack([rng.normal(0.0, truth.shift, (count, 3)), rng.normal(0.0, truth.tilt, (count, 3))])
     fields = ((MACHINE, problem.grid.sites, machine), (ARTEFACT, problem.grid.balls, artefact))
@@ -73,6 +77,11 @@ def simulated(
     exact = group.chain.predict(model.blocks, group.observations).T
     files = {"views.csv": _read(readings.table, exact + rng.normal(0.0, 1.0, exact.shape) * settings.declared)}
     files |= {"true_machine_error.csv": _errors(balls, machine), "true_artefact_error.csv": _errors(balls, artefact)}
+    if lengths is not None:
+        known = next(group for group in model.groups if group.name == LENGTHS)
+        exact = known.chain.predict(model.blocks, known.observations)[0]
+        length = exact + rng.normal(0.0, 1.0, len(lengths)) * lengths.numbers("sigma")
+        files["lengths.csv"] = Table(dict(lengths.columns) | {"length": length}, {"length": "mm", "sigma": "mm"})
     names = [f"{view.name}.{name}" for view in problem.views for name in EULER]
     return Simulation(files, dict(zip(names, mountings.ravel().tolist(), strict=True)) | true_values(model))
 

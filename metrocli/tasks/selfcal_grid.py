@@ -89,19 +89,21 @@ def simulate(
     settings: Settings,
     options: SimulationOptions,
     views: Table | None = None,
+    lengths: Table | None = None,
     effects: Sequence[Wanted] = (),
     **_: object,
 ) -> Simulation:
     """Return views of an artefact and a machine with the errors of `simulation:`, and with effects in them.
 
-    Where the job's views exist, their balls, times and temperatures are those of the simulation.
+    Where the job's views exist, their balls, times and temperatures are those of the simulation; calibrated lengths
+    are between the balls of the job's.
     """
     if settings.simulation is None or isinstance(settings.noise, str):
         raise InputError(
             "simulate needs the truth and the noise: write `noise: 5 um` and `simulation: {machine_error: 17 um, "
             "artefact_error: 0.3 mm, shift: 0.2 mm, tilt: 1 mrad}`"
         )
-    return simulated(settings, views, effects, np.random.default_rng(options.seed))
+    return simulated(settings, views, effects, np.random.default_rng(options.seed), lengths)
 
 
 def plan(settings: Settings, lengths: Table | None = None, **_: object) -> Plan:

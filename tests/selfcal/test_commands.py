@@ -169,6 +169,20 @@ def test_the_plan_says_what_other_views_would_give(project: Path, metrocli: Metr
     assert [sheet.numbers(a)[row] for a in "xyz"] == [-65.0, 130.0, 0.0]
 
 
+def test_simulated_lengths_are_those_of_the_simulated_artefact(project: Path, metrocli: Metrocli) -> None:
+    truth = "simulation={machine_error: 17 um, artefact_error: 0.2 mm}"
+    ran = metrocli("simulate", "jobs/scaled.yaml", "--out", "new", "--seed", "4", "--set", truth)
+    assert ran.code == 0, ran.err
+    given = ("--set", "inputs={views: ../new/views.csv, lengths: ../new/lengths.csv}", "--output", "results/new.h5")
+    ran = metrocli("selfcal-grid", "jobs/scaled.yaml", *given)
+    assert ran.code == 0, ran.err
+    assert ran.err == ""
+    true = csv.read(project / "new" / "true_machine_error.csv", ERRORS).stacked(["ex", "ey", "ez"])
+    found = hdf5.read(project / "results" / "new.h5")[0].tables["machine_error"]
+    share = (found.stacked(["ex", "ey", "ez"]) - true) / found.stacked(["s_ex", "s_ey", "s_ez"])
+    assert np.sqrt((share**2).mean()) == pytest.approx(1.0, abs=0.35)
+
+
 @pytest.mark.parametrize("size", [5, 13])
 def test_the_plan_knows_the_lengths(size: int, project: Path, metrocli: Metrocli) -> None:
     """They fix the scale, in the sets of views that are tried on a smaller grid too."""
