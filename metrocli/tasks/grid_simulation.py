@@ -57,8 +57,8 @@ def simulated(
 ) -> Simulation:
     """Return the readings of each view with errors drawn for machine, artefact and mountings, and with effects.
 
-    The machine's error is smooth, a polynomial of third order. Errors are free of rigid motion and of common scale, as
-    the result states them. Sites outside the grid have no error. Calibrated lengths are drawn anew between their balls.
+    The machine's error is smooth, a polynomial of third order. Errors are free of rigid motion and of scale, as the
+    result states them. Sites outside the grid have no error. Calibrated lengths are drawn anew between their balls.
     """
     truth, half, pitch = settings.simulation or GridSimulation(), settings.grid.half, settings.grid.pitch
     balls = balls_of(half)
@@ -89,9 +89,15 @@ def simulated(
 def _drawn(places: Array, truth: GridSimulation, rng: np.random.Generator) -> tuple[Array, Array]:
     """Return errors of a machine and of an artefact at places (n, 3), each (n, 3)."""
     artefact = rng.normal(0.0, 1.0, places.shape) * truth.artefact_error
-    machine = smooth_error(places / np.abs(places).max(), rng)
-    machine *= truth.machine_error / max(float(np.linalg.norm(machine, axis=1).max()), 1e-300)
-    return in_gauge(places, machine, artefact)
+    machine = _shape(places, smooth_error(places / np.abs(places).max(), rng))
+    largest = max(float(np.linalg.norm(machine, axis=1).max()), 1e-300)
+    return machine * (truth.machine_error / largest), _shape(places, artefact)
+
+
+def _shape(places: Array, field: Array) -> Array:
+    """Return a field (n, 3) free of rigid motion and of scale, so that it is in the gauge of the result."""
+    motions = np.concatenate([rigid(places), places[:, :, None]], axis=2).reshape(-1, 7)
+    return np.asarray(field - (motions @ np.linalg.lstsq(motions, field.ravel(), rcond=None)[0]).reshape(-1, 3))
 
 
 def _at(balls: Index, indices: Index, field: Array) -> Array:
@@ -127,18 +133,6 @@ def smooth_error(scaled: Array, rng: np.random.Generator) -> Array:
     powers = [(p, q, r) for p in range(4) for q in range(4) for r in range(4) if 0 < p + q + r <= 3]
     terms = np.stack([scaled[:, 0] ** p * scaled[:, 1] ** q * scaled[:, 2] ** r for p, q, r in powers], axis=1)
     return np.asarray(terms @ rng.normal(0.0, 1.0, (len(powers), 3)))
-
-
-def in_gauge(places: Array, machine: Array, artefact: Array) -> tuple[Array, Array]:
-    """Return both fields free of rigid motion and with `sum G.r = sum A.r`."""
-    motions = rigid(places).reshape(-1, 6)
-    free = [_without(motions, field.ravel()).reshape(field.shape) for field in (machine, artefact)]
-    scale = float((free[0] * places).sum() - (free[1] * places).sum()) / (2 * float((places**2).sum()))
-    return free[0] - scale * places, free[1] + scale * places
-
-
-def _without(motions: Array, field: Array) -> Array:
-    return np.asarray(field - motions @ np.linalg.lstsq(motions, field, rcond=None)[0])
 
 
 def _errors(indices: Index, values: Array) -> Table:

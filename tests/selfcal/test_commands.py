@@ -34,6 +34,12 @@ def test_the_sample_holds_the_truth(project: Path, metrocli: Metrocli) -> None:
     assert np.sqrt((share**2).mean()) == pytest.approx(1.0, abs=0.15)
     scaled = hdf5.read(project / "results" / "scaled.h5")[0]
     assert scaled.statistics["undetermined"] == 12
+    with_scale = scaled.tables["machine_error"]
+    off = (with_scale.stacked(["ex", "ey", "ez"]) - true) / with_scale.stacked(["s_ex", "s_ey", "s_ez"])
+    assert np.abs(off).max() < 4.5
+    # the machine that the README tells of
+    assert np.linalg.norm(true, axis=1).max() == pytest.approx(0.017, rel=1e-9)
+    assert abs((65.0 * found.stacked("ijk") * true).sum()) < 1e-9
 
 
 def test_the_map_and_a_point_agree_with_the_sites(project: Path, metrocli: Metrocli) -> None:
