@@ -23,6 +23,7 @@ from metrocli.words import suggestion
 
 _EXACT = 1e-2
 """Standard deviation of a condition of the datum where it stands among readings, over theirs"""
+_DEPENDENT = 1e-9
 READINGS, LENGTHS = "views", "lengths"
 """Names of the groups: readings of the views, and calibrated distances of balls"""
 
@@ -44,11 +45,15 @@ class Problem:
         return replace(self, fields=replace(self.fields, groups=(readings, *self.fields.groups[1:])))
 
     def held(self, design: Design) -> Problem:
-        """Return the problem with a condition for everything that the design leaves open."""
-        conditions = {}
-        for name in (bg.MACHINE, bg.ARTEFACT):
-            places = design.partition.columns[name]
-            conditions[name] = np.where(places >= 0, design.constraint[:, np.maximum(places, 0)], 0.0)
+        """Return the problem with a condition on the fields for everything that the design leaves open in them."""
+        places = {name: design.partition.columns[name] for name in (bg.MACHINE, bg.ARTEFACT)}
+        parts = [np.where(at >= 0, design.constraint[:, np.maximum(at, 0)], 0.0) for at in places.values()]
+        _, sizes, rows = np.linalg.svd(
+            np.concatenate([part.reshape(len(part), -1) for part in parts], axis=1), full_matrices=False
+        )
+        rows = rows[sizes > _DEPENDENT * sizes.max()]
+        split = np.split(rows, [parts[0][0].size], axis=1)
+        conditions = {name: part.reshape(-1, *at.shape) for (name, at), part in zip(places.items(), split, strict=True)}
         return replace(self, fields=replace(self.fields, conditions=conditions))
 
     def model(self) -> Model:

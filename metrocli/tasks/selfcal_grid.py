@@ -57,7 +57,10 @@ def diagnosed(
     settings: Settings, views: Table, lengths: Table | None = None, effects: Sequence[Wanted] = (), **_: object
 ) -> Subject:
     """Return the job as diagnosis sees it, with all its readings; raises as `run` does."""
-    return subject(solve(_with(_problem(settings, views, lengths), effects), remove=False))
+    solved = solve(_with(_problem(settings, views, lengths), effects), remove=False)
+    if solved.solution.dof <= 0:
+        raise UndeterminedError("there are no more readings than unknowns: no residual shows what the model gets wrong")
+    return subject(solved)
 
 
 def _with(problem: Problem, effects: Sequence[Wanted]) -> Problem:

@@ -240,6 +240,24 @@ def test_diagnosis_of_few_views_sees_what_they_determine(
     assert all(one["unit"] == "um" and one["value"] < 100 for one in hidden)
 
 
+def test_diagnosis_needs_more_readings_than_unknowns(project: Path, metrocli: Metrocli) -> None:
+    rows = (project / "data" / "views.csv").read_text().splitlines()
+    (project / "data" / "views.csv").write_text("\n".join(row for row in rows if row[0] not in "23") + "\n")
+    ran = metrocli("diagnose", "jobs/views.yaml")
+    assert ran.code == 4
+    assert "no more readings than unknowns" in ran.err
+
+
+def test_a_view_of_one_ball_is_no_disturbed_datum(project: Path, metrocli: Metrocli) -> None:
+    rows = (project / "data" / "views.csv").read_text().splitlines()
+    kept = [row for row in rows if row[0] != "4" or row.startswith("4,0,0,0,")]
+    (project / "data" / "views.csv").write_text("\n".join(kept) + "\n")
+    ran = metrocli("diagnose", "jobs/views.yaml")
+    assert ran.code == 0, ran.err
+    assert "verdict: clean" in ran.out
+    assert "datum" not in ran.out
+
+
 def test_the_correction_is_minus_the_error(project: Path, metrocli: Metrocli) -> None:
     assert metrocli("selfcal-grid", "jobs/views.yaml", "--quiet").code == 0
     assert metrocli("export", "results/views.h5", "--to", "csv", "--out", "export").code == 0
