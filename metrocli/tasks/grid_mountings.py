@@ -23,9 +23,9 @@ from metrocli.tasks.grid_settings import shift_in_words, turn_in_words
 _OFF = 0.25
 """A reading further than this share of a pitch from its place is another ball's, or wrong"""
 _TILT = 0.2
-"""Entries of a fit may differ from whole numbers by less than this"""
-_PITCH_WRONG, _PITCH_DOUBTFUL = 0.05, 0.005
-"""Shares by which the distance of neighbouring balls may differ from the pitch, to be refused and to be told"""
+"""Entries of a fit may differ from whole numbers by less than this, unless its balls are few and near each other"""
+_DOUBTFUL = 0.005
+"""Share by which the distance of neighbouring balls may differ from the pitch before it is told"""
 _OFF_SITE = 0.05
 _MOST = 20
 
@@ -53,7 +53,7 @@ def check(readings: Readings, pitch: float) -> list[str]:
     found = [_observed(readings, n, pitch) for n in range(len(readings.views))]
     file = readings.table.file
     for faults in (
-        _other_pitch(readings.views, found, pitch),
+        _other_pitch(readings, found, pitch),
         _exchanged(readings.views, found),
         _otherwise(readings.views, found),
     ):
@@ -105,10 +105,15 @@ def _nearest(matrix: Array) -> Array:
     return max(every, key=lambda one: float((one * matrix).sum()))
 
 
-def _other_pitch(views: tuple[View, ...], found: list[Observed | None], pitch: float) -> list[str]:
+def _other_pitch(readings: Readings, found: list[Observed | None], pitch: float) -> list[str]:
     """Return the views whose readings are no grid of this pitch, all of them together where none is one."""
-    known = [(view.name, seen) for view, seen in zip(views, found, strict=True) if seen is not None]
-    wrong = {f" of view '{name}'": seen.scale * pitch for name, seen in known if abs(seen.scale - 1) > _PITCH_WRONG}
+    known = [(view.name, seen) for view, seen in zip(readings.views, found, strict=True) if seen is not None]
+    reach = [_reach(readings.balls[readings.at(n)]) for n, seen in enumerate(found) if seen is not None]
+    wrong = {
+        f" of view '{name}'": seen.scale * pitch
+        for (name, seen), far in zip(known, reach, strict=True)
+        if abs(seen.scale - 1) * far > _OFF
+    }
     if len(wrong) == len(known) > 1:
         wrong = {"": float(np.median(list(wrong.values())))}
     texts = [
@@ -116,14 +121,23 @@ def _other_pitch(views: tuple[View, ...], found: list[Observed | None], pitch: f
         "is the pitch or a unit of the file wrong?"
         for whose, apart in wrong.items()
     ]
-    skew = [name for name, seen in known if np.abs(seen.tilt).max() > _TILT]
+    skew = [
+        name
+        for (name, seen), far in zip(known, reach, strict=True)
+        if (tilt := float(np.abs(seen.tilt).max())) > _TILT and tilt * far > 2 * _OFF
+    ]
     return texts or [f"the readings of view '{name}' are no grid turned by a multiple of 90 deg" for name in skew]
+
+
+def _reach(balls: Index) -> float:
+    """Return how far the outermost ball is from the middle of some, in pitches."""
+    return float(np.linalg.norm(balls - balls.mean(axis=0), axis=1).max())
 
 
 def _doubtful_pitch(found: list[Observed | None], pitch: float) -> list[str]:
     scales = [seen.scale for seen in found if seen is not None]
     scale = float(np.median(scales)) if scales else 1.0
-    if abs(scale - 1) < _PITCH_DOUBTFUL:
+    if abs(scale - 1) < _DOUBTFUL:
         return []
     return [
         f"the balls are read {scale * pitch:.5g} mm apart, the pitch is {pitch:g} mm: machine and artefact share that"

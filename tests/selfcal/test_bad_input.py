@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from simulated_grid import DECLARED, PITCH, grid
+from simulated_grid import DECLARED, PITCH, grid, without
 
 from metrocli.formats import csv, hdf5
 from metrocli.geometry.rotations import rotation_from_vector
@@ -180,6 +180,19 @@ def test_a_pitch_that_is_a_little_off_is_told() -> None:
     table = one.read(np.random.default_rng(1))
     off = replace(settings, grid=replace(settings.grid, pitch=66.0))
     assert any("are read 65" in line and "the pitch is 66 mm" in line for line in selfcal_grid.run(off, table).warnings)
+
+
+def test_a_few_rough_balls_are_no_other_pitch() -> None:
+    """Two neighbours of the middle ball are off by a tenth of the pitch, and one view is of these three alone."""
+    one = grid(5, "1234", seed=2)
+    near = [np.flatnonzero((one.balls == ball).all(axis=1))[0] for ball in ((1, 0, 0), (0, 1, 0))]
+    one.artefact[near] += 6.0 * np.eye(3)[:2]
+    table = one.read(np.random.default_rng(1))
+    ball = np.stack([table.numbers(k) for k in "ijk"], axis=1)
+    three = (ball >= 0).all(axis=1) & (ball.sum(axis=1) <= 1) & (ball[:, 2] == 0)
+    few = without(table, (np.array(table.texts("view")) == "2") & ~three)
+    result = selfcal_grid.run(one.settings(leave_one_out="no"), few)
+    assert result.tables["views"].numbers("readings")[1] == 3
 
 
 def test_a_view_without_readings_is_told() -> None:
