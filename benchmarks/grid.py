@@ -15,7 +15,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -25,12 +25,15 @@ import numpy.typing as npt
 
 from metrocli.adjust.coupled import adjust_fields, design_of
 from metrocli.instruments import ball_grid as bg
+from metrocli.table import Table
+from metrocli.tasks.grid_lengths import largest
 from metrocli.tasks.grid_open import opened
 from metrocli.tasks.grid_problem import Problem, build
 from metrocli.tasks.grid_readings import read
 from metrocli.tasks.grid_sequence import noise_gains
 from metrocli.tasks.grid_settings import GridSettings, GridSimulation, Inputs, Rotate, Settings, ViewSettings, views_of
 from metrocli.tasks.grid_simulation import simulated
+from metrocli.tasks.selfcal_grid import run
 
 Array = npt.NDArray[np.float64]
 NOISE, PITCH, RUNS = 5e-4, 65.0, 200
@@ -162,6 +165,50 @@ def sequence() -> None:
         print(f"N = {n:2}: noise gain {joint:.3f} joint, {other:.3f} with views fitted first and differences (eq. 6-9)")
 
 
+def between_sites(machines: int = 10) -> None:
+    """Print how far the forms are off between the sites of smooth machines, against what they state."""
+    rng = np.random.default_rng(3)
+    off: dict[str, list[tuple[float, float]]] = {"trilinear": [], "smooth form": []}
+    lengths = []
+    for _ in range(machines):
+        settings, files, field = _smooth_machine(rng)
+        places = rng.uniform(-2 * PITCH, 2 * PITCH, (200, 3))
+        columns = {"point": np.arange(200).astype(str), **dict(zip("xyz", places.T, strict=True))}
+        found = run(settings, files["views.csv"], None, Table(columns, dict.fromkeys("xyz", "mm")))
+        for name, form in (("trilinear", ""), ("smooth form", "smooth_")):
+            error = found.tables["map"].stacked([f"{form}e{a}" for a in "xyz"]) - field(places)
+            stated = found.tables["map"].stacked([f"s_{form}e{a}" for a in "xyz"])
+            off[name].append((float((error**2).mean()), float((stated**2).mean())))
+        sites = found.tables["machine_error"]
+        true = largest(PITCH * sites.stacked("ijk"), field(PITCH * sites.stacked("ijk")))
+        given = found.statistics
+        lengths.append([abs(true.error if true else 0.0), abs(given["largest_length_error"]["mm"])])
+        lengths[-1].append(given["largest_length_error_std"]["mm"])
+    for name, squares in off.items():
+        error, stated = 1e3 * np.sqrt(np.mean(squares, axis=0))
+        print(f"N = 5, noise 5 um, between the sites, {name}: off by {error:.1f} um rms, stated {stated:.1f} um")
+    true, given, std = 1e3 * np.mean(lengths, axis=0)
+    print(f"N = 5, noise 5 um, largest length error: true {true:.1f} um, found {given:.1f} um, stated {std:.1f} um")
+
+
+def _smooth_machine(rng: np.random.Generator) -> tuple[Settings, Mapping[str, Table], Callable[[Array], Array]]:
+    """Return a simulated self-calibration of a machine of third order, and its error at any place."""
+    views = tuple(VIEWS[name] for name in "1234")
+    truth = GridSimulation(machine_error=0.017, artefact_error=0.2)
+    settings = Settings(Inputs(Path("-")), GridSettings((5, 5, 5), PITCH), views, 5e-3, leave_one_out="no")
+    files = simulated(replace(settings, simulation=truth), None, (), rng).files
+    table = files["true_machine_error.csv"]
+
+    def terms(places: Array) -> Array:
+        x, y, z = places.T / (2 * PITCH)
+        powers = [(p, q, r) for p in range(4) for q in range(4) for r in range(4) if p + q + r <= 3]
+        return np.stack([x**p * y**q * z**r for p, q, r in powers], axis=1)
+
+    at_sites = terms(PITCH * table.stacked("ijk"))
+    coefficients = np.linalg.lstsq(at_sites, table.stacked(bg.COLUMNS), rcond=None)[0]
+    return settings, files, lambda places: np.asarray(terms(places) @ coefficients)
+
+
 def main() -> None:
     """Print all figures, or those of one size."""
     if sys.argv[1:2] == ["--one"]:
@@ -175,6 +222,7 @@ def main() -> None:
         reduced_sets()
         coverage()
         sequence()
+        between_sites()
 
 
 if __name__ == "__main__":

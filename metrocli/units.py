@@ -308,10 +308,14 @@ def readable(value: float, dimension: str) -> tuple[float, str]:
     return min(found, key=lambda one: abs(math.log10(abs(one[0])) - 0.5))
 
 
+def two_digits(value: float) -> str:
+    """Return a number to two digits, for sentences: "0.21", "100"."""
+    return f"{float(f'{value:.2g}'):g}"
+
+
 def roughly(value: float, unit: str) -> str:
     """Return a length (mm) to two digits in another unit, for sentences: "0.21 um"."""
-    number = float(f"{find_unit(unit, 'length').outside(value):.2g}")
-    return f"{number:g} {unit}"
+    return f"{two_digits(find_unit(unit, 'length').outside(value))} {unit}"
 
 
 def as_slope(angle: float) -> tuple[float, str]:

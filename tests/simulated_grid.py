@@ -23,12 +23,13 @@ DECLARED = {
     "4": ViewSettings("4", shift=(1, 0, 0)),
     "5": ViewSettings("5", shift=(0, 1, 0)),
     "6": ViewSettings("6", shift=(0, 0, 1)),
+    "7": ViewSettings("7", shift=(2, 0, 0)),
 }
 TURNS = {
     "2": np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]]),
     "3": np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]]),
 }
-SHIFTS = {"4": (1, 0, 0), "5": (0, 1, 0), "6": (0, 0, 1)}
+SHIFTS = {"4": (1, 0, 0), "5": (0, 1, 0), "6": (0, 0, 1), "7": (2, 0, 0)}
 
 
 def euler(angles: Array) -> Array:

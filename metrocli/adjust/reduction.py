@@ -114,9 +114,10 @@ def reduce(jacobian: Sparse, sizes: Partition, places: Array) -> Reduction:
     towards_net = (by_local.T @ by_net).tocsr()
     towards_border = (by_local.T @ by_border).toarray()
     share = towards_net.multiply(1 / diagonal[:, None]).tocsr()
-    matrix = _sum(by_net.T @ by_net, -(towards_net.T @ share), 0.0 * (abs(towards_net).T @ abs(share)))
+    own = by_net.T @ by_net
+    matrix = _sum(own, -(towards_net.T @ share), 0.0 * (abs(towards_net).T @ abs(share)))
     right = (by_net.T @ by_border).toarray() - share.T @ towards_border
-    net, open_net = _factored(matrix, places)
+    net, open_net = _factored(matrix, places, float(own.diagonal().max()))
     weights = net.solve(right)
     corner = (by_border.T @ by_border).toarray() - towards_border.T @ (towards_border / diagonal[:, None])
     alone = np.asarray(by_border.multiply(by_border).sum(axis=0)).ravel()
@@ -139,10 +140,12 @@ def _sum(*matrices: Sparse) -> Sparse:
     return total
 
 
-def _factored(matrix: Sparse, places: Array) -> tuple[SparseCholesky, Array]:
-    """Return the factor of the net, with unknowns held where it is singular, and its open directions (n, k)."""
+def _factored(matrix: Sparse, places: Array, largest: float) -> tuple[SparseCholesky, Array]:
+    """Return the factor of the net, with unknowns held where it is singular, and its open directions (n, k).
+
+    largest is the largest entry of the diagonal before the local unknowns were eliminated.
+    """
     fronts = dissect(matrix, places)
-    largest = float(matrix.diagonal().max())
     try:
         found = factor(matrix, fronts)
         if found.weakest**2 > _SINGULAR * largest:

@@ -84,7 +84,7 @@ def _left(diagnosis: Diagnosis) -> Iterator[str]:
     size, unit = units.readable(left.size, diagnosis.subject.reading[1])
     yield f"Structure is left that no known effect explains ({_chance(left.p_value)}); it varies with {on}{where}."
     if left.size:
-        yield f"What shows of it is {size:.2g} {unit} (root mean square)."
+        yield f"What shows of it is {units.two_digits(size)} {unit} (root mean square)."
     yield "Standard uncertainties of the result do not count it."
 
 
@@ -99,7 +99,7 @@ def _about(finding: Finding, subject: Subject) -> Iterator[str]:
         others = " or ".join(str(rival.alternative) for rival in name.rivals[:_SHOWN])
         yield f"With this measurement {others} explains the readings as well."
     shift, unit = units.readable(finding.shift, subject.delivered.dimension)
-    yield f"It changes the {subject.delivered.what} by up to {shift:.2g} {unit}."
+    yield f"It changes the {subject.delivered.what} by up to {units.two_digits(shift)} {unit}."
     if gain.shown:
         yield f"Readings that were held out are predicted {100 * gain.reduction:.0f} % better ({_score(gain)})."
     else:
@@ -169,7 +169,7 @@ def _row(finding: Finding, subject: Subject) -> tuple[str, ...]:
         _chance(float(np.exp(name.log_level))),
         ", ".join(str(rival.alternative) for rival in name.rivals) or "-",
         f"{-100 * gain.reduction:+.0f} %" + ("" if gain.shown else " (not shown)"),
-        f"{shift:.2g} {unit}",
+        f"{units.two_digits(shift)} {unit}",
     )
 
 
@@ -183,7 +183,7 @@ def _candidates(subject: Subject, design: Design, named: Sequence[Named]) -> lis
     for wrong in design.readings:
         size, unit = units.readable(wrong.detectable, wrong.effect.parameters[0].dimension)
         hides, at = units.readable(wrong.hides, subject.delivered.dimension)
-        cells = ("one reading", verdict.EXCLUDED, f"{size:.2g} {unit}", f"{hides:.2g} {at}")
+        cells = ("one reading", verdict.EXCLUDED, f"{units.two_digits(size)} {unit}", f"{units.two_digits(hides)} {at}")
         lines.append((wrong.effect.name, *cells, "else an outlier"))
     lines += [
         (one.effect.name, " ".join(one.where.values()), verdict.NOT_TESTED, "-", "-", one.reason)
@@ -202,21 +202,23 @@ def _line(subject: Subject, name: str, word: str, found: Sequence[Candidate]) ->
     why = ""
     if word == verdict.NOT_TESTABLE:
         plausible, at = units.readable(found[0].plausible, dimension)
-        why = f"absorbed by {', '.join(found[0].absorbed_by)}; hides were it {plausible:.2g} {at}".rstrip()
+        size = f"{units.two_digits(plausible)} {at}".rstrip()
+        why = f"absorbed by {', '.join(found[0].absorbed_by)}; hides were it {size}"
     seen = _span(min(sizes), max(sizes), dimension) if sizes else "-"
-    return name, where, word, seen, f"{hides:.2g} {unit}", why
+    return name, where, word, seen, f"{units.two_digits(hides)} {unit}", why
 
 
 def _span(least: float, most: float, dimension: str) -> str:
     low, unit = units.readable(least, dimension)
     factor = most / least
-    return f"{low:.2g} {unit}" if factor < 1.05 else f"{low:.2g} to {low * factor:.2g} {unit}"
+    both = [units.two_digits(size) for size in ((low,) if factor < 1.05 else (low, low * factor))]
+    return f"{' to '.join(both)} {unit}"
 
 
 def _size(value: float, unit: str) -> str:
     dimension = next((name for name in units.DIMENSIONS if units.internal_unit(name) == unit and unit != "1"), "")
     size, symbol = units.readable(value, dimension)
-    return f"{size:.2g} {symbol}".strip()
+    return f"{units.two_digits(size)} {symbol}".strip()
 
 
 def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:

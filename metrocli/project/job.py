@@ -257,6 +257,12 @@ def _overridden(root: Node, override: str, folder: Path) -> Node:
 def _replaced(node: Node, names: Sequence[str], new: Node) -> Node:
     if not names:
         return new
+    if node.kind == "list" and names[0].isdigit():
+        items, number = list(node.items), int(names[0])
+        if not 0 < number <= len(items):
+            raise UsageError(f"--set: '{node.path}' has {len(items)} entries, counted from 1; there is no {number}")
+        items[number - 1] = _replaced(items[number - 1], names[1:], new)
+        return replace(node, items=tuple(items))
     if node.kind != "mapping":
         node = replace(node, kind="mapping", text="", entries=(), items=())
     at = next((n for n, (key, _) in enumerate(node.entries) if key.text == names[0]), None)

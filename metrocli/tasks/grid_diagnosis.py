@@ -29,7 +29,7 @@ _FEWEST = 4
 
 def subject(solved: Solved) -> Subject:
     """Return the subject of an adjusted self-calibration."""
-    problem = solved.problem
+    problem = solved.problem.held(solved.design)
     model = with_conditions(replace(problem.model(), blocks=solved.solution.blocks))
 
     def refit(changed: Model, keep: Mapping[str, Mask]) -> Solution:

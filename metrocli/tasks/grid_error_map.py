@@ -1,7 +1,7 @@
 """The machine error between the sites: trilinear, and a smooth form with its own uncertainty.
 
-The smooth form is a polynomial in x, y, z of the total degree with the smallest error at sites left out (PRESS); that
-error is counted in its uncertainty beside what the measurement brings.
+The smooth form is a polynomial in x, y, z of the total degree with the smallest error at sites left out (PRESS); what
+of that error the noise of the sites does not explain is counted in its uncertainty beside what the measurement brings.
 """
 
 from __future__ import annotations
@@ -13,15 +13,40 @@ from itertools import product
 import numpy as np
 
 from metrocli.adjust.blocks import Array
-from metrocli.adjust.observations import Index
+from metrocli.adjust.observations import Index, Mask
 from metrocli.errors import InputError
 from metrocli.instruments.ball_grid import numbers_at
 from metrocli.table import Table
 
 _DEGREES = 6
 _AT_ONCE = 200
+_TRIED = 20
+"""Sites at which the noise of what is left out is taken"""
 Covariance = Callable[[Array], Array]
 """From weights (rows, sites) on one component to the covariance (3, rows, rows) of the weighted errors"""
+
+
+@dataclass(frozen=True)
+class SiteErrors:
+    """The machine error at sites."""
+
+    sites: Index
+    """(sites, 3) in pitches"""
+    pitch: float
+    values: Array
+    """(sites, 3) [mm]"""
+    std: Array
+    """(sites, 3), inf where the views leave it undetermined"""
+
+    @property
+    def places(self) -> Array:
+        """Where the sites are, (sites, 3) [mm]."""
+        return np.asarray(self.sites * self.pitch, dtype=float)
+
+    @property
+    def open(self) -> Mask:
+        """Whether a component is undetermined, (sites, 3)."""
+        return np.asarray(~np.isfinite(self.std))
 
 
 @dataclass(frozen=True)
@@ -37,7 +62,7 @@ class Smooth:
     covariance: Array
     """(3, terms, terms)"""
     misfit: Array
-    """Root mean square error at sites left out, (3,) [mm]"""
+    """Root mean square error at sites left out beyond what their noise explains, (3,) [mm]"""
 
     def at(self, points: Array) -> tuple[Array, Array]:
         """Return the error (n, 3) at points [mm], and its standard uncertainty with the misfit (n, 3)."""
@@ -56,26 +81,43 @@ def _terms(scaled: Array, degree: int) -> Array:
     return np.stack([each[0][:, p] * each[1][:, q] * each[2][:, r] for p, q, r in _exponents(degree)], axis=1)
 
 
-def smooth(places: Array, errors: Array, covariance: Covariance) -> Smooth | None:
-    """Return the smooth form of errors (n, 3) at places; None where the sites do not span space."""
+def smooth(field: SiteErrors, covariance: Covariance) -> Smooth | None:
+    """Return the smooth form of a field; None where the sites do not span space."""
+    places, errors = field.places, field.values
     centre = (places.max(axis=0) + places.min(axis=0)) / 2
     half = (places.max(axis=0) - places.min(axis=0)) / 2
     if (half <= 0).any():
         return None
     scaled = (places - centre) / half
-    best: tuple[float, int, Array, Array, Array] | None = None
-    for degree in range(1, _DEGREES + 1):
+    best: tuple[int, Array, Array] | None = None
+    # a degree that meets all sites of a line shows there nothing of what it misses between them
+    layers = min(len(np.unique(places[:, a])) for a in range(3))
+    for degree in range(1, min(_DEGREES, max(layers - 2, 1)) + 1):
         design = _terms(scaled, degree)
         if design.shape[1] > len(places) / 2 or np.linalg.matrix_rank(design) < design.shape[1]:
             break
         inverse: Array = np.asarray(np.linalg.pinv(design), dtype=float)
         left = (errors - design @ (inverse @ errors)) / (1 - np.einsum("nt,tn->n", design, inverse))[:, None]
-        press: Array = np.sqrt((left**2).mean(axis=0))
-        if best is None or float((press**2).sum()) < best[0]:
-            best = (float((press**2).sum()), degree, inverse, inverse @ errors, press)
+        press: Array = (left**2).mean(axis=0)
+        if best is None or float(press.sum()) < float(best[2].sum()):
+            best = (degree, inverse, press)
     if best is None:
         return None
-    return Smooth(best[1], centre, half, best[3], covariance(best[2]), best[4])
+    degree, inverse, press = best
+    some = np.unique(np.rint(np.linspace(0, len(places) - 1, _TRIED)).astype(np.intp))
+    both = covariance(np.concatenate([inverse, _left_out(_terms(scaled, degree), inverse, some)]))
+    terms = len(inverse)
+    noise = np.einsum("cnn->cn", both)[:, terms:].mean(axis=1)
+    beyond = np.sqrt(np.maximum(press - noise, 0.0))
+    return Smooth(degree, centre, half, inverse @ errors, both[:, :terms, :terms], beyond)
+
+
+def _left_out(design: Array, inverse: Array, sites: Index) -> Array:
+    """Return the weights of all sites in what some are off when they are left out, (sites, all)."""
+    hat = design[sites] @ inverse
+    own = np.zeros_like(hat)
+    own[np.arange(len(sites)), sites] = 1.0
+    return np.asarray((own - hat) / (1 - hat[np.arange(len(sites)), sites])[:, None])
 
 
 def trilinear(sites: Index, pitch: float, points: Array) -> tuple[Index, Array]:
@@ -92,13 +134,14 @@ def trilinear(sites: Index, pitch: float, points: Array) -> tuple[Index, Array]:
     return np.where(lost[:, None], -1, np.maximum(at, 0)), weights
 
 
-def error_map(points: Table, field: tuple[Index, float, Array], covariance: Covariance, form: Smooth | None) -> Table:
+def error_map(points: Table, field: SiteErrors, covariance: Covariance, form: Smooth | None) -> Table:
     """Return the machine error at points, trilinear and smooth; InputError for points outside the sites.
 
-    field is (sites, pitch, errors). The uncertainty of the trilinear value counts, beside the measurement, the bend
-    of the field between sites, `h^2/8` times its second differences, taken as the limit of an even distribution.
+    The uncertainty of the trilinear value counts, beside the measurement, the bend of the field between sites, `h^2/8`
+    times its second differences beyond their noise, taken as the limit of an even distribution; it is inf where a site
+    is undetermined.
     """
-    sites, pitch, errors = field
+    sites, pitch = field.sites, field.pitch
     places = points.stacked("xyz")
     at, weights = trilinear(sites, pitch, places)
     lost = np.flatnonzero(at[:, 0] < 0)
@@ -109,8 +152,8 @@ def error_map(points: Table, field: tuple[Index, float, Array], covariance: Cova
         box = ", ".join(f"{'xyz'[a]} {low[a]:g} ... {high[a]:g} mm" for a in range(3))
         names, text = points.texts("point"), "is not between measured sites"
         raise InputError([fault(points, row, f"point '{names[row]}' {text}", box) for row in lost[:20].tolist()])
-    value, std = _trilinear_errors((at, weights), errors, covariance)
-    bend = _bend(sites, errors)[np.maximum(at, 0)].max(axis=1) / np.sqrt(3)
+    value, std = _trilinear_errors((at, weights), field, covariance)
+    bend = _bend(field)[np.maximum(at, 0)].max(axis=1) / np.sqrt(3)
     inner = (np.abs(weights).max(axis=1) < 1 - 1e-9)[:, None]
     columns = {"point": np.array(points.texts("point"))} | {axis: places[:, n] for n, axis in enumerate("xyz")}
     columns |= {f"e{axis}": value[:, n] for n, axis in enumerate("xyz")}
@@ -123,24 +166,27 @@ def error_map(points: Table, field: tuple[Index, float, Array], covariance: Cova
     return Table(columns, {name: "mm" for name in columns if name != "point"})
 
 
-def _trilinear_errors(corners: tuple[Index, Array], errors: Array, covariance: Covariance) -> tuple[Array, Array]:
+def _trilinear_errors(corners: tuple[Index, Array], field: SiteErrors, covariance: Covariance) -> tuple[Array, Array]:
     """Return the weighted errors (n, 3) and their standard uncertainties (n, 3), some hundred points at a time."""
     at, weights = corners
     std = np.empty((len(at), 3))
     for start in range(0, len(at), _AT_ONCE):
         part = slice(start, start + _AT_ONCE)
-        spread = np.zeros((len(at[part]), len(errors)))
+        spread = np.zeros((len(at[part]), len(field.sites)))
         np.add.at(spread, (np.arange(len(spread))[:, None], at[part]), weights[part])
         std[part] = np.sqrt(np.maximum(np.einsum("cnn->nc", covariance(spread)), 0.0))
-    return np.einsum("nk,nka->na", weights, errors[at]), std
+    std[(field.open[at] & (weights != 0)[:, :, None]).any(axis=1)] = np.inf
+    return np.einsum("nk,nka->na", weights, field.values[at]), std
 
 
-def _bend(sites: Index, errors: Array) -> Array:
-    """Return an eighth of the second differences at each site, added over the directions, (sites, 3)."""
+def _bend(field: SiteErrors) -> Array:
+    """Return an eighth of the second differences at each site beyond their noise, added over the directions."""
+    sites, errors, variance = field.sites, field.values, np.where(field.open, 0.0, field.std) ** 2
     total = np.zeros_like(errors)
     for axis in np.eye(3, dtype=np.intp):
         before, after = numbers_at(sites, sites - axis), numbers_at(sites, sites + axis)
         both = (before >= 0) & (after >= 0)
-        second = np.abs(errors[after[both]] - 2 * errors[both] + errors[before[both]]) / 8
-        total[both] += second
+        second = errors[after[both]] - 2 * errors[both] + errors[before[both]]
+        noise = variance[after[both]] + 4 * variance[both] + variance[before[both]]
+        total[both] += np.sqrt(np.maximum(second**2 - noise, 0.0)) / 8
     return total

@@ -81,48 +81,63 @@ def opened(problem: Problem, design: Design) -> Open:
     extra = design.null.shape[1] - 12 - scale
     if extra <= 0:
         return Open(scale, (), ())
+    mountings = tuple(_loose_mountings(problem, design))
     basis, fields = _machine_fields(problem, design)
-    families = tuple(_families(problem, basis, fields, extra))
+    families = tuple(_families(problem, basis, fields, extra - sum(one.count for one in mountings)))
     remedies = sorted(_remedies(problem, design), key=lambda one: one.left)
-    return Open(scale, families, tuple(one for one in remedies if one.left < design.null.shape[1]))
+    return Open(scale, families + mountings, tuple(one for one in remedies if one.left < design.null.shape[1]))
 
 
 def determined(problem: Problem, design: Design) -> dict[str, Mask]:
-    """Return which entries of both fields are determined but for rigid motion and scale, each (members, 3).
+    """Return which entries of both fields and of the mountings are determined but for rigid motion and scale.
 
-    The open directions Z agree there with a combination of the standard ones E: `min sum_i |Z_i - E_i M|` over M, by
-    reweighted least squares, makes the rows that can agree do so. Where that holds for less than a third of the entries
-    the datum over all of them is kept: determined is what no direction moves in it.
+    The open directions Z agree there with a combination of the standard ones E: `min sum_i |Z_i - E_i M|` over the
+    fields, by reweighted least squares, makes the rows that can agree do so. Where that holds for less than a third of
+    the entries the datum over all of them is kept: determined is what no direction moves in it.
     """
-    columns = [design.partition.columns[name] for name in (bg.MACHINE, bg.ARTEFACT)]
+    columns = {name: design.partition.columns[name] for name in (bg.MACHINE, bg.ARTEFACT, bg.VIEW)}
     if design.null.shape[1] <= 13 - problem.scale_given:
-        return {name: places >= 0 for name, places in zip((bg.MACHINE, bg.ARTEFACT), columns, strict=True)}
-    rows = np.concatenate([places[places >= 0] for places in columns])
+        return {name: places >= 0 for name, places in columns.items()}
+    rows = np.concatenate([places[places >= 0] for places in columns.values()])
     standard = _standard(problem)
-    moves = np.concatenate(
-        [standard[name][places >= 0] for name, places in zip((bg.MACHINE, bg.ARTEFACT), columns, strict=True)]
-    )
+    moves = np.concatenate([standard[name][places >= 0] for name, places in columns.items()])
+    null, fields = _evened(problem, design)[rows], len(rows) - int((columns[bg.VIEW] >= 0).sum())
+    moves = moves * _reach(problem, design)[rows, None]
     moves = moves / np.linalg.norm(moves, axis=0)
-    null = (design.null / np.linalg.norm(design.null[rows], axis=0))[rows]
-    left = _disagreement(null, moves)
-    agree = left < _NEGLIGIBLE * max(float(left.max()), _NEGLIGIBLE)
-    if agree.mean() < _ENOUGH:
-        rest = np.linalg.norm(null - moves @ np.linalg.lstsq(moves, null, rcond=None)[0], axis=1)
-        agree = rest < _NEGLIGIBLE * max(float(rest.max()), _NEGLIGIBLE)
+    agree = _agreeing(null, moves, _fit(null[:fields], moves[:fields]))
+    if agree[:fields].mean() < _ENOUGH:
+        agree = _agreeing(null, moves, np.linalg.lstsq(moves[:fields], null[:fields], rcond=None)[0])
     known = np.zeros(design.partition.width, dtype=bool)
     known[rows] = agree
-    both = zip((bg.MACHINE, bg.ARTEFACT), columns, strict=True)
-    return {name: np.asarray(known[places] & (places >= 0)) for name, places in both}
+    return {name: np.asarray(known[places] & (places >= 0)) for name, places in columns.items()}
 
 
-def _disagreement(null: Array, moves: Array) -> Array:
-    """Return |Z_i - E_i M| (rows,) for the M with the least sum of them."""
+def _reach(problem: Problem, design: Design) -> Array:
+    """Return how far a unit of each unknown moves a ball, (unknowns,): 1, and for turns half the size of the grid."""
+    reach = np.ones(design.partition.width)
+    turns = design.partition.columns[bg.VIEW][:, 3:]
+    reach[turns[turns >= 0]] = problem.grid.pitch * problem.grid.half.max()
+    return reach
+
+
+def _evened(problem: Problem, design: Design) -> Array:
+    """Return an orthonormal basis of the open directions, all unknowns in the length that they move a ball."""
+    return np.asarray(np.linalg.qr(design.null * _reach(problem, design)[:, None])[0])
+
+
+def _agreeing(null: Array, moves: Array, fit: Array) -> Mask:
+    left = np.linalg.norm(null - moves @ fit, axis=1)
+    return np.asarray(left < _NEGLIGIBLE * max(float(left.max()), _NEGLIGIBLE))
+
+
+def _fit(null: Array, moves: Array) -> Array:
+    """Return the M with the least sum of |Z_i - E_i M|."""
     weights = np.ones(len(null))
     for turn in range(_TURNS):
         fit = np.linalg.lstsq(moves * weights[:, None], null * weights[:, None], rcond=None)[0]
         left: Array = np.linalg.norm(null - moves @ fit, axis=1)
         weights = 1 / np.sqrt(np.maximum(left, max(float(left.max()), 1e-12) * 0.3**turn))
-    return left
+    return np.asarray(fit)
 
 
 def with_determined_datum(problem: Problem, design: Design) -> Design:
@@ -181,6 +196,18 @@ def _families(problem: Problem, basis: Array, fields: Array, extra: int) -> Iter
             yield Family(pattern, new.shape[1])
     if left > 0:
         yield Family("other fields that look the same in every view", left)
+
+
+def _loose_mountings(problem: Problem, design: Design) -> Iterator[Family]:
+    """Yield the views whose mounting is open by itself: it moves neither field, as of a view of a ball or a row."""
+    null, places = _evened(problem, design), design.partition.columns[bg.VIEW]
+    fields = np.setdiff1d(np.arange(len(null)), places)
+    _, sizes, mix = np.linalg.svd(null[fields], full_matrices=False)
+    alone = null @ mix[sizes < _NEGLIGIBLE].T
+    for view, at in zip(problem.views, places, strict=True):
+        count = int(np.linalg.matrix_rank(alone[at[at >= 0]], tol=_NEGLIGIBLE)) if alone.size else 0
+        if count:
+            yield Family(f"turns of view '{view.name}', whose balls are fewer than three or in a row", count)
 
 
 def _within(basis: Array, fields: Array) -> Array:

@@ -23,6 +23,8 @@ def patterns(problem: Problem) -> Iterator[tuple[str, Projector]]:
         yield "machine errors at sites seen once, by a ball seen once", _chosen(pairs)
     for a in range(3):
         yield f"another scale along {'xyz'[a]}", _onto(np.eye(3)[a] * sites[:, a, None])
+    for a in range(3):
+        yield f"another scale across {'xyz'[a]}", _onto((1 - np.eye(3)[a]) * sites)
     for a, b in ((0, 1), (0, 2), (1, 2)):
         shear = np.zeros((len(sites), 3))
         shear[:, a], shear[:, b] = sites[:, b], sites[:, a]

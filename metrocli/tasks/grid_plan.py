@@ -18,8 +18,8 @@ from metrocli.tasks.grid_open import Open, candidates, determined, opened
 from metrocli.tasks.grid_problem import Problem, build
 from metrocli.tasks.grid_readings import Readings
 from metrocli.tasks.grid_report import KIND
-from metrocli.tasks.grid_settings import Settings, turn_in_words, views_of
-from metrocli.tasks.grid_simulation import balls_of, on_the_grid
+from metrocli.tasks.grid_settings import Settings, turn_in_words
+from metrocli.tasks.grid_simulation import balls_on, views_on_the_grid
 from metrocli.tasks.grid_solve import design
 
 if TYPE_CHECKING:
@@ -41,21 +41,45 @@ class _Worth:
     readings: int
 
 
-def plan(settings: Settings) -> Plan:
+@dataclass(frozen=True)
+class _Given:
+    """What does not depend on the views."""
+
+    settings: Settings
+    lengths: Table | None
+
+    def lengths_on(self, half: Index) -> Table | None:
+        """Return the calibrated lengths as they would be on a grid, ends beyond it at its rim; None for none."""
+        if self.lengths is None:
+            return None
+        names = [[f"{name}{end}" for name in "ijk"] for end in "12"]
+        ends = [np.clip(self.lengths.stacked(one), -half, half) for one in names]
+        length = np.linalg.norm(ends[0] - ends[1], axis=1) * self.settings.grid.pitch
+        kept = length > 0
+        columns: dict[str, Values] = {"length": length[kept], "sigma": self.lengths.numbers("sigma")[kept]}
+        for one, end in zip(names, ends, strict=True):
+            columns |= {name: end[kept, n] for n, name in enumerate(one)}
+        return Table(columns) if kept.any() else None
+
+
+def plan(settings: Settings, lengths: Table | None = None) -> Plan:
     """Return the null space and the uncertainties of the planned views, and what one view more or less would change."""
-    views, half = views_of(settings), settings.grid.half
+    given = _Given(settings, lengths)
+    views, half = views_on_the_grid(settings), settings.grid.half
     small = np.minimum(half, _TRIED // 2)
-    own = _worth(views, np.minimum(half, _WORKED_OUT // 2), settings)
-    table = _table([(words, _tried(some, small, settings)) for words, some in _sets(views)])
+    own = _worth(views, np.minimum(half, _WORKED_OUT // 2), given)
+    sets = [(words, some) for words, some in _sets(views) if all(len(balls_on(view, small)) for view in some)]
+    table = _table([(words, _tried(some, small, given)) for words, some in sets])
     gain = Estimate("s_machine_error", 0.0, own.gain * settings.declared, "mm")
     most = Estimate("s_machine_error_max", 0.0, own.largest * settings.declared, "mm")
     size = " x ".join(str(2 * n + 1) for n in small.tolist())
+    known = bool(np.isfinite(own.gain))
     notes = (
         *own.found.sentences(),
-        f"noise gain {own.gain:.3f} rms, {own.largest:.3f} at most",
+        *([f"noise gain {own.gain:.3f} rms, {own.largest:.3f} at most"] if known else []),
         f"other sets of views, on a grid of {size}:",
     )
-    figures = () if own.found.families or isinstance(settings.noise, str) else (gain, most)
+    figures = (gain, most) if known and not isinstance(settings.noise, str) else ()
     files = {"views_to_measure.csv": _sheet(settings, views)}
     return Plan(KIND, notes, figures, {"view_sets": table}, files, shown=("view_sets",))
 
@@ -69,35 +93,34 @@ def _sets(views: Sequence[bg.View]) -> Iterator[tuple[str, list[bg.View]]]:
         yield f"without '{one.name}'", [view for view in views if view is not one]
 
 
-def _tried(views: Sequence[bg.View], half: Index, settings: Settings) -> _Worth | None:
+def _tried(views: Sequence[bg.View], half: Index, given: _Given) -> _Worth | None:
     try:
-        return _worth(views, half, settings)
+        return _worth(views, half, given)
     except UndeterminedError:
         return None
 
 
-def _worth(views: Sequence[bg.View], half: Index, settings: Settings) -> _Worth:
-    problem = _problem(views, half, settings)
+def _worth(views: Sequence[bg.View], half: Index, given: _Given) -> _Worth:
+    problem = _problem(views, half, given)
     taken = design(problem)
     found = opened(problem, taken)
     std = np.where(determined(problem, taken)[bg.MACHINE], taken.std(bg.MACHINE), np.inf)[problem.grid.within > 0]
-    std = std / settings.declared
+    std = std / given.settings.declared
     return _Worth(found, float(np.sqrt((std**2).mean())), float(std.max()), problem.readings.observations.count)
 
 
-def _problem(views: Sequence[bg.View], half: Index, settings: Settings) -> Problem:
+def _problem(views: Sequence[bg.View], half: Index, given: _Given) -> Problem:
     """Return the adjustment of views whose readings are those of a grid without errors."""
-    balls = balls_of(half)
-    named = [bg.View(f"{n}", view.turn, view.shift) for n, view in enumerate(views)]
-    each = [on_the_grid(view, balls, half) for view in named]
-    values = [view.sites(one) * settings.grid.pitch for view, one in zip(named, each, strict=True)]
+    settings = given.settings
+    each = [balls_on(view, half) for view in views]
+    values = [view.sites(one) * settings.grid.pitch for view, one in zip(views, each, strict=True)]
     count = [len(one) for one in each]
     ball = np.concatenate(each)
-    columns: dict[str, Values] = {"view": np.repeat(np.array([view.name for view in named]), count)}
+    columns: dict[str, Values] = {"view": np.repeat(np.array([view.name for view in views]), count)}
     columns |= {name: ball[:, n] for n, name in enumerate("ijk")}
-    view = np.repeat(np.arange(len(named)), count)
-    readings = Readings(tuple(named), view, ball, np.concatenate(values), Table(columns))
-    return build(readings, (half, settings.grid.pitch), settings.declared)
+    view = np.repeat(np.arange(len(views)), count)
+    readings = Readings(tuple(views), view, ball, np.concatenate(values), Table(columns))
+    return build(readings, (half, settings.grid.pitch), settings.declared, given.lengths_on(half))
 
 
 def _table(rows: Sequence[tuple[str, _Worth | None]]) -> Table:
@@ -112,8 +135,7 @@ def _table(rows: Sequence[tuple[str, _Worth | None]]) -> Table:
 
 def _sheet(settings: Settings, views: Sequence[bg.View]) -> Table:
     """Return where each ball is to be measured, in the order of the views."""
-    balls = balls_of(settings.grid.half)
-    each = [on_the_grid(view, balls, settings.grid.half) for view in views]
+    each = [balls_on(view, settings.grid.half) for view in views]
     places = np.concatenate([view.sites(one) for view, one in zip(views, each, strict=True)]) * settings.grid.pitch
     ball = np.concatenate(each)
     count = [len(one) for one in each]

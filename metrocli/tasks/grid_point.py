@@ -11,7 +11,7 @@ from metrocli.adjust.blocks import Array
 from metrocli.errors import InputError, UsageError
 from metrocli.result import Estimate, Result
 from metrocli.table import Table
-from metrocli.tasks.grid_error_map import Smooth, error_map
+from metrocli.tasks.grid_error_map import SiteErrors, Smooth, error_map
 
 
 def error_at(result: Result, place: Sequence[str]) -> tuple[Estimate, ...]:
@@ -28,7 +28,8 @@ def error_at(result: Result, place: Sequence[str]) -> tuple[Estimate, ...]:
         raise UsageError(f"--at: {error.message}; {error.hint}") from error
     table = result.tables["machine_error"]
     sites = np.asarray(np.rint(table.stacked("ijk")), dtype=np.intp)
-    field = (sites, float(result.arrays["pitch"][0]), table.stacked(["ex", "ey", "ez"]))
+    values, std = (table.stacked([f"{s}e{axis}" for axis in "xyz"]) for s in ("", "s_"))
+    field = SiteErrors(sites, float(result.arrays["pitch"][0]), values, std)
     points = Table({"point": np.array(["here"])} | {axis: np.array([point[n]]) for n, axis in enumerate("xyz")})
     try:
         found = error_map(points, field, lambda weights: _covariance(result, weights), _smooth(result))
@@ -44,7 +45,7 @@ def _covariance(result: Result, weights: Array) -> Array:
     whole = result.arrays.get("machine_error_covariance")
     if whole is None:
         std = result.tables["machine_error"].stacked(["s_ex", "s_ey", "s_ez"])
-        bound = np.abs(weights) @ std
+        bound = np.abs(weights) @ np.where(np.isfinite(std), std, 0.0)
         return np.asarray(np.einsum("nc,mc->cnm", bound, bound))
     sites = weights.shape[1]
     parts = whole.reshape(sites, 3, sites, 3)

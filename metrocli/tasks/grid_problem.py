@@ -9,7 +9,7 @@ import numpy as np
 
 from metrocli.adjust.blocks import Array, Block
 from metrocli.adjust.chain import Chain
-from metrocli.adjust.coupled import Fields
+from metrocli.adjust.coupled import Design, Fields
 from metrocli.adjust.groups import Group
 from metrocli.adjust.observations import Index, Mask, Observations
 from metrocli.effects.model import Added, Model, Place
@@ -19,9 +19,11 @@ from metrocli.geometry.poses import fit_pose
 from metrocli.instruments import ball_grid as bg
 from metrocli.table import Table
 from metrocli.tasks.grid_readings import Readings, ball_name, fault
+from metrocli.words import suggestion
 
 _EXACT = 1e-2
 """Standard deviation of a condition of the datum where it stands among readings, over theirs"""
+_DEPENDENT = 1e-9
 READINGS, LENGTHS = "views", "lengths"
 """Names of the groups: readings of the views, and calibrated distances of balls"""
 
@@ -41,6 +43,18 @@ class Problem:
         observations = self.readings.observations
         readings = self.readings.with_observations(replace(observations, sigma=np.array(noise)))
         return replace(self, fields=replace(self.fields, groups=(readings, *self.fields.groups[1:])))
+
+    def held(self, design: Design) -> Problem:
+        """Return the problem with a condition on the fields for everything that the design leaves open in them."""
+        places = {name: design.partition.columns[name] for name in (bg.MACHINE, bg.ARTEFACT)}
+        parts = [np.where(at >= 0, design.constraint[:, np.maximum(at, 0)], 0.0) for at in places.values()]
+        _, sizes, rows = np.linalg.svd(
+            np.concatenate([part.reshape(len(part), -1) for part in parts], axis=1), full_matrices=False
+        )
+        rows = rows[sizes > _DEPENDENT * sizes.max()]
+        split = np.split(rows, [parts[0][0].size], axis=1)
+        conditions = {name: part.reshape(-1, *at.shape) for (name, at), part in zip(places.items(), split, strict=True)}
+        return replace(self, fields=replace(self.fields, conditions=conditions))
 
     def model(self) -> Model:
         """Return the problem as a model that effects can be added to, its datum as readings."""
@@ -129,7 +143,7 @@ def build(readings: Readings, size: tuple[Index, float], noise: float, lengths: 
     )
     groups = [Group(READINGS, bg.chain(readings.views, all_balls, pitch), observations)]
     if lengths is not None:
-        groups.append(_lengths(lengths, all_balls, pitch))
+        groups.append(_lengths(lengths, readings.views, all_balls, pitch))
     return Problem(grid, readings.views, _fields(grid, blocks, groups))
 
 
@@ -150,7 +164,7 @@ def _start(readings: Readings, n: int, pitch: float) -> Array:
     return fit_pose(nominal, readings.values[rows])
 
 
-def _lengths(table: Table, balls: Index, pitch: float) -> Group:
+def _lengths(table: Table, views: Sequence[bg.View], balls: Index, pitch: float) -> Group:
     """Return the calibrated distances; InputError for balls that no view has and for distances that cannot be."""
     ends = [np.rint(table.stacked([f"{name}{end}" for name in "ijk"])).astype(np.intp) for end in "12"]
     index = np.stack([bg.numbers_at(balls, end) for end in ends])
@@ -159,8 +173,12 @@ def _lengths(table: Table, balls: Index, pitch: float) -> Group:
         for end, row in np.argwhere(index < 0).tolist()
     ]
     nominal = np.linalg.norm(ends[0] - ends[1], axis=1) * pitch
-    given = table.numbers("length")
+    given, names = table.numbers("length"), [view.name for view in views]
     for row in range(len(table)):
+        if "view" in table and (said := table.texts("view")[row]) not in ["", *names]:
+            faults.append(fault(table, row, f"view '{said}' has no readings", suggestion(said, names)))
+        if nominal[row] == 0:
+            faults.append(fault(table, row, f"a length from {ball_name(ends[0][row])} to itself"))
         if table.numbers("sigma")[row] <= 0:
             faults.append(fault(table, row, "the standard uncertainty of a length must be above zero"))
         if abs(given[row] - nominal[row]) > pitch / 4:

@@ -41,16 +41,20 @@ def read(views: Sequence[View], half: Index, table: Table) -> Readings:
     names = [view.name for view in views]
     said = table.texts("view")
     balls = np.asarray(np.rint(table.stacked("ijk")), dtype=np.intp)
-    outside = (np.abs(balls) > half).any(axis=1)
+    outside = np.flatnonzero((np.abs(balls) > half).any(axis=1)).tolist()
     faults = [
         fault(table, row, f"view '{said[row]}' is not among the job's views", suggestion(said[row], names))
         for row in [row for row, name in enumerate(said) if name not in names][:_MOST]
     ]
     sizes = " x ".join(str(2 * n + 1) for n in half)
     limits = ", ".join(f"{name} from {-n} to {n}" for name, n in zip("ijk", half.tolist(), strict=True))
+    first = _counted_from(balls, half)
+    if first is not None:
+        faults.append(Fault(f"i, j, k count from {first}; they count from the middle ball", table.file, hint=limits))
+        outside = []
     faults += [
         fault(table, row, f"ball ({_ball(balls[row])}) is outside the grid of {sizes}", f"{limits}")
-        for row in np.flatnonzero(outside)[:_MOST].tolist()
+        for row in outside[:_MOST]
     ]
     if faults:
         raise InputError(sorted(faults, key=lambda one: one.line or 0)[:_MOST])
@@ -58,6 +62,14 @@ def read(views: Sequence[View], half: Index, table: Table) -> Readings:
     place = {view.name: n for n, view in enumerate(used)}
     at = np.array([place[name] for name in said], dtype=np.intp)
     return Readings(tuple(used), at, balls, table.stacked("xyz"), table)
+
+
+def _counted_from(balls: Index, half: Index) -> int | None:
+    """Return 0 or 1 where all indices count from there in a grid of this size."""
+    for first in (0, 1):
+        if np.array_equal(balls.min(axis=0), np.full(3, first)) and np.array_equal(balls.max(axis=0), first + 2 * half):
+            return first if half.any() else None
+    return None
 
 
 def fault(table: Table, row: int, message: str, hint: str | None = None) -> Fault:

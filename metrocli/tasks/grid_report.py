@@ -16,13 +16,13 @@ from metrocli.geometry.poses import EULER, euler_form
 from metrocli.instruments import ball_grid as bg
 from metrocli.result import Estimate, Result
 from metrocli.table import Table
-from metrocli.tasks.adjustment_statistics import Statistics, basic_statistics, noise_warnings
-from metrocli.tasks.grid_error_map import Covariance, Smooth, error_map, smooth
+from metrocli.tasks import grid_warnings
+from metrocli.tasks.adjustment_statistics import Statistics, basic_statistics
+from metrocli.tasks.grid_error_map import Covariance, SiteErrors, Smooth, error_map, smooth
 from metrocli.tasks.grid_lengths import LengthError, largest
 from metrocli.tasks.grid_open import Open, determined
 from metrocli.tasks.grid_solve import LeftOut, Solved
 from metrocli.tasks.image_tables import residual_table
-from metrocli.tasks.sightings import listed
 from metrocli.units import find_unit
 
 if TYPE_CHECKING:
@@ -32,6 +32,8 @@ KIND = "selfcal-grid"
 _UNITS = ("mm", "mm", "mm", "rad", "rad", "rad")
 _KEPT = 4_000_000
 """Numbers of a covariance that are written"""
+_CONTROLLED = 1e-6
+"""Redundancy of a view below which it is rounding"""
 
 
 @dataclass(frozen=True)
@@ -47,9 +49,9 @@ class _Field:
 def report(solved: Solved, found: Open, left_out: Sequence[LeftOut], points: Table | None) -> Result:
     """Return the result of a solved self-calibration."""
     machine, artefact = _field(solved, bg.MACHINE), _field(solved, bg.ARTEFACT)
-    places: Array = np.asarray(machine.indices * solved.problem.grid.pitch, dtype=float)
-    form, length = smooth(places, machine.values, _of_machine(solved)), largest(places, machine.values)
+    form, length = _forms(solved, machine)
     mountings, covariance = _mountings(solved)
+    groups = solved.problem.fields.groups
     effects, effect_arrays = effect_results(solved.problem.effects, solved.found)
     tables = {
         "machine_error": _table(machine),
@@ -58,6 +60,7 @@ def report(solved: Solved, found: Open, left_out: Sequence[LeftOut], points: Tab
         "undetermined": _undetermined(found),
         "views": _views(solved, left_out),
         "residuals": residual_table(solved.residuals[0], solved.problem.readings),
+        **({"lengths": residual_table(solved.residuals[1], groups[1])} if len(groups) > 1 else {}),
         "suspects": _suspects(solved),
         "rejected": _rejected(solved),
         **effects,
@@ -73,10 +76,22 @@ def report(solved: Solved, found: Open, left_out: Sequence[LeftOut], points: Tab
         statistics=statistics,
         tables=tables,
         arrays=_arrays(solved, machine, form) | effect_arrays,
-        warnings=(*solved.problem.warnings, *_warnings(solved, found, machine, left_out)),
+        warnings=(*solved.problem.warnings, *grid_warnings.warnings(solved, found, machine.std, left_out)),
         shown=("views", *(("suspects",) if len(solved.suspects.rows) else ())),
         notes=(*found.sentences(), *length_note, *_smooth_note(form)),
     )
+
+
+def _forms(solved: Solved, machine: _Field) -> tuple[Smooth | None, LengthError | None]:
+    """Return the smooth form and the length errors; None where a part of the field is undetermined."""
+    if not np.isfinite(machine.std).all():
+        return None, None
+    sites = _at_sites(solved, machine)
+    return smooth(sites, _of_machine(solved)), largest(sites.places, machine.values)
+
+
+def _at_sites(solved: Solved, machine: _Field) -> SiteErrors:
+    return SiteErrors(machine.indices, solved.problem.grid.pitch, machine.values, machine.std)
 
 
 def _field(solved: Solved, name: str) -> _Field:
@@ -130,6 +145,7 @@ def _mountings(solved: Solved) -> tuple[list[Estimate], Array]:
     covariance = solved.found.between(np.concatenate([part[part >= 0] for part in (places, *effects)]))
     std = np.zeros(len(places))
     std[places >= 0] = np.sqrt(np.diag(covariance))[: int((places >= 0).sum())]
+    std[~determined(solved.problem, solved.design)[bg.VIEW].ravel()] = np.inf
     values, names = euler_form(block.values).ravel(), [f"{view}.{name}" for view in block.members for name in EULER]
     rows = zip(names, values.tolist(), std.tolist(), _UNITS * len(block.members), strict=True)
     return [Estimate(*row) for row, place in zip(rows, places, strict=True) if place >= 0], covariance
@@ -159,7 +175,7 @@ def _views(solved: Solved, left_out: Sequence[LeftOut]) -> Table:
         "rms": np.sqrt(square / np.maximum(3 * readings, 1)),
         "chi2": chi2,
         "redundancy": share,
-        "sigma0": np.sqrt(chi2 / np.where(share > 0, share, np.nan)),
+        "sigma0": np.sqrt(chi2 / np.where(share > _CONTROLLED, share, np.nan)),
     }
     if left_out:
         columns["left_out_chi2"] = np.array([one.chi2 for one in left_out])
@@ -189,8 +205,7 @@ def _rejected(solved: Solved) -> Table:
 
 
 def _map(solved: Solved, machine: _Field, points: Table, form: Smooth | None) -> Table:
-    field = (machine.indices, solved.problem.grid.pitch, machine.values)
-    return error_map(points, field, _of_machine(solved), form)
+    return error_map(points, _at_sites(solved, machine), _of_machine(solved), form)
 
 
 def _arrays(solved: Solved, machine: _Field, form: Smooth | None) -> dict[str, Array]:
@@ -227,14 +242,16 @@ def _statistics(
         "noise_gain": gain,
         "rejected": len(solved.rejected),
         "critical_w": solved.suspects.critical,
-        "largest_machine_error": {"mm": float(np.linalg.norm(machine.values, axis=1).max())},
-        "rms_machine_error": {"mm": float(np.sqrt((machine.values**2).mean()))},
-        "rms_artefact_error": {"mm": float(np.sqrt((solved.solution.blocks[bg.ARTEFACT].values ** 2).mean()))},
     }
-    um = find_unit("um", "length")
-    std = _length_std(solved, machine, length) if length else float("inf")
-    if length is None or not np.isfinite(std):
+    if finite.all():
+        statistics |= {
+            "largest_machine_error": {"mm": float(np.linalg.norm(machine.values, axis=1).max())},
+            "rms_machine_error": {"mm": float(np.sqrt((machine.values**2).mean()))},
+            "rms_artefact_error": {"mm": float(np.sqrt((solved.solution.blocks[bg.ARTEFACT].values ** 2).mean()))},
+        }
+    if length is None:
         return statistics, ()
+    um, std = find_unit("um", "length"), _length_std(solved, length)
     statistics |= {"largest_length_error": {"mm": length.error}, "largest_length_error_std": {"mm": std}}
     ends = [", ".join(map(str, machine.indices[n].tolist())) for n in (length.first, length.second)]
     reach = " apart from the common scale" if found.scale else ""
@@ -245,15 +262,13 @@ def _statistics(
     return statistics, (note,)
 
 
-def _length_std(solved: Solved, machine: _Field, length: LengthError) -> float:
+def _length_std(solved: Solved, length: LengthError) -> float:
     from scipy.sparse import csr_array
 
     block = solved.solution.blocks[bg.MACHINE]
     places = solved.design.partition.columns[bg.MACHINE][block.free.all(axis=1)]
     row = np.zeros((1, solved.design.partition.width))
     row[0, places[length.second]], row[0, places[length.first]] = length.direction, -length.direction
-    if not (np.isfinite(machine.std[[length.first, length.second]])).all():
-        return float("inf")
     return float(np.sqrt(max(solved.design.covariance(csr_array(row))[0, 0], 0.0)))
 
 
@@ -262,36 +277,5 @@ def _smooth_note(form: Smooth | None) -> tuple[str, ...]:
         return ()
     um = find_unit("um", "length")
     misfit = ", ".join(f"{um.outside(value):.2f}" for value in form.misfit)
-    return (f"smooth form: polynomial of degree {form.degree}, off at sites left out by {misfit} um in x, y, z (rms)",)
-
-
-def _warnings(solved: Solved, found: Open, machine: _Field, left_out: Sequence[LeftOut]) -> list[str]:
-    lines = noise_warnings(solved.solution)
-    if found.families:
-        open_share = float((~np.isfinite(machine.std)).mean())
-        lines += found.sentences()[1:]
-        lines.append(
-            f"{open_share:.0%} of the machine error's components are not determined (standard uncertainty inf): their "
-            "values are those with the least sum of squares of machine and artefact error; the datum is over the others"
-        )
-    if len(solved.suspects.rows):
-        observations = solved.problem.readings.observations
-        keys = observations.keys
-        order = solved.suspects.rows[np.argsort(-solved.suspects.tests)]
-        told = [f"{keys['view'][n]}: ({keys['i'][n]}, {keys['j'][n]}, {keys['k'][n]})" for n in order]
-        lines.append(
-            f"{len(told)} readings exceed the outlier bound |w| = {solved.suspects.critical:.2f}: {listed(told, 5)}; "
-            "`outliers: remove` leaves such out"
-        )
-    return lines + _disagreeing(left_out)
-
-
-def _disagreeing(left_out: Sequence[LeftOut]) -> list[str]:
-    """Return a warning of the view without which the others fit, where there is one and they do not fit with it."""
-    bound = 0.01 / max(len(left_out), 1)
-    odd = [one for one in left_out if one.p_value < bound and one.rest_p_value > bound]
-    return [
-        f"view '{one.view}' does not agree with the others, which fit without it: the sum of squares falls by "
-        f"{one.chi2:.0f} for {one.dof} degrees of freedom (p = {one.p_value:.1g})"
-        for one in sorted(odd, key=lambda one: one.p_value)[:1]
-    ]
+    words = f"off at sites left out by {misfit} um in x, y, z (rms) beyond their noise"
+    return (f"smooth form: polynomial of degree {form.degree}, {words}",)

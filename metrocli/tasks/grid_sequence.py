@@ -19,7 +19,7 @@ from metrocli.adjust.dissection import Sparse
 from metrocli.adjust.observations import Index
 from metrocli.adjust.partition import Partition
 from metrocli.adjust.reduction import Reduction, reduce
-from metrocli.errors import InputError
+from metrocli.errors import InputError, UndeterminedError
 from metrocli.geometry.poses import rotation_of
 from metrocli.instruments import ball_grid as bg
 from metrocli.table import Table
@@ -54,6 +54,11 @@ def in_sequence(problem: Problem) -> Table:
     which to count differences.
     """
     design = design_of(problem.fields)
+    if design.null.shape[1] > 13 - problem.scale_given:
+        raise UndeterminedError(
+            "the views leave more open than rigid motions and scale: there is nothing to compare; run the job without "
+            "--compare to see what"
+        )
     joint = adjust_fields(problem.fields, design).solution.blocks[bg.MACHINE].values
     places = _grid_places(problem, design)
     sequence = _sequence(problem, design)

@@ -12,11 +12,12 @@ from metrocli.adjust.observations import Index
 from metrocli.effects.estimates import true_values
 from metrocli.effects.model import extended
 from metrocli.effects.wanted import Wanted
+from metrocli.errors import Fault, InputError
 from metrocli.geometry.poses import EULER, pose_from_euler
 from metrocli.instruments.ball_grid import ARTEFACT, MACHINE, VIEW, View, numbers_at, rigid
 from metrocli.simulation import Simulation
 from metrocli.table import Table
-from metrocli.tasks.grid_problem import build
+from metrocli.tasks.grid_problem import LENGTHS, build
 from metrocli.tasks.grid_readings import read
 from metrocli.tasks.grid_settings import GridSimulation, Settings, views_of
 
@@ -32,24 +33,38 @@ def balls_of(half: Index) -> Index:
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
-def on_the_grid(view: View, balls: Index, half: Index) -> Index:
-    """Return the balls whose sites lie on the grid in this view."""
+def balls_on(view: View, half: Index) -> Index:
+    """Return the balls whose sites lie on the grid in this view, (n, 3)."""
+    balls = balls_of(half)
     return balls[(np.abs(view.sites(balls)) <= half).all(axis=1)]
 
 
+def views_on_the_grid(settings: Settings) -> list[View]:
+    """Return the nominal mountings; InputError for those that bring no ball to a site of the grid."""
+    views = views_of(settings)
+    lost = [view.name for view in views if not len(balls_on(view, settings.grid.half))]
+    if lost:
+        raise InputError([Fault(f"view '{name}' brings no ball to a site of the grid") for name in lost])
+    return views
+
+
 def simulated(
-    settings: Settings, views: Table | None, effects: Sequence[Wanted], rng: np.random.Generator
+    settings: Settings,
+    views: Table | None,
+    effects: Sequence[Wanted],
+    rng: np.random.Generator,
+    lengths: Table | None = None,
 ) -> Simulation:
     """Return the readings of each view with errors drawn for machine, artefact and mountings, and with effects.
 
-    The machine's error is smooth, a polynomial of third order. Errors are free of rigid motion and of common scale, as
-    the result states them. Sites outside the grid have no error.
+    The machine's error is smooth, a polynomial of third order. Errors are free of rigid motion and of scale, as the
+    result states them. Sites outside the grid have no error. Calibrated lengths are drawn anew between their balls.
     """
     truth, half, pitch = settings.simulation or GridSimulation(), settings.grid.half, settings.grid.pitch
     balls = balls_of(half)
     machine, artefact = _drawn(np.asarray(balls * pitch, dtype=float), truth, rng)
     readings = read(views_of(settings), half, _design(settings, truth) if views is None else views)
-    problem = build(readings, (half, pitch), settings.declared)
+    problem = build(readings, (half, pitch), settings.declared, lengths)
     count = len(problem.views)
     mountings = np.column_stack([rng.normal(0.0, truth.shift, (count, 3)), rng.normal(0.0, truth.tilt, (count, 3))])
     fields = ((MACHINE, problem.grid.sites, machine), (ARTEFACT, problem.grid.balls, artefact))
@@ -62,6 +77,11 @@ def simulated(
     exact = group.chain.predict(model.blocks, group.observations).T
     files = {"views.csv": _read(readings.table, exact + rng.normal(0.0, 1.0, exact.shape) * settings.declared)}
     files |= {"true_machine_error.csv": _errors(balls, machine), "true_artefact_error.csv": _errors(balls, artefact)}
+    if lengths is not None:
+        known = next(group for group in model.groups if group.name == LENGTHS)
+        exact = known.chain.predict(model.blocks, known.observations)[0]
+        length = exact + rng.normal(0.0, 1.0, len(lengths)) * lengths.numbers("sigma")
+        files["lengths.csv"] = Table(dict(lengths.columns) | {"length": length}, {"length": "mm", "sigma": "mm"})
     names = [f"{view.name}.{name}" for view in problem.views for name in EULER]
     return Simulation(files, dict(zip(names, mountings.ravel().tolist(), strict=True)) | true_values(model))
 
@@ -69,9 +89,15 @@ def simulated(
 def _drawn(places: Array, truth: GridSimulation, rng: np.random.Generator) -> tuple[Array, Array]:
     """Return errors of a machine and of an artefact at places (n, 3), each (n, 3)."""
     artefact = rng.normal(0.0, 1.0, places.shape) * truth.artefact_error
-    machine = smooth_error(places / np.abs(places).max(), rng)
-    machine *= truth.machine_error / max(float(np.linalg.norm(machine, axis=1).max()), 1e-300)
-    return in_gauge(places, machine, artefact)
+    machine = _shape(places, smooth_error(places / np.abs(places).max(), rng))
+    largest = max(float(np.linalg.norm(machine, axis=1).max()), 1e-300)
+    return machine * (truth.machine_error / largest), _shape(places, artefact)
+
+
+def _shape(places: Array, field: Array) -> Array:
+    """Return a field (n, 3) free of rigid motion and of scale, so that it is in the gauge of the result."""
+    motions = np.concatenate([rigid(places), places[:, :, None]], axis=2).reshape(-1, 7)
+    return np.asarray(field - (motions @ np.linalg.lstsq(motions, field.ravel(), rcond=None)[0]).reshape(-1, 3))
 
 
 def _at(balls: Index, indices: Index, field: Array) -> Array:
@@ -82,8 +108,8 @@ def _at(balls: Index, indices: Index, field: Array) -> Array:
 
 def _design(settings: Settings, truth: GridSimulation) -> Table:
     """Return the balls of each view whose sites are on the grid, at their nominal places, one after the other."""
-    views, half = views_of(settings), settings.grid.half
-    each = [np.tile(on_the_grid(view, balls_of(half), half), (truth.repeats, 1)) for view in views]
+    views = views_on_the_grid(settings)
+    each = [np.tile(balls_on(view, settings.grid.half), (truth.repeats, 1)) for view in views]
     count, ball = [len(one) for one in each], np.concatenate(each)
     places = np.concatenate([view.sites(one) for view, one in zip(views, each, strict=True)]) * settings.grid.pitch
     columns: dict[str, Values] = {"view": np.repeat(np.array([view.name for view in views]), count)}
@@ -107,18 +133,6 @@ def smooth_error(scaled: Array, rng: np.random.Generator) -> Array:
     powers = [(p, q, r) for p in range(4) for q in range(4) for r in range(4) if 0 < p + q + r <= 3]
     terms = np.stack([scaled[:, 0] ** p * scaled[:, 1] ** q * scaled[:, 2] ** r for p, q, r in powers], axis=1)
     return np.asarray(terms @ rng.normal(0.0, 1.0, (len(powers), 3)))
-
-
-def in_gauge(places: Array, machine: Array, artefact: Array) -> tuple[Array, Array]:
-    """Return both fields free of rigid motion and with `sum G.r = sum A.r`."""
-    motions = rigid(places).reshape(-1, 6)
-    free = [_without(motions, field.ravel()).reshape(field.shape) for field in (machine, artefact)]
-    scale = float((free[0] * places).sum() - (free[1] * places).sum()) / (2 * float((places**2).sum()))
-    return free[0] - scale * places, free[1] + scale * places
-
-
-def _without(motions: Array, field: Array) -> Array:
-    return np.asarray(field - motions @ np.linalg.lstsq(motions, field, rcond=None)[0])
 
 
 def _errors(indices: Index, values: Array) -> Table:

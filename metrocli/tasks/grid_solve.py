@@ -82,6 +82,10 @@ def design(problem: Problem) -> Design:
             "one view shows only the sum of machine and artefact error: measure the artefact in another one too, "
             "turned by 90 deg or shifted by one pitch"
         )
+    if np.linalg.matrix_rank(problem.grid.balls - problem.grid.balls[0]) < 2:
+        raise UndeterminedError(
+            "the balls stand in one row: no view shows a turn of the artefact about it; measure at least two rows"
+        )
     try:
         found = design_of(problem.fields)
     except OpenDesignError as error:
@@ -145,15 +149,24 @@ def _worst(solved: Solved, out: dict[int, float]) -> dict[int, float]:
 
 def leave_one_out(solved: Solved) -> list[LeftOut]:
     """Return for each view what the sum of squares loses without it, and the degrees of freedom that go with it."""
-    found = []
     view = solved.problem.readings.observations.index[bg.VIEW]
+    found = []
     for n, one in enumerate(solved.problem.views):
-        rest = solved.problem.only(np.asarray(view != n))
-        try:
-            without = adjust_fields(rest.fields, design_of(rest.fields)).solution
-        except OpenDesignError:
+        without = _adjusted(solved.problem.only(np.asarray(view != n)))
+        if without is None:
             found.append(LeftOut(one.name, float("nan"), 0, float("nan"), 0))
             continue
         fall, dof = solved.solution.cost - without.cost, solved.solution.dof - without.dof
         found.append(LeftOut(one.name, fall, dof, without.cost, without.dof))
     return found
+
+
+def _adjusted(rest: Problem) -> Solution | None:
+    """Return the adjustment of some views; None where it is of one view only, too open, or does not converge."""
+    if len(np.unique(rest.readings.observations.index[bg.VIEW])) < 2:
+        return None
+    try:
+        found = adjust_fields(rest.fields, design_of(rest.fields)).solution
+    except OpenDesignError:
+        return None
+    return found if found.outcome is Outcome.CONVERGED else None

@@ -57,7 +57,10 @@ def diagnosed(
     settings: Settings, views: Table, lengths: Table | None = None, effects: Sequence[Wanted] = (), **_: object
 ) -> Subject:
     """Return the job as diagnosis sees it, with all its readings; raises as `run` does."""
-    return subject(solve(_with(_problem(settings, views, lengths), effects), remove=False))
+    solved = solve(_with(_problem(settings, views, lengths), effects), remove=False)
+    if solved.solution.dof <= 0:
+        raise UndeterminedError("there are no more readings than unknowns: no residual shows what the model gets wrong")
+    return subject(solved)
 
 
 def _with(problem: Problem, effects: Sequence[Wanted]) -> Problem:
@@ -79,6 +82,8 @@ def compare(settings: Settings, views: Table, lengths: Table | None = None, **_:
 def _problem(settings: Settings, views: Table, lengths: Table | None) -> Problem:
     readings = grid_readings.read(views_of(settings), settings.grid.half, views)
     warnings = grid_mountings.check(readings, settings.grid.pitch)
+    used = {view.name for view in readings.views}
+    warnings += [f"view '{view.name}' has no readings" for view in settings.views if view.name not in used]
     problem = build(readings, (settings.grid.half, settings.grid.pitch), settings.declared, lengths)
     return problem.warned(warnings)
 
@@ -87,24 +92,26 @@ def simulate(
     settings: Settings,
     options: SimulationOptions,
     views: Table | None = None,
+    lengths: Table | None = None,
     effects: Sequence[Wanted] = (),
     **_: object,
 ) -> Simulation:
     """Return views of an artefact and a machine with the errors of `simulation:`, and with effects in them.
 
-    Where the job's views exist, their balls, times and temperatures are those of the simulation.
+    Where the job's views exist, their balls, times and temperatures are those of the simulation; calibrated lengths
+    are between the balls of the job's.
     """
     if settings.simulation is None or isinstance(settings.noise, str):
         raise InputError(
             "simulate needs the truth and the noise: write `noise: 5 um` and `simulation: {machine_error: 17 um, "
             "artefact_error: 0.3 mm, shift: 0.2 mm, tilt: 1 mrad}`"
         )
-    return simulated(settings, views, effects, np.random.default_rng(options.seed))
+    return simulated(settings, views, effects, np.random.default_rng(options.seed), lengths)
 
 
-def plan(settings: Settings, **_: object) -> Plan:
-    """Return what the views of the job will determine, and what others would."""
-    return grid_plan.plan(settings)
+def plan(settings: Settings, lengths: Table | None = None, **_: object) -> Plan:
+    """Return what the views and lengths of the job will determine, and what others would."""
+    return grid_plan.plan(settings, lengths)
 
 
 __all__ = ["KIND", "SIMULATED", "SUMMARY", "Inputs", "Settings", "compare", "diagnosed", "plan", "run", "simulate"]

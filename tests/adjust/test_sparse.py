@@ -106,6 +106,20 @@ def test_parts_without_connection_and_shared_places() -> None:
     assert np.allclose(cholesky.inverse(matrix).toarray()[400:, 400:], np.linalg.inv(second), atol=1e-12)
 
 
+@pytest.mark.parametrize(("shape", "lone"), [((30, 20), 5), ((60, 20), 7), ((40, 25), 9)])
+def test_a_part_without_connection_inside_a_side_of_a_cut(shape: tuple[int, int], lone: int) -> None:
+    """Cut in the middle first: the lone rows of one side then touch nothing that is eliminated later."""
+    matrix, places = lattice(shape, 7)
+    apart = places[:, 0] < lone
+    dense = matrix.toarray() * (apart[:, None] == apart)
+    matrix = csr_array(dense)
+    cholesky = factor(matrix, dissect(matrix, places))
+    right = np.random.default_rng(8).normal(size=len(places))
+    assert np.allclose(dense @ cholesky.solve(right), right, atol=1e-9)
+    wanted = np.where(dense != 0, np.linalg.inv(dense), 0.0)
+    assert np.abs(cholesky.inverse(matrix).toarray() - wanted).max() < 1e-10 * np.abs(wanted).max()
+
+
 def test_an_indefinite_matrix_is_refused() -> None:
     matrix, places = lattice((30, 30), 6)
     spoilt = matrix.copy()

@@ -34,6 +34,12 @@ def test_the_sample_holds_the_truth(project: Path, metrocli: Metrocli) -> None:
     assert np.sqrt((share**2).mean()) == pytest.approx(1.0, abs=0.15)
     scaled = hdf5.read(project / "results" / "scaled.h5")[0]
     assert scaled.statistics["undetermined"] == 12
+    with_scale = scaled.tables["machine_error"]
+    off = (with_scale.stacked(["ex", "ey", "ez"]) - true) / with_scale.stacked(["s_ex", "s_ey", "s_ez"])
+    assert np.abs(off).max() < 4.5
+    # the machine that the README tells of
+    assert np.linalg.norm(true, axis=1).max() == pytest.approx(0.017, rel=1e-9)
+    assert abs((65.0 * found.stacked("ijk") * true).sum()) < 1e-9
 
 
 def test_the_map_and_a_point_agree_with_the_sites(project: Path, metrocli: Metrocli) -> None:
@@ -52,16 +58,28 @@ def test_the_map_and_a_point_agree_with_the_sites(project: Path, metrocli: Metro
     assert metrocli("show", "results/views.h5", "--at", "140 mm", "0 mm", "0 mm").code == 2
 
 
-def test_between_sites_both_forms_agree_with_the_truth(tmp_path: Path) -> None:
-    """A smooth machine error, known also between the sites: off by no more than the uncertainties say."""
+def bent(places: np.ndarray) -> np.ndarray:
+    """A polynomial that the smooth form can be, of third order."""
+    x, y, z = places.T / 130.0
+    return np.asarray(0.01 * np.stack([x * x + 0.5 * y * z, y**3 - x * z, x * y * z - z * z], axis=1))
+
+
+def waved(places: np.ndarray) -> np.ndarray:
+    """One that it cannot be: a fourth order would meet it at all five sites of a line, and be off between them."""
+    x, y, z = places.T / 130.0
+    return bent(places) + 0.003 * np.sin(3 * np.stack([y, z, x], axis=1) + 1)
+
+
+@pytest.mark.parametrize("field", [bent, waved])
+@pytest.mark.parametrize("noise", [5e-3, 5e-4, 5e-5])
+def test_between_sites_both_forms_are_off_as_their_uncertainties_say(
+    field: Callable[[np.ndarray], np.ndarray], noise: float
+) -> None:
+    """A machine error known also between the sites; where the noise hides what a form misses, and where it does not."""
     from simulated_grid import PITCH, Grid, grid, in_gauge
 
     from metrocli.table import Table
     from metrocli.tasks import selfcal_grid
-
-    def field(places: np.ndarray) -> np.ndarray:
-        x, y, z = places.T / 130.0
-        return 0.01 * np.stack([x * x + 0.5 * y * z, y**3 - x * z, np.cos(1.5 * z) * x], axis=1)
 
     one = grid(5, seed=20)
     r = one.balls * PITCH
@@ -72,7 +90,7 @@ def test_between_sites_both_forms_agree_with_the_truth(tmp_path: Path) -> None:
     points = Table(
         {"point": np.arange(300).astype(str), **dict(zip("xyz", places.T, strict=True))}, dict.fromkeys("xyz", "mm")
     )
-    result = selfcal_grid.run(moved.settings(leave_one_out="no"), moved.read(rng), None, points)
+    result = selfcal_grid.run(moved.settings(noise, leave_one_out="no"), moved.read(rng, noise), None, points)
     basis = np.concatenate([np.ones((125, 1)), r], axis=1)
     # what the gauge took away is linear in the place
     removed = np.linalg.lstsq(basis, field(r) - machine, rcond=None)[0]
@@ -80,9 +98,11 @@ def test_between_sites_both_forms_agree_with_the_truth(tmp_path: Path) -> None:
     found = result.tables["map"]
     for form in ("", "smooth_"):
         share = (found.stacked([f"{form}e{a}" for a in "xyz"]) - true) / found.stacked([f"s_{form}e{a}" for a in "xyz"])
-        assert 0.3 < np.sqrt((share**2).mean()) < 1.3, form
+        assert 0.65 < np.sqrt((share**2).mean()) < 1.35, form
         assert np.abs(share).max() < 5
-    assert np.abs(found.stacked(["smooth_ex", "smooth_ey", "smooth_ez"]) - true).max() < 2e-3
+    if field is bent:
+        smoothed = found.stacked(["smooth_ex", "smooth_ey", "smooth_ez"])
+        assert np.sqrt(((smoothed - true) ** 2).mean()) < 0.3 * noise
 
 
 def test_effects_are_planted_and_found(project: Path, metrocli: Metrocli) -> None:
@@ -155,6 +175,89 @@ def test_the_plan_says_what_other_views_would_give(project: Path, metrocli: Metr
     assert [sheet.numbers(a)[row] for a in "xyz"] == [-65.0, 130.0, 0.0]
 
 
+def test_simulated_lengths_are_those_of_the_simulated_artefact(project: Path, metrocli: Metrocli) -> None:
+    truth = "simulation={machine_error: 17 um, artefact_error: 0.2 mm}"
+    ran = metrocli("simulate", "jobs/scaled.yaml", "--out", "new", "--seed", "4", "--set", truth)
+    assert ran.code == 0, ran.err
+    given = ("--set", "inputs={views: ../new/views.csv, lengths: ../new/lengths.csv}", "--output", "results/new.h5")
+    ran = metrocli("selfcal-grid", "jobs/scaled.yaml", *given)
+    assert ran.code == 0, ran.err
+    assert ran.err == ""
+    true = csv.read(project / "new" / "true_machine_error.csv", ERRORS).stacked(["ex", "ey", "ez"])
+    found = hdf5.read(project / "results" / "new.h5")[0].tables["machine_error"]
+    share = (found.stacked(["ex", "ey", "ez"]) - true) / found.stacked(["s_ex", "s_ey", "s_ez"])
+    assert np.sqrt((share**2).mean()) == pytest.approx(1.0, abs=0.35)
+
+
+@pytest.mark.parametrize("size", [5, 13])
+def test_the_plan_knows_the_lengths(size: int, project: Path, metrocli: Metrocli) -> None:
+    """They fix the scale, in the sets of views that are tried on a smaller grid too."""
+    half = size // 2
+    (project / "data" / "lengths.csv").write_text(
+        f"i1,j1,k1,i2,j2,k2,length_mm,sigma_mm\n{-half},0,0,{half},0,0,{65 * 2 * half},0.001\n"
+    )
+    ran = metrocli("plan", "jobs/scaled.yaml", "--out", "planned", "--set", f"grid.size=[{size}, {size}, {size}]")
+    assert ran.code == 0, ran.err
+    assert "12 directions undetermined" in ran.out
+    assert "the scale is that of the lengths" in ran.out
+    sets = csv.read(
+        project / "planned" / "view_sets.csv", Columns((Column("views", TEXT), Column("undetermined", TEXT)))
+    )
+    worth = dict(zip(sets.texts("views"), sets.texts("undetermined"), strict=True))
+    assert worth["planned"] == "12"
+    # without the turn about x the scale along z stays open, and the two kinds of field that planes across z can have
+    assert worth["without '3'"] == "17"
+
+
+def test_a_view_beside_the_grid_cannot_be_planned(project: Path, metrocli: Metrocli) -> None:
+    for command in ("plan", "simulate"):
+        (project / "data" / "views.csv").unlink(missing_ok=True)
+        ran = metrocli(
+            command, "jobs/views.yaml", "--out", "planned", "--set", "views=[{name: a}, {name: b, shift: [5, 0, 0]}]"
+        )
+        assert ran.code == 3, ran.err
+        assert "view 'b' brings no ball to a site of the grid" in ran.err
+        assert not (project / "planned").exists()
+
+
+@pytest.mark.parametrize(("keep", "least"), [("12", 90), ("124", 290), ("123", 370)])
+def test_diagnosis_of_few_views_sees_what_they_determine(
+    keep: str, least: int, project: Path, metrocli: Metrocli
+) -> None:
+    """What the views leave open is held: it is no effect's, takes no reading away, and hides no metres."""
+    rows = (project / "data" / "views.csv").read_text().splitlines()
+    kept = [row for row in rows if row.split(",")[0] in ("view", *keep)]
+    (project / "data" / "views.csv").write_text("\n".join(kept) + "\n")
+    ran = metrocli("diagnose", "jobs/views.yaml", "--json")
+    assert ran.code == 0, ran.err
+    found = json.loads(ran.out)
+    assert found["verdict"] == "clean"
+    low, high = found["noise"]["interval"]
+    # 95 % of sigma0 with so many degrees of freedom
+    assert high - low < 1.2 * 4 / np.sqrt(2 * least)
+    hidden = [one["hides"] for one in found["candidates"] if one.get("hides")]
+    assert len(hidden) > 10
+    assert all(one["unit"] == "um" and one["value"] < 100 for one in hidden)
+
+
+def test_diagnosis_needs_more_readings_than_unknowns(project: Path, metrocli: Metrocli) -> None:
+    rows = (project / "data" / "views.csv").read_text().splitlines()
+    (project / "data" / "views.csv").write_text("\n".join(row for row in rows if row[0] not in "23") + "\n")
+    ran = metrocli("diagnose", "jobs/views.yaml")
+    assert ran.code == 4
+    assert "no more readings than unknowns" in ran.err
+
+
+def test_a_view_of_one_ball_is_no_disturbed_datum(project: Path, metrocli: Metrocli) -> None:
+    rows = (project / "data" / "views.csv").read_text().splitlines()
+    kept = [row for row in rows if row[0] != "4" or row.startswith("4,0,0,0,")]
+    (project / "data" / "views.csv").write_text("\n".join(kept) + "\n")
+    ran = metrocli("diagnose", "jobs/views.yaml")
+    assert ran.code == 0, ran.err
+    assert "verdict: clean" in ran.out
+    assert "datum" not in ran.out
+
+
 def test_the_correction_is_minus_the_error(project: Path, metrocli: Metrocli) -> None:
     assert metrocli("selfcal-grid", "jobs/views.yaml", "--quiet").code == 0
     assert metrocli("export", "results/views.h5", "--to", "csv", "--out", "export").code == 0
@@ -184,3 +287,20 @@ def test_the_published_sequence_is_shown_beside(project: Path, metrocli: Metrocl
     assert ran.code == 0, ran.err
     joint, sequence = (row["noise_gain"] for row in json.loads(ran.out)["rows"])
     assert joint < sequence
+    rows = (project / "data" / "views.csv").read_text().splitlines()
+    (project / "data" / "views.csv").write_text("\n".join(row for row in rows if row[0] != "3") + "\n")
+    ran = metrocli("selfcal-grid", "jobs/views.yaml", "--compare")
+    assert ran.code == 4
+    assert "nothing to compare" in ran.err
+
+
+def test_without_noise_the_published_sequence_is_right_but_for_second_order() -> None:
+    """It is unbiased: what it differs by is a mounting of some mrad, known to some tenths, times the artefact's error."""
+    from simulated_grid import grid
+
+    from metrocli.tasks import selfcal_grid
+
+    one = grid(5, seed=5)
+    table = selfcal_grid.compare(one.settings(), one.read(np.random.default_rng(0), noise=0.0))
+    assert table.numbers("rms_machine_error")[0] > 8e-3
+    assert table.numbers("rms_difference")[1] < 5e-5

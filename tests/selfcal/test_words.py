@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from simulated_grid import NOISE, grid, without
+from scipy.linalg import null_space
+from simulated_grid import NOISE, PITCH, grid, without
 
+from metrocli.adjust.coupled import design_of
 from metrocli.instruments.ball_grid import rigid
-from metrocli.tasks import selfcal_grid
+from metrocli.table import Table
+from metrocli.tasks import grid_readings, selfcal_grid
+from metrocli.tasks.grid_point import error_at
+from metrocli.tasks.grid_problem import build
+from metrocli.tasks.grid_settings import ViewSettings, views_of
 
 FAMILIES = {
     "123": [("fields that all rotations of the views carry into themselves", 14)],
@@ -53,6 +61,21 @@ def test_families_are_named_with_their_remedy(views: str) -> None:
     assert REMEDIES[views] in result.warnings
 
 
+@pytest.mark.parametrize(("end", "left"), [((2, 2, 0), "along z"), ((0, 0, 2), "across z")])
+def test_a_length_fixes_one_of_two_scales(end: tuple[int, int, int], left: str) -> None:
+    """Without the turn about x the scale along z is one of its own: a length fixes that of its own direction."""
+    one = grid(5, "1246", seed=8)
+    columns = {f"{name}{k}": np.array([sign * end[n]]) for k, sign in ((1, -1), (2, 1)) for n, name in enumerate("ijk")}
+    length = 2 * PITCH * np.linalg.norm(end)
+    lengths = Table(
+        {**columns, "length": np.array([length]), "sigma": np.array([1e-3])}, {"length": "mm", "sigma": "mm"}
+    )
+    result = selfcal_grid.run(one.settings(leave_one_out="no"), one.read(np.random.default_rng(2)), lengths)
+    table = result.tables["undetermined"]
+    assert table.texts("pattern")[2:] == [f"another scale {left}"]
+    assert result.statistics["undetermined"] == 13
+
+
 def test_four_views_say_thirteen_and_no_more() -> None:
     _, result = run("1234")
     assert result.notes[0] == (
@@ -84,6 +107,74 @@ def test_what_is_determined_is_right_and_the_rest_is_not_given_out(views: str) -
     error = error - motions @ np.linalg.lstsq(motions, error, rcond=None)[0]
     assert np.abs(error / std[finite]).max() < 5
     assert np.sqrt(((error / std[finite]) ** 2).mean()) == pytest.approx(1.0, abs=0.25)
+
+
+MOVED = {"123": set(), "124": {"4.beta", "4.x", "4.z"}, "134": {"4.x", "4.alpha"}, "1246": {"6.z"}}
+"""Mountings that the families move: a view shifted along an open scale, turned with a twist or tilted with a bowl"""
+
+
+@pytest.mark.parametrize("views", FAMILIES)
+def test_nothing_that_follows_from_what_is_open_is_given_out(views: str) -> None:
+    """Between the sites, by the smooth form, as a length or as a mounting."""
+    one = grid(5, views, seed=8)
+    places = one.balls[::7] * PITCH
+    points = Table(
+        {"point": np.arange(len(places)).astype(str), **dict(zip("xyz", places.T, strict=True))},
+        dict.fromkeys("xyz", "mm"),
+    )
+    result = selfcal_grid.run(one.settings(leave_one_out="no"), one.read(np.random.default_rng(2)), None, points)
+    names = ["s_ex", "s_ey", "s_ez"]
+    at_sites, mapped = result.tables["machine_error"].stacked(names)[::7], result.tables["map"].stacked(names)
+    assert np.array_equal(np.isinf(at_sites), np.isinf(mapped))
+    assert np.isinf(mapped).any()
+    shown = error_at(result, [f"{value} mm" for value in places[0]])
+    assert [np.isinf(estimate.std) for estimate in shown] == np.isinf(at_sites[0]).tolist()
+    assert "length_error" not in result.tables
+    assert not {"smooth/degree", "largest_length_error", "rms_machine_error"} & {*result.arrays, *result.statistics}
+    assert {one.name for one in result.estimates if np.isinf(one.std)} == MOVED[views]
+
+
+def test_two_views_say_what_is_open() -> None:
+    """As many as are there: nothing is left when one of them is left out."""
+    one = grid(3, "12", seed=8)
+    result = selfcal_grid.run(one.settings(), one.read(np.random.default_rng(2)))
+    readings = grid_readings.read(
+        views_of(one.settings()), one.settings().grid.half, one.read(np.random.default_rng(2))
+    )
+    problem = build(readings, (one.settings().grid.half, PITCH), NOISE)
+    jacobian = design_of(problem.fields).jacobian.toarray()
+    count = null_space(jacobian / np.linalg.norm(jacobian, axis=0), rcond=1e-9).shape[1]
+    assert result.statistics["undetermined"] == count
+    assert np.isnan(result.tables["views"].numbers("left_out_p")).all()
+
+
+@pytest.mark.parametrize("shift", [(0, 0, 0), (9, 0, 0)])
+def test_views_that_share_no_turn_and_no_site(shift: tuple[int, int, int]) -> None:
+    """The same view again, and one beside the first: machine and artefact stay open but for their sum."""
+    one = grid(3, "1", seed=8)
+    table = one.read(np.random.default_rng(2))
+    twice = {name: np.concatenate([values, values]) for name, values in table.columns.items()}
+    twice["view"] = np.repeat(["1", "2"], len(table))
+    twice["x"] = twice["x"] + np.repeat([0.0, PITCH * shift[0]], len(table))
+    settings = replace(one.settings(), views=(ViewSettings("1"), ViewSettings("2", shift=shift)))
+    result = selfcal_grid.run(settings, Table(twice, table.units))
+    # all of A, and for a view beside the first its own sites, which follow its mounting
+    assert result.statistics["undetermined"] == 3 * 27 + 6 + (6 if shift[0] else 0)
+    assert np.isinf(result.tables["machine_error"].numbers("s_ex")).all()
+
+
+def test_a_view_of_few_balls() -> None:
+    """Its turns are open, and said to be; the other views are what they are without it."""
+    one = grid(3, "1234", seed=8)
+    table = one.read(np.random.default_rng(2))
+    fourth = np.array(table.texts("view")) == "4"
+    row = (table.numbers("j") == 0) & (table.numbers("k") == 0)
+    for drop, count in ((fourth & ~row, 1), (fourth & ~(row & (table.numbers("i") == 0)), 3)):
+        result = selfcal_grid.run(one.settings(leave_one_out="no"), without(table, drop))
+        last = result.tables["undetermined"]
+        assert last.texts("pattern")[-1] == "turns of view '4', whose balls are fewer than three or in a row"
+        assert last.numbers("directions")[-1] == count
+    assert np.isnan(result.tables["views"].numbers("sigma0")[3])
 
 
 def test_a_ball_seen_once_at_a_site_seen_once() -> None:
@@ -149,6 +240,16 @@ def test_a_view_that_does_not_agree_is_told() -> None:
     assert told[0].startswith("view '3'")
     views = result.tables["views"]
     assert views.numbers("left_out_p")[2] < 1e-6
+
+
+def test_a_view_left_out_that_does_not_converge_says_nothing() -> None:
+    """Mountings off by five degrees: steps are short, and a sum of squares that is not the least would look too good."""
+    one = grid(5, seed=0)
+    rng = np.random.default_rng(4)
+    for name in one.mountings:
+        one.mountings[name] = (rng.normal(0, 0.2, 3), rng.normal(0, 0.08, 3))
+    p_values = selfcal_grid.run(one.settings(), one.read(rng)).tables["views"].numbers("left_out_p")
+    assert ((p_values > 1e-4) & (p_values < 1 - 1e-4) | np.isnan(p_values)).all()
 
 
 def test_good_views_agree() -> None:

@@ -99,3 +99,8 @@ def test_column_endings() -> None:
     assert "um_per_m" in units.suffixes("ratio")
     assert units.suffix_of("1/K") == "per_K"
     assert units.suffix_of("1") == ""
+
+
+@pytest.mark.parametrize(("value", "text"), [(0.2149, "0.21"), (99.7, "100"), (1230.0, "1200"), (3e-7, "3e-07")])
+def test_two_digits_are_no_power_of_ten_where_a_plain_number_will_do(value: float, text: str) -> None:
+    assert units.two_digits(value) == text
