@@ -148,7 +148,9 @@ def test_a_large_grid_may_stand_askew(tilt: float) -> None:
 
 
 @pytest.mark.parametrize("axes", [("i", "j", "k"), ("k", "i", "j"), ("j", "k", "i")])
-def test_a_plate_that_stands_the_other_way_is_told(axes: tuple[str, str, str], folder: Path, metrocli: Metrocli) -> None:
+def test_a_plate_that_stands_the_other_way_is_told(
+    axes: tuple[str, str, str], folder: Path, metrocli: Metrocli
+) -> None:
     """A plane of balls does not span space, but its turn is that of its rows."""
     lay = "ijk".index(axes[2])
     size = [5, 5, 5]

@@ -27,7 +27,9 @@ def fields(result: Result) -> tuple[np.ndarray, np.ndarray]:
     return tuple(result.tables[name].stacked(["ex", "ey", "ez"]) for name in ("machine_error", "artefact_error"))
 
 
-@pytest.mark.parametrize(("n", "views"), [(3, "1234"), (5, "1234"), (5, "123456"), (5, "1237"), (7, "1234"), (11, "1234")])
+@pytest.mark.parametrize(
+    ("n", "views"), [(3, "1234"), (5, "1234"), (5, "123456"), (5, "1237"), (7, "1234"), (11, "1234")]
+)
 def test_fields_are_recovered(n: int, views: str) -> None:
     one = grid(n, views, seed=n)
     result = selfcal_grid.run(one.settings(leave_one_out="no"), one.read(np.random.default_rng(0), noise=0.0))
