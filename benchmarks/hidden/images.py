@@ -152,7 +152,7 @@ def _size(plant: Plant) -> float:
 def _alone(seen: Sight, kind: str, effect: tuple[str, str], left: Array) -> bool:
     """Whether no other cause or place explains more than 0.9 of what an effect leaves (a cosine)."""
     for name, plant in PLANTS[kind].items():
-        if (seen.scene.rig or "") not in plant.rigs or set(plant.left_out) & set(seen.scene.lens_free):
+        if (seen.scene.rig or "") not in plant.rigs or set(plant.parameters) & set(seen.scene.lens_free):
             continue
         for place in _places(seen.scene, plant):
             if (name.partition(",")[0], place) == effect:
