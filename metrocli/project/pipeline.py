@@ -74,6 +74,10 @@ def load_project(place: Path) -> tuple[Step, ...]:
     """Return the jobs of a project in an order that makes each result before it is used; InputError for all faults."""
     path = project_file(place)
     root = yaml_text.parse(yaml_text.read_text(path, str(path)), str(path), path.parent)
+    kind = root.get("job")
+    if kind is not None and root.get("jobs") is None:
+        hint = f"a project lists jobs; one job is carried out by its own command: metrocli {kind.text} {path}"
+        raise InputError([kind.fault("this is a job, not a project", hint)])
     faults: list[Fault] = []
     project = Section(ProjectFile).read(root, faults)
     if project is BAD:

@@ -181,6 +181,13 @@ def test_no_project(job: Path, metrocli: Callable[..., Any]) -> None:
     assert "there is no such project" in ran.err
 
 
+def test_a_job_given_as_a_project_is_told_its_own_command(job: Path, metrocli: Callable[..., Any]) -> None:
+    ran = metrocli("run", job)
+    assert ran.code == 3
+    assert f"{job}:2:6: error: this is a job, not a project" in ran.err
+    assert f"metrocli straight-line {job}" in ran.err
+
+
 def test_check_of_a_project_reads_its_tables(project: Path, metrocli: Callable[..., Any]) -> None:
     assert metrocli("check", project).code == 0
     Path("more.csv").write_text("point,x_mm,y_mm\na,1,nan\n")
