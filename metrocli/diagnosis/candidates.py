@@ -16,8 +16,6 @@ from metrocli.effects.effect import Effect
 from metrocli.effects.model import Model, can_act, lacking, names_for
 
 _MOST_PLACES = 3000
-_ABSORBED = 1e-6
-"""Share of a signature that is rounding"""
 
 
 @dataclass(frozen=True)
@@ -137,7 +135,7 @@ def _telling(items: Sequence[tuple[Alternative, Array, Array]]) -> list[tuple[Al
 
     A step at a time before all readings that it concerns is such a value.
     """
-    seen = [bool((np.linalg.norm(columns, axis=0) > _ABSORBED * raw).any()) for _, columns, raw in items]
+    seen = [bool(columns.any()) for _, columns, _ in items]
     somewhere = {one.instance for (one, _, _), visible in zip(items, seen, strict=True) if visible}
     return [item for item, visible in zip(items, seen, strict=True) if visible or item[0].instance not in somewhere]
 

@@ -9,10 +9,8 @@ from functools import cached_property
 import numpy as np
 
 from metrocli.adjust.blocks import Array
-from metrocli.diagnosis.projection import System
+from metrocli.diagnosis.projection import VISIBLE, System
 
-VISIBLE = 1e-6
-"""Share of a signature below which rounding is all that is left"""
 PRIOR = 2.0
 """Degrees of freedom for which the declared noise counts: with few readings it carries weight, with many it does not"""
 

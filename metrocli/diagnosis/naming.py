@@ -9,7 +9,8 @@ import numpy as np
 from metrocli.adjust.blocks import Array
 from metrocli.adjust.observations import Mask
 from metrocli.diagnosis.candidates import Alternative
-from metrocli.diagnosis.given import VISIBLE, Given
+from metrocli.diagnosis.given import Given
+from metrocli.diagnosis.projection import VISIBLE
 from metrocli.diagnosis.race import FLAT
 from metrocli.diagnosis.selected import Chosen, Selection, levels_of
 from metrocli.diagnosis.selection import evidence

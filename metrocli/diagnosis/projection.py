@@ -22,6 +22,8 @@ from metrocli.adjust.observations import Index, Mask
 from metrocli.effects.model import Model
 from metrocli.errors import InputError
 
+VISIBLE = 1e-6
+"""Share of a signature below which rounding is all that is left"""
 MOST_NUMBERS = 60_000_000
 """Size of the dense system beyond which it is refused"""
 
@@ -66,8 +68,10 @@ class System:
         return mask
 
     def seen(self, values: Array) -> Array:
-        """Return `M values`, (rows, ...)."""
-        return values - np.tensordot(self.basis, np.tensordot(self.basis.T, values, 1), 1)
+        """Return `M values`, (rows, ...); 0 where rounding is all that is left."""
+        left = values - np.tensordot(self.basis, np.tensordot(self.basis.T, values, 1), 1)
+        shown = np.linalg.norm(left, axis=0) > VISIBLE * np.linalg.norm(values, axis=0)
+        return np.asarray(np.where(shown, left, 0.0))
 
     def absorbed(self, values: Array) -> Array:
         """Return what the unknowns take of values (rows, k): the change of each, (unknowns, k)."""

@@ -15,8 +15,8 @@ from metrocli.adjust.blocks import Array
 from metrocli.adjust.observations import Mask
 from metrocli.diagnosis.candidates import Family
 from metrocli.diagnosis.distributions import log_family, log_tail
-from metrocli.diagnosis.given import PRIOR, VISIBLE, Given, orthonormal
-from metrocli.diagnosis.projection import System
+from metrocli.diagnosis.given import PRIOR, Given, orthonormal
+from metrocli.diagnosis.projection import VISIBLE, System
 
 FLAT = 1e-8
 """Eigenvalue of several parameters' signatures, as a share of the largest, below which a direction is not seen"""

@@ -119,6 +119,17 @@ def test_scores_given_a_column_are_those_of_both_together() -> None:
     assert chosen.score(number, given).rank[0] == 0
 
 
+def test_what_the_unknowns_absorb_but_for_rounding_takes_no_freedom() -> None:
+    chosen, start = field(), nothing(field().system)
+    absorbed = 0
+    for number, family in enumerate(chosen.families):
+        score = chosen.score(number, start)
+        for at in {0, len(family.alternatives) - 1}:
+            absorbed += int(score.rank[at] < family.columns.shape[2])
+            assert start.dof - start.with_columns(family.columns[:, at]).dof == score.rank[at], family.name
+    assert absorbed > 3
+
+
 def test_outliers_have_their_studentised_residuals() -> None:
     system, chosen = field().system, field()
     redundancy = 1 - (system.basis**2).sum(axis=1)
