@@ -181,6 +181,9 @@ def _candidates(subject: Subject, design: Design, named: Sequence[Named]) -> lis
         rows.setdefault((candidate.alternative.effect.name, word), []).append(candidate)
     lines = [_line(subject, name, word, found) for (name, word), found in rows.items()]
     for wrong in design.readings:
+        if not wrong.testable:
+            lines.append((wrong.effect.name, "one reading", verdict.NOT_TESTABLE, "-", "-", verdict.UNCHECKED))
+            continue
         size, unit = units.readable(wrong.detectable, wrong.effect.parameters[0].dimension)
         hides, at = units.readable(wrong.hides, subject.delivered.dimension)
         cells = ("one reading", verdict.EXCLUDED, f"{units.two_digits(size)} {unit}", f"{units.two_digits(hides)} {at}")

@@ -87,11 +87,16 @@ class WrongReading:
 
     effect: Effect
     detectable: float
-    """The median of all readings, in their unit"""
+    """The median of all readings, in their unit; inf where none of them shows its own error"""
     hides: float
     """Largest change of what is delivered by an error of one reading that just escapes"""
     unchecked: int
     """Readings whose errors no other reading shows"""
+
+    @property
+    def testable(self) -> bool:
+        """Whether any reading shows its own error."""
+        return bool(np.isfinite(self.detectable))
 
 
 @dataclass(frozen=True)
@@ -123,7 +128,7 @@ def _wrong_reading(subject: Subject, field: Field, effect: Effect, noise: float)
     places = system.entries(subject.delivered.block)[:, list(subject.delivered.columns)]
     moved = system.solver[np.maximum(places, 0)] @ system.basis[rows].T
     shift = np.sqrt((np.where((places >= 0)[:, :, None], moved, 0.0) ** 2).sum(axis=1)).max(axis=0, initial=0.0)
-    detectable = float(np.median(least * system.scale[rows]))
+    detectable = float(np.median(least * system.scale[rows])) if len(rows) else float("inf")
     return WrongReading(effect, detectable, float((shift * least).max(initial=0.0)), int(field.excluded.sum()))
 
 

@@ -24,6 +24,7 @@ from metrocli.diagnosis.selection import select
 from metrocli.diagnosis.signatures import signature
 from metrocli.diagnosis.structure import REPEATS, Left, PureError, left_over, log_strongest, pure_error
 from metrocli.diagnosis.subject import Subject
+from metrocli.errors import UndeterminedError
 
 Say = Callable[[str], None]
 _LACK_OF_FIT = 0.005
@@ -87,7 +88,10 @@ class Diagnosis:
 
 
 def diagnose(subject: Subject, say: Say = lambda line: None) -> Diagnosis:
-    """Return what the readings of an adjusted job say of its model."""
+    """Return what the readings of an adjusted job say of its model.
+
+    Raises UndeterminedError where no reading is to spare.
+    """
     rng = np.random.default_rng(_SEED)
     say("looking for structure")
     field, not_tested, units, selection = _selected(subject, rng)
@@ -134,6 +138,11 @@ def _selected(subject: Subject, rng: np.random.Generator) -> tuple[Field, list[N
     units: tuple[Unit, ...] = ()
     for _ in range(_ROUNDS + 1):
         field, not_tested = field_of_job(subject, weights, rng)
+        if field.system.dof < 1:
+            raise UndeterminedError(
+                "no reading is to spare: the unknowns take them all up, whatever is wrong\n"
+                "measure more; `metrocli diagnose --design` says what a measurement shows"
+            )
         last = len(units) == _ROUNDS
         unit = None if last else _sigma_first(subject, field, rng)
         if unit is None:

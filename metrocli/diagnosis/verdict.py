@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from metrocli import units
-from metrocli.diagnosis.candidates import NotTested
 from metrocli.diagnosis.design import Candidate, Design, WrongReading
 from metrocli.diagnosis.diagnose import Diagnosis, Finding
 from metrocli.diagnosis.gain import Gain
@@ -17,9 +16,11 @@ from metrocli.diagnosis.mistakes import Mistaken
 from metrocli.diagnosis.naming import Named, Rival
 from metrocli.diagnosis.structure import Left
 from metrocli.diagnosis.subject import Subject
+from metrocli.effects.effect import Effect
 
 NAMED, EXCLUDED, CANNOT_SEE = "named", "excluded", "cannot-see"
 NOT_TESTABLE, NOT_TESTED = "not-testable", "not-tested"
+UNCHECKED = "no reading is checked by the others"
 
 
 def as_data(diagnosis: Diagnosis) -> dict[str, Any]:
@@ -148,11 +149,14 @@ def candidates(subject: Subject, design: Design, named: Iterable[Named]) -> list
     names = list(named)
     tested = [_candidate(subject, candidate, status(candidate, names)) for candidate in design.candidates]
     readings = [_wrong_reading(subject, one) for one in design.readings]
-    return tested + readings + [_missing(one) for one in design.not_tested]
+    missing = [_open(one.effect, one.where, NOT_TESTED, one.reason) for one in design.not_tested]
+    return tested + readings + missing
 
 
 def _wrong_reading(subject: Subject, one: WrongReading) -> dict[str, Any]:
     unchecked = f"; {one.unchecked} readings cannot be checked" if one.unchecked else ""
+    if not one.testable:
+        return _open(one.effect, {}, NOT_TESTABLE, UNCHECKED)
     return {
         "name": one.effect.name,
         "where": {},
@@ -187,14 +191,14 @@ def reason(candidate: Candidate, word: str) -> str:
     return "" if word == NAMED else f"it would have been seen from {size:.3g} {unit} on"
 
 
-def _missing(one: NotTested) -> dict[str, Any]:
+def _open(effect: Effect, where: Mapping[str, str], word: str, reason: str) -> dict[str, Any]:
     return {
-        "name": one.effect.name,
-        "where": dict(one.where),
-        "status": NOT_TESTED,
+        "name": effect.name,
+        "where": dict(where),
+        "status": word,
         "minimal_detectable": None,
         "hides": None,
-        "reason": one.reason,
+        "reason": reason,
     }
 
 

@@ -209,6 +209,17 @@ def test_what_cannot_be_diagnosed_is_refused(text: str, code: int, words: str, j
     assert (ran.code, words in ran.err) == (code, True)
 
 
+def test_where_no_reading_is_to_spare_nothing_is_called_clean(folder: Path, metrocli: Metrocli) -> None:
+    """Six points and six tracers: as many readings as unknowns."""
+    job = write(folder, lengths.measurement(np.random.default_rng(3), 6))
+    ran = metrocli("diagnose", job)
+    assert (ran.code, "no reading is to spare" in ran.err) == (4, True)
+    ran = metrocli("diagnose", job, "--design")
+    assert (ran.code, "no reading is checked" in ran.out, "nan" in ran.out) == (0, True, False)
+    candidates = json.loads(metrocli("diagnose", job, "--design", "--json").out)["candidates"]
+    assert all(one["status"] in ("not-testable", "not-tested") for one in candidates)
+
+
 def known(folder: Path, true: float, stated: float, seed: int = 4) -> Path:
     """Write a measurement whose points are known, with an error that may not be the stated one."""
     m = lengths.measurement(np.random.default_rng([9, seed]), 50)
