@@ -82,7 +82,10 @@ def _left(diagnosis: Diagnosis) -> Iterator[str]:
         return
     on, where = " and ".join(left.depends_on), f" in the readings of {', '.join(left.where)}" if left.where else ""
     size, unit = units.readable(left.size, diagnosis.subject.reading[1])
-    yield f"Structure is left that no known effect explains ({_chance(left.p_value)}); it varies with {on}{where}."
+    unknown = " that no known effect explains" if left.searched else ""
+    yield f"Structure is left{unknown} ({_chance(left.p_value)}); it varies with {on}{where}."
+    if not left.searched:
+        yield "Its cause is not looked for beside so large an effect: diagnose the extended job for it."
     if left.size:
         yield f"What shows of it is {units.two_digits(size)} {unit} (root mean square)."
     yield "Standard uncertainties of the result do not count it."

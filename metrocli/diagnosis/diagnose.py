@@ -20,7 +20,7 @@ from metrocli.diagnosis.polish import polished
 from metrocli.diagnosis.projection import System
 from metrocli.diagnosis.race import Field
 from metrocli.diagnosis.selected import Selection
-from metrocli.diagnosis.selection import select
+from metrocli.diagnosis.selection import dominated, select
 from metrocli.diagnosis.signatures import signature
 from metrocli.diagnosis.structure import REPEATS, Left, PureError, left_over, log_strongest, pure_error
 from metrocli.diagnosis.subject import Subject
@@ -105,6 +105,8 @@ def diagnose(subject: Subject, say: Say = lambda line: None) -> Diagnosis:
     repeats = pure_error(subject, field_after.system, given)
     if left is None and repeats is not None and repeats.lack_of_fit < _LACK_OF_FIT:
         left = Left(repeats.lack_of_fit, (REPEATS,))
+    if left is not None and dominated(selection):
+        left = replace(left, searched=False)
     found = noise_of(given)
     say("finding what the measurement could not see")
     findings = tuple(
@@ -147,7 +149,8 @@ def _selected(subject: Subject, rng: np.random.Generator) -> tuple[Field, list[N
         unit = None if last else _sigma_first(subject, field, rng)
         if unit is None:
             selection = select(field, nothing(field.system))
-            unit = None if last else apart(subject, field.system, selection.given(), rng)
+            # beside a large effect other structure is not searched for yet, and would count as noise
+            unit = None if last or dominated(selection) else apart(subject, field.system, selection.given(), rng)
         if unit is None:
             break
         weights, units = weighted(subject, weights, unit), (*units, unit)

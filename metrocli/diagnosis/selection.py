@@ -43,7 +43,7 @@ def select(field: Field, start: Given) -> Selection:
     selection, passed = Selection(field, Fit(start)), []
     for _ in range(_STEPS):
         step = _step(selection)
-        if step is not None and _dominated(step):
+        if step is not None and dominated(step):
             return step
         settled = selection if step is None else _settled(step)
         if settled.members == selection.members or settled.members in passed:
@@ -53,7 +53,7 @@ def select(field: Field, start: Given) -> Selection:
     return _settled(selection)
 
 
-def _dominated(selection: Selection) -> bool:
+def dominated(selection: Selection) -> bool:
     """Whether effects make up nearly all of the residuals: what else there is shows when they have been adjusted.
 
     Their signatures are linear about a model without them; what that leaves of a large effect is structure of its own.
@@ -119,7 +119,7 @@ def _with_effects(selection: Selection) -> Selection:
             if len(score.gain) and not field.families[i].unknown
         ]
         level, family, score = min(found, key=lambda one: one[0])
-        if given.dof < 3 or field.overall(level) > np.log(_allowed(selection, family)) or _dominated(selection):
+        if given.dof < 3 or field.overall(level) > np.log(_allowed(selection, family)) or dominated(selection):
             break
         selection = _with_best(selection, family, score)
     return selection

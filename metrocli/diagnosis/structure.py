@@ -37,6 +37,8 @@ class Left:
     """The units (tracers, images) whose readings hold it; empty where all do"""
     size: float = 0.0
     """What shows of it, root mean square over those readings, in their unit"""
+    searched: bool = True
+    """Whether effects were tried for it; beside a large one they are when that has been adjusted"""
 
 
 @dataclass(frozen=True)

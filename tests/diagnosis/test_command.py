@@ -209,6 +209,20 @@ def test_what_cannot_be_diagnosed_is_refused(text: str, code: int, words: str, j
     assert (ran.code, words in ran.err) == (code, True)
 
 
+def test_beside_a_very_large_effect_the_next_is_no_noise_and_the_extended_job_finds_it(
+    folder: Path, metrocli: Metrocli
+) -> None:
+    rng = np.random.default_rng(5)
+    m, _ = lengths.planted(lengths.measurement(rng, 60), rng, "sphere-form", 8.0)
+    job = write(folder, lengths.planted(m, rng, "refraction-drift", 60.0)[0])
+    data, told = json.loads(metrocli("diagnose", job, "--json").out), metrocli("diagnose", job).out
+    assert [one["name"] for one in data["effects"]] == ["refraction-drift"]
+    assert (data["noise"]["apart"], data["verdict"]) == ([], "unexplained")
+    assert ("no known effect" in told, "diagnose the extended job" in told) == (False, True)
+    again = json.loads(metrocli("diagnose", data["extended_job"], "--json").out)
+    assert [one["name"] for one in again["effects"]] == ["sphere-form"]
+
+
 def test_where_no_reading_is_to_spare_nothing_is_called_clean(folder: Path, metrocli: Metrocli) -> None:
     """Six points and six tracers: as many readings as unknowns."""
     job = write(folder, lengths.measurement(np.random.default_rng(3), 6))
