@@ -25,6 +25,9 @@ Draw = Callable[[], "Picture"]
 _MARGIN = 2.0
 """Pixels that a target keeps from the border"""
 
+_ASTRAY = 1e-6
+"""Of the plane Z = 1: how far a point that is seen may be from where its image leads back to"""
+
 
 @dataclass(frozen=True)
 class Shown:
@@ -91,13 +94,22 @@ def _projected(shown: Shown, image: int, chosen: Index) -> tuple[Array, Mask]:
     points = poses.apply(shown.to_camera[image], shown.targets.points[chosen])
     front = points[:, 2] > 0
     z = np.where(front, points[:, 2], 1.0)
-    u, v = _distorted(shown, points[:, 0] / z, points[:, 1] / z)
+    x, y = points[:, 0] / z, points[:, 1] / z
+    u, v = _distorted(shown, x, y)
     size = (
         max(shown.lens.get("f", 0.0), shown.lens.get("fx", 0.0)) * np.nan_to_num(shown.targets.radius[chosen]) / z
         + _MARGIN
     )
     w, h = shown.image_size
-    return np.column_stack([u, v]), front & (u > size) & (u < w - 1 - size) & (v > size) & (v < h - 1 - size)
+    inside = front & (u > size) & (u < w - 1 - size) & (v > size) & (v < h - 1 - size)
+    inside[inside] = _mapped(shown, x[inside], y[inside], u[inside], v[inside])
+    return np.column_stack([u, v]), inside
+
+
+def _mapped(shown: Shown, x: Array, y: Array, u: Array, v: Array) -> Mask:
+    """Return which points the lens maps: far outside the image its polynomials fold over and come back into it."""
+    back_x, back_y = ideal_point(shown.lens, u, v, shown.convention)
+    return np.hypot(back_x - x, back_y - y) < _ASTRAY
 
 
 def _distorted(shown: Shown, x: Array, y: Array) -> tuple[Array, Array]:
