@@ -27,10 +27,12 @@ class Alternative:
     scanned: tuple[tuple[str, float], ...] = ()
     parameters: tuple[str, ...] = ()
     """Those whose columns it has, in order"""
+    named: tuple[tuple[str, str], ...] = ()
+    """Of the scanned parameters those that are places, by their names"""
 
     @property
     def where(self) -> dict[str, str]:
-        """The place as a job names it."""
+        """The place as a job names it, without what was scanned."""
         named = dict(zip(self.effect.keys, self.instance, strict=True))
         return named | ({"by": self.effect.by} if "by" in self.effect.where else {})
 
@@ -40,7 +42,7 @@ class Alternative:
         return self.effect.name, self.instance
 
     def __str__(self) -> str:
-        return " ".join([self.effect.name, *self.instance])
+        return " ".join([self.effect.name, *self.instance, *(f"{key} {name}" for key, name in self.named)])
 
 
 @dataclass(frozen=True)
@@ -190,8 +192,14 @@ def _columns(
             touched = np.flatnonzero(np.abs(full[:, own]).max(axis=1) > 0) if own.any() else np.zeros(0)
             if len(touched) >= subject.fewest:
                 names = tuple(block.columns[i] for i in column[own])
-                alternative = Alternative(effect, place, tuple(scanned.items()), names)
+                named = _named(subject.model, effect, scanned)
+                alternative = Alternative(effect, place, tuple(scanned.items()), names, named)
                 yield alternative, seen[:, own], np.linalg.norm(full[:, own], axis=0)
+
+
+def _named(model: Model, effect: Effect, scanned: Mapping[str, float]) -> tuple[tuple[str, str], ...]:
+    places = {parameter.name: parameter.place for parameter in effect.scanned if parameter.place}
+    return tuple((key, model.places[place].names[int(scanned[key])]) for key, place in places.items())
 
 
 def _row(members: Sequence[str], place: tuple[str, ...]) -> int:

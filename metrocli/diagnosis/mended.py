@@ -90,7 +90,7 @@ def sizes(subject: Subject, name: Named) -> tuple[Size, ...]:
         seen = bool(name.apart[at])
         spread = float(std[at] * by_step[column]) if seen else None
         found.append(Size(known[key], float(block.values[row, column] - was), spread, seen))
-    return (*found, *(Size(known[key], value, None) for key, value in alternative.scanned))
+    return (*found, *(Size(known[key], value, None) for key, value in alternative.scanned if not known[key].place))
 
 
 def mended(subject: Subject, names: Sequence[Named], kept: Mapping[str, Mask]) -> Subject | None:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from metrocli import units
+from metrocli.diagnosis.candidates import Alternative
 from metrocli.diagnosis.design import Candidate, Design, WrongReading
 from metrocli.diagnosis.diagnose import Diagnosis, Finding
 from metrocli.diagnosis.gain import Gain
@@ -75,12 +76,16 @@ def _effect(subject: Subject, finding: Finding) -> dict[str, Any]:
     name, gain = finding.named, finding.gain
     return {
         "name": name.alternative.effect.name,
-        "where": name.alternative.where,
+        "where": _where(name.alternative),
         "parameters": _parameters(subject, name),
         "p_value": float(np.exp(name.log_level)),
         "alternatives": [_rival(rival) for rival in name.rivals],
         "gain": _gain(gain, subject) | {"result_shift": _delivered(subject, finding.shift)},
     }
+
+
+def _where(alternative: Alternative) -> dict[str, str]:
+    return alternative.where | dict(alternative.named)
 
 
 def _gain(gain: Gain, subject: Subject) -> dict[str, Any]:
@@ -119,7 +124,7 @@ def _parameters(subject: Subject, name: Named) -> dict[str, Any]:
 def _rival(rival: Rival) -> dict[str, Any]:
     return {
         "name": rival.alternative.effect.name,
-        "where": rival.alternative.where,
+        "where": _where(rival.alternative),
         "correlation": rival.correlation,
         "odds": rival.odds,
     }
@@ -222,7 +227,8 @@ def as_job(name: Named) -> Mapping[str, str]:
     found = {"name": effect.name, **dict(zip(effect.keys, alternative.instance, strict=True))}
     if effect.by:
         found["by"] = effect.by
-    return found | {key: _written(value, known[key].unit) for key, value in name.known.items()}
+    numbers = {key: _written(value, known[key].unit) for key, value in name.known.items() if not known[key].place}
+    return found | dict(alternative.named) | numbers
 
 
 def _written(value: float, unit: str) -> str:

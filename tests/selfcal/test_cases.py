@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from metrocli.diagnosis.candidates import Alternative
 from metrocli.diagnosis.diagnose import Diagnosis, diagnose
 from metrocli.project.diagnosed import subject_of
 from metrocli.project.job import load
@@ -22,17 +23,20 @@ pytestmark = pytest.mark.skipif(not FOLDERS, reason=f"no cases at {CASES}")
 
 
 def place(where: dict[str, Any]) -> frozenset[tuple[str, str]]:
-    """A place with a ball by its name; the view from which it moved is no part of it."""
+    """A place with a ball by its name."""
     named = {key: " ".join(map(str, value)) if isinstance(value, list) else str(value) for key, value in where.items()}
-    return frozenset((key, value) for key, value in named.items() if key != "from_view")
+    return frozenset(named.items())
+
+
+def spot(alternative: Alternative) -> tuple[str, frozenset[tuple[str, str]]]:
+    """Cause and place, with the view from which a ball moved."""
+    return alternative.effect.name, place(alternative.where | dict(alternative.named))
 
 
 def right(diagnosis: Diagnosis, truth: dict[str, Any]) -> bool:
     """Whether the verdict is the expected one, and every planted effect stands in a set of names."""
-    sets = {(f.named.alternative.effect.name, place(f.named.alternative.where)) for f in diagnosis.findings}
-    sets |= {
-        (r.alternative.effect.name, place(r.alternative.where)) for f in diagnosis.findings for r in f.named.rivals
-    }
+    sets = {spot(finding.named.alternative) for finding in diagnosis.findings}
+    sets |= {spot(rival.alternative) for finding in diagnosis.findings for rival in finding.named.rivals}
     known = [one for one in truth["effects"] if not one["name"].startswith("_")]
     named = all((one["name"], place(one["where"])) in sets for one in known)
     return diagnosis.verdict == truth["expected_verdict"] and named and len(diagnosis.findings) == len(known)

@@ -132,6 +132,18 @@ def test_effects_are_planted_and_found(project: Path, metrocli: Metrocli) -> Non
         assert abs(found[name]["value"] - truth[name]) < 4 * found[name]["std"], name
 
 
+def test_a_ball_that_moved_is_told_with_its_view_and_the_extended_job_has_it(project: Path, metrocli: Metrocli) -> None:
+    planted = "moved-ball:ball=1 0 -2,from_view=3,dx=0.05mm,dy=0mm,dz=-0.05mm"
+    assert metrocli("simulate", "jobs/views.yaml", "--out", "new", "--seed", "5", "--effect", planted).code == 0
+    job = (project / "jobs" / "views.yaml").read_text().replace("../data/views.csv", "../new/views.csv")
+    (project / "jobs" / "moved.yaml").write_text(job)
+    data = json.loads(metrocli("diagnose", "jobs/moved.yaml", "--json").out)
+    assert [one["where"] for one in data["effects"]] == [{"ball": "1 0 -2", "from_view": "3"}]
+    assert set(data["effects"][0]["parameters"]) == {"dx", "dy", "dz"}
+    ran = metrocli("diagnose", data["extended_job"], "--json")
+    assert (ran.code, json.loads(ran.out)["effects"]) == (0, []), ran.err
+
+
 def test_an_effect_that_the_views_absorb_is_refused(project: Path, metrocli: Metrocli) -> None:
     """A ball displaced in the only view that sees it beside the first: nothing tells it from a wrong place of the site."""
     rows = (project / "data" / "views.csv").read_text().splitlines()
