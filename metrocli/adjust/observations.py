@@ -82,6 +82,11 @@ class Observations:
         """Number of readings n."""
         return int(self.readings.shape[1])
 
+    @property
+    def deviations(self) -> Array:
+        """Standard deviation of each component, (d, n)."""
+        return self.sigma if self.covariance is None else np.sqrt(np.einsum("aan->an", self.covariance))
+
     def whitened(self, values: Array) -> Array:
         """Return values (d, ..., n) in units of their standard deviation: unit covariance for readings."""
         if self._whitening is not None:

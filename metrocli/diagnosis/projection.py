@@ -157,7 +157,7 @@ def linearised(model: Model, weights: Mapping[str, Array] | None = None) -> Syst
         place += n * d
         residuals.append(by_rows(linear) * factor)
         jacobians.append(jacobian.reshape(n * d, -1) * factor[:, None])
-        scales.append(group.observations.sigma.T.ravel() / factor)
+        scales.append(group.observations.deviations.T.ravel() / factor)
     residual, jacobian = np.concatenate(residuals), np.concatenate(jacobians)
     basis, solver, sizes = _factored(model, layout, jacobian)
     system = System(model, layout, residual, basis, solver, first, np.concatenate(scales), sizes)

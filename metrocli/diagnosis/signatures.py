@@ -48,7 +48,7 @@ def scan(
         for group in extended.readings:
             found = _whitened(system, group, blocks, block, chosen)
             start = system.first[group.name]
-            factor = group.observations.sigma.T.ravel() / system.scale[start : start + len(found)]
+            factor = group.observations.deviations.T.ravel() / system.scale[start : start + len(found)]
             full[start : start + len(found)] = found * factor[:, None]
         yield full, block, chosen
 

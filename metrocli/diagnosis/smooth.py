@@ -114,7 +114,7 @@ def _components(system: System, group: Group, terms: Array) -> Array:
     full = np.zeros((system.rows, k * d))
     start = system.first[group.name]
     rows = slice(start, start + d * n)
-    factor = observations.sigma.T.ravel() / system.scale[rows]
+    factor = observations.deviations.T.ravel() / system.scale[rows]
     for i in range(d):
         change = np.zeros((d, k, n))
         change[i] = terms.T

@@ -209,10 +209,7 @@ def _residuals(solved: Solved) -> Table:
 
 
 def _sigma(solved: Solved, component: int) -> Array:
-    observations = solved.problem.readings.observations
-    if observations.covariance is None:
-        return np.asarray(observations.sigma[component])
-    return np.asarray(np.sqrt(observations.covariance[component, component]))
+    return np.asarray(solved.problem.readings.observations.deviations[component])
 
 
 def _suspects(solved: Solved) -> Table:

@@ -197,6 +197,18 @@ def test_backlash_needs_the_side_of_its_own_axis_only(folder: Path, metrocli: Me
     assert ({"axis": "z"}, "not-tested", "needs a column from_z") in told
 
 
+def test_held_out_points_are_predicted_to_about_their_noise(folder: Path, metrocli: Metrocli) -> None:
+    """Their readings have a covariance each; the errors are told in micrometres all the same."""
+    job = made(folder, STANDSTILL, metrocli)
+    assert (
+        metrocli("simulate", job, "--out", folder / "new", "--force", "--effect", "backlash:axis=x,width=20um").code
+        == 0
+    )
+    (folder / "points.csv").write_text((folder / "new" / "points.csv").read_text())
+    gain = json.loads(metrocli("diagnose", job, "--json").out)["effects"][0]["gain"]
+    assert gain["unit"] == "um" and 1 < gain["holdout_after"] < 8 < gain["holdout_before"] < 50
+
+
 def test_what_cannot_be_told_apart_is_refused(folder: Path, metrocli: Metrocli) -> None:
     """One tracker sees machine and tracker drift as one."""
     job = made(folder, STANDSTILL, metrocli)
