@@ -43,7 +43,7 @@ def of_design(subject: Subject, design: Design) -> str:
     lines += _candidates(subject, design, [])
     alike = [
         f"  {pair.one} and {pair.other}: "
-        + ("the same" if pair.alias else f"told apart from {_size(pair.separable, pair.unit)} on")
+        + ("the same" if pair.alias else f"told apart from {_size(pair.separable, pair.dimension)} on")
         for pair in design.pairs
     ]
     return "\n".join([*lines, *(["", "hard to tell apart:", *alike] if alike else [])])
@@ -221,8 +221,7 @@ def _span(least: float, most: float, dimension: str) -> str:
     return f"{' to '.join(both)} {unit}"
 
 
-def _size(value: float, unit: str) -> str:
-    dimension = next((name for name in units.DIMENSIONS if units.internal_unit(name) == unit and unit != "1"), "")
+def _size(value: float, dimension: str) -> str:
     size, symbol = units.readable(value, dimension)
     return f"{units.two_digits(size)} {symbol}".strip()
 

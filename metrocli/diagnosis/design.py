@@ -59,6 +59,11 @@ class Candidate:
         return self.alternative.effect.parameters[0].unit
 
     @property
+    def dimension(self) -> str:
+        """Of its size."""
+        return self.alternative.effect.parameters[0].dimension
+
+    @property
     def name(self) -> str:
         """Cause and place in words."""
         return str(self.alternative)
@@ -74,6 +79,7 @@ class Pair:
     separable: float
     """Size of the first from which it is told from the other in 95 of 100 cases"""
     unit: str
+    dimension: str
 
     @property
     def alias(self) -> bool:
@@ -231,7 +237,7 @@ def _pairs(field: Field, candidates: Sequence[Candidate], noise: float) -> Itera
             if rho > _ALIKE:
                 least = _SEPARATED * noise * np.sqrt(2 / max(1 - rho, 1e-12))
                 size = least / np.sqrt(np.trace(field.grams[one.family][one.number]) / len(one.alternative.parameters))
-                yield Pair(one.name, testable[j].name, min(rho, 1.0), float(size), one.unit)
+                yield Pair(one.name, testable[j].name, min(rho, 1.0), float(size), one.unit, one.dimension)
 
 
 def _unit(columns: Array) -> Array:

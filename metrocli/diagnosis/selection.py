@@ -118,6 +118,8 @@ def _with_effects(selection: Selection) -> Selection:
             for i, score in enumerate(field.scores(given))
             if len(score.gain) and not field.families[i].unknown
         ]
+        if not found:
+            break
         level, family, score = min(found, key=lambda one: one[0])
         if given.dof < 3 or field.overall(level) > np.log(_allowed(selection, family)) or dominated(selection):
             break

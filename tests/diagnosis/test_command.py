@@ -12,6 +12,8 @@ import pytest
 
 from benchmarks.hidden import lengths
 from benchmarks.hidden.lengths import Measurement
+from metrocli.cli import diagnosis_text
+from metrocli.diagnosis.design import Design, Pair
 
 JOB = """metrocli: 1
 job: multilaterate
@@ -232,6 +234,14 @@ def test_where_no_reading_is_to_spare_nothing_is_called_clean(folder: Path, metr
     assert (ran.code, "no reading is checked" in ran.out, "nan" in ran.out) == (0, True, False)
     candidates = json.loads(metrocli("diagnose", job, "--design", "--json").out)["candidates"]
     assert all(one["status"] in ("not-testable", "not-tested") for one in candidates)
+
+
+def test_the_size_from_which_scales_are_told_apart_has_a_unit() -> None:
+    pair = Pair("machine-scale x", "distance-scale", 0.95, 4.1e-6, "1", "ratio")
+    told = diagnosis_text.of_design(
+        lengths.measurement(np.random.default_rng(1), 20).subject(), Design((), (), (pair,))
+    )
+    assert "machine-scale x and distance-scale: told apart from 4.1 um/m on" in told
 
 
 def known(folder: Path, true: float, stated: float, seed: int = 4) -> Path:

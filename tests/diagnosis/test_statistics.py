@@ -16,6 +16,7 @@ from metrocli.adjust.groups import Group
 from metrocli.adjust.observations import Observations
 from metrocli.adjust.quantities import Quantity
 from metrocli.diagnosis.candidates import families_of
+from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.distributions import chi_interval, log_family, log_tail, noncentrality
 from metrocli.diagnosis.gain import _held, _without
 from metrocli.diagnosis.given import PRIOR, nothing
@@ -128,6 +129,13 @@ def test_what_the_unknowns_absorb_but_for_rounding_takes_no_freedom() -> None:
             absorbed += int(score.rank[at] < family.columns.shape[2])
             assert start.dof - start.with_columns(family.columns[:, at]).dof == score.rank[at], family.name
     assert absorbed > 3
+
+
+def test_where_no_effect_can_be_tried_structure_is_still_told() -> None:
+    m = lengths.measurement(np.random.default_rng(2), 40)
+    wave = 1e-3 * np.sin(2 * np.pi * (m.t - m.t.min()) / np.ptp(m.t)) * (m.tracer == 1)
+    found = diagnose(replace(replace(m, length=m.length + wave).subject(), effects=()))
+    assert (found.verdict, found.left and found.left.where) == ("unexplained", ("T1",))
 
 
 def test_outliers_have_their_studentised_residuals() -> None:
