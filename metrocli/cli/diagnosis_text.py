@@ -23,6 +23,8 @@ _SHOWN = 5
 _TOLD = 4
 """Effects that are told in sentences; the table has all"""
 _SURE = 1e-12
+_LEAST_TOLD = 0.005
+"""Share by which errors of held-out readings must fall to be told: what the score counts may be small in it"""
 
 
 def of_diagnosis(diagnosis: Diagnosis, extended: Path | None) -> str:
@@ -103,8 +105,10 @@ def _about(finding: Finding, subject: Subject) -> Iterator[str]:
         yield f"With this measurement {others} explains the readings as well."
     shift, unit = units.readable(finding.shift, subject.delivered.dimension)
     yield f"It changes the {subject.delivered.what} by up to {units.two_digits(shift)} {unit}."
-    if gain.shown:
+    if gain.shown and gain.reduction >= _LEAST_TOLD:
         yield f"Readings that were held out are predicted {100 * gain.reduction:.0f} % better ({_score(gain)})."
+    elif gain.shown:
+        yield f"Readings that were held out are predicted better ({_score(gain)}), but for errors of other causes."
     else:
         yield f"A gain on readings that were held out is not shown ({_score(gain)})."
 

@@ -244,9 +244,11 @@ def test_the_size_from_which_scales_are_told_apart_has_a_unit() -> None:
     assert "machine-scale x and distance-scale: told apart from 4.1 um/m on" in told
 
 
-def known(folder: Path, true: float, stated: float, seed: int = 4) -> Path:
-    """Write a measurement whose points are known, with an error that may not be the stated one."""
-    m = lengths.measurement(np.random.default_rng([9, seed]), 50)
+def known(folder: Path, true: float, stated: float, seed: int = 4, name: str = "") -> Path:
+    """Write a measurement whose points are known, with an error that may not be the stated one, and an effect."""
+    rng = np.random.default_rng([9, seed])
+    m = lengths.measurement(rng, 50)
+    m = lengths.planted(m, rng, name, 5.0)[0] if name else m
     off = np.random.default_rng([10, seed]).normal(0, true, m.points.shape)
     job = write(folder, replace(m, nominal=m.points + off))
     rows = (folder / "points.csv").read_text().splitlines()
@@ -267,6 +269,13 @@ def test_a_wrong_sigma_of_known_points_is_told_as_that(
         (apart,) = data["noise"]["apart"]
         assert apart["given"] == "prior of point"
         assert abs(np.log(apart["ratio"] * stated / true)) < np.log(1.3)
+
+
+def test_a_gain_that_is_small_beside_other_errors_is_told_as_that(folder: Path, metrocli: Metrocli) -> None:
+    """Points known to 20 um are predicted to that, with the effect and without; the score has all their readings."""
+    told = metrocli("diagnose", known(folder, 0.02, 0.02, name="dead-path-drift")).out
+    assert " 0 % better" not in told and "-0 % better" not in told
+    assert "are predicted better (log score" in " ".join(told.split())
 
 
 def test_known_points_are_no_hindrance_to_what_tells_two_names_apart(folder: Path, metrocli: Metrocli) -> None:
