@@ -15,7 +15,7 @@ from benchmarks.hidden_effects import KINDS, results
 
 COUNT = 60
 """Three rounds of the twenty scenarios"""
-ONE_ROUND = ("calibrate-camera", "calibrate-machine")
+ONE_ROUND = ("calibrate-camera", "selfcal-grid", "calibrate-machine")
 """The kinds that take longest"""
 
 
