@@ -11,7 +11,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 
-from benchmarks.hidden import images, launch, lengths, machine, rates
+from benchmarks.hidden import grids, images, launch, lengths, machine, rates
 from benchmarks.hidden.case import Case, Found
 
 KINDS: dict[str, Callable[[int], Iterator[Case]]] = {
@@ -19,6 +19,7 @@ KINDS: dict[str, Callable[[int], Iterator[Case]]] = {
     "calibrate-camera": images.calibrations,
     "align-part": images.alignments,
     "locate-launch-unit": launch.cases,
+    "selfcal-grid": grids.cases,
     "calibrate-machine": machine.cases,
 }
 COUNT = 600

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
 from metrocli.adjust.solution import Solution
 from metrocli.result import Scalar
+from metrocli.tasks.sightings import listed
 
 _ABSURD = 10.0
 """A sigma0 beyond this is not a matter of noise"""
 
 ESTIMATED, REMOVE = "`noise: estimated`", "`outliers: remove`"
+_NAMED = 5
 
 Statistics = dict[str, Scalar | Mapping[str, float]]
 
@@ -73,3 +75,9 @@ def noise_warnings(solution: Solution, cures: Collection[str] = (ESTIMATED, REMO
         f"the residuals are {word} than the declared noise says; "
         f"standard uncertainties are for the declared noise{scaled}"
     ]
+
+
+def beyond_bound(names: Sequence[str], critical: float, cure: str = f"{REMOVE} leaves such out") -> str:
+    """Return the warning that names readings with tests beyond the outlier bound, worst first."""
+    count = "1 reading exceeds" if len(names) == 1 else f"{len(names)} readings exceed"
+    return f"{count} the outlier bound |w| = {critical:.2f}: {listed(names, _NAMED)}" + (f"; {cure}" if cure else "")

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from metrocli.adjust.blocks import Array
-from metrocli.tasks.adjustment_statistics import noise_warnings
+from metrocli.tasks.adjustment_statistics import beyond_bound, noise_warnings
 from metrocli.tasks.grid_open import Open
 from metrocli.tasks.grid_solve import LeftOut, Solved
 from metrocli.tasks.sightings import listed
@@ -29,10 +29,7 @@ def warnings(solved: Solved, found: Open, std: Array, left_out: Sequence[LeftOut
         keys = observations.keys
         order = solved.suspects.rows[np.argsort(-solved.suspects.tests)]
         told = [f"{keys['view'][n]}: ({keys['i'][n]}, {keys['j'][n]}, {keys['k'][n]})" for n in order]
-        lines.append(
-            f"{len(told)} readings exceed the outlier bound |w| = {solved.suspects.critical:.2f}: {listed(told, 5)}; "
-            "`outliers: remove` leaves such out"
-        )
+        lines.append(beyond_bound(told, solved.suspects.critical))
     return lines + _contradicting(solved) + _disagreeing(left_out)
 
 

@@ -13,8 +13,8 @@ from metrocli.adjust.observations import Index
 from metrocli.adjust.robust import Suspects
 from metrocli.adjust.solution import Residuals
 from metrocli.table import Table
+from metrocli.tasks.adjustment_statistics import beyond_bound
 from metrocli.tasks.image_adjustment import Adjusted
-from metrocli.tasks.sightings import listed
 
 if TYPE_CHECKING:
     from metrocli.table import Values
@@ -97,10 +97,7 @@ def suspect_readings(found: Suspects, group: Group) -> list[str]:
         f"{keys['image'][i]}/{keys['target'][i]} (w = {t:.1f})"
         for i, t in zip(found.rows[order].tolist(), found.tests[order].tolist(), strict=True)
     ]
-    return [
-        f"{len(worst)} readings exceed the outlier bound |w| = {found.critical:.2f}: {listed(worst, 5)}; "
-        "`outliers: remove` leaves such readings out"
-    ]
+    return [beyond_bound(worst, found.critical)]
 
 
 def adjustment_notes(adjusted: Adjusted) -> list[str]:

@@ -14,7 +14,7 @@ from metrocli.effects.estimates import tables as effect_results
 from metrocli.instruments import launch_unit as lu
 from metrocli.result import Estimate, Result, Scalar
 from metrocli.table import Table
-from metrocli.tasks.adjustment_statistics import REMOVE, basic_statistics, noise_warnings
+from metrocli.tasks.adjustment_statistics import REMOVE, basic_statistics, beyond_bound, noise_warnings
 from metrocli.tasks.launch_readings import Readings
 from metrocli.tasks.launch_solve import Located
 from metrocli.tasks.sightings import listed
@@ -159,9 +159,8 @@ def _outliers(located: Located) -> Table:
 def _told(outliers: Table, critical: float, removed: bool) -> list[str]:
     rows = zip(*(outliers.texts(name) for name in ("pose", "reading")), outliers.numbers("w"), strict=True)
     names = [f"{reading} of {pose} (w = {w:.1f})" for pose, reading, w in rows]
-    cure = "left out" if removed else f"{REMOVE} leaves such out"
-    text = f"{len(names)} readings exceed the outlier bound |w| = {critical:.2f}: {listed(names, 5)}; {cure}"
-    return [text] if names else []
+    cure = {"cure": "left out"} if removed else {}
+    return [beyond_bound(names, critical, **cure)] if names else []
 
 
 def _repeated(readings: Readings) -> list[str]:

@@ -16,7 +16,7 @@ from metrocli.instruments.six_dof import LINE
 from metrocli.instruments.tracker import TRACKER
 from metrocli.result import Estimate, Result
 from metrocli.table import Table
-from metrocli.tasks.adjustment_statistics import REMOVE, Statistics, basic_statistics, noise_warnings
+from metrocli.tasks.adjustment_statistics import REMOVE, Statistics, basic_statistics, beyond_bound, noise_warnings
 from metrocli.tasks.machine_identifiability import NOT_ESTIMATED, UNDETERMINED, Identifiability
 from metrocli.tasks.machine_settings import ON_THE_FLY, Settings
 from metrocli.tasks.machine_solve import Solved
@@ -279,11 +279,9 @@ def _warnings(solved: Solved, settings: Settings) -> list[str]:
     if rows:
         key, names = next(iter(solved.problem.readings.observations.keys)), solved.problem.names
         worst = sorted(zip(tests, [names[i] for i in rows], strict=True), reverse=True)
-        told = [f"{name} (w = {test:.1f})" for test, name in worst]
-        lines.append(
-            f"{len(told)} readings exceed the outlier bound |w| = {solved.suspects.critical:.2f}: "
-            f"{key} {listed(told, 5)}" + (f"; {REMOVE} leaves such out" if REMOVE in cures else "")
-        )
+        told = [f"{key} {name} (w = {test:.1f})" for test, name in worst]
+        cure = f"{REMOVE} leaves such out" if REMOVE in cures else ""
+        lines.append(beyond_bound(told, solved.suspects.critical, cure))
     return lines
 
 

@@ -7,7 +7,6 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from benchmarks.hidden import grids
 from benchmarks.hidden_effects import KINDS
 from metrocli.diagnosis import signatures
 from metrocli.diagnosis.candidates import instances
@@ -16,7 +15,6 @@ from metrocli.diagnosis.subject import Subject
 from metrocli.effects.model import can_act
 
 ALL: dict[str, Callable[[], Subject]] = {kind: next(make(1)).subject for kind, make in KINDS.items()}
-ALL["selfcal-grid"] = next(grids.cases(1)).subject
 
 
 @pytest.mark.parametrize("kind", ALL)
