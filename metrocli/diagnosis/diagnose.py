@@ -146,7 +146,7 @@ def _selected(subject: Subject, rng: np.random.Generator) -> tuple[Field, list[N
                 "measure more; `metrocli diagnose --design` says what a measurement shows"
             )
         last = len(units) == _ROUNDS
-        unit = None if last else _sigma_first(subject, field, rng)
+        unit = None if last else _sigma_first(subject, field)
         if unit is None:
             selection = select(field, nothing(field.system))
             # beside a large effect other structure is not searched for yet, and would count as noise
@@ -157,10 +157,13 @@ def _selected(subject: Subject, rng: np.random.Generator) -> tuple[Field, list[N
     return field, not_tested, _joined(units), selection
 
 
-def _sigma_first(subject: Subject, field: Field, rng: np.random.Generator) -> Unit | None:
-    """Return what the job gives with a wrong sigma, where that says more of the residuals than any cause."""
+def _sigma_first(subject: Subject, field: Field) -> Unit | None:
+    """Return what the job gives with a wrong sigma, where that says more of the residuals than any cause.
+
+    With draws of its own: the levels of a job that gives nothing are those without this test.
+    """
     given = nothing(field.system)
-    unit = apart(subject, field.system, given, rng)
+    unit = apart(subject, field.system, given, np.random.default_rng(_SEED))
     if unit is None or unit.key != GIVEN or unit.ratio < 1:
         return None
     return unit if unit.log_level < log_strongest(field, given) else None
