@@ -265,8 +265,8 @@ def _better(selection: Selection, one: Chosen) -> Chosen | None:
     scores = field.scores(given)
     best = [evidence(field, given, i, score) for i, score in enumerate(scores)]
     for family, number in field.around(one.family, one.number) if one in selection.named else ():
-        if _stands_out(field, scores, (one.family, one.number), (family, number)):
-            best[family][number] = -np.inf
+        # smooth terms in which it lies win or lose in the race; beside them it is tested again
+        best[family][number] = -np.inf
     family = _preferred(field, best, one)
     number = int(np.argmax(best[family]))
     differs = family != one.family

@@ -8,6 +8,7 @@ from __future__ import annotations
 from functools import cache
 
 import pytest
+from scipy.stats import binom
 
 from benchmarks.hidden import rates
 from benchmarks.hidden.case import Found
@@ -25,7 +26,12 @@ def found(kind: str) -> tuple[Found, ...]:
 
 
 # one worker does all tests of a kind, so that its cases are run once
-@pytest.fixture(params=[pytest.param(kind, marks=pytest.mark.xdist_group(kind)) for kind in KINDS])
+pytestmark = pytest.mark.parametrize(
+    "cases", [pytest.param(kind, marks=pytest.mark.xdist_group(kind)) for kind in KINDS], indirect=True
+)
+
+
+@pytest.fixture
 def cases(request: pytest.FixtureRequest) -> tuple[Found, ...]:
     return found(request.param)
 
@@ -76,8 +82,9 @@ def test_an_effect_of_no_table_is_called_unknown(cases: tuple[Found, ...]) -> No
 
 def test_a_name_is_told_from_what_it_is_not_by_its_region(cases: tuple[Found, ...]) -> None:
     covered = [hit for one in cases for hit in one.covered]
-    assert len(covered) >= len(cases) // 3
-    assert sum(covered) >= 0.88 * len(covered)
+    assert len(covered) >= len(cases) // 4
+    # of so many regions of 95 % fewer hold the truth once in a hundred times
+    assert sum(covered) >= binom.ppf(0.01, len(covered), 0.95)
 
 
 def test_the_noise_is_found(cases: tuple[Found, ...]) -> None:
