@@ -25,13 +25,7 @@ def found(kind: str) -> tuple[Found, ...]:
     return tuple(results(kind, COUNT // 3 if kind in ONE_ROUND else COUNT))
 
 
-# one worker does all tests of a kind, so that its cases are run once
-pytestmark = pytest.mark.parametrize(
-    "cases", [pytest.param(kind, marks=pytest.mark.xdist_group(kind)) for kind in KINDS], indirect=True
-)
-
-
-@pytest.fixture
+@pytest.fixture(params=KINDS)
 def cases(request: pytest.FixtureRequest) -> tuple[Found, ...]:
     return found(request.param)
 
