@@ -7,6 +7,7 @@ import math
 import random
 import string
 import time
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -34,6 +35,15 @@ REFUSED = [
 ]  # fmt: skip
 
 
+@pytest.fixture(autouse=True, scope="module")
+def nothing_to_collect() -> Iterator[None]:
+    """Keep what other tests left out of the collector: going through it takes longer than any text may."""
+    gc.collect()
+    gc.freeze()
+    yield
+    gc.unfreeze()
+
+
 @pytest.mark.parametrize(("text", "start", "message"), REFUSED, ids=lambda value: str(value)[:20])
 def test_refused_with_its_column_in_no_time(text: str, start: int, message: str) -> None:
     before = time.process_time()
@@ -56,8 +66,6 @@ def test_a_hundred_thousand_random_texts_are_taken_or_refused() -> None:
     rng = random.Random(1)
     slowest, taken = 0.0, 0
     values = {"x": np.array([0.3, -2.0]), "y": np.array([1.5, 0.0]), "part.x": np.array([2.0, 1e200])}
-    gc.collect()
-    gc.freeze()  # what other tests left is not this one's to collect
     for n in range(100_000):
         if n % 10 == 0:
             text = "".join(rng.choices(string.printable + "µ²·", k=rng.randint(1, 60)))
@@ -75,7 +83,6 @@ def test_a_hundred_thousand_random_texts_are_taken_or_refused() -> None:
         except ExpressionError as error:
             assert 0 <= error.start <= max(len(text), 1)
         slowest = max(slowest, time.process_time() - before)
-    gc.unfreeze()
     assert taken > 20_000
     assert slowest < 0.1
 
