@@ -3,41 +3,55 @@
 Cases are seeded and simulated by plain formulas (benchmarks/hidden). Sizes are multiples of the least size that is
 found with 80 % power. Each rate has its 95 % binomial interval, and the bar that it is held against.
 
-    python -m benchmarks hidden_effects [KIND] [COUNT]
+    python -m benchmarks hidden_effects [KIND ...] [COUNT | FIRST-LAST] [SCENARIO]
+
+    python -m benchmarks hidden_effects multilaterate 0-2519 "an effect of 1x"
 """
 
 from __future__ import annotations
 
+import re
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterable
+from functools import partial
 
 from benchmarks.hidden import grids, images, launch, lengths, machine, rates
-from benchmarks.hidden.case import Case, Found
+from benchmarks.hidden.case import Campaign, Found
 
-KINDS: dict[str, Callable[[int], Iterator[Case]]] = {
-    "multilaterate": lengths.cases,
-    "calibrate-camera": images.calibrations,
-    "align-part": images.alignments,
-    "locate-launch-unit": launch.cases,
-    "selfcal-grid": grids.cases,
-    "calibrate-machine": machine.cases,
+KINDS = {
+    "multilaterate": Campaign(lengths.case, lengths.SCENARIOS),
+    "calibrate-camera": Campaign(partial(images.case, "calibrate-camera"), images.SCENARIOS),
+    "align-part": Campaign(partial(images.case, "align-part"), images.SCENARIOS),
+    "locate-launch-unit": Campaign(launch.case, launch.SCENARIOS),
+    "selfcal-grid": Campaign(grids.case, grids.SCENARIOS),
+    "calibrate-machine": Campaign(machine.case, machine.SCENARIOS),
 }
 COUNT = 600
 
 
-def results(kind: str, count: int) -> list[Found]:
-    """Return the diagnoses of so many cases."""
-    return [rates.found(case) for case in KINDS[kind](count)]
+def results(kind: str, numbers: Iterable[int], only: str = "") -> list[Found]:
+    """Return the diagnoses of cases, of one scenario or of all."""
+    return [rates.found(case) for case in KINDS[kind].cases(numbers, only)]
 
 
 def main(arguments: list[str]) -> int:
     """Print the rates of one kind or of all; return 1 where a bar is not met."""
     kinds = [argument for argument in arguments if argument in KINDS] or list(KINDS)
-    count = next((int(argument) for argument in arguments if argument.isdigit()), COUNT)
+    numbers, only = range(COUNT), ""
+    for argument in arguments:
+        span = re.fullmatch(r"(?:(\d+)-)?(\d+)", argument)
+        if span is not None:
+            numbers = range(int(span[2])) if span[1] is None else range(int(span[1]), int(span[2]) + 1)
+        elif argument not in KINDS:
+            only = argument
+    for kind in kinds:
+        if only and only not in KINDS[kind].scenarios:
+            print(f"no scenario '{only}' of {kind}; there are: {', '.join(dict.fromkeys(KINDS[kind].scenarios))}")
+            return 2
     met = True
     for kind in kinds:
-        print(f"-- {kind}, {count} cases", flush=True)
-        met &= rates.print_rates(results(kind, count))
+        print(f"-- {kind}, cases {numbers.start} to {numbers.stop - 1}{only and ': ' + only}", flush=True)
+        met &= rates.print_rates(results(kind, numbers, only))
     return 0 if met else 1
 
 

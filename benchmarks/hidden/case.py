@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 from metrocli.diagnosis.diagnose import Diagnosis
@@ -43,3 +43,17 @@ class Found:
     seconds: float = 0.0
     covered: tuple[bool, ...] = field(default=())
     """For each named effect that is in the readings, whether its 95 % region holds the truth"""
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """The seeded cases of a kind of job, scenarios in turn."""
+
+    case: Callable[[int], Case]
+    scenarios: tuple[str, ...]
+
+    def cases(self, numbers: Iterable[int], only: str = "") -> Iterator[Case]:
+        """Yield cases by their numbers, of one scenario or, without a name, of all."""
+        for number in numbers:
+            if only in ("", self.scenarios[number % len(self.scenarios)]):
+                yield self.case(number)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -304,12 +304,6 @@ def noisier(m: Measurement, rng: np.random.Generator) -> Measurement:
     """Return the measurement with one view three times as noisy as the others."""
     here = (m.views.view == rng.integers(len(m.views.names)))[:, None]
     return replace(m, readings=m.readings + rng.normal(size=m.readings.shape) * NOISE * np.sqrt(8.0) * here)
-
-
-def cases(count: int) -> Iterator[Case]:
-    """Yield so many seeded cases, the scenarios in turn, four and six views by turns."""
-    for number in range(count):
-        yield case(number)
 
 
 def case(number: int) -> Case:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -250,18 +250,6 @@ def read(scene: Scene, rng: np.random.Generator) -> Images:
     return Images(scene, scene.predicted(scene.start(), {}) + rng.normal(0, scene.noise, (len(scene.view), 2)))
 
 
-def calibrations(count: int) -> Iterator[Case]:
-    """Yield so many seeded calibrations, the scenarios in turn, boards and measuring machines in turn."""
-    for number in range(count):
-        yield _case("calibrate-camera", number)
-
-
-def alignments(count: int) -> Iterator[Case]:
-    """Yield so many seeded alignments, the scenarios in turn."""
-    for number in range(count):
-        yield _case("align-part", number)
-
-
 def _scene(kind: str, scenario: str, rng: np.random.Generator, rig: str) -> Scene:
     if kind == "align-part":
         return part_scene(rng, 8, 4, turned=False) if "few" in scenario else part_scene(rng)
@@ -270,10 +258,11 @@ def _scene(kind: str, scenario: str, rng: np.random.Generator, rig: str) -> Scen
     return board_scene(rng, 8, (5, 4)) if "few" in scenario else board_scene(rng)
 
 
-def _case(kind: str, number: int) -> Case:
+def case(kind: str, number: int) -> Case:
+    """Return one seeded case."""
     rng = np.random.default_rng([44, len(kind), number])
-    scenario = _SCENARIOS[number % len(_SCENARIOS)]
-    turn = number // len(_SCENARIOS) + 5 * (number % len(_SCENARIOS))
+    scenario = SCENARIOS[number % len(SCENARIOS)]
+    turn = number // len(SCENARIOS) + 5 * (number % len(SCENARIOS))
     rig = ("board", "cmm")[turn % 2] if kind == "calibrate-camera" else ""
     for later in range(100):
         found = _tried(kind, scenario, rng, (turn + 2 * later, rig))
@@ -324,7 +313,7 @@ def _without(scene: Scene, plants: list[Plant], names: list[str]) -> Scene:
     return scene.without(left_out) if scene.lens_free else scene
 
 
-_SCENARIOS = (
+SCENARIOS = (
     "nothing",
     "nothing, few",
     "nothing, 2 % outliers",

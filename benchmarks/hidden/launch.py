@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -254,16 +254,11 @@ def spoilt(m: Measurement, rng: np.random.Generator, share: float) -> tuple[Meas
     return replace(m, read=m.read + off), keys
 
 
-def cases(count: int) -> Iterator[Case]:
-    """Yield so many seeded cases, the scenarios in turn."""
-    for number in range(count):
-        yield _case(number)
-
-
-def _case(number: int) -> Case:
+def case(number: int) -> Case:
+    """Return one seeded case."""
     rng = np.random.default_rng([44, number])
-    scenario = _SCENARIOS[number % len(_SCENARIOS)]
-    turn = number // len(_SCENARIOS)
+    scenario = SCENARIOS[number % len(SCENARIOS)]
+    turn = number // len(SCENARIOS)
     m = measurement(rng, bool(turn % 2))
     known = [name for name in PARAMETERS if m.distances or not name.startswith("distance")]
     hidden: tuple[Hidden, ...] = ()
@@ -285,7 +280,7 @@ def _case(number: int) -> Case:
     return Case(scenario, m.subject, hidden, wrong, m.noise)
 
 
-_SCENARIOS = (
+SCENARIOS = (
     "nothing",
     "nothing, 2 % outliers",
     "nothing, noise declared half",

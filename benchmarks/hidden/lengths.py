@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -240,16 +240,11 @@ def noisier(m: Measurement, rng: np.random.Generator) -> Measurement:
     return replace(m, length=m.length + rng.normal(size=len(m.t)) * m.sigma * np.sqrt(8.0) * here)
 
 
-def cases(count: int) -> Iterator[Case]:
-    """Yield so many seeded cases, the scenarios in turn."""
-    for number in range(count):
-        yield _case(number)
-
-
-def _case(number: int) -> Case:
+def case(number: int) -> Case:
+    """Return one seeded case."""
     rng = np.random.default_rng([33, number])
-    scenario = _SCENARIOS[number % len(_SCENARIOS)]
-    turn = number // len(_SCENARIOS)
+    scenario = SCENARIOS[number % len(SCENARIOS)]
+    turn = number // len(SCENARIOS)
     m = measurement(rng, 20 if "20 points" in scenario else int(rng.integers(60, 101)))
     hidden: tuple[Hidden, ...] = ()
     wrong: frozenset[tuple[str, ...]] = frozenset()
@@ -275,7 +270,7 @@ def _case(number: int) -> Case:
     return Case(scenario, m.subject, hidden, wrong, m.noise)
 
 
-_SCENARIOS = (
+SCENARIOS = (
     "nothing",
     "nothing, 20 points",
     "nothing, 2 % outliers",

@@ -260,15 +260,10 @@ def spoilt(m: Measurement, rng: np.random.Generator, share: float) -> tuple[Meas
     return replace(m, read=m.read + off), frozenset((f"P{i}",) for i in np.flatnonzero(wrong))
 
 
-def cases(count: int) -> Iterator[Case]:
-    """Yield so many seeded cases, the scenarios in turn."""
-    for number in range(count):
-        yield _case(number)
-
-
-def _case(number: int) -> Case:
+def case(number: int) -> Case:
+    """Return one seeded case."""
     rng = np.random.default_rng([66, number])
-    scenario = _SCENARIOS[number % len(_SCENARIOS)]
+    scenario = SCENARIOS[number % len(SCENARIOS)]
     m = measurement(rng)
     hidden: tuple[Hidden, ...] = ()
     wrong: frozenset[tuple[str, ...]] = frozenset()
@@ -290,7 +285,7 @@ def _case(number: int) -> Case:
     return Case(scenario, m.subject, hidden, wrong, m.noise)
 
 
-_SCENARIOS = (
+SCENARIOS = (
     "nothing",
     "nothing, 2 % outliers",
     "nothing, noise declared half",

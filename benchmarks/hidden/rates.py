@@ -153,7 +153,7 @@ def rates(results: Sequence[Found]) -> Iterator[Rate]:
     wrong: Test = lambda one: one.diagnosis.verdict in ("explained", "indistinct")  # noqa: E731
     apart = [one for one in outside if one.case.hidden[0].distinct]
     yield _rate("wrong name with a clean bill, outside effect, no near alias", apart, wrong, most=0.10)
-    yield _rate("  the same, near aliases of a known effect included", outside, wrong)
+    yield _rate("  the same, near aliases of a known effect included", outside, wrong, most=0.10)
     yield _rate("outside effect not noticed", outside, lambda one: one.diagnosis.verdict == "clean")
     true = [key for one in results for key in one.case.outliers]
     told = [

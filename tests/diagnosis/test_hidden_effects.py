@@ -22,7 +22,7 @@ ONE_ROUND = ("calibrate-camera", "selfcal-grid", "calibrate-machine")
 
 @cache
 def found(kind: str) -> tuple[Found, ...]:
-    return tuple(results(kind, COUNT // 3 if kind in ONE_ROUND else COUNT))
+    return tuple(results(kind, range(COUNT // 3 if kind in ONE_ROUND else COUNT)))
 
 
 @pytest.fixture(params=KINDS)
