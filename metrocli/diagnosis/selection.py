@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -40,13 +40,16 @@ _CLEARLY = 1.0
 
 def select(field: Field, start: Given) -> Selection:
     """Return what wins the race, step by step, until nothing more is beyond chance."""
-    selection, passed = Selection(field, Fit(start)), []
+    selection = Selection(field, Fit(start))
+    passed = [selection.members]
     for _ in range(_STEPS):
-        step = _step(selection)
-        if step is not None and dominated(step):
-            return step
-        settled = selection if step is None else _settled(step)
-        if settled.members == selection.members or settled.members in passed:
+        for step in _steps(selection):
+            if dominated(step):
+                return step
+            settled = _settled(step)
+            if settled.members not in passed:
+                break
+        else:
             break
         selection = settled
         passed.append(selection.members)
@@ -70,11 +73,11 @@ def _settled(selection: Selection) -> Selection:
     return _dropped(selection)
 
 
-def _step(selection: Selection) -> Selection | None:
-    """Return the selection with the winner of the race, None where nothing is beyond chance."""
+def _steps(selection: Selection) -> Iterator[Selection]:
+    """Yield the selection with each that is beyond chance, the winner of the race first."""
     field, given = selection.field, selection.given()
     if given.dof < 3:
-        return None
+        return
     scores = field.scores(given)
     found = [(field.level(i, score.log_p[score.best]), i) for i, score in enumerate(scores) if len(score.gain)]
     wrong = field.outliers(given)
@@ -84,23 +87,31 @@ def _step(selection: Selection) -> Selection | None:
         if field.overall(level) > np.log(_allowed(selection, family)):
             continue
         if family < 0:
-            return _with_outliers(selection, wrong, given)
-        score = scores[family]
-        if field.families[family].unknown:
-            if carried_by_few(field, given, family, score.best) > np.log(UNKNOWN):
-                continue
-            known = _with_effects(selection)
-            best = field.score(family, known.given())
-            left = field.overall(field.level(family, best.log_p[best.best]))
-            if left > np.log(UNKNOWN) and _together(selection, known) <= level:
-                return known
-            if given.squares - known.given().squares > _AS_MUCH * score.gain[score.best]:
-                return known
-            part = _standing_out(selection, scores)
-            if part is not None:
-                return part
-        return _with_best(selection, family, score)
-    return None
+            yield _with_outliers(selection, wrong, given)
+        elif field.families[family].unknown:
+            yield from _with_smooth(selection, scores, family)
+        else:
+            yield _with_best(selection, family, scores[family])
+    yield from _beside_smooth(selection)
+
+
+def _with_smooth(selection: Selection, scores: Sequence[Score], family: int) -> Iterator[Selection]:
+    """Yield the selection with the effects that make up a smooth term or stand out of it, if any; then with itself."""
+    field, given, score = selection.field, selection.given(), scores[family]
+    if carried_by_few(field, given, family, score.best) > np.log(UNKNOWN):
+        return
+    known = _with_effects(selection)
+    best = field.score(family, known.given())
+    left = field.overall(field.level(family, best.log_p[best.best]))
+    level = field.level(family, score.log_p[score.best])
+    if (left > np.log(UNKNOWN) and _together(selection, known) <= level) or (
+        given.squares - known.given().squares > _AS_MUCH * score.gain[score.best]
+    ):
+        yield known
+    part = _standing_out(selection, scores)
+    if part is not None:
+        yield part
+    yield _with_best(selection, family, score)
 
 
 def _with_best(selection: Selection, family: int, score: Score) -> Selection:
@@ -148,6 +159,32 @@ def _stands_out(field: Field, scores: Sequence[Score], effect: tuple[int, int], 
     own, whole = (Drop(float(scores[i].gain[at]), float(scores[i].rank[at])) for i, at in (effect, smooth))
     rest = Drop(whole.squares - own.squares, whole.dof - own.dof)
     return bool(special(field, effect[0], [smooth], own, rest) <= np.log(STANDING_OUT))
+
+
+def _beside_smooth(selection: Selection) -> Iterator[Selection]:
+    """Yield the selection with each effect that stands out of those smooth terms in it in which it lies.
+
+    What they took with them when they were chosen is seen only when all else is in the model.
+    """
+    field, unknown = selection.field, selection.unknown
+    found = []
+    for number, family in enumerate(field.families):
+        if family.unknown or not unknown:
+            continue
+        lying = np.array([field.lying_in(one.family, one.number)[number] for one in unknown])
+        for inside in np.unique(lying[:, lying.any(axis=0)], axis=1).T:
+            places = np.flatnonzero((lying == inside[:, None]).all(axis=0))
+            given = selection.given(without=[one for one, there in zip(unknown, inside, strict=True) if there])
+            score = field.score(number, given, places.tolist())
+            if field.overall(field.level(number, score.log_p[score.best])) > np.log(LATER):
+                continue
+            place = int(places[score.best])
+            grown = selection.with_one(Chosen(number, place, family.columns[:, place]))
+            level = levels_of(grown)[-1]
+            if level <= np.log(STANDING_OUT):
+                found.append((level, grown))
+    for _, grown in sorted(found, key=lambda one: one[0]):
+        yield grown
 
 
 def _together(selection: Selection, known: Selection) -> float:
