@@ -13,7 +13,6 @@ from metrocli.diagnosis import verdict
 from metrocli.diagnosis.design import Candidate, Design
 from metrocli.diagnosis.diagnose import Diagnosis, Finding
 from metrocli.diagnosis.gain import Gain
-from metrocli.diagnosis.mended import sizes
 from metrocli.diagnosis.naming import Named
 from metrocli.diagnosis.noise import GIVEN
 from metrocli.diagnosis.subject import Subject
@@ -87,7 +86,7 @@ def _left(diagnosis: Diagnosis) -> Iterator[str]:
     unknown = " that no known effect explains" if left.searched else ""
     yield f"Structure is left{unknown} ({_chance(left.p_value)}); it varies with {on}{where}."
     if not left.searched:
-        yield "Its cause is not looked for beside so large an effect: diagnose the extended job for it."
+        yield "Its cause is not looked for beside so large an effect, with which the adjustment fails."
     if left.size:
         yield f"What shows of it is {units.two_digits(size)} {unit} (root mean square)."
     yield "Standard uncertainties of the result do not count it."
@@ -96,13 +95,18 @@ def _left(diagnosis: Diagnosis) -> Iterator[str]:
 def _about(finding: Finding, subject: Subject) -> Iterator[str]:
     name, gain = finding.named, finding.gain
     cause, reveal = name.alternative.effect.cause, name.alternative.effect.reveal
-    yield f"{name.alternative} explains it: {cause}; {', '.join(_parameters(finding, subject))}."
+    yield f"{name.alternative} explains it: {cause}; {', '.join(_parameters(finding))}."
     if name.held:
         yield f"The readings do not show {' and '.join(name.held)} apart from that: taken as 0. What would: {reveal}."
     yield f"That this is chance: {_chance(float(np.exp(name.log_level)))}."
     if name.rivals:
         others = " or ".join(str(rival.alternative) for rival in name.rivals[:_SHOWN])
         yield f"With this measurement {others} explains the readings as well."
+    if finding.other_shape_from < 1:
+        share = f"{units.two_digits(100 * finding.other_shape_from)} %"
+        yield f"A cause of another shape would show from a difference of {share} on."
+    else:
+        yield "It is too small for its shape to be checked."
     shift, unit = units.readable(finding.shift, subject.delivered.dimension)
     yield f"It changes the {subject.delivered.what} by up to {units.two_digits(shift)} {unit}."
     if gain.shown and gain.reduction >= _LEAST_TOLD:
@@ -132,8 +136,8 @@ def _score(gain: Gain) -> str:
     return f"log score {gain.log_score:+.1f} ± {gain.log_score_std:.1f}"
 
 
-def _parameters(finding: Finding, subject: Subject) -> Iterator[str]:
-    for size in sizes(subject, finding.named):
+def _parameters(finding: Finding) -> Iterator[str]:
+    for size in finding.sizes:
         key, dimension = size.parameter.name, size.parameter.dimension
         if size.std is None:
             digits, partly = ("6g", "") if size.seen else ("2g", " (not seen)")
@@ -172,7 +176,7 @@ def _row(finding: Finding, subject: Subject) -> tuple[str, ...]:
     shift, unit = units.readable(finding.shift, subject.delivered.dimension)
     return (
         str(name.alternative),
-        ", ".join(_parameters(finding, subject)),
+        ", ".join(_parameters(finding)),
         _chance(float(np.exp(name.log_level))),
         ", ".join(str(rival.alternative) for rival in name.rivals) or "-",
         f"{-100 * gain.reduction:+.0f} %" + ("" if gain.shown else " (not shown)"),

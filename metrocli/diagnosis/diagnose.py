@@ -10,9 +10,9 @@ import numpy as np
 from metrocli.adjust.blocks import Array
 from metrocli.diagnosis.candidates import NotTested
 from metrocli.diagnosis.design import Design, design, separations
-from metrocli.diagnosis.gain import Gain, gains
+from metrocli.diagnosis.gain import Gain, both, gains
 from metrocli.diagnosis.given import nothing
-from metrocli.diagnosis.mended import field_of_job, recentred
+from metrocli.diagnosis.mended import Size, field_of_job, kept, mended, recentred, sizes
 from metrocli.diagnosis.mistakes import Mistaken
 from metrocli.diagnosis.naming import Named, named
 from metrocli.diagnosis.noise import GIVEN, Noise, Unit, apart, noise_of, weighted
@@ -22,13 +22,23 @@ from metrocli.diagnosis.race import Field
 from metrocli.diagnosis.selected import Selection
 from metrocli.diagnosis.selection import dominated, select
 from metrocli.diagnosis.signatures import signature
-from metrocli.diagnosis.structure import REPEATS, Left, PureError, left_over, log_strongest, pure_error
+from metrocli.diagnosis.structure import (
+    REPEATS,
+    Left,
+    PureError,
+    left_over,
+    log_strongest,
+    other_shape_from,
+    pure_error,
+)
 from metrocli.diagnosis.subject import Subject
 from metrocli.errors import UndeterminedError
 
 Say = Callable[[str], None]
 _LACK_OF_FIT = 0.005
 _ROUNDS = 3
+_ADJUSTED = 4
+"""How often large effects are adjusted before all else is looked for"""
 _SEED = 20
 
 
@@ -46,9 +56,12 @@ class Finding:
     """One effect that was named."""
 
     named: Named
+    sizes: tuple[Size, ...]
     gain: Gain
     shift: float
     """By how much what is delivered changes with it, at most"""
+    other_shape_from: float
+    """Share of its size from which on a cause of another shape would have shown beside it (80 % power)"""
 
 
 @dataclass(frozen=True)
@@ -86,12 +99,32 @@ class Diagnosis:
             return "clean"
         return "indistinct" if any(sets) else "explained"
 
+    def followed_by(self, other: Diagnosis) -> Diagnosis:
+        """Return it with what was found when the effects that it names had been adjusted."""
+        gained = [one for one in (self.together or self.findings[0].gain, other.together) if one is not None]
+        if other.findings and other.together is None:
+            gained.append(other.findings[0].gain)
+        return replace(
+            other,
+            subject=self.subject,
+            findings=self.findings + other.findings,
+            before=self.before,
+            design=self.design,
+            separate_by=tuple(dict.fromkeys(self.separate_by + other.separate_by)),
+            together=both(*gained) if len(gained) > 1 else self.together,
+        )
+
 
 def diagnose(subject: Subject, say: Say = lambda line: None) -> Diagnosis:
     """Return what the readings of an adjusted job say of its model.
 
     Raises UndeterminedError where no reading is to spare.
     """
+    return _diagnosed(subject, say, _ADJUSTED)
+
+
+def _diagnosed(subject: Subject, say: Say, rounds: int) -> Diagnosis:
+    """Return a diagnosis; beside large effects what else there is, when these have been adjusted, in so many rounds."""
     rng = np.random.default_rng(_SEED)
     say("looking for structure")
     field, not_tested, units, selection = _selected(subject, rng)
@@ -107,12 +140,21 @@ def diagnose(subject: Subject, say: Say = lambda line: None) -> Diagnosis:
         left = Left(repeats.lack_of_fit, (REPEATS,))
     if left is not None and dominated(selection):
         left = replace(left, searched=False)
-    found = noise_of(given)
+    changed = mended(subject, names, kept(selection)) if rounds and dominated(selection) else None
+    rest = None if changed is None else _diagnosed(changed, say, rounds - 1)
+    found = noise_of(given) if rest is None else rest.noise
     say("finding what the measurement could not see")
     findings = tuple(
-        Finding(name, gain, _shift(subject, field.system, name)) for name, gain in zip(names, gained, strict=False)
+        Finding(
+            name,
+            sizes(subject, name),
+            gain,
+            _shift(subject, field.system, name),
+            other_shape_from(name, field_after, found.ratio),
+        )
+        for name, gain in zip(names, gained, strict=False)
     )
-    return Diagnosis(
+    own = Diagnosis(
         subject,
         found,
         units,
@@ -126,6 +168,7 @@ def diagnose(subject: Subject, say: Say = lambda line: None) -> Diagnosis:
         gained[-1] if len(names) > 1 else None,
         repeats,
     )
+    return own if rest is None else own.followed_by(rest)
 
 
 def planned(subject: Subject) -> Design:

@@ -29,7 +29,8 @@ def field_of_job(
     system = linearised(subject.model, weights)
     families, not_tested = families_of(subject, system)
     everything = [*families, *smooth_families(subject, system)]
-    return field_of(system, everything, rng, subject.single_components), not_tested
+    field = field_of(system, everything, rng, subject.single_components)
+    return replace(field, beside_others=subject.beside_others), not_tested
 
 
 def weights_of(subject: Subject, units: Sequence[Unit]) -> Mapping[str, Array]:
@@ -100,7 +101,7 @@ def mended(subject: Subject, names: Sequence[Named], kept: Mapping[str, Mask]) -
     if not solution.outcome.good:
         return None
     blocks = {name: block.with_values(solution.blocks[name].values) for name, block in model.blocks.items()}
-    return replace(subject, model=model.with_blocks(blocks))
+    return replace(subject, model=model.with_blocks(blocks), beside_others=True)
 
 
 def recentred(

@@ -57,6 +57,8 @@ class Named:
     apart: Mask
     """Which parameters have no part in a direction that no reading shows: of the others nothing is known one by one"""
     rivals: tuple[Rival, ...]
+    shows: float
+    """Norm of what shows of it in the readings, in standard deviations of the declared noise"""
 
     @property
     def held(self) -> tuple[str, ...]:
@@ -88,7 +90,8 @@ def _named(selection: Selection, one: Chosen, level: float) -> Named:
     values = inverse @ (left.T @ given.residual)
     covariance = inverse * full.squares / max(full.dof, 1)
     rivals = _rivals(selection, one, given, left @ values)
-    return Named(one, alternative, level, values, covariance, seen, apart, rivals)
+    shows = float(np.linalg.norm(left @ values))
+    return Named(one, alternative, level, values, covariance, seen, apart, rivals, shows)
 
 
 def _seen(left: Array, whole: Array) -> Mask:

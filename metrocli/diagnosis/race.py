@@ -65,6 +65,8 @@ class Field:
     """Of all families of smooth functions together"""
     excluded: Mask = field(default_factory=lambda: np.zeros(0, dtype=bool))
     """Readings that cannot be called outliers"""
+    beside_others: bool = False
+    """Whether the model has effects that were named before this race"""
     remembered: dict[tuple[int, int], tuple[Mask, ...]] = field(default_factory=dict, compare=False, repr=False)
     """For smooth terms, what lies in them"""
 

@@ -27,7 +27,7 @@ _SHARE = 0.1
 """Readings that may be called outliers at most"""
 _AS_MUCH = 0.9
 """Share of what a smooth function explains from which effects that explain it are named first"""
-_DOMINANT, _MANY = 20.0, 50
+_DOMINANT, _MANY = 4.0, 50
 """By how much effects lower the mean square, and degrees of freedom left, for all else to wait for their adjustment"""
 _TOGETHER = 4
 """Effects at most that may stand for one smooth term"""
@@ -219,7 +219,7 @@ def _allowed(selection: Selection, family: int) -> float:
         return WRONG_READING
     if selection.field.families[family].unknown:
         return UNKNOWN
-    return LATER if selection.chosen else FIRST
+    return LATER if selection.chosen or selection.field.beside_others else FIRST
 
 
 def _with_outliers(selection: Selection, wrong: Score, given: Given) -> Selection:
@@ -269,7 +269,7 @@ def _bound(selection: Selection, one: Chosen) -> float:
         return WRONG_READING
     if selection.around(one):
         return 2 * STANDING_OUT
-    return FIRST if len(selection.chosen) == 1 else 2 * LATER
+    return FIRST if len(selection.chosen) == 1 and not selection.field.beside_others else 2 * LATER
 
 
 def evidence(field: Field, given: Given, family: int, score: Score) -> Array:

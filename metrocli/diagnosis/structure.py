@@ -9,8 +9,8 @@ import numpy as np
 
 from metrocli.adjust.blocks import Array
 from metrocli.adjust.observations import Index
-from metrocli.diagnosis.distributions import log_family, log_tail
-from metrocli.diagnosis.given import PRIOR, Given
+from metrocli.diagnosis.distributions import log_family, log_tail, noncentrality, single_level
+from metrocli.diagnosis.given import PRIOR, Given, nothing
 from metrocli.diagnosis.naming import Named
 from metrocli.diagnosis.projection import System
 from metrocli.diagnosis.race import Field
@@ -104,7 +104,7 @@ def left_over(selection: Selection, names: Sequence[Named], field: Field, given:
             found.append((float(np.minimum(score.log_p[best] + np.log(len(own)), 0.0)), number, best))
     log_level, number, best = min(found, default=(0.0, -1, 0))
     level = float(np.exp(log_family(log_level, field.unknowns)))
-    stays = number >= 0 and level < (_AFTER if names else _NOTHING_NAMED)
+    stays = number >= 0 and level < (_AFTER if names or field.beside_others else _NOTHING_NAMED)
     if stays and selection.outliers:
         stays = carried_by_few(field, given, number, best) < np.log(_CARRIED)
     after = [field.families[number].unknown] if stays else []
@@ -120,6 +120,24 @@ def left_over(selection: Selection, names: Sequence[Named], field: Field, given:
     family = field.families[number]
     size = _size(field, given, given.with_columns(family.columns[:, best]))
     return Left(level, tuple(after), family.alternatives[best].instance, size), level
+
+
+def other_shape_from(name: Named, field: Field, noise: float) -> float:
+    """Return from which share of its size on an effect of another shape would show as structure beside a name.
+
+    `sqrt(lambda s^2 / |G theta|^2)`, lambda the non-centrality at which a smooth function, as wide as the median of
+    those that are tried, is found with 80 % power. A true cause whose signature has the angle phi to the named one
+    differs from it by the share sin phi. The noise s is in units of the declared one.
+    """
+    needed = []
+    for number, family in enumerate(field.families):
+        ranks = field.score(number, nothing(field.system)).rank
+        if family.unknown and ranks.any():
+            level = single_level(single_level(_AFTER, field.unknowns), field.tests[number])
+            terms = int(np.median(ranks[ranks > 0]))
+            needed.append(noncentrality(level, terms, max(field.system.dof - terms, 1.0)))
+    least = float(np.median(needed)) if needed else float("inf")
+    return float(np.sqrt(least) * noise / max(name.shows, 1e-300))
 
 
 def _size(field: Field, without: Given, beside: Given) -> float:

@@ -81,6 +81,8 @@ class Subject:
     """Whether the components of a reading (u, v) go wrong one by one"""
     declared: str = ""
     """The noise as the job declares it, in words"""
+    beside_others: bool = False
+    """Whether its model has effects that these readings gave a name to: further ones need a stricter level"""
     not_sought: Mapping[str, str] = field(default_factory=dict)
     """Names of effects that these readings cannot be searched for, each with the reason"""
     offers: Callable[[Model], Iterable[tuple[str, Model]]] = field(default=lambda model: ())

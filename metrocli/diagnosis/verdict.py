@@ -12,7 +12,6 @@ from metrocli.diagnosis.candidates import Alternative
 from metrocli.diagnosis.design import Candidate, Design, WrongReading
 from metrocli.diagnosis.diagnose import Diagnosis, Finding
 from metrocli.diagnosis.gain import Gain
-from metrocli.diagnosis.mended import sizes
 from metrocli.diagnosis.mistakes import Mistaken
 from metrocli.diagnosis.naming import Named, Rival
 from metrocli.diagnosis.structure import Left
@@ -77,9 +76,10 @@ def _effect(subject: Subject, finding: Finding) -> dict[str, Any]:
     return {
         "name": name.alternative.effect.name,
         "where": _where(name.alternative),
-        "parameters": _parameters(subject, name),
+        "parameters": _parameters(finding),
         "p_value": float(np.exp(name.log_level)),
         "alternatives": [_rival(rival) for rival in name.rivals],
+        "other_shape_from": finding.other_shape_from,
         "gain": _gain(gain, subject) | {"result_shift": _delivered(subject, finding.shift)},
     }
 
@@ -113,11 +113,11 @@ def _left(subject: Subject, left: Left) -> dict[str, Any]:
     }
 
 
-def _parameters(subject: Subject, name: Named) -> dict[str, Any]:
+def _parameters(finding: Finding) -> dict[str, Any]:
     return {
         size.parameter.name: {"value": size.value, "std": size.std, "unit": size.parameter.unit}
         | ({} if size.seen else {"unseen": True})
-        for size in sizes(subject, name)
+        for size in finding.sizes
     }
 
 
