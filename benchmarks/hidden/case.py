@@ -8,6 +8,9 @@ from dataclasses import dataclass, field
 from metrocli.diagnosis.diagnose import Diagnosis
 from metrocli.diagnosis.subject import Subject
 
+ALIKE = 0.9
+"""Cosine of what is visible of two effects from which they are near aliases"""
+
 
 @dataclass(frozen=True)
 class Hidden:
@@ -17,8 +20,13 @@ class Hidden:
     """A name that begins with _ is in no table"""
     where: Mapping[str, str]
     values: Mapping[str, float]
-    distinct: bool = True
-    """Whether every other candidate correlates with it by less than 0.9"""
+    near: float = 0.0
+    """Largest cosine of what is visible of it with another candidate"""
+
+    @property
+    def distinct(self) -> bool:
+        """Whether it is no near alias of another candidate."""
+        return self.near < ALIKE
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,6 @@ PARAMETERS: dict[str, tuple[str, ...]] = {
     "moved-ball": ("dx", "dy", "dz"),
     "axis-expansion": ("scale",),
 }
-ALIKE = 0.9
 
 
 @dataclass(frozen=True)
@@ -277,7 +276,7 @@ def planted(m: Measurement, rng: np.random.Generator, name: str, times: float) -
     factor = times * stated(m.views.names, name) / float(np.linalg.norm(seen))
     values = values | {key: values[key] * factor for key in keys}
     near = _nearest(m, name, places, seen / np.linalg.norm(seen))
-    hidden = Hidden(name, _where(m, name, places), values, distinct=near < ALIKE)
+    hidden = Hidden(name, _where(m, name, places), values, near)
     return replace(m, readings=m.readings + change(m, name, values)), hidden
 
 

@@ -115,7 +115,6 @@ PLANTS: dict[str, dict[str, Plant]] = {
 }
 _TYPICAL = {"drift": 1e-5, "focal_t": 1e-6, "rate_u": 1e-3, "bend": 1e-6, "moved": 0.1, "bad_pose": 0.1, "cx": 1.0}
 """Sizes at which signatures are taken, where 1e-4 is not of the right order"""
-_ALIKE = 0.9
 PAIRS = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 
 
@@ -149,8 +148,9 @@ def _size(plant: Plant) -> float:
     return _TYPICAL.get(next(iter(plant.parameters.values())).partition(".")[0], 1e-4)
 
 
-def _alone(seen: Sight, kind: str, effect: tuple[str, str], left: Array) -> bool:
-    """Whether no other cause or place explains more than 0.9 of what an effect leaves (a cosine)."""
+def _nearest(seen: Sight, kind: str, effect: tuple[str, str], left: Array) -> float:
+    """Return the largest cosine of what an effect leaves with another cause or place."""
+    most = 0.0
     for name, plant in PLANTS[kind].items():
         if (seen.scene.rig or "") not in plant.rigs or set(plant.parameters) & set(seen.scene.lens_free):
             continue
@@ -160,9 +160,8 @@ def _alone(seen: Sight, kind: str, effect: tuple[str, str], left: Array) -> bool
             units = [{key: _size(plant) * (key == own) for key in plant.parameters} for own in plant.parameters]
             columns = np.stack([seen.left(_effects(plant, unit, place)) for unit in units], axis=1)
             u, s, _ = np.linalg.svd(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300), full_matrices=False)
-            if np.linalg.norm(u[:, s > 1e-4].T @ left) > _ALIKE * np.linalg.norm(left):
-                return False
-    return True
+            most = max(most, float(np.linalg.norm(u[:, s > 1e-4].T @ left) / np.linalg.norm(left)))
+    return most
 
 
 def planted(images: Images, rng: np.random.Generator, name: str, times: float) -> tuple[Images, Hidden] | None:
@@ -184,7 +183,7 @@ def planted(images: Images, rng: np.random.Generator, name: str, times: float) -
     uv = scene.predicted(scene.start(), _effects(plant, values, place)) + noise
     where = ({plant.where: place} if plant.where else {}) | ({"by": plant.by} if plant.by else {})
     known = values | ({"k3": 0.0} if "k2" in values else {})
-    return replace(images, uv=uv), Hidden(effect, where, known, _alone(seen, scene.kind, (effect, place), left))
+    return replace(images, uv=uv), Hidden(effect, where, known, _nearest(seen, scene.kind, (effect, place), left))
 
 
 Outside = Callable[[Scene, Array, Array], Array]
@@ -218,14 +217,16 @@ def unknown(images: Images, rng: np.random.Generator, name: str, times: float) -
     scene = images.scene
     change = _outside(name, rng)
     like = "part-expansion" if scene.kind == "align-part" else "aspect-ratio"
-    shows = sight(scene).strength({"outside": change, "size": 1.0})
+    seen = sight(scene)
+    shows = seen.strength({"outside": change, "size": 1.0})
     size = times * np.sqrt(stated(images.subject(), like, 2)) / max(shows, 1e-3)
     uv = (
         images.uv
         + scene.predicted(scene.start(), {"outside": change, "size": size})
         - scene.predicted(scene.start(), {})
     )
-    return replace(images, uv=uv), Hidden(name, {}, {"c": float(size)})
+    near = _nearest(seen, scene.kind, (name, ""), seen.left({"outside": change, "size": 1.0}))
+    return replace(images, uv=uv), Hidden(name, {}, {"c": float(size)}, near)
 
 
 def spoilt(images: Images, rng: np.random.Generator, share: float) -> tuple[Images, frozenset[tuple[str, ...]]]:

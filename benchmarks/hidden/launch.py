@@ -34,8 +34,8 @@ PARAMETERS = {
 }
 OUTSIDE = ("_launch-creep", "_encoder-sine", "_second-harmonic", "_warm-up")
 _SIZES = {"angle": 1e-5, "tx": 1e-5, "ty": 1e-5, "c1": 1e-5, "s1": 1e-5, "scale": 1e-6}
-_NEAR, _ONE = 0.9, 0.9
-"""Cosine above which two candidates are near aliases, and above which a change is that of a single reading"""
+_ONE = 0.9
+"""Cosine above which a change is that of a single reading"""
 
 
 @dataclass(frozen=True)
@@ -209,16 +209,16 @@ def span(m: Measurement, name: str, where: Mapping[str, str]) -> Array:
     return np.asarray(u[:, s > 1e-6 * s[0]])
 
 
-def distinct(m: Measurement, seen: Array, name: str, where: Mapping[str, str]) -> bool:
-    """Whether every other candidate correlates with what is seen of this one by less than 0.9."""
-    unit = seen / np.linalg.norm(seen)
+def nearest(m: Measurement, seen: Array, name: str, where: Mapping[str, str]) -> float:
+    """Return the largest cosine of what is seen of a change with another candidate."""
+    unit, most = seen / np.linalg.norm(seen), 0.0
     for other in PARAMETERS:
         if other == "bad-pose" or (other.startswith("distance") and not m.distances):
             continue
         for place in places(m, other):
-            if (other, place) != (name, dict(where)) and np.linalg.norm(span(m, other, place).T @ unit) > _NEAR:
-                return False
-    return True
+            if (other, place) != (name, dict(where)):
+                most = max(most, float(np.linalg.norm(span(m, other, place).T @ unit)))
+    return most
 
 
 def planted(m: Measurement, rng: np.random.Generator, name: str, times: float) -> tuple[Measurement, Hidden]:
@@ -238,7 +238,7 @@ def planted(m: Measurement, rng: np.random.Generator, name: str, times: float) -
         seen = visible(m, change(m, name, where, values))
     wanted = times * np.sqrt(stated(m.subject(), name if name in PARAMETERS else "base-tilt", len(names)))
     values |= {key: values[key] * wanted / np.linalg.norm(seen) for key in names}
-    hidden = Hidden(name, where, values, distinct(m, seen, name, where))
+    hidden = Hidden(name, where, values, nearest(m, seen, name, where))
     moved = replace(m, read=m.read + change(m, name, where, values))
     if name == "bad-pose" and not m.distances:
         # nothing sees it along the beam, so that no region of all three is to be had

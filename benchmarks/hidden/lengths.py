@@ -26,8 +26,6 @@ PLACES = np.array(
 """Tracers around the volume, as shares of it"""
 EVERYWHERE = ("refraction-drift",)
 AT_ONE = ("tracer-scale", "dead-path-drift", "dead-path-jump", "tracer-drift", "sphere-form")
-ALIKE = 0.9
-"""Cosine of what is visible of two effects from which they are near aliases"""
 OUTSIDE = ("_three-lobe", "_time-sine", "_common-sine", "_length-square", "_elevation-cube", "_warm-up")
 
 
@@ -222,7 +220,7 @@ def planted(m: Measurement, rng: np.random.Generator, name: str, times: float) -
     values |= {key: values[key] * factor for key in names}
     change = signature(name, at, values)(m)
     where = {"tracer": f"T{at}"} if name not in EVERYWHERE else {}
-    hidden = Hidden(name, where, values, distinct=nearest(m, taken, (name, at), change) < ALIKE)
+    hidden = Hidden(name, where, values, nearest(m, taken, (name, at), change))
     return replace(m, length=m.length + change), hidden
 
 

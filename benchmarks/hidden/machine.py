@@ -42,7 +42,6 @@ PARAMETERS = {
 }
 OUTSIDE = ("_swing", "_warm-up", "_fourfold")
 """A sine in time of 3 to 8 turns, a warm-up along one direction, and an error of the fourth harmonic of the azimuth"""
-_NEAR = 0.9
 
 
 @dataclass(frozen=True)
@@ -215,9 +214,9 @@ def change(m: Measurement, name: str, where: Mapping[str, str], v: Mapping[str, 
     return moved @ m.turn
 
 
-def distinct(m: Measurement, seen: Array, name: str, where: Mapping[str, str]) -> bool:
-    """Whether every other candidate, periods of the screw left out, correlates with it by less than 0.9."""
-    unit = seen / np.linalg.norm(seen)
+def nearest(m: Measurement, seen: Array, name: str, where: Mapping[str, str]) -> float:
+    """Return the largest cosine of what is seen of a change with another candidate, periods of the screw left out."""
+    unit, most = seen / np.linalg.norm(seen), 0.0
     for other in PARAMETERS:
         for place in places(other):
             if (other, place) == (name, dict(where)) or other == "screw-pitch-error":
@@ -227,9 +226,8 @@ def distinct(m: Measurement, seen: Array, name: str, where: Mapping[str, str]) -
                 [m.visible(change(m, other, place, zero | {p: 1e-6})) for p in PARAMETERS[other]], axis=1
             )
             u, s, _ = np.linalg.svd(columns, full_matrices=False)
-            if np.linalg.norm(u[:, s > 1e-6 * s[0]].T @ unit) > _NEAR:
-                return False
-    return True
+            most = max(most, float(np.linalg.norm(u[:, s > 1e-6 * s[0]].T @ unit)))
+    return most
 
 
 def planted(m: Measurement, rng: np.random.Generator, name: str, times: float) -> tuple[Measurement, Hidden]:
@@ -247,7 +245,7 @@ def planted(m: Measurement, rng: np.random.Generator, name: str, times: float) -
     v |= {key: v[key] * wanted / np.linalg.norm(seen) for key in sizes}
     # a phase and the sign of an amplitude say the same thing, and the period is scanned: their region is not tested
     known = {} if name == "screw-pitch-error" else {key: v[key] for key in count}
-    hidden = Hidden(name, where, known, distinct(m, seen, name, where))
+    hidden = Hidden(name, where, known, nearest(m, seen, name, where))
     return replace(m, read=m.read + change(m, name, where, v)), hidden
 
 

@@ -118,6 +118,13 @@ def _sole(one: Found) -> bool:
     return len(findings) == 1 and _is(findings[0], one.case.hidden[0]) and not findings[0].named.rivals
 
 
+def _told_apart(one: Found) -> bool:
+    """Whether an outside effect has a wrong name, and the report says that such a difference would have shown."""
+    share = float(np.sqrt(1 - one.case.hidden[0].near ** 2))
+    names = [finding.other_shape_from < share for finding in one.diagnosis.findings]
+    return one.diagnosis.verdict in ("explained", "indistinct") and any(names)
+
+
 def _false_outliers(one: Found) -> int:
     return sum(tuple(outlier.keys.values()) not in one.case.outliers for outlier in one.diagnosis.outliers)
 
@@ -154,6 +161,7 @@ def rates(results: Sequence[Found]) -> Iterator[Rate]:
     apart = [one for one in outside if one.case.hidden[0].distinct]
     yield _rate("wrong name with a clean bill, outside effect, no near alias", apart, wrong, most=0.10)
     yield _rate("  the same, near aliases of a known effect included", outside, wrong, most=0.10)
+    yield _rate("  whose difference, by the report, would have shown", outside, _told_apart, most=0.10)
     yield _rate("outside effect not noticed", outside, lambda one: one.diagnosis.verdict == "clean")
     true = [key for one in results for key in one.case.outliers]
     told = [

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -113,13 +113,19 @@ def left_over(selection: Selection, names: Sequence[Named], field: Field, given:
         p = float(np.exp(min(levels[id(one)] for one in selection.unknown)))
         places = [selection.field.families[one.family].alternatives[one.number].instance for one in selection.unknown]
         size = _size(selection.field, selection.given(without=selection.unknown), selection.given())
-        where = tuple(dict.fromkeys(name for place in places for name in place))
+        where = tuple(dict.fromkeys(name for place in places for name in _units(field, place)))
         return Left(p, tuple(dict.fromkeys([*unknown, *after])), where, size), level
     if not after:
         return None, level
     family = field.families[number]
     size = _size(field, given, given.with_columns(family.columns[:, best]))
-    return Left(level, tuple(after), family.alternatives[best].instance, size), level
+    return Left(level, tuple(after), _units(field, family.alternatives[best].instance), size), level
+
+
+def _units(field: Field, instance: Iterable[str]) -> tuple[str, ...]:
+    """Return what of an alternative's place are tracers, images and the like; waves have a component and a period."""
+    names = {name for place in field.system.model.places.values() for name in place.names}
+    return tuple(name for name in instance if name in names)
 
 
 def other_shape_from(name: Named, field: Field, noise: float) -> float:

@@ -14,6 +14,7 @@ from benchmarks.hidden import lengths
 from benchmarks.hidden.lengths import Measurement
 from metrocli.cli import diagnosis_text
 from metrocli.diagnosis.design import Design, Pair
+from metrocli.diagnosis.diagnose import diagnose
 
 JOB = """metrocli: 1
 job: multilaterate
@@ -211,18 +212,37 @@ def test_what_cannot_be_diagnosed_is_refused(text: str, code: int, words: str, j
     assert (ran.code, words in ran.err) == (code, True)
 
 
-def test_beside_a_very_large_effect_the_next_is_no_noise_and_the_extended_job_finds_it(
+def test_beside_a_very_large_effect_the_next_is_named_too_and_the_extended_job_is_clean(
     folder: Path, metrocli: Metrocli
 ) -> None:
     rng = np.random.default_rng(5)
-    m, _ = lengths.planted(lengths.measurement(rng, 60), rng, "sphere-form", 8.0)
-    job = write(folder, lengths.planted(m, rng, "refraction-drift", 60.0)[0])
-    data, told = json.loads(metrocli("diagnose", job, "--json").out), metrocli("diagnose", job).out
-    assert [one["name"] for one in data["effects"]] == ["refraction-drift"]
-    assert (data["noise"]["apart"], data["verdict"]) == ([], "unexplained")
-    assert ("no known effect" in told, "diagnose the extended job" in told) == (False, True)
+    m, form = lengths.planted(lengths.measurement(rng, 60), rng, "sphere-form", 8.0)
+    m, drift = lengths.planted(m, rng, "refraction-drift", 60.0)
+    data = json.loads(metrocli("diagnose", write(folder, m), "--json").out)
+    assert (data["verdict"], data["noise"]["apart"]) == ("explained", [])
+    assert [(one["name"], one["where"]) for one in data["effects"]] == [
+        (drift.name, dict(drift.where)),
+        (form.name, dict(form.where)),
+    ]
+    for key, size in data["effects"][1]["parameters"].items():
+        assert abs(size["value"] - form.values[key]) < 4 * size["std"]
+    first, second, both = data["effects"][0]["gain"], data["effects"][1]["gain"], data["together"]
+    assert both["log_score"] == pytest.approx(first["log_score"] + second["log_score"])
+    assert (both["holdout_before"], both["holdout_after"]) == (first["holdout_before"], second["holdout_after"])
+    assert first["holdout_after"] == pytest.approx(second["holdout_before"], rel=0.2)
+    assert {one["name"] for one in data["candidates"] if one["status"] == "named"} == {drift.name, form.name}
     again = json.loads(metrocli("diagnose", data["extended_job"], "--json").out)
-    assert [one["name"] for one in again["effects"]] == ["sphere-form"]
+    assert (again["verdict"], again["effects"]) == ("clean", [])
+
+
+def test_a_report_says_how_far_the_shape_of_an_effect_was_checked() -> None:
+    rng = np.random.default_rng(8)
+    found = diagnose(lengths.planted(lengths.measurement(rng, 60), rng, "sphere-form", 30.0)[0].subject())
+    # a smooth function has more terms than the effect, so that it must be somewhat larger to be seen
+    assert 0.8 / 30 < found.findings[0].other_shape_from < 2.5 / 30
+    for share, words in ((0.034, "would show from a difference of 3.4 % on"), (1.2, "too small for its shape")):
+        told = replace(found, findings=(replace(found.findings[0], other_shape_from=share),))
+        assert words in " ".join(diagnosis_text.of_diagnosis(told, None).split())
 
 
 def test_where_no_reading_is_to_spare_nothing_is_called_clean(folder: Path, metrocli: Metrocli) -> None:

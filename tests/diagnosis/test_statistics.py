@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -25,6 +26,7 @@ from metrocli.diagnosis.naming import _seen
 from metrocli.diagnosis.noise import apart
 from metrocli.diagnosis.projection import System, linearised
 from metrocli.diagnosis.race import Field, independent, quadratic
+from metrocli.diagnosis.selected import Chosen, Selection
 from metrocli.diagnosis.selection import select
 from metrocli.diagnosis.signatures import signature
 from metrocli.diagnosis.structure import pure_error
@@ -209,6 +211,24 @@ def test_in_noise_the_levels_are_what_they_say() -> None:
         start = nothing(chosen.system)
         named += bool(select(chosen, replace(start, residual=r, squares=float(r @ r) + PRIOR)).chosen)
     assert named <= 14
+
+
+def test_where_a_step_leads_back_the_next_one_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    chosen = field()
+    columns = [family.columns[:, 0] for family in chosen.families[:2]]
+
+    def steps(selection: Selection) -> Iterator[Selection]:
+        for family in (0, 1):
+            yield selection.with_one(Chosen(family, 0, columns[family]))
+
+    def settled(selection: Selection) -> Selection:
+        left = next((one for one in selection.chosen if one.family == 0), None)
+        selection = selection if left is None else selection.without(left)
+        return Selection(selection.field, selection.fit, selection.chosen[:1])
+
+    monkeypatch.setattr("metrocli.diagnosis.selection._steps", steps)
+    monkeypatch.setattr("metrocli.diagnosis.selection._settled", settled)
+    assert select(chosen, nothing(chosen.system)).members == {(1, 0)}
 
 
 def test_a_signature_is_the_difference_of_predictions() -> None:
