@@ -21,6 +21,8 @@ _WIDTH = 110
 _SHOWN = 5
 _TOLD = 4
 """Effects that are told in sentences; the table has all"""
+_FAR, _FEW = 2.0, 30
+"""Noise over the declared one, and degrees of freedom, from which on and up to which it may well be something else"""
 _SURE = 1e-12
 _LEAST_TOLD = 0.005
 """Share by which errors of held-out readings must fall to be told: what the score counts may be small in it"""
@@ -153,6 +155,8 @@ def _noise(diagnosis: Diagnosis) -> Iterator[str]:
     interval = f"{noise.ratio:.2f} [{noise.low:.2f}, {noise.high:.2f}]"
     if noise.low > 1 or noise.high < 1:
         yield f"The noise is {interval} times what is declared ({declared})."
+        if noise.low > _FAR and noise.dof < _FEW:
+            yield f"So few readings to spare ({noise.dof:.0f}) do not tell several wrong ones from noise: measure more."
     else:
         yield f"The noise is as declared ({interval} times {declared})."
     for unit in diagnosis.apart:

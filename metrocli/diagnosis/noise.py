@@ -33,6 +33,8 @@ class Noise:
     ratio: float
     low: float
     high: float
+    dof: float
+    """Readings to spare from which it was found"""
 
 
 @dataclass(frozen=True)
@@ -52,7 +54,7 @@ def noise_of(given: Given) -> Noise:
     """Return the noise that is left, with its 95 % interval (chi-squared)."""
     squares, dof = given.squares - given.prior, max(given.dof - PRIOR, 1.0)
     low, high = chi_interval(squares, dof)
-    return Noise(float(np.sqrt(squares / dof)), low, high)
+    return Noise(float(np.sqrt(squares / dof)), low, high, dof)
 
 
 def apart(subject: Subject, system: System, given: Given, rng: np.random.Generator) -> Unit | None:

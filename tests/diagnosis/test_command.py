@@ -15,6 +15,7 @@ from benchmarks.hidden.lengths import Measurement
 from metrocli.cli import diagnosis_text
 from metrocli.diagnosis.design import Design, Pair
 from metrocli.diagnosis.diagnose import diagnose
+from metrocli.diagnosis.noise import Noise
 
 JOB = """metrocli: 1
 job: multilaterate
@@ -243,6 +244,13 @@ def test_a_report_says_how_far_the_shape_of_an_effect_was_checked() -> None:
     for share, words in ((0.034, "would show from a difference of 3.4 % on"), (1.2, "too small for its shape")):
         told = replace(found, findings=(replace(found.findings[0], other_shape_from=share),))
         assert words in " ".join(diagnosis_text.of_diagnosis(told, None).split())
+
+
+@pytest.mark.parametrize(("dof", "told"), [(9.0, True), (200.0, False)])
+def test_noise_far_beyond_the_declared_is_doubted_where_few_readings_say_so(dof: float, told: bool) -> None:
+    found = diagnose(lengths.measurement(np.random.default_rng(4), 20).subject())
+    text = diagnosis_text.of_diagnosis(replace(found, noise=Noise(9.6, 6.6, 17.5, dof)), None)
+    assert ("do not tell several wrong ones from noise" in " ".join(text.split())) is told
 
 
 def test_where_no_reading_is_to_spare_nothing_is_called_clean(folder: Path, metrocli: Metrocli) -> None:
