@@ -12,7 +12,7 @@ from metrocli.diagnosis.candidates import NotTested
 from metrocli.diagnosis.design import Design, design, separations
 from metrocli.diagnosis.gain import Gain, both, gains
 from metrocli.diagnosis.given import nothing
-from metrocli.diagnosis.mended import Size, field_of_job, kept, mended, recentred, sizes
+from metrocli.diagnosis.mended import Size, adjusted_sizes, field_of_job, kept, mended, recentred, sizes
 from metrocli.diagnosis.mistakes import Mistaken
 from metrocli.diagnosis.naming import Named, named
 from metrocli.diagnosis.noise import GIVEN, Noise, Unit, apart, noise_of, weighted
@@ -80,6 +80,8 @@ class Diagnosis:
     """Level of the strongest smooth structure left"""
     design: Design
     separate_by: tuple[str, ...]
+    system: System
+    """The job as it was adjusted with all that was named"""
     together: Gain | None = None
     """What all that was named gains, where it is more than one"""
     repeats: PureError | None = None
@@ -130,30 +132,27 @@ def _diagnosed(subject: Subject, say: Say, rounds: int) -> Diagnosis:
     field, not_tested, units, selection = _selected(subject, rng)
     selection = polished(subject, selection)
     names = named(selection)
-    before = float(np.exp(log_strongest(field, nothing(field.system))))
     say("holding parts of the readings out")
     gained = gains(subject, selection, names) if names else []
-    field_after, given = recentred(subject, selection, names, units, rng)
+    changed = mended(subject, names, kept(selection)) if names else None
+    field_after, given = recentred(changed, selection, units, rng)
+    rest = _diagnosed(changed, say, rounds - 1) if changed is not None and rounds and dominated(selection) else None
+    found = noise_of(given) if rest is None else rest.noise
+    say("finding what the measurement could not see")
+    if rest is None:
+        told = [sizes(subject, name) for name in names]
+    else:
+        told = adjusted_sizes(subject, names, rest.system, found.ratio)
+    findings = tuple(
+        Finding(name, size, gain, _shift(subject, field.system, name), other_shape_from(name, field_after, found.ratio))
+        for name, size, gain in zip(names, told, gained, strict=False)
+    )
     left, after = left_over(selection, names, field_after, given)
     repeats = pure_error(subject, field_after.system, given)
     if left is None and repeats is not None and repeats.lack_of_fit < _LACK_OF_FIT:
         left = Left(repeats.lack_of_fit, (REPEATS,))
     if left is not None and dominated(selection):
         left = replace(left, searched=False)
-    changed = mended(subject, names, kept(selection)) if rounds and dominated(selection) else None
-    rest = None if changed is None else _diagnosed(changed, say, rounds - 1)
-    found = noise_of(given) if rest is None else rest.noise
-    say("finding what the measurement could not see")
-    findings = tuple(
-        Finding(
-            name,
-            sizes(subject, name),
-            gain,
-            _shift(subject, field.system, name),
-            other_shape_from(name, field_after, found.ratio),
-        )
-        for name, gain in zip(names, gained, strict=False)
-    )
     own = Diagnosis(
         subject,
         found,
@@ -161,10 +160,11 @@ def _diagnosed(subject: Subject, say: Say, rounds: int) -> Diagnosis:
         _outliers(subject, selection),
         findings,
         left,
-        before,
+        float(np.exp(log_strongest(field, nothing(field.system)))),
         after,
         design(subject, field, not_tested, found.ratio),
         _separate(subject, names),
+        field_after.system,
         gained[-1] if len(names) > 1 else None,
         repeats,
     )

@@ -13,13 +13,13 @@ from metrocli.diagnosis.candidates import NotTested, families_of
 from metrocli.diagnosis.given import Given, nothing
 from metrocli.diagnosis.naming import Named
 from metrocli.diagnosis.noise import Unit, weighted
-from metrocli.diagnosis.projection import linearised
+from metrocli.diagnosis.projection import System, linearised
 from metrocli.diagnosis.race import Field, field_of
 from metrocli.diagnosis.selected import Selection
 from metrocli.diagnosis.smooth import smooth_families
 from metrocli.diagnosis.subject import Subject
 from metrocli.effects.effect import Parameter
-from metrocli.effects.model import Model, with_effect
+from metrocli.effects.model import Added, Model, with_effect
 
 
 def field_of_job(
@@ -57,7 +57,10 @@ def extended_model(subject: Subject, names: Sequence[Named]) -> Model:
 
 def _own_row(model: Model, name: Named) -> tuple[Block, int]:
     """Return the block of the effect that was added last, and the member that it acts on."""
-    added = model.added[-1]
+    return _row(model, model.added[-1], name)
+
+
+def _row(model: Model, added: Added, name: Named) -> tuple[Block, int]:
     block = model.blocks[added.block]
     place = name.alternative.instance
     return block, block.members.index(place[0]) if place and added.effect.link is None else -1
@@ -78,18 +81,36 @@ class Size:
 
 def sizes(subject: Subject, name: Named) -> tuple[Size, ...]:
     """Return the parameters of a named effect, for the noise that was found."""
-    alternative = name.alternative
     block, row = _own_row(extended_model(subject, [name]), name)
+    return _sizes(subject, name, (block, row), np.sqrt(np.maximum(np.diag(name.covariance), 0.0)))
+
+
+def adjusted_sizes(subject: Subject, names: Sequence[Named], system: System, noise: float) -> list[tuple[Size, ...]]:
+    """Return the parameters of named effects as an adjustment with these, and more, has them, for some noise.
+
+    What is linear about the job without a large effect is not its size.
+    """
+    found = []
+    first = len(subject.model.added)
+    for name, added in zip(names, system.model.added[first : first + len(names)], strict=True):
+        block, row = _row(system.model, added, name)
+        at = system.entries(block.name)[row, [block.column(key) for key in name.alternative.parameters]]
+        std = np.where(at >= 0, np.linalg.norm(system.solver[at], axis=1), 0.0) * noise
+        found.append(_sizes(subject, name, (block, row), std))
+    return found
+
+
+def _sizes(subject: Subject, name: Named, at: tuple[Block, int], std: Array) -> tuple[Size, ...]:
+    (block, row), alternative = at, name.alternative
     before = subject.model.blocks.get(block.name)
     by_step = block.space.by_step(block.values)[row]
-    std = np.sqrt(np.maximum(np.diag(name.covariance), 0.0))
     known = {p.name: p for p in alternative.effect.all_parameters}
     found = []
-    for at, key in enumerate(alternative.parameters):
+    for number, key in enumerate(alternative.parameters):
         column = block.column(key)
         was = before.values[row, column] if before is not None and column < before.size else 0.0
-        seen = bool(name.apart[at])
-        spread = float(std[at] * by_step[column]) if seen else None
+        seen = bool(name.apart[number])
+        spread = float(std[number] * by_step[column]) if seen else None
         found.append(Size(known[key], float(block.values[row, column] - was), spread, seen))
     return (*found, *(Size(known[key], value, None) for key, value in alternative.scanned if not known[key].place))
 
@@ -105,19 +126,16 @@ def mended(subject: Subject, names: Sequence[Named], kept: Mapping[str, Mask]) -
 
 
 def recentred(
-    subject: Subject, selection: Selection, names: Sequence[Named], units: Sequence[Unit], rng: np.random.Generator
+    changed: Subject | None, selection: Selection, units: Sequence[Unit], rng: np.random.Generator
 ) -> tuple[Field, Given]:
     """Return the smooth functions' race about the solution with the named effects adjusted, outliers left out of it.
 
-    Where that adjustment fails the linear solution serves.
+    Where there is none the linear solution serves.
     """
-    if not names:
-        return selection.field, selection.given()
-    changed = mended(subject, names, kept(selection))
     if changed is None:
         return selection.field, selection.given()
-    system = linearised(changed.model, weights_of(subject, units))
-    field = field_of(system, smooth_families(changed, system), rng, subject.single_components)
+    system = linearised(changed.model, weights_of(changed, units))
+    field = field_of(system, smooth_families(changed, system), rng, changed.single_components)
     wrong = [field.of_reading(one.number) for one in selection.outliers]
     given = nothing(system)
     return field, given.with_columns(np.concatenate(wrong, axis=1)) if wrong else given

@@ -225,8 +225,10 @@ def test_beside_a_very_large_effect_the_next_is_named_too_and_the_extended_job_i
         (drift.name, dict(drift.where)),
         (form.name, dict(form.where)),
     ]
-    for key, size in data["effects"][1]["parameters"].items():
-        assert abs(size["value"] - form.values[key]) < 4 * size["std"]
+    for one, truth in zip(data["effects"], (drift, form), strict=True):
+        for key, size in one["parameters"].items():
+            assert abs(size["value"] - truth.values[key]) < 4 * size["std"]
+            assert size["std"] < 0.2 * abs(truth.values[key])
     first, second, both = data["effects"][0]["gain"], data["effects"][1]["gain"], data["together"]
     assert both["log_score"] == pytest.approx(first["log_score"] + second["log_score"])
     assert (both["holdout_before"], both["holdout_after"]) == (first["holdout_before"], second["holdout_after"])
