@@ -10,9 +10,9 @@ import numpy as np
 from metrocli.adjust.blocks import Array
 from metrocli.diagnosis.candidates import Alternative, NotTested
 from metrocli.diagnosis.distributions import noncentrality, single_level
+from metrocli.diagnosis.levels import FIRST, WRONG_READING
 from metrocli.diagnosis.projection import System, linearised
 from metrocli.diagnosis.race import Field, quadratic
-from metrocli.diagnosis.selection import FIRST, WRONG_READING
 from metrocli.diagnosis.signatures import signature
 from metrocli.diagnosis.subject import Subject
 from metrocli.effects.effect import Effect

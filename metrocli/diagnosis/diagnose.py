@@ -12,6 +12,7 @@ from metrocli.diagnosis.candidates import NotTested
 from metrocli.diagnosis.design import Design, design, separations
 from metrocli.diagnosis.gain import Gain, both, gains
 from metrocli.diagnosis.given import nothing
+from metrocli.diagnosis.levels import dominated
 from metrocli.diagnosis.mended import Size, adjusted_sizes, field_of_job, kept, mended, recentred, sizes
 from metrocli.diagnosis.mistakes import Mistaken
 from metrocli.diagnosis.naming import Named, named
@@ -20,7 +21,7 @@ from metrocli.diagnosis.polish import polished
 from metrocli.diagnosis.projection import System
 from metrocli.diagnosis.race import Field
 from metrocli.diagnosis.selected import Selection
-from metrocli.diagnosis.selection import dominated, select
+from metrocli.diagnosis.selection import select
 from metrocli.diagnosis.signatures import signature
 from metrocli.diagnosis.structure import (
     REPEATS,

@@ -13,7 +13,7 @@ from metrocli.diagnosis.given import Given
 from metrocli.diagnosis.projection import VISIBLE
 from metrocli.diagnosis.race import FLAT
 from metrocli.diagnosis.selected import Chosen, Selection, levels_of
-from metrocli.diagnosis.selection import evidence
+from metrocli.diagnosis.settled import evidence
 
 _ODDS = 1 / 20
 _NEEDED = 0.01

@@ -15,7 +15,7 @@ from metrocli.diagnosis.naming import Named
 from metrocli.diagnosis.projection import System
 from metrocli.diagnosis.race import Field
 from metrocli.diagnosis.selected import Selection, levels_of
-from metrocli.diagnosis.selection import carried_by_few
+from metrocli.diagnosis.steps import carried_by_few
 from metrocli.diagnosis.subject import Subject
 
 _AFTER, _NOTHING_NAMED = 0.03, 0.005

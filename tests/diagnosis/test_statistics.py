@@ -226,8 +226,8 @@ def test_where_a_step_leads_back_the_next_one_is_taken(monkeypatch: pytest.Monke
         selection = selection if left is None else selection.without(left)
         return Selection(selection.field, selection.fit, selection.chosen[:1])
 
-    monkeypatch.setattr("metrocli.diagnosis.selection._steps", steps)
-    monkeypatch.setattr("metrocli.diagnosis.selection._settled", settled)
+    monkeypatch.setattr("metrocli.diagnosis.selection.steps", steps)
+    monkeypatch.setattr("metrocli.diagnosis.selection.settled", settled)
     assert select(chosen, nothing(chosen.system)).members == {(1, 0)}
 
 
