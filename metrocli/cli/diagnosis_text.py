@@ -153,7 +153,9 @@ def _parameters(finding: Finding) -> Iterator[str]:
 def _noise(diagnosis: Diagnosis) -> Iterator[str]:
     noise, declared = diagnosis.noise, diagnosis.subject.declared
     interval = f"{noise.ratio:.2f} [{noise.low:.2f}, {noise.high:.2f}]"
-    if noise.low > 1 or noise.high < 1:
+    if declared == "estimated":
+        yield f"The noise is {interval} times what the job estimates."
+    elif noise.low > 1 or noise.high < 1:
         yield f"The noise is {interval} times what is declared ({declared})."
         if noise.low > _FAR and noise.dof < _FEW:
             yield f"So few readings to spare ({noise.dof:.0f}) do not tell several wrong ones from noise: measure more."

@@ -248,6 +248,12 @@ def test_a_report_says_how_far_the_shape_of_an_effect_was_checked() -> None:
         assert words in " ".join(diagnosis_text.of_diagnosis(told, None).split())
 
 
+def test_a_noise_that_the_job_estimates_is_not_called_declared() -> None:
+    found = diagnose(replace(lengths.measurement(np.random.default_rng(4), 20).subject(), declared="estimated"))
+    text = " ".join(diagnosis_text.of_diagnosis(found, None).split())
+    assert ("times what the job estimates" in text, "declared" in text) == (True, False)
+
+
 @pytest.mark.parametrize(("dof", "told"), [(9.0, True), (200.0, False)])
 def test_noise_far_beyond_the_declared_is_doubted_where_few_readings_say_so(dof: float, told: bool) -> None:
     found = diagnose(lengths.measurement(np.random.default_rng(4), 20).subject())
