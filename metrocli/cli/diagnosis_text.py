@@ -75,6 +75,8 @@ def _sentences(diagnosis: Diagnosis, extended: Path | None) -> Iterator[str]:
         told = [f"{'/'.join(one.keys.values())} ({one.test:.0f} sigma)" for one in diagnosis.outliers[:_SHOWN]]
         more = f" and {len(diagnosis.outliers) - _SHOWN} more" if len(diagnosis.outliers) > _SHOWN else ""
         yield f"Wrong readings: {', '.join(told)}{more}; `outliers: remove` leaves them out, or read them again."
+    if not diagnosis.adjusts:
+        yield "With what was named the job cannot be adjusted, so that the sizes told are those of one step towards it."
     if extended is not None:
         yield f"The job with what was named is {extended}; run it, and diagnose it again."
 
@@ -85,10 +87,7 @@ def _left(diagnosis: Diagnosis) -> Iterator[str]:
         return
     on, where = " and ".join(left.depends_on), f" in the readings of {', '.join(left.where)}" if left.where else ""
     size, unit = units.readable(left.size, diagnosis.subject.reading[1])
-    unknown = " that no known effect explains" if left.searched else ""
-    yield f"Structure is left{unknown} ({_chance(left.p_value)}); it varies with {on}{where}."
-    if not left.searched:
-        yield "Its cause is not looked for beside so large an effect, with which the adjustment fails."
+    yield f"Structure is left that no known effect explains ({_chance(left.p_value)}); it varies with {on}{where}."
     if left.size:
         yield f"What shows of it is {units.two_digits(size)} {unit} (root mean square)."
     yield "Standard uncertainties of the result do not count it."

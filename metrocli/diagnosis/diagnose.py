@@ -10,10 +10,10 @@ import numpy as np
 from metrocli.adjust.blocks import Array
 from metrocli.diagnosis.candidates import NotTested
 from metrocli.diagnosis.design import Design, design, separations
-from metrocli.diagnosis.gain import Gain, both, gains
+from metrocli.diagnosis.gain import Gain, gains
 from metrocli.diagnosis.given import nothing
 from metrocli.diagnosis.levels import dominated
-from metrocli.diagnosis.mended import Size, adjusted_sizes, field_of_job, kept, mended, recentred, sizes
+from metrocli.diagnosis.mended import Size, field_of_job, kept, mended, recentred, sizes, standing_at
 from metrocli.diagnosis.mistakes import Mistaken
 from metrocli.diagnosis.naming import Named, named
 from metrocli.diagnosis.noise import GIVEN, Noise, Unit, apart, noise_of, weighted
@@ -38,8 +38,8 @@ from metrocli.errors import UndeterminedError
 Say = Callable[[str], None]
 _LACK_OF_FIT = 0.005
 _ROUNDS = 3
-_ADJUSTED = 4
-"""How often large effects are adjusted before all else is looked for"""
+_RACES = 5
+"""How often the race is held at most"""
 _SEED = 20
 
 
@@ -81,8 +81,8 @@ class Diagnosis:
     """Level of the strongest smooth structure left"""
     design: Design
     separate_by: tuple[str, ...]
-    system: System
-    """The job as it was adjusted with all that was named"""
+    adjusts: bool = True
+    """Whether the job can be adjusted with what was named"""
     together: Gain | None = None
     """What all that was named gains, where it is more than one"""
     repeats: PureError | None = None
@@ -102,59 +102,36 @@ class Diagnosis:
             return "clean"
         return "indistinct" if any(sets) else "explained"
 
-    def followed_by(self, other: Diagnosis) -> Diagnosis:
-        """Return it with what was found when the effects that it names had been adjusted."""
-        gained = [one for one in (self.together or self.findings[0].gain, other.together) if one is not None]
-        if other.findings and other.together is None:
-            gained.append(other.findings[0].gain)
-        return replace(
-            other,
-            subject=self.subject,
-            findings=self.findings + other.findings,
-            before=self.before,
-            design=self.design,
-            separate_by=tuple(dict.fromkeys(self.separate_by + other.separate_by)),
-            together=both(*gained) if len(gained) > 1 else self.together,
-        )
-
 
 def diagnose(subject: Subject, say: Say = lambda line: None) -> Diagnosis:
     """Return what the readings of an adjusted job say of its model.
 
     Raises UndeterminedError where no reading is to spare.
     """
-    return _diagnosed(subject, say, _ADJUSTED)
-
-
-def _diagnosed(subject: Subject, say: Say, rounds: int) -> Diagnosis:
-    """Return a diagnosis; beside large effects what else there is, when these have been adjusted, in so many rounds."""
-    rng = np.random.default_rng(_SEED)
     say("looking for structure")
-    field, not_tested, units, selection = _selected(subject, rng)
-    selection = polished(subject, selection)
+    point, (field, not_tested, units, selection) = _raced(subject, say)
     names = named(selection)
     say("holding parts of the readings out")
-    gained = gains(subject, selection, names) if names else []
+    gained = gains(point, selection, names) if names else []
     changed = mended(subject, names, kept(selection)) if names else None
-    field_after, given = recentred(changed, selection, units, rng)
-    rest = _diagnosed(changed, say, rounds - 1) if changed is not None and rounds and dominated(selection) else None
-    found = noise_of(given) if rest is None else rest.noise
-    say("finding what the measurement could not see")
-    if rest is None:
-        told = [sizes(subject, name) for name in names]
-    else:
-        told = adjusted_sizes(subject, names, rest.system, found.ratio)
-    findings = tuple(
-        Finding(name, size, gain, _shift(subject, field.system, name), other_shape_from(name, field_after, found.ratio))
-        for name, size, gain in zip(names, told, gained, strict=False)
-    )
+    field_after, given = recentred(changed, selection, units, np.random.default_rng(_SEED))
     left, after = left_over(selection, names, field_after, given)
     repeats = pure_error(subject, field_after.system, given)
     if left is None and repeats is not None and repeats.lack_of_fit < _LACK_OF_FIT:
         left = Left(repeats.lack_of_fit, (REPEATS,))
-    if left is not None and dominated(selection):
-        left = replace(left, searched=False)
-    own = Diagnosis(
+    found = noise_of(given)
+    say("finding what the measurement could not see")
+    findings = tuple(
+        Finding(
+            name,
+            sizes(subject, name),
+            gain,
+            _shift(point, field.system, name),
+            other_shape_from(name, field_after, found.ratio),
+        )
+        for name, gain in zip(names, gained, strict=False)
+    )
+    return Diagnosis(
         subject,
         found,
         units,
@@ -163,13 +140,34 @@ def _diagnosed(subject: Subject, say: Say, rounds: int) -> Diagnosis:
         left,
         float(np.exp(log_strongest(field, nothing(field.system)))),
         after,
-        design(subject, field, not_tested, found.ratio),
+        design(point, field, not_tested, found.ratio),
         _separate(subject, names),
-        field_after.system,
+        changed is not None or not names,
         gained[-1] if len(names) > 1 else None,
         repeats,
     )
-    return own if rest is None else own.followed_by(rest)
+
+
+Race = tuple[Field, list[NotTested], tuple[Unit, ...], Selection]
+
+
+def _raced(subject: Subject, say: Say) -> tuple[Subject, Race]:
+    """Return the race about the sizes of large effects, and the subject with its model there.
+
+    Where effects stop it, it is held again about the sizes to which they are adjusted, with these among all others.
+    """
+    point = subject
+    for left in reversed(range(_RACES)):
+        point = point if left else replace(point, patient=True)
+        field, not_tested, units, selection = _selected(point, np.random.default_rng(_SEED))
+        selection = polished(point, selection)
+        if not dominated(selection):
+            break
+        say("adjusting with what was found")
+        names = named(selection)
+        changed = mended(subject, names, kept(selection))
+        point = replace(point, patient=True) if changed is None else standing_at(subject, names, changed)
+    return point, (field, not_tested, units, selection)
 
 
 def planned(subject: Subject) -> Design:
@@ -178,7 +176,7 @@ def planned(subject: Subject) -> Design:
     return design(subject, field, not_tested)
 
 
-def _selected(subject: Subject, rng: np.random.Generator) -> tuple[Field, list[NotTested], tuple[Unit, ...], Selection]:
+def _selected(subject: Subject, rng: np.random.Generator) -> Race:
     """Return the selection with the readings of each unit weighted by the noise that was found in it."""
     weights: Mapping[str, Array] = {}
     units: tuple[Unit, ...] = ()

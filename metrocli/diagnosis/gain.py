@@ -47,14 +47,6 @@ class Gain:
         return 1 - self.after / self.before if self.before > 0 else 0.0
 
 
-def both(first: Gain, *others: Gain) -> Gain:
-    """Return the gain of steps one after the other: each is measured from where the one before it ends."""
-    last = others[-1] if others else first
-    scores = [one.log_score for one in (first, *others)]
-    std = float(np.linalg.norm([one.log_score_std for one in (first, *others)]))
-    return Gain(first.before, last.after, first.median_before, last.median_after, float(sum(scores)), std)
-
-
 @dataclass(frozen=True)
 class _Held:
     """How well one fold is predicted."""

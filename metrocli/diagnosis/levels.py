@@ -15,7 +15,7 @@ STANDING_OUT = 0.05
 Counted over the effects that lie in them.
 """
 _DOMINANT, _MANY = 4.0, 50
-"""By how much effects lower the mean square, and degrees of freedom left, for all else to wait for their adjustment"""
+"""By how much effects lower the mean square, and degrees of freedom, for all else to wait until they are adjusted"""
 
 
 def allowed(selection: Selection, family: int) -> float:
@@ -24,7 +24,7 @@ def allowed(selection: Selection, family: int) -> float:
         return WRONG_READING
     if selection.field.families[family].unknown:
         return UNKNOWN
-    return LATER if selection.chosen or selection.field.beside_others else FIRST
+    return LATER if selection.chosen else FIRST
 
 
 def bound(selection: Selection, one: Chosen) -> float:
@@ -33,14 +33,17 @@ def bound(selection: Selection, one: Chosen) -> float:
         return WRONG_READING
     if selection.around(one):
         return 2 * STANDING_OUT
-    return FIRST if len(selection.chosen) == 1 and not selection.field.beside_others else 2 * LATER
+    return FIRST if len(selection.chosen) == 1 else 2 * LATER
 
 
 def dominated(selection: Selection) -> bool:
-    """Whether effects make up nearly all of the residuals: what else there is shows when they have been adjusted.
+    """Whether effects about whose sizes the race is not linear make up most of what is left without them.
 
-    Their signatures are linear about a model without them; what that leaves of a large effect is structure of its own.
+    Signatures are derivatives: what those of a large effect leave beyond first order would look like other effects.
     """
-    given = selection.given()
-    large = selection.fit.start.squares / selection.fit.start.dof > _DOMINANT * given.squares / max(given.dof, 1.0)
-    return bool(selection.named) and not selection.unknown and large and given.dof > _MANY
+    field, given = selection.field, selection.given()
+    if selection.unknown or given.dof <= _MANY:
+        return False
+    new = [one for one in selection.named if field.alternative(one.family, one.number).spot not in field.standing]
+    without = selection.given(without=new)
+    return bool(new) and without.squares / without.dof > _DOMINANT * given.squares / given.dof

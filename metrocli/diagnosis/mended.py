@@ -16,8 +16,9 @@ from metrocli.diagnosis.noise import Unit, weighted
 from metrocli.diagnosis.projection import System, linearised
 from metrocli.diagnosis.race import Field, field_of
 from metrocli.diagnosis.selected import Selection
+from metrocli.diagnosis.signatures import signature
 from metrocli.diagnosis.smooth import smooth_families
-from metrocli.diagnosis.subject import Subject
+from metrocli.diagnosis.subject import Standing, Subject
 from metrocli.effects.effect import Parameter
 from metrocli.effects.model import Added, Model, with_effect
 
@@ -26,11 +27,25 @@ def field_of_job(
     subject: Subject, weights: Mapping[str, Array], rng: np.random.Generator
 ) -> tuple[Field, list[NotTested]]:
     """Return the race of everything that could be in a job, and the effects that its data do not allow to test."""
-    system = linearised(subject.model, weights)
+    system = _without_effects(subject, linearised(subject.model, weights))
     families, not_tested = families_of(subject, system)
     everything = [*families, *smooth_families(subject, system)]
     field = field_of(system, everything, rng, subject.single_components)
-    return replace(field, beside_others=subject.beside_others), not_tested
+    spots = {one.spot for family in families for one in family.alternatives} if subject.patient else set()
+    spots |= {(one.effect.name, one.instance) for one in subject.standing}
+    return replace(field, standing=frozenset(spots)), not_tested
+
+
+def _without_effects(subject: Subject, system: System) -> System:
+    """Return a system with the residuals that it would have without the effects at whose sizes its model stands.
+
+    What they add is linear about these sizes: `r + G theta`.
+    """
+    residual = system.residual
+    for one in subject.standing:
+        full = signature(subject.model, system, one.effect, one.instance, dict(one.scanned))
+        residual = residual + full @ one.steps
+    return replace(system, residual=system.seen(residual)) if subject.standing else system
 
 
 def weights_of(subject: Subject, units: Sequence[Unit]) -> Mapping[str, Array]:
@@ -81,36 +96,18 @@ class Size:
 
 def sizes(subject: Subject, name: Named) -> tuple[Size, ...]:
     """Return the parameters of a named effect, for the noise that was found."""
+    alternative = name.alternative
     block, row = _own_row(extended_model(subject, [name]), name)
-    return _sizes(subject, name, (block, row), np.sqrt(np.maximum(np.diag(name.covariance), 0.0)))
-
-
-def adjusted_sizes(subject: Subject, names: Sequence[Named], system: System, noise: float) -> list[tuple[Size, ...]]:
-    """Return the parameters of named effects as an adjustment with these, and more, has them, for some noise.
-
-    What is linear about the job without a large effect is not its size.
-    """
-    found = []
-    first = len(subject.model.added)
-    for name, added in zip(names, system.model.added[first : first + len(names)], strict=True):
-        block, row = _row(system.model, added, name)
-        at = system.entries(block.name)[row, [block.column(key) for key in name.alternative.parameters]]
-        std = np.where(at >= 0, np.linalg.norm(system.solver[at], axis=1), 0.0) * noise
-        found.append(_sizes(subject, name, (block, row), std))
-    return found
-
-
-def _sizes(subject: Subject, name: Named, at: tuple[Block, int], std: Array) -> tuple[Size, ...]:
-    (block, row), alternative = at, name.alternative
     before = subject.model.blocks.get(block.name)
     by_step = block.space.by_step(block.values)[row]
+    std = np.sqrt(np.maximum(np.diag(name.covariance), 0.0))
     known = {p.name: p for p in alternative.effect.all_parameters}
     found = []
-    for number, key in enumerate(alternative.parameters):
+    for at, key in enumerate(alternative.parameters):
         column = block.column(key)
         was = before.values[row, column] if before is not None and column < before.size else 0.0
-        seen = bool(name.apart[number])
-        spread = float(std[number] * by_step[column]) if seen else None
+        seen = bool(name.apart[at])
+        spread = float(std[at] * by_step[column]) if seen else None
         found.append(Size(known[key], float(block.values[row, column] - was), spread, seen))
     return (*found, *(Size(known[key], value, None) for key, value in alternative.scanned if not known[key].place))
 
@@ -122,7 +119,31 @@ def mended(subject: Subject, names: Sequence[Named], kept: Mapping[str, Mask]) -
     if not solution.outcome.good:
         return None
     blocks = {name: block.with_values(solution.blocks[name].values) for name, block in model.blocks.items()}
-    return replace(subject, model=model.with_blocks(blocks), beside_others=True)
+    return replace(subject, model=model.with_blocks(blocks))
+
+
+def standing_at(subject: Subject, names: Sequence[Named], adjusted: Subject) -> Subject:
+    """Return the subject with its model at the adjusted sizes of the named effects, which are not estimated in it."""
+    model, first = adjusted.model, len(subject.model.added)
+    blocks, added, standing = dict(model.blocks), list(model.added[:first]), []
+    for name, one in zip(names, model.added[first:], strict=True):
+        block, row = _row(model, one, name)
+        columns = [block.column(key) for key in name.alternative.parameters]
+        before = subject.model.blocks.get(block.name)
+        reference = block.values.copy()
+        reference[row, columns] = 0.0 if before is None else [_value(before, row, column) for column in columns]
+        steps = block.space.difference(block.values, reference)[row, columns]
+        standing.append(Standing(one.effect, name.alternative.instance, name.alternative.scanned, steps))
+        free = blocks[block.name].free.copy()
+        free[row, columns] = False
+        blocks[block.name] = replace(blocks[block.name], free=free)
+        added.append(replace(one, columns=()))
+    still = replace(model, blocks=blocks, added=tuple(added))
+    return replace(subject, model=still, standing=tuple(standing))
+
+
+def _value(block: Block, row: int, column: int) -> float:
+    return float(block.values[row, column]) if column < block.size else 0.0
 
 
 def recentred(

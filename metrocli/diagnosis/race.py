@@ -13,7 +13,7 @@ import numpy as np
 
 from metrocli.adjust.blocks import Array
 from metrocli.adjust.observations import Mask
-from metrocli.diagnosis.candidates import Family
+from metrocli.diagnosis.candidates import Alternative, Family
 from metrocli.diagnosis.distributions import log_family, log_tail
 from metrocli.diagnosis.given import PRIOR, Given, orthonormal
 from metrocli.diagnosis.projection import VISIBLE, System
@@ -65,10 +65,14 @@ class Field:
     """Of all families of smooth functions together"""
     excluded: Mask = field(default_factory=lambda: np.zeros(0, dtype=bool))
     """Readings that cannot be called outliers"""
-    beside_others: bool = False
-    """Whether the model has effects that were named before this race"""
+    standing: frozenset[tuple[str, tuple[str, ...]]] = frozenset()
+    """Cause and place of the effects about whose sizes all is linear; all, where none shall stop the race"""
     remembered: dict[tuple[int, int], tuple[Mask, ...]] = field(default_factory=dict, compare=False, repr=False)
     """For smooth terms, what lies in them"""
+
+    def alternative(self, family: int, number: int) -> Alternative:
+        """Return an alternative of a family."""
+        return self.families[family].alternatives[number]
 
     def scores(self, given: Given) -> list[Score]:
         """Return the tests of all families, given what is in the model."""

@@ -37,8 +37,6 @@ class Left:
     """The units (tracers, images) whose readings hold it; empty where all do"""
     size: float = 0.0
     """What shows of it, root mean square over those readings, in their unit"""
-    searched: bool = True
-    """Whether effects were tried for it; beside a large one they are when that has been adjusted"""
 
 
 @dataclass(frozen=True)
@@ -104,7 +102,7 @@ def left_over(selection: Selection, names: Sequence[Named], field: Field, given:
             found.append((float(np.minimum(score.log_p[best] + np.log(len(own)), 0.0)), number, best))
     log_level, number, best = min(found, default=(0.0, -1, 0))
     level = float(np.exp(log_family(log_level, field.unknowns)))
-    stays = number >= 0 and level < (_AFTER if names or field.beside_others else _NOTHING_NAMED)
+    stays = number >= 0 and level < (_AFTER if names else _NOTHING_NAMED)
     if stays and selection.outliers:
         stays = carried_by_few(field, given, number, best) < np.log(_CARRIED)
     after = [field.families[number].unknown] if stays else []

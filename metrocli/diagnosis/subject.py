@@ -54,6 +54,17 @@ class Delivered:
 
 
 @dataclass(frozen=True)
+class Standing:
+    """An effect in a model at a size that is not estimated there, about which all is linear."""
+
+    effect: Effect
+    instance: tuple[str, ...]
+    scanned: tuple[tuple[str, float], ...]
+    steps: Array
+    """Its size, as steps of its parameters from 0 (or from what the job has), (parameters,)"""
+
+
+@dataclass(frozen=True)
 class Subject:
     """An adjusted job as diagnosis sees it."""
 
@@ -81,8 +92,10 @@ class Subject:
     """Whether the components of a reading (u, v) go wrong one by one"""
     declared: str = ""
     """The noise as the job declares it, in words"""
-    beside_others: bool = False
-    """Whether its model has effects that these readings gave a name to: further ones need a stricter level"""
+    standing: tuple[Standing, ...] = ()
+    """The effects at whose sizes its model stands; what is looked for is in the residuals without them"""
+    patient: bool = False
+    """Whether all is looked for at once, also beside large effects at whose sizes its model does not stand"""
     not_sought: Mapping[str, str] = field(default_factory=dict)
     """Names of effects that these readings cannot be searched for, each with the reason"""
     offers: Callable[[Model], Iterable[tuple[str, Model]]] = field(default=lambda model: ())
