@@ -41,6 +41,21 @@ class Alternative:
         """Cause and place, without its form and the values that were scanned."""
         return self.effect.name, self.instance
 
+    def like(self, other: Alternative) -> bool:
+        """Whether it says the same as another one but for the values of scanned parameters."""
+        return (self.effect.name, self.effect.by, self.instance, self.parameters, self.named) == (
+            other.effect.name,
+            other.effect.by,
+            other.instance,
+            other.parameters,
+            other.named,
+        )
+
+    def far_from(self, other: Alternative) -> float:
+        """Return how far its scanned parameters are from those of another one."""
+        own = dict(self.scanned)
+        return sum(abs(own[key] - value) for key, value in other.scanned)
+
     def __str__(self) -> str:
         return " ".join([self.effect.name, *self.instance, *(f"{key} {name}" for key, name in self.named)])
 

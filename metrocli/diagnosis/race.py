@@ -74,6 +74,17 @@ class Field:
         """Return an alternative of a family."""
         return self.families[family].alternatives[number]
 
+    def place_of(self, other: Alternative, parameters: int) -> tuple[int, int] | None:
+        """Return family and number of an alternative of another race, scanned ones the next; None where it is not."""
+        found = [
+            (one.far_from(other), i, at)
+            for i, family in enumerate(self.families)
+            if family.columns.shape[2] == parameters
+            for at, one in enumerate(family.alternatives)
+            if one.like(other)
+        ]
+        return min(found)[1:] if found else None
+
     def scores(self, given: Given) -> list[Score]:
         """Return the tests of all families, given what is in the model."""
         return [self.score(number, given) for number in range(len(self.families))]

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from metrocli.diagnosis.given import Fit, Given
+from metrocli.diagnosis.given import Fit, Given, nothing
 from metrocli.diagnosis.levels import dominated
 from metrocli.diagnosis.race import Field
-from metrocli.diagnosis.selected import Selection
+from metrocli.diagnosis.selected import Chosen, Selection
 from metrocli.diagnosis.settled import settled
 from metrocli.diagnosis.steps import steps
 
@@ -13,11 +13,16 @@ _STEPS = 40
 
 
 def select(field: Field, start: Given) -> Selection:
-    """Return what wins the race, step by step, until nothing more is beyond chance.
+    """Return what wins the race, step by step, until nothing more is beyond chance."""
+    return carried_on(Selection(field, Fit(start)))
+
+
+def carried_on(selection: Selection) -> Selection:
+    """Return a selection with what else wins the race beside it, and without what is not worth it any more.
 
     A step that leads back to what was there before gives way to the next best.
     """
-    selection = Selection(field, Fit(start))
+    selection = settled(selection)
     passed = [selection.members]
     for _ in range(_STEPS):
         for step in steps(selection):
@@ -31,3 +36,16 @@ def select(field: Field, start: Given) -> Selection:
         selection = new
         passed.append(selection.members)
     return settled(selection)
+
+
+def carried_over(selection: Selection, field: Field) -> Selection:
+    """Return the selection of the same in another race; of scanned parameters, the values next to those it had."""
+    new = Selection(field, Fit(nothing(field.system)))
+    for one in selection.chosen:
+        if one.outlier:
+            new = new.with_one(Chosen(-1, one.number, field.of_reading(one.number)))
+            continue
+        place = field.place_of(selection.field.alternative(one.family, one.number), one.columns.shape[1])
+        if place is not None:
+            new = new.with_one(Chosen(*place, field.families[place[0]].columns[:, place[1]]))
+    return new
