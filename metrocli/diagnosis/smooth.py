@@ -17,6 +17,8 @@ from metrocli.effects.effect import Effect, Parameter
 _FEWEST_STEPS = 6
 """Values that a covariate must take for sines of it to be tried"""
 _MOST_PERIODS = 60.0
+_SHOWS = 0.02
+"""Share of a smooth function that the unknowns must leave"""
 _FEWEST_FOR = 4
 """Readings for each term that a unit must have to get terms of its own"""
 
@@ -52,11 +54,18 @@ def _of(subject: Subject, system: System, covariate: Covariate) -> Iterator[Fami
     for item in found:
         by_size.setdefault(item[1].shape[1], []).append(item)
     for items in by_size.values():
-        columns = np.stack([columns for _, columns in items], axis=1)
-        raw = np.linalg.norm(columns, axis=0)
-        shape = columns.shape
-        seen = system.seen(columns.reshape(shape[0], -1)).reshape(shape)
+        seen = np.stack([_shown(system, columns) for _, columns in items], axis=1)
+        raw = np.ones(seen.shape[1:])
         yield Family(f"smooth in {covariate.name}", tuple(a for a, _ in items), seen, raw, unknown=covariate.name)
+
+
+def _shown(system: System, columns: Array) -> Array:
+    """Return what the unknowns leave of the space of some terms (rows, k), by directions; 0 where that is little.
+
+    What is left of a thousandth of a function would be any pattern, and stands for an error a thousand times its size.
+    """
+    u, s, _ = np.linalg.svd(system.seen(np.linalg.qr(columns)[0]), full_matrices=False)
+    return np.asarray(u * np.where(s > _SHOWS, s, 0.0))
 
 
 def _together(subject: Subject, system: System, covariate: Covariate) -> Family:
