@@ -74,8 +74,9 @@ def _together(subject: Subject, system: System, covariate: Covariate) -> Family:
     for group in subject.model.readings:
         rows = system.first[group.name] + np.arange(group.observations.count)
         full[rows] = np.atleast_2d(covariate.values[group.name]).T / system.scale[rows, None]
-    alternatives, raw = (_alternative(covariate, ()),), np.linalg.norm(full, axis=0)[None]
-    return Family(f"moving with {covariate.name}", alternatives, system.seen(full)[:, None], raw, covariate.name)
+    seen = _shown(system, full)[:, None]
+    alternatives, raw = (_alternative(covariate, ()),), np.ones(seen.shape[1:])
+    return Family(f"moving with {covariate.name}", alternatives, seen, raw, covariate.name)
 
 
 def _waves(subject: Subject, system: System, covariate: Covariate) -> Iterator[Family]:
@@ -97,9 +98,8 @@ def _waves(subject: Subject, system: System, covariate: Covariate) -> Iterator[F
             for i, component in enumerate(group.observations.components):
                 columns.append(full[:, 2 * i : 2 * i + 2])
                 names.append(_alternative(covariate, (component, f"{periods:g} periods")))
-        stacked = np.stack(columns, axis=1)
-        seen = system.seen(stacked.reshape(len(stacked), -1)).reshape(stacked.shape)
-        raw = np.linalg.norm(stacked, axis=0)
+        seen = np.stack([_shown(system, one) for one in columns], axis=1)
+        raw = np.ones(seen.shape[1:])
         yield Family(f"waves in {covariate.name}", tuple(names), seen, raw, unknown=covariate.name)
 
 
