@@ -229,13 +229,26 @@ def test_beside_a_very_large_effect_the_next_is_named_too_and_the_extended_job_i
         for key, size in one["parameters"].items():
             assert abs(size["value"] - truth.values[key]) < 4 * size["std"]
             assert size["std"] < 0.2 * abs(truth.values[key])
-    first, second, both = data["effects"][0]["gain"], data["effects"][1]["gain"], data["together"]
-    assert both["log_score"] == pytest.approx(first["log_score"] + second["log_score"])
-    assert (both["holdout_before"], both["holdout_after"]) == (first["holdout_before"], second["holdout_after"])
-    assert first["holdout_after"] == pytest.approx(second["holdout_before"], rel=0.2)
     assert {one["name"] for one in data["candidates"] if one["status"] == "named"} == {drift.name, form.name}
     again = json.loads(metrocli("diagnose", data["extended_job"], "--json").out)
     assert (again["verdict"], again["effects"]) == ("clean", [])
+
+
+def test_of_two_large_effects_that_are_alike_neither_takes_the_place_of_the_other(
+    folder: Path, metrocli: Metrocli
+) -> None:
+    """What wins first, alone, would be an effect between them: it gives way when the race is held again."""
+    rng = np.random.default_rng(12)
+    m = lengths.measurement(rng, 60)
+    one, other = (lengths.signature("dead-path-drift", at, {"rate": rate})(m) for at, rate in ((1, 1e-5), (4, -1e-5)))
+    data = json.loads(metrocli("diagnose", write(folder, replace(m, length=m.length + one + other)), "--json").out)
+    assert {(one["name"], one["where"]["tracer"]) for one in data["effects"]} == {
+        ("dead-path-drift", "T1"),
+        ("dead-path-drift", "T4"),
+    }
+    for effect, truth in zip(sorted(data["effects"], key=lambda e: e["where"]["tracer"]), (1e-5, -1e-5), strict=True):
+        rate = effect["parameters"]["rate"]
+        assert abs(rate["value"] - truth) < 4 * rate["std"]
 
 
 def test_a_report_says_how_far_the_shape_of_an_effect_was_checked() -> None:
