@@ -7,7 +7,7 @@ With E the movements and G those of the datum block at its reference values, the
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -47,6 +47,16 @@ class Datum:
     def at_reference(self, blocks: Mapping[str, Block]) -> Movement:
         """Return the movements of the datum block at its reference."""
         return self.of({**blocks, self.block: blocks[self.block].with_values(self.reference)})[self.block]
+
+
+def turning(datum: Datum, block: Block) -> Datum:
+    """Return the datum with a block whose first three values are a vector, which turns with the frame."""
+    if callable(datum.movements):
+        return datum
+    own = datum.movements[datum.block]
+    matrix = np.zeros((len(own.matrix), block.size, block.size))
+    matrix[:, :3, :3] = own.matrix[:, :3, :3]
+    return replace(datum, movements={**datum.movements, block.name: Affine(matrix, np.zeros(matrix.shape[:2]))})
 
 
 @dataclass(frozen=True)

@@ -132,14 +132,17 @@ def standing_at(subject: Subject, names: Sequence[Named], adjusted: Subject) -> 
         before = subject.model.blocks.get(block.name)
         reference = block.values.copy()
         reference[row, columns] = 0.0 if before is None else [_value(before, row, column) for column in columns]
-        steps = block.space.difference(block.values, reference)[row, columns]
-        standing.append(Standing(one.effect, name.alternative.instance, name.alternative.scanned, steps))
         free = blocks[block.name].free.copy()
         free[row, columns] = False
-        blocks[block.name] = replace(blocks[block.name], free=free)
+        still = replace(blocks[block.name], free=free)
+        if one.effect.turns:
+            # a vector at its size would hold the frame of the network, whose turns the readings do not see
+            block = still = replace(still, values=reference)
+        blocks[block.name] = still
+        steps = block.space.difference(block.values, reference)[row, columns]
+        standing.append(Standing(one.effect, name.alternative.instance, name.alternative.scanned, steps))
         added.append(replace(one, columns=()))
-    still = replace(model, blocks=blocks, added=tuple(added))
-    return replace(subject, model=still, standing=tuple(standing))
+    return replace(subject, model=replace(model, blocks=blocks, added=tuple(added)), standing=tuple(standing))
 
 
 def _value(block: Block, row: int, column: int) -> float:

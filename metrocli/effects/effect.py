@@ -93,6 +93,8 @@ class Effect:
     reveal: str = ""
     """What to measure so that it is seen, or told from what it is confused with"""
     source: str = ""
+    turns: bool = False
+    """Its parameters are a vector that turns with the frame of a free network"""
     of_one_reading: bool = False
     """It spoils a single reading: an outlier, which `diagnose` finds as such"""
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from metrocli.adjust.blocks import Array, Block
 from metrocli.adjust.chain import Chain, Link
-from metrocli.adjust.datum import Datum
+from metrocli.adjust.datum import Datum, turning
 from metrocli.adjust.groups import Group
 from metrocli.adjust.noise import Aspect, with_aspects
 from metrocli.adjust.observations import Index
@@ -159,7 +159,9 @@ def with_effect(
         for group in model.groups
     )
     added = Added(effect, tuple(instances), name, columns)
-    return replace(model, blocks={**model.blocks, name: block}, groups=groups, added=(*model.added, added))
+    datum = turning(model.datum, block) if effect.turns and model.datum else model.datum
+    blocks = {**model.blocks, name: block}
+    return replace(model, blocks=blocks, groups=groups, datum=datum, added=(*model.added, added))
 
 
 def _form(model: Model, wanted: Wanted) -> Effect | None:

@@ -97,6 +97,7 @@ EFFECTS: tuple[Effect, ...] = (
         lambda block, where: TracerDrift(block),
         where=("tracer",),
         needs=("t",),
+        turns=True,
         confused_with=("dead-path-drift",),
         reveal="the first points again at the end, seen by this tracer in three directions far apart",
         source="Schwenke et al. 2008, CIRP Annals 57",

@@ -96,7 +96,8 @@ class Network:
         """Return the network with the blocks, groups and effects of a model made from it."""
         lengths = next(group for group in model.groups if group.name == LENGTHS)
         others = tuple(group for group in model.groups if group.name != LENGTHS)
-        return replace(self, blocks=model.blocks, lengths=lengths, others=others, effects=model.added)
+        added = model.added
+        return replace(self, blocks=model.blocks, lengths=lengths, others=others, datum=model.datum, effects=added)
 
     @property
     def aspects(self) -> Mapping[str, Aspect]:
