@@ -13,7 +13,7 @@ from metrocli.diagnosis.design import Design, design, separations
 from metrocli.diagnosis.gain import Gain, gains
 from metrocli.diagnosis.given import nothing
 from metrocli.diagnosis.levels import dominated
-from metrocli.diagnosis.mended import Size, field_of_job, kept, mended, recentred, sizes, standing_at, weights_of
+from metrocli.diagnosis.mended import Size, about, field_of_job, kept, mended, recentred, sizes, weights_of
 from metrocli.diagnosis.mistakes import Mistaken
 from metrocli.diagnosis.naming import Named, named
 from metrocli.diagnosis.noise import GIVEN, Noise, Unit, apart, noise_of, weighted
@@ -152,10 +152,10 @@ Race = tuple[Field, list[NotTested], tuple[Unit, ...], Selection]
 
 
 def _raced(subject: Subject, say: Say) -> tuple[Subject, Race]:
-    """Return the race about the sizes of large effects, and the subject with its model there.
+    """Return the race, and the subject with its unknowns where the named effects do not bend them.
 
-    Where effects stop it, it is held again about the sizes to which they are adjusted, with these among all others; in
-    the end it is carried on about the sizes of all that was named.
+    Where effects stop it, it is held again about the job adjusted with them, with these among all others; in the end it
+    is carried on about the job adjusted with all that was named.
     """
     point = subject
     for left in reversed(range(_RACES)):
@@ -167,11 +167,11 @@ def _raced(subject: Subject, say: Say) -> tuple[Subject, Race]:
         say("adjusting with what was found")
         names = named(selection)
         changed = mended(subject, names, kept(selection))
-        point = replace(point, patient=True) if changed is None else standing_at(subject, names, changed)
+        point = replace(point, patient=True) if changed is None else about(subject, names, changed)
     names = named(selection)
     changed = mended(subject, names, kept(selection)) if names else None
     if changed is not None:
-        point = replace(standing_at(subject, names, changed), patient=True)
+        point = replace(about(subject, names, changed), patient=True)
         field, not_tested = field_of_job(point, weights_of(subject, units), np.random.default_rng(_SEED))
         selection = polished(point, carried_on(carried_over(selection, field)))
     return point, (field, not_tested, units, selection)

@@ -37,13 +37,13 @@ def bound(selection: Selection, one: Chosen) -> float:
 
 
 def dominated(selection: Selection) -> bool:
-    """Whether effects about whose sizes the race is not linear make up most of what is left without them.
+    """Whether effects with which the unknowns were not adjusted make up most of what is left without them.
 
     Signatures are derivatives: what those of a large effect leave beyond first order would look like other effects.
     """
     field, given = selection.field, selection.given()
     if selection.unknown or given.dof <= _MANY:
         return False
-    new = [one for one in selection.named if field.alternative(one.family, one.number).spot not in field.standing]
+    new = [one for one in selection.named if field.alternative(one.family, one.number).spot not in field.adjusted]
     without = selection.given(without=new)
     return bool(new) and without.squares / without.dof > _DOMINANT * given.squares / given.dof

@@ -27,24 +27,22 @@ def field_of_job(
     subject: Subject, weights: Mapping[str, Array], rng: np.random.Generator
 ) -> tuple[Field, list[NotTested]]:
     """Return the race of everything that could be in a job, and the effects that its data do not allow to test."""
-    system = _without_effects(subject, linearised(subject.model, weights))
+    system = _with_standing(subject, linearised(subject.model, weights))
     families, not_tested = families_of(subject, system)
     everything = [*families, *smooth_families(subject, system)]
     field = field_of(system, everything, rng, subject.single_components)
     spots = {one.spot for family in families for one in family.alternatives} if subject.patient else set()
-    spots |= {(one.effect.name, one.instance) for one in subject.standing}
-    return replace(field, standing=frozenset(spots)), not_tested
+    return replace(field, adjusted=subject.adjusted | spots), not_tested
 
 
-def _without_effects(subject: Subject, system: System) -> System:
-    """Return a system with the residuals that it would have without the effects at whose sizes its model stands.
+def _with_standing(subject: Subject, system: System) -> System:
+    """Return a system with the residuals that it would have without the effects that stand in its model.
 
-    What they add is linear about these sizes: `r + G theta`.
+    What they add is linear about their sizes: `r + G theta`.
     """
     residual = system.residual
     for one in subject.standing:
-        full = signature(subject.model, system, one.effect, one.instance, dict(one.scanned))
-        residual = residual + full @ one.steps
+        residual = residual + signature(subject.model, system, one.effect, one.instance, {}) @ np.array(one.sizes)
     return replace(system, residual=system.seen(residual)) if subject.standing else system
 
 
@@ -122,31 +120,40 @@ def mended(subject: Subject, names: Sequence[Named], kept: Mapping[str, Mask]) -
     return replace(subject, model=model.with_blocks(blocks))
 
 
-def standing_at(subject: Subject, names: Sequence[Named], adjusted: Subject) -> Subject:
-    """Return the subject with its model at the adjusted sizes of the named effects, which are not estimated in it."""
-    model, first = adjusted.model, len(subject.model.added)
-    blocks, added, standing = dict(model.blocks), list(model.added[:first]), []
-    for name, one in zip(names, model.added[first:], strict=True):
-        block, row = _row(model, one, name)
-        columns = [block.column(key) for key in name.alternative.parameters]
-        before = subject.model.blocks.get(block.name)
-        reference = block.values.copy()
-        reference[row, columns] = 0.0 if before is None else [_value(before, row, column) for column in columns]
-        free = blocks[block.name].free.copy()
-        free[row, columns] = False
-        still = replace(blocks[block.name], free=free)
-        if one.effect.turns:
-            # a vector at its size would hold the frame of the network, whose turns the readings do not see
-            block = still = replace(still, values=reference)
-        blocks[block.name] = still
-        steps = block.space.difference(block.values, reference)[row, columns]
-        standing.append(Standing(one.effect, name.alternative.instance, name.alternative.scanned, steps))
-        added.append(replace(one, columns=()))
-    return replace(subject, model=replace(model, blocks=blocks, added=tuple(added)), standing=tuple(standing))
+def about(subject: Subject, names: Sequence[Named], adjusted: Subject) -> Subject:
+    """Return the subject with its unknowns where an adjustment with the named effects brought them.
+
+    What a large effect did to them is undone there. Those that are columns of the job's own blocks, such as terms of a
+    lens, stand at their sizes, about which all else is linear; the others at 0, as they are linear themselves: at their
+    sizes what a job absorbs, a scale or a turn of all, would not be absorbed.
+    """
+    model, added = subject.model, adjusted.model.added[len(subject.model.added) :]
+    moved = {key: _without(block, adjusted.model.blocks[key], added) for key, block in model.blocks.items()}
+    model, standing = model.with_blocks(moved), []
+    for name, one in zip(names, added, strict=True):
+        if one.effect.link is not None:
+            continue
+        block, row = _row(adjusted.model, one, name)
+        before, parameters = subject.model.blocks[block.name], name.alternative.parameters
+        sizes = {key: float(block.values[row, block.column(key)]) - _value(before, row, key) for key in parameters}
+        model = with_effect(model, one.effect, [name.alternative.instance], sizes)
+        standing.append(Standing(one.effect, name.alternative.instance, tuple(sizes.values())))
+    spots = frozenset(name.alternative.spot for name in names)
+    return replace(subject, model=model, adjusted=spots, standing=tuple(standing))
 
 
-def _value(block: Block, row: int, column: int) -> float:
-    return float(block.values[row, column]) if column < block.size else 0.0
+def _without(block: Block, adjusted: Block, added: Sequence[Added]) -> Block:
+    """Return a block at adjusted values, but for columns that were freed in it."""
+    values = adjusted.values[:, : block.size].copy()
+    for one in added:
+        if one.block == block.name:
+            freed = [block.column(column) for column in one.columns if column in block.columns]
+            values[:, freed] = np.where(block.free[:, freed], values[:, freed], block.values[:, freed])
+    return block.with_values(values)
+
+
+def _value(block: Block, row: int, key: str) -> float:
+    return float(block.values[row, block.column(key)]) if key in block.columns else 0.0
 
 
 def recentred(

@@ -65,8 +65,8 @@ class Field:
     """Of all families of smooth functions together"""
     excluded: Mask = field(default_factory=lambda: np.zeros(0, dtype=bool))
     """Readings that cannot be called outliers"""
-    standing: frozenset[tuple[str, tuple[str, ...]]] = frozenset()
-    """Cause and place of the effects about whose sizes all is linear; all, where none shall stop the race"""
+    adjusted: frozenset[tuple[str, tuple[str, ...]]] = frozenset()
+    """Cause and place of the effects with which the unknowns were adjusted; all, where none shall stop the race"""
     remembered: dict[tuple[int, int], tuple[Mask, ...]] = field(default_factory=dict, compare=False, repr=False)
     """For smooth terms, what lies in them"""
 

@@ -55,13 +55,12 @@ class Delivered:
 
 @dataclass(frozen=True)
 class Standing:
-    """An effect in a model at a size that is not estimated there, about which all is linear."""
+    """An effect on a job's own block at a size that is not estimated, about which all is linear."""
 
     effect: Effect
     instance: tuple[str, ...]
-    scanned: tuple[tuple[str, float], ...]
-    steps: Array
-    """Its size, as steps of its parameters from 0 (or from what the job has), (parameters,)"""
+    sizes: tuple[float, ...]
+    """Of its parameters"""
 
 
 @dataclass(frozen=True)
@@ -92,10 +91,12 @@ class Subject:
     """Whether the components of a reading (u, v) go wrong one by one"""
     declared: str = ""
     """The noise as the job declares it, in words"""
+    adjusted: frozenset[tuple[str, tuple[str, ...]]] = frozenset()
+    """Cause and place of effects with which its unknowns were adjusted"""
     standing: tuple[Standing, ...] = ()
-    """The effects at whose sizes its model stands; what is looked for is in the residuals without them"""
+    """Those of them that stand in its model at the size found; what is looked for is in the residuals without them"""
     patient: bool = False
-    """Whether all is looked for at once, also beside large effects at whose sizes its model does not stand"""
+    """Whether all is looked for at once, also beside large effects with which it was not adjusted"""
     not_sought: Mapping[str, str] = field(default_factory=dict)
     """Names of effects that these readings cannot be searched for, each with the reason"""
     offers: Callable[[Model], Iterable[tuple[str, Model]]] = field(default=lambda model: ())
