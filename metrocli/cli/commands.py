@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import errno
-from collections.abc import Sequence
+import signal
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from importlib import import_module
+from types import FrameType
 
 import click
 
@@ -13,7 +17,12 @@ from metrocli.cli.main import COMMANDS, help_text, version_text
 from metrocli.errors import InputError, MetrocliError
 from metrocli.tasks import KINDS
 
-INTERRUPTED = 130
+INTERRUPTED, UNHEARD, TERMINATED = 130, 141, 143
+"""As shells have it for what SIGINT, SIGPIPE and SIGTERM end"""
+
+
+class Terminated(BaseException):
+    """SIGTERM, as an exception: what was begun is taken back on the way out."""
 
 
 class Commands(click.Group):
@@ -55,11 +64,35 @@ def commands() -> None:
     """All commands."""
 
 
+@contextmanager
+def _terminable() -> Iterator[None]:
+    """Let SIGTERM raise, where this is the thread that signals reach."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        raise Terminated
+
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
 def run(arguments: Sequence[str] | None = None) -> int:
     """Carry out one command line and return its exit code; every failure is told on stderr."""
     try:
-        code = commands.main(arguments, prog_name="metrocli", standalone_mode=False)
+        with _terminable():
+            code = commands.main(arguments, prog_name="metrocli", standalone_mode=False)
         return code if isinstance(code, int) else 0
+    except Terminated:
+        click.echo("terminated", err=True)
+        return TERMINATED
+    except SystemExit:
+        # click's answer to a reader of stdout that has gone, as `head` does
+        return UNHEARD
     except click.exceptions.Abort:
         click.echo("interrupted", err=True)
         return INTERRUPTED

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +11,7 @@ from metrocli.adjust.blocks import Array
 from metrocli.adjust.observations import Index
 from metrocli.errors import Fault, InputError, together
 from metrocli.table import Table
+from metrocli.words import nearest
 
 _MOST = 20
 """Faults of one kind that are told"""
@@ -60,7 +61,7 @@ def join(lengths: Table, points: Table, tracers: Table | None, absolute: bool) -
     names, in_points = points.texts("point"), points.file or "the list of points"
     point, station, point_sigma, tracer_sigma, _ = together(
         lambda: matched(lengths, "point", names, in_points),
-        lambda: matched(lengths, "tracer", stations, "" if tracers is None else tracers.file),
+        lambda: matched(lengths, "tracer", stations, "" if tracers is None else tracers.file, listed),
         lambda: sigmas(points),
         lambda: None if tracers is None else sigmas(tracers),
         lambda: _refuse_readings(lengths, absolute),
@@ -87,17 +88,21 @@ def join(lengths: Table, points: Table, tracers: Table | None, absolute: bool) -
     )
 
 
-def matched(table: Table, column: str, names: Sequence[str], where: str) -> Index:
-    """Return for each row the place of its name in `names`; InputError for every name that is not there."""
+def matched(table: Table, column: str, names: Sequence[str], where: str, known: Sequence[str] = ()) -> Index:
+    """Return for each row the place of its name in `names`; InputError for every name that is not there.
+
+    `known` are the names that could have been meant, where these are more.
+    """
     place = {name: i for i, name in enumerate(names)}
     different, which = np.unique(np.asarray(table.columns[column], dtype=str), return_inverse=True)
     found = np.array([place.get(str(name), -1) for name in different], dtype=np.intp)[which]
     strange = np.flatnonzero(found < 0)
     if strange.size:
         values = table.texts(column)
-        raise InputError(
-            [_fault(table, row, f"{column} '{values[row]}' is not in {where}") for row in strange[:_MOST].tolist()]
-        )
+        meant = {name: nearest(name, known or names) for name in {values[row] for row in strange[:_MOST].tolist()}}
+        hints = {name: f"did you mean '{found}'?" for name, found in meant.items() if found}
+        text = f"{column} '{{}}' is not in {where}".format
+        raise InputError(_faults(table, strange, lambda row: text(values[row]), lambda row: hints.get(values[row], "")))
     return found
 
 
@@ -107,15 +112,15 @@ def sigmas(table: Table) -> Array:
     sigma = np.stack([table.numbers(f"sigma_{axis}") if f"sigma_{axis}" in table else common for axis in "xyz"], axis=1)
     negative = np.flatnonzero((sigma < 0).any(axis=1))
     if negative.size:
-        raise InputError([_fault(table, row, "a standard deviation is negative") for row in negative.tolist()])
+        raise InputError(_faults(table, negative, lambda row: "a standard deviation is negative"))
     return sigma
 
 
 def _refuse_readings(lengths: Table, absolute: bool) -> None:
     values = lengths.numbers("length")
     if absolute and (values <= 0).any():
-        rows = np.flatnonzero(values <= 0)[:_MOST].tolist()
-        raise InputError([_fault(lengths, row, "an absolute distance is not above zero") for row in rows])
+        wrong = np.flatnonzero(values <= 0)
+        raise InputError(_faults(lengths, wrong, lambda row: "an absolute distance is not above zero"))
     if len(values) > 1 and np.ptp(values) == 0:
         raise InputError([Fault("all lengths are equal", lengths.file, hint="is this the right column?")])
 
@@ -127,8 +132,14 @@ def _refuse_negative_paths(lengths: Table, station: Index, tracers: Table, rows:
     bad = np.flatnonzero(path <= 0)
     if bad.size:
         text = "length and dead path together make a path of {:g} mm, which is not above zero"
-        raise InputError([_fault(lengths, row, text.format(path[row])) for row in bad[:_MOST].tolist()])
+        raise InputError(_faults(lengths, bad, lambda row: text.format(path[row])))
 
 
-def _fault(table: Table, row: int, text: str) -> Fault:
-    return Fault(text, table.file, table.lines[row] if table.lines else None)
+def _faults(
+    table: Table, rows: Index, text: Callable[[int], str], hint: Callable[[int], str] = lambda row: ""
+) -> list[Fault]:
+    """Return a fault for each of the first rows, and how many more there are."""
+    lines = table.lines or (None,) * len(table)
+    told = [Fault(text(row), table.file, lines[row], hint=hint(row)) for row in rows[:_MOST].tolist()]
+    rest = len(rows) - len(told)
+    return [*told, Fault(f"and {rest} more like these", table.file)] if rest else told
