@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -90,6 +91,8 @@ def run(settings: Settings, readings: Table, **others: object) -> Result:
         raise ZeroDivisionError("a planted defect")
     if settings.labels.get("fail") == "interrupt":
         raise KeyboardInterrupt
+    if settings.labels.get("fail") == "terminate":
+        signal.raise_signal(signal.SIGTERM)
     if np.ptp(x) == 0:
         raise UndeterminedError("slope, offset: all points have the same x; measure at another x")
     design = np.stack([x, np.ones_like(x)], axis=1)

@@ -13,7 +13,7 @@ from metrocli.diagnosis.diagnose import Diagnosis, diagnose, planned
 from metrocli.diagnosis.mistakes import without_mistakes
 from metrocli.diagnosis.subject import Subject
 from metrocli.diagnosis.verdict import as_job
-from metrocli.errors import UsageError
+from metrocli.errors import Fault, InputError, UsageError
 from metrocli.formats.aside import written_aside
 from metrocli.nodes import Node
 from metrocli.project import yaml_text
@@ -21,6 +21,9 @@ from metrocli.project.inputs import read_inputs
 from metrocli.project.job import Job
 from metrocli.project.runner import Say, simulate, simulated_inputs
 from metrocli.simulation import SimulationOptions
+
+_NAMED = " with the effects that metrocli diagnose named"
+"""The end of the first line of an extended job"""
 
 
 def subject_of(job: Job) -> Subject:
@@ -78,11 +81,20 @@ def write_extended(job: Job, diagnosis: Diagnosis, path: Path | None = None) -> 
         return None
     path = path or job.file.with_name(f"{job.file.stem}.extended.yaml")
     new = [_node(job, as_job(finding.named)) for finding in diagnosis.findings]
-    heading = f"# {job.file.name} with the effects that metrocli diagnose named\n"
-    text = heading + yaml_text.emit(_extended(job, new, path.parent))
+    _refuse_foreign(path)
+    text = f"# {job.file.name}{_NAMED}\n" + yaml_text.emit(_extended(job, new, path.parent))
     with written_aside(path) as aside:
         aside.write_text(text, encoding="utf-8")
     return path
+
+
+def _refuse_foreign(path: Path) -> None:
+    """Raise InputError where a file is there that is no extended job."""
+    if not path.is_file():
+        return
+    with path.open(encoding="utf-8", errors="replace") as there:
+        if not there.readline().rstrip().endswith(_NAMED):
+            raise InputError([Fault("is there, and is no extended job", str(path), hint="give another --output")])
 
 
 def _extended(job: Job, effects: Sequence[Node], folder: Path) -> Node:

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -184,6 +188,23 @@ def test_an_interrupt(job: Path, metrocli: Metrocli) -> None:
     ran = metrocli("straight-line", job, "--set", "labels.fail=interrupt")
     assert (ran.code, ran.out) == (130, "")
     assert not Path("results").exists()
+
+
+def test_a_termination_takes_back_what_was_begun(job: Path, metrocli: Metrocli) -> None:
+    before = signal.getsignal(signal.SIGTERM)
+    ran = metrocli("straight-line", job, "--set", "labels.fail=terminate")
+    assert (ran.code, ran.out, ran.err) == (143, "", "terminated\n")
+    assert not Path("results").exists()
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_a_pipe_that_is_closed_is_no_defect() -> None:
+    call = [sys.executable, "-m", "metrocli", "schema", "multilaterate"]
+    read, written = os.pipe()
+    os.close(read)
+    ran = subprocess.run(call, stdout=written, stderr=subprocess.PIPE, check=False)
+    os.close(written)
+    assert (ran.returncode, ran.stderr) == (141, b"")
 
 
 class TestOutput:

@@ -261,6 +261,15 @@ def test_a_report_says_how_far_the_shape_of_an_effect_was_checked() -> None:
         assert words in " ".join(diagnosis_text.of_diagnosis(told, None).split())
 
 
+def test_an_extended_job_takes_the_place_of_an_older_one_and_of_no_other_file(folder: Path, metrocli: Metrocli) -> None:
+    job = write(folder, measured("dead-path-drift", 6.0))
+    before = (folder / "lengths.csv").read_bytes()
+    ran = metrocli("diagnose", job, "--output", "lengths.csv")
+    assert (ran.code, "is no extended job" in ran.err) == (3, True)
+    assert (folder / "lengths.csv").read_bytes() == before
+    assert [metrocli("diagnose", job, "--output", "new.yaml").code for _ in range(2)] == [0, 0]
+
+
 def test_a_noise_that_the_job_estimates_is_not_called_declared() -> None:
     found = diagnose(replace(lengths.measurement(np.random.default_rng(4), 20).subject(), declared="estimated"))
     text = " ".join(diagnosis_text.of_diagnosis(found, None).split())
