@@ -164,23 +164,26 @@ def join(table: Table, targets: Targets, sigma: float, fewest: int) -> Sighted:
 def check_inside(sighted: Sighted, size: tuple[int, int]) -> Sighted:
     """Return the sightings, with a warning where single readings lie outside the image.
 
-    Raises InputError where many do, or where all would lie inside with u and v exchanged.
+    Raises InputError where many do, where one lies farther outside than the image is large, or where all would lie
+    inside with u and v exchanged.
     """
     uv, extent = sighted.observations.readings, np.array(size)[:, None]
     outside = ((uv < -_BEYOND * extent) | (uv > (1 + _BEYOND) * extent)).any(axis=0)
     if not outside.any():
         return sighted
-    i = int(np.flatnonzero(outside)[0])
+    far = ((uv < -extent) | (uv > 2 * extent)).any(axis=0)
+    i = int(np.flatnonzero(far if far.any() else outside)[0])
     keys = sighted.observations.keys
+    which = "one of them far" if far.any() else "the first"
     told = (
         f"{outside.sum()} of {outside.size} readings lie outside an image of {size[0]} x {size[1]} px, "
-        f"the first: image {keys['image'][i]}, target {keys['target'][i]} at ({uv[0, i]:.1f}, {uv[1, i]:.1f}); "
+        f"{which}: image {keys['image'][i]}, target {keys['target'][i]} at ({uv[0, i]:.1f}, {uv[1, i]:.1f}); "
         "check image_size and the columns"
     )
     exchanged = ((uv >= -_BEYOND * extent[::-1]) & (uv <= (1 + _BEYOND) * extent[::-1])).all()
     if exchanged:
         raise InputError(f"{told}: with u and v exchanged all would lie inside")
-    if outside.mean() > _MANY:
+    if outside.mean() > _MANY or far.any():
         raise InputError(told)
     return replace(sighted, warnings=(*sighted.warnings, told))
 

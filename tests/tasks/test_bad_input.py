@@ -166,6 +166,8 @@ CASES = {
     "targets at one place, part": Case("align", 4, ("of the part", "three or more targets not on a line"), rows("targets.csv", lambda table: [[row[0], 1, 1, 0, 0] for row in table])),
     "targets on a line": Case("board", 4, ("lie on one line",), cells("targets.csv", 2, lambda cell: 0)),
     # hostile
+    "one reading far outside, board": Case("board", 3, ("1 of", "one of them far: image"), rows(OBS, lambda table: [[*table[0][:2], 28000, table[0][3]], *table[1:]])),
+    "one reading far outside, part": Case("align", 3, ("1 of 8 readings", "one of them far: image"), rows(OBS, lambda table: [[*table[0][:2], table[0][2], -4000], *table[1:]])),
     "huge readings": Case("align", 3, ("8 of 8 readings lie outside an image",), cells(OBS, 2, lambda cell: 1e9)),
     "all readings alike": Case("board", 5, ("check that image points and targets belong together",), rows(OBS, lambda table: [[*row[:2], 1000, 1000] for row in table])),
     "targets in another order": Case(
