@@ -53,7 +53,9 @@ class _Held:
 
     score: float
     errors: Array
-    directions: int
+    """Of the readings in the unit in which they are told"""
+    directions: float
+    """As how many errors they count"""
 
 
 def gains(subject: Subject, selection: Selection, names: Sequence[Named]) -> list[Gain]:
@@ -132,8 +134,10 @@ def _held(field: Field, given: Given, out: Index) -> _Held:
         + np.log(values[kept]).sum() / 2
         - (rest + k) / 2 * np.log1p(own / (rest * variance))
     )
-    errors = (vectors[:, kept] @ (along / values[kept])) * field.system.scale[out]
-    return _Held(score, errors, k)
+    alike = field.system.alike[out]
+    shown = vectors[alike][:, kept]
+    errors = (shown @ (along / values[kept])) * field.system.scale[out][alike]
+    return _Held(score, errors, float((shown**2).sum()))
 
 
 def _gain(pairs: Sequence[tuple[_Held, _Held]]) -> Gain:
@@ -141,7 +145,7 @@ def _gain(pairs: Sequence[tuple[_Held, _Held]]) -> Gain:
     spread = float(differences.std(ddof=1)) if len(differences) > 1 else float("inf")
     sides = list(zip(*pairs, strict=True))
     rms = [
-        float(np.sqrt(sum((h.errors**2).sum() for h in side) / max(sum(h.directions for h in side), 1)))
+        float(np.sqrt(sum((h.errors**2).sum() for h in side) / max(sum(h.directions for h in side), 1e-9)))
         for side in sides
     ]
     medians = [float(np.median(np.abs(np.concatenate([held.errors for held in side])))) for side in sides]

@@ -67,6 +67,15 @@ class System:
             mask[self.first[group.name] : self.first[group.name] + group.observations.readings.size] = True
         return mask
 
+    @cached_property
+    def alike(self) -> Mask:
+        """The readings in the unit of the first group of them, in which errors are told; not distances among angles."""
+        first, mask = self.model.readings[0].observations.unit, np.zeros(self.rows, dtype=bool)
+        for group in self.model.readings:
+            start = self.first[group.name]
+            mask[start : start + group.observations.readings.size] = group.observations.unit == first
+        return mask
+
     def seen(self, values: Array) -> Array:
         """Return `M values`, (rows, ...); 0 where rounding is all that is left."""
         left = values - np.tensordot(self.basis, np.tensordot(self.basis.T, values, 1), 1)

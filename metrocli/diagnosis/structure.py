@@ -146,6 +146,6 @@ def other_shape_from(name: Named, field: Field, noise: float) -> float:
 
 def _size(field: Field, without: Given, beside: Given) -> float:
     """Return what shows of terms in the readings that they touch, root mean square, in the unit of these."""
-    shown = (without.residual - beside.residual) * field.system.scale
+    shown = ((without.residual - beside.residual) * field.system.scale)[field.system.alike]
     heavy = np.abs(shown) > _NEGLIGIBLE * np.abs(shown).max(initial=0.0)
     return float(np.sqrt((shown[heavy] ** 2).mean())) if heavy.any() else 0.0

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -38,14 +39,17 @@ class Adjusted(Protocol):
 
 
 def estimates(added: Sequence[Added], solution: Adjusted) -> tuple[Estimate, ...]:
-    """Return the estimated parameters of all effects in blocks of their own, named `dead-path-drift.LT2.rate`."""
+    """Return the estimated parameters of all effects in blocks of their own, named `dead-path-drift.LT2.rate`.
+
+    Of several of one name the next ones are `dead-path-jump.LT2 2.step` and so on, as in /effects.
+    """
     found = []
-    for one in _own(added):
+    for label, one in _labelled(_own(added)):
         block, std = solution.blocks[one.block], solution.std(one.block)
         for at, p in enumerate(one.effect.parameters):
             if p.name in one.columns:
                 value, spread = float(block.values[-1, at]), float(std[-1, at])
-                found.append(Estimate(f"{one.label}.{p.name}", value, spread, p.unit))
+                found.append(Estimate(f"{label}.{p.name}", value, spread, p.unit))
     return tuple(found)
 
 
@@ -63,8 +67,8 @@ def absorbed(added: Sequence[Added], solution: Solution, datum: Datum | None) ->
 def true_values(model: Model) -> dict[str, float]:
     """Return the values of all effects in a simulated model by the names of their estimates."""
     return {
-        f"{one.label}.{p.name}": float(model.blocks[one.block].values[-1, model.blocks[one.block].column(p.name)])
-        for one in model.added
+        f"{label}.{p.name}": float(model.blocks[one.block].values[-1, model.blocks[one.block].column(p.name)])
+        for label, one in _labelled(model.added)
         for p in one.effect.all_parameters
     }
 
@@ -78,7 +82,7 @@ def tables(added: Sequence[Added], solution: Adjusted) -> tuple[dict[str, Table]
     """Return what /effects holds: for each effect its parameters and their covariance, applied values included."""
     found: dict[str, Table] = {}
     arrays: dict[str, Array] = {}
-    for one in added:
+    for label, one in _labelled(added):
         block = solution.blocks[one.block]
         chosen = [block.column(p.name) for p in one.effect.all_parameters]
         row = len(block.members) - 1
@@ -92,8 +96,7 @@ def tables(added: Sequence[Added], solution: Adjusted) -> tuple[dict[str, Table]
             "unit": np.array([p.unit for p in one.effect.all_parameters]),
             "estimated": np.array([p.name in one.columns for p in one.effect.all_parameters]),
         }
-        group = next(name for name in _numbered(f"effects/{one.label}") if f"{name}/parameters" not in found)
-        found[f"{group}/parameters"], arrays[f"{group}/covariance"] = Table(columns), covariance
+        found[f"effects/{label}/parameters"], arrays[f"effects/{label}/covariance"] = Table(columns), covariance
     return found, arrays
 
 
@@ -101,6 +104,9 @@ def _own(added: Sequence[Added]) -> list[Added]:
     return [one for one in added if one.effect.link is not None]
 
 
-def _numbered(name: str) -> Iterator[str]:
-    yield name
-    yield from (f"{name} {number}" for number in range(2, 1000))
+def _labelled(added: Iterable[Added]) -> Iterator[tuple[str, Added]]:
+    """Yield effects with a label of their own each."""
+    seen: Counter[str] = Counter()
+    for one in added:
+        seen[one.label] += 1
+        yield one.label if seen[one.label] == 1 else f"{one.label} {seen[one.label]}", one
