@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from benchmarks.hidden import lengths
+from benchmarks.hidden import launch, lengths
 from metrocli.adjust.blocks import Block
 from metrocli.adjust.chain import Chain, Local, Step
 from metrocli.adjust.groups import Group
@@ -199,6 +199,15 @@ def test_held_out_errors_are_those_of_an_adjustment_without_them() -> None:
         expected = residual[row] - (jacobian / size)[row] @ step
         assert np.isclose(held.errors[0] / system.scale[row], expected, rtol=1e-3)
         assert np.isclose(_without(field(), np.array([row])).dof, system.dof - 1 + PRIOR)
+
+
+def test_held_out_errors_are_of_angles_where_distances_are_read_too() -> None:
+    rng = np.random.default_rng(21)
+    m, _ = launch.planted(launch.measurement(rng, True), rng, "machine-scale", 30.0)
+    gain = diagnose(m.subject()).findings[0].gain
+    arcsec = np.pi / 648_000
+    assert gain.before > 20 * arcsec
+    assert 3.5 * arcsec < gain.after < 8 * arcsec  # encoders of 5 arcsec
 
 
 def test_in_noise_the_levels_are_what_they_say() -> None:
