@@ -17,6 +17,8 @@ from metrocli.effects.effect import Effect, Parameter
 _FEWEST_STEPS = 6
 """Values that a covariate must take for sines of it to be tried"""
 _MOST_PERIODS = 60.0
+_RANK = 1e-9
+"""Singular value of the terms of a smooth function, over the largest, below which they are no more of them"""
 _SHOWS = 0.02
 """Share of a smooth function that the unknowns must leave"""
 _FEWEST_FOR = 4
@@ -64,7 +66,9 @@ def _shown(system: System, columns: Array) -> Array:
 
     What is left of a thousandth of a function would be any pattern, and stands for an error a thousand times its size.
     """
-    u, s, _ = np.linalg.svd(system.seen(np.linalg.qr(columns)[0]), full_matrices=False)
+    basis, sizes, _ = np.linalg.svd(columns, full_matrices=False)
+    basis = basis * (sizes > _RANK * max(float(sizes[0]), 1e-300))
+    u, s, _ = np.linalg.svd(system.seen(basis), full_matrices=False)
     return np.asarray(u * np.where(s > _SHOWS, s, 0.0))
 
 

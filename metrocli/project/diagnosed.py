@@ -92,9 +92,14 @@ def _refuse_foreign(path: Path) -> None:
     """Raise InputError where a file is there that is no extended job."""
     if not path.is_file():
         return
-    with path.open(encoding="utf-8", errors="replace") as there:
-        if not there.readline().rstrip().endswith(_NAMED):
-            raise InputError([Fault("is there, and is no extended job", str(path), hint="give another --output")])
+    try:
+        first = path.read_text(encoding="utf-8", errors="replace").partition("\n")[0]
+    except OSError as error:
+        raise InputError(
+            [Fault(f"cannot be read: {error.strerror}", str(path), hint="give another --output")]
+        ) from error
+    if not first.rstrip().endswith(_NAMED):
+        raise InputError([Fault("is there, and is no extended job", str(path), hint="give another --output")])
 
 
 def _extended(job: Job, effects: Sequence[Node], folder: Path) -> Node:

@@ -29,6 +29,7 @@ from metrocli.diagnosis.race import Field, independent, quadratic
 from metrocli.diagnosis.selected import Chosen, Selection
 from metrocli.diagnosis.selection import select
 from metrocli.diagnosis.signatures import signature
+from metrocli.diagnosis.smooth import _shown, polynomials
 from metrocli.diagnosis.structure import pure_error
 from metrocli.diagnosis.subject import Subject
 from metrocli.effects.model import Model
@@ -220,6 +221,13 @@ def test_in_noise_the_levels_are_what_they_say() -> None:
         start = nothing(chosen.system)
         named += bool(select(chosen, replace(start, residual=r, squares=float(r @ r) + PRIOR)).chosen)
     assert named <= 14
+
+
+def test_a_smooth_function_of_three_values_has_two_directions() -> None:
+    system = field().system
+    values = np.repeat([0.0, 1.0, 2.0], -(-system.rows // 3))[: system.rows]
+    shown = _shown(system, polynomials(values[None], 5))
+    assert int((np.linalg.norm(shown, axis=0) > 0).sum()) <= 2
 
 
 def test_where_a_step_leads_back_the_next_one_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
