@@ -34,7 +34,9 @@ KINDS = (
     "calibrate-machine",
 )
 FORMATS = ("csv", "siemens-lec", "siemens-cec", "heidenhain", "fanuc", "linuxcnc", "isg-csv", "etalon")
-SENTENCES = {*"reason separate_by depends_on warnings notes".split(), *"cause text hint mistake extended_job".split()}
+SENTENCES = {
+    "reason", "separate_by", "depends_on", "warnings", "notes", "cause", "text", "hint", "mistake", "extended_job",
+}  # fmt: skip
 """Keys of JSON whose values are sentences or paths"""
 PROSE = ("warnings", "notes", "job")
 """Datasets of a result that are sentences"""

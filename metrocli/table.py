@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
+
+from metrocli.errors import Fault
 
 if TYPE_CHECKING:
     import numpy as np
@@ -15,6 +17,9 @@ if TYPE_CHECKING:
 
 TEXT, WHOLE, NUMBER = "text", "whole", "number"
 """Dimensions of columns without a unit; every other dimension is one of `units`."""
+
+MOST_FAULTS = 20
+"""Faults of one kind that are listed one by one"""
 
 
 @dataclass(frozen=True)
@@ -78,3 +83,20 @@ class Table:
         import numpy as np
 
         return np.stack([self.numbers(name) for name in names], axis=1)
+
+    def fault(self, message: str, hint: str | None = None) -> Fault:
+        """Return a fault of the whole table, with its file."""
+        return Fault(message, self.file, hint=hint)
+
+    def fault_at(self, row: int, message: str, hint: str | None = None) -> Fault:
+        """Return a fault of one row, with its line in the file."""
+        return Fault(message, self.file, self.lines[row] if self.lines else None, hint=hint)
+
+    def faults_at(
+        self, rows: Iterable[int], text: Callable[[int], str], hint: Callable[[int], str | None] = lambda row: None
+    ) -> list[Fault]:
+        """Return a fault for each of the first rows, and how many more there are."""
+        rows = [int(row) for row in rows]
+        found = [self.fault_at(row, text(row), hint(row)) for row in rows[:MOST_FAULTS]]
+        rest = len(rows) - len(found)
+        return [*found, self.fault(f"and {rest} more like these")] if rest else found

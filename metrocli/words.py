@@ -1,9 +1,14 @@
-"""What was probably meant by a word that is not known."""
+"""Words for people: names as a list, and what was probably meant by a word that is not known."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
+
+
+def listed(names: Sequence[str], most: int = 8) -> str:
+    """Return names as a list in words, cut after `most`."""
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
 def nearest(word: str, known: Iterable[str]) -> str | None:

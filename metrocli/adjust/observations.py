@@ -121,3 +121,16 @@ class Observations:
     def with_readings(self, readings: Array) -> Observations:
         """Return the same design with other readings."""
         return replace(self, readings=readings)
+
+    def followed_by(self, others: Observations) -> Observations:
+        """Return these readings and then others of the same kind; neither has a joint covariance."""
+        return replace(
+            self,
+            readings=np.concatenate([self.readings, others.readings], axis=1),
+            sigma=np.concatenate([self.sigma, others.sigma], axis=1),
+            index={name: np.concatenate([index, others.index[name]], axis=-1) for name, index in self.index.items()},
+            keys={name: (*values, *others.keys[name]) for name, values in self.keys.items()},
+            conditions={
+                name: np.concatenate([values, others.conditions[name]]) for name, values in self.conditions.items()
+            },
+        )

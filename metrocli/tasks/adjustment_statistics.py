@@ -1,14 +1,20 @@
-"""Statistics that every job's adjustment has, and whether its residuals are of the declared size."""
+"""What every adjustment reports: statistics, residuals, and whether these are of the declared size."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from metrocli.adjust.solution import Solution
+from metrocli.adjust.groups import Group
+from metrocli.adjust.solution import Residuals, Solution
 from metrocli.result import Scalar
-from metrocli.tasks.sightings import listed
+from metrocli.table import Table
+from metrocli.words import listed
+
+if TYPE_CHECKING:
+    from metrocli.table import Values
 
 _ABSURD = 10.0
 """A sigma0 beyond this is not a matter of noise"""
@@ -42,6 +48,25 @@ def with_noise(statistics: Statistics, solution: Solution, noise: float) -> Stat
     """
     kept = {name: value for name, value in statistics.items() if name not in ("p_value", "sigma0_low", "sigma0_high")}
     return {**kept, "noise_estimated": True, "noise": noise, "sigma0": noise, "chi2": solution.dof * noise**2}
+
+
+def residual_table(residuals: Residuals, group: Group) -> Table:
+    """Return /residuals: a row for each coordinate of each reading."""
+    observations = group.observations
+    d, n = observations.readings.shape
+    columns: dict[str, Values] = {
+        name: np.repeat(np.array(values, dtype=str), d) for name, values in observations.keys.items()
+    }
+    columns["component"] = np.tile(np.array(observations.components, dtype=str), n)
+    columns["reading"] = observations.readings.T.ravel()
+    for name, values in (
+        ("residual", residuals.values),
+        ("sigma", residuals.sigma),
+        ("normalised", residuals.normalised),
+        ("redundancy", residuals.redundancy),
+    ):
+        columns[name] = np.ascontiguousarray(values.T).ravel()
+    return Table(columns, dict.fromkeys(("reading", "residual", "sigma"), observations.unit))
 
 
 def chi_interval(solution: Solution) -> tuple[float, float]:

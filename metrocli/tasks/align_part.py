@@ -28,8 +28,9 @@ from metrocli.tasks.align_simulation import Truth, true_model
 from metrocli.tasks.camera_model import camera_of
 from metrocli.tasks.camera_settings import CameraFile, Extrinsics
 from metrocli.tasks.image_adjustment import Adjusted, Options, adjust_images, must_converge
+from metrocli.tasks.image_rendering import Draw, pictures
 from metrocli.tasks.image_settings import eccentricity_setting, image_faults
-from metrocli.tasks.image_simulation import Draw, Shown, pictures, sightings_table, sights, true_targets
+from metrocli.tasks.image_simulation import Shown, sightings_table, sights, true_targets
 from metrocli.tasks.planted_effects import planted, refuse_pictures
 from metrocli.tasks.sightings import OBSERVATIONS, START_NOISE, Needs, sightings
 from metrocli.tasks.target_list import TARGETS, known_targets

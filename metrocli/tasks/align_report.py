@@ -20,13 +20,12 @@ from metrocli.instruments import spindle_camera as spindle
 from metrocli.instruments.camera import TARGET
 from metrocli.result import Estimate, Result
 from metrocli.table import Table
-from metrocli.tasks.adjustment_statistics import basic_statistics, noise_warnings, with_noise
+from metrocli.tasks.adjustment_statistics import basic_statistics, noise_warnings, residual_table, with_noise
 from metrocli.tasks.align_problem import Problem
 from metrocli.tasks.camera_parameters import HIGH
 from metrocli.tasks.image_adjustment import Adjusted
 from metrocli.tasks.image_tables import (
     adjustment_notes,
-    residual_table,
     rms_table,
     root_mean_square,
     suspect_images,

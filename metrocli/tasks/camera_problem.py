@@ -15,7 +15,7 @@ from metrocli.adjust.groups import Group, priors
 from metrocli.adjust.observations import Index, Mask, Observations
 from metrocli.adjust.robust import robust_start, typical
 from metrocli.effects.model import Added, Model, Place
-from metrocli.errors import Fault, InputError, UndeterminedError
+from metrocli.errors import InputError, UndeterminedError
 from metrocli.geometry import poses
 from metrocli.instruments import camera
 from metrocli.instruments.camera_start import Scene, plane_frame, start
@@ -26,7 +26,8 @@ from metrocli.tasks.camera_settings import Camera
 from metrocli.tasks.eccentricity import corrected
 from metrocli.tasks.image_adjustment import IMAGES
 from metrocli.tasks.mirrored_views import better_poses
-from metrocli.tasks.sightings import Sighted, check_inside, listed
+from metrocli.tasks.sightings import Sighted, check_inside
+from metrocli.words import listed
 
 _STRANGE = "not in the list of targets"
 _FEWEST_READINGS = 4
@@ -218,7 +219,7 @@ def _scale_bars(bars: Table | None, names: tuple[str, ...], seen: Index) -> list
             (int(row), f"the {name} of the scale bar is not above zero")
             for row in np.flatnonzero(bars.numbers(name) <= 0)
         ]
-    faults = [Fault(text, bars.file, bars.lines[row] if bars.lines else None) for row, text in wrong]
+    faults = [bars.fault_at(row, text) for row, text in wrong]
     if faults:
         raise InputError(faults)
     index = np.array([[place[name] for name in column] for column in ends], dtype=np.intp)

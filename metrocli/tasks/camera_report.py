@@ -22,6 +22,7 @@ from metrocli.tasks.adjustment_statistics import (
     basic_statistics,
     chi_interval,
     noise_warnings,
+    residual_table,
     with_noise,
 )
 from metrocli.tasks.camera_parameters import HIGH, POSE_UNITS, Parameters, parameters, unit_of
@@ -31,7 +32,6 @@ from metrocli.tasks.image_adjustment import Adjusted
 from metrocli.tasks.image_coverage import coverage
 from metrocli.tasks.image_tables import (
     adjustment_notes,
-    residual_table,
     rms_table,
     root_mean_square,
     suspect_images,

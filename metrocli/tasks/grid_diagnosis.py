@@ -20,7 +20,6 @@ from metrocli.instruments import ball_grid as bg
 from metrocli.tasks.grid_problem import READINGS, Problem
 from metrocli.tasks.grid_report import KIND
 from metrocli.tasks.grid_solve import Solved
-from metrocli.tasks.length_diagnosis import joined
 
 FOLDS = 10
 _FEWEST = 4
@@ -78,7 +77,7 @@ def _forth_and_back(model: Model) -> Model:
     last = np.array([time[view == n].max(initial=0.0) for n in range(int(view.max()) + 1)])[view]
     later = {name: old.conditions[name] + 2 * (last - time) for name in ("t", ELAPSED) if name in old.conditions}
     again = replace(old, conditions={**old.conditions, **later})
-    groups = tuple(replace(one, observations=joined(old, again)) if one is group else one for one in model.groups)
+    groups = tuple(replace(one, observations=old.followed_by(again)) if one is group else one for one in model.groups)
     return replace(model, groups=groups)
 
 
@@ -102,7 +101,7 @@ def _with_views(problem: Problem, model: Model) -> Model:
     mountings = model.blocks[bg.VIEW]
     block = bg.view_block(views, np.concatenate([mountings.values, np.zeros((2, 6))]))
     links = (bg.mounted(views, pitch) if isinstance(link, bg.Mounted) else link for link in group.chain.links)
-    observations = joined(old, changed)
+    observations = old.followed_by(changed)
     groups = tuple(
         replace(one, chain=Chain(tuple(links)), observations=observations) if one is group else one
         for one in model.groups

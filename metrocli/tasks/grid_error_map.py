@@ -146,12 +146,10 @@ def error_map(points: Table, field: SiteErrors, covariance: Covariance, form: Sm
     at, weights = trilinear(sites, pitch, places)
     lost = np.flatnonzero(at[:, 0] < 0)
     if lost.size:
-        from metrocli.tasks.grid_readings import fault
-
         low, high = sites.min(axis=0) * pitch, sites.max(axis=0) * pitch
         box = ", ".join(f"{'xyz'[a]} {low[a]:g} ... {high[a]:g} mm" for a in range(3))
         names, text = points.texts("point"), "is not between measured sites"
-        raise InputError([fault(points, row, f"point '{names[row]}' {text}", box) for row in lost[:20].tolist()])
+        raise InputError([points.fault_at(row, f"point '{names[row]}' {text}", box) for row in lost[:20].tolist()])
     value, std = _trilinear_errors((at, weights), field, covariance)
     bend = _bend(field)[np.maximum(at, 0)].max(axis=1) / np.sqrt(3)
     inner = (np.abs(weights).max(axis=1) < 1 - 1e-9)[:, None]

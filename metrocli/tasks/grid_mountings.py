@@ -17,7 +17,7 @@ from metrocli.adjust.blocks import Array
 from metrocli.adjust.observations import Index, Mask
 from metrocli.errors import Fault, InputError
 from metrocli.instruments.ball_grid import View
-from metrocli.tasks.grid_readings import Readings, ball_name, fault
+from metrocli.tasks.grid_readings import Readings, ball_name
 from metrocli.tasks.grid_settings import shift_in_words, turn_in_words
 
 _OFF = 0.25
@@ -225,7 +225,7 @@ def _astray(readings: Readings, n: int, seen: Observed, pitch: float) -> list[Fa
         distance = float(np.linalg.norm(off[k])) * pitch
         meant = f", where {ball_name(nearest)} stands" if not np.array_equal(nearest, ball) else ""
         text = f"{ball_name(ball)} of view '{view.name}' is read {distance:.3g} mm from its place{meant}"
-        faults.append(fault(readings.table, row, text))
+        faults.append(readings.table.fault_at(row, text))
     return faults
 
 

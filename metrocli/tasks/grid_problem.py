@@ -18,7 +18,7 @@ from metrocli.errors import InputError
 from metrocli.geometry.poses import fit_pose
 from metrocli.instruments import ball_grid as bg
 from metrocli.table import Table
-from metrocli.tasks.grid_readings import Readings, ball_name, fault
+from metrocli.tasks.grid_readings import Readings, ball_name
 from metrocli.words import suggestion
 
 _EXACT = 1e-2
@@ -169,21 +169,21 @@ def _lengths(table: Table, views: Sequence[bg.View], balls: Index, pitch: float)
     ends = [np.rint(table.stacked([f"{name}{end}" for name in "ijk"])).astype(np.intp) for end in "12"]
     index = np.stack([bg.numbers_at(balls, end) for end in ends])
     faults = [
-        fault(table, int(row), f"{ball_name(ends[end][row])} is not in the views")
+        table.fault_at(int(row), f"{ball_name(ends[end][row])} is not in the views")
         for end, row in np.argwhere(index < 0).tolist()
     ]
     nominal = np.linalg.norm(ends[0] - ends[1], axis=1) * pitch
     given, names = table.numbers("length"), [view.name for view in views]
     for row in range(len(table)):
         if "view" in table and (said := table.texts("view")[row]) not in ["", *names]:
-            faults.append(fault(table, row, f"view '{said}' has no readings", suggestion(said, names)))
+            faults.append(table.fault_at(row, f"view '{said}' has no readings", suggestion(said, names)))
         if nominal[row] == 0:
-            faults.append(fault(table, row, f"a length from {ball_name(ends[0][row])} to itself"))
+            faults.append(table.fault_at(row, f"a length from {ball_name(ends[0][row])} to itself"))
         if table.numbers("sigma")[row] <= 0:
-            faults.append(fault(table, row, "the standard uncertainty of a length must be above zero"))
+            faults.append(table.fault_at(row, "the standard uncertainty of a length must be above zero"))
         if abs(given[row] - nominal[row]) > pitch / 4:
             faults.append(
-                fault(table, row, f"the length is {given[row]:g} mm, but these balls are {nominal[row]:g} mm apart")
+                table.fault_at(row, f"the length is {given[row]:g} mm, but these balls are {nominal[row]:g} mm apart")
             )
     if faults:
         raise InputError(faults)

@@ -43,7 +43,7 @@ def read(views: Sequence[View], half: Index, table: Table) -> Readings:
     balls = np.asarray(np.rint(table.stacked("ijk")), dtype=np.intp)
     outside = np.flatnonzero((np.abs(balls) > half).any(axis=1)).tolist()
     faults = [
-        fault(table, row, f"view '{said[row]}' is not among the job's views", suggestion(said[row], names))
+        table.fault_at(row, f"view '{said[row]}' is not among the job's views", suggestion(said[row], names))
         for row in [row for row, name in enumerate(said) if name not in names][:_MOST]
     ]
     sizes = " x ".join(str(2 * n + 1) for n in half)
@@ -53,7 +53,7 @@ def read(views: Sequence[View], half: Index, table: Table) -> Readings:
         faults.append(Fault(f"i, j, k count from {first}; they count from the middle ball", table.file, hint=limits))
         outside = []
     faults += [
-        fault(table, row, f"ball ({_ball(balls[row])}) is outside the grid of {sizes}", f"{limits}")
+        table.fault_at(row, f"ball ({_ball(balls[row])}) is outside the grid of {sizes}", f"{limits}")
         for row in outside[:_MOST]
     ]
     if faults:
@@ -70,11 +70,6 @@ def _counted_from(balls: Index, half: Index) -> int | None:
         if np.array_equal(balls.min(axis=0), np.full(3, first)) and np.array_equal(balls.max(axis=0), first + 2 * half):
             return first if half.any() else None
     return None
-
-
-def fault(table: Table, row: int, message: str, hint: str | None = None) -> Fault:
-    """Return a fault of one row of a table."""
-    return Fault(message, table.file, table.lines[row] if table.lines else None, hint=hint)
 
 
 def _ball(ball: Index) -> str:

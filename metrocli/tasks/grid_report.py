@@ -17,12 +17,11 @@ from metrocli.instruments import ball_grid as bg
 from metrocli.result import Estimate, Result
 from metrocli.table import Table
 from metrocli.tasks import grid_warnings
-from metrocli.tasks.adjustment_statistics import Statistics, basic_statistics
+from metrocli.tasks.adjustment_statistics import Statistics, basic_statistics, residual_table
 from metrocli.tasks.grid_error_map import Covariance, SiteErrors, Smooth, error_map, smooth
 from metrocli.tasks.grid_lengths import LengthError, largest
 from metrocli.tasks.grid_open import Open, determined
 from metrocli.tasks.grid_solve import LeftOut, Solved
-from metrocli.tasks.image_tables import residual_table
 from metrocli.units import find_unit
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from metrocli.adjust.blocks import Array
 from metrocli.tasks.adjustment_statistics import beyond_bound, noise_warnings
 from metrocli.tasks.grid_open import Open
 from metrocli.tasks.grid_solve import LeftOut, Solved
-from metrocli.tasks.sightings import listed
+from metrocli.words import listed
 
 
 def warnings(solved: Solved, found: Open, std: Array, left_out: Sequence[LeftOut]) -> list[str]:

@@ -1,7 +1,8 @@
-"""Pictures of simulated targets."""
+"""Pictures of simulated targets, each rendered when it is asked for."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -14,10 +15,22 @@ from metrocli.instruments.lens import ideal_point
 from metrocli.targets import render
 from metrocli.targets.codes import codes
 from metrocli.targets.pattern import Pattern
-from metrocli.tasks.image_simulation import Draw, Shown
+from metrocli.tasks.image_simulation import Shown
 
 if TYPE_CHECKING:
     from metrocli.imageset import Picture
+
+Draw = Callable[[], "Picture"]
+
+
+def pictures(
+    shown: Shown, pattern: Pattern, rng: np.random.Generator, only: Callable[[int], list[int]] | None = None
+) -> Iterator[tuple[str, Draw]]:
+    """Yield for each image its path and what renders it."""
+    seeds = rng.integers(0, 2**63, len(shown.images))
+    for i, image in enumerate(shown.images):
+        chosen = list(range(len(shown.targets.names))) if only is None else only(i)
+        yield f"images/{image}", drawer(shown, pattern, i, chosen, int(seeds[i]))
 
 
 def drawer(shown: Shown, pattern: Pattern, image: int, chosen: list[int], seed: int) -> Draw:

@@ -1,8 +1,8 @@
-"""Simulated image measurements: what the model predicts for a given truth, as image points and as rendered pictures."""
+"""Simulated image measurements: the image points that the model predicts for a given truth."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -14,14 +14,11 @@ from metrocli.errors import InputError
 from metrocli.geometry import poses
 from metrocli.instruments.lens import ideal_point, image_point
 from metrocli.table import Table
-from metrocli.targets.pattern import Pattern
 from metrocli.tasks.target_list import Targets
 
 if TYPE_CHECKING:
-    from metrocli.imageset import Picture
     from metrocli.table import Values
 
-Draw = Callable[[], "Picture"]
 _MARGIN = 2.0
 """Pixels that a target keeps from the border"""
 
@@ -123,15 +120,3 @@ def _distorted(shown: Shown, x: Array, y: Array) -> tuple[Array, Array]:
         fx, fy = shown.lens.get("f", shown.lens.get("fx", 1.0)), shown.lens.get("f", shown.lens.get("fy", 1.0))
         u, v = u + fx * (x - back_x), v + fy * (y - back_y)
     return u, v
-
-
-def pictures(
-    shown: Shown, pattern: Pattern, rng: np.random.Generator, only: Callable[[int], list[int]] | None = None
-) -> Iterator[tuple[str, Draw]]:
-    """Yield for each image its path and what renders it."""
-    from metrocli.tasks.image_rendering import drawer
-
-    seeds = rng.integers(0, 2**63, len(shown.images))
-    for i, image in enumerate(shown.images):
-        chosen = list(range(len(shown.targets.names))) if only is None else only(i)
-        yield f"images/{image}", drawer(shown, pattern, i, chosen, int(seeds[i]))

@@ -11,7 +11,6 @@ from metrocli.adjust.blocks import Array
 from metrocli.adjust.groups import Group
 from metrocli.adjust.observations import Index
 from metrocli.adjust.robust import Suspects
-from metrocli.adjust.solution import Residuals
 from metrocli.table import Table
 from metrocli.tasks.adjustment_statistics import beyond_bound
 from metrocli.tasks.image_adjustment import Adjusted
@@ -26,25 +25,6 @@ _VIEW_SUSPECT = 2.5
 def root_mean_square(values: Array) -> float:
     """Return the root mean square length of image residuals (2, n), in their unit, a point counting once."""
     return float(np.sqrt((values**2).sum(axis=0).mean())) if values.size else float("nan")
-
-
-def residual_table(residuals: Residuals, group: Group) -> Table:
-    """Return /residuals: a row for each coordinate of each reading."""
-    observations = group.observations
-    d, n = observations.readings.shape
-    columns: dict[str, Values] = {
-        name: np.repeat(np.array(values, dtype=str), d) for name, values in observations.keys.items()
-    }
-    columns["component"] = np.tile(np.array(observations.components, dtype=str), n)
-    columns["reading"] = observations.readings.T.ravel()
-    for name, values in (
-        ("residual", residuals.values),
-        ("sigma", residuals.sigma),
-        ("normalised", residuals.normalised),
-        ("redundancy", residuals.redundancy),
-    ):
-        columns[name] = np.ascontiguousarray(values.T).ravel()
-    return Table(columns, dict.fromkeys(("reading", "residual", "sigma"), observations.unit))
 
 
 def rms_table(residuals: Array, group: Group, label: str, index: Index, names: Sequence[str]) -> Table:

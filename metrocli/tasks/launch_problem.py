@@ -17,7 +17,7 @@ from metrocli.effects.model import Added, Model, Place
 from metrocli.instruments import launch_unit as lu
 from metrocli.instruments.launch_start import nearest, set_up_angle, spread
 from metrocli.tasks.launch_readings import ANGLES, Readings
-from metrocli.tasks.sightings import listed
+from metrocli.words import listed
 
 
 class NoiseSettings(Protocol):

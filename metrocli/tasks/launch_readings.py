@@ -11,7 +11,7 @@ from metrocli.adjust.blocks import Array, Mask
 from metrocli.errors import Fault, InputError
 from metrocli.instruments.launch_start import Beams
 from metrocli.table import TEXT, Column, Columns, Table
-from metrocli.tasks.length_readings import sigmas
+from metrocli.tasks.known_places import SIGMAS, sigmas
 
 ANGLES = ("phi1", "phi2", "phi3", "phi4")
 _PLACE = (
@@ -20,16 +20,13 @@ _PLACE = (
     Column("spindle", "angle"),
 )
 _CONDITIONS = (Column("t", "time", required=False), Column("temp", "temperature", required=False))
-_SIGMAS = tuple(
-    Column(name, "length", required=False, may_be_empty=True) for name in ("sigma", "sigma_x", "sigma_y", "sigma_z")
-)
 POSES = Columns(
     (
         *_PLACE,
         *(Column(angle, "angle") for angle in ANGLES),
         Column("distance", "length", required=False, may_be_empty=True),
         *_CONDITIONS,
-        *_SIGMAS,
+        *SIGMAS,
     ),
     ("pose",),
     "receiver positions and encoder angles of aligned poses",
@@ -89,11 +86,7 @@ def read(table: Table) -> Readings:
 
 def _faults(table: Table) -> Iterator[Fault]:
     if len(table) == 0:
-        yield Fault("there are no poses", table.file)
+        yield table.fault("there are no poses")
     distance = table.numbers("distance", float("nan"))
     for row in np.flatnonzero(distance <= 0).tolist():
-        yield _at(table, row, f"pose {table.texts('pose')[row]}: the distance is not above zero")
-
-
-def _at(table: Table, row: int, message: str) -> Fault:
-    return Fault(message, table.file, table.lines[row] if table.lines else None)
+        yield table.fault_at(row, f"pose {table.texts('pose')[row]}: the distance is not above zero")

@@ -17,7 +17,7 @@ from metrocli.table import Table
 from metrocli.tasks.adjustment_statistics import REMOVE, basic_statistics, beyond_bound, noise_warnings
 from metrocli.tasks.launch_readings import Readings
 from metrocli.tasks.launch_solve import Located
-from metrocli.tasks.sightings import listed
+from metrocli.words import listed
 
 if TYPE_CHECKING:
     from metrocli.table import Values

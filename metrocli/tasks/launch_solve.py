@@ -22,7 +22,7 @@ from metrocli.tasks.launch_misread import misread
 from metrocli.tasks.launch_outliers import Outlier, screened
 from metrocli.tasks.launch_problem import WEAK, NoiseSettings, Problem, build, uncertainty_along
 from metrocli.tasks.launch_readings import Readings
-from metrocli.tasks.sightings import listed
+from metrocli.words import listed
 
 _ABSURD = 100.0
 """A sigma0 that no noise makes"""

@@ -13,7 +13,7 @@ from metrocli.adjust.solution import Solution
 from metrocli.effects.estimates import absorbed
 from metrocli.instruments import tracer as t
 from metrocli.tasks.length_network import Network
-from metrocli.tasks.sightings import listed
+from metrocli.words import listed
 
 TOO_WEAK, WEAK = 300.0, 10.0
 """Uncertainty of a point over that of a length: beyond the first nothing is given out, beyond the second it is said"""

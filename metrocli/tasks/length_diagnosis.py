@@ -147,7 +147,7 @@ def _with_repeats(model: Model, rows: Index, later: float, warmer: float = 0.0) 
     if WARMING in conditions:
         last = float(old.conditions[WARMING][np.argmax(old.conditions.get(ELAPSED, np.zeros(1)))])
         conditions[WARMING] = np.full(len(rows), last + warmer)
-    repeated = joined(old, replace(new, conditions=conditions))
+    repeated = old.followed_by(replace(new, conditions=conditions))
     groups = tuple(replace(one, observations=repeated) if one is group else one for one in model.groups)
     return replace(model, groups=groups)
 
@@ -187,7 +187,7 @@ def _with_corners(model: Model) -> Model:
             members=np.concatenate([datum.members, zeros]),
         )
     groups = tuple(
-        replace(one, observations=joined(old, changed)) if one is group else _of_more(one, points)
+        replace(one, observations=old.followed_by(changed)) if one is group else _of_more(one, points)
         for one in model.groups
     )
     places_ = {**model.places, "point": Place(points.members, t.POINT)}
@@ -204,18 +204,6 @@ def _of_more(group: Group, block: Block) -> Group:
         for link in group.chain.links
     )
     return replace(group, chain=Chain(links))
-
-
-def joined(old: Observations, new: Observations) -> Observations:
-    """Return observations of one kind, one after the other."""
-    return replace(
-        old,
-        readings=np.concatenate([old.readings, new.readings], axis=1),
-        sigma=np.concatenate([old.sigma, new.sigma], axis=1),
-        index={name: np.concatenate([index, new.index[name]], axis=-1) for name, index in old.index.items()},
-        keys={name: (*values, *new.keys[name]) for name, values in old.keys.items()},
-        conditions={name: np.concatenate([values, new.conditions[name]]) for name, values in old.conditions.items()},
-    )
 
 
 def _far_apart(points: Array) -> tuple[int, int]:

@@ -16,13 +16,13 @@ from metrocli.adjust.groups import Group, prior, priors
 from metrocli.adjust.noise import Aspect, Noise
 from metrocli.adjust.observations import Index, Mask, Observations
 from metrocli.effects.model import Added, Model, Place
-from metrocli.errors import Fault, InputError, together
+from metrocli.errors import InputError, together
 from metrocli.instruments import tracer as t
 from metrocli.instruments.frames import DistanceBetween
 from metrocli.table import Table
 from metrocli.tasks.length_readings import Readings, join, matched
-from metrocli.tasks.sightings import listed
 from metrocli.tasks.tracer_places import places_of
+from metrocli.words import listed
 
 LENGTHS, DISTANCES = "lengths", "distances"
 """Names of the groups: lengths from tracers, and calibrated distances between points"""
@@ -209,11 +209,7 @@ def _distances(table: Table | None, names: Sequence[str], seen: Index) -> list[G
         "a distance is not above zero": length <= 0,
         "the standard deviation of a distance is not above zero": sigma <= 0,
     }
-    faults = [
-        Fault(text, table.file, table.lines[row] if table.lines else None)
-        for text, rows in wrong.items()
-        for row in np.flatnonzero(rows).tolist()
-    ]
+    faults = [table.fault_at(row, text) for text, rows in wrong.items() for row in np.flatnonzero(rows).tolist()]
     if faults:
         raise InputError(faults)
     observations = Observations(length[None], sigma[None], {t.POINT: ends}, components=("length",), unit="mm")

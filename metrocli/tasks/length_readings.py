@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from metrocli.adjust.blocks import Array
 from metrocli.adjust.observations import Index
-from metrocli.errors import Fault, InputError, together
-from metrocli.table import Table
+from metrocli.errors import InputError, together
+from metrocli.table import MOST_FAULTS, Table
+from metrocli.tasks.known_places import sigmas
 from metrocli.words import nearest
-
-_MOST = 20
-"""Faults of one kind that are told"""
 
 
 @dataclass(frozen=True)
@@ -54,7 +52,7 @@ class Readings:
 def join(lengths: Table, points: Table, tracers: Table | None, absolute: bool) -> Readings:
     """Match lengths to points and tracers; InputError for every length that has none, and for impossible readings."""
     if len(lengths) == 0:
-        raise InputError([Fault("the file has no lengths", lengths.file)])
+        raise InputError([lengths.fault("the file has no lengths")])
     used = sorted(set(lengths.texts("tracer")))
     listed = used if tracers is None else tracers.texts("tracer")
     stations = [name for name in listed if name in set(used)]
@@ -99,30 +97,22 @@ def matched(table: Table, column: str, names: Sequence[str], where: str, known: 
     strange = np.flatnonzero(found < 0)
     if strange.size:
         values = table.texts(column)
-        meant = {name: nearest(name, known or names) for name in {values[row] for row in strange[:_MOST].tolist()}}
+        meant = {
+            name: nearest(name, known or names) for name in {values[row] for row in strange[:MOST_FAULTS].tolist()}
+        }
         hints = {name: f"did you mean '{found}'?" for name, found in meant.items() if found}
         text = f"{column} '{{}}' is not in {where}".format
-        raise InputError(_faults(table, strange, lambda row: text(values[row]), lambda row: hints.get(values[row], "")))
+        raise InputError(table.faults_at(strange, lambda row: text(values[row]), lambda row: hints.get(values[row])))
     return found
-
-
-def sigmas(table: Table) -> Array:
-    """Return standard deviations of places (rows, 3): 0 exact, nan unknown; InputError where one is negative."""
-    common = table.numbers("sigma", float("nan"))
-    sigma = np.stack([table.numbers(f"sigma_{axis}") if f"sigma_{axis}" in table else common for axis in "xyz"], axis=1)
-    negative = np.flatnonzero((sigma < 0).any(axis=1))
-    if negative.size:
-        raise InputError(_faults(table, negative, lambda row: "a standard deviation is negative"))
-    return sigma
 
 
 def _refuse_readings(lengths: Table, absolute: bool) -> None:
     values = lengths.numbers("length")
     if absolute and (values <= 0).any():
         wrong = np.flatnonzero(values <= 0)
-        raise InputError(_faults(lengths, wrong, lambda row: "an absolute distance is not above zero"))
+        raise InputError(lengths.faults_at(wrong, lambda row: "an absolute distance is not above zero"))
     if len(values) > 1 and np.ptp(values) == 0:
-        raise InputError([Fault("all lengths are equal", lengths.file, hint="is this the right column?")])
+        raise InputError([lengths.fault("all lengths are equal", "is this the right column?")])
 
 
 def _refuse_negative_paths(lengths: Table, station: Index, tracers: Table, rows: Sequence[int]) -> None:
@@ -132,14 +122,4 @@ def _refuse_negative_paths(lengths: Table, station: Index, tracers: Table, rows:
     bad = np.flatnonzero(path <= 0)
     if bad.size:
         text = "length and dead path together make a path of {:g} mm, which is not above zero"
-        raise InputError(_faults(lengths, bad, lambda row: text.format(path[row])))
-
-
-def _faults(
-    table: Table, rows: Index, text: Callable[[int], str], hint: Callable[[int], str] = lambda row: ""
-) -> list[Fault]:
-    """Return a fault for each of the first rows, and how many more there are."""
-    lines = table.lines or (None,) * len(table)
-    told = [Fault(text(row), table.file, lines[row], hint=hint(row)) for row in rows[:_MOST].tolist()]
-    rest = len(rows) - len(told)
-    return [*told, Fault(f"and {rest} more like these", table.file)] if rest else told
+        raise InputError(lengths.faults_at(bad, lambda row: text.format(path[row])))

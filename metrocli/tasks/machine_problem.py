@@ -12,7 +12,7 @@ from metrocli.adjust.groups import Group, prior
 from metrocli.adjust.observations import Index
 from metrocli.effects.model import Added, Model, Place, extended
 from metrocli.effects.wanted import Wanted
-from metrocli.errors import Fault, InputError, UndeterminedError
+from metrocli.errors import InputError, UndeterminedError
 from metrocli.instruments.machine import (
     AXES,
     POSITION,
@@ -126,22 +126,19 @@ def tools_of(table: Table, settings: Settings) -> Index:
     if "tool" not in table:
         if len(names) > 1:
             text = "the job has several tools, but the file has no column 'tool'"
-            raise InputError([Fault(text, table.file, hint=f"tools: {', '.join(names)}")])
+            raise InputError([table.fault(text, f"tools: {', '.join(names)}")])
         return np.zeros(len(table), dtype=np.intp)
     if names == [""]:
         used = sorted(set(table.texts("tool")))
         if len(used) > 1:
             text = f"the file has {len(used)} tools ({', '.join(used)}), the job has one tool vector"
-            raise InputError([Fault(text, table.file, hint="give `machine: {tools: {T1: [...], T2: [...]}}`")])
+            raise InputError([table.fault(text, "give `machine: {tools: {T1: [...], T2: [...]}}`")])
         return np.zeros(len(table), dtype=np.intp)
     column = np.asarray(table.columns["tool"])
     unknown = [str(name) for name in np.unique(column) if name not in names]
     faults = [
-        Fault(
-            f"tool '{name}' is not among the job's tools",
-            table.file,
-            line_of(table, int(np.argmax(column == name))),
-            hint=suggestion(name, names),
+        table.fault_at(
+            int(np.argmax(column == name)), f"tool '{name}' is not among the job's tools", suggestion(name, names)
         )
         for name in unknown
     ]
@@ -151,28 +148,22 @@ def tools_of(table: Table, settings: Settings) -> Index:
     return np.asarray(order[np.searchsorted(np.array(names)[order], column)], dtype=np.intp)
 
 
-def line_of(table: Table, row: int) -> int | None:
-    """Return the line of a row in its file."""
-    return table.lines[row] if table.lines else None
-
-
 def commanded(machine: Machine, table: Table) -> Array:
     """Return commanded positions (3, n); InputError where they are outside the axes' ranges."""
     position = table.stacked(POSITION).T
     low, high = machine.low[:, None] - _OUTSIDE, machine.high[:, None] + _OUTSIDE
     outside = (position < low) | (position > high)
     faults = [
-        Fault(
+        table.fault_at(
+            int(row),
             f"{POSITION[axis]} = {position[axis, row]:g} mm is outside the range of the axis, "
             f"{machine.low[axis]:g} to {machine.high[axis]:g} mm",
-            table.file,
-            line_of(table, int(row)),
-            hint="the columns x, y, z are the commanded positions",
+            "the columns x, y, z are the commanded positions",
         )
         for axis, row in zip(*np.nonzero(outside), strict=True)
     ]
     if faults:
-        more = [Fault(f"and {len(faults) - 5} more such rows", table.file)] if len(faults) > 5 else []
+        more = [table.fault(f"and {len(faults) - 5} more such rows")] if len(faults) > 5 else []
         raise InputError(faults[:5] + more)
     return position
 
@@ -208,7 +199,7 @@ def conditions(position: Array, table: Table | None = None) -> dict[str, Array]:
 
 def _refuse_sides(table: Table) -> None:
     faults = [
-        Fault(f"{name} = {table.numbers(name)[row]:g} is no direction", table.file, line_of(table, row), hint=_SIDE)
+        table.fault_at(row, f"{name} = {table.numbers(name)[row]:g} is no direction", _SIDE)
         for name in SIDES
         if name in table
         for row in np.flatnonzero(~np.isin(table.numbers(name), (-1, 0, 1))).tolist()

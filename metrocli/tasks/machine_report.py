@@ -22,7 +22,7 @@ from metrocli.tasks.machine_settings import ON_THE_FLY, Settings
 from metrocli.tasks.machine_solve import Solved
 from metrocli.tasks.machine_tables import Tables, least_squares_squareness, tables_of, tool_names, unit_of
 from metrocli.tasks.machine_volume_report import volume_tables
-from metrocli.tasks.sightings import listed
+from metrocli.words import listed
 
 if TYPE_CHECKING:
     from metrocli.table import Values

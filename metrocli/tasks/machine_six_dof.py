@@ -24,7 +24,6 @@ from metrocli.tasks.machine_problem import (
     commanded,
     conditions,
     error_blocks,
-    line_of,
     machine_of,
     must_support,
     tool_prior,
@@ -93,7 +92,7 @@ def lines_of(machine: Machine, table: Table) -> Lines:
             faults.append(Fault(f"line '{name}' has rows along {' and '.join(sorted(set(axes[rows])))}", table.file))
         elif len(np.unique(table.numbers("position")[rows])) < _LEAST:
             text = f"line '{name}' has fewer than {_LEAST} positions: nothing is left after its misalignment"
-            faults.append(Fault(text, table.file, line_of(table, int(rows[0]))))
+            faults.append(table.fault_at(int(rows[0]), text))
     if faults:
         raise InputError(faults)
     position = _positions(machine, table, axes)
@@ -103,7 +102,7 @@ def lines_of(machine: Machine, table: Table) -> Lines:
 
 def _refuse_directions(table: Table) -> None:
     faults = [
-        Fault(f"'{axis}' is no direction of a line", table.file, line_of(table, row), hint=suggestion(axis, DIRECTIONS))
+        table.fault_at(row, f"'{axis}' is no direction of a line", suggestion(axis, DIRECTIONS))
         for row, axis in enumerate(table.texts("axis"))
         if axis not in DIRECTIONS
     ]
@@ -128,10 +127,8 @@ def _positions(machine: Machine, table: Table, axes: Values) -> Array:
         given = table.numbers(name)
         wrong = np.flatnonzero((axes == name) & (np.abs(given - distance) > _APART))
         faults += [
-            Fault(
-                f"{name} = {given[row]:g} mm, but the position along {name} is {distance[row]:g} mm",
-                table.file,
-                line_of(table, int(row)),
+            table.fault_at(
+                int(row), f"{name} = {given[row]:g} mm, but the position along {name} is {distance[row]:g} mm"
             )
             for row in wrong[:3]
         ]

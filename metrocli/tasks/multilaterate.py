@@ -17,6 +17,7 @@ from metrocli.result import Result
 from metrocli.settings import Choice, Quantity, Section, TableFile, setting
 from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import TEXT, Column, Columns, Table
+from metrocli.tasks.known_places import SIGMAS
 from metrocli.tasks.length_design import Planned
 from metrocli.tasks.length_diagnosis import subject
 from metrocli.tasks.length_network import Network, build, network_of
@@ -30,9 +31,6 @@ from metrocli.tasks.planned_network import Layout
 
 SIMULATED, PLANNED = ("lengths",), ("lengths", "probing")
 SUMMARY = "reflector positions from length changes of 4+ tracers"
-_SIGMAS = tuple(
-    Column(name, "length", required=False, may_be_empty=True) for name in ("sigma", "sigma_x", "sigma_y", "sigma_z")
-)
 _PLACE = tuple(Column(axis, "length") for axis in "xyz")
 LENGTHS = Columns(
     (
@@ -45,9 +43,9 @@ LENGTHS = Columns(
     ("point", "tracer"),
     "lengths read by the tracers",
 )
-POINTS = Columns((Column("point", TEXT), *_PLACE, *_SIGMAS), ("point",), "approximate points: the mover's readings")
+POINTS = Columns((Column("point", TEXT), *_PLACE, *SIGMAS), ("point",), "approximate points: the mover's readings")
 TRACERS = Columns(
-    (Column("tracer", TEXT), *_PLACE, Column("dead_path", "length", required=False, may_be_empty=True), *_SIGMAS),
+    (Column("tracer", TEXT), *_PLACE, Column("dead_path", "length", required=False, may_be_empty=True), *SIGMAS),
     ("tracer",),
     "approximate places of the tracers",
 )

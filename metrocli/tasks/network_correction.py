@@ -8,11 +8,11 @@ import numpy as np
 
 from metrocli.adjust.observations import Index
 from metrocli.adjust.solution import Solution
-from metrocli.errors import Fault, InputError
+from metrocli.errors import InputError
 from metrocli.instruments import tracer as t
 from metrocli.table import Table
 from metrocli.tasks.length_network import Network
-from metrocli.tasks.sightings import listed
+from metrocli.words import listed
 
 if TYPE_CHECKING:
     from metrocli.table import Values
@@ -48,14 +48,8 @@ def corrected(network: Network, solution: Solution, probing: Table, tolerance: f
 
 def _refuse(probing: Table, match: Index, text: str, tolerance: float) -> None:
     lost, names = np.flatnonzero(match < 0).tolist(), probing.texts("point")
-    lines = [probing.lines[row] if probing.lines else None for row in lost]
     if lost:
-        raise InputError(
-            [
-                Fault(text.format(names[row], tolerance), probing.file, line)
-                for row, line in zip(lost, lines, strict=True)
-            ]
-        )
+        raise InputError([probing.fault_at(row, text.format(names[row], tolerance)) for row in lost])
 
 
 def distant(network: Network, probing: Table | None, tolerance: float) -> tuple[str, ...]:

@@ -21,8 +21,8 @@ from metrocli.tasks.network_distance import factors
 from metrocli.tasks.network_reliability import UNITS as RELIABILITY_UNITS
 from metrocli.tasks.network_reliability import reliability
 from metrocli.tasks.network_solve import Solved
-from metrocli.tasks.sightings import listed
 from metrocli.tasks.uncontrolled import in_words, uncontrolled
+from metrocli.words import listed
 
 if TYPE_CHECKING:
     from metrocli.table import Values

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +15,7 @@ from metrocli.targets.find import find
 from metrocli.targets.pattern import Pattern
 from metrocli.tasks.image_settings import ImageSettings
 from metrocli.tasks.target_list import Targets, known_targets
+from metrocli.words import listed
 
 OBSERVATIONS = Columns(
     (
@@ -196,26 +196,12 @@ def _matched(table: Table, targets: Targets) -> tuple[np.ndarray[tuple[int], np.
     found = np.array([place.get(str(name), -1) for name in names], dtype=np.intp)[which]
     strange = np.flatnonzero(found < 0)
     if strange.size:
-        raise InputError([_strange(table, int(row), str(of_target[row])) for row in strange[:20]])
+        hint = "add it to the targets file, or remove the row"
+        text = "target '{}' is not in the list of targets".format
+        raise InputError(table.faults_at(strange, lambda row: text(of_target[row]), lambda row: hint))
     return of_target, found
 
 
 def _refuse(table: Table, rows: Mask, text: str) -> None:
     if rows.any():
-        lines = [table.lines[row] if table.lines else None for row in np.flatnonzero(rows)[:20]]
-        raise InputError([Fault(text, table.file, line) for line in lines])
-
-
-def _strange(table: Table, row: int, name: str) -> Fault:
-    line = table.lines[row] if table.lines else None
-    return Fault(
-        f"target '{name}' is not in the list of targets",
-        table.file,
-        line,
-        hint="add it to the targets file, or remove the row",
-    )
-
-
-def listed(names: Sequence[str], most: int = 8) -> str:
-    """Return names as a list in words, cut after `most`."""
-    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
+        raise InputError(table.faults_at(np.flatnonzero(rows), lambda row: text))

@@ -7,20 +7,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from metrocli.adjust.blocks import Array
-from metrocli.errors import Fault, InputError
+from metrocli.errors import InputError, together
 from metrocli.table import TEXT, Column, Columns, Table
 from metrocli.targets.pattern import Pattern, pattern_points
+from metrocli.tasks.known_places import SIGMAS, sigmas
 
 TARGETS = Columns(
     (
         Column("target", TEXT),
-        Column("x", "length"),
-        Column("y", "length"),
-        Column("z", "length"),
-        *(
-            Column(name, "length", required=False, may_be_empty=True)
-            for name in ("sigma", "sigma_x", "sigma_y", "sigma_z", "radius")
-        ),
+        *(Column(axis, "length") for axis in "xyz"),
+        *SIGMAS,
+        Column("radius", "length", required=False, may_be_empty=True),
     ),
     key=("target",),
     description="coordinates of targets",
@@ -58,15 +55,15 @@ def known_targets(pattern: Pattern | None, targets: Table | None, unknown_sigma:
 
 def read_targets(table: Table, default_sigma: float = 0.0) -> Targets:
     """Return the targets of a list; where no sigma column is given, `default_sigma` (nan: unknown)."""
-    common = table.numbers("sigma", default_sigma)
-    sigma = np.stack([table.numbers(f"sigma_{axis}") if f"sigma_{axis}" in table else common for axis in "xyz"], axis=1)
-    negative = np.flatnonzero((sigma < 0).any(axis=1))
-    faults = [Fault("a standard deviation is negative", table.file, table.lines[i]) for i in negative]
-    radius = table.numbers("radius", np.nan)
-    faults += [Fault("a radius is not above zero", table.file, table.lines[i]) for i in np.flatnonzero(radius <= 0)]
-    if faults:
-        raise InputError(faults)
+    sigma, radius = together(lambda: sigmas(table, default_sigma), lambda: _radii(table))
     return Targets(tuple(table.texts("target")), table.stacked(("x", "y", "z")), sigma, radius)
+
+
+def _radii(table: Table) -> Array:
+    radius = table.numbers("radius", np.nan)
+    if (radius <= 0).any():
+        raise InputError(table.faults_at(np.flatnonzero(radius <= 0), lambda row: "a radius is not above zero"))
+    return radius
 
 
 def targets_of(pattern: Pattern) -> Targets:
