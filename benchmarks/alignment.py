@@ -33,7 +33,7 @@ from metrocli.geometry.poses import EULER
 from metrocli.result import Result
 from metrocli.simulation import SimulationOptions
 from metrocli.table import Table
-from metrocli.tasks import align_part
+from metrocli.tasks.align_part import task as align_part
 
 Array = npt.NDArray[np.float64]
 NOISE = 0.1

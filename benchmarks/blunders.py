@@ -20,8 +20,8 @@ import numpy.typing as npt
 
 from metrocli.result import Result
 from metrocli.table import Table
-from metrocli.tasks import multilaterate
-from metrocli.tasks.multilaterate import Inputs, LengthNoise, Settings
+from metrocli.tasks.multilaterate import task as multilaterate
+from metrocli.tasks.multilaterate.task import Inputs, LengthNoise, Settings
 
 Array = npt.NDArray[np.float64]
 NOISE = LengthNoise(1e-4, 1e-7)

@@ -13,14 +13,14 @@ from functools import partial
 
 import numpy as np
 
-from metrocli.adjust.observations import Observations
+from metrocli.adjust.model.observations import Observations
 from metrocli.geometry import poses
 from metrocli.instruments.lens import image_point
-from metrocli.tasks.camera_problem import build
-from metrocli.tasks.camera_settings import Camera
-from metrocli.tasks.image_adjustment import Options, adjust_images
-from metrocli.tasks.sightings import Sighted
-from metrocli.tasks.target_list import Targets
+from metrocli.tasks.calibrate_camera.problem import build
+from metrocli.tasks.shared.images.adjustment import Options, adjust_images
+from metrocli.tasks.shared.images.camera_settings import Camera
+from metrocli.tasks.shared.images.sightings import Sighted
+from metrocli.tasks.shared.images.target_list import Targets
 
 SIZE = (2448, 2048)
 TRUTH = {

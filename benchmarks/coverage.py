@@ -21,8 +21,9 @@ import numpy.typing as npt
 from metrocli.result import Result
 from metrocli.simulation import SimulationOptions
 from metrocli.table import Table
-from metrocli.tasks import align_part, calibrate_camera
-from metrocli.tasks.camera_settings import Camera, CameraFile, CameraSimulation, Extrinsics, LensValues
+from metrocli.tasks.align_part import task as align_part
+from metrocli.tasks.calibrate_camera import task as calibrate_camera
+from metrocli.tasks.shared.images.camera_settings import Camera, CameraFile, CameraSimulation, Extrinsics, LensValues
 
 Array = npt.NDArray[np.float64]
 NOWHERE = Path("-")

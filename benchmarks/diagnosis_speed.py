@@ -15,8 +15,8 @@ import numpy as np
 from benchmarks.hidden import images, lengths
 from benchmarks.hidden.images import Images
 from benchmarks.hidden.scenes import board_scene
+from metrocli.diagnosis.adjusted_job import Subject
 from metrocli.diagnosis.diagnose import diagnose
-from metrocli.diagnosis.subject import Subject
 
 LENGTHS, COORDINATES = 5.0, 60.0
 """CPU seconds allowed"""

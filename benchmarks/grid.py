@@ -23,17 +23,25 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from metrocli.adjust.coupled import adjust_fields, design_of
+from metrocli.adjust.coupled_fields import adjust_fields, design_of
 from metrocli.instruments import ball_grid as bg
 from metrocli.table import Table
-from metrocli.tasks.grid_lengths import largest
-from metrocli.tasks.grid_open import opened
-from metrocli.tasks.grid_problem import Problem, build
-from metrocli.tasks.grid_readings import read
-from metrocli.tasks.grid_sequence import noise_gains
-from metrocli.tasks.grid_settings import GridSettings, GridSimulation, Inputs, Rotate, Settings, ViewSettings, views_of
-from metrocli.tasks.grid_simulation import simulated
-from metrocli.tasks.selfcal_grid import run
+from metrocli.tasks.selfcal_grid.lengths import largest
+from metrocli.tasks.selfcal_grid.problem import Problem, build
+from metrocli.tasks.selfcal_grid.readings import read
+from metrocli.tasks.selfcal_grid.sequence import noise_gains
+from metrocli.tasks.selfcal_grid.settings import (
+    GridSettings,
+    GridSimulation,
+    Inputs,
+    Rotate,
+    Settings,
+    ViewSettings,
+    views_of,
+)
+from metrocli.tasks.selfcal_grid.simulation import simulated
+from metrocli.tasks.selfcal_grid.task import run
+from metrocli.tasks.selfcal_grid.undetermined import opened
 
 Array = npt.NDArray[np.float64]
 NOISE, PITCH, RUNS = 5e-4, 65.0, 200

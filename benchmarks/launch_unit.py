@@ -12,13 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from metrocli.tasks.launch_lines import Line, Reach, across, commanded, measurable
-from metrocli.tasks.launch_margin import Margin, Uncertainty, Window, beam_position
-from metrocli.tasks.launch_plan import planned_measurement
-from metrocli.tasks.launch_plan_settings import Axes, Planned
-from metrocli.tasks.launch_readings import Readings
-from metrocli.tasks.launch_solve import How, Located, locate
-from metrocli.tasks.locate_launch_unit import Noise
+from metrocli.tasks.locate_launch_unit.lines import Line, Reach, across, commanded, measurable
+from metrocli.tasks.locate_launch_unit.margin import Margin, Uncertainty, Window, beam_position
+from metrocli.tasks.locate_launch_unit.plan import planned_measurement
+from metrocli.tasks.locate_launch_unit.plan_settings import Axes, Planned
+from metrocli.tasks.locate_launch_unit.readings import Readings
+from metrocli.tasks.locate_launch_unit.solve import How, Located, locate
+from metrocli.tasks.locate_launch_unit.task import Noise
 from metrocli.units import find_unit
 
 Array = npt.NDArray[np.float64]

@@ -25,12 +25,12 @@ from metrocli.formats import csv
 from metrocli.instruments.machine_path import Path
 from metrocli.result import Result
 from metrocli.table import Table
-from metrocli.tasks import calibrate_machine
-from metrocli.tasks.machine_identifiability import identify
-from metrocli.tasks.machine_path_search import edges_and_diagonals
-from metrocli.tasks.machine_plan import planned_problem
-from metrocli.tasks.machine_problem import machine_of
-from metrocli.tasks.machine_settings import (
+from metrocli.tasks.calibrate_machine import task as calibrate_machine
+from metrocli.tasks.calibrate_machine.identifiability import identify
+from metrocli.tasks.calibrate_machine.path_search import edges_and_diagonals
+from metrocli.tasks.calibrate_machine.plan import planned_problem
+from metrocli.tasks.calibrate_machine.problem import machine_of
+from metrocli.tasks.calibrate_machine.settings import (
     TRACK,
     AxesSettings,
     AxisSettings,
@@ -41,8 +41,8 @@ from metrocli.tasks.machine_settings import (
     PathPlan,
     Settings,
 )
-from metrocli.tasks.machine_simulation import Truth, blocks_of, simulated, truth_of
-from metrocli.tasks.machine_volume import grid_of, rigid_motions
+from metrocli.tasks.calibrate_machine.simulation import Truth, blocks_of, simulated, truth_of
+from metrocli.tasks.calibrate_machine.volume import grid_of, rigid_motions
 
 Array = npt.NDArray[np.float64]
 NOWHERE = File("-")
@@ -258,7 +258,7 @@ def speed() -> None:
 
 def read(folder: str) -> None:
     """Read a path and a track, and solve; print time and memory."""
-    from metrocli.tasks.machine_settings import PATH
+    from metrocli.tasks.calibrate_machine.settings import PATH
 
     start = time.process_time()
     path, track = csv.read(File(folder) / "path.csv", PATH), csv.read(File(folder) / "track.csv", TRACK)

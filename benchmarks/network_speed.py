@@ -27,9 +27,9 @@ from typing import Any
 import numpy as np
 
 from metrocli.adjust.adjustment import Control, adjust
-from metrocli.adjust.blocks import Array
-from metrocli.adjust.groups import Group, prior
-from metrocli.adjust.observations import Observations
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.groups import Group, prior
+from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.solution import Solution, residuals_of
 from metrocli.instruments import tracer
 

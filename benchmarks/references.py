@@ -15,11 +15,11 @@ import numpy as np
 from metrocli.formats import csv
 from metrocli.result import Result
 from metrocli.table import Table
-from metrocli.tasks import calibrate_camera
-from metrocli.tasks.calibrate_camera import SCALE_BARS, Inputs, Settings
-from metrocli.tasks.camera_settings import Camera
-from metrocli.tasks.sightings import OBSERVATIONS
-from metrocli.tasks.target_list import TARGETS
+from metrocli.tasks.calibrate_camera import task as calibrate_camera
+from metrocli.tasks.calibrate_camera.task import SCALE_BARS, Inputs, Settings
+from metrocli.tasks.shared.images.camera_settings import Camera
+from metrocli.tasks.shared.images.sightings import OBSERVATIONS
+from metrocli.tasks.shared.images.target_list import TARGETS
 
 DATA = Path(__file__).parents[2] / "shared" / "data"
 NOWHERE = Path("-")

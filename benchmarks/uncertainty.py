@@ -25,8 +25,8 @@ from benchmarks.coverage import PART, aligned
 from metrocli.geometry import poses
 from metrocli.result import Estimate, Result
 from metrocli.settings import Placed
-from metrocli.tasks import volume_problem
-from metrocli.tasks.uncertainty_settings import Contributor, Expansion, MonteCarlo, Settings, Volume
+from metrocli.tasks.report_uncertainty import volume_problem
+from metrocli.tasks.report_uncertainty.settings import Contributor, Expansion, MonteCarlo, Settings, Volume
 from metrocli.uncertainty import monte_carlo
 from metrocli.uncertainty.distributions import Arcsine, CurvilinearTrapezoid, Normal, Uniform
 from metrocli.uncertainty.expression import parse
@@ -136,7 +136,7 @@ def large_volume(points: int = 50, contributors: int = 20, parameters: int = 12)
     turns = [[f"m.e{n}*{'XYZ'[(n + axis) % 3]}" for n in range(3, parameters)] for axis in range(3)]
     sums = [" + ".join([f"m.e{axis}", *terms]) for axis, terms in enumerate(turns)]
     from metrocli.nodes import Node, Source
-    from metrocli.tasks.uncertainty_values import Model
+    from metrocli.tasks.report_uncertainty.values import Model
 
     nowhere = Node("scalar", Source("", (), Path()))
     models = tuple(Model(parse(text), nowhere) for text in sums)

@@ -7,17 +7,17 @@ from dataclasses import replace
 import numpy as np
 import simulated_camera as sim
 
-from metrocli.adjust.blocks import Array, Block, Space
-from metrocli.adjust.chain import Chain
-from metrocli.adjust.groups import Group
-from metrocli.adjust.observations import Observations
-from metrocli.adjust.quantities import Quantity
+from metrocli.adjust.model.blocks import Array, Block, Space
+from metrocli.adjust.model.chain import Chain
+from metrocli.adjust.model.groups import Group
+from metrocli.adjust.model.observations import Observations
+from metrocli.adjust.model.quantities import Quantity
 from metrocli.effects.effect import Effect
 from metrocli.effects.model import Model, Place
 from metrocli.geometry import poses
 from metrocli.instruments import camera
 from metrocli.instruments import spindle_camera as spindle
-from metrocli.tasks.align_problem import places_of
+from metrocli.tasks.align_part.problem import places_of
 
 LENS = {"f": 2600.0, "cx": 1210.0, "cy": 885.0, "k1": -0.12, "k2": 0.09}
 TAPER = np.array([[-2.1, 0.8, -320.0, 0.003, -0.002, 0.04]])

@@ -17,14 +17,17 @@ import simulated_machine
 from effects_of_images import alignment, calibration
 
 from metrocli.adjust.adjustment import adjust
-from metrocli.adjust.design import unit_noise
+from metrocli.adjust.dense_jacobian import unit_noise
 from metrocli.effects.effect import Effect
 from metrocli.effects.model import Model, with_conditions
 from metrocli.geometry.poses import pose_from_euler
-from metrocli.tasks import grid_problem, grid_readings, launch_problem, launch_readings
-from metrocli.tasks.grid_settings import views_of
-from metrocli.tasks.length_network import build
-from metrocli.tasks.machine_standstill import standstill
+from metrocli.tasks.calibrate_machine.methods.standstill import standstill
+from metrocli.tasks.locate_launch_unit import problem as launch_problem
+from metrocli.tasks.locate_launch_unit import readings as launch_readings
+from metrocli.tasks.multilaterate.problem import build
+from metrocli.tasks.selfcal_grid import problem as grid_problem
+from metrocli.tasks.selfcal_grid import readings as grid_readings
+from metrocli.tasks.selfcal_grid.settings import views_of
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from metrocli.table import Table
-from metrocli.tasks.grid_settings import GridSettings, Inputs, Rotate, Settings, ViewSettings
+from metrocli.tasks.selfcal_grid.settings import GridSettings, Inputs, Rotate, Settings, ViewSettings
 
 Array = npt.NDArray[np.float64]
 NOWHERE = Path("-")

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from metrocli.table import Table
-from metrocli.tasks.machine_settings import (
+from metrocli.tasks.calibrate_machine.settings import (
     AxesSettings,
     AxisSettings,
     Inputs,

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
+from metrocli.diagnosis.adjusted_job import Subject
 from metrocli.diagnosis.diagnose import Diagnosis
-from metrocli.diagnosis.subject import Subject
 
 ALIKE = 0.9
 """Cosine of what is visible of two effects from which they are near aliases"""

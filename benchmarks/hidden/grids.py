@@ -11,12 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmarks.hidden.case import Case, Hidden
-from metrocli.diagnosis.design import needed
+from metrocli.diagnosis.adjusted_job import Subject
+from metrocli.diagnosis.detectability import needed
 from metrocli.diagnosis.diagnose import field_of_job
-from metrocli.diagnosis.subject import Subject
 from metrocli.table import Table
-from metrocli.tasks import selfcal_grid
-from metrocli.tasks.grid_settings import GridSettings, Inputs, Rotate, Settings, ViewSettings
+from metrocli.tasks.selfcal_grid import task as selfcal_grid
+from metrocli.tasks.selfcal_grid.settings import GridSettings, Inputs, Rotate, Settings, ViewSettings
 
 Array = npt.NDArray[np.float64]
 Whole = npt.NDArray[np.int64]

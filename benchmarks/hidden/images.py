@@ -13,10 +13,11 @@ import numpy.typing as npt
 from benchmarks.hidden.case import Case, Hidden
 from benchmarks.hidden.scenes import Scene, Sight, board_scene, cmm_scene, part_scene, sight
 from benchmarks.hidden.stated import stated
-from metrocli.diagnosis.subject import Subject
+from metrocli.diagnosis.adjusted_job import Subject
 from metrocli.table import Table
-from metrocli.tasks import align_part, calibrate_camera
-from metrocli.tasks.camera_settings import Camera, CameraFile, Extrinsics
+from metrocli.tasks.align_part import task as align_part
+from metrocli.tasks.calibrate_camera import task as calibrate_camera
+from metrocli.tasks.shared.images.camera_settings import Camera, CameraFile, Extrinsics
 
 Array = npt.NDArray[np.float64]
 NOWHERE = Path("-")

@@ -11,10 +11,10 @@ import numpy.typing as npt
 
 from benchmarks.hidden.case import Case, Hidden
 from benchmarks.hidden.stated import stated
-from metrocli.diagnosis.subject import Subject
+from metrocli.diagnosis.adjusted_job import Subject
 from metrocli.table import Table
-from metrocli.tasks import locate_launch_unit
-from metrocli.tasks.locate_launch_unit import Inputs, Noise, Settings
+from metrocli.tasks.locate_launch_unit import task as locate_launch_unit
+from metrocli.tasks.locate_launch_unit.task import Inputs, Noise, Settings
 
 Array = npt.NDArray[np.float64]
 ENCODER, DISTANCE = 2.4240684e-5, 1e-3

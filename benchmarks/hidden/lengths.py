@@ -11,10 +11,10 @@ import numpy.typing as npt
 
 from benchmarks.hidden.case import Case, Hidden
 from benchmarks.hidden.stated import stated
-from metrocli.diagnosis.subject import Subject
+from metrocli.diagnosis.adjusted_job import Subject
 from metrocli.table import Table
-from metrocli.tasks import multilaterate
-from metrocli.tasks.multilaterate import Inputs, LengthNoise, Settings
+from metrocli.tasks.multilaterate import task as multilaterate
+from metrocli.tasks.multilaterate.task import Inputs, LengthNoise, Settings
 
 Array = npt.NDArray[np.float64]
 NOISE = (1e-4, 1e-7)

@@ -12,10 +12,10 @@ import numpy.typing as npt
 
 from benchmarks.hidden.case import Case, Hidden
 from benchmarks.hidden.stated import stated
-from metrocli.diagnosis.subject import Subject
+from metrocli.diagnosis.adjusted_job import Subject
 from metrocli.table import Table
-from metrocli.tasks import calibrate_machine
-from metrocli.tasks.machine_settings import (
+from metrocli.tasks.calibrate_machine import task as calibrate_machine
+from metrocli.tasks.calibrate_machine.settings import (
     AxesSettings,
     AxisSettings,
     Inputs,

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from metrocli.diagnosis.design import needed
+from metrocli.diagnosis.adjusted_job import Subject
+from metrocli.diagnosis.detectability import needed
 from metrocli.diagnosis.diagnose import field_of_job
-from metrocli.diagnosis.subject import Subject
 
 
 def stated(subject: Subject, name: str, parameters: int) -> float:

@@ -8,16 +8,16 @@ from functools import cached_property
 
 import numpy as np
 
-from metrocli.adjust.blocks import Array, Block
-from metrocli.adjust.covariance import Covariance, shapes_of
 from metrocli.adjust.datum import Datum, Frame, open_frame
-from metrocli.adjust.groups import Group
-from metrocli.adjust.layout import Layout, arrange, considered_covariance
-from metrocli.adjust.members import Gauge, Members
-from metrocli.adjust.normals import Normals, assemble, cost_of
+from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.groups import Group
 from metrocli.adjust.outcome import Combination, Outcome
-from metrocli.adjust.portions import Split, split
 from metrocli.adjust.rank import open_combinations
+from metrocli.adjust.schur.covariance import Covariance, shapes_of
+from metrocli.adjust.schur.layout import Layout, arrange, considered_covariance
+from metrocli.adjust.schur.member_covariance import Gauge, Members
+from metrocli.adjust.schur.normals import Normals, assemble, cost_of
+from metrocli.adjust.schur.tiles import Split, split
 from metrocli.adjust.solution import Solution
 
 _ROUNDING = 1e-13

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from metrocli.adjust.blocks import Array, Block
-from metrocli.adjust.layout import Layout
+from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.observations import Index
 from metrocli.adjust.movements import Affine, Listed, Movement
-from metrocli.adjust.observations import Index
+from metrocli.adjust.schur.layout import Layout
 
 _OPEN = 1e-11
 """A movement is open where its share of the normal matrix is rounding"""

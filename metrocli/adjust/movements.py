@@ -10,8 +10,8 @@ from typing import Protocol, Self
 
 import numpy as np
 
-from metrocli.adjust.blocks import Array
-from metrocli.adjust.observations import Index
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.observations import Index
 from metrocli.geometry.rotations import cross_matrix
 
 

@@ -10,10 +10,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from metrocli.adjust.blocks import Array, Block
-from metrocli.adjust.layout import Layout
-from metrocli.adjust.normals import Normals, Part
+from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.outcome import Combination
+from metrocli.adjust.schur.layout import Layout
+from metrocli.adjust.schur.normals import Normals, Part
 
 _INFLATION = 1e6
 """An unknown whose uncertainty grows by more than this because others are unknown too is undetermined."""

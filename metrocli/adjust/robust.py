@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from metrocli.adjust.adjustment import Control, adjust
-from metrocli.adjust.blocks import Array, Block
 from metrocli.adjust.datum import Datum
-from metrocli.adjust.groups import Group
-from metrocli.adjust.observations import Index
+from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.groups import Group
+from metrocli.adjust.model.observations import Index
 from metrocli.adjust.solution import Residuals
 
 _MAD = 1.4826

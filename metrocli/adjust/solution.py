@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from metrocli.adjust.blocks import Array, Block
-from metrocli.adjust.covariance import Covariance
-from metrocli.adjust.groups import Group
+from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.groups import Group
 from metrocli.adjust.outcome import Combination, Outcome
+from metrocli.adjust.schur.covariance import Covariance
 
 
 @dataclass(frozen=True)

@@ -10,12 +10,12 @@ import numpy as np
 
 from metrocli import units
 from metrocli.diagnosis import verdict
-from metrocli.diagnosis.design import Candidate, Design
+from metrocli.diagnosis.adjusted_job import Subject
+from metrocli.diagnosis.cross_validation import Gain
+from metrocli.diagnosis.detectability import Candidate, Design
 from metrocli.diagnosis.diagnose import Diagnosis, Finding
-from metrocli.diagnosis.gain import Gain
-from metrocli.diagnosis.naming import Named
 from metrocli.diagnosis.noise import GIVEN
-from metrocli.diagnosis.subject import Subject
+from metrocli.diagnosis.selection.confidence_set import Named
 
 _WIDTH = 110
 _SHOWN = 5

@@ -37,13 +37,13 @@ def command(
         click.echo(summary.json_of_table(table) if as_json else csv.to_text(table), nl=as_json)
         return 0
     if distance is not None:
-        from metrocli.tasks.network_distance import distance as between
+        from metrocli.tasks.multilaterate.distance import distance as between
 
         estimate = between(found, *distance)
         click.echo(summary.as_json(asdict(estimate)) if as_json else terminal.estimates_text((estimate,)))
         return 0
     if at is not None:
-        from metrocli.tasks.grid_point import error_at
+        from metrocli.tasks.selfcal_grid.point import error_at
 
         estimates = error_at(found, at)
         as_text = summary.as_json([asdict(one) for one in estimates]) if as_json else terminal.estimates_text(estimates)

@@ -7,23 +7,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from metrocli.adjust.blocks import Array
-from metrocli.diagnosis.candidates import NotTested
-from metrocli.diagnosis.design import Design, design, separations
-from metrocli.diagnosis.gain import Gain, gains
-from metrocli.diagnosis.given import nothing
-from metrocli.diagnosis.levels import dominated
-from metrocli.diagnosis.mended import Size, about, field_of_job, kept, mended, recentred, sizes, weights_of
+from metrocli.adjust.model.blocks import Array
+from metrocli.diagnosis.adjusted_job import Subject
+from metrocli.diagnosis.cross_validation import Gain, gains
+from metrocli.diagnosis.detectability import Design, design, separations
+from metrocli.diagnosis.extended_fit import Size, about, field_of_job, kept, mended, recentred, sizes, weights_of
+from metrocli.diagnosis.linear.candidates import NotTested
+from metrocli.diagnosis.linear.fitted_columns import nothing
+from metrocli.diagnosis.linear.projection import System
+from metrocli.diagnosis.linear.refined_scan import polished
+from metrocli.diagnosis.linear.score_tests import Field
+from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.mistakes import Mistaken
-from metrocli.diagnosis.naming import Named, named
 from metrocli.diagnosis.noise import GIVEN, Noise, Unit, apart, noise_of, weighted
-from metrocli.diagnosis.polish import polished
-from metrocli.diagnosis.projection import System
-from metrocli.diagnosis.race import Field
-from metrocli.diagnosis.selected import Selection
-from metrocli.diagnosis.selection import carried_on, carried_over, select
-from metrocli.diagnosis.signatures import signature
-from metrocli.diagnosis.structure import (
+from metrocli.diagnosis.residual_structure import (
     REPEATS,
     Left,
     PureError,
@@ -32,7 +29,10 @@ from metrocli.diagnosis.structure import (
     other_shape_from,
     pure_error,
 )
-from metrocli.diagnosis.subject import Subject
+from metrocli.diagnosis.selection.confidence_set import Named, named
+from metrocli.diagnosis.selection.search import carried_on, carried_over, select
+from metrocli.diagnosis.selection.selection_state import Selection
+from metrocli.diagnosis.selection.thresholds import dominated
 from metrocli.errors import UndeterminedError
 
 Say = Callable[[str], None]

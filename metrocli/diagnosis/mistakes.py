@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from metrocli.diagnosis.subject import Subject
+from metrocli.diagnosis.adjusted_job import Subject
 from metrocli.errors import InputError, NotConvergedError, UndeterminedError
 from metrocli.table import Table
 from metrocli.units import DIMENSIONS, INCH

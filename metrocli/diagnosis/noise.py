@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from metrocli.adjust.blocks import Array
-from metrocli.adjust.observations import Mask
-from metrocli.diagnosis.distributions import chi_interval, log_tail
-from metrocli.diagnosis.given import PRIOR, Given
-from metrocli.diagnosis.projection import System
-from metrocli.diagnosis.subject import Subject
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.observations import Mask
+from metrocli.diagnosis.adjusted_job import Subject
+from metrocli.diagnosis.linear.distributions import chi_interval, log_tail
+from metrocli.diagnosis.linear.fitted_columns import PRIOR, Given
+from metrocli.diagnosis.linear.projection import System
 
 _LEVEL = 1e-3
 _DRAWS = 400

@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 
 from metrocli import units
-from metrocli.diagnosis.candidates import Alternative
-from metrocli.diagnosis.design import Candidate, Design, WrongReading
+from metrocli.diagnosis.adjusted_job import Subject
+from metrocli.diagnosis.cross_validation import Gain
+from metrocli.diagnosis.detectability import Candidate, Design, WrongReading
 from metrocli.diagnosis.diagnose import Diagnosis, Finding
-from metrocli.diagnosis.gain import Gain
+from metrocli.diagnosis.linear.candidates import Alternative
 from metrocli.diagnosis.mistakes import Mistaken
-from metrocli.diagnosis.naming import Named, Rival
-from metrocli.diagnosis.structure import Left
-from metrocli.diagnosis.subject import Subject
+from metrocli.diagnosis.residual_structure import Left
+from metrocli.diagnosis.selection.confidence_set import Named, Rival
 from metrocli.effects.effect import Effect
 
 NAMED, EXCLUDED, CANNOT_SEE = "named", "excluded", "cannot-see"

@@ -12,12 +12,12 @@ if TYPE_CHECKING:
     from metrocli.effects.effect import Effect
 
 TABLES: dict[str, str] = {
-    "calibrate-camera": "metrocli.effects.calibrate_camera",
-    "align-part": "metrocli.effects.align_part",
-    "calibrate-machine": "metrocli.effects.calibrate_machine",
-    "multilaterate": "metrocli.effects.multilaterate",
-    "locate-launch-unit": "metrocli.effects.locate_launch_unit",
-    "selfcal-grid": "metrocli.effects.selfcal_grid",
+    "calibrate-camera": "metrocli.tasks.calibrate_camera.effects",
+    "align-part": "metrocli.tasks.align_part.effects",
+    "calibrate-machine": "metrocli.tasks.calibrate_machine.effects",
+    "multilaterate": "metrocli.tasks.multilaterate.effects",
+    "locate-launch-unit": "metrocli.tasks.locate_launch_unit.effects",
+    "selfcal-grid": "metrocli.tasks.selfcal_grid.effects",
 }
 """For each kind of job the module that has its table"""
 

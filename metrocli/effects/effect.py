@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from metrocli import units
-from metrocli.adjust.blocks import Array, Space
-from metrocli.adjust.chain import Link
+from metrocli.adjust.model.blocks import Array, Space
+from metrocli.adjust.model.chain import Link
 from metrocli.settings import Number, Quantity, Spec, Text
 
 ELAPSED, WARMING = "elapsed", "warming"

@@ -9,8 +9,8 @@ from typing import Protocol
 import numpy as np
 
 from metrocli.adjust.adjustment import covariance_at
-from metrocli.adjust.blocks import Array, Block
 from metrocli.adjust.datum import Datum
+from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.solution import Solution
 from metrocli.effects.model import Added, Model
 from metrocli.result import Estimate

@@ -8,12 +8,12 @@ from itertools import chain, count
 
 import numpy as np
 
-from metrocli.adjust.blocks import Array, Block
-from metrocli.adjust.chain import Chain, Link
 from metrocli.adjust.datum import Datum, turning
-from metrocli.adjust.groups import Group
-from metrocli.adjust.noise import Aspect, with_aspects
-from metrocli.adjust.observations import Index
+from metrocli.adjust.iterated_weights import Aspect, with_aspects
+from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.chain import Chain, Link
+from metrocli.adjust.model.groups import Group
+from metrocli.adjust.model.observations import Index
 from metrocli.effects.effect import COLUMN, ELAPSED, WARMING, Effect
 from metrocli.effects.wanted import Wanted
 from metrocli.errors import Fault, InputError

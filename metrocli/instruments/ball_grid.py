@@ -12,12 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from metrocli.adjust.blocks import Array, Block, Space
-from metrocli.adjust.chain import Chain, Local, Step
-from metrocli.adjust.coupled import Fields
-from metrocli.adjust.groups import Group
-from metrocli.adjust.observations import Index, Observations
-from metrocli.adjust.quantities import Quantity
+from metrocli.adjust.coupled_fields import Fields
+from metrocli.adjust.model.blocks import Array, Block, Space
+from metrocli.adjust.model.chain import Chain, Local, Step
+from metrocli.adjust.model.groups import Group
+from metrocli.adjust.model.observations import Index, Observations
+from metrocli.adjust.model.quantities import Quantity
 from metrocli.geometry import poses
 from metrocli.geometry.rotations import cross_matrix
 from metrocli.instruments.frames import OutOf

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from metrocli.adjust.blocks import Array
-from metrocli.adjust.chain import IDENTITY, Local, Step, through
-from metrocli.adjust.quantities import Quantity
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.chain import IDENTITY, Local, Step, through
+from metrocli.adjust.model.quantities import Quantity
 from metrocli.geometry import poses
 
 

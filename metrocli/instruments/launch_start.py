@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from metrocli.adjust.blocks import Array
+from metrocli.adjust.model.blocks import Array
 from metrocli.instruments.launch_unit import direction
 
 

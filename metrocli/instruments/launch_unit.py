@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from metrocli.adjust.blocks import Array, Block, Mask
-from metrocli.adjust.chain import Chain, Link, Local, Step
-from metrocli.adjust.quantities import Quantity
+from metrocli.adjust.model.blocks import Array, Block, Mask
+from metrocli.adjust.model.chain import Chain, Link, Local, Step
+from metrocli.adjust.model.quantities import Quantity
 from metrocli.instruments.frames import PointOf
 
 UNIT, RECEIVER, SPINDLE = "launch unit", "receiver", "spindle"

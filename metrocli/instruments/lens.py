@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from metrocli.adjust.blocks import Array
-from metrocli.adjust.chain import Local, Step
-from metrocli.adjust.quantities import Quantity
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.chain import Local, Step
+from metrocli.adjust.model.quantities import Quantity
 
 RADIAL, RATIONAL = ("k1", "k2", "k3"), ("k4", "k5", "k6")
 TANGENTIAL, PRISM = ("p1", "p2"), ("s1", "s2", "s3", "s4")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from metrocli.adjust.gathered import grams
+from metrocli.adjust.schur.irregular_normals import grams
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]

@@ -14,10 +14,10 @@ from functools import cached_property
 
 import numpy as np
 
-from metrocli.adjust.blocks import Array, Block, Mask
-from metrocli.adjust.chain import Local, Step
-from metrocli.adjust.observations import Index
-from metrocli.adjust.quantities import Quantity
+from metrocli.adjust.model.blocks import Array, Block, Mask
+from metrocli.adjust.model.chain import Local, Step
+from metrocli.adjust.model.observations import Index
+from metrocli.adjust.model.quantities import Quantity
 from metrocli.geometry.rotations import cross_matrix
 
 AXES = ("X", "Y", "Z")

@@ -8,8 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
-from metrocli.adjust.blocks import Array
-from metrocli.adjust.observations import Index
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.observations import Index
 from metrocli.instruments.machine import Machine
 
 _SAME = 1e-6

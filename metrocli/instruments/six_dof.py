@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from metrocli.adjust.blocks import Array, Block
-from metrocli.adjust.chain import Chain, Local, Step
-from metrocli.adjust.quantities import Quantity
+from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.chain import Chain, Local, Step
+from metrocli.adjust.model.quantities import Quantity
 from metrocli.instruments.machine import ErrorMotion, Machine
 
 LINE = "line"

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from metrocli.adjust.blocks import Array, Block, Space
-from metrocli.adjust.chain import Link, Local, Step
-from metrocli.adjust.quantities import Quantity
+from metrocli.adjust.model.blocks import Array, Block, Space
+from metrocli.adjust.model.chain import Link, Local, Step
+from metrocli.adjust.model.quantities import Quantity
 from metrocli.geometry import poses
 from metrocli.geometry.rotations import nearest_rotation
 from metrocli.instruments.camera import TAPER, TARGET

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from metrocli.adjust.blocks import Array, Block, Mask
-from metrocli.adjust.chain import Chain, Local, Step
 from metrocli.adjust.datum import Datum
+from metrocli.adjust.iterated_weights import Aspect
+from metrocli.adjust.model.blocks import Array, Block, Mask
+from metrocli.adjust.model.chain import Chain, Local, Step
+from metrocli.adjust.model.observations import Observations
+from metrocli.adjust.model.quantities import Quantity
 from metrocli.adjust.movements import of_members, of_points
-from metrocli.adjust.noise import Aspect
-from metrocli.adjust.observations import Observations
-from metrocli.adjust.quantities import Quantity
 from metrocli.instruments.frames import PointOf
 
 POINT, TRACER = "point", "tracer"

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from metrocli.adjust.blocks import Array, Mask
-from metrocli.adjust.observations import Index
+from metrocli.adjust.model.blocks import Array, Mask
+from metrocli.adjust.model.observations import Index
 from metrocli.geometry import poses
 from metrocli.instruments.machine_path import Path
 

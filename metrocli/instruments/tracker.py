@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from metrocli.adjust.blocks import Array, Block, Space
-from metrocli.adjust.chain import Chain, Local, Step
-from metrocli.adjust.quantities import Quantity
+from metrocli.adjust.model.blocks import Array, Block, Space
+from metrocli.adjust.model.chain import Chain, Local, Step
+from metrocli.adjust.model.quantities import Quantity
 from metrocli.geometry import poses
 from metrocli.instruments.frames import Into
 from metrocli.instruments.machine import ErrorMotion, Machine, ReachedPoint

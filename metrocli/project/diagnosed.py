@@ -8,10 +8,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from metrocli import tasks
-from metrocli.diagnosis.design import Design
+from metrocli.diagnosis.adjusted_job import Subject
+from metrocli.diagnosis.detectability import Design
 from metrocli.diagnosis.diagnose import Diagnosis, diagnose, planned
 from metrocli.diagnosis.mistakes import without_mistakes
-from metrocli.diagnosis.subject import Subject
 from metrocli.diagnosis.verdict import as_job
 from metrocli.errors import Fault, InputError, UsageError
 from metrocli.formats.aside import written_aside

@@ -23,27 +23,27 @@ class Kind:
 
 KINDS: dict[str, Kind] = {
     "calibrate-camera": Kind(
-        "metrocli.tasks.calibrate_camera",
+        "metrocli.tasks.calibrate_camera.task",
         "camera model from images or observed points",
         {"compare": "Fit each lens model and print what it would gain, without writing a result."},
     ),
-    "align-part": Kind("metrocli.tasks.align_part", "part location and orientation in the machine (6D/7D)"),
-    "multilaterate": Kind("metrocli.tasks.multilaterate", "reflector positions from length changes of 4+ tracers"),
+    "align-part": Kind("metrocli.tasks.align_part.task", "part location and orientation in the machine (6D/7D)"),
+    "multilaterate": Kind("metrocli.tasks.multilaterate.task", "reflector positions from length changes of 4+ tracers"),
     "selfcal-grid": Kind(
-        "metrocli.tasks.selfcal_grid",
+        "metrocli.tasks.selfcal_grid.task",
         "machine and artefact errors from views of an uncalibrated ball grid",
         {"compare": "Adjust as the paper does, views fitted first, and print what that loses, without a result."},
     ),
     "locate-launch-unit": Kind(
-        "metrocli.tasks.locate_launch_unit",
+        "metrocli.tasks.locate_launch_unit.task",
         "interferometer launch unit in the machine; measuring trajectories",
         {"compare": "Print what each of the three methods makes of the poses, without writing a result."},
     ),
     "calibrate-machine": Kind(
-        "metrocli.tasks.calibrate_machine", "geometric errors of a 3-axis machine from tracker or 6-DoF data"
+        "metrocli.tasks.calibrate_machine.task", "geometric errors of a 3-axis machine from tracker or 6-DoF data"
     ),
     "report-uncertainty": Kind(
-        "metrocli.tasks.report_uncertainty", "GUM and Monte Carlo uncertainty, budget, capability", chunked=True
+        "metrocli.tasks.report_uncertainty.task", "GUM and Monte Carlo uncertainty, budget, capability", chunked=True
     ),
 }
 

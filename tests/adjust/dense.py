@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 import scipy.optimize
 
-from metrocli.adjust.blocks import Block
-from metrocli.adjust.groups import Group
+from metrocli.adjust.model.blocks import Block
+from metrocli.adjust.model.groups import Group
 
 Array = npt.NDArray[np.float64]
 Places = dict[str, Array]

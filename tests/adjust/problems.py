@@ -9,12 +9,12 @@ import numpy as np
 import numpy.typing as npt
 from simulated_camera import LENS, SIZE, Seen, board, look
 
-from metrocli.adjust.blocks import Block
-from metrocli.adjust.chain import Chain
 from metrocli.adjust.datum import Datum
-from metrocli.adjust.groups import Group, joint_prior, prior
-from metrocli.adjust.observations import Observations
-from metrocli.adjust.quantities import Quantity
+from metrocli.adjust.model.blocks import Block
+from metrocli.adjust.model.chain import Chain
+from metrocli.adjust.model.groups import Group, joint_prior, prior
+from metrocli.adjust.model.observations import Observations
+from metrocli.adjust.model.quantities import Quantity
 from metrocli.geometry import poses
 from metrocli.instruments import camera, spindle_camera
 from metrocli.instruments.frames import DistanceBetween, OutOf, PointOf

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from metrocli.adjust.condense import condense
+from metrocli.adjust.stream_condensation import condense
 
 
 def parabolas(x: np.ndarray, cell: np.ndarray, cells: int) -> np.ndarray:  # type: ignore[type-arg]

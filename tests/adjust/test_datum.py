@@ -11,7 +11,7 @@ from adjust.dense import Array
 from adjust.problems import CUBE, Problem, network, scale_bars, with_control
 
 from metrocli.adjust.adjustment import adjust, covariance_at
-from metrocli.adjust.groups import prior
+from metrocli.adjust.model.groups import prior
 from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.solution import Solution, residuals_of
 from metrocli.geometry.rotations import rotation_from_vector

@@ -12,8 +12,8 @@ from adjust.dense import Array, Dense
 from adjust.problems import NOISE, PROBLEMS, Problem, a_covariance, board_camera
 
 from metrocli.adjust.adjustment import adjust
-from metrocli.adjust.covariance import Covariance
 from metrocli.adjust.outcome import Outcome
+from metrocli.adjust.schur.covariance import Covariance
 from metrocli.adjust.solution import Solution, residuals_of
 
 MAKES = pytest.mark.parametrize("make", PROBLEMS)
@@ -182,7 +182,7 @@ def test_scatter_of_repeated_measurements_is_the_covariance() -> None:
 
 def test_covariance_of_readings_is_whitened_away() -> None:
     covariance = a_covariance(np.array([0.1, 3.0]), 5)[:, :, None]
-    from metrocli.adjust.observations import Observations
+    from metrocli.adjust.model.observations import Observations
 
     whitening = Observations(np.zeros((2, 1)), np.ones(1), covariance=covariance).whitened(np.eye(2)[:, :, None])[
         :, :, 0

@@ -10,16 +10,16 @@ import pytest
 from adjust import dense
 from adjust.dense import Array
 
-from metrocli.adjust import portions
 from metrocli.adjust.adjustment import Control, adjust, covariance_at
-from metrocli.adjust.blocks import Block
 from metrocli.adjust.datum import Datum
-from metrocli.adjust.groups import Group, prior
+from metrocli.adjust.model.blocks import Block
+from metrocli.adjust.model.groups import Group, prior
+from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.movements import Affine, Listed, of_members, of_points
-from metrocli.adjust.observations import Observations
 from metrocli.adjust.outcome import Outcome
-from metrocli.adjust.portions import split
-from metrocli.adjust.side_by_side import backward, cholesky, complement, forward
+from metrocli.adjust.schur import tiles as portions
+from metrocli.adjust.schur.batched_cholesky import backward, cholesky, complement, forward
+from metrocli.adjust.schur.tiles import split
 from metrocli.adjust.solution import Solution, residuals_of
 from metrocli.instruments import tracer
 

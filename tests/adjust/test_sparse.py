@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
-from metrocli.adjust.dissection import dissect
-from metrocli.adjust.sparse_cholesky import factor
+from metrocli.adjust.sparse.cholesky import factor
+from metrocli.adjust.sparse.nested_dissection import dissect
 
 
 def lattice(shape: tuple[int, ...], seed: int) -> tuple[csr_array, np.ndarray]:

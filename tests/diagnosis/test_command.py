@@ -13,7 +13,7 @@ import pytest
 from benchmarks.hidden import lengths
 from benchmarks.hidden.lengths import Measurement
 from metrocli.cli import diagnosis_text
-from metrocli.diagnosis.design import Design, Pair
+from metrocli.diagnosis.detectability import Design, Pair
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.noise import Noise
 

@@ -11,8 +11,8 @@ import pytest
 from benchmarks.hidden import lengths
 from metrocli.diagnosis.mistakes import strangeness, without_mistakes
 from metrocli.table import Table
-from metrocli.tasks import multilaterate
-from metrocli.tasks.multilaterate import Inputs, LengthNoise, Settings
+from metrocli.tasks.multilaterate import task as multilaterate
+from metrocli.tasks.multilaterate.task import Inputs, LengthNoise, Settings
 
 SETTINGS = Settings(Inputs(Path("-"), Path("-")), LengthNoise(*lengths.NOISE))
 

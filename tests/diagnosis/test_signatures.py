@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from benchmarks.hidden_effects import KINDS
-from metrocli.diagnosis import signatures
-from metrocli.diagnosis.candidates import instances
-from metrocli.diagnosis.projection import linearised
-from metrocli.diagnosis.subject import Subject
+from metrocli.diagnosis.adjusted_job import Subject
+from metrocli.diagnosis.linear import signatures
+from metrocli.diagnosis.linear.candidates import instances
+from metrocli.diagnosis.linear.projection import linearised
 from metrocli.effects.model import can_act
 
 ALL: dict[str, Callable[[], Subject]] = {kind: campaign.case(0).subject for kind, campaign in KINDS.items()}

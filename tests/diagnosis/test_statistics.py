@@ -11,27 +11,27 @@ import pytest
 from scipy import stats
 
 from benchmarks.hidden import launch, lengths
-from metrocli.adjust.blocks import Block
-from metrocli.adjust.chain import Chain, Local, Step
-from metrocli.adjust.groups import Group
-from metrocli.adjust.observations import Observations
-from metrocli.adjust.quantities import Quantity
-from metrocli.diagnosis.candidates import families_of
+from metrocli.adjust.model.blocks import Block
+from metrocli.adjust.model.chain import Chain, Local, Step
+from metrocli.adjust.model.groups import Group
+from metrocli.adjust.model.observations import Observations
+from metrocli.adjust.model.quantities import Quantity
+from metrocli.diagnosis.adjusted_job import Subject
+from metrocli.diagnosis.cross_validation import _held, _without
 from metrocli.diagnosis.diagnose import diagnose
-from metrocli.diagnosis.distributions import chi_interval, log_family, log_tail, noncentrality
-from metrocli.diagnosis.gain import _held, _without
-from metrocli.diagnosis.given import PRIOR, nothing
-from metrocli.diagnosis.mended import field_of_job
-from metrocli.diagnosis.naming import _seen
+from metrocli.diagnosis.extended_fit import field_of_job
+from metrocli.diagnosis.linear.candidates import families_of
+from metrocli.diagnosis.linear.distributions import chi_interval, log_family, log_tail, noncentrality
+from metrocli.diagnosis.linear.fitted_columns import PRIOR, nothing
+from metrocli.diagnosis.linear.projection import System, linearised
+from metrocli.diagnosis.linear.score_tests import Field, independent, quadratic
+from metrocli.diagnosis.linear.signatures import signature
+from metrocli.diagnosis.linear.smooth_terms import _shown, polynomials
 from metrocli.diagnosis.noise import apart
-from metrocli.diagnosis.projection import System, linearised
-from metrocli.diagnosis.race import Field, independent, quadratic
-from metrocli.diagnosis.selected import Chosen, Selection
-from metrocli.diagnosis.selection import select
-from metrocli.diagnosis.signatures import signature
-from metrocli.diagnosis.smooth import _shown, polynomials
-from metrocli.diagnosis.structure import pure_error
-from metrocli.diagnosis.subject import Subject
+from metrocli.diagnosis.residual_structure import pure_error
+from metrocli.diagnosis.selection.confidence_set import _seen
+from metrocli.diagnosis.selection.search import select
+from metrocli.diagnosis.selection.selection_state import Chosen, Selection
 from metrocli.effects.model import Model
 
 Array = np.typing.NDArray[np.float64]
@@ -243,8 +243,8 @@ def test_where_a_step_leads_back_the_next_one_is_taken(monkeypatch: pytest.Monke
         selection = selection if left is None else selection.without(left)
         return Selection(selection.field, selection.fit, selection.chosen[:1])
 
-    monkeypatch.setattr("metrocli.diagnosis.selection.steps", steps)
-    monkeypatch.setattr("metrocli.diagnosis.selection.settled", settled)
+    monkeypatch.setattr("metrocli.diagnosis.selection.search.steps", steps)
+    monkeypatch.setattr("metrocli.diagnosis.selection.search.settled", settled)
     assert select(chosen, nothing(chosen.system)).members == {(1, 0)}
 
 

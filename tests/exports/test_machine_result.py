@@ -14,7 +14,7 @@ from metrocli.exports import FORMATS, error_tables, etalon, export, isg_csv, lin
 from metrocli.exports.error_tables import Array
 from metrocli.result import Result
 from metrocli.table import Table
-from metrocli.tasks import calibrate_machine
+from metrocli.tasks.calibrate_machine import task as calibrate_machine
 
 RIGHT = {
     "siemens": (siemens_lec.CONTROL, siemens_cec.CONTROL),

@@ -10,9 +10,9 @@ import pytest
 from simulated_camera import LENS, SIZE, Array, Seen, board, look
 
 from metrocli.adjust.adjustment import Control, adjust
-from metrocli.adjust.chain import Chain
-from metrocli.adjust.groups import Group
-from metrocli.adjust.observations import Observations
+from metrocli.adjust.model.chain import Chain
+from metrocli.adjust.model.groups import Group
+from metrocli.adjust.model.observations import Observations
 from metrocli.geometry import poses
 from metrocli.instruments import camera
 from metrocli.instruments.camera_start import Scene, plane_frame, start

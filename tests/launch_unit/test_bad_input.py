@@ -10,8 +10,8 @@ import pytest
 from simulated_launch import NOISE, Poses, anywhere, poses, settings
 
 from metrocli.errors import InputError, UndeterminedError
-from metrocli.tasks import locate_launch_unit
-from metrocli.tasks.locate_launch_unit import Noise
+from metrocli.tasks.locate_launch_unit import task as locate_launch_unit
+from metrocli.tasks.locate_launch_unit.task import Noise
 
 RNG = np.random.default_rng(32)
 UNIT = np.array([300.0, 400.0, -250.0])

@@ -9,8 +9,8 @@ import pytest
 from simulated_launch import NOISE, PAPER_ENCODER, Poses, anywhere, paper, poses, settings
 
 from metrocli.result import Result
-from metrocli.tasks import locate_launch_unit
-from metrocli.tasks.locate_launch_unit import Noise
+from metrocli.tasks.locate_launch_unit import task as locate_launch_unit
+from metrocli.tasks.locate_launch_unit.task import Noise
 
 RNG = np.random.default_rng(31)
 

@@ -12,9 +12,9 @@ from simulated_launch import ARCSEC, NOISE, PAPER_ENCODER, PAPER_UNIT, Poses, an
 from metrocli import nc_program
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.plan import Plan
-from metrocli.tasks import locate_launch_unit
-from metrocli.tasks.launch_plan_settings import Axes, Planned, Range
-from metrocli.tasks.locate_launch_unit import Noise, Settings, Truth
+from metrocli.tasks.locate_launch_unit import task as locate_launch_unit
+from metrocli.tasks.locate_launch_unit.plan_settings import Axes, Planned, Range
+from metrocli.tasks.locate_launch_unit.task import Noise, Settings, Truth
 
 RNG = np.random.default_rng(41)
 PAPER_PLAN = Planned(Axes((-1200.0, 4200.0), (0.0, 1200.0), (0.0, 1600.0)), 50.0, 300.0)
@@ -96,10 +96,10 @@ def beam_at(unit: np.ndarray, azimuth: float, tilt: float, receiver: np.ndarray)
 )
 def test_the_predicted_beam_at_4_m_holds_in_simulation(line: int, encoder: float) -> None:
     """Locate with noise, command, aim with noise: 95 % of 400 beams in the stated ellipse, and in range as stated."""
-    from metrocli.tasks.launch_lines import Reach, across, commanded, measurable
-    from metrocli.tasks.launch_margin import Margin, Uncertainty, Window, beam_position
-    from metrocli.tasks.launch_readings import read
-    from metrocli.tasks.launch_solve import locate
+    from metrocli.tasks.locate_launch_unit.lines import Reach, across, commanded, measurable
+    from metrocli.tasks.locate_launch_unit.margin import Margin, Uncertainty, Window, beam_position
+    from metrocli.tasks.locate_launch_unit.readings import read
+    from metrocli.tasks.locate_launch_unit.solve import locate
 
     noise, exact = Noise(encoder), paper(0.3)
     reach = Reach(np.array([[-5000.0, 5000.0]] * 3), 50.0, 300.0, 4000.0)
@@ -128,8 +128,8 @@ def test_the_predicted_beam_at_4_m_holds_in_simulation(line: int, encoder: float
 
 def test_alignment_at_the_far_end_leaves_the_place_alone() -> None:
     """Kuprin et al., fig. 15: a beam through the true unit and the far end."""
-    from metrocli.tasks.launch_lines import Reach, measurable
-    from metrocli.tasks.launch_margin import Margin, Uncertainty, Window
+    from metrocli.tasks.locate_launch_unit.lines import Reach, measurable
+    from metrocli.tasks.locate_launch_unit.margin import Margin, Uncertainty, Window
 
     location = np.diag([0.1, 0.15, 0.12, 1e-4]) ** 2
     line = measurable(PAPER_UNIT, ["x"], Reach(np.array([[-5000.0, 5000.0]] * 3), 50.0, 300.0, 4000.0))[0][0]

@@ -11,7 +11,7 @@ import pytest
 from effects_of_kinds import MEASURED, instance_of, size
 
 from metrocli.adjust.adjustment import adjust
-from metrocli.adjust.blocks import Array
+from metrocli.adjust.model.blocks import Array
 from metrocli.effects import TABLES, effects_of
 from metrocli.effects.effect import DRIVERS, Effect
 from metrocli.effects.model import Model, with_effect

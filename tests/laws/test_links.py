@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from metrocli.adjust import groups, quantities
-from metrocli.adjust.blocks import Array, Block, Space
-from metrocli.adjust.chain import Chain, Link, Local, Step, Varied
-from metrocli.adjust.groups import Group, ReadBlock, ReadBlocks
-from metrocli.adjust.observations import Observations
-from metrocli.adjust.quantities import Quantity
+from metrocli.adjust.model import groups, quantities
+from metrocli.adjust.model.blocks import Array, Block, Space
+from metrocli.adjust.model.chain import Chain, Link, Local, Step, Varied
+from metrocli.adjust.model.groups import Group, ReadBlock, ReadBlocks
+from metrocli.adjust.model.observations import Observations
+from metrocli.adjust.model.quantities import Quantity
 from metrocli.geometry import poses
 from metrocli.instruments import frames, launch_unit, lens, spindle_camera, tracer
 from metrocli.instruments.frames import DistanceBetween, Into, OutOf, PointOf

@@ -10,8 +10,8 @@ import pytest
 
 from metrocli.project.inputs import read_inputs
 from metrocli.project.job import load
-from metrocli.tasks import calibrate_machine
-from metrocli.tasks.machine_problem import machine_of
+from metrocli.tasks.calibrate_machine import task as calibrate_machine
+from metrocli.tasks.calibrate_machine.problem import machine_of
 
 CASES = Path(__file__).parents[2] / ".." / "shared" / "cases" / "calibrate-machine"
 absent = pytest.mark.skipif(not CASES.exists(), reason="../shared/cases is not there")
@@ -49,10 +49,10 @@ def test_tables_are_true_within_their_uncertainty(case: Path) -> None:
 @pytest.mark.parametrize("case", clean(), ids=lambda case: case.name)
 def test_reference_points_are_predicted(case: Path) -> None:
     """Points that were not measured; where the whole is shifted and turned does not count."""
-    from metrocli.tasks.machine_solve import solve
-    from metrocli.tasks.machine_standstill import standstill
-    from metrocli.tasks.machine_tables import tables_of
-    from metrocli.tasks.machine_volume import predict
+    from metrocli.tasks.calibrate_machine.methods.standstill import standstill
+    from metrocli.tasks.calibrate_machine.solve import solve
+    from metrocli.tasks.calibrate_machine.tables import tables_of
+    from metrocli.tasks.calibrate_machine.volume import predict
 
     job, truth = load(case / "job.yaml"), json.loads((case / "truth.json").read_text())
     solved = solve(standstill(job.settings, **read_inputs(job)), True)
@@ -108,7 +108,7 @@ def test_a_wave_shorter_than_the_pieces_of_a_path_is_not_called_excluded() -> No
     import simulated_machine as sim
 
     from metrocli.diagnosis.diagnose import diagnose
-    from metrocli.tasks.machine_settings import Noise
+    from metrocli.tasks.calibrate_machine.settings import Noise
 
     rng = np.random.default_rng(81)
     machine = sim.random_machine(rng)

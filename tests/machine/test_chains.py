@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 import simulated_machine as sim
 
-from metrocli.adjust.blocks import Array, Block, Space
-from metrocli.adjust.groups import Group
-from metrocli.tasks.machine_on_the_fly import on_the_fly
-from metrocli.tasks.machine_problem import Problem
-from metrocli.tasks.machine_settings import Noise
-from metrocli.tasks.machine_six_dof import six_dof
-from metrocli.tasks.machine_standstill import standstill
+from metrocli.adjust.model.blocks import Array, Block, Space
+from metrocli.adjust.model.groups import Group
+from metrocli.tasks.calibrate_machine.methods.on_the_fly import on_the_fly
+from metrocli.tasks.calibrate_machine.methods.six_dof import six_dof
+from metrocli.tasks.calibrate_machine.methods.standstill import standstill
+from metrocli.tasks.calibrate_machine.problem import Problem
+from metrocli.tasks.calibrate_machine.settings import Noise
 
 KNOTS = (4, 4, 3)
 """0 lies on a knot of X and Z, and between two of Y"""

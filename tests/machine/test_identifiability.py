@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 import simulated_machine as sim
 
-from metrocli.adjust.blocks import Array
+from metrocli.adjust.model.blocks import Array
 from metrocli.errors import UndeterminedError
 from metrocli.instruments.machine_path import Path
-from metrocli.tasks import calibrate_machine
-from metrocli.tasks.machine_identifiability import Identifiability, identify
-from metrocli.tasks.machine_path_search import edges_and_diagonals
-from metrocli.tasks.machine_plan import planned_problem
-from metrocli.tasks.machine_problem import machine_of
-from metrocli.tasks.machine_settings import PathPlan
-from metrocli.tasks.machine_standstill import standstill
+from metrocli.tasks.calibrate_machine import task as calibrate_machine
+from metrocli.tasks.calibrate_machine.identifiability import Identifiability, identify
+from metrocli.tasks.calibrate_machine.methods.standstill import standstill
+from metrocli.tasks.calibrate_machine.path_search import edges_and_diagonals
+from metrocli.tasks.calibrate_machine.plan import planned_problem
+from metrocli.tasks.calibrate_machine.problem import machine_of
+from metrocli.tasks.calibrate_machine.settings import PathPlan
 
 KNOTS = (13, 11, 11)
 ALONG_Z = {"T1": (0.0, 0.0, 120.0), "T2": (0.0, 0.0, 220.0)}
@@ -160,8 +160,8 @@ def test_what_is_not_determined_has_no_number() -> None:
 
 def test_the_ratio_is_that_of_the_worst_machine_that_can_be_thought_of() -> None:
     """No random change of the unknowns has a larger ratio; the worst one has it."""
-    from metrocli.adjust.design import rows, unit_noise, unknowns_of
-    from metrocli.tasks.machine_identifiability import volume_matrix
+    from metrocli.adjust.dense_jacobian import rows, unit_noise, unknowns_of
+    from metrocli.tasks.calibrate_machine.identifiability import volume_matrix
 
     rng = np.random.default_rng(10)
     table = sim.points(sim.random_machine(rng), rng, 60)

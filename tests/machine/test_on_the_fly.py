@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 import simulated_machine as sim
 
-from metrocli.adjust.blocks import Array
+from metrocli.adjust.model.blocks import Array
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.instruments.machine import Axis, Machine
 from metrocli.instruments.machine_path import Path
 from metrocli.instruments.track_alignment import align
 from metrocli.table import Table
-from metrocli.tasks import calibrate_machine
-from metrocli.tasks.machine_settings import Noise, Settings
+from metrocli.tasks.calibrate_machine import task as calibrate_machine
+from metrocli.tasks.calibrate_machine.settings import Noise, Settings
 
 KNOTS = (5, 5, 5)
 NOISE = Noise(beam=1e-3, lateral=5e-3)

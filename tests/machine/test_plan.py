@@ -14,12 +14,12 @@ from metrocli.plan import Plan
 from metrocli.result import Result
 from metrocli.simulation import SimulationOptions
 from metrocli.table import Table
-from metrocli.tasks import calibrate_machine
-from metrocli.tasks.machine_identifiability import identify
-from metrocli.tasks.machine_path_search import edges_and_diagonals
-from metrocli.tasks.machine_plan import planned_problem
-from metrocli.tasks.machine_problem import machine_of
-from metrocli.tasks.machine_settings import MachineSimulation, Noise, PathPlan
+from metrocli.tasks.calibrate_machine import task as calibrate_machine
+from metrocli.tasks.calibrate_machine.identifiability import identify
+from metrocli.tasks.calibrate_machine.path_search import edges_and_diagonals
+from metrocli.tasks.calibrate_machine.plan import planned_problem
+from metrocli.tasks.calibrate_machine.problem import machine_of
+from metrocli.tasks.calibrate_machine.settings import MachineSimulation, Noise, PathPlan
 
 NOISE = Noise(beam=1e-3, lateral=5e-3)
 

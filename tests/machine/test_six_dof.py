@@ -9,9 +9,9 @@ from simulated_machine import line, line_table
 
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.table import Table
-from metrocli.tasks import calibrate_machine
-from metrocli.tasks.iso230 import Run, figures, positioning
-from metrocli.tasks.machine_settings import Noise, Settings
+from metrocli.tasks.calibrate_machine import task as calibrate_machine
+from metrocli.tasks.calibrate_machine.iso230 import Run, figures, positioning
+from metrocli.tasks.calibrate_machine.settings import Noise, Settings
 
 KNOTS = (5, 6, 5)
 SPAN = sim.HIGH - sim.LOW

@@ -11,7 +11,7 @@ import simulated_machine as sim
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.instruments.machine import SQUARENESS_NAMES
 from metrocli.table import Table
-from metrocli.tasks import calibrate_machine
+from metrocli.tasks.calibrate_machine import task as calibrate_machine
 
 
 def scores(result, machine: sim.Machine) -> np.ndarray:  # type: ignore[no-untyped-def, type-arg]

@@ -8,9 +8,9 @@ from simulated_lengths import network, places, settings
 
 from benchmarks import blunders
 from metrocli.adjust.solution import residuals_of
-from metrocli.tasks import multilaterate
-from metrocli.tasks.length_network import build
-from metrocli.tasks.network_solve import solve
+from metrocli.tasks.multilaterate import task as multilaterate
+from metrocli.tasks.multilaterate.problem import build
+from metrocli.tasks.multilaterate.solve import solve
 
 
 def test_with_five_tracers_a_coin_is_not_tossed() -> None:

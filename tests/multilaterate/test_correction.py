@@ -15,9 +15,9 @@ from metrocli.formats import csv
 from metrocli.project.job import load
 from metrocli.simulation import SimulationOptions
 from metrocli.table import Table
-from metrocli.tasks import multilaterate
-from metrocli.tasks.multilaterate import PROBING, LengthSimulation
-from metrocli.tasks.network_distance import distance
+from metrocli.tasks.multilaterate import task as multilaterate
+from metrocli.tasks.multilaterate.distance import distance
+from metrocli.tasks.multilaterate.task import PROBING, LengthSimulation
 
 SAMPLE = Path(__file__).parents[2] / "sample_projects" / "gear-m3d3"
 CENTRES = np.array([[200.0, 200.0, 150.0], [340.0, 270.0, 205.0], [680.0, 440.0, 340.0]])

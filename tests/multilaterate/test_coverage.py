@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from simulated_lengths import network, places, settings
 
-from metrocli.tasks import multilaterate
+from metrocli.tasks.multilaterate import task as multilaterate
 
 RUNS = 200
 

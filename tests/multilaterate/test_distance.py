@@ -16,10 +16,10 @@ from metrocli.instruments import tracer
 from metrocli.record import Record
 from metrocli.result import Result
 from metrocli.table import Table
-from metrocli.tasks import multilaterate
-from metrocli.tasks.length_network import build
-from metrocli.tasks.network_distance import distance
-from metrocli.tasks.network_solve import solve
+from metrocli.tasks.multilaterate import task as multilaterate
+from metrocli.tasks.multilaterate.distance import distance
+from metrocli.tasks.multilaterate.problem import build
+from metrocli.tasks.multilaterate.solve import solve
 
 
 def bars() -> Table:

@@ -7,7 +7,7 @@ import pytest
 from simulated_lengths import NOISE, Network, network, places, settings
 
 from metrocli.result import Result
-from metrocli.tasks import multilaterate
+from metrocli.tasks.multilaterate import task as multilaterate
 
 Wide = np.typing.NDArray[np.longdouble]
 CASES = [(m, scale) for m in (4, 5, 6) for scale in (None, 5e-7)]

@@ -10,7 +10,7 @@ from simulated_lengths import network, places, settings, without_motion
 
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.table import Table
-from metrocli.tasks import multilaterate
+from metrocli.tasks.multilaterate import task as multilaterate
 
 
 def test_absolute_distances_have_no_dead_path() -> None:

@@ -21,7 +21,7 @@ from simulated_lengths import (
 )
 
 from metrocli.errors import UndeterminedError
-from metrocli.tasks import multilaterate
+from metrocli.tasks.multilaterate import task as multilaterate
 
 
 def without(rows: slice, columns: slice) -> Network:

@@ -28,8 +28,8 @@ from metrocli.errors import InputError, UndeterminedError
 from metrocli.formats import csv
 from metrocli.plan import Plan
 from metrocli.table import Table
-from metrocli.tasks import multilaterate
-from metrocli.tasks.network_distance import distance
+from metrocli.tasks.multilaterate import task as multilaterate
+from metrocli.tasks.multilaterate.distance import distance
 
 
 def planned(net: Network, scale: float | None = None, **more: Any) -> Plan:

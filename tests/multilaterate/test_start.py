@@ -13,9 +13,9 @@ from simulated_lengths import CORNERS, VOLUME, Network, network, places, setting
 from metrocli.errors import NotConvergedError, UndeterminedError
 from metrocli.formats import csv
 from metrocli.instruments.tracer_start import start
-from metrocli.tasks import multilaterate
-from metrocli.tasks.length_network import build
-from metrocli.tasks.network_solve import solve
+from metrocli.tasks.multilaterate import task as multilaterate
+from metrocli.tasks.multilaterate.problem import build
+from metrocli.tasks.multilaterate.solve import solve
 
 LAYOUTS = 500
 

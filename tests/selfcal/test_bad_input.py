@@ -13,7 +13,7 @@ from simulated_grid import DECLARED, PITCH, grid, without
 
 from metrocli.formats import csv, hdf5
 from metrocli.geometry.rotations import rotation_from_vector
-from metrocli.tasks import selfcal_grid
+from metrocli.tasks.selfcal_grid import task as selfcal_grid
 
 JOB = """metrocli: 1
 job: selfcal-grid

@@ -9,10 +9,10 @@ from benchmarks.hidden import grids
 
 def test_the_cases_share_nothing_with_the_solver() -> None:
     """What the machine, the artefact and the mountings can follow: the same space, found from formulas written twice."""
-    from metrocli.adjust.coupled import design_of
-    from metrocli.tasks.grid_problem import build
-    from metrocli.tasks.grid_readings import Readings
-    from metrocli.tasks.grid_settings import views_of
+    from metrocli.adjust.coupled_fields import design_of
+    from metrocli.tasks.selfcal_grid.problem import build
+    from metrocli.tasks.selfcal_grid.readings import Readings
+    from metrocli.tasks.selfcal_grid.settings import views_of
 
     for names in ("1234", "123456"):
         m = grids.measurement(np.random.default_rng(1), names)

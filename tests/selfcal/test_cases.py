@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from metrocli.diagnosis.candidates import Alternative
 from metrocli.diagnosis.diagnose import Diagnosis, diagnose
+from metrocli.diagnosis.linear.candidates import Alternative
 from metrocli.project.diagnosed import subject_of
 from metrocli.project.job import load
 

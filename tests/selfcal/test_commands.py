@@ -79,7 +79,7 @@ def test_between_sites_both_forms_are_off_as_their_uncertainties_say(
     from simulated_grid import PITCH, Grid, grid, in_gauge
 
     from metrocli.table import Table
-    from metrocli.tasks import selfcal_grid
+    from metrocli.tasks.selfcal_grid import task as selfcal_grid
 
     one = grid(5, seed=20)
     r = one.balls * PITCH
@@ -310,7 +310,7 @@ def test_without_noise_the_published_sequence_is_right_but_for_second_order() ->
     """It is unbiased: what it differs by is a mounting of some mrad, known to some tenths, times the artefact's error."""
     from simulated_grid import grid
 
-    from metrocli.tasks import selfcal_grid
+    from metrocli.tasks.selfcal_grid import task as selfcal_grid
 
     one = grid(5, seed=5)
     table = selfcal_grid.compare(one.settings(), one.read(np.random.default_rng(0), noise=0.0))

@@ -9,12 +9,12 @@ import pytest
 from scipy.special import chdtrc
 from simulated_grid import NOISE, PITCH, grid, without
 
-from metrocli.adjust.coupled import adjust_fields, design_of
+from metrocli.adjust.coupled_fields import adjust_fields, design_of
 from metrocli.instruments import ball_grid as bg
-from metrocli.tasks import grid_readings
-from metrocli.tasks.grid_problem import Problem, build
-from metrocli.tasks.grid_sequence import noise_gains
-from metrocli.tasks.grid_settings import views_of
+from metrocli.tasks.selfcal_grid import readings as grid_readings
+from metrocli.tasks.selfcal_grid.problem import Problem, build
+from metrocli.tasks.selfcal_grid.sequence import noise_gains
+from metrocli.tasks.selfcal_grid.settings import views_of
 
 RUNS = 200
 
@@ -64,7 +64,7 @@ def test_the_sequence_of_the_paper_loses_something() -> None:
 
 
 def test_estimated_noise_scales_the_uncertainties() -> None:
-    from metrocli.tasks import selfcal_grid
+    from metrocli.tasks.selfcal_grid import task as selfcal_grid
 
     one = grid(5, seed=12)
     table = one.read(np.random.default_rng(4), noise=3 * NOISE)

@@ -7,14 +7,15 @@ import pytest
 from scipy.linalg import null_space
 from simulated_grid import DECLARED, PITCH, Grid, grid, in_gauge, without
 
-from metrocli.adjust.coupled import design_of
+from metrocli.adjust.coupled_fields import design_of
 from metrocli.instruments import ball_grid as bg
 from metrocli.result import Result
 from metrocli.table import Table
-from metrocli.tasks import grid_readings, selfcal_grid
-from metrocli.tasks.grid_open import opened
-from metrocli.tasks.grid_problem import Problem, build
-from metrocli.tasks.grid_settings import views_of
+from metrocli.tasks.selfcal_grid import readings as grid_readings
+from metrocli.tasks.selfcal_grid import task as selfcal_grid
+from metrocli.tasks.selfcal_grid.problem import Problem, build
+from metrocli.tasks.selfcal_grid.settings import views_of
+from metrocli.tasks.selfcal_grid.undetermined import opened
 
 
 def problem_of(one: Grid, table: Table) -> Problem:

@@ -9,13 +9,14 @@ import pytest
 from scipy.linalg import null_space
 from simulated_grid import NOISE, PITCH, grid, without
 
-from metrocli.adjust.coupled import design_of
+from metrocli.adjust.coupled_fields import design_of
 from metrocli.instruments.ball_grid import rigid
 from metrocli.table import Table
-from metrocli.tasks import grid_readings, selfcal_grid
-from metrocli.tasks.grid_point import error_at
-from metrocli.tasks.grid_problem import build
-from metrocli.tasks.grid_settings import ViewSettings, views_of
+from metrocli.tasks.selfcal_grid import readings as grid_readings
+from metrocli.tasks.selfcal_grid import task as selfcal_grid
+from metrocli.tasks.selfcal_grid.point import error_at
+from metrocli.tasks.selfcal_grid.problem import build
+from metrocli.tasks.selfcal_grid.settings import ViewSettings, views_of
 
 FAMILIES = {
     "123": [("fields that all rotations of the views carry into themselves", 14)],

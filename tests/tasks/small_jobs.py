@@ -12,7 +12,8 @@ from benchmarks import coverage
 from metrocli.formats import csv
 from metrocli.simulation import SimulationOptions
 from metrocli.table import Table
-from metrocli.tasks import align_part, calibrate_camera
+from metrocli.tasks.align_part import task as align_part
+from metrocli.tasks.calibrate_camera import task as calibrate_camera
 
 _CAMERA = "camera: {image_size: [2592, 1944], pixel_size: 2.2 um, estimate: [f, cx, cy, k1, k2, p1, p2]}\n"
 _FILES = "inputs: {observations: observations.csv, targets: targets.csv}\n"

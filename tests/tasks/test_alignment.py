@@ -10,7 +10,7 @@ import pytest
 from benchmarks import alignment
 from benchmarks.coverage import alignment_settings, corners, poses_over, true_camera
 from metrocli.simulation import SimulationOptions
-from metrocli.tasks import align_part
+from metrocli.tasks.align_part import task as align_part
 
 
 @pytest.fixture(scope="module")

@@ -38,7 +38,7 @@ def test_an_interval_that_is_too_short_is_noticed() -> None:
 def test_the_calibration_of_the_camera_is_part_of_the_uncertainty_of_the_part() -> None:
     """With the camera taken as exact, the part would seem better known than it is."""
     from metrocli.simulation import SimulationOptions
-    from metrocli.tasks import align_part
+    from metrocli.tasks.align_part import task as align_part
 
     camera, _ = coverage.calibrated("cmm", 1, coverage.planes())
     targets = coverage.corners(0.0)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from metrocli.tasks.image_simulation import Shown, sights
-from metrocli.tasks.target_list import Targets
+from metrocli.tasks.shared.images.simulation import Shown, sights
+from metrocli.tasks.shared.images.target_list import Targets
 
 LENS = {"f": 2790.0, "cx": 1296.0, "cy": 972.0, "k1": 0.26, "k2": -0.13}
 

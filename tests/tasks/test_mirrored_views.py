@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from metrocli.adjust.observations import Observations
+from metrocli.adjust.model.observations import Observations
 from metrocli.geometry import poses
 from metrocli.instruments.lens import image_point
-from metrocli.tasks.camera_problem import Problem, build
-from metrocli.tasks.camera_settings import Camera
-from metrocli.tasks.image_adjustment import Options, adjust_images
-from metrocli.tasks.sightings import Sighted
-from metrocli.tasks.target_list import Targets
+from metrocli.tasks.calibrate_camera.problem import Problem, build
+from metrocli.tasks.shared.images.adjustment import Options, adjust_images
+from metrocli.tasks.shared.images.camera_settings import Camera
+from metrocli.tasks.shared.images.sightings import Sighted
+from metrocli.tasks.shared.images.target_list import Targets
 
 LENS = {"f": 2800.0, "cx": 1223.5, "cy": 1023.5}
 VIEWS = 6

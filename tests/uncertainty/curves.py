@@ -11,11 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from metrocli.adjust.adjustment import adjust
-from metrocli.adjust.blocks import Block
-from metrocli.adjust.chain import Chain, Local, Step
-from metrocli.adjust.groups import Group
-from metrocli.adjust.observations import Observations
-from metrocli.adjust.quantities import Quantity
+from metrocli.adjust.model.blocks import Block
+from metrocli.adjust.model.chain import Chain, Local, Step
+from metrocli.adjust.model.groups import Group
+from metrocli.adjust.model.observations import Observations
+from metrocli.adjust.model.quantities import Quantity
 from metrocli.adjust.solution import Solution
 from metrocli.uncertainty.derivatives import Jets
 from metrocli.uncertainty.expression import ExpressionError, parse

@@ -1,0 +1,283 @@
+"""Adjustment of two fields that stay coupled, such as the errors of a machine and of an artefact in many views.
+
+The unknowns are of three sorts: `local` ones, of which no reading of the design touches two (eliminated one by one),
+those of the `net` (sparse Cholesky), and the few of the border (dense). With D, S and T the matrices left for each,
+`S = N_gg - N_gl D^-1 N_lg`, `T = N_bb - (N_bg, N_bl) (...)^-1 (N_gb, N_lb)`, the cost is that of the factor of S.
+
+The normal matrix is taken once, at a stated design; the gradient is exact, so the iteration ends at the minimum under
+the conditions of the datum. What the design leaves open is found before anything else, and fixed by those conditions
+only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.groups import Group, Linear
+from metrocli.adjust.model.observations import Index
+from metrocli.adjust.outcome import Outcome
+from metrocli.adjust.solution import Residuals, Solution
+from metrocli.adjust.sparse.bordered_factor import Reduction, reduce
+from metrocli.adjust.sparse.nested_dissection import Sparse
+from metrocli.adjust.sparse.partition import Partition, partition
+
+_LIMIT = 60
+_ROUNDING = 1e-13
+
+
+@dataclass(frozen=True)
+class Fields:
+    """Two coupled fields with their readings."""
+
+    blocks: Mapping[str, Block]
+    groups: tuple[Group, ...]
+    net: str
+    local: str
+    places: Array
+    """Whole numbers (members, size, k) for the unknowns of the net: near where readings couple them"""
+    design: Callable[[Mapping[str, Block]], Mapping[str, Block]]
+    """The values at which rank, datum and covariance are taken"""
+    conditions: Mapping[str, Array]
+    """The datum: for some blocks (conditions, members, size), whose sums over the values are to be zero"""
+
+
+@dataclass(frozen=True)
+class Design:
+    """Rank, null space and covariance of a design, before any reading is looked at."""
+
+    partition: Partition
+    jacobian: Sparse
+    """Of all whitened readings by all unknowns, group after group, (d*n, unknowns)"""
+    reduction: Reduction
+    constraint: Array
+    """H, (k, unknowns): what restores the conditions is `-Z H x`"""
+
+    @property
+    def null(self) -> Array:
+        """What no reading sees, Z (unknowns, k)."""
+        return self.reduction.null
+
+    @cached_property
+    def _gauge(self) -> tuple[Array, Array]:
+        """P = Q H' and H P, with Q the inverse before the datum."""
+        shared = self.reduction.solve(self.constraint.T)
+        return shared, self.constraint @ shared
+
+    def solve(self, right: Array) -> Array:
+        """Return the covariance times `right`, `(I - Z H) Q (I - Z H)' right`, (unknowns,) or (unknowns, k)."""
+        held = right - self.constraint.T @ (self.null.T @ right)
+        found = self.reduction.solve(held)
+        return found - self.null @ (self.constraint @ found)
+
+    def variances(self, rows: Sparse) -> Array:
+        """Return the variances of sparse combinations of the unknowns, each of entries that readings couple, (n,)."""
+        moved, shared, own = self._in_datum(rows)
+        variances = self.reduction.variances(rows)
+        variances -= 2 * np.einsum("nk,nk->n", moved, shared)
+        variances += np.einsum("nk,kl,nl->n", moved, own, moved)
+        return np.maximum(variances, 0.0)
+
+    def covariance(self, rows: Sparse) -> Array:
+        """Return the covariance of any combinations of the unknowns, (n, n), for half the cost of their solutions."""
+        moved, shared, own = self._in_datum(rows)
+        across = moved @ shared.T
+        return self.reduction.covariance(rows) - across - across.T + moved @ own @ moved.T
+
+    def _in_datum(self, rows: Sparse) -> tuple[Array, Array, Array]:
+        """Return what the datum adds to the covariance of rows R: R Z, R P and H P."""
+        shared, own = self._gauge
+        return np.asarray(rows @ self.null), np.asarray(rows @ shared), own
+
+    def std(self, block: str) -> Array:
+        """Return the standard uncertainties of a block, (members, size), nan where it is not solved for."""
+        from scipy.sparse import eye_array
+
+        columns = self.partition.columns[block]
+        free = columns >= 0
+        rows = eye_array(self.partition.width, format="csr")[columns[free]]
+        std = np.full(columns.shape, np.nan)
+        std[free] = np.sqrt(self.variances(rows))
+        return std
+
+    def redundancy(self) -> Array:
+        """Return `1 - diag(J Q J')`, in the order of the rows of the jacobian."""
+        return np.clip(1.0 - self.reduction.variances(self.jacobian), 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class FieldSolution:
+    """An adjustment of fields."""
+
+    solution: Solution
+    design: Design
+
+    @property
+    def blocks(self) -> Mapping[str, Block]:
+        """All blocks at the solution."""
+        return self.solution.blocks
+
+    def std(self, block: str) -> Array:
+        """Return the standard uncertainties of a block, (members, size), 0 where it is not solved for."""
+        return np.nan_to_num(self.design.std(block))
+
+    def known(self) -> FieldSolution:
+        """Return what knows the covariances."""
+        return self
+
+    def of(self, name: str) -> Array:
+        """Return the covariance of a block, (members*size, members*size), zero where it is fixed."""
+        columns = self.design.partition.columns[name].ravel()
+        free = columns >= 0
+        full = np.zeros((len(columns), len(columns)))
+        full[np.ix_(free, free)] = self.between(columns[free])
+        return full
+
+    def between(self, places: Index) -> Array:
+        """Return the covariance of unknowns by their places, (n, n)."""
+        from scipy.sparse import eye_array
+
+        return self.design.covariance(eye_array(self.design.partition.width, format="csr")[places])
+
+    def residuals(self) -> tuple[Residuals, ...]:
+        """Return the residuals of each group, with redundancy and Baarda's w."""
+        redundancy, at, found = self.design.redundancy(), 0, []
+        for group in self.solution.groups:
+            observations = group.observations
+            values = group.residuals(self.solution.blocks)
+            share = redundancy[at : at + values.size].reshape(values.shape)
+            at += values.size
+            controlled = share > 1e-6
+            root = np.sqrt(np.where(controlled, share, 1.0))
+            normalised = np.where(controlled, observations.whitened(values) / root, 0.0)
+            found.append(Residuals(values, observations.sigma, share, normalised))
+        return tuple(found)
+
+
+def design_of(fields: Fields) -> Design:
+    """Return rank and covariance of the design; OpenDesignError where too much is open to be listed."""
+    parts = partition(fields.blocks, fields.groups, fields.net, fields.local)
+    at = fields.design(fields.blocks)
+    jacobian = _jacobian([group.linear(at, frozenset(fields.blocks)) for group in fields.groups], parts)
+    reduction = reduce(jacobian, parts, _places(fields, parts))
+    return Design(parts, jacobian, reduction, _constraint(_conditions(fields, parts), reduction.null))
+
+
+def in_datum(fields: Fields, design: Design) -> Design:
+    """Return the design in the datum of these fields, which differ from its own in their conditions only."""
+    return replace(design, constraint=_constraint(_conditions(fields, design.partition), design.null))
+
+
+def adjust_fields(fields: Fields, design: Design | None = None) -> FieldSolution:
+    """Minimise the sum of squares of the whitened residuals under the conditions of the datum."""
+    design = design or design_of(fields)
+    state = dict(fields.blocks)
+    linears = _linears(fields, state)
+    cost = sum(linear.cost for linear in linears)
+    outcome, iterations = Outcome.ITERATION_LIMIT, 0
+    small = 1e-12 * design.partition.width
+    while iterations < _LIMIT:
+        iterations += 1
+        gradient = _gradient(linears, design.partition)
+        step = design.solve(gradient)
+        restoring = design.null @ (design.constraint @ design.partition.gathered(state))
+        fall = float(gradient @ step)
+        trial = _tried(fields, state, (step - restoring, design), cost)
+        if trial is None:
+            outcome = Outcome.CONVERGED if fall <= 1e-6 * design.partition.width else Outcome.DIVERGED
+            break
+        state, linears, cost = trial
+        if fall <= small + _ROUNDING * cost:
+            outcome = Outcome.CONVERGED
+            break
+    unknowns = design.partition.width
+    solution = Solution(
+        outcome, state, fields.groups, cost, iterations, unknowns, conditions=design.reduction.null.shape[1]
+    )
+    return FieldSolution(solution, design)
+
+
+def _tried(
+    fields: Fields, state: Mapping[str, Block], move: tuple[Array, Design], cost: float
+) -> tuple[dict[str, Block], list[Linear], float] | None:
+    """Take the step, or a part of it that does not raise the cost; None where none is found."""
+    step, design = move
+    for _ in range(12):
+        moved = design.partition.moved(state, step)
+        linears = _linears(fields, moved)
+        found = sum(linear.cost for linear in linears)
+        # the datum's own movement is of second order and may raise the cost by rounding
+        if found <= cost * (1 + 1e-9) + 1e-9 * design.partition.width:
+            return moved, linears, found
+        step = step / 2
+    return None
+
+
+def _linears(fields: Fields, state: Mapping[str, Block]) -> list[Linear]:
+    return [group.linear(state, frozenset(fields.blocks)) for group in fields.groups]
+
+
+def _gradient(linears: Sequence[Linear], parts: Partition) -> Array:
+    """Return J' r at the present values."""
+    total = np.zeros(parts.width)
+    for linear in linears:
+        for touch in linear.touches:
+            towards = np.einsum("dsn,dn->ns", touch.jacobian, linear.residual)
+            columns = parts.columns[touch.block][touch.index]
+            inside = columns >= 0
+            total += np.bincount(columns[inside], towards[inside], minlength=parts.width)
+    return total
+
+
+def _jacobian(linears: Sequence[Linear], parts: Partition) -> Sparse:
+    from scipy.sparse import csr_array, vstack
+
+    stacked = []
+    for linear in linears:
+        d, n = linear.residual.shape
+        values: list[Array] = []
+        rows: list[Index] = []
+        columns: list[Index] = []
+        for touch in linear.touches:
+            at = parts.columns[touch.block][touch.index]
+            a, s, i = np.nonzero(touch.jacobian)
+            keep = at[i, s] >= 0
+            a, s, i = a[keep], s[keep], i[keep]
+            values.append(touch.jacobian[a, s, i])
+            rows.append(a * n + i)
+            columns.append(at[i, s])
+        entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
+        stacked.append(csr_array(entries, shape=(d * n, parts.width)))
+    return vstack(stacked, format="csr")
+
+
+def _places(fields: Fields, parts: Partition) -> Array:
+    columns = parts.columns[fields.net]
+    places = np.zeros((parts.net, fields.places.shape[-1]))
+    places[columns[columns >= 0]] = fields.places[columns >= 0]
+    return places
+
+
+def _conditions(fields: Fields, parts: Partition) -> Array:
+    count = len(next(iter(fields.conditions.values())))
+    rows = np.zeros((count, parts.width))
+    for name, given in fields.conditions.items():
+        columns = parts.columns[name]
+        rows[:, columns[columns >= 0]] = given[:, columns >= 0]
+    return np.asarray(rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-300))
+
+
+def _constraint(conditions: Array, null: Array) -> Array:
+    """Return H with `H Z = I`: the conditions as far as they fix something, the shortest fields for the rest."""
+    if not null.shape[1]:
+        return np.zeros((0, len(null)))
+    seen = conditions @ null
+    _, sizes, mix = np.linalg.svd(seen)
+    free = mix[int((sizes > 1e-7 * max(sizes.max(initial=0.0), 1e-300)).sum()) :]
+    inverse = np.linalg.pinv(np.concatenate([seen, free @ (null.T @ null)]))
+    count = len(conditions)
+    return np.asarray(inverse[:, :count] @ conditions + inverse[:, count:] @ free @ null.T)

@@ -1,0 +1,102 @@
+"""The design of a measurement as plain matrices: derivatives of readings by the free unknowns, in rows and summed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.groups import Group
+from metrocli.adjust.model.observations import Index
+from metrocli.adjust.solution import Solution
+
+_CHUNK = 4000
+"""Readings whose rows are held at a time"""
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """The free entries of blocks, in order."""
+
+    columns: Mapping[str, Index]
+    """Place of each entry of a block, (members, size); -1 where it is not free"""
+    size: int
+
+    def names(self, blocks: Mapping[str, Block]) -> list[tuple[str, str, str]]:
+        """Return (block, member, column) of each unknown."""
+        found = [("", "", "")] * self.size
+        for name, columns in self.columns.items():
+            for member, column in zip(*np.nonzero(columns >= 0), strict=True):
+                block = blocks[name]
+                found[columns[member, column]] = (name, block.members[member], block.columns[column])
+        return found
+
+    def spread(self, name: str, values: Array) -> Array:
+        """Return unknowns (size, ...) as the entries of a block (members, size, ...), 0 where it is not free."""
+        columns = self.columns[name]
+        mask = (columns >= 0).reshape(*columns.shape, *(1,) * (values.ndim - 1))
+        return np.where(mask, values[np.maximum(columns, 0)], 0.0)
+
+    def reach(self, blocks: Mapping[str, Block]) -> Array:
+        """Return the plausible reach of each unknown, (size,)."""
+        reach = np.ones(self.size)
+        for name, columns in self.columns.items():
+            full = np.broadcast_to(blocks[name].reach, columns.shape)
+            reach[columns[columns >= 0]] = full[columns >= 0]
+        return reach
+
+
+def unknowns_of(blocks: Mapping[str, Block], names: Sequence[str]) -> Unknowns:
+    """Return the free entries of the named blocks."""
+    columns, place = {}, 0
+    for name in names:
+        free = blocks[name].free
+        columns[name] = np.full(free.shape, -1, dtype=np.intp)
+        columns[name][free] = place + np.arange(free.sum())
+        place += int(free.sum())
+    return Unknowns(columns, place)
+
+
+def rows(group: Group, blocks: Mapping[str, Block], unknowns: Unknowns) -> Array:
+    """Return the derivatives of the whitened prediction by the unknowns, (d, n, size)."""
+    d, n = group.observations.readings.shape
+    design = np.zeros((d, n, unknowns.size + 1))
+    for touch in group.linear(blocks, frozenset(unknowns.columns)).touches:
+        places = unknowns.columns[touch.block][touch.index]
+        for column in range(touch.jacobian.shape[1]):
+            # what is not free falls into a last column that is cut off
+            design[:, np.arange(n), places[:, column]] += touch.jacobian[:, column]
+    return design[:, :, :-1]
+
+
+def normal_matrix(groups: Sequence[Group], blocks: Mapping[str, Block], unknowns: Unknowns) -> Array:
+    """Return `sum of J'J` over all readings, whitened, (size, size)."""
+    total = np.zeros((unknowns.size,) * 2)
+    for group in groups:
+        n = group.observations.count
+        for start in range(0, n, _CHUNK):
+            part = group if n <= _CHUNK else group.selected(np.arange(start, min(start + _CHUNK, n)))
+            flat = rows(part, blocks, unknowns).reshape(-1, unknowns.size)
+            total += flat.T @ flat
+    return total
+
+
+def unit_noise(group: Group, sigma: Array | float = 1.0) -> Group:
+    """Return the group with uncorrelated noise of the same size in every component."""
+    observations = replace(group.observations, covariance=None, sigma=np.asarray(sigma, dtype=float))
+    return group.with_observations(observations)
+
+
+def covariance_of(solution: Solution, unknowns: Unknowns) -> Array:
+    """Return the covariance of unknowns after an adjustment, (size, size)."""
+    known = solution.known()
+    total = np.zeros((unknowns.size,) * 2)
+    flat = {name: columns.ravel() for name, columns in unknowns.columns.items() if (columns >= 0).any()}
+    for name, places in flat.items():
+        for other, others in flat.items():
+            block = known.between(name, other)
+            inside, outside = places >= 0, others >= 0
+            total[np.ix_(places[inside], others[outside])] = block[np.ix_(inside, outside)]
+    return total

@@ -1,0 +1,274 @@
+"""Chains: links end to end, the forward model of one kind of reading, with derivatives by the chain rule."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.observations import Index, Observations
+from metrocli.adjust.model.quantities import Quantity
+
+
+@dataclass(frozen=True)
+class Step:
+    """Value of a link and its derivatives; the observation axis is the last one."""
+
+    value: Array
+    """(out, n)"""
+    by_input: Array | None = None
+    """(out, in, n); None for the first link of a chain"""
+    by_block: Mapping[str, Array] = field(default_factory=dict)
+    """(out, size, n), or (k, out, size, n) where a reading touches k members of the block"""
+
+
+@dataclass(frozen=True)
+class Local:
+    """What a link sees: the blocks' values, which member each reading touches, the readings and their conditions."""
+
+    blocks: Mapping[str, Block]
+    observations: Observations
+    wanted: frozenset[str]
+    """Blocks whose derivatives are used; a link may leave out the others."""
+
+    def members(self, block: str) -> Array:
+        """Return the values of all members, (members, size)."""
+        return self.blocks[block].values
+
+    def index(self, block: str) -> Index:
+        """Return which member each reading touches, (n,) or (k, n); zeros for a block of one member."""
+        index, lattice = self.observations.index.get(block), self.observations.lattice
+        if index is not None:
+            return index
+        if lattice is not None and (block == lattice.block or block in lattice.slots):
+            return lattice.index(block)
+        return np.zeros(self.observations.count, dtype=np.intp)
+
+    def slots(self, block: str) -> Index:
+        """Return which member each reading touches, or each slot of a lattice; one for the block of its members."""
+        lattice = self.observations.lattice
+        if lattice is None:
+            return self.index(block)
+        return lattice.slots.get(block, np.zeros(1, dtype=np.intp))
+
+    def rows(self, block: str) -> Array:
+        """Return the values touched by each reading, (size, n), or (size, 1) for a block of one member."""
+        values = self.blocks[block].values
+        if len(values) == 1:
+            return values.T
+        return self._at_readings(values, block)
+
+    def spread(self, per_member: Array, block: str) -> Array:
+        """Return values computed once for each member (members, ...) at each reading, (..., n) or (..., 1)."""
+        return np.moveaxis(per_member, 0, -1) if len(per_member) == 1 else self._at_readings(per_member, block)
+
+    def _at_readings(self, per_member: Array, block: str) -> Array:
+        lattice = self.observations.lattice
+        if lattice is not None and block not in self.observations.index:
+            return lattice.spread(per_member, block)
+        return np.ascontiguousarray(np.moveaxis(per_member, 0, -1))[..., self.index(block)]
+
+
+IDENTITY = np.eye(3)[:, :, None]
+"""Derivative of a point by itself, (3, 3, 1)"""
+
+
+class Link(Protocol):
+    """One differentiable step from a quantity to a quantity.
+
+    Readings come in portions and in any order: what differs from reading to reading is asked of `local`, never kept.
+    """
+
+    @property
+    def takes(self) -> Quantity | None:
+        """The quantity it needs; None for the first link of a chain."""
+
+    @property
+    def gives(self) -> Quantity:
+        """The quantity it makes."""
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """Names of the blocks whose values it uses."""
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return value (out, n) and derivatives at `value` (in, n)."""
+
+
+def through(outer: Array, inner: Array) -> Array:
+    """Return the product of derivatives at each reading: (a, b, n), (b, c, n) -> (a, c, n)."""
+    n = outer.shape[-1] if inner.shape[-1] == 1 else inner.shape[-1]
+    product = np.empty((outer.shape[0], inner.shape[1], n))
+    for a, row in enumerate(outer):
+        for c in range(inner.shape[1]):
+            np.multiply(row[0], inner[0, c], out=product[a, c])
+            for b in range(1, len(inner)):
+                product[a, c] += row[b] * inner[b, c]
+    return product
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Links in order; each takes what the one before it gives."""
+
+    links: tuple[Link, ...]
+
+    def __post_init__(self) -> None:
+        given: Quantity | None = None
+        for link in self.links:
+            if link.takes is not given:
+                wants = "nothing" if link.takes is None else f"a {link.takes.value}"
+                has = "nothing" if given is None else f"a {given.value}"
+                raise ValueError(f"{type(link).__name__} takes {wants}, the chain has {has} there")
+            given = link.gives
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """Names of all blocks that the chain uses, in order, once each."""
+        return tuple(dict.fromkeys(name for link in self.links for name in link.blocks))
+
+    @property
+    def quantities(self) -> tuple[Quantity, ...]:
+        """The quantities that the chain passes through."""
+        return tuple(link.gives for link in self.links)
+
+    def spliced(self, effects: Sequence[Link]) -> Chain:
+        """Return the chain with each effect put behind the last link that gives its quantity.
+
+        An effect on the parameters of a block (`varies` names it) is put in front of every link that reads the block;
+        one that looks at the links before it (`within`) is given them.
+        Raises ValueError, naming the quantities passed through, where an effect cannot act.
+        """
+        links = self.links
+        for effect in effects:
+            put = _put(links, effect)
+            if put is None:
+                passed = ", ".join(quantity.value for quantity in self.quantities)
+                raise ValueError(f"{type(effect).__name__} cannot act here: the chain passes through {passed}")
+            links = put
+        return Chain(links)
+
+    def takes(self, effect: Link) -> bool:
+        """Whether an effect can be put into the chain."""
+        return _put(self.links, effect) is not None
+
+    def predict(self, blocks: Mapping[str, Block], observations: Observations) -> Array:
+        """Return the predicted readings (d, n)."""
+        value = self.steps(blocks, observations, frozenset())[-1].value
+        return np.array(np.broadcast_to(value, (len(value), observations.count)))
+
+    def steps(self, blocks: Mapping[str, Block], observations: Observations, wanted: frozenset[str]) -> list[Step]:
+        """Run the chain forwards and return the step of every link."""
+        local = Local(blocks, observations, wanted)
+        value = np.zeros((0, observations.count))
+        steps = []
+        for link in self.links:
+            steps.append(link.step(value, local))
+            value = steps[-1].value
+        return steps
+
+    def derivatives(self, steps: Sequence[Step], wanted: frozenset[str]) -> dict[str, Array]:
+        """Return the derivatives of the reading by the wanted blocks, backwards along the chain.
+
+        Each is (d, size, n), or (k, d, size, n) where a reading touches k members of the block.
+        """
+        first = min(
+            (i for i, link in enumerate(self.links) if wanted.intersection(link.blocks)), default=len(self.links)
+        )
+        total: dict[str, Array] = {}
+        outer: Array | None = None
+        for i in range(len(self.links) - 1, first - 1, -1):
+            for name, inner in steps[i].by_block.items():
+                if name in wanted:
+                    part = _behind(outer, inner)
+                    total[name] = total[name] + part if name in total else part
+            by_input = steps[i].by_input
+            if i > first and by_input is not None:
+                outer = by_input if outer is None else through(outer, by_input)
+        return total
+
+
+@dataclass(frozen=True)
+class Varied:
+    """A link that sees the parameters of a block as an effect changes them, each reading its own."""
+
+    link: Link
+    block: str
+    effect: Link
+    """Takes and gives the values that each reading touches, (size, n)"""
+
+    @property
+    def takes(self) -> Quantity | None:
+        """What the link takes."""
+        return self.link.takes
+
+    @property
+    def gives(self) -> Quantity:
+        """What the link gives."""
+        return self.link.gives
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """Blocks of the link and of the effect."""
+        return tuple(dict.fromkeys((*self.link.blocks, *self.effect.blocks)))
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the link's step at the changed parameters, with derivatives by the block through the effect."""
+        shape = (local.blocks[self.block].size, local.observations.count)
+        changed = self.effect.step(np.array(np.broadcast_to(local.rows(self.block), shape)), local)
+        step = self.link.step(value, self._seen(np.broadcast_to(changed.value, shape), local))
+        by_block = dict(step.by_block)
+        outer = by_block.pop(self.block, None)
+        if outer is not None:
+            for name, inner in changed.by_block.items():
+                part = through(outer, inner)
+                by_block[name] = by_block[name] + part if name in by_block else part
+            by_block[self.block] = outer if changed.by_input is None else through(outer, changed.by_input)
+        return replace(step, by_block={name: part for name, part in by_block.items() if name in local.wanted})
+
+    def _seen(self, values: Array, local: Local) -> Local:
+        """Return what the link sees: a member of the block for each reading, all of it wanted if the effect is."""
+        block, observations, wanted = local.blocks[self.block], local.observations, local.wanted
+        used = block.free.any(axis=0) | (block.considered is not None)
+        if wanted.intersection(self.effect.blocks):
+            used, wanted = np.array(True), wanted | {self.block}
+        n = observations.count
+        members = tuple(map(str, range(n)))
+        each = replace(block, values=values.T, members=members, free=np.asarray(used), considered=None)
+        index = {**observations.index, self.block: np.arange(n)}
+        # each reading has a member of its own; in a lattice the other blocks stay as they are
+        return Local({**local.blocks, self.block: each}, replace(observations, index=index), wanted)
+
+
+def _put(links: tuple[Link, ...], effect: Link) -> tuple[Link, ...] | None:
+    """Return the links with an effect among them; None where it cannot act."""
+    varies: str | None = getattr(effect, "varies", None)
+    return _behind_last(links, effect) if varies is None else _in_front_of_readers(links, effect, varies)
+
+
+def _behind_last(links: tuple[Link, ...], effect: Link) -> tuple[Link, ...] | None:
+    places = [i + 1 for i, link in enumerate(links) if link.gives is effect.takes is effect.gives]
+    if not places:
+        return None
+    before = links[: places[-1]]
+    within = getattr(effect, "within", None)
+    return (*before, effect if within is None else within(Chain(before)), *links[places[-1] :])
+
+
+def _in_front_of_readers(links: tuple[Link, ...], effect: Link, block: str) -> tuple[Link, ...] | None:
+    if not any(block in link.blocks for link in links):
+        return None
+    return tuple(Varied(link, block, effect) if block in link.blocks else link for link in links)
+
+
+def _behind(outer: Array | None, inner: Array) -> Array:
+    if outer is None:
+        return inner
+    if inner is IDENTITY:
+        return outer
+    if inner.ndim == 4:
+        return np.stack([through(outer, slot) for slot in inner])
+    return through(outer, inner)

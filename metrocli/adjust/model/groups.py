@@ -1,0 +1,196 @@
+"""Groups: a chain with its observations, and what it looks like near the present values of the blocks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array, Block, Space
+from metrocli.adjust.model.chain import Chain, Local, Step
+from metrocli.adjust.model.observations import Index, Mask, Observations
+from metrocli.adjust.model.quantities import Quantity
+
+
+@dataclass(frozen=True)
+class Touch:
+    """The derivatives of a group by one block, in units of the readings' standard deviations."""
+
+    block: str
+    index: Index
+    """Member touched by each reading, (n,), of a lattice by each of its slots, (m,)"""
+    jacobian: Array
+    """(d, size, n)"""
+
+
+@dataclass(frozen=True)
+class Linear:
+    """A group linearised: residuals `reading - predicted` and derivatives of the prediction, both whitened."""
+
+    residual: Array
+    """(d, n)"""
+    touches: tuple[Touch, ...]
+
+    @property
+    def cost(self) -> float:
+        """Sum of squares of the whitened residuals."""
+        return float(np.vdot(self.residual, self.residual))
+
+
+@dataclass(frozen=True)
+class Group:
+    """Readings of one kind with the chain that predicts them."""
+
+    name: str
+    chain: Chain
+    observations: Observations
+    weights: Array | None = None
+    """Factors (n,) on the weight 1/sigma^2 of each reading, for robust starts; None means 1."""
+
+    def linear(self, blocks: Mapping[str, Block], wanted: frozenset[str]) -> Linear:
+        """Return the group linearised at the blocks' values by the wanted blocks."""
+        observations = self.observations
+        wanted = wanted.intersection(self.chain.blocks)
+        steps = self.chain.steps(blocks, observations, wanted)
+        residual = self._weighted(observations.whitened(observations.readings - steps[-1].value))
+        local = Local(blocks, observations, wanted)
+        touches = []
+        for name, jacobian in self.chain.derivatives(steps, wanted).items():
+            slots = jacobian if jacobian.ndim == 4 else jacobian[None]
+            index = np.atleast_2d(local.slots(name))
+            for slot, members in zip(slots, index, strict=True):
+                whitened = self._weighted(observations.whitened(slot))
+                touches.append(Touch(name, members, np.broadcast_to(whitened, (*slot.shape[:2], observations.count))))
+        return Linear(residual, tuple(touches))
+
+    def residuals(self, blocks: Mapping[str, Block]) -> Array:
+        """Return `reading - predicted` in the unit of the reading, (d, n)."""
+        return self.observations.readings - self.chain.predict(blocks, self.observations)
+
+    def simulated(self, blocks: Mapping[str, Block]) -> Group:
+        """Return the group with the readings that the chain predicts, without noise."""
+        return self.with_observations(self.observations.with_readings(self.chain.predict(blocks, self.observations)))
+
+    def with_observations(self, observations: Observations) -> Group:
+        """Return the group with other observations and no robust weights."""
+        return replace(self, observations=observations, weights=None)
+
+    def selected(self, keep: Mask | Index) -> Group:
+        """Return the group with some of its readings."""
+        return self.with_observations(self.observations.selected(keep))
+
+    def _weighted(self, values: Array) -> Array:
+        return values if self.weights is None else values * np.sqrt(self.weights)
+
+
+@dataclass(frozen=True)
+class ReadBlock:
+    """The values of a block themselves, as if they were measured: the forward model of a prior.
+
+    `value = difference(values, reference)` in the chosen columns, so that readings of zero mean "as the reference".
+    """
+
+    block: str
+    reference: Array
+    """(members, size)"""
+    columns: tuple[int, ...]
+    space: Space = Space.FLAT
+    takes = None
+    gives = Quantity.PARAMETERS
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """The block it reads."""
+        return (self.block,)
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the differences (columns, n) and their derivatives by a step of the block."""
+        values = local.members(self.block)
+        difference = self.space.difference(values, self.reference)[:, self.columns]
+        by_step = self.space.difference_by_step(values, self.reference)[:, self.columns, :]
+        return Step(local.spread(difference, self.block), by_block={self.block: local.spread(by_step, self.block)})
+
+
+def prior(
+    block: Block,
+    members: Index,
+    sigma: Array | None = None,
+    covariance: Array | None = None,
+    columns: tuple[int, ...] | None = None,
+) -> Group:
+    """Return the group that holds members of a block to their present values.
+
+    sigma is (len(members), len(columns)); covariance (len(columns), len(columns)) is for a single member.
+    """
+    columns = tuple(range(block.size)) if columns is None else columns
+    n = len(members)
+    observations = Observations(
+        readings=np.zeros((len(columns), n)),
+        sigma=np.ones(1) if sigma is None else np.asarray(sigma, dtype=float).T,
+        index={block.name: np.asarray(members, dtype=np.intp)},
+        covariance=None if covariance is None else np.asarray(covariance, dtype=float)[:, :, None],
+        keys={"member": tuple(block.members[i] for i in members)},
+        components=tuple(block.columns[i] for i in columns),
+    )
+    link = ReadBlock(block.name, block.values, columns, block.space)
+    return Group(f"prior of {block.name}", Chain((link,)), observations)
+
+
+def priors(block: Block, sigma: Array, free: Mask) -> list[Group]:
+    """Return what is known of members beforehand: one group for each set of columns that has a standard deviation.
+
+    sigma (members, size): above zero known so well, nan unknown, 0 exact; free (members, size): what is solved for.
+    """
+    known = free & np.isfinite(sigma) & (sigma > 0)
+    groups = []
+    for pattern in np.unique(known, axis=0):
+        columns = np.flatnonzero(pattern)
+        members = np.flatnonzero((known == pattern).all(axis=1))
+        if columns.size and members.size:
+            groups.append(prior(block, members, sigma[np.ix_(members, columns)], columns=tuple(columns.tolist())))
+    return groups
+
+
+@dataclass(frozen=True)
+class ReadBlocks:
+    """Several blocks read as one vector: the forward model of a joint prior."""
+
+    parts: tuple[ReadBlock, ...]
+    takes = None
+    gives = Quantity.PARAMETERS
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """The blocks it reads."""
+        return tuple(part.block for part in self.parts)
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the differences of all parts one after the other, (sum of columns, n), and their derivatives."""
+        steps = [part.step(value, local) for part in self.parts]
+        sizes = [len(step.value) for step in steps]
+        by_block = {}
+        for i, (part, step) in enumerate(zip(self.parts, steps, strict=True)):
+            own = step.by_block[part.block]
+            full = np.zeros((sum(sizes), *own.shape[1:]))
+            full[sum(sizes[:i]) : sum(sizes[: i + 1])] = own
+            by_block[part.block] = full
+        return Step(
+            np.concatenate(
+                [np.broadcast_to(step.value, (len(step.value), local.observations.count)) for step in steps]
+            ),
+            by_block=by_block,
+        )
+
+
+def joint_prior(blocks: Sequence[Block], columns: Sequence[tuple[int, ...]], covariance: Array) -> Group:
+    """Return the group that holds blocks of one member together to their present values, with a common covariance."""
+    parts = tuple(
+        ReadBlock(block.name, block.values, chosen, block.space) for block, chosen in zip(blocks, columns, strict=True)
+    )
+    size = len(covariance)
+    names = tuple(block.columns[i] for block, chosen in zip(blocks, columns, strict=True) for i in chosen)
+    observations = Observations(
+        np.zeros((size, 1)), np.ones(1), {}, np.asarray(covariance, dtype=float)[:, :, None], components=names
+    )
+    return Group("prior of " + ", ".join(block.name for block in blocks), Chain((ReadBlocks(parts),)), observations)

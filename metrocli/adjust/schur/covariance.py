@@ -1,0 +1,125 @@
+"""Covariance of any block from the factors of the normal equations, without the inverse of the whole matrix.
+
+With W = D^-1 B and Q_r the covariance of the reduced unknowns (considered ones included): `Q_er = -W Q_r`,
+`Q_ee = D^-1 + W Q_r W'`. These hold in any datum once Q_r is in it, as long as the datum does not depend on the
+eliminated members; where it does (inner constraints on them) the terms of `Gauge` are added.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.observations import Index, Mask
+from metrocli.adjust.schur.layout import Layout
+from metrocli.adjust.schur.member_covariance import Members
+
+
+@dataclass(frozen=True)
+class Covariance:
+    """Covariance of all unknowns, given out block by block."""
+
+    layout: Layout
+    shapes: Mapping[str, tuple[int, int]]
+    reduced: Array
+    """(width, width)"""
+    eliminated: Members
+    """The eliminated block"""
+    factor: float = 1.0
+    """sigma0^2 where the noise is estimated, else 1"""
+
+    def scaled(self, factor: float) -> Covariance:
+        """Return the covariance multiplied by `factor`."""
+        return replace(self, factor=self.factor * factor)
+
+    def of(self, name: str) -> Array:
+        """Return the full covariance of a block, (members*size, members*size), zero where it is fixed."""
+        return self.between(name, name)
+
+    def between(self, name: str, other: str) -> Array:
+        """Return the covariance between all entries of two blocks, (members*size, members*size)."""
+        if self.layout.eliminated == name == other:
+            m, s = self.shapes[name]
+            members = self.eliminated
+            flat = members.weights.reshape(m * s, self.layout.width)
+            full = flat @ self.reduced @ flat.T
+            view = full.reshape(m, s, m, s)
+            view[np.arange(m), :, np.arange(m), :] += members.inverse
+            if members.gauge is not None:
+                shared = members.gauge.moves.reshape(m * s, -1) @ members.share.reshape(m * s, -1).T
+                full -= shared + shared.T
+            return self.factor * full
+        if other == self.layout.eliminated:
+            return self.between(other, name).T
+        rows = -self._cross if name == self.layout.eliminated else self._rows(name, self.reduced)
+        m, s = self.shapes[name]
+        return self.factor * self._columns(other, rows.reshape(m * s, self.layout.width))
+
+    def members(self, name: str) -> Array:
+        """Return the covariance of each member of a block, (members, size, size)."""
+        m, s = self.shapes[name]
+        if name == self.layout.eliminated:
+            plain = self.layout.free == self.layout.width
+            return self.factor * (self.eliminated.covariance if plain else self.eliminated.given(self.reduced))
+        columns = self.layout.columns.get(name)
+        if columns is None:
+            return np.zeros((m, s, s))
+        inside = (columns >= 0)[:, :, None] & (columns >= 0)[:, None, :]
+        return self.factor * np.where(inside, self.reduced[columns[:, :, None], columns[:, None, :]], 0.0)
+
+    def pairs(self, name: str, index: Index, other: str, other_index: Index) -> Array:
+        """Return the covariance of chosen pairs of members of two blocks, (size, size', n).
+
+        n is 1 where both blocks have one member. Of the eliminated block a member is paired with itself only.
+        """
+        solved = {self.layout.eliminated, *self.layout.columns}
+        if not {name, other} <= solved:
+            return np.zeros((self.shapes[name][1], self.shapes[other][1], len(index)))
+        if other == self.layout.eliminated and name != other:
+            return np.swapaxes(self.pairs(other, other_index, name, index), 0, 1)
+        if name == other == self.layout.eliminated:
+            return np.ascontiguousarray(np.moveaxis(self.members(name), 0, -1))[:, :, index]
+        others, within = self._places(other, other_index)
+        if name == self.layout.eliminated:
+            rows = -self._cross
+            if len(others) == 1:
+                chosen = np.where(within[0], rows[:, :, others[0]], 0.0)
+                return self.factor * np.ascontiguousarray(np.moveaxis(chosen, 0, -1))[:, :, index]
+            picked = rows[index[:, None, None], np.arange(rows.shape[1])[None, :, None], others[:, None, :]]
+            return self.factor * np.moveaxis(picked * within[:, None, :], 0, -1)
+        columns, inside = self._places(name, index)
+        picked = self.reduced[columns[:, :, None], others[:, None, :]] * (inside[:, :, None] & within[:, None, :])
+        covariance: Array = self.factor * np.moveaxis(picked, 0, -1)
+        return covariance
+
+    @cached_property
+    def _cross(self) -> Array:
+        """Minus the covariance of the eliminated members with the reduced unknowns, (members, s, width)."""
+        members = self.eliminated
+        product: Array = members.weights @ self.reduced
+        return product if members.gauge is None else product + members.share @ members.gauge.reduced.T
+
+    def _places(self, name: str, index: Index) -> tuple[Index, Mask]:
+        columns = self.layout.columns[name]
+        rows = columns if len(columns) == 1 else columns[index]
+        return np.maximum(rows, 0), rows >= 0
+
+    def _rows(self, name: str, matrix: Array) -> Array:
+        columns = self.layout.columns.get(name)
+        if columns is None:
+            m, s = self.shapes[name]
+            return np.zeros((m * s, matrix.shape[1]))
+        flat = columns.ravel()
+        return np.where((flat >= 0)[:, None], matrix[np.maximum(flat, 0)], 0.0)
+
+    def _columns(self, name: str, matrix: Array) -> Array:
+        return self._rows(name, np.ascontiguousarray(matrix.T)).T
+
+
+def shapes_of(blocks: Mapping[str, Block]) -> dict[str, tuple[int, int]]:
+    """Return (members, size) of each block."""
+    return {name: (len(block.members), block.size) for name, block in blocks.items()}

@@ -1,0 +1,231 @@
+"""Normal equations of readings in no regular order: products of each member's readings, all members at once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array, Block, Mask
+from metrocli.adjust.model.groups import Linear, Touch
+from metrocli.adjust.model.observations import Index
+from metrocli.adjust.schur.layout import Layout
+
+
+@dataclass(frozen=True)
+class Gathered:
+    """All members of the eliminated block, none where nothing is eliminated, with the sums of their readings."""
+
+    members: Index
+    free: Mask
+    """(members, s)"""
+    d: Array
+    """D, (members, s, s)"""
+    b: Array
+    """(members, s, width)"""
+    right: Array
+    """(members, s)"""
+    n: Array
+    """Of the reduced unknowns, (width, width)"""
+    right_r: Array
+    """(width,)"""
+
+    @cached_property
+    def _weights(self) -> Array:
+        return np.asarray(np.linalg.solve(self.d, self.b), dtype=float) if self.d.size else self.b
+
+    def damped(self, factor: float) -> Gathered:
+        """Return the same with the diagonal of D enlarged by `1 + factor`."""
+        return replace(self, d=self.d + factor * _diagonal(self.d))
+
+    @cached_property
+    def reduced(self) -> tuple[Array, Array, float]:
+        """What readings say of the reduced unknowns alone: matrix, right side, and the fall by the members alone."""
+        flat, weights = (x.reshape(self.right.size, len(self.n)) for x in (self.b, self._weights))
+        alone = float(np.vdot(self.right, self._solved())) if self.d.size else 0.0
+        return self.n - flat.T @ weights, self.right_r - weights.T @ self.right.ravel(), alone
+
+    @property
+    def diagonal(self) -> Array:
+        """The diagonal of `K'K`, (width,)."""
+        return np.diag(self.n)
+
+    def _solved(self) -> Array:
+        return np.asarray(np.linalg.solve(self.d, self.right[:, :, None])[:, :, 0], dtype=float)
+
+    def back(self, step: Array) -> Array:
+        """Return the members' own step, `D^-1 (right - B step)`, (members, s)."""
+        if not self.d.size:
+            return self.right
+        return self._solved() - self._weights @ step
+
+    def normals(self) -> Array:
+        """Return D, (members, s, s)."""
+        return self.d
+
+    def inverse(self) -> Array:
+        """Return D^-1 with zeros at fixed entries, (members, s, s)."""
+        if not self.d.size:
+            return self.d
+        return np.asarray(np.linalg.inv(self.d), dtype=float) * self.free[:, :, None] * self.free[:, None, :]
+
+    def weights(self) -> Array:
+        """Return `W = D^-1 B`, (members, s, width)."""
+        return self._weights * self.free[:, :, None]
+
+    def covariance(self, reduced: Array) -> Array:
+        """Return `D^-1 + W Q W'` of each member, (members, s, s)."""
+        weights = self.weights()
+        return self.inverse() + (weights @ reduced) @ np.swapaxes(weights, 1, 2)
+
+    def adjusted(self, reduced: Array) -> tuple[Array, tuple[Array, ...]]:
+        """Return `D^-1 + W Q W'` (members, s, s); nothing of single readings."""
+        return self.covariance(reduced), ()
+
+    def solved(self, fields: Array) -> Array:
+        """Return `D^-1 H` of fields H (members, s, f), (members, s, f)."""
+        return np.asarray(np.linalg.solve(self.d, fields), dtype=float)
+
+    def moments(self, fields: Array) -> tuple[Array, Array]:
+        """Return `H' W` and `H' D^-1 H` of fields H (members, s, f): (f, width), (f, f)."""
+        flat = fields.reshape(self.right.size, fields.shape[2])
+        weights = self._weights.reshape(len(flat), self.b.shape[2])
+        return flat.T @ weights, flat.T @ self.solved(fields).reshape(flat.shape)
+
+
+def _diagonal(matrix: Array) -> Array:
+    """Return the diagonal, 1 where it is not above 0, as a matrix (..., s, s)."""
+    diagonal = np.einsum("...ii->...i", matrix)
+    return np.where(diagonal > 0, diagonal, 1.0)[..., None] * np.eye(matrix.shape[-1])
+
+
+@dataclass
+class Sums:
+    """The sums of readings: what `Gathered` holds, and the part of the reduced unknowns."""
+
+    d: Array
+    b: Array
+    right_e: Array
+    n: Array
+    right_r: Array
+
+    @staticmethod
+    def empty(members: int, size: int, width: int) -> Sums:
+        """Return sums of no readings."""
+        shapes = ((members, size, size), (members, size, width), (members, size), (width, width), (width,))
+        return Sums(*(np.zeros(shape) for shape in shapes))
+
+    def add(self, linear: Linear, blocks: Mapping[str, Block], layout: Layout) -> None:
+        """Add the readings of a group."""
+        _add(self, _Parts.of(linear, blocks, layout))
+
+    def gathered(self, free: Mask) -> Gathered:
+        """Return the members, with 1 on the diagonal of fixed entries."""
+        fixed = np.nonzero(~free)
+        self.d[fixed[0], fixed[1], fixed[1]] = 1.0
+        return Gathered(np.arange(len(free)), free, self.d, self.b, self.right_e, self.n, self.right_r)
+
+
+@dataclass(frozen=True)
+class _Parts:
+    """Derivatives of a group sorted by their part in the sums."""
+
+    index_e: Index | None
+    dense: Array
+    """(d, columns, n): the eliminated block's columns first, then those of blocks of one member, then the residual"""
+    size_e: int
+    places: Index
+    """Reduced columns of the dense part"""
+    several: tuple[tuple[Touch, Index], ...]
+    """Touches of other blocks of many members, with the reduced columns (members, size)"""
+
+    @staticmethod
+    def of(linear: Linear, blocks: Mapping[str, Block], layout: Layout) -> _Parts:
+        index_e, size_e, several = None, 0, []
+        dense: list[Array] = []
+        places: list[Index] = []
+        for touch in linear.touches:
+            if touch.block == layout.eliminated:
+                free = blocks[touch.block].free
+                mask = free.T[:, touch.index] if not free.all() else 1.0
+                index_e, size_e = touch.index, touch.jacobian.shape[1]
+                dense.insert(0, touch.jacobian * mask)
+            elif len(blocks[touch.block].members) == 1:
+                columns = layout.columns[touch.block][0]
+                dense.append(touch.jacobian[:, columns >= 0])
+                places.append(columns[columns >= 0])
+            else:
+                several.append((touch, layout.columns[touch.block]))
+        stacked = np.concatenate([*dense, linear.residual[:, None, :]], axis=1)
+        return _Parts(index_e, stacked, size_e, np.concatenate([*places, np.zeros(0, dtype=np.intp)]), tuple(several))
+
+
+def _add(sums: Sums, parts: _Parts) -> None:
+    s, places = parts.size_e, parts.places
+    d, c, n = parts.dense.shape
+    rows = np.ascontiguousarray(parts.dense.reshape(d * c, n).T).reshape(n, d, c)
+    if parts.index_e is None:
+        flat = rows.reshape(n * d, c)
+        gram = flat.T @ flat
+    else:
+        each = grams(rows, parts.index_e, len(sums.d))
+        sums.d += each[:, :s, :s]
+        sums.right_e += each[:, :s, -1]
+        sums.b[:, :, places] += each[:, :s, s:-1]
+        gram = each[:, s:, s:].sum(axis=0)
+    sums.n[np.ix_(places, places)] += gram[:-1, :-1]
+    sums.right_r[places] += gram[:-1, -1]
+    if parts.several:
+        _add_several(sums, parts, rows)
+
+
+def grams(rows: Array, index: Index, members: int) -> Array:
+    """Return `sum of A'A` over the readings of each member, rows (n, d, c) -> (members, c, c).
+
+    Members of like many readings are padded to one length and multiplied together.
+    """
+    n, d, c = rows.shape
+    counts = np.bincount(index, minlength=members)
+    order = np.argsort(index, kind="stable")
+    ordered = rows if (np.diff(index) >= 0).all() else rows[order]
+    starts = np.concatenate([[0], np.cumsum(counts)])
+    sums = np.zeros((members, c, c))
+    lengths = np.where(counts > 0, 2 ** np.ceil(np.log2(np.maximum(counts, 1))).astype(int), 0)
+    for length in np.unique(lengths[lengths > 0]):
+        chosen = np.flatnonzero(lengths == length)
+        longest = int(counts[chosen].max())
+        if (counts[chosen] == longest).all() and len(chosen) == members:
+            padded = ordered.reshape(members, longest * d, c)
+        else:
+            place = starts[chosen, None] + np.arange(longest)
+            inside = np.arange(longest) < counts[chosen, None]
+            padded = (ordered[np.minimum(place, n - 1)] * inside[:, :, None, None]).reshape(len(chosen), longest * d, c)
+        sums[chosen] = np.swapaxes(padded, 1, 2) @ padded
+    return sums
+
+
+def _add_several(sums: Sums, parts: _Parts, rows: Array) -> None:
+    from scipy.sparse import csr_matrix
+
+    n, d, _ = rows.shape
+    s, width = parts.size_e, len(sums.n)
+    values, columns = [], []
+    for touch, places in parts.several:
+        place = places[touch.index]
+        values.append(np.moveaxis(touch.jacobian, -1, 0) * (place >= 0)[:, None, :])
+        columns.append(np.broadcast_to(np.maximum(place, 0)[:, None, :], values[-1].shape))
+    value, column = np.concatenate(values, axis=2), np.concatenate(columns, axis=2)
+    pointers = np.arange(0, value.size + 1, value.shape[2])
+    matrix = csr_matrix((value.ravel(), column.ravel(), pointers), shape=(n * d, width))
+    sums.n += (matrix.T @ matrix).toarray()
+    flat = rows.reshape(n * d, rows.shape[2])
+    cross = matrix.T @ flat[:, s:]
+    sums.n[:, parts.places] += cross[:, :-1]
+    sums.n[parts.places, :] += cross[:, :-1].T
+    sums.right_r += cross[:, -1]
+    if parts.index_e is not None:
+        product = np.einsum("nda,ndb->nab", rows[:, :, :s], value)
+        place = (parts.index_e[:, None, None] * s + np.arange(s)[:, None]) * width + column[:, :1, :]
+        sums.b += np.bincount(place.ravel(), product.ravel(), minlength=sums.b.size).reshape(sums.b.shape)

@@ -1,0 +1,148 @@
+"""Normal equations with one block eliminated member by member (Schur complement).
+
+With e the unknowns of the eliminated block (block-diagonal D) and r the rest, the normal matrix is [[D, B], [B', N]];
+the reduced system is `S = N - B' D^-1 B`. Cost grows linearly with readings and with members of the eliminated block.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.groups import Group
+from metrocli.adjust.model.observations import Index
+from metrocli.adjust.schur.irregular_normals import Sums
+from metrocli.adjust.schur.layout import Layout
+from metrocli.adjust.schur.tiled_elimination import Eliminated, Rows
+from metrocli.adjust.schur.tiles import Split
+
+
+class Part(Protocol):
+    """Members of the eliminated block, with what their elimination takes from the reduced system and gives back."""
+
+    @property
+    def members(self) -> Index | slice:
+        """Which members, (k,)"""
+
+    def damped(self, factor: float) -> Part:
+        """Return the same with the diagonal of D enlarged by `1 + factor`."""
+
+    @property
+    def reduced(self) -> tuple[Array, Array, float]:
+        """What the readings say of the reduced unknowns alone: `N - B' D^-1 B`, right side, and `right' D^-1 right`.
+
+        LinAlgError where D is singular.
+        """
+
+    @property
+    def diagonal(self) -> Array:
+        """The diagonal of N, (width,)."""
+
+    def back(self, step: Array) -> Array:
+        """Return the members' own step, `D^-1 (right - B step)`, (k, s)."""
+
+    def normals(self) -> Array:
+        """Return D, (k, s, s)."""
+
+    def inverse(self) -> Array:
+        """Return D^-1 with zeros at fixed entries, (k, s, s)."""
+
+    def weights(self) -> Array:
+        """Return `W = D^-1 B`: what the members lose for each unit of the others, (k, s, width)."""
+
+    def covariance(self, reduced: Array) -> Array:
+        """Return `D^-1 + W Q W'` of each member, (k, s, s)."""
+
+    def adjusted(self, reduced: Array) -> tuple[Array, tuple[Array, ...]]:
+        """Return what `covariance` does, and for each group of a portion the variance of its readings as adjusted."""
+
+    def solved(self, fields: Array) -> Array:
+        """Return `D^-1 H` of fields H (k, s, f), (k, s, f)."""
+
+    def moments(self, fields: Array) -> tuple[Array, Array]:
+        """Return `H' W` and `H' D^-1 H` of fields H (k, s, f): (f, width), (f, f)."""
+
+
+@dataclass(frozen=True)
+class Normals:
+    """The parts of the normal matrix and of the right side `J' r`, all in whitened readings."""
+
+    parts: tuple[Part, ...]
+    """Those of the portions, then that of the other readings"""
+    shape: tuple[int, int]
+    """Of the eliminated block, (members, s)"""
+    cost: float
+    damping: float = 0.0
+
+    @property
+    def diagonal(self) -> Array:
+        """The diagonal of N, (width,)."""
+        return np.asarray(np.sum([part.diagonal for part in self.parts], axis=0))
+
+    def reduced(self) -> tuple[Array, Array, float]:
+        """Return `S = N - B' D^-1 B`, its right side, and the fall of the sum of squares by the members alone.
+
+        LinAlgError where a member is singular.
+        """
+        matrices, rights, alone = zip(*(part.reduced for part in self.parts), strict=True)
+        matrix, right = np.sum(matrices, axis=0), np.sum(rights, axis=0)
+        if self.damping:
+            diagonal = self.diagonal
+            matrix[np.diag_indices_from(matrix)] += self.damping * np.where(diagonal > 0, diagonal, 1.0)
+        return matrix, right, sum(alone)
+
+    def damped(self, factor: float) -> Normals:
+        """Return the normals with their diagonal enlarged by `1 + factor` (Marquardt)."""
+        return replace(self, parts=tuple(part.damped(factor) for part in self.parts), damping=factor)
+
+    def back(self, step: Array) -> Array:
+        """Return the step of the eliminated unknowns, `D^-1 (right - B step)`, (members, s)."""
+        steps = np.zeros(self.shape)
+        for part in self.parts:
+            steps[part.members] = part.back(step)
+        return steps
+
+    def following(self, step: Array) -> Array:
+        """Return `W step`: how far the eliminated unknowns go against a step of the others, (members, s)."""
+        steps = np.zeros(self.shape)
+        for part in self.parts:
+            steps[part.members] = part.weights() @ step
+        return steps
+
+
+def assemble(groups: Sequence[Group], split: Split, blocks: Mapping[str, Block], layout: Layout) -> Normals:
+    """Linearise all groups and sum their normal equations; a cost that is no number ends it before the sums."""
+    name = layout.eliminated
+    shape = blocks[name].values.shape if name else (0, 0)
+    sums = Sums.empty(0 if split.portions else shape[0], shape[1], layout.width)
+    cost = 0.0
+    for place in split.whole:
+        linear = groups[place].linear(blocks, layout.wanted)
+        cost += linear.cost
+        sums.add(linear, blocks, layout)
+    parts: list[Part] = []
+    for portion in split.portions:
+        linears = [piece.group.linear(blocks, layout.wanted) for piece in portion.pieces]
+        cost += sum(linear.cost for linear in linears)
+        if not np.isfinite(cost):
+            break
+        rows = [Rows.of(linear, portion.members, blocks, layout) for linear in linears]
+        part = Eliminated(portion.members, blocks[name or ""].free[portion.members], rows, layout.width)
+        with suppress(np.linalg.LinAlgError):  # told when it is asked for; found here, while the rows are in the cache
+            _ = part.reduced
+        parts.append(part)
+    free = blocks[name].free if name else np.zeros((0, 0), dtype=bool)
+    rest = sums.gathered(free[:0] if split.portions else free)
+    return Normals((*parts, rest), shape, float(cost))
+
+
+def cost_of(groups: Sequence[Group], split: Split, blocks: Mapping[str, Block]) -> float:
+    """Return the sum of squares of the whitened residuals of all groups."""
+    chosen = [groups[place] for place in split.whole]
+    chosen += [piece.group for portion in split.portions for piece in portion.pieces]
+    return float(sum(group.linear(blocks, frozenset()).cost for group in chosen))

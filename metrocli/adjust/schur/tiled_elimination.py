@@ -1,0 +1,349 @@
+"""The unknowns of a portion's members eliminated: Cholesky factors and products in arrays that run along the members.
+
+With `D = L L'` the normal matrix of a member, J its derivatives by its own unknowns and K those by the others, both in
+whitened readings: `U = L^-1 J'`, `Y = U K = L^-1 B`, and the reduced system loses `Y'Y`. All arrays have the members as
+last axis, so that each operation is one sweep over numbers that lie side by side.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array, Block, Mask
+from metrocli.adjust.model.groups import Linear
+from metrocli.adjust.model.observations import Index
+from metrocli.adjust.schur.batched_cholesky import backward, cholesky, complement, forward
+from metrocli.adjust.schur.layout import Layout
+
+
+@dataclass(frozen=True)
+class Beside:
+    """Derivatives of the readings of a portion by another block."""
+
+    jacobian: Array
+    """(d, size, m, k)"""
+    places: Index
+    """Reduced columns of the member that each slot touches, (m, size), -1 where fixed; (1, size) if it is but one"""
+
+    def along(self, step: Array) -> Array:
+        """Return what the readings see of a step of the reduced unknowns, ending in a zero (width + 1,), (d, m, k)."""
+        if len(self.places) == self.jacobian.shape[2]:
+            return np.asarray(np.einsum("dcmk,mc->dmk", self.jacobian, step[self.places]))
+        return np.asarray(np.einsum("dcmk,c->dmk", self.jacobian, step[self.places[0]]))
+
+
+@dataclass(frozen=True)
+class Rows:
+    """The readings of one group in a portion, linearised and whitened: m readings of d components for k members."""
+
+    own: Array
+    """(d, s, m, k), zero at fixed entries"""
+    residual: Array
+    """(d, m, k)"""
+    beside: tuple[Beside, ...]
+
+    @staticmethod
+    def of(linear: Linear, members: Index | slice, blocks: Mapping[str, Block], layout: Layout) -> Rows:
+        """Return the readings of `members` of the eliminated block in the order of a lattice."""
+        d, k = len(linear.residual), len(blocks[layout.eliminated or ""].free[members])
+        beside: list[Beside] = []
+        own = np.zeros(0)
+        for touch in linear.touches:
+            jacobian = touch.jacobian.reshape(d, touch.jacobian.shape[1], -1, k)
+            if touch.block == layout.eliminated:
+                block = blocks[touch.block]
+                own = jacobian if block.all_free else jacobian * block.free[members].T[:, None, :]
+            else:
+                places = layout.columns[touch.block]
+                beside.append(Beside(jacobian, places[touch.index]))
+        return Rows(own, linear.residual.reshape(d, -1, k), tuple(beside))
+
+
+class Eliminated:
+    """A portion whose members are eliminated."""
+
+    def __init__(
+        self, members: Index | slice, free: Mask, rows: Sequence[Rows], width: int, damping: float = 0
+    ) -> None:
+        self.members, self.free, self.rows, self.width, self.damping = members, free.T, tuple(rows), width, damping
+        self.right = np.zeros(self.free.shape)
+        """J' residual, (s, k)"""
+        for part in self.rows:
+            self.right += np.einsum("damk,dmk->ak", part.own, part.residual)
+
+    def damped(self, factor: float) -> Eliminated:
+        """Return the same with the diagonal of D enlarged by `1 + factor`."""
+        return Eliminated(self.members, self.free.T, self.rows, self.width, factor)
+
+    def _normal(self) -> Array:
+        """Return D with 1 on the diagonal of fixed entries, (s, s, k)."""
+        s, k = self.free.shape
+        normal = np.zeros((s, s, k))
+        for part in self.rows:
+            normal += np.einsum("damk,dbmk->abk", part.own, part.own)
+        diagonal = np.einsum("aak->ak", normal)
+        diagonal[~self.free] = 1.0
+        if self.damping:
+            diagonal += self.damping * np.where(diagonal > 0, diagonal, 1.0)
+        return normal
+
+    @cached_property
+    def factor(self) -> Array:
+        """L of `D = L L'`, (s, s, k); LinAlgError where a member is singular."""
+        return cholesky(self._normal())
+
+    def forward(self, right: Array) -> Array:
+        """Return `L^-1` times right, (s, ..., k)."""
+        return forward(self.factor, right)
+
+    def backward(self, right: Array) -> Array:
+        """Return `L'^-1` times right, (s, ..., k)."""
+        return backward(self.factor, right)
+
+    def whitened(self, part: Rows) -> Array:
+        """Return `U = L^-1 J'` of the readings of one group, (s, d, m, k)."""
+        return self.forward(np.moveaxis(part.own, 1, 0))
+
+    def coupling(self) -> tuple[Array, Index]:
+        """Return Y and the reduced column of each of its rows, (rows, s, k) and (rows,), -1 where fixed.
+
+        A column may stand in several rows.
+        """
+        return self._combined(len(self.free), [self.whitened(part) for part in self.rows])
+
+    def _combined(self, w: int, weights: Sequence[Array]) -> tuple[Array, Index]:
+        """Return the sums over the readings of weights (w, d, m, k) times K, (rows, w, k), and the columns (rows,)."""
+        pairs = [(weight, beside) for weight, part in zip(weights, self.rows, strict=True) for beside in part.beside]
+        places = [beside.places.ravel() for _, beside in pairs]
+        rows = np.empty((sum(len(place) for place in places), w, self.free.shape[1]))
+        at = 0
+        for weight, beside in pairs:
+            out = rows[at : at + beside.places.size].reshape(*beside.places.shape, *rows.shape[1:])
+            at += beside.places.size
+            if len(out) == 1 < beside.jacobian.shape[2]:
+                np.einsum("admk,dcmk->cak", weight, beside.jacobian, out=out[0])
+                continue
+            first, second = weight.transpose(1, 2, 0, 3), beside.jacobian.swapaxes(1, 2)
+            np.multiply(first[0][:, None], second[0][:, :, None], out=out)
+            for d in range(1, len(first)):
+                out += first[d][:, None] * second[d][:, :, None]
+        return rows, np.concatenate([*places, np.zeros(0, dtype=np.intp)])
+
+    @cached_property
+    def reduced(self) -> tuple[Array, Array, float]:
+        """What the readings say of the reduced unknowns alone: matrix, right side, and the fall by the members alone.
+
+        LinAlgError where a member is singular. Where there are few readings to spare, combinations of readings that
+        the members do not act on are taken (Z of `complement`), else `K'K - Y'Y`.
+        """
+        matrix, right = np.zeros((self.width + 1,) * 2), np.zeros(self.width + 1)
+        if self._few:
+            spare = self._spare()
+            rows, places = self._combined(len(spare[0]), spare)
+            flat = _flat(rows)
+            residual = sum(
+                np.einsum("qdmk,dmk->qk", z, part.residual) for z, part in zip(spare, self.rows, strict=True)
+            )
+            np.add.at(matrix, (places[:, None], places), flat @ flat.T)
+            np.add.at(right, places, flat @ np.ravel(residual))
+        else:
+            for part in self.rows:
+                _add(part, matrix, right)
+            rows, places = self.coupling()
+            flat = _flat(rows)
+            np.subtract.at(matrix, (places[:, None], places), flat @ flat.T)
+            np.subtract.at(right, places, flat @ self.forward(self.right).ravel())
+        fall = self.forward(self.right)
+        return matrix[:-1, :-1], right[:-1], float(np.vdot(fall, fall))
+
+    @property
+    def _few(self) -> bool:
+        """Whether there are so few readings that the combinations free of the members are fewer than they."""
+        s, scalars = len(self.free), sum(part.own.shape[0] * part.own.shape[2] for part in self.rows)
+        return s <= scalars <= 2 * s and bool(self.free.all()) and not self.damping
+
+    def _spare(self) -> list[Array]:
+        """Return Z, the combinations of readings that the members do not act on, for each group, (q, d, m, k)."""
+        s, k = self.free.shape
+        columns = [part.own.swapaxes(1, 2).reshape(-1, s, k) for part in self.rows]
+        self.factor, spare = complement(columns[0] if len(columns) == 1 else np.concatenate(columns))
+        found, at = [], 0
+        for part, column in zip(self.rows, columns, strict=True):
+            mine = spare[at : at + len(column)].swapaxes(0, 1)
+            found.append(mine.reshape(len(mine), *part.residual.shape))
+            at += len(column)
+        return found
+
+    @property
+    def diagonal(self) -> Array:
+        """The diagonal of `K'K`, (width,)."""
+        diagonal = np.zeros(self.width + 1)
+        for part in self.rows:
+            for beside in part.beside:
+                squares = np.einsum("dcmk,dcmk->mc", beside.jacobian, beside.jacobian)
+                shared = len(beside.places) < len(squares)
+                np.add.at(diagonal, beside.places, squares.sum(axis=0, keepdims=True) if shared else squares)
+        return diagonal[:-1]
+
+    def back(self, step: Array) -> Array:
+        """Return the members' own step, `D^-1 J' (residual - K step)`, (k, s)."""
+        right, full = self.right.copy(), np.append(step, 0.0)
+        for part in self.rows:
+            for beside in part.beside:
+                seen = beside.along(full)
+                for a in range(len(right)):
+                    right[a] -= np.einsum("dmk,dmk->k", part.own[:, a], seen)
+        return self.backward(self.forward(right)).T
+
+    def normals(self) -> Array:
+        """Return D, (k, s, s)."""
+        return np.moveaxis(self._normal(), -1, 0)
+
+    def inverse(self) -> Array:
+        """Return D^-1 with zeros at fixed entries, (k, s, s)."""
+        s, k = self.free.shape
+        unit = np.zeros((s, s, k))
+        for a in range(s):
+            unit[a, a] = 1.0
+        return self._members(self.backward(self.forward(unit)))
+
+    def _members(self, matrices: Array) -> Array:
+        """Return matrices (s, s, k) with zeros at fixed entries as (k, s, s)."""
+        return np.moveaxis(matrices * self.free * self.free[:, None], -1, 0)
+
+    def weights(self) -> Array:
+        """Return `W = D^-1 B`, (k, s, width)."""
+        rows, places = self.coupling()
+        solved = self.backward(np.ascontiguousarray(rows.swapaxes(0, 1)))
+        full = np.zeros((self.width + 1, *rows.shape[1:]))
+        np.add.at(full, places, solved.swapaxes(0, 1))
+        return np.ascontiguousarray(full[:-1].transpose(2, 1, 0))
+
+    def solved(self, fields: Array) -> Array:
+        """Return `D^-1 H` of fields H (k, s, f), (k, s, f)."""
+        return self.backward(self.forward(fields.transpose(1, 2, 0))).transpose(2, 0, 1)
+
+    def moments(self, fields: Array) -> tuple[Array, Array]:
+        """Return `H' W` and `H' D^-1 H` of fields H (k, s, f): (f, width), (f, f)."""
+        through = self.forward(fields.transpose(1, 2, 0))
+        rows, places = self.coupling()
+        flat = _flat(np.ascontiguousarray(through.swapaxes(0, 1)))
+        coupled = np.zeros((self.width + 1, len(flat)))
+        np.add.at(coupled, places, _flat(rows) @ flat.T)
+        return coupled[:-1].T, flat @ flat.T
+
+    @staticmethod
+    def _shared(coupled: tuple[Array, Index], reduced: Array) -> tuple[Array, Array]:
+        """Return `Y Q` and `Y Q Y'`, of the reduced unknowns' covariance Q: (rows, s, k), (s, s, k)."""
+        rows, places = coupled
+        product = (_padded(reduced)[np.ix_(places, places)] @ _flat(rows)).reshape(rows.shape)
+        s, k = rows.shape[1:]
+        between = np.empty((s, s, k))
+        for a in range(s):
+            for b in range(a + 1):
+                between[a, b] = between[b, a] = np.einsum("rk,rk->k", rows[:, a], product[:, b])
+        return product, between
+
+    def covariance(self, reduced: Array) -> Array:
+        """Return `D^-1 + W Q W'` of each member, (k, s, s)."""
+        return self._covariance(self._shared(self.coupling(), reduced)[1])
+
+    def _covariance(self, between: Array) -> Array:
+        """Return `L'^-1 (I + Y Q Y') L^-1` of each member, (k, s, s)."""
+        inner = between.copy()
+        for a in range(len(inner)):
+            inner[a, a] += 1.0
+        half = self.backward(inner)
+        full = self.backward(np.ascontiguousarray(half.swapaxes(0, 1)))
+        return self._members(full)
+
+    def adjusted(self, reduced: Array) -> tuple[Array, tuple[Array, ...]]:
+        """Return `D^-1 + W Q W'` (k, s, s), and for each group of rows the variance of its readings, (d, m k).
+
+        Those are as adjusted, `diag(J D^-1 J' + A Q A')` with `A = K - J W`.
+        """
+        own = [self.whitened(part) for part in self.rows]
+        coupled = self._combined(len(self.free), own)
+        product, between = self._shared(coupled, reduced)
+        explained = self._left(reduced) if self._few else self._explained(own, product, between, _padded(reduced))
+        return self._covariance(between), tuple(one.reshape(len(one), -1) for one in explained)
+
+    def _left(self, reduced: Array) -> list[Array]:
+        """Return the variance of each reading as adjusted by what is left, `1 - Z (I - X Q X') Z'`, `X = Z'K`."""
+        spare = self._spare()
+        left = -self._shared(self._combined(len(spare[0]), spare), reduced)[1]
+        for a in range(len(left)):
+            left[a, a] += 1.0
+        return [1 - np.einsum("qdmk,rdmk,qrk->dmk", z, z, left) for z in spare]
+
+    def _explained(self, own: Sequence[Array], product: Array, between: Array, reduced: Array) -> list[Array]:
+        """Return the variance of each reading as adjusted, for each group of rows, (d, m, k).
+
+        With `U` the reading's own part, `U'U + U' Y Q Y' U - 2 U' Y Q K' + K Q K'`.
+        """
+        found, at = [], 0
+        for part, u in zip(self.rows, own, strict=True):
+            total = np.einsum("admk,admk->dmk", u, u)
+            for a in range(len(u)):
+                total += np.einsum("dmk,bdmk,bk->dmk", u[a], u, between[a])
+            for beside in part.beside:
+                slots, size = beside.places.shape
+                mine = product[at : at + slots * size].reshape(slots, size, len(u), -1)
+                mine = np.broadcast_to(mine, (u.shape[2], *mine.shape[1:]))
+                at += slots * size
+                for c in range(size):
+                    along = np.einsum("admk,mak->dmk", u, mine[:, c])
+                    total -= 2 * along * beside.jacobian[:, c]
+            for first in part.beside:
+                for second in part.beside:
+                    total += _variance(first, second, reduced)
+            found.append(total)
+        return found
+
+
+def _flat(rows: Array) -> Array:
+    """Return (rows, s, k) as a matrix (rows, s k)."""
+    return rows.reshape(len(rows), rows.shape[1] * rows.shape[2])
+
+
+def _padded(matrix: Array) -> Array:
+    """Return a matrix with a row and a column of zeros more, the place of fixed unknowns."""
+    return np.pad(matrix, (0, 1))
+
+
+def _slots(jacobian: Array, slots: int) -> Array:
+    """Return derivatives as matrices to multiply, (slots, size, d m k / slots)."""
+    d, size, m, k = jacobian.shape
+    if slots == m:
+        return jacobian.transpose(2, 1, 0, 3).reshape(m, size, d * k)
+    return jacobian.transpose(1, 0, 2, 3).reshape(1, size, d * m * k)
+
+
+def _add(part: Rows, matrix: Array, right: Array) -> None:
+    """Add `K'K` and `K' residual` of one group."""
+    for i, one in enumerate(part.beside):
+        first, residual = (_slots(x, len(one.places)) for x in (one.jacobian, part.residual[:, None]))
+        np.add.at(right, one.places, (first @ residual.swapaxes(1, 2))[:, :, 0])
+        for other in part.beside[: i + 1]:
+            slots = max(len(one.places), len(other.places))
+            left = _slots(one.jacobian, slots)
+            gram = left @ (left if other is one else _slots(other.jacobian, slots)).swapaxes(1, 2)
+            np.add.at(matrix, (one.places[:, :, None], other.places[:, None, :]), gram)
+            if other is not one:
+                np.add.at(matrix, (other.places[:, :, None], one.places[:, None, :]), gram.swapaxes(1, 2))
+
+
+def _variance(first: Beside, second: Beside, reduced: Array) -> Array:
+    """Return `K Q K'` of the derivatives by two blocks, (d, m, k)."""
+    d, _, m, k = first.jacobian.shape
+    total = np.zeros((d, m, k))
+    rows = np.broadcast_to(first.places, (m, first.places.shape[1]))
+    columns = np.broadcast_to(second.places, (m, second.places.shape[1]))
+    q = reduced[rows[:, :, None], columns[:, None, :]]
+    for a in range(q.shape[1]):
+        total += first.jacobian[:, a] * np.einsum("dbmk,mb->dmk", second.jacobian, q[:, a])
+    return total

@@ -1,0 +1,165 @@
+"""Portions: the members of the eliminated block in lots that fit the processor's cache, with their readings in order.
+
+Members that are read alike (points seen by the same tracers) stand together. Their readings, taken in the same order,
+are a lattice: to gather a value for each reading is then to repeat it, and to sum over the readings of a member is to
+sum along an axis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.groups import Group
+from metrocli.adjust.model.observations import Index, Lattice
+
+_READINGS = 32768
+"""Readings of a portion, about: less costs calls, more leaves the cache"""
+_MOST = 64
+"""Scalar readings that a member of a lattice may have; beyond it matrix products member by member are faster"""
+_WORTH = 200
+"""Readings that a portion needs on average to be worth its overhead"""
+
+
+@dataclass(frozen=True)
+class Piece:
+    """The readings of a portion that belong to one group."""
+
+    group: Group
+    """With the observations in regular order"""
+    place: int
+    """Which of all groups it is part of"""
+    rows: Index
+    """Which readings of that group these are"""
+
+
+@dataclass(frozen=True)
+class Portion:
+    """Some members of the eliminated block with all their readings."""
+
+    members: Index | slice
+    """Which members; a slice where they stand side by side"""
+    pieces: tuple[Piece, ...]
+
+
+@dataclass(frozen=True)
+class Split:
+    """The readings of an adjustment: those in portions, and groups that are taken whole."""
+
+    portions: tuple[Portion, ...]
+    whole: tuple[int, ...]
+    """Which groups are in no portion"""
+
+
+def split(groups: Sequence[Group], blocks: Mapping[str, Block], eliminated: str | None) -> Split:
+    """Return the portions, none of them where readings are in no regular order."""
+    everything = Split((), tuple(range(len(groups))))
+    if eliminated is None:
+        return everything
+    touching = [i for i, group in enumerate(groups) if eliminated in group.chain.blocks]
+    orders = [_Order.of(groups[i], i, blocks, eliminated) for i in touching]
+    found = [order for order in orders if order is not None]
+    if len(found) < len(orders) or not found:
+        return everything
+    alike = _alike(found)
+    if len(alike) > 2 and sum(len(order.rows) for order in found) < _WORTH * len(alike):
+        return everything
+    portions = [portion for members in alike for portion in _portions(found, groups, members, eliminated)]
+    return Split(tuple(portions), tuple(i for i in range(len(groups)) if i not in touching))
+
+
+@dataclass(frozen=True)
+class _Order:
+    """The readings of a group sorted by the member of the eliminated block, then by the others that they touch."""
+
+    place: int
+    rows: Index
+    counts: Index
+    """Readings of each member"""
+    starts: Index
+    code: Index
+    """What else each sorted reading touches, as one number"""
+    others: Mapping[str, Index]
+    """Which members of the other blocks each reading touches, unsorted"""
+
+    @staticmethod
+    def of(group: Group, place: int, blocks: Mapping[str, Block], eliminated: str) -> _Order | None:
+        """Return the order; None where a reading touches two members of a block, or a member has many readings."""
+        observations, members = group.observations, len(blocks[eliminated].members)
+        own = observations.index[eliminated].reshape(-1)
+        nothing = np.zeros(len(own), dtype=np.intp)
+        others = {
+            name: observations.index.get(name, nothing)
+            for name in group.chain.blocks
+            if name != eliminated and len(blocks[name].members) > 1
+        }
+        counts = np.bincount(own, minlength=members)
+        most = int(counts.max(initial=0)) * len(observations.readings)
+        if most > _MOST or any(index.ndim > 1 for index in others.values()):
+            return None
+        code = nothing
+        for name, index in others.items():
+            code = code * len(blocks[name].members) + index
+        key = own * (int(code.max(initial=0)) + 1) + code
+        rows = np.arange(len(own)) if (np.diff(key) >= 0).all() else np.argsort(key, kind="stable")
+        return _Order(place, rows, counts, np.cumsum(counts) - counts, code[rows], others)
+
+    def signature(self) -> Index:
+        """Return a number for each member, equal for members read alike and else only by a chance of 2^-60 or so."""
+        slots = np.random.default_rng(self.place).integers(1, 2**62, int(self.counts.max(initial=0)) + 1) | 1
+        position = np.arange(len(self.rows)) - np.repeat(self.starts, self.counts)
+        mixed = (self.code + 1) * slots[position]
+        sums = np.concatenate([[0], np.cumsum(mixed)])
+        total: Index = sums[self.starts + self.counts] - sums[self.starts] + slots[-1] * self.counts
+        return total
+
+    def at(self, members: Index) -> Index:
+        """Return the sorted readings of members that have equally many, (m, k)."""
+        return np.asarray(np.arange(self.counts[members[0]])[:, None] + self.starts[members])
+
+
+def _alike(orders: Sequence[_Order]) -> list[Index]:
+    """Return lots of members that are read alike."""
+    if all(_one_pattern(order) for order in orders):
+        return [np.arange(len(orders[0].counts))]
+    with np.errstate(over="ignore"):
+        signature = sum((order.signature() for order in orders), np.zeros(len(orders[0].counts), dtype=np.intp))
+    _, kinds, counts = np.unique(signature, return_inverse=True, return_counts=True)
+    return np.split(np.argsort(kinds, kind="stable"), np.cumsum(counts)[:-1])
+
+
+def _one_pattern(order: _Order) -> bool:
+    m = int(order.counts[0])
+    if not (order.counts == m).all():
+        return False
+    return m == 0 or bool((order.code.reshape(-1, m) == order.code[:m]).all())
+
+
+def _portions(orders: Sequence[_Order], groups: Sequence[Group], members: Index, eliminated: str) -> list[Portion]:
+    readings = sum(int(order.counts[members[0]]) * len(groups[order.place].observations.readings) for order in orders)
+    number = max(1, round(len(members) * readings / _READINGS))
+    return [
+        Portion(
+            _side_by_side(some),
+            tuple(_piece(order, groups[order.place], some, eliminated) for order in orders if order.counts[some[0]]),
+        )
+        for some in np.array_split(members, number)
+    ]
+
+
+def _side_by_side(members: Index) -> Index | slice:
+    first, last = int(members[0]), int(members[-1])
+    return slice(first, last + 1) if last - first + 1 == len(members) else members
+
+
+def _piece(order: _Order, group: Group, members: Index, eliminated: str) -> Piece:
+    rows = order.rows[order.at(members)]
+    slots = {name: index[rows[:, 0]] for name, index in order.others.items()}
+    flat = rows.ravel()
+    lattice = Lattice(eliminated, _side_by_side(members), slots, rows.shape)
+    weights: Array | None = None if group.weights is None else group.weights[flat]
+    observations = group.observations.in_lattice(flat, lattice)
+    return Piece(replace(group, observations=observations, weights=weights), order.place, flat)

@@ -1,0 +1,1 @@
+"""Sparse normal equations of blocks that stay coupled: nested dissection, Cholesky, selected inverse."""

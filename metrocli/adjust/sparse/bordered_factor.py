@@ -1,0 +1,236 @@
+"""The normal matrix of an adjustment of fields, reduced step by step, with the directions that it leaves open.
+
+A net that is singular by itself (fields that move no view) has its open directions Z found by inverse iteration; as
+many unknowns P are then held, chosen so that P' Z is regular, and `(S + t P P')^-1` is an inverse of S in the sense
+that `S S^- S = S`. The border is small and has its eigenvalues.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.observations import Index
+from metrocli.adjust.sparse.cholesky import SparseCholesky, factor
+from metrocli.adjust.sparse.nested_dissection import Sparse, connected, dissect
+from metrocli.adjust.sparse.partition import Partition
+
+_STIFFNESS = 1e-9
+_SINGULAR = 1e-9
+"""Pivots and eigenvalues below this share of the diagonal are rounding"""
+_MOST = 900
+"""Open directions of the net that are looked for"""
+
+
+class OpenDesignError(Exception):
+    """The design leaves more open than can be listed."""
+
+
+@dataclass(frozen=True)
+class Reduction:
+    """Factors of the reduced normal matrix."""
+
+    sizes: Partition
+    diagonal: Array
+    """D (local,)"""
+    towards_net: Sparse
+    """N_lg, (local, net)"""
+    towards_border: Array
+    """N_lb, (local, border)"""
+    matrix: Sparse
+    """S"""
+    net: SparseCholesky
+    weights: Array
+    """`S^-1 B`, B what is left of N_gb, (net, border)"""
+    border: Array
+    """T^-1 without its open directions, (border, border)"""
+    null: Array
+    """Everything that is open, Z (unknowns, k)"""
+
+    @cached_property
+    def inverse(self) -> Sparse:
+        """Entries of S^-1 where S has its own."""
+        return self.net.inverse(self.matrix)
+
+    def solve(self, right: Array) -> Array:
+        """Return a solution of `N x = right`; what of the right side lies in the open directions is left out."""
+        flat = right.reshape(len(right), -1)
+        g, rest = self.sizes.net, self.sizes.net + self.sizes.local
+        local = flat[g:rest] / self.diagonal[:, None]
+        net = self.net.solve(flat[:g] - self.towards_net.T @ local)
+        border = self.border @ (
+            flat[rest:] - self.towards_border.T @ local - self.weights.T @ (flat[:g] - self.towards_net.T @ local)
+        )
+        net = net - self.weights @ border
+        local = local - (self.towards_net @ net + self.towards_border @ border) / self.diagonal[:, None]
+        return np.concatenate([net, local, border]).reshape(right.shape)
+
+    def variances(self, rows: Sparse) -> Array:
+        """Return `diag(R Q R')` for rows of entries that readings couple, (n,)."""
+        net, scaled, outer = self._shared(rows)
+        own = np.asarray(scaled.multiply(scaled).sum(axis=1)).ravel()
+        return np.asarray(own + self._spread(net) + np.einsum("nb,nb->n", outer @ self.border, outer))
+
+    def covariance(self, rows: Sparse) -> Array:
+        """Return `R Q R'` for any rows, (n, n)."""
+        net, scaled, outer = self._shared(rows)
+        half = self.net.forward(net.T.toarray())
+        return np.asarray((scaled @ scaled.T).toarray() + half.T @ half + outer @ self.border @ outer.T)
+
+    def _shared(self, rows: Sparse) -> tuple[Sparse, Sparse, Array]:
+        """Return what rows weigh in `R Q R'`: the net, the local unknowns over the root of D, and the border."""
+        g, rest = self.sizes.net, self.sizes.net + self.sizes.local
+        net, local, border = rows[:, :g], rows[:, g:rest], rows[:, rest:]
+        scaled = local.multiply(1 / self.diagonal).tocsr()
+        net = (net - scaled @ self.towards_net).tocsr()
+        outer = border.toarray() - scaled @ self.towards_border - net @ self.weights
+        return net, local.multiply(1 / np.sqrt(self.diagonal)).tocsr(), outer
+
+    def _spread(self, rows: Sparse) -> Array:
+        """Return `diag(R S^-1 R')` from the entries of the inverse."""
+        counts, size = np.diff(rows.indptr), self.inverse.shape[0]
+        total = np.zeros(rows.shape[0])
+        keys = np.repeat(np.arange(size), np.diff(self.inverse.indptr)) * size + self.inverse.indices
+        columns = rows.indices.astype(np.int64)
+        for a in range(int(counts.max(initial=0))):
+            for b in range(a + 1):
+                has = np.flatnonzero(counts > a)
+                first, second = rows.indptr[has] + a, rows.indptr[has] + b
+                at = np.searchsorted(keys, columns[first] * size + columns[second])
+                product = rows.data[first] * rows.data[second] * self.inverse.data[np.minimum(at, len(keys) - 1)]
+                total[has] += product if a == b else 2 * product
+        return total
+
+
+def reduce(jacobian: Sparse, sizes: Partition, places: Array) -> Reduction:
+    """Return the factors of J'J; OpenDesignError where the net is open in more than `_MOST` directions."""
+    g, rest = sizes.net, sizes.net + sizes.local
+    by_net, by_local, by_border = jacobian[:, :g], jacobian[:, g:rest], jacobian[:, rest:]
+    diagonal = np.asarray(by_local.multiply(by_local).sum(axis=0)).ravel()
+    towards_net = (by_local.T @ by_net).tocsr()
+    towards_border = (by_local.T @ by_border).toarray()
+    share = towards_net.multiply(1 / diagonal[:, None]).tocsr()
+    own = by_net.T @ by_net
+    matrix = _sum(own, -(towards_net.T @ share), 0.0 * (abs(towards_net).T @ abs(share)))
+    right = (by_net.T @ by_border).toarray() - share.T @ towards_border
+    net, open_net = _factored(matrix, places, float(own.diagonal().max()))
+    weights = net.solve(right)
+    corner = (by_border.T @ by_border).toarray() - towards_border.T @ (towards_border / diagonal[:, None])
+    alone = np.asarray(by_border.multiply(by_border).sum(axis=0)).ravel()
+    border, open_border = _border(corner - right.T @ weights, alone)
+    null_net = np.concatenate([open_net, -weights @ open_border], axis=1)
+    null_border = np.concatenate([np.zeros((len(corner), open_net.shape[1])), open_border], axis=1)
+    null_local = -(towards_net @ null_net + towards_border @ null_border) / diagonal[:, None]
+    null = np.concatenate([null_net, null_local, null_border])
+    return Reduction(sizes, diagonal, towards_net, towards_border, matrix, net, weights, border, null)
+
+
+def _sum(*matrices: Sparse) -> Sparse:
+    """Return the sum with every entry that one of them has, also where they cancel: readings couple these."""
+    from scipy.sparse import coo_array
+
+    parts = [matrix.tocoo() for matrix in matrices]
+    places = (np.concatenate([part.row for part in parts]), np.concatenate([part.col for part in parts]))
+    total = coo_array((np.concatenate([part.data for part in parts]), places), shape=matrices[0].shape).tocsr()
+    total.sort_indices()
+    return total
+
+
+def _factored(matrix: Sparse, places: Array, largest: float) -> tuple[SparseCholesky, Array]:
+    """Return the factor of the net, with unknowns held where it is singular, and its open directions (n, k).
+
+    largest is the largest entry of the diagonal before the local unknowns were eliminated.
+    """
+    fronts = dissect(matrix, places)
+    try:
+        found = factor(matrix, fronts)
+        if found.weakest**2 > _SINGULAR * largest:
+            return found, np.zeros((matrix.shape[0], 0))
+    except np.linalg.LinAlgError:
+        pass
+    everywhere = np.full(matrix.shape[0], _STIFFNESS * largest)
+    opened = _open(matrix, factor(_with_diagonal(matrix, everywhere), fronts), largest)
+    held = _holding(opened, matrix.shape[0])
+    return factor(_with_diagonal(matrix, held * largest), fronts), _side_by_side(opened, matrix.shape[0])
+
+
+def _with_diagonal(matrix: Sparse, added: Array) -> Sparse:
+    from scipy.sparse import diags_array
+
+    return _sum(matrix, diags_array(added, format="csr"))
+
+
+def _holding(opened: _Opened, count: int) -> Array:
+    """Return 1 at the unknowns whose holding closes all open directions, else 0, (count,)."""
+    from scipy.linalg import qr
+
+    held = np.zeros(count)
+    for piece, directions in opened:
+        _, order = qr(directions.T, mode="r", pivoting=True)
+        held[piece[order[: directions.shape[1]]]] = 1.0
+    return held
+
+
+_Opened = list[tuple[Index, Array]]
+"""The unknowns of pieces of a net, and their open directions (unknowns of the piece, k)"""
+
+
+def _open(matrix: Sparse, net: SparseCholesky, largest: float) -> _Opened:
+    """Return the open directions of a singular net by inverse iteration on ever more vectors.
+
+    A net that falls apart has them piece by piece; the same columns serve all pieces at once.
+    """
+    pieces = connected(matrix)
+    rng, count = np.random.default_rng(0), 32
+    while True:
+        vectors = rng.normal(size=(matrix.shape[0], count))
+        for _ in range(4):
+            vectors = _orthonormal(net.solve(vectors), pieces)
+        found = list(_lowest(matrix, vectors, pieces, largest))
+        if sum(each.shape[1] for each in found) > _MOST:
+            raise OpenDesignError(f"more than {_MOST} directions are open")
+        if all(each.shape[1] < count or len(each) <= count for each in found):
+            return [(piece, own) for piece, own in zip(pieces, found, strict=True) if own.shape[1]]
+        count *= 3
+
+
+def _orthonormal(vectors: Array, pieces: list[Index]) -> Array:
+    """Return vectors orthonormal over each piece, as many of them as it has unknowns, the others zero."""
+    whole = np.zeros_like(vectors)
+    for piece in pieces:
+        own = np.linalg.qr(vectors[piece, : len(piece)])[0]
+        whole[piece, : own.shape[1]] = own
+    return whole
+
+
+def _lowest(matrix: Sparse, vectors: Array, pieces: list[Index], largest: float) -> Iterator[Array]:
+    """Yield what is open in each piece of what its vectors span, (unknowns of the piece, k)."""
+    applied = matrix @ vectors
+    for piece in pieces:
+        own = vectors[piece, : len(piece)]
+        values, mix = np.linalg.eigh(own.T @ applied[piece, : len(piece)])
+        yield own @ mix[:, values < _SINGULAR * largest]
+
+
+def _side_by_side(opened: _Opened, count: int) -> Array:
+    """Return directions of single pieces as those of the whole, (count, k)."""
+    whole = np.zeros((count, sum(directions.shape[1] for _, directions in opened)))
+    at = 0
+    for piece, directions in opened:
+        whole[piece, at : at + directions.shape[1]] = directions
+        at += directions.shape[1]
+    return whole
+
+
+def _border(matrix: Array, alone: Array) -> tuple[Array, Array]:
+    """Return the inverse of the border's matrix without its open directions, and these."""
+    scale = 1 / np.sqrt(np.where(alone > 0, alone, 1.0))
+    values, vectors = np.linalg.eigh(matrix * scale[:, None] * scale)
+    opened = values < _SINGULAR
+    kept = vectors[:, ~opened]
+    inverse = (kept / values[~opened]) @ kept.T
+    return inverse * scale[:, None] * scale, vectors[:, opened] * scale[:, None]

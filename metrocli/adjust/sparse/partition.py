@@ -1,0 +1,61 @@
+"""Which unknown is of which sort in an adjustment of fields: local, of the net, or of the border."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array, Block, Mask
+from metrocli.adjust.model.groups import Group
+from metrocli.adjust.model.observations import Index
+
+
+@dataclass(frozen=True)
+class Partition:
+    """Places of the free unknowns: those of the net first, then the local ones, then the border."""
+
+    net: int
+    local: int
+    width: int
+    columns: Mapping[str, Index]
+    """For each block the place of every entry, (members, size); -1 where it is fixed"""
+
+    def gathered(self, blocks: Mapping[str, Block]) -> Array:
+        """Return the values of all unknowns, (width,); poses as they stand."""
+        values = np.zeros(self.width)
+        for name, columns in self.columns.items():
+            values[columns[columns >= 0]] = blocks[name].values[columns >= 0]
+        return values
+
+    def moved(self, blocks: Mapping[str, Block], step: Array) -> dict[str, Block]:
+        """Return the blocks after a step of all unknowns, (width,)."""
+        moved = dict(blocks)
+        for name, columns in self.columns.items():
+            moved[name] = blocks[name].moved(np.where(columns >= 0, step[np.maximum(columns, 0)], 0.0))
+        return moved
+
+
+def partition(blocks: Mapping[str, Block], groups: Sequence[Group], net: str, local: str) -> Partition:
+    """Place the free unknowns; members of the local block that a reading touches together go to the border."""
+    joined = _joined(blocks[local], groups)
+    alone = blocks[local].free & ~joined[:, None]
+    columns = {name: np.full(block.values.shape, -1, dtype=np.intp) for name, block in blocks.items()}
+    place = 0
+    sizes = []
+    rest = [(name, block.free) for name, block in blocks.items() if name not in (net, local)]
+    for name, free in [(net, blocks[net].free), (local, alone), (local, blocks[local].free & ~alone), *rest]:
+        columns[name][free] = place + np.arange(int(free.sum()))
+        place += int(free.sum())
+        sizes.append(int(free.sum()))
+    return Partition(sizes[0], sizes[1], place, columns)
+
+
+def _joined(block: Block, groups: Sequence[Group]) -> Mask:
+    joined = np.zeros(len(block.members), dtype=bool)
+    for group in groups:
+        index = group.observations.index.get(block.name)
+        if index is not None and index.ndim == 2 and len(index) > 1:
+            joined[index.ravel()] = True
+    return joined

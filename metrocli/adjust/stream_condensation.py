@@ -1,0 +1,142 @@
+"""Dense readings condensed to few, without loss for a model that is a quadratic in each cell.
+
+Least-squares parabolas of a cell, taken at the three Gauss nodes of its own points, are uncorrelated, and each has the
+weight of the Gauss quadrature (Golub and Welsch 1969): so the three values with these weights stand for all points.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array, Mask
+from metrocli.adjust.model.observations import Index
+
+_NODES = 3
+_SPREAD = 1e-6
+"""Cells whose points are too clumped for a parabola (smallest pivot of the moments) are condensed to their mean"""
+
+
+@dataclass(frozen=True)
+class Condensed:
+    """Condensed readings, in the order of their cells."""
+
+    cell: Index
+    x: Array
+    values: Array
+    """(channels, m)"""
+    weight: Array
+    """Number of readings that each stands for (m,)"""
+    misfit: Array
+    """Sum of squares of the readings about the parabolas of their cells, by channel"""
+    dof: int
+    """Degrees of freedom of that sum, for each channel"""
+
+
+@dataclass(frozen=True)
+class _Cells:
+    """Readings in the order of their cells."""
+
+    cell: Index
+    starts: Index
+    """First reading of each cell that has any"""
+    x: Array
+    values: Array
+
+    @property
+    def counts(self) -> Index:
+        return np.diff(np.append(self.starts, len(self.x)))
+
+    def sums(self, of: Array) -> Array:
+        return np.add.reduceat(of, self.starts, axis=-1)
+
+
+def condense(x: Array, values: Array, cell: Index) -> Condensed:
+    """Condense readings `values` (channels, n) at x (n,) in cells (n,) to at most three for each cell."""
+    order = np.argsort(cell, kind="stable")
+    ordered = cell[order]
+    starts = np.flatnonzero(np.diff(ordered, prepend=-1))
+    cells = _Cells(ordered, starts, x[order], values[:, order])
+    counts = cells.counts
+    parts, moments = _moments(cells)
+    fit = (counts > _NODES) & (_smallest_pivot(moments) > _SPREAD)
+    few = counts <= _NODES
+    pieces = [_parabolas(cells, parts, moments, fit), _as_they_are(cells, few), _means(cells, parts, ~fit & ~few)]
+    index, where, found, weight = (np.concatenate(kind, axis=-1) for kind in zip(*pieces, strict=True))
+    about = parts.mean[:, np.searchsorted(ordered[starts], index)]
+    total = ((cells.values - np.repeat(parts.mean, counts, axis=1)) ** 2).sum(axis=1)
+    misfit = np.maximum(total - ((found - about) ** 2 * weight).sum(axis=1), 0.0)
+    used = np.where(few, counts, np.where(fit, _NODES, 1)).sum()
+    inside = np.lexsort((where, index))
+    return Condensed(index[inside], where[inside], found[:, inside], weight[inside], misfit, int(counts.sum() - used))
+
+
+@dataclass(frozen=True)
+class _Parts:
+    """Scaling of each cell, `u = (x - centre) / half`, and sums of the readings' products with powers of u."""
+
+    centre: Array
+    half: Array
+    mean: Array
+    """(channels, cells)"""
+    right: Array
+    """Means of u^k (y - mean), (channels, cells, 3)"""
+
+
+def _moments(cells: _Cells) -> tuple[_Parts, Array]:
+    """Return the scaling, and the mean of u^0 ... u^5 in each cell, (cells, 6)."""
+    counts = cells.counts
+    low, high = (function.reduceat(cells.x, cells.starts) for function in (np.minimum, np.maximum))
+    centre, half = (low + high) / 2, np.maximum((high - low) / 2, 1e-300)
+    u = (cells.x - np.repeat(centre, counts)) / np.repeat(half, counts)
+    mean = cells.sums(cells.values) / counts
+    left = cells.values - np.repeat(mean, counts, axis=1)
+    power, moments, right = np.ones_like(u), [], []
+    for k in range(2 * _NODES):
+        moments.append(cells.sums(power) / counts)
+        if k < _NODES:
+            right.append(cells.sums(left * power) / counts)
+        power = power * u
+    return _Parts(centre, half, mean, np.stack(right, axis=-1)), np.stack(moments, axis=-1)
+
+
+def _hankel(moments: Array, first: int) -> Array:
+    return np.stack([moments[:, first + i : first + i + _NODES] for i in range(_NODES)], axis=1)
+
+
+def _smallest_pivot(moments: Array) -> Array:
+    """Return the smallest of the pivots of each moment matrix, 0 where it is singular."""
+    a = _hankel(moments, 0)
+    variance = a[:, 1, 1] - a[:, 0, 1] ** 2
+    safe = np.maximum(variance, 1e-300)
+    last = a[:, 2, 2] - a[:, 0, 2] ** 2 - (a[:, 1, 2] - a[:, 0, 1] * a[:, 0, 2]) ** 2 / safe
+    return np.asarray(np.maximum(np.minimum(variance, last), 0.0))
+
+
+_Piece = tuple[Index, Array, Array, Array]
+
+
+def _parabolas(cells: _Cells, parts: _Parts, moments: Array, chosen: Mask) -> _Piece:
+    numbers = np.flatnonzero(chosen)
+    root = np.linalg.cholesky(_hankel(moments[numbers], 0))
+    back = np.linalg.inv(root)
+    nodes, _ = np.linalg.eigh(back @ _hankel(moments[numbers], 1) @ np.swapaxes(back, 1, 2))
+    basis = nodes[..., None] ** np.arange(_NODES) @ np.swapaxes(back, 1, 2)
+    weight = cells.counts[numbers, None] / (basis**2).sum(axis=2)
+    fitted = np.einsum("mjk,mkl,cml->cmj", basis, back, parts.right[:, numbers])
+    found = fitted + parts.mean[:, numbers, None]
+    where = parts.centre[numbers, None] + parts.half[numbers, None] * nodes
+    index = np.repeat(cells.cell[cells.starts[numbers]], _NODES)
+    return index, where.ravel(), found.reshape(len(found), -1), weight.ravel()
+
+
+def _as_they_are(cells: _Cells, chosen: Mask) -> _Piece:
+    rows = np.flatnonzero(np.repeat(chosen, cells.counts))
+    return cells.cell[rows], cells.x[rows], cells.values[:, rows], np.ones(len(rows))
+
+
+def _means(cells: _Cells, parts: _Parts, chosen: Mask) -> _Piece:
+    numbers = np.flatnonzero(chosen)
+    where = cells.sums(cells.x)[numbers] / cells.counts[numbers]
+    return cells.cell[cells.starts[numbers]], where, parts.mean[:, numbers], cells.counts[numbers].astype(float)

@@ -1,0 +1,157 @@
+"""Gain: how much better parts of the readings are predicted that were held out, the selection repeated without them.
+
+Leaving rows g out of a linear adjustment needs no new one: the error of their prediction is `e = M_gg^- r_g` with the
+covariance `s^2 M_gg^-`, and the rest is what remains when their unit vectors are columns of the model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.observations import Index
+from metrocli.diagnosis.adjusted_job import Subject
+from metrocli.diagnosis.linear.fitted_columns import Given, nothing
+from metrocli.diagnosis.linear.score_tests import Field
+from metrocli.diagnosis.selection.confidence_set import Named
+from metrocli.diagnosis.selection.search import select
+from metrocli.diagnosis.selection.selection_state import Chosen, Selection
+
+_DETERMINED = 1e-6
+"""Eigenvalue of M_gg below which a direction is not predicted by the others"""
+
+
+@dataclass(frozen=True)
+class Gain:
+    """What an effect gains on held-out readings."""
+
+    before: float
+    """Root mean square error of prediction, in the internal unit of the readings"""
+    after: float
+    median_before: float
+    median_after: float
+    log_score: float
+    log_score_std: float
+
+    @property
+    def shown(self) -> bool:
+        """Whether the gain is beyond twice its standard error."""
+        return self.log_score > 2 * self.log_score_std
+
+    @property
+    def reduction(self) -> float:
+        """Share by which the error falls."""
+        return 1 - self.after / self.before if self.before > 0 else 0.0
+
+
+@dataclass(frozen=True)
+class _Held:
+    """How well one fold is predicted."""
+
+    score: float
+    errors: Array
+    """Of the readings in the unit in which they are told"""
+    directions: float
+    """As how many errors they count"""
+
+
+def gains(subject: Subject, selection: Selection, names: Sequence[Named]) -> list[Gain]:
+    """Return the gain of each named effect, then of all: with what each fold's own selection names of it, and without.
+
+    Smooth terms are in neither, as the extended job has none.
+    """
+    field = selection.field
+    rows = _rows_of_folds(subject, field)
+    spared = np.zeros(field.system.rows, dtype=bool)
+    for one in selection.outliers:
+        spared[field.places[one.number][field.places[one.number] >= 0]] = True
+    groups: list[Sequence[Named]] = [*([name] for name in names), names]
+    found: list[list[tuple[_Held, _Held]]] = [[] for _ in groups]
+    for fold in range(int(rows.max()) + 1):
+        out = np.flatnonzero((rows == fold) & ~spared)
+        if out.size:
+            trained = select(field, _without(field, np.flatnonzero(rows == fold)))
+            start = _without(field, np.flatnonzero((rows == fold) & spared))
+            for number, group in enumerate(groups):
+                found[number].append(_compared(start, trained, group, out))
+    return [_gain(pairs) for pairs in found]
+
+
+def _rows_of_folds(subject: Subject, field: Field) -> Index:
+    rows = np.full(field.system.rows, -1, dtype=np.intp)
+    for group in subject.model.readings:
+        fold = field.system.spread(group, subject.folds[group.name].astype(float) + 1)
+        rows = np.where(fold > 0, fold.astype(np.intp) - 1, rows)
+    return rows
+
+
+def _without(field: Field, out: Index) -> Given:
+    unit = np.zeros((field.system.rows, len(out)))
+    unit[out, np.arange(len(out))] = 1.0
+    return nothing(field.system).with_columns(field.system.seen(unit))
+
+
+def _compared(start: Given, trained: Selection, names: Sequence[Named], out: Index) -> tuple[_Held, _Held]:
+    """Return how well a fold is predicted without and with effects, as the selection without the fold has them.
+
+    In `start` the wrong readings of the fold are unknowns of their own, so that they count for neither.
+    """
+    field = trained.field
+    spots = {spot for name in names for spot in _spots(name)}
+
+    def is_it(one: Chosen) -> bool:
+        return field.families[one.family].alternatives[one.number].spot in spots
+
+    own = [one for one in trained.named if is_it(one)]
+    others = [one for one in trained.chosen if one not in own and one not in trained.unknown]
+    before = _with_all(start, others)
+    return _held(field, before, out), _held(field, _with_all(before, own), out)
+
+
+def _with_all(given: Given, chosen: Sequence[Chosen]) -> Given:
+    return given.with_columns(np.concatenate([one.columns for one in chosen], axis=1)) if chosen else given
+
+
+def _held(field: Field, given: Given, out: Index) -> _Held:
+    """Return the log density of the held-out readings (multivariate t) and their errors of prediction."""
+    from scipy.special import gammaln
+
+    taken = np.concatenate([field.system.basis[out], given.basis[out]], axis=1)
+    values, vectors = np.linalg.eigh(np.eye(len(out)) - taken @ taken.T)
+    kept = values > _DETERMINED
+    along = vectors[:, kept].T @ given.residual[out]
+    own = float((along**2 / values[kept]).sum())
+    k = int(kept.sum())
+    rest = max(given.dof - k, 1.0)
+    variance = max(given.squares - own, 1e-300) / rest
+    score = float(
+        gammaln((rest + k) / 2)
+        - gammaln(rest / 2)
+        - k / 2 * np.log(np.pi * rest * variance)
+        + np.log(values[kept]).sum() / 2
+        - (rest + k) / 2 * np.log1p(own / (rest * variance))
+    )
+    alike = field.system.alike[out]
+    shown = vectors[alike][:, kept]
+    errors = (shown @ (along / values[kept])) * field.system.scale[out][alike]
+    return _Held(score, errors, float((shown**2).sum()))
+
+
+def _gain(pairs: Sequence[tuple[_Held, _Held]]) -> Gain:
+    differences = np.array([after.score - before.score for before, after in pairs])
+    spread = float(differences.std(ddof=1)) if len(differences) > 1 else float("inf")
+    sides = list(zip(*pairs, strict=True))
+    rms = [
+        float(np.sqrt(sum((h.errors**2).sum() for h in side) / max(sum(h.directions for h in side), 1e-9)))
+        for side in sides
+    ]
+    medians = [float(np.median(np.abs(np.concatenate([held.errors for held in side])))) for side in sides]
+    total = float(differences.sum())
+    return Gain(rms[0], rms[1], medians[0], medians[1], total, spread * float(np.sqrt(len(differences))))
+
+
+def _spots(name: Named) -> list[tuple[str, tuple[str, ...]]]:
+    return [name.alternative.spot, *(rival.alternative.spot for rival in name.rivals)]

@@ -1,0 +1,267 @@
+"""What a measurement can see at all: of each candidate what is visible, how large it must be, and what it can hide."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.diagnosis.adjusted_job import Subject
+from metrocli.diagnosis.linear.candidates import Alternative, NotTested
+from metrocli.diagnosis.linear.distributions import noncentrality, single_level
+from metrocli.diagnosis.linear.projection import System, linearised
+from metrocli.diagnosis.linear.score_tests import Field, quadratic
+from metrocli.diagnosis.linear.signatures import signature
+from metrocli.diagnosis.selection.thresholds import FIRST, WRONG_READING
+from metrocli.effects.effect import Effect
+
+_POWER = 0.8
+_ALIKE = 0.9
+_SAME = 0.999
+_HELPS = 0.98
+"""Correlation above which an offer is not worth telling"""
+_NAMED_ABSORBERS = 3
+_PART = 0.1
+"""Share of the largest below which an unknown is not named among those that absorb"""
+_NOTHING = 1e-9
+"""Change of the result, as a share of the change of all readings, that is rounding"""
+_SEPARATED = 1.645
+"""One-sided 5 % of a normal: risk of the wrong one of two names"""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """What the measurement can say of one cause at one place."""
+
+    alternative: Alternative
+    family: int
+    number: int
+    """The alternative of median visibility, where it was scanned"""
+    visible: float
+    """Share of the signature that the unknowns leave"""
+    detectable: float
+    """Least size found with 80 % power, after counting all that is tried; inf where nothing is visible"""
+    plausible: float
+    hides: float
+    """Largest change of what is delivered by an effect of that size, or of plausible size where nothing is visible"""
+    absorbed_by: tuple[str, ...]
+
+    @property
+    def testable(self) -> bool:
+        """Whether anything of it is visible."""
+        return bool(np.isfinite(self.detectable))
+
+    @property
+    def unit(self) -> str:
+        """Of its size."""
+        return self.alternative.effect.parameters[0].unit
+
+    @property
+    def dimension(self) -> str:
+        """Of its size."""
+        return self.alternative.effect.parameters[0].dimension
+
+    @property
+    def name(self) -> str:
+        """Cause and place in words."""
+        return str(self.alternative)
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two candidates that look alike."""
+
+    one: str
+    other: str
+    correlation: float
+    separable: float
+    """Size of the first from which it is told from the other in 95 of 100 cases"""
+    unit: str
+    dimension: str
+
+    @property
+    def alias(self) -> bool:
+        """Whether nothing tells them apart."""
+        return self.correlation > _SAME
+
+
+@dataclass(frozen=True)
+class WrongReading:
+    """What an error of a single reading must be to be found."""
+
+    effect: Effect
+    detectable: float
+    """The median of all readings, in their unit; inf where none of them shows its own error"""
+    hides: float
+    """Largest change of what is delivered by an error of one reading that just escapes"""
+    unchecked: int
+    """Readings whose errors no other reading shows"""
+
+    @property
+    def testable(self) -> bool:
+        """Whether any reading shows its own error."""
+        return bool(np.isfinite(self.detectable))
+
+
+@dataclass(frozen=True)
+class Design:
+    """What a measurement can see."""
+
+    candidates: tuple[Candidate, ...]
+    not_tested: tuple[NotTested, ...]
+    pairs: tuple[Pair, ...]
+    readings: tuple[WrongReading, ...] = ()
+
+
+def design(subject: Subject, field: Field, not_tested: Sequence[NotTested], noise: float = 1.0) -> Design:
+    """Return what a measurement can see, for a noise in units of the declared one."""
+    candidates = tuple(_candidate(subject, field, *spot, noise) for spot in _spots(field))
+    readings = tuple(_wrong_reading(subject, field, e, noise) for e in subject.effects if e.of_one_reading)
+    return Design(candidates, tuple(not_tested), tuple(_pairs(field, candidates, noise)), readings)
+
+
+def _wrong_reading(subject: Subject, field: Field, effect: Effect, noise: float) -> WrongReading:
+    """Return the least detectable error of a reading, `sqrt(lambda / r) sigma` (Baarda 1968)."""
+    system = field.system
+    level = single_level(single_level(WRONG_READING, field.causes), field.tests[-1])
+    power = noncentrality(level, 1, max(system.dof - 1, 1), _POWER)
+    rows = field.places[~field.excluded]
+    rows = rows[rows >= 0]
+    redundancy = 1 - (system.basis[rows] ** 2).sum(axis=1)
+    least = np.sqrt(power / np.maximum(redundancy, 1e-12)) * noise
+    places = system.entries(subject.delivered.block)[:, list(subject.delivered.columns)]
+    moved = system.solver[np.maximum(places, 0)] @ system.basis[rows].T
+    shift = np.sqrt((np.where((places >= 0)[:, :, None], moved, 0.0) ** 2).sum(axis=1)).max(axis=0, initial=0.0)
+    detectable = float(np.median(least * system.scale[rows])) if len(rows) else float("inf")
+    return WrongReading(effect, detectable, float((shift * least).max(initial=0.0)), int(field.excluded.sum()))
+
+
+def _spots(field: Field) -> Iterable[tuple[int, Sequence[int]]]:
+    """Yield for each cause and place its family and alternatives."""
+    for number, family in enumerate(field.families):
+        if family.unknown:
+            continue
+        places: dict[tuple[str, ...], list[int]] = {}
+        for at, alternative in enumerate(family.alternatives):
+            places.setdefault(alternative.instance, []).append(at)
+        for chosen in places.values():
+            yield number, chosen
+
+
+def _candidate(subject: Subject, field: Field, family: int, chosen: Sequence[int], noise: float) -> Candidate:
+    columns, gram = field.families[family].columns, field.grams[family]
+    _, ranks = quadratic(
+        gram[list(chosen)], np.zeros((len(chosen), columns.shape[2])), field.scales[family][list(chosen)]
+    )
+    traces = np.where(ranks > 0, np.einsum("kqq->k", gram[list(chosen)]), 0.0)
+    order = np.argsort(traces, kind="stable")
+    at = chosen[int(order[len(order) // 2])]
+    rank = int(ranks[order[len(order) // 2]])
+    alternative = field.families[family].alternatives[at]
+    plausible = _plausible(alternative.effect)
+    raw = field.scales[family][at]
+    visible = float(np.sqrt(np.mean(np.diag(gram[at]) / np.where(raw > 0, raw, 1.0) ** 2)))
+    size = detectable_size(field, family, at, noise) if rank else float("inf")
+    full = signature(subject.model, field.system, alternative.effect, alternative.instance, dict(alternative.scanned))
+    shift = field.system.shifts(full, subject.delivered.blocks, subject.delivered.columns)
+    hides = float(np.sqrt((shift**2).sum(axis=(1, 2)).max(initial=0.0) / full.shape[1]))
+    if hides < _NOTHING * np.linalg.norm(full) / np.sqrt(full.shape[1]) * _typical(field.system):
+        hides = 0.0
+    reached = size if rank else plausible
+    return Candidate(
+        alternative,
+        family,
+        at,
+        visible,
+        size,
+        plausible,
+        hides * reached,
+        () if rank else _absorbers(field.system, full),
+    )
+
+
+def _plausible(effect: Effect) -> float:
+    """Return the plausible size of an effect's parameters of the same dimension as the first, root mean square."""
+    alike = [p.plausible for p in effect.parameters if p.dimension == effect.parameters[0].dimension]
+    return float(np.sqrt(np.mean(np.square(alike))))
+
+
+def _typical(system: System) -> float:
+    """Return a typical standard deviation of a reading."""
+    return float(np.median(system.scale[system.measured]))
+
+
+def detectable_size(field: Field, family: int, at: int, noise: float = 1.0) -> float:
+    """Return the size that is found with 80 % power: `sqrt(lambda q / tr G'MG)`, lambda the non-centrality."""
+    gram = field.grams[family][at]
+    _, rank = quadratic(gram[None], np.zeros((1, len(gram))), field.scales[family][at][None])
+    power = needed(field, family, int(rank[0]))
+    return float(np.sqrt(power * len(gram) / np.trace(gram)) * noise)
+
+
+def needed(field: Field, family: int, rank: int) -> float:
+    """Return the non-centrality at which an alternative of a family is found with 80 % power as a first name."""
+    level = single_level(single_level(FIRST, field.causes), field.tests[family])
+    return noncentrality(level, rank, max(field.system.dof - rank, 1), _POWER)
+
+
+def _absorbers(system: System, full: Array) -> tuple[str, ...]:
+    """Return the unknowns that take up most of a signature, in words."""
+    change = np.abs(system.absorbed(full / np.maximum(np.linalg.norm(full, axis=0), 1e-300))) * system.sizes[:, None]
+    taken: dict[str, float] = {}
+    for name, places in system.layout.columns.items():
+        block = system.model.blocks[name]
+        for column, at in zip(block.columns, places.T, strict=True):
+            if (at >= 0).any():
+                words = f"{column} of {block.noun or name}" + ("s" if len(block.members) > 1 else "")
+                taken[words] = float(np.sqrt((change[at[at >= 0]] ** 2).sum()))
+    most = max(taken.values(), default=0.0)
+    ranked = sorted(taken, key=lambda words: -taken[words])
+    return tuple(words for words in ranked[:_NAMED_ABSORBERS] if taken[words] > _PART * most)
+
+
+def _pairs(field: Field, candidates: Sequence[Candidate], noise: float) -> Iterable[Pair]:
+    """Yield pairs of testable candidates of different causes or places that correlate by more than 0.9."""
+    testable = [one for one in candidates if one.testable]
+    bases = [_unit(field.families[one.family].columns[:, one.number]) for one in testable]
+    ends = np.cumsum([basis.shape[1] for basis in bases])
+    whole = np.concatenate(bases, axis=1) if bases else np.zeros((0, 0))
+    products = whole.T @ whole
+    for i, one in enumerate(testable):
+        for j in range(i):
+            product = products[ends[i] - bases[i].shape[1] : ends[i], ends[j] - bases[j].shape[1] : ends[j]]
+            # no singular value is above the root of the sum of squares
+            rho = float(np.linalg.norm(product, 2)) if (product**2).sum() > _ALIKE**2 else 0.0
+            if rho > _ALIKE:
+                least = _SEPARATED * noise * np.sqrt(2 / max(1 - rho, 1e-12))
+                size = least / np.sqrt(np.trace(field.grams[one.family][one.number]) / len(one.alternative.parameters))
+                yield Pair(one.name, testable[j].name, min(rho, 1.0), float(size), one.unit, one.dimension)
+
+
+def _unit(columns: Array) -> Array:
+    u, s, _ = np.linalg.svd(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300), full_matrices=False)
+    basis: Array = u[:, s > 1e-4]
+    return basis
+
+
+def separations(subject: Subject, one: Alternative, other: Alternative) -> list[str]:
+    """Return what to measure so that two names are told apart: the first offers that bring their cosine below 0.9.
+
+    Where none does, the one that brings it lowest; where the subject has no offers, what the effects say.
+    """
+    found = []
+    for words, model in subject.offers(subject.model):
+        system = linearised(model)
+        bases = [
+            _unit(system.seen(signature(model, system, a.effect, a.instance, dict(a.scanned)))) for a in (one, other)
+        ]
+        found.append((float(np.linalg.norm(bases[0].T @ bases[1], 2)), words))
+    enough = [f"{words} (their correlation falls to {rho:.2f})" for rho, words in found if rho < _ALIKE]
+    if enough:
+        return enough[:2]
+    helping = [
+        f"{words} (their correlation falls to {rho:.2f} only)" for rho, words in sorted(found)[:1] if rho < _HELPS
+    ]
+    return helping + list(dict.fromkeys([one.effect.reveal, other.effect.reveal]))

@@ -1,0 +1,186 @@
+"""The job with the named effects in its model, adjusted again."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.observations import Mask
+from metrocli.diagnosis.adjusted_job import Standing, Subject
+from metrocli.diagnosis.linear.candidates import NotTested, families_of
+from metrocli.diagnosis.linear.fitted_columns import Given, nothing
+from metrocli.diagnosis.linear.projection import System, linearised
+from metrocli.diagnosis.linear.score_tests import Field, field_of
+from metrocli.diagnosis.linear.signatures import signature
+from metrocli.diagnosis.linear.smooth_terms import smooth_families
+from metrocli.diagnosis.noise import Unit, weighted
+from metrocli.diagnosis.selection.confidence_set import Named
+from metrocli.diagnosis.selection.selection_state import Selection
+from metrocli.effects.effect import Parameter
+from metrocli.effects.model import Added, Model, with_effect
+
+
+def field_of_job(
+    subject: Subject, weights: Mapping[str, Array], rng: np.random.Generator
+) -> tuple[Field, list[NotTested]]:
+    """Return the race of everything that could be in a job, and the effects that its data do not allow to test."""
+    system = _with_standing(subject, linearised(subject.model, weights))
+    families, not_tested = families_of(subject, system)
+    everything = [*families, *smooth_families(subject, system)]
+    field = field_of(system, everything, rng, subject.single_components)
+    spots = {one.spot for family in families for one in family.alternatives} if subject.patient else set()
+    return replace(field, adjusted=subject.adjusted | spots), not_tested
+
+
+def _with_standing(subject: Subject, system: System) -> System:
+    """Return a system with the residuals that it would have without the effects that stand in its model.
+
+    What they add is linear about their sizes: `r + G theta`.
+    """
+    residual = system.residual
+    for one in subject.standing:
+        residual = residual + signature(subject.model, system, one.effect, one.instance, {}) @ np.array(one.sizes)
+    return replace(system, residual=system.seen(residual)) if subject.standing else system
+
+
+def weights_of(subject: Subject, units: Sequence[Unit]) -> Mapping[str, Array]:
+    """Return the factors on whitened readings that bring units to the noise of the others."""
+    weights: Mapping[str, Array] = {}
+    for unit in units:
+        weights = weighted(subject, weights, unit)
+    return weights
+
+
+def extended_model(subject: Subject, names: Sequence[Named]) -> Model:
+    """Return the model with the named effects in it, at what was found of them."""
+    model = subject.model
+    for name in names:
+        alternative = name.alternative
+        model = with_effect(model, alternative.effect, [alternative.instance], name.known)
+        block, row = _own_row(model, name)
+        step = np.zeros(block.values.shape)
+        for parameter, value in zip(alternative.parameters, name.values, strict=True):
+            step[row, block.column(parameter)] = value
+        model = model.with_blocks({**model.blocks, block.name: block.moved(step)})
+    return model
+
+
+def _own_row(model: Model, name: Named) -> tuple[Block, int]:
+    """Return the block of the effect that was added last, and the member that it acts on."""
+    return _row(model, model.added[-1], name)
+
+
+def _row(model: Model, added: Added, name: Named) -> tuple[Block, int]:
+    block = model.blocks[added.block]
+    place = name.alternative.instance
+    return block, block.members.index(place[0]) if place and added.effect.link is None else -1
+
+
+@dataclass(frozen=True)
+class Size:
+    """What was found of one parameter of an effect."""
+
+    parameter: Parameter
+    value: float
+    """Of a column that the model has, the change against the job"""
+    std: float | None
+    """None where it was scanned, or is not seen"""
+    seen: bool = True
+    """Whether the readings say what it is, apart from the others; else `value` holds with others taken as 0"""
+
+
+def sizes(subject: Subject, name: Named) -> tuple[Size, ...]:
+    """Return the parameters of a named effect, for the noise that was found."""
+    alternative = name.alternative
+    block, row = _own_row(extended_model(subject, [name]), name)
+    before = subject.model.blocks.get(block.name)
+    by_step = block.space.by_step(block.values)[row]
+    std = np.sqrt(np.maximum(np.diag(name.covariance), 0.0))
+    known = {p.name: p for p in alternative.effect.all_parameters}
+    found = []
+    for at, key in enumerate(alternative.parameters):
+        column = block.column(key)
+        was = before.values[row, column] if before is not None and column < before.size else 0.0
+        seen = bool(name.apart[at])
+        spread = float(std[at] * by_step[column]) if seen else None
+        found.append(Size(known[key], float(block.values[row, column] - was), spread, seen))
+    return (*found, *(Size(known[key], value, None) for key, value in alternative.scanned if not known[key].place))
+
+
+def mended(subject: Subject, names: Sequence[Named], kept: Mapping[str, Mask]) -> Subject | None:
+    """Return the subject with the named effects in its model, adjusted to the kept readings; None where that fails."""
+    model = extended_model(subject, names)
+    solution = subject.refit(model, kept)
+    if not solution.outcome.good:
+        return None
+    blocks = {name: block.with_values(solution.blocks[name].values) for name, block in model.blocks.items()}
+    return replace(subject, model=model.with_blocks(blocks))
+
+
+def about(subject: Subject, names: Sequence[Named], adjusted: Subject) -> Subject:
+    """Return the subject with its unknowns where an adjustment with the named effects brought them.
+
+    What a large effect did to them is undone there. Those that are columns of the job's own blocks, such as terms of a
+    lens, stand at their sizes, about which all else is linear; the others at 0, as they are linear themselves: at their
+    sizes what a job absorbs, a scale or a turn of all, would not be absorbed.
+    """
+    model, added = subject.model, adjusted.model.added[len(subject.model.added) :]
+    moved = {key: _without(block, adjusted.model.blocks[key], added) for key, block in model.blocks.items()}
+    model, standing = model.with_blocks(moved), []
+    for name, one in zip(names, added, strict=True):
+        if one.effect.link is not None:
+            continue
+        block, row = _row(adjusted.model, one, name)
+        before, parameters = subject.model.blocks[block.name], name.alternative.parameters
+        sizes = {key: float(block.values[row, block.column(key)]) - _value(before, row, key) for key in parameters}
+        model = with_effect(model, one.effect, [name.alternative.instance], sizes)
+        standing.append(Standing(one.effect, name.alternative.instance, tuple(sizes.values())))
+    spots = frozenset(name.alternative.spot for name in names)
+    return replace(subject, model=model, adjusted=spots, standing=tuple(standing))
+
+
+def _without(block: Block, adjusted: Block, added: Sequence[Added]) -> Block:
+    """Return a block at adjusted values, but for columns that were freed in it."""
+    values = adjusted.values[:, : block.size].copy()
+    for one in added:
+        if one.block == block.name:
+            freed = [block.column(column) for column in one.columns if column in block.columns]
+            values[:, freed] = np.where(block.free[:, freed], values[:, freed], block.values[:, freed])
+    return block.with_values(values)
+
+
+def _value(block: Block, row: int, key: str) -> float:
+    return float(block.values[row, block.column(key)]) if key in block.columns else 0.0
+
+
+def recentred(
+    changed: Subject | None, selection: Selection, units: Sequence[Unit], rng: np.random.Generator
+) -> tuple[Field, Given]:
+    """Return the smooth functions' race about the solution with the named effects adjusted, outliers left out of it.
+
+    Where there is none the linear solution serves.
+    """
+    if changed is None:
+        return selection.field, selection.given()
+    system = linearised(changed.model, weights_of(changed, units))
+    field = field_of(system, smooth_families(changed, system), rng, changed.single_components)
+    wrong = [field.of_reading(one.number) for one in selection.outliers]
+    given = nothing(system)
+    return field, given.with_columns(np.concatenate(wrong, axis=1)) if wrong else given
+
+
+def kept(selection: Selection) -> dict[str, Mask]:
+    """Return for each group the readings that are not outliers, in any component."""
+    field = selection.field
+    wrong = np.zeros(field.system.rows)
+    for one in selection.outliers:
+        wrong[field.places[one.number][field.places[one.number] >= 0]] = 1.0
+    found = {}
+    for group in field.system.model.readings:
+        d, n = group.observations.readings.shape
+        start = field.system.first[group.name]
+        found[group.name] = wrong[start : start + n * d].reshape(n, d).max(axis=1) == 0
+    return found

@@ -1,0 +1,221 @@
+"""Candidates: for each cause its forms and places, each with the columns that it would add to the model."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import product
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.diagnosis.adjusted_job import Subject
+from metrocli.diagnosis.linear.projection import System
+from metrocli.diagnosis.linear.signatures import scan
+from metrocli.effects.effect import Effect
+from metrocli.effects.model import Model, can_act, lacking, names_for
+
+_MOST_PLACES = 3000
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """One form of a cause at one place: what a name would say."""
+
+    effect: Effect
+    instance: tuple[str, ...]
+    scanned: tuple[tuple[str, float], ...] = ()
+    parameters: tuple[str, ...] = ()
+    """Those whose columns it has, in order"""
+    named: tuple[tuple[str, str], ...] = ()
+    """Of the scanned parameters those that are places, by their names"""
+
+    @property
+    def where(self) -> dict[str, str]:
+        """The place as a job names it, without what was scanned."""
+        named = dict(zip(self.effect.keys, self.instance, strict=True))
+        return named | ({"by": self.effect.by} if "by" in self.effect.where else {})
+
+    @property
+    def spot(self) -> tuple[str, tuple[str, ...]]:
+        """Cause and place, without its form and the values that were scanned."""
+        return self.effect.name, self.instance
+
+    def like(self, other: Alternative) -> bool:
+        """Whether it says the same as another one but for the values of scanned parameters."""
+        return (self.effect.name, self.effect.by, self.instance, self.parameters, self.named) == (
+            other.effect.name,
+            other.effect.by,
+            other.instance,
+            other.parameters,
+            other.named,
+        )
+
+    def far_from(self, other: Alternative) -> float:
+        """Return how far its scanned parameters are from those of another one."""
+        own = dict(self.scanned)
+        return sum(abs(own[key] - value) for key, value in other.scanned)
+
+    def __str__(self) -> str:
+        return " ".join([self.effect.name, *self.instance, *(f"{key} {name}" for key, name in self.named)])
+
+
+@dataclass(frozen=True)
+class Family:
+    """A cause with all its alternatives of the same number of columns."""
+
+    name: str
+    alternatives: tuple[Alternative, ...]
+    columns: Array
+    """What the unknowns leave of their whitened signatures, (rows, alternatives, parameters)"""
+    raw: Array
+    """Norm of the whole whitened signature of each, (alternatives, parameters)"""
+    unknown: str = ""
+    """The covariate of a family of smooth functions, which have no cause"""
+
+
+@dataclass(frozen=True)
+class NotTested:
+    """An effect without candidates, with the reason; at a place, where others have some."""
+
+    effect: Effect
+    reason: str
+    where: Mapping[str, str] = field(default_factory=dict)
+
+
+def families_of(subject: Subject, system: System) -> tuple[list[Family], list[NotTested]]:
+    """Return the candidates of all effects that the data allow to test, and those that they do not."""
+    families: dict[tuple[str, int], list[Family]] = {}
+    missing: list[NotTested] = []
+    for effect in subject.effects:
+        if effect.of_one_reading:
+            continue
+        if effect.name in subject.not_sought:
+            missing.append(NotTested(effect, subject.not_sought[effect.name]))
+            continue
+        missing += _blind(subject.model, effect)
+        for family in _of_effect(subject, system, effect):
+            families.setdefault((family.name, family.columns.shape[2]), []).append(family)
+    tested = {name for name, _ in families}
+    seen = [one for one in missing if one.where or one.effect.name not in tested]
+    return [_joined(parts) for parts in families.values()], seen
+
+
+def _joined(parts: Sequence[Family]) -> Family:
+    if len(parts) == 1:
+        return parts[0]
+    return Family(
+        parts[0].name,
+        tuple(one for part in parts for one in part.alternatives),
+        np.concatenate([part.columns for part in parts], axis=1),
+        np.concatenate([part.raw for part in parts], axis=0),
+    )
+
+
+def _blind(model: Model, effect: Effect) -> list[NotTested]:
+    """Return an effect that cannot be modelled: once where the reason is the same everywhere, else place by place."""
+    places = [dict(zip(effect.keys, place, strict=True)) for place in _places(model, effect)]
+    told = [NotTested(effect, lacking(model, effect, at), at) for at in places if not can_act(model, effect, at)]
+    if len(told) == len(places) and len({one.reason for one in told}) == 1:
+        return [NotTested(effect, told[0].reason)]
+    return told
+
+
+def instances(model: Model, effect: Effect) -> list[tuple[str, ...]]:
+    """Return all places where an effect could act."""
+    return [
+        place for place in _places(model, effect) if can_act(model, effect, dict(zip(effect.keys, place, strict=True)))
+    ]
+
+
+def _places(model: Model, effect: Effect) -> list[tuple[str, ...]]:
+    return list(product(*(names_for(model, effect, key) for key in effect.keys)))[:_MOST_PLACES]
+
+
+def _of_effect(subject: Subject, system: System, effect: Effect) -> Iterator[Family]:
+    places = _absent(subject.model, effect)
+    together = bool(effect.keys) and all(subject.model.places[key].index for key in effect.keys)
+    for chosen in [places] if together else [[place] for place in places]:
+        if not chosen:
+            continue
+        kept = _telling(list(_columns(subject, system, effect, chosen)))
+        by_size: dict[int, list[tuple[Alternative, Array, Array]]] = {}
+        for item in kept:
+            by_size.setdefault(item[1].shape[1], []).append(item)
+        for items in by_size.values():
+            columns = np.stack([columns for _, columns, _ in items], axis=1)
+            yield Family(effect.name, tuple(one for one, _, _ in items), columns, np.stack([raw for *_, raw in items]))
+
+
+def _telling(items: Sequence[tuple[Alternative, Array, Array]]) -> list[tuple[Alternative, Array, Array]]:
+    """Return the items without values of a scan at which the unknowns absorb all, where they do not at others.
+
+    A step at a time before all readings that it concerns is such a value.
+    """
+    seen = [bool(columns.any()) for _, columns, _ in items]
+    somewhere = {one.instance for (one, _, _), visible in zip(items, seen, strict=True) if visible}
+    return [item for item, visible in zip(items, seen, strict=True) if visible or item[0].instance not in somewhere]
+
+
+def _absent(model: Model, effect: Effect) -> list[tuple[str, ...]]:
+    """Return the places where the model does not estimate the effect yet; a known value of it may be wrong.
+
+    Scanned ones may be there more than once.
+    """
+    added = [one for one in model.added if (one.effect.name, one.effect.by) == (effect.name, effect.by) and one.columns]
+    there = {place for one in added for place in one.instances}
+    places = instances(model, effect)
+    return places if effect.scanned else [place for place in places if place not in there]
+
+
+def _scans(model: Model, effect: Effect) -> list[tuple[tuple[str, float], ...]]:
+    """Return all combinations of values of the scanned parameters to try; one empty one where there is none."""
+    grids: list[list[tuple[str, float]]] = []
+    for parameter in effect.scanned:
+        values: Array = np.zeros(0)
+        if parameter.place:
+            values = np.arange(1.0, len(model.places[parameter.place].names))
+        elif parameter.grid is not None:
+            values = thinned(parameter.grid(model.readings[0].observations.conditions), parameter.tried)
+        grids.append([(parameter.name, float(value)) for value in values])
+    return list(product(*grids))
+
+
+def thinned(values: Array, most: int) -> Array:
+    """Return at most so many of some values, evenly from all of them."""
+    if len(values) <= most:
+        return values
+    return np.asarray(values[np.linspace(0, len(values) - 1, most).astype(int)])
+
+
+def _columns(
+    subject: Subject, system: System, effect: Effect, places: Sequence[tuple[str, ...]]
+) -> Iterator[tuple[Alternative, Array, Array]]:
+    """Yield for each place and scan the visible columns of its parameters (rows, parameters) and their norms before."""
+    scans = [dict(one) for one in _scans(subject.model, effect)]
+    for scanned, (full, block, chosen) in zip(
+        scans, scan(subject.model, system, effect, places, scans) if scans else (), strict=True
+    ):
+        if not chosen.any():
+            continue
+        member, column = np.nonzero(chosen)
+        before, seen = subject.model.blocks.get(block.name), system.seen(full)
+        for number, place in enumerate(places):
+            own = member == (number + 1 if len(block.members) > 1 and before is None else _row(block.members, place))
+            if not own.any():
+                own = np.ones(len(member), dtype=bool) if len(places) == 1 else own
+            touched = np.flatnonzero(np.abs(full[:, own]).max(axis=1) > 0) if own.any() else np.zeros(0)
+            if len(touched) >= subject.fewest:
+                names = tuple(block.columns[i] for i in column[own])
+                named = _named(subject.model, effect, scanned)
+                alternative = Alternative(effect, place, tuple(scanned.items()), names, named)
+                yield alternative, seen[:, own], np.linalg.norm(full[:, own], axis=0)
+
+
+def _named(model: Model, effect: Effect, scanned: Mapping[str, float]) -> tuple[tuple[str, str], ...]:
+    places = {parameter.name: parameter.place for parameter in effect.scanned if parameter.place}
+    return tuple((key, model.places[place].names[int(scanned[key])]) for key, place in places.items())
+
+
+def _row(members: Sequence[str], place: tuple[str, ...]) -> int:
+    return members.index(place[0]) if place and place[0] in members else 0

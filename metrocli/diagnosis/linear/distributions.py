@@ -1,0 +1,64 @@
+"""Tails of the F distribution, also where they are smaller than any number."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+
+_TINY = 1e-280
+
+
+def log_tail(share: Array, q: float, rest: float) -> Array:
+    """Return ln P(T/S > share) for a share T/S of the sum of squares in q of q + rest normal directions.
+
+    `F = (T/q)/((S - T)/rest)`; the tail is the incomplete beta function `I_(1-share)(rest/2, q/2)`.
+    """
+    from scipy.special import betainc, betaln
+
+    left = np.clip(1 - share, 1e-300, 1.0)
+    tail = betainc(rest / 2, q / 2, left)
+    leading = rest / 2 * np.log(left) - np.log(rest / 2) - betaln(rest / 2, q / 2)
+    leading += (q / 2 - 1) * np.log(np.maximum(1 - left, 1e-300))
+    return np.asarray(np.where(tail > _TINY, np.log(np.maximum(tail, _TINY)), leading))
+
+
+def log_family(log_p: Array | float, tests: float) -> Array:
+    """Return ln of `1 - (1 - p)^tests`, the level of the least of so many independent tests."""
+    p = np.exp(np.asarray(log_p, dtype=float))
+    small = p * tests < 1e-9
+    whole = -np.expm1(tests * np.log1p(-np.minimum(p, 1 - 1e-16)))
+    return np.asarray(np.where(small, np.minimum(log_p + np.log(tests), 0.0), np.log(np.maximum(whole, 1e-300))))
+
+
+def single_level(level: float, tests: float) -> float:
+    """Return the level of one test where the least of `tests` has `level`."""
+    return float(-np.expm1(np.log1p(-level) / tests))
+
+
+def noncentrality(level: float, q: int, rest: float, power: float = 0.8) -> float:
+    """Return lambda at which an F test of a level has a power, (Baarda 1968 for q = 1 and infinite rest)."""
+    from scipy.special import fdtri, ncfdtrinc
+
+    critical = fdtri(q, rest, 1 - level) if level > 1e-12 else _critical(level, q, rest)
+    found = float(ncfdtrinc(q, rest, 1 - power, critical))
+    return found if np.isfinite(found) and found > 0 else float(q * critical)
+
+
+def _critical(level: float, q: int, rest: float) -> float:
+    """Return the F beyond which a tail of less than rounding lies, by bisection of its logarithm."""
+    low, high = 0.0, 1.0 - 1e-12
+    for _ in range(80):
+        middle = (low + high) / 2
+        inside = log_tail(np.array(middle), q, rest) > np.log(level)
+        low, high = (middle, high) if inside else (low, middle)
+    share = (low + high) / 2
+    return share / (1 - share) * rest / q
+
+
+def chi_interval(squares: float, dof: float, level: float = 0.95) -> tuple[float, float]:
+    """Return the interval of a standard deviation from a sum of squares, in units of the declared one."""
+    from scipy.special import chdtri
+
+    tail = (1 - level) / 2
+    return float(np.sqrt(squares / chdtri(dof, tail))), float(np.sqrt(squares / chdtri(dof, 1 - tail)))

@@ -1,0 +1,137 @@
+"""What is in the model beside its own unknowns: columns fitted together, any of which can be taken out again."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.diagnosis.linear.projection import VISIBLE, System
+
+PRIOR = 2.0
+"""Degrees of freedom for which the declared noise counts: with few readings it carries weight, with many it does not"""
+
+
+@dataclass(frozen=True)
+class Given:
+    """What is in the model beside its own unknowns: an orthonormal basis of visible columns, and the residual left."""
+
+    basis: Array
+    """(rows, k)"""
+    residual: Array
+    squares: float
+    """Sum of squares of the residual, and what the declared noise adds (`PRIOR`)"""
+    dof: float
+    prior: float = PRIOR
+    """The part of the squares that the declared noise adds"""
+    larger: Given | None = None
+    """A model with more in it that this one was taken from, if it was"""
+    freed: Array | None = None
+    """What the larger model has more, orthonormal, (rows, p)"""
+    remembered: dict[tuple[int, int], Array] = field(default_factory=dict, compare=False, repr=False)
+    """What it leaves of the candidates' Gram matrices"""
+
+    def with_columns(self, columns: Array) -> Given:
+        """Return it with more columns (rows, q) in the model; what is not visible beside the others adds nothing."""
+        return Fit(self).with_part(columns).given
+
+    def beside(self, columns: Array) -> Array:
+        """Return what the model leaves of columns (rows, q)."""
+        return np.asarray(columns - self.basis @ (self.basis.T @ columns))
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Parts of several columns each, fitted together beside a model.
+
+    Each part is held by its coordinates in one orthonormal basis of all, so that the basis without some of them is a
+    rotation of it.
+    """
+
+    start: Given
+    basis: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    """Of what all parts add to the start, (rows, k)"""
+    parts: tuple[Array, ...] = ()
+    """Coordinates of each part's unit columns, (k, q)"""
+
+    @cached_property
+    def given(self) -> Given:
+        """The model with all parts in it."""
+        if not self.parts:
+            return self.start
+        start = self.start
+        residual = start.residual - self.basis @ (self.basis.T @ start.residual)
+        squares = float(residual @ residual) + start.prior
+        basis = np.concatenate([start.basis, self.basis], axis=1)
+        return Given(basis, residual, squares, start.dof - self.basis.shape[1], start.prior)
+
+    def with_part(self, columns: Array) -> Fit:
+        """Return the fit with one more part (rows, q); what is not visible beside the others adds nothing."""
+        basis = self.basis if self.parts else np.zeros((len(columns), 0))
+        unit = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+        own = unit - self.start.basis @ (self.start.basis.T @ unit)
+        inside = basis.T @ own
+        left = own - basis @ inside
+        left = left - self.start.basis @ (self.start.basis.T @ left)
+        left = left - basis @ (basis.T @ left)
+        new = orthonormal(left, VISIBLE)
+        grown = [np.pad(part, ((0, new.shape[1]), (0, 0))) for part in self.parts]
+        part = np.concatenate([inside, new.T @ left])
+        return Fit(self.start, np.concatenate([basis, new], axis=1), (*grown, part))
+
+    def without(self, numbers: Collection[int]) -> Given:
+        """Return the model without some parts."""
+        kept, freed = self._turned(numbers)
+        larger, start = self.given, self.start
+        directions = self.basis @ freed
+        along = directions.T @ start.residual
+        return Given(
+            np.concatenate([start.basis, self.basis @ kept], axis=1),
+            larger.residual + directions @ along,
+            larger.squares + float(along @ along),
+            larger.dof + freed.shape[1],
+            start.prior,
+            larger,
+            directions,
+        )
+
+    def only(self, numbers: Collection[int]) -> Fit:
+        """Return the fit of some of the parts."""
+        gone = set(range(len(self.parts))) - set(numbers)
+        kept, _ = self._turned(gone)
+        parts = tuple(kept.T @ part for number, part in enumerate(self.parts) if number not in gone)
+        return Fit(self.start, self.basis @ kept, parts) if parts else Fit(self.start)
+
+    def _turned(self, gone: Collection[int]) -> tuple[Array, Array]:
+        """Return orthonormal directions of the basis that the parts have without some, and those that they have not."""
+        k = self.basis.shape[1]
+        left = [part for number, part in enumerate(self.parts) if number not in gone]
+        inside = np.concatenate(left, axis=1) if left else np.zeros((k, 0))
+        values, vectors = np.linalg.eigh(inside @ inside.T)
+        seen = values > VISIBLE**2
+        return vectors[:, seen], vectors[:, ~seen]
+
+
+def orthonormal(columns: Array, least: float) -> Array:
+    """Return a basis of the span of columns (rows, q), without directions whose singular value is not above `least`.
+
+    By the eigenvectors of the Gram matrix, twice (as Cholesky QR is done): for many rows far faster than an SVD.
+    """
+    bound = least**2
+    for _ in range(2):
+        values, vectors = np.linalg.eigh(columns.T @ columns)
+        kept = values > bound
+        columns = columns @ (vectors[:, kept] / np.sqrt(values[kept]))
+        bound = 0.0
+    return columns
+
+
+def nothing(system: System) -> Given:
+    """Return the model as it is; a noise declared larger than it is counts as large as it is."""
+    r = system.residual
+    squares = float(r @ r)
+    prior = PRIOR * min(1.0, squares / max(system.dof, 1))
+    return Given(np.zeros((system.rows, 0)), r, squares + prior, system.dof + PRIOR, prior)

@@ -1,0 +1,207 @@
+"""The adjustment as one dense linear system, and what of a change of the readings its unknowns leave visible.
+
+With J the whitened derivatives by all unknowns and r the whitened residuals, `M = I - J (J'J)^- J'` takes from a
+signature g what the unknowns absorb: Mg is seen, `J^- g` is by how much the unknowns would be wrong. M does not depend
+on the datum.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from metrocli.adjust.datum import open_frame
+from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.chain import Link, through
+from metrocli.adjust.model.groups import Group, Linear
+from metrocli.adjust.model.observations import Index, Mask
+from metrocli.adjust.schur.layout import Layout, arrange
+from metrocli.effects.model import Model
+from metrocli.errors import InputError
+
+VISIBLE = 1e-6
+"""Share of a signature below which rounding is all that is left"""
+MOST_NUMBERS = 60_000_000
+"""Size of the dense system beyond which it is refused"""
+
+
+@dataclass(frozen=True)
+class System:
+    """A model linearised at its values; a row for each component of each reading, those of a reading together."""
+
+    model: Model
+    layout: Layout
+    residual: Array
+    """Whitened (rows,)"""
+    basis: Array
+    """Columns b with `b b' = J (J'J)^- J'`, (rows, unknowns)"""
+    solver: Array
+    """R: `unknowns = R basis' values`, in the datum of the model, (unknowns, unknowns)"""
+    first: Mapping[str, int]
+    """The first row of each group"""
+    scale: Array
+    """Standard deviation of each row in the unit of its reading, (rows,)"""
+    sizes: Array
+    """Norm of J's column of each unknown, (unknowns,)"""
+    runs: dict[str, Run] = field(default_factory=dict, compare=False, repr=False)
+    """What the model's chains pass through, for groups that were asked for"""
+
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+        return len(self.residual)
+
+    @cached_property
+    def dof(self) -> int:
+        """Degrees of freedom, the trace of M."""
+        return round(self.rows - float((self.basis**2).sum()))
+
+    @cached_property
+    def measured(self) -> Mask:
+        """The rows that are readings, not priors."""
+        mask = np.zeros(self.rows, dtype=bool)
+        for group in self.model.readings:
+            mask[self.first[group.name] : self.first[group.name] + group.observations.readings.size] = True
+        return mask
+
+    @cached_property
+    def alike(self) -> Mask:
+        """The readings in the unit of the first group of them, in which errors are told; not distances among angles."""
+        first, mask = self.model.readings[0].observations.unit, np.zeros(self.rows, dtype=bool)
+        for group in self.model.readings:
+            start = self.first[group.name]
+            mask[start : start + group.observations.readings.size] = group.observations.unit == first
+        return mask
+
+    def seen(self, values: Array) -> Array:
+        """Return `M values`, (rows, ...); 0 where rounding is all that is left."""
+        left = values - np.tensordot(self.basis, np.tensordot(self.basis.T, values, 1), 1)
+        shown = np.linalg.norm(left, axis=0) > VISIBLE * np.linalg.norm(values, axis=0)
+        return np.asarray(np.where(shown, left, 0.0))
+
+    def absorbed(self, values: Array) -> Array:
+        """Return what the unknowns take of values (rows, k): the change of each, (unknowns, k)."""
+        return np.asarray(self.solver @ (self.basis.T @ values))
+
+    def spread(self, group: Group, values: Array) -> Array:
+        """Return values of readings (n, ...) at their rows, 0 elsewhere: each component has the value."""
+        d = len(group.observations.readings)
+        full = np.zeros((self.rows, *values.shape[1:]))
+        start = self.first[group.name]
+        full[start : start + d * len(values)] = np.repeat(values, d, axis=0)
+        return full
+
+    def run(self, group: Group) -> Run:
+        """Return what the chain of a group of the model passes through."""
+        if group.name not in self.runs:
+            self.runs[group.name] = run_of(group, self.model.blocks)
+        return self.runs[group.name]
+
+    def entries(self, block: str) -> Index:
+        """Return for each entry of a block its place among the unknowns, -1 where it is none, (members, size)."""
+        columns = self.layout.columns.get(block)
+        shape = self.model.blocks[block].values.shape
+        return np.full(shape, -1, dtype=np.intp) if columns is None else columns
+
+    def shift(self, values: Array, block: str, columns: tuple[int, ...]) -> Array:
+        """Return by how much a change of the readings (rows, k) moves chosen columns of a block, (members, columns, k).
+
+        The sign is that of the change of the estimates when the readings contain it and the model does not.
+        """
+        change = self.absorbed(values)
+        places = self.entries(block)[:, list(columns)]
+        return np.where((places >= 0)[:, :, None], change[np.maximum(places, 0)], 0.0)
+
+    def shifts(self, values: Array, blocks: Sequence[str], columns: tuple[int, ...]) -> Array:
+        """Return `shift` of several blocks, one after the other."""
+        return np.concatenate([self.shift(values, block, columns) for block in blocks])
+
+
+@dataclass(frozen=True)
+class Run:
+    """The values in front of each link of a chain, and the derivatives of the reading by them."""
+
+    links: tuple[Link, ...]
+    values: tuple[Array, ...]
+    """(in, n) of each link, then the predicted reading"""
+    outer: tuple[Array | None, ...]
+    """(d, in, n) of each link but the first; None for the reading by itself"""
+
+
+def run_of(group: Group, blocks: Mapping[str, Block]) -> Run:
+    """Return what a chain passes through at the blocks' values."""
+    links, steps = group.chain.links, group.chain.steps(blocks, group.observations, frozenset(blocks))
+    outer: list[Array | None] = [None]
+    for step in steps[:0:-1]:
+        after, by_input = outer[0], step.by_input
+        outer.insert(0, by_input if after is None or by_input is None else through(after, by_input))
+    return Run(links, (np.zeros((0, group.observations.count)), *(step.value for step in steps)), (None, *outer))
+
+
+def by_rows(linear: Linear) -> Array:
+    """Return the residuals of a group with the components of each reading together."""
+    return np.ascontiguousarray(linear.residual.T).ravel()
+
+
+def linearised(model: Model, weights: Mapping[str, Array] | None = None) -> System:
+    """Return the model as a system; `weights` (n,) multiply the whitened rows of the readings of a group.
+
+    Raises InputError where it is too large to be held as one dense matrix.
+    """
+    layout = arrange(model.blocks, model.groups, keep=tuple(model.blocks))
+    _must_fit(model, layout)
+    residuals, jacobians, scales, first, place = [], [], [], {}, 0
+    for group in model.groups:
+        linear = group.linear(model.blocks, layout.wanted)
+        d, n = linear.residual.shape
+        own = None if weights is None else weights.get(group.name)
+        factor = np.repeat(np.ones(n) if own is None else own, d)
+        jacobian = np.zeros((n, d, layout.width))
+        for touch in linear.touches:
+            scatter(jacobian, touch.jacobian, layout.columns[touch.block][touch.index])
+        first[group.name] = place
+        place += n * d
+        residuals.append(by_rows(linear) * factor)
+        jacobians.append(jacobian.reshape(n * d, -1) * factor[:, None])
+        scales.append(group.observations.deviations.T.ravel() / factor)
+    residual, jacobian = np.concatenate(residuals), np.concatenate(jacobians)
+    basis, solver, sizes = _factored(model, layout, jacobian)
+    system = System(model, layout, residual, basis, solver, first, np.concatenate(scales), sizes)
+    return replace(system, residual=system.seen(residual))
+
+
+def _must_fit(model: Model, layout: Layout) -> None:
+    rows = sum(group.observations.readings.size for group in model.groups)
+    if rows * max(layout.width, 1) > MOST_NUMBERS:
+        raise InputError(
+            f"diagnose holds readings and unknowns in one table; {rows} readings with {layout.width} unknowns are too "
+            "many: diagnose a part of the measurement"
+        )
+
+
+def scatter(full: Array, jacobian: Array, columns: Index) -> None:
+    """Add derivatives (d, size, n) to (n, d, width) at each reading's columns (n, size); -1 is nowhere."""
+    rows = np.arange(len(full))
+    for a in range(columns.shape[1]):
+        at = columns[:, a]
+        kept = at >= 0
+        full[rows[kept], :, at[kept]] += jacobian[:, a, :].T[kept]
+
+
+def _factored(model: Model, layout: Layout, jacobian: Array) -> tuple[Array, Array, Array]:
+    """Return basis, solver and sizes by a QR decomposition, with the conditions of the datum as rows of their own."""
+    size = np.sqrt((jacobian**2).sum(axis=0))
+    size = np.where(size > 0, size, 1.0)
+    scaled = jacobian / size
+    rows = scaled
+    if model.datum is not None:
+        frame = open_frame(model.datum, model.blocks, layout, jacobian.T @ jacobian)
+        if frame is not None:
+            conditions = frame.conditions(layout) / size
+            rows = np.concatenate([scaled, conditions / np.linalg.norm(conditions, axis=1, keepdims=True)])
+    q, triangle = np.linalg.qr(rows)
+    inverse = np.linalg.inv(triangle)
+    return q[: len(jacobian)], inverse / size[:, None], size

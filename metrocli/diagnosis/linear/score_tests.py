@@ -1,0 +1,289 @@
+"""The race: every candidate's F test given what is in the model already, at a level that counts all that was tried.
+
+A scan over m places is the least of m dependent tests; it counts as so many independent ones as white noise, projected
+like the residuals, says. The same noise says how many independent causes race with each other (Westfall and Young).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.observations import Mask
+from metrocli.diagnosis.linear.candidates import Alternative, Family
+from metrocli.diagnosis.linear.distributions import log_family, log_tail
+from metrocli.diagnosis.linear.fitted_columns import PRIOR, Given, orthonormal
+from metrocli.diagnosis.linear.projection import VISIBLE, System
+
+FLAT = 1e-8
+"""Eigenvalue of several parameters' signatures, as a share of the largest, below which a direction is not seen"""
+_INSIDE = 0.5
+"""Share of an effect (sum of squares) inside smooth terms from which on it lies in them"""
+_DRAWS = 1000
+_MOST_WORK = 4e9
+
+
+@dataclass(frozen=True)
+class Score:
+    """The tests of one family."""
+
+    gain: Array
+    """By how much each alternative lowers the sum of squares"""
+    rank: Array
+    """Visible parameters of each, 0 where nothing of it is seen"""
+    log_p: Array
+    """ln of the level of each alone"""
+
+    @property
+    def best(self) -> int:
+        """The alternative of the least level."""
+        return int(np.argmin(self.log_p))
+
+
+@dataclass(frozen=True)
+class Field:
+    """All that races, with the number of independent tests that each family and all families together count as."""
+
+    system: System
+    families: tuple[Family, ...]
+    scales: tuple[Array, ...]
+    """Norm of the whole signatures, of each alternative"""
+    grams: tuple[Array, ...]
+    """`G'G` of each alternative, (alternatives, q, q)"""
+    blocks: Array
+    """M of each reading, (readings, d, d), nan-free; zero for components that it has not"""
+    places: Array
+    """Rows of each reading, (readings, d), -1 where it has fewer components"""
+    tests: tuple[float, ...] = ()
+    """Of each family, then of the outliers"""
+    causes: float = 1.0
+    """Of all families together"""
+    unknowns: float = 1.0
+    """Of all families of smooth functions together"""
+    excluded: Mask = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    """Readings that cannot be called outliers"""
+    adjusted: frozenset[tuple[str, tuple[str, ...]]] = frozenset()
+    """Cause and place of the effects with which the unknowns were adjusted; all, where none shall stop the race"""
+    remembered: dict[tuple[int, int], tuple[Mask, ...]] = field(default_factory=dict, compare=False, repr=False)
+    """For smooth terms, what lies in them"""
+
+    def alternative(self, family: int, number: int) -> Alternative:
+        """Return an alternative of a family."""
+        return self.families[family].alternatives[number]
+
+    def place_of(self, other: Alternative, parameters: int) -> tuple[int, int] | None:
+        """Return family and number of an alternative of another race, scanned ones the next; None where it is not."""
+        found = [
+            (one.far_from(other), i, at)
+            for i, family in enumerate(self.families)
+            if family.columns.shape[2] == parameters
+            for at, one in enumerate(family.alternatives)
+            if one.like(other)
+        ]
+        return min(found)[1:] if found else None
+
+    def scores(self, given: Given) -> list[Score]:
+        """Return the tests of all families, given what is in the model."""
+        return [self.score(number, given) for number in range(len(self.families))]
+
+    def score(self, number: int, given: Given, chosen: Sequence[int] | None = None) -> Score:
+        """Return the tests of one family."""
+        columns, scale = self.families[number].columns, self.scales[number]
+        if chosen is None:
+            gram = self._left(number, given)
+        else:
+            columns, scale = columns[:, chosen], scale[list(chosen)]
+            gram = self.grams[number][list(chosen)] - _products(given.basis, columns)
+        n, k, q = columns.shape
+        right = (columns.reshape(n, k * q).T @ given.residual).reshape(k, q)
+        gain, rank = quadratic(gram, right, scale)
+        return self._scored(gain, rank, given)
+
+    def _left(self, number: int, given: Given) -> Array:
+        """Return what a model leaves of the Gram matrices of a family, (alternatives, q, q)."""
+        columns = self.families[number].columns
+        key = number, columns.shape[1]
+        if key not in given.remembered:
+            if given.larger is None or given.freed is None:
+                left = self.grams[number] - _products(given.basis, columns)
+            else:
+                left = self._left(number, given.larger) + _products(given.freed, columns)
+            given.remembered[key] = left
+        return given.remembered[key]
+
+    def _scored(self, gain: Array, rank: Array, given: Given) -> Score:
+        share = np.clip(gain / max(given.squares, 1e-300), 0.0, 1.0)
+        log_p = np.zeros(len(gain))
+        for q in np.unique(rank[rank > 0]):
+            own = rank == q
+            if given.dof > q:
+                log_p[own] = log_tail(share[own], float(q), given.dof - q)
+        return Score(gain, rank, np.minimum(log_p, 0.0))
+
+    def outliers(self, given: Given) -> Score:
+        """Return the tests of single readings, each with all its components."""
+        rows = self.places
+        u = np.where((rows >= 0)[:, :, None], given.basis[rows], 0.0)
+        gram = self.blocks - np.einsum("iak,ibk->iab", u, u)
+        right = np.where(rows >= 0, given.residual[rows], 0.0)
+        gain, rank = quadratic(gram, right, np.ones(rows.shape))
+        rank = np.where(self.excluded, 0, rank)
+        return self._scored(np.where(rank > 0, gain, 0.0), rank, given)
+
+    def lying_in(self, family: int, number: int) -> tuple[Mask, ...]:
+        """Return for each family of effects which alternatives lie in smooth terms; for families of these, none."""
+        key = family, number
+        if key not in self.remembered:
+            terms = self.families[family].columns[:, number]
+            basis = orthonormal(terms / np.maximum(np.linalg.norm(terms, axis=0), 1e-300), VISIBLE)
+            self.remembered[key] = tuple(
+                np.zeros(len(f.alternatives), dtype=bool) if f.unknown else lies_in(f.columns, gram, basis)
+                for f, gram in zip(self.families, self.grams, strict=True)
+            )
+        return self.remembered[key]
+
+    def around(self, family: int, number: int) -> list[tuple[int, int]]:
+        """Return the smooth terms in which an effect lies, each by its family and number."""
+        smooth = ((i, at) for i, f in enumerate(self.families) if f.unknown for at in range(len(f.alternatives)))
+        return [one for one in smooth if self.lying_in(*one)[family][number]]
+
+    def causes_in(self, smooth: Sequence[tuple[int, int]]) -> float:
+        """Return as how many independent ones the effects count that lie in smooth terms, `n^2 / sum c_ij`.
+
+        c is the squared correlation of two effects, 1 for aliases (the effective number of tests, Nyholt 2004).
+        """
+        lying = {i: int(np.argmax(m)) for one in smooth for i, m in enumerate(self.lying_in(*one)) if m.any()}
+        columns = [self.families[i].columns[:, at] for i, at in lying.items()]
+        bases = [orthonormal(c / np.maximum(np.linalg.norm(c, axis=0), 1e-300), VISIBLE) for c in columns]
+        alike = [[((a.T @ b) ** 2).sum() / min(a.shape[1], b.shape[1]) for b in bases] for a in bases]
+        return len(bases) ** 2 / float(np.sum(alike)) if bases else 1.0
+
+    def level(self, number: int, log_p: float) -> float:
+        """Return ln of the level of a family's best alternative, counted over the family."""
+        return float(log_family(log_p, self.tests[number]))
+
+    def overall(self, log_level: float) -> float:
+        """Return ln of the level of the best family, counted over all."""
+        return float(log_family(log_level, self.causes))
+
+    def of_reading(self, reading: int) -> Array:
+        """Return the visible columns of an error of one reading, (rows, d)."""
+        rows = self.places[reading]
+        rows = rows[rows >= 0]
+        unit = np.zeros((self.system.rows, len(rows)))
+        unit[rows, np.arange(len(rows))] = 1.0
+        return self.system.seen(unit)
+
+
+_REDUNDANT = 1e-3
+"""Share of a reading's error that must show for it to be called an outlier"""
+
+
+def lies_in(columns: Array, gram: Array, basis: Array) -> Mask:
+    """Return for columns (rows, k, q) and their Gram matrices whether most of them is inside a basis, (k,)."""
+    inside = np.einsum("kqq->k", _products(basis, columns))
+    return np.asarray(inside > _INSIDE * np.einsum("kqq->k", gram))
+
+
+def _products(basis: Array, columns: Array) -> Array:
+    """Return the part of the Gram matrices of columns (rows, k, q) inside a basis, (k, q, q)."""
+    n, k, q = columns.shape
+    inside = np.moveaxis((basis.T @ columns.reshape(n, k * q)).reshape(-1, k, q), 0, 1)
+    return np.asarray(np.swapaxes(inside, 1, 2) @ inside)
+
+
+def quadratic(gram: Array, right: Array, scale: Array) -> tuple[Array, Array]:
+    """Return `b' A^+ b` and the rank of A for many small systems (k, q, q), (k, q); scale (k, q) is of size sqrt(A)."""
+    s = np.where(scale > 0, scale, 1.0)
+    a = gram / (s[:, :, None] * s[:, None, :])
+    b = right / s
+    if a.shape[1] == 1:
+        value = a[:, 0, 0]
+        good = value > VISIBLE**2
+        return np.where(good, b[:, 0] ** 2 / np.where(good, value, 1.0), 0.0), good.astype(int)
+    values, vectors = np.linalg.eigh(a)
+    good = values > np.maximum(VISIBLE**2, FLAT * values[:, -1:])
+    along = np.einsum("kqv,kq->kv", vectors, b)
+    return (np.where(good, along**2 / np.where(good, values, 1.0), 0.0)).sum(axis=1), good.sum(axis=1)
+
+
+def field_of(system: System, families: Sequence[Family], rng: np.random.Generator, apart: bool = False) -> Field:
+    """Return the race of families and outliers, with its counts of independent tests found from white noise.
+
+    With `apart` the components of a reading go wrong one by one.
+    """
+    grams = tuple(np.einsum("nkq,nkp->kqp", f.columns, f.columns) for f in families)
+    places = _places(system)
+    places = places[places >= 0][:, None] if apart else places
+    u = np.where((places >= 0)[:, :, None], system.basis[places], 0.0)
+    there = (places >= 0).astype(float)
+    blocks = np.eye(places.shape[1]) * there[:, :, None] - np.einsum("iak,ibk->iab", u, u)
+    weak = np.einsum("iaa->ia", blocks).sum(axis=1) < _REDUNDANT
+    field_ = Field(system, tuple(families), tuple(f.raw for f in families), grams, blocks, places, excluded=weak)
+    return _calibrated(field_, rng)
+
+
+def _places(system: System) -> Array:
+    """Return the rows of each reading of the measured groups, (readings, d), -1 where it has fewer components."""
+    groups = system.model.readings
+    most = max(len(group.observations.readings) for group in groups)
+    parts = []
+    for group in groups:
+        d, n = group.observations.readings.shape
+        rows = np.full((n, most), -1, dtype=np.intp)
+        rows[:, :d] = system.first[group.name] + d * np.arange(n)[:, None] + np.arange(d)
+        parts.append(rows)
+    return np.concatenate(parts)
+
+
+def _calibrated(field_: Field, rng: np.random.Generator) -> Field:
+    system = field_.system
+    columns = sum(f.columns.shape[1] * f.columns.shape[2] for f in field_.families)
+    draws = int(np.clip(_MOST_WORK / (system.rows * max(columns, 1)), 300, _DRAWS))
+    noise = system.seen(rng.normal(size=(system.rows, draws)))
+    squares = (noise**2).sum(axis=0) + rng.chisquare(PRIOR, draws)
+    dof = system.dof + PRIOR
+    least, tests = [], []
+    for number, family in enumerate(field_.families):
+        least.append(_least_in_noise(family.columns, field_.grams[number], field_.scales[number], noise, squares, dof))
+    rows = field_.places
+    gram, right = field_.blocks, np.where((rows >= 0)[:, :, None], noise[rows], 0.0)
+    least.append(_least(gram, right, np.ones(rows.shape), squares, dof, ~field_.excluded))
+    tests = [independent(one) for one in least]
+    levels = [log_family(one, count) for one, count in zip(least, tests, strict=True)]
+    smooth = [level for level, family in zip(levels, field_.families, strict=False) if family.unknown]
+    unknowns = independent(np.min(smooth, axis=0)) if smooth else 1.0
+    return replace(field_, tests=tuple(tests), causes=independent(np.min(levels, axis=0)), unknowns=unknowns)
+
+
+def _least_in_noise(columns: Array, gram: Array, scale: Array, noise: Array, squares: Array, dof: float) -> Array:
+    n, k, q = columns.shape
+    right = (columns.reshape(n, k * q).T @ noise).reshape(k, q, -1)
+    return _least(gram, right, scale, squares, dof, np.ones(k, dtype=bool))
+
+
+def _least(gram: Array, right: Array, scale: Array, squares: Array, dof: float, chosen: Mask) -> Array:
+    """Return ln of the least level of all alternatives for each draw."""
+    s = np.where(scale > 0, scale, 1.0)
+    values, vectors = np.linalg.eigh(gram / (s[:, :, None] * s[:, None, :]))
+    good = values > np.maximum(VISIBLE**2, FLAT * values[:, -1:])
+    root = vectors * np.where(good, 1 / np.sqrt(np.where(good, values, 1.0)), 0.0)[:, None, :]
+    along = np.matmul(np.swapaxes(root, 1, 2), right / s[:, :, None])
+    gain = (along**2).sum(axis=1)
+    rank = np.where(chosen, good.sum(axis=1), 0)
+    best = np.zeros(len(squares))
+    for q in np.unique(rank[rank > 0]):
+        most = gain[rank == q].max(axis=0)
+        if dof > q:
+            best = np.minimum(best, log_tail(np.clip(most / squares, 0.0, 1.0), float(q), dof - q))
+    return best
+
+
+def independent(log_p: Array) -> float:
+    """Return as how many independent tests the least level (ln) of dependent ones counts: at 5, 10, 20 and 30 %."""
+    p = np.exp(log_p)
+    counts = [np.log1p(-u) / np.log1p(-min(float(np.quantile(p, u)), 1 - 1e-12)) for u in (0.05, 0.1, 0.2, 0.3)]
+    return max(1.0, float(np.median(counts)))

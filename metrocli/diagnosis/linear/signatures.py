@@ -1,0 +1,99 @@
+"""Signatures: the whitened columns that an effect adds to the linearised system of a model."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.chain import Local, through
+from metrocli.adjust.model.groups import Group
+from metrocli.adjust.model.observations import Mask
+from metrocli.diagnosis.linear.projection import System, scatter
+from metrocli.effects.effect import Effect
+from metrocli.effects.model import Model, with_effect
+
+
+def signature(
+    model: Model, system: System, effect: Effect, place: tuple[str, ...], scanned: Mapping[str, float]
+) -> Array:
+    """Return the whitened columns of an effect at one place, (rows, parameters)."""
+    full, _, _ = next(scan(model, system, effect, [place], [scanned]))
+    return full
+
+
+def scan(
+    model: Model,
+    system: System,
+    effect: Effect,
+    places: Sequence[tuple[str, ...]],
+    scans: Sequence[Mapping[str, float]],
+) -> Iterator[tuple[Array, Block, Mask]]:
+    """Yield for each set of values of the scanned parameters what an effect at some places adds, (rows, entries).
+
+    With it its block, and the entries of that which the model did not estimate before, (members, size).
+    """
+    extended = with_effect(model, effect, places, scans[0])
+    first = extended.blocks[extended.added[-1].block]
+    before = model.blocks.get(first.name)
+    chosen = first.free.copy()
+    if before is not None:
+        chosen[:, : before.size] &= ~before.free
+    for values in scans:
+        block = _at(first, values) if before is None else first
+        blocks = {**extended.blocks, block.name: block}
+        full = np.zeros((system.rows, int(chosen.sum())))
+        for group in extended.readings:
+            found = _whitened(system, group, blocks, block, chosen)
+            start = system.first[group.name]
+            factor = group.observations.deviations.T.ravel() / system.scale[start : start + len(found)]
+            full[start : start + len(found)] = found * factor[:, None]
+        yield full, block, chosen
+
+
+def _at(block: Block, values: Mapping[str, float]) -> Block:
+    """Return the block of an effect with other values of its scanned parameters, at all its places."""
+    moved = block.values.copy()
+    rows = slice(1, None) if len(block.members) > 1 else slice(None)
+    for name, value in values.items():
+        moved[rows, block.column(name)] = value
+    return replace(block, values=moved)
+
+
+def _whitened(system: System, group: Group, blocks: Mapping[str, Block], block: Block, chosen: Mask) -> Array:
+    """Return the whitened derivatives of a group by the chosen entries of a block, (rows of the group, entries)."""
+    numbers = np.full(block.values.shape, -1, dtype=np.intp)
+    numbers[chosen] = np.arange(int(chosen.sum()))
+    observations = group.observations
+    d, n = observations.readings.shape
+    full = np.zeros((n, d, int(chosen.sum())))
+    if block.name in group.chain.blocks:
+        fast = _spliced(system, group, blocks, block)
+        if fast is not None:
+            index = Local(blocks, observations, frozenset()).slots(block.name)
+            scatter(full, np.broadcast_to(observations.whitened(fast), (d, block.size, n)), numbers[index])
+        else:
+            for touch in group.linear(blocks, frozenset({block.name})).touches:
+                scatter(full, touch.jacobian, numbers[touch.index])
+    return full.reshape(n * d, -1)
+
+
+def _spliced(system: System, group: Group, blocks: Mapping[str, Block], block: Block) -> Array | None:
+    """Return the derivatives (d, size, n) by the block of a link put into the chain of the model that changes nothing.
+
+    All but its own step is as in the model. None where it does more than that, and the chain must be run anew.
+    """
+    before = next(one for one in system.model.groups if one.name == group.name)
+    links, old = group.chain.links, before.chain.links
+    at = next((i for i, link in enumerate(links) if i == len(old) or link is not old[i]), 0)
+    if at == 0 or len(links) != len(old) + 1 or any(a is not b for a, b in zip(links[at + 1 :], old[at:], strict=True)):
+        return None
+    run = system.run(before)
+    value, outer = run.values[at], run.outer[at]
+    step = links[at].step(value, Local(blocks, group.observations, frozenset({block.name})))
+    inner = step.by_block.get(block.name)
+    if inner is None or inner.ndim != 3 or group.weights is not None or not np.array_equal(step.value, value):
+        return None
+    return inner if outer is None else through(outer, inner)

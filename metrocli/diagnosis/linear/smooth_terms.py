@@ -1,0 +1,157 @@
+"""Smooth functions of the covariates: what structure looks like whose cause is not known."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import product
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.groups import Group
+from metrocli.diagnosis.adjusted_job import Covariate, Subject
+from metrocli.diagnosis.linear.candidates import Alternative, Family
+from metrocli.diagnosis.linear.projection import System
+from metrocli.effects.effect import Effect, Parameter
+
+_FEWEST_STEPS = 6
+"""Values that a covariate must take for sines of it to be tried"""
+_MOST_PERIODS = 60.0
+_RANK = 1e-9
+"""Singular value of the terms of a smooth function, over the largest, below which they are no more of them"""
+_SHOWS = 0.02
+"""Share of a smooth function that the unknowns must leave"""
+_FEWEST_FOR = 4
+"""Readings for each term that a unit must have to get terms of its own"""
+
+
+def smooth_families(subject: Subject, system: System) -> list[Family]:
+    """Return for each covariate polynomials of it: one for all readings, and one for each unit (tracer, image).
+
+    And sines where it asks for them, a scan over their periods; for those that are terms themselves, these.
+    """
+    apart = [covariate for covariate in subject.covariates if not covariate.together]
+    smooth = [family for covariate in apart for family in _of(subject, system, covariate)]
+    smooth += [_together(subject, system, covariate) for covariate in subject.covariates if covariate.together]
+    waves = [family for one in subject.covariates if one.periodic for family in _waves(subject, system, one)]
+    return smooth + waves
+
+
+def _of(subject: Subject, system: System, covariate: Covariate) -> Iterator[Family]:
+    found: list[tuple[Alternative, Array]] = []
+    for group in subject.model.readings:
+        values = covariate.values.get(group.name)
+        if values is None:
+            continue
+        for where, mask in _parts(subject, group):
+            if not mask.any():
+                continue
+            terms = (harmonics if covariate.angle else polynomials)(np.atleast_2d(values)[:, mask], covariate.degree)
+            if mask.sum() < _FEWEST_FOR * terms.shape[1]:
+                continue
+            full = np.zeros((group.observations.count, terms.shape[1]))
+            full[mask] = terms
+            found.append((_alternative(covariate, where), _components(system, group, full)))
+    by_size: dict[int, list[tuple[Alternative, Array]]] = {}
+    for item in found:
+        by_size.setdefault(item[1].shape[1], []).append(item)
+    for items in by_size.values():
+        seen = np.stack([_shown(system, columns) for _, columns in items], axis=1)
+        raw = np.ones(seen.shape[1:])
+        yield Family(f"smooth in {covariate.name}", tuple(a for a, _ in items), seen, raw, unknown=covariate.name)
+
+
+def _shown(system: System, columns: Array) -> Array:
+    """Return what the unknowns leave of the space of some terms (rows, k), by directions; 0 where that is little.
+
+    What is left of a thousandth of a function would be any pattern, and stands for an error a thousand times its size.
+    """
+    basis, sizes, _ = np.linalg.svd(columns, full_matrices=False)
+    basis = basis * (sizes > _RANK * max(float(sizes[0]), 1e-300))
+    u, s, _ = np.linalg.svd(system.seen(basis), full_matrices=False)
+    return np.asarray(u * np.where(s > _SHOWS, s, 0.0))
+
+
+def _together(subject: Subject, system: System, covariate: Covariate) -> Family:
+    """Return the family whose terms are the coordinates of a covariate, for readings of one component each."""
+    full = np.zeros((system.rows, len(np.atleast_2d(next(iter(covariate.values.values()))))))
+    for group in subject.model.readings:
+        rows = system.first[group.name] + np.arange(group.observations.count)
+        full[rows] = np.atleast_2d(covariate.values[group.name]).T / system.scale[rows, None]
+    seen = _shown(system, full)[:, None]
+    alternatives, raw = (_alternative(covariate, ()),), np.ones(seen.shape[1:])
+    return Family(f"moving with {covariate.name}", alternatives, seen, raw, covariate.name)
+
+
+def _waves(subject: Subject, system: System, covariate: Covariate) -> Iterator[Family]:
+    """Yield cosine and sine of a covariate for each component, from one period over the measurement on.
+
+    Up to one in two of the steps that the covariate takes (Nyquist); half a period apart, so that none falls between.
+    """
+    for group in subject.model.readings:
+        values = covariate.values.get(group.name)
+        steps = np.unique(np.zeros(0) if values is None else values)
+        if values is None or len(steps) < _FEWEST_STEPS:
+            continue
+        turns = 2 * np.pi * (values - steps[0]) / np.ptp(steps)
+        columns: list[Array] = []
+        names: list[Alternative] = []
+        for periods in np.arange(1.0, min((len(steps) - 1) / 2, _MOST_PERIODS) + 0.1, 0.5):
+            terms = np.stack([np.cos(periods * turns), np.sin(periods * turns)], axis=1)
+            full = _components(system, group, terms)
+            for i, component in enumerate(group.observations.components):
+                columns.append(full[:, 2 * i : 2 * i + 2])
+                names.append(_alternative(covariate, (component, f"{periods:g} periods")))
+        seen = np.stack([_shown(system, one) for one in columns], axis=1)
+        raw = np.ones(seen.shape[1:])
+        yield Family(f"waves in {covariate.name}", tuple(names), seen, raw, unknown=covariate.name)
+
+
+def _parts(subject: Subject, group: Group) -> Iterator[tuple[tuple[str, ...], Array]]:
+    """Yield all readings, then those of each unit."""
+    count = group.observations.count
+    yield (), np.ones(count, dtype=bool)
+    for key in subject.units:
+        place = subject.model.places[key]
+        index = group.observations.index.get(place.index)
+        if index is not None:
+            for number, name in enumerate(place.names):
+                yield (name,), index == number
+
+
+def _components(system: System, group: Group, terms: Array) -> Array:
+    """Return terms (n, k) for each component of the readings on its own, whitened, (rows, k components)."""
+    observations = group.observations
+    d, n = observations.readings.shape
+    k = terms.shape[1]
+    full = np.zeros((system.rows, k * d))
+    start = system.first[group.name]
+    rows = slice(start, start + d * n)
+    factor = observations.deviations.T.ravel() / system.scale[rows]
+    for i in range(d):
+        change = np.zeros((d, k, n))
+        change[i] = terms.T
+        whitened = np.moveaxis(observations.whitened(change), -1, 0).reshape(n * d, k)
+        full[rows, i * k : (i + 1) * k] = whitened * factor[:, None]
+    return full
+
+
+def polynomials(values: Array, degree: int) -> Array:
+    """Return products of Legendre polynomials of coordinates (k, n), of total degree 1 to `degree`, (n, terms)."""
+    low, high = values.min(axis=1, keepdims=True), values.max(axis=1, keepdims=True)
+    unit = 2 * (values - low) / np.where(high > low, high - low, 1.0) - 1
+    single = [np.polynomial.legendre.legvander(x, degree) for x in unit]
+    powers = [p for p in product(range(degree + 1), repeat=len(single)) if 0 < sum(p) <= degree]
+    powers.sort(key=lambda p: (sum(p), p[::-1]))
+    return np.stack([np.prod([v[:, i] for v, i in zip(single, p, strict=True)], axis=0) for p in powers], axis=1)
+
+
+def harmonics(values: Array, degree: int) -> Array:
+    """Return cos k a and sin k a of an angle (1, n) for k = 1 to `degree`, (n, terms)."""
+    orders = np.arange(1, degree + 1)[:, None] * values
+    return np.concatenate([np.cos(orders), np.sin(orders)]).T
+
+
+def _alternative(covariate: Covariate, where: tuple[str, ...]) -> Alternative:
+    effect = Effect(f"unknown, varies with {covariate.name}", "", (Parameter("size"),), where=("unit",) * len(where))
+    return Alternative(effect, where)

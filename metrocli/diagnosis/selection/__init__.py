@@ -1,0 +1,1 @@
+"""Selection: which candidates go into the model, which stay, and which others explain as much."""

@@ -1,0 +1,95 @@
+"""Settling: names swapped for better ones, and what is not worth it beside the others taken out of the model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.diagnosis.linear.fitted_columns import Given
+from metrocli.diagnosis.linear.score_tests import Field, Score
+from metrocli.diagnosis.selection.selection_state import Chosen, Selection, levels_of
+from metrocli.diagnosis.selection.thresholds import bound
+
+_CLEARLY = 1.0
+"""By how much the evidence (ln) of a name must be larger for it to count as a better one"""
+
+
+def settled(selection: Selection) -> Selection:
+    """Return the selection after swaps, and without what is not worth it beside the others."""
+    if len(selection.chosen) > 1:
+        selection = _swapped(selection)
+    return _dropped(selection)
+
+
+def _dropped(selection: Selection) -> Selection:
+    """Return the selection without those that are not beyond chance given the others, the least worth first."""
+    while selection.chosen:
+        levels = levels_of(selection)
+        over = [level - np.log(bound(selection, one)) for level, one in zip(levels, selection.chosen, strict=True)]
+        worst = int(np.argmax(over))
+        if over[worst] <= 0:
+            break
+        selection = selection.without(selection.chosen[worst])
+    return selection
+
+
+def evidence(field: Field, given: Given, family: int, score: Score) -> Array:
+    """Return ln of the evidence for each alternative, `-(nu ln RSS + q ln nu)/2 - ln m` (Schwarz 1978)."""
+    left = np.maximum(given.squares - score.gain, 1e-300)
+    terms = given.dof * np.log(left) + score.rank * np.log(max(given.dof, 2.0))
+    value = -terms / 2 - np.log(field.tests[family])
+    return np.asarray(np.where(score.rank > 0, value, -np.inf))
+
+
+def _swapped(selection: Selection) -> Selection:
+    """Return the selection with names replaced by ones that the others leave more evidence for, if there are such.
+
+    Only by one beside which it is not needed: what says more of something else has its own turn in the race.
+    """
+    for _ in range(5):
+        for one in (*selection.named, *selection.unknown):
+            new = _better(selection, one)
+            if new is not None:
+                selection = selection.with_one(new, instead=one)
+                break
+        else:
+            break
+    return selection
+
+
+def _better(selection: Selection, one: Chosen) -> Chosen | None:
+    """Return what takes the place of one that was chosen, None where it stays."""
+    field, given = selection.field, selection.beside(one)
+    scores = field.scores(given)
+    best = [evidence(field, given, i, score) for i, score in enumerate(scores)]
+    for family, number in field.around(one.family, one.number) if one in selection.named else ():
+        # smooth terms in which it lies win or lose in the race; beside them it is tested again
+        best[family][number] = -np.inf
+    family = _preferred(field, best, one)
+    number = int(np.argmax(best[family]))
+    differs = family != one.family
+    if not differs and best[family][number] <= best[family][one.number] + 1e-6:
+        return None
+    old, its = scores[one.family].log_p[one.number], scores[family].log_p[number]
+    if family > one.family and field.level(family, its) > field.level(one.family, old):
+        return None
+    new = Chosen(family, number, field.families[family].columns[:, number])
+    left = field.score(one.family, given.with_columns(new.columns), [one.number]).log_p[0]
+    needed = field.overall(field.level(one.family, float(left))) < np.log(bound(selection, one))
+    return None if differs and needed else new
+
+
+def _preferred(field: Field, best: Sequence[Array], one: Chosen) -> int:
+    """Return the family with clearly the most evidence; else, of effects as good, the first in the table of its kind.
+
+    The tables list what is usual first.
+    """
+    most = np.array([values.max(initial=-np.inf) for values in best])
+    own = best[one.family][one.number]
+    if most.max() > own + _CLEARLY and int(most.argmax()) != one.family:
+        return int(most.argmax())
+    if field.families[one.family].unknown:
+        return one.family
+    return int(np.flatnonzero(most[: one.family + 1] >= own - _CLEARLY)[0])

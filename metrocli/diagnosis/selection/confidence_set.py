@@ -1,0 +1,172 @@
+"""Naming: for each effect that was found, which others would explain the readings as well (a model confidence set)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.observations import Mask
+from metrocli.diagnosis.linear.candidates import Alternative
+from metrocli.diagnosis.linear.fitted_columns import Given
+from metrocli.diagnosis.linear.projection import VISIBLE
+from metrocli.diagnosis.linear.score_tests import FLAT
+from metrocli.diagnosis.selection.backward_steps import evidence
+from metrocli.diagnosis.selection.selection_state import Chosen, Selection, levels_of
+
+_ODDS = 1 / 20
+_NEEDED = 0.01
+"""Level below which an effect is still needed beside another, so that the other does not explain it"""
+_TOLD = 6.6
+"""Non-centrality that what only the named effect explains must have: without it the two are not told apart"""
+_NEAR = 0.9
+"""Cosine above which a form with more parameters counts as another explanation"""
+_SIGNIFICANT = 0.05
+_DISTANT = 0.3
+_BLIND = 1e-2
+"""Part of a parameter in a direction that is not seen, from which on nothing is known of it"""
+_DISTINCT = 1e-4
+"""Singular value of unit columns below which they are the same"""
+
+
+@dataclass(frozen=True)
+class Rival:
+    """Another name for what was found."""
+
+    alternative: Alternative
+    correlation: float
+    """Cosine between the effect's fitted signature and the span of the rival's"""
+    odds: float
+    """Its evidence against the named one"""
+
+
+@dataclass(frozen=True)
+class Named:
+    """An effect that the readings ask for, with all that explain it as well."""
+
+    chosen: Chosen
+    alternative: Alternative
+    log_level: float
+    values: Array
+    """Its parameters"""
+    covariance: Array
+    """For the noise found"""
+    seen: Mask
+    """Which parameters the readings determine together; the others are taken as 0"""
+    apart: Mask
+    """Which parameters have no part in a direction that no reading shows: of the others nothing is known one by one"""
+    rivals: tuple[Rival, ...]
+    shows: float
+    """Norm of what shows of it in the readings, in standard deviations of the declared noise"""
+
+    @property
+    def held(self) -> tuple[str, ...]:
+        """The parameters taken as 0: the readings do not see them apart from the others."""
+        return tuple(name for name, free in zip(self.alternative.parameters, self.seen, strict=True) if not free)
+
+    @property
+    def known(self) -> dict[str, float]:
+        """What is not estimated: the scanned parameters, and those taken as 0."""
+        return {**dict(self.alternative.scanned), **dict.fromkeys(self.held, 0.0)}
+
+
+def named(selection: Selection) -> tuple[Named, ...]:
+    """Return the effects of a selection with their sets of names."""
+    levels = dict(zip(map(id, selection.chosen), levels_of(selection), strict=True))
+    return tuple(_named(selection, one, levels[id(one)]) for one in selection.named)
+
+
+def _named(selection: Selection, one: Chosen, level: float) -> Named:
+    given, full = selection.beside(one), selection.given(without=selection.around(one))
+    alternative = selection.field.families[one.family].alternatives[one.number]
+    left = one.columns - given.basis @ (given.basis.T @ one.columns)
+    whole = selection.field.scales[one.family][one.number]
+    seen, apart = _seen(left, whole), _apart(left, whole)
+    left = np.where(seen, left, 0.0)
+    norm = np.linalg.norm(left, axis=0)
+    size = np.where(norm > 0, norm, 1.0)
+    inverse = np.linalg.pinv((left / size).T @ (left / size), rcond=1e-11, hermitian=True) / size / size[:, None]
+    values = inverse @ (left.T @ given.residual)
+    covariance = inverse * full.squares / max(full.dof, 1)
+    rivals = _rivals(selection, one, given, left @ values)
+    shows = float(np.linalg.norm(left @ values))
+    return Named(one, alternative, level, values, covariance, seen, apart, rivals, shows)
+
+
+def _seen(left: Array, whole: Array) -> Mask:
+    """Return which parameters (q,) can be estimated together.
+
+    While the readings leave a direction of them unseen, the one that lies most along it is taken out.
+    """
+    seen = np.ones(left.shape[1], dtype=bool)
+    scaled = left / np.where(whole > 0, whole, 1.0)
+    while seen.sum() > 1:
+        columns = scaled[:, seen]
+        values, vectors = np.linalg.eigh(columns.T @ columns)
+        if values[0] > max(VISIBLE**2, FLAT * values[-1]):
+            break
+        seen[np.flatnonzero(seen)[int(np.argmax(np.abs(vectors[:, 0])))]] = False
+    return seen
+
+
+def _apart(left: Array, whole: Array) -> Mask:
+    """Return which parameters (q,) have no part in a direction that the readings leave unseen."""
+    columns = left / np.where(whole > 0, whole, 1.0)
+    values, vectors = np.linalg.eigh(columns.T @ columns)
+    open_ones = values <= max(VISIBLE**2, FLAT * values[-1])
+    return np.asarray(np.linalg.norm(vectors[:, open_ones], axis=1) < _BLIND)
+
+
+def _rivals(selection: Selection, one: Chosen, given: Given, fitted: Array) -> tuple[Rival, ...]:
+    """Return the best form of each other cause and place that belongs into the set."""
+    field = selection.field
+    own = field.families[one.family].alternatives[one.number]
+    score = field.score(one.family, given, [one.number])
+    mine, my_rank = float(evidence(field, given, one.family, score)[0]), int(score.rank[0])
+    best: dict[tuple[str, tuple[str, ...]], Rival] = {}
+    there = [other for other in selection.named if other is not one]
+    others = {field.families[other.family].alternatives[other.number].spot for other in there}
+    for number, family in enumerate(field.families):
+        if family.unknown:
+            continue
+        scores = field.score(number, given)
+        weights = evidence(field, given, number, scores)
+        for at in np.flatnonzero(scores.rank):
+            rival = family.alternatives[at]
+            if rival.spot == own.spot or rival.spot in others:
+                continue
+            odds = float(np.exp(np.clip(weights[at] - mine, -700, 700)))
+            known = best.get(rival.spot)
+            if known is not None and known.odds >= odds:
+                continue
+            if field.overall(field.level(number, scores.log_p[at])) > np.log(_SIGNIFICANT):
+                continue
+            cosine = _cosine(given, family.columns[:, at], fitted)
+            if odds > _ODDS or (
+                cosine > _DISTANT and _explains(selection, one, given, number, int(at), cosine, my_rank)
+            ):
+                best[rival.spot] = Rival(rival, cosine, odds)
+    return tuple(sorted(best.values(), key=lambda rival: -rival.odds))
+
+
+def _explains(selection: Selection, one: Chosen, given: Given, family: int, at: int, cosine: float, rank: int) -> bool:
+    """Whether with the rival in the model the named effect is not needed any more, or could not be."""
+    field = selection.field
+    gain = field.score(one.family, given, [one.number]).gain[0]
+    full = selection.given(without=selection.around(one))
+    noise = full.squares / max(full.dof, 1)
+    if (1 - cosine**2) * gain < _TOLD * noise:
+        return True
+    columns = field.families[family].columns[:, at]
+    beside = given.with_columns(columns)
+    score = field.score(one.family, beside, [one.number])
+    fewer = beside.basis.shape[1] - given.basis.shape[1] <= rank
+    return bool(score.log_p[0] > np.log(_NEEDED)) and (fewer or cosine > _NEAR)
+
+
+def _cosine(given: Given, columns: Array, fitted: Array) -> float:
+    left = columns - given.basis @ (given.basis.T @ columns)
+    u, s, _ = np.linalg.svd(left / np.maximum(np.linalg.norm(left, axis=0), 1e-300), full_matrices=False)
+    u = u[:, s > _DISTINCT]
+    return float(np.linalg.norm(u.T @ fitted) / max(float(np.linalg.norm(fitted)), 1e-300))

@@ -1,0 +1,151 @@
+"""What is selected: effects, smooth terms and outliers fitted together, and the level of each beside the others."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.diagnosis.linear.distributions import log_tail
+from metrocli.diagnosis.linear.fitted_columns import Fit, Given
+from metrocli.diagnosis.linear.score_tests import Field
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """What is in the model: an alternative of a family, or an outlier (family -1, a reading)."""
+
+    family: int
+    number: int
+    columns: Array
+
+    @property
+    def outlier(self) -> bool:
+        """Whether it is a wrong reading."""
+        return self.family < 0
+
+
+@dataclass(frozen=True)
+class Selection:
+    """What the readings ask for beside the model of the job."""
+
+    field: Field
+    fit: Fit
+    chosen: tuple[Chosen, ...] = ()
+    """What the parts of the fit are, one by one"""
+
+    @property
+    def named(self) -> tuple[Chosen, ...]:
+        """The effects, without smooth terms and outliers."""
+        return tuple(one for one in self.chosen if not one.outlier and not self.field.families[one.family].unknown)
+
+    @property
+    def unknown(self) -> tuple[Chosen, ...]:
+        """The smooth terms."""
+        return tuple(one for one in self.chosen if not one.outlier and self.field.families[one.family].unknown)
+
+    @property
+    def outliers(self) -> tuple[Chosen, ...]:
+        """The wrong readings."""
+        return tuple(one for one in self.chosen if one.outlier)
+
+    @property
+    def members(self) -> frozenset[tuple[int, int]]:
+        """Family and number of all that was chosen."""
+        return frozenset((one.family, one.number) for one in self.chosen)
+
+    def given(self, without: Sequence[Chosen] = ()) -> Given:
+        """Return the model with what was chosen, but for some."""
+        gone = [number for number, one in enumerate(self.chosen) if any(one is other for other in without)]
+        return self.fit.without(gone) if gone else self.fit.given
+
+    def with_one(self, one: Chosen, instead: Chosen | None = None) -> Selection:
+        """Return the selection with one more, or with it in the place of another."""
+        kept = self if instead is None else self.without(instead)
+        return replace(kept, fit=kept.fit.with_part(one.columns), chosen=(*kept.chosen, one))
+
+    def without(self, gone: Chosen) -> Selection:
+        """Return the selection without one."""
+        kept = [number for number, one in enumerate(self.chosen) if one is not gone]
+        return replace(self, fit=self.fit.only(kept), chosen=tuple(self.chosen[number] for number in kept))
+
+    def around(self, one: Chosen) -> tuple[Chosen, ...]:
+        """Return the smooth terms in which an effect lies: beside them nothing of it could be seen."""
+        return tuple(
+            other
+            for other in self.unknown
+            if one.family >= 0 and self.field.lying_in(other.family, other.number)[one.family][one.number]
+        )
+
+    def beside(self, one: Chosen) -> Given:
+        """Return the model without one of the chosen, and without the smooth terms in which it lies (marginality)."""
+        return self.given(without=[one, *self.around(one)])
+
+
+@dataclass(frozen=True)
+class Drop:
+    """By how much a part of the model lowers the sum of squares, and its degrees of freedom."""
+
+    squares: float
+    dof: float
+
+
+def drop(without: Given, beside: Given) -> Drop:
+    """Return what one model drops against another that has less in it."""
+    return Drop(without.squares - beside.squares, without.dof - beside.dof)
+
+
+def levels_of(selection: Selection) -> list[float]:
+    """Return ln of the level of each chosen one given the others, counted over all that was tried."""
+    found = _outlier_gains(selection)
+    return [_level(selection, one, found.get(id(one))) for one in selection.chosen]
+
+
+def _level(selection: Selection, one: Chosen, own: Drop | None) -> float:
+    field, around = selection.field, selection.around(one)
+    full = selection.given(without=around)
+    own = drop(selection.beside(one), full) if own is None else own
+    if own.dof < 1:
+        return 0.0
+    share = np.array(own.squares / max(full.squares + own.squares, 1e-300))
+    level = field.overall(field.level(one.family, float(log_tail(share, own.dof, max(full.dof, 1)))))
+    if not around:
+        return level
+    smooth = [(other.family, other.number) for other in around]
+    return max(level, special(field, one.family, smooth, own, drop(full, selection.given())))
+
+
+def special(field: Field, family: int, smooth: Sequence[tuple[int, int]], own: Drop, rest: Drop) -> float:
+    """Return ln of the level at which an effect stands out of smooth terms in which it lies, counted over all that do.
+
+    The terms are families and numbers of them. `own` is what the effect drops, `rest` what the terms drop beside it:
+    as long as their cause is not known, one direction of them is as likely as another.
+    """
+    if rest.dof < 1:
+        return 0.0
+    share = np.array(np.clip(own.squares / max(own.squares + rest.squares, 1e-300), 0.0, 1.0))
+    return field.level(family, float(log_tail(share, own.dof, rest.dof))) + float(np.log(field.causes_in(smooth)))
+
+
+def _outlier_gains(selection: Selection) -> dict[int, Drop]:
+    """Return by how much each outlier lowers the sum of squares beside all else, and its rank, from one solution."""
+    outliers = selection.outliers
+    if not outliers:
+        return {}
+    base = selection.given(without=outliers)
+    x = np.concatenate([one.columns for one in outliers], axis=1)
+    x = x - base.basis @ (base.basis.T @ x)
+    size = np.maximum(np.linalg.norm(x, axis=0), 1e-300)
+    inverse = np.linalg.pinv((x / size).T @ (x / size), rcond=1e-11, hermitian=True)
+    beta = inverse @ ((x / size).T @ base.residual)
+    found, place = {}, 0
+    for one in outliers:
+        own = slice(place, place + one.columns.shape[1])
+        place = own.stop
+        values, vectors = np.linalg.eigh(inverse[own, own])
+        good = values > 1e-9 * max(float(values[-1]), 1e-300)
+        gain = float((((vectors.T @ beta[own]) ** 2)[good] / values[good]).sum())
+        found[id(one)] = Drop(gain, float(good.sum()))
+    return found

@@ -1,0 +1,1 @@
+"""Links of effects, one file a family."""

@@ -1,0 +1,67 @@
+"""Eccentricity of circular targets: the centre of a circle's image is not the image of the circle's centre."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.chain import Chain, Local, Step
+from metrocli.adjust.model.quantities import Quantity
+from metrocli.effects.links.of_block import OfBlock
+
+
+@dataclass(frozen=True)
+class TargetEccentricity(OfBlock):
+    """The point whose image is the centre of the ellipse, `X - k r^2 / Z (e_z - n_z n)`; columns factor k [1].
+
+    A circle of radius r about X with normal n is the image of the unit circle under the matrix (r e1, r e2, X); the
+    centre of its ellipse in the plane Z = 1 is the image of the pole of the line that this matrix sends to infinity.
+    k = 1 is the full effect.
+    """
+
+    before: Chain = field(default_factory=lambda: Chain(()))
+    """From the target to the camera"""
+    targets: str = "target"
+    """The block of targets; circles lie in z = const of its frame"""
+    takes = gives = Quantity.POINT_IN_CAMERA
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """What turns the target's plane, and its own block."""
+        return (*self.before.blocks, self.block)
+
+    def within(self, before: Chain) -> TargetEccentricity:
+        """Return the effect behind these links."""
+        return replace(self, before=before)
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the point (3, n) with derivatives by the point, the factor and the blocks that turn the normal."""
+        normal, turns = self._normal(local)
+        factor = local.rows(self.block)[0]
+        share = np.nan_to_num(local.observations.conditions["radius"]) ** 2 / value[2]
+        away = -normal[2] * normal
+        away[2] += 1
+        by_point = np.repeat(np.eye(3)[:, :, None], value.shape[1], axis=2)
+        by_point[:, 2] += factor * share / value[2] * away
+        by_block = {name: _along_normal(normal, turn) * (factor * share) for name, turn in turns.items()}
+        return Step(value - factor * share * away, by_point, {**by_block, self.block: (-share * away)[:, None]})
+
+    def _normal(self, local: Local) -> tuple[Array, Mapping[str, Array]]:
+        """Return the normal of the target's plane in the camera (3, n), with derivatives by the blocks before.
+
+        It is the difference of two points that are 1 apart on it: exact, since the links before keep lengths.
+        """
+        block, wanted = local.blocks[self.targets], local.wanted.intersection(self.before.blocks)
+        above = {**local.blocks, self.targets: block.with_values(block.values + np.array([0.0, 0.0, 1.0]))}
+        low, high = (self.before.steps(blocks, local.observations, wanted) for blocks in (local.blocks, above))
+        flat, raised = (self.before.derivatives(steps, wanted) for steps in (low, high))
+        return high[-1].value - low[-1].value, {name: raised[name] - flat[name] for name in raised}
+
+
+def _along_normal(normal: Array, by_block: Array) -> Array:
+    """Return the derivative of `n_z n` from that of n, (3, size, n)."""
+    turned: Array = normal[2] * by_block + normal[:, None] * by_block[2][None]
+    return turned

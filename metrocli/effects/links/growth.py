@@ -1,0 +1,36 @@
+"""Growth that is the same in all directions, about the origin of a frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.chain import Local, Step
+from metrocli.adjust.model.quantities import Quantity
+from metrocli.effects.links.of_block import OfBlock
+
+_EYE = np.eye(3)[:, :, None]
+
+
+@dataclass(frozen=True)
+class Growth(OfBlock):
+    """`X (1 + s)`; columns scale [1]."""
+
+    at: Quantity
+
+    @property
+    def takes(self) -> Quantity:
+        """The quantity that grows."""
+        return self.at
+
+    @property
+    def gives(self) -> Quantity:
+        """The same quantity."""
+        return self.at
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the point (3, n), with derivatives `(1 + s) I` by the point and X by the scale."""
+        growth = 1 + local.rows(self.block)[0]
+        return Step(value * growth, growth * _EYE, {self.block: value[:, None]})

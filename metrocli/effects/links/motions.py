@@ -1,0 +1,104 @@
+"""Effects on the error motion of a machine: what depends on direction, time, and positions of the axes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.chain import Local, Step
+from metrocli.adjust.model.quantities import Quantity
+from metrocli.effects.effect import ELAPSED
+from metrocli.effects.links.of_block import OfBlock
+
+_AS_IT_IS = np.eye(6)[:, :, None]
+AXES = "xyz"
+
+
+@dataclass(frozen=True)
+class _Motion(OfBlock):
+    """A displacement that is added to the error motion, (6, n)."""
+
+    takes = gives = Quantity.ERROR_MOTION
+
+    def moved(self, value: Array, displacement: Array, by_block: Array) -> Step:
+        """Return the motion with a displacement (3, n) whose derivatives by the block are (3, size, n)."""
+        total = np.array(np.broadcast_to(value, (6, displacement.shape[1])))
+        total[:3] += displacement
+        derivative = np.zeros((6, *by_block.shape[1:]))
+        derivative[:3] = by_block
+        return Step(total, _AS_IT_IS, {self.block: derivative})
+
+    def along(self, axis: str, factor: Array, value: Array, local: Local) -> Step:
+        """Return the motion with `p factor` along an axis, p the only column."""
+        by_block = np.zeros((3, 1, len(factor)))
+        by_block[AXES.index(axis), 0] = factor
+        return self.moved(value, by_block[:, 0] * local.rows(self.block), by_block)
+
+
+@dataclass(frozen=True)
+class Backlash(_Motion):
+    """`+width/2` along an axis after a move in its positive direction, `-width/2` after one in its negative."""
+
+    axis: str
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the motion (6, n)."""
+        return self.along(self.axis, np.sign(local.observations.conditions[f"from_{self.axis}"]) / 2, value, local)
+
+
+@dataclass(frozen=True)
+class ThermalGrowth(_Motion):
+    """`rate t pos` along an axis, pos its commanded position."""
+
+    axis: str
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the motion (6, n)."""
+        given = local.observations.conditions
+        return self.along(self.axis, given[ELAPSED] * given[self.axis], value, local)
+
+
+@dataclass(frozen=True)
+class LoadSag(_Motion):
+    """`dz += c a b`, a and b the commanded positions of two axes."""
+
+    pair: str
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the motion (6, n)."""
+        first, second = (local.observations.conditions[axis] for axis in self.pair)
+        return self.along("z", first * second, value, local)
+
+
+@dataclass(frozen=True)
+class MachineDrift(_Motion):
+    """`d += v t`; columns vx, vy, vz [mm/s]."""
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the motion (6, n)."""
+        elapsed = local.observations.conditions[ELAPSED]
+        by_block = np.eye(3)[:, :, None] * elapsed
+        return self.moved(value, local.rows(self.block) * elapsed, by_block)
+
+
+@dataclass(frozen=True)
+class ScrewPitchError(_Motion):
+    """`amplitude sin(2 pi pos / period + phase)` along an axis; columns amplitude [mm], phase [rad], period [mm].
+
+    Its derivatives are along the phasor and across it (`Space.WAVE`), so that it can be found from amplitude 0.
+    """
+
+    axis: str
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the motion (6, n)."""
+        amplitude, phase, period = local.rows(self.block)
+        angle = 2 * np.pi * local.observations.conditions[self.axis] / period + phase
+        row = AXES.index(self.axis)
+        by_block = np.zeros((3, 3, len(angle)))
+        by_block[row, 0], by_block[row, 1] = np.sin(angle), np.cos(angle)
+        displacement = np.zeros((3, len(angle)))
+        displacement[row] = amplitude * by_block[row, 0]
+        return self.moved(value, displacement, by_block)

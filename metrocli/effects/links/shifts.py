@@ -1,0 +1,75 @@
+"""Effects that move a point: once and for all, or in proportion to time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.chain import Local, Step
+from metrocli.adjust.model.quantities import Quantity
+from metrocli.effects.links.of_block import OfBlock
+
+_EYE = np.eye(3)[:, :, None]
+
+
+@dataclass(frozen=True)
+class Shift(OfBlock):
+    """`X += s d c`, c = 1 or a condition; d has one to three columns, along x, y, z of the frame of the quantity.
+
+    s = -1 where what moves is the frame in which the point is given: the camera's holder, the machine.
+    """
+
+    at: Quantity
+    sign: float = 1.0
+    condition: str = ""
+
+    @property
+    def takes(self) -> Quantity:
+        """The quantity that is moved."""
+        return self.at
+
+    @property
+    def gives(self) -> Quantity:
+        """The same quantity."""
+        return self.at
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the point (3, n)."""
+        shift = local.rows(self.block)
+        by_shift = self.sign * _EYE[:, : len(shift)]
+        if self.condition:
+            by_shift = by_shift * local.observations.conditions[self.condition]
+        moved = value.copy()
+        moved[: len(shift)] += shift * by_shift[range(len(shift)), range(len(shift))]
+        return Step(moved, _EYE, {self.block: by_shift})
+
+
+@dataclass(frozen=True)
+class MachineError(OfBlock):
+    """The machine stands at `d + e_i a d_j` instead of d, so that points come nearer to it by as much; columns a.
+
+    i = j: the scale of an axis; else what an axis out of square adds to the first.
+    """
+
+    moved: int
+    along: int
+    poses: str = "spindle"
+    """Block of the commanded poses (x, y, z, ...)"""
+    takes = gives = Quantity.POINT_IN_MACHINE
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """The commanded poses and its own block."""
+        return (self.poses, self.block)
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the point (3, n) as it is seen from the machine's place."""
+        error = local.rows(self.block)[0]
+        commanded = local.rows(self.poses)
+        by_error = np.zeros((3, 1, value.shape[1]))
+        by_error[self.moved, 0] = -commanded[self.along]
+        by_pose = np.zeros((3, len(commanded), value.shape[1]))
+        by_pose[self.moved, self.along] = -error
+        return Step(value + by_error[:, 0] * error, _EYE, {self.poses: by_pose, self.block: by_error})

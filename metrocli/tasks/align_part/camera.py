@@ -1,0 +1,114 @@
+"""A calibrated camera as another job uses it: parameters, place in the taper, and their common covariance."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array, Block, Space
+from metrocli.adjust.model.groups import Group, joint_prior
+from metrocli.errors import InputError
+from metrocli.geometry import poses
+from metrocli.imageset import ImageSet
+from metrocli.instruments.camera import LENS, TAPER
+from metrocli.instruments.lens import PARAMETERS
+from metrocli.result import Result
+from metrocli.tasks.shared.images.camera_settings import CameraFile
+
+
+@dataclass(frozen=True)
+class CameraModel:
+    """A camera and, where it was calibrated in one, its place in the taper."""
+
+    lens: Mapping[str, float]
+    taper: Array
+    """Pose of the camera in the taper (6,)"""
+    image_size: tuple[int, int]
+    convention: str
+    estimated: tuple[str, ...] = ()
+    """Lens parameters that the covariance is of, before x y z alpha beta gamma"""
+    covariance: Array | None = None
+    """None: taken as exact"""
+
+    def must_fit(self, images: ImageSet) -> None:
+        """Raise InputError where the images are not of the size the camera was calibrated with."""
+        if tuple(images.size) != self.image_size:
+            w, h = images.size
+            raise InputError(
+                f"the images are {w} x {h} px, "
+                f"the camera was calibrated with {self.image_size[0]} x {self.image_size[1]} px"
+            )
+
+    def blocks(self) -> tuple[Block, Block]:
+        """Return the blocks of the lens and of the taper; free where the calibration gives them a covariance."""
+        known = self.covariance is not None
+        held = {"k1": 0.0, **self.lens}  # an effect may change it, also where the calibration left it out
+        columns, values = tuple(held), np.array([list(held.values())])
+        lens = Block(LENS, values, columns, free=np.isin(columns, self.estimated) if known else np.array(False))
+        taper = Block(TAPER, self.taper[None], poses.COLUMNS, free=np.array(known), space=Space.POSE)
+        return lens, taper
+
+    def prior(self) -> list[Group]:
+        """Return the calibration as an observation of its own: its covariance enters the adjustment."""
+        if self.covariance is None:
+            return []
+        lens, taper = self.blocks()
+        k = len(self.estimated)
+        to_step = np.eye(k + 6)
+        to_step[k:, k:] = np.linalg.inv(poses.euler_form_by_step(self.taper))
+        order = tuple(lens.columns.index(name) for name in self.estimated)
+        return [joint_prior([lens, taper], [order, tuple(range(6))], to_step @ self.covariance @ to_step.T)]
+
+
+def camera_of(source: Result | CameraFile) -> CameraModel:
+    """Return the camera of a calibration or of a YAML file."""
+    return camera_of_file(source) if isinstance(source, CameraFile) else camera_of_result(source)
+
+
+def camera_of_file(file: CameraFile) -> CameraModel:
+    """Return the camera of a YAML file, exact."""
+    if file.extrinsics is None:
+        raise InputError(
+            "the camera file has no extrinsics: where the camera is in the taper, "
+            "e.g. extrinsics: {x: -2.1 mm, y: .., z: .., alpha: -0.003 rad, ..}"
+        )
+    width, height = file.image_size
+    lens = {"cx": (width - 1) / 2, "cy": (height - 1) / 2, **file.given()}
+    e = file.extrinsics
+    taper = poses.pose_from_euler(np.array([e.x, e.y, e.z]), np.array([e.alpha, e.beta, e.gamma]))
+    return CameraModel(
+        {name: lens[name] for name in PARAMETERS if name in lens}, taper, file.image_size, file.convention
+    )
+
+
+def camera_of_result(result: Result) -> CameraModel:
+    """Return the camera of a calibration with rig cmm, with its covariance."""
+    if result.statistics.get("rig") != "cmm":
+        raise InputError(
+            f"the camera was calibrated with rig {result.statistics.get('rig')}; "
+            "its place in the taper is known from rig cmm only"
+        )
+    table = result.tables["camera"]
+    lens = dict(zip(table.texts("parameter"), table.numbers("value").tolist(), strict=True))
+    values = {estimate.name: estimate.value for estimate in result.estimates}
+    at = np.array([values[name] for name in poses.EULER])
+    size = (int(_number(result, "image_width")), int(_number(result, "image_height")))
+    estimated = tuple(name for name in values if name in lens)
+    delivered = len(estimated) + len(poses.EULER)
+    return CameraModel(
+        lens,
+        poses.pose_from_euler(at[:3], at[3:]),
+        size,
+        str(result.statistics["convention"]),
+        estimated,
+        result.covariance[:delivered, :delivered],
+    )
+
+
+def _number(result: Result, name: str) -> float:
+    value = result.statistics[name]
+    if isinstance(value, (int, float)):
+        return float(value)
+    raise InputError(f"the camera result has no number '{name}' among its statistics")

@@ -1,0 +1,151 @@
+"""Effects on what a camera in the spindle sees of a part (docs/effects)."""
+
+from __future__ import annotations
+
+from metrocli.adjust.model.quantities import Quantity
+from metrocli.effects.effect import ELAPSED, Effect, Parameter
+from metrocli.effects.links.coupling_tilt import CouplingTilt
+from metrocli.effects.links.eccentricity import TargetEccentricity
+from metrocli.effects.links.growth import Growth
+from metrocli.effects.links.lens_changes import LensChange
+from metrocli.effects.links.shifts import MachineError, Shift
+from metrocli.units import parse_quantity
+
+_MENDIKUTE = "Mendikute et al."
+_PART, _MACHINE, _TAPER = Quantity.POINT_IN_PART, Quantity.POINT_IN_MACHINE, Quantity.POINT_IN_TAPER
+
+
+def _size(name: str, dimension: str, plausible: str) -> Parameter:
+    return Parameter(name, dimension, parse_quantity(plausible, dimension))
+
+
+def _sizes(names: tuple[str, ...], dimension: str, plausible: str) -> tuple[Parameter, ...]:
+    return tuple(_size(name, dimension, plausible) for name in names)
+
+
+EFFECTS: tuple[Effect, ...] = (
+    Effect(
+        "clamping-angle",
+        "the camera's holder is clamped in the spindle at an angle that the 6D job takes as zero",
+        (_size("gamma_s", "angle", "2 deg"),),
+        columns_of="coupling",
+        confused_with=("coupling-tilt", "coupling-shift"),
+        reveal="poses with the spindle turned by 90 and 180 degrees",
+        source=f"{_MENDIKUTE} eq. 22; ISO 26623",
+    ),
+    Effect(
+        "coupling-tilt",
+        "the holder sits tilted in the spindle: dirt or a chip in the taper",
+        _sizes(("alpha_s", "beta_s"), "angle", "0.3 mrad"),
+        lambda block, where: CouplingTilt(block),
+        confused_with=("principal-point-shift", "coupling-shift"),
+        reveal="poses with the spindle turned by 90 and 180 degrees, at two distances from the part",
+        source="ISO 26623: seat of polygonal tapers; the tilt follows the spindle",
+    ),
+    Effect(
+        "coupling-shift",
+        "the holder sits sideways in the spindle",
+        _sizes(("dx", "dy"), "length", "0.2 mm"),
+        lambda block, where: Shift(block, _TAPER, sign=-1.0),
+        confused_with=("coupling-tilt", "principal-point-shift"),
+        reveal="poses with the spindle turned by 90 and 180 degrees: without turning the part's place takes it in",
+        source="ISO 26623: repeatability of the seat",
+    ),
+    Effect(
+        "part-expansion",
+        "the part is warmer or colder than when its targets were measured",
+        (_size("scale", "ratio", "500 ppm"),),
+        lambda block, where: Growth(block, _PART),
+        confused_with=("focal-change", "machine-scale"),
+        reveal="the temperature of the part; targets at different depths and far apart along all axes",
+        source="ISO 1; ISO 230-3: 11.5 ppm/K for steel",
+    ),
+    Effect(
+        "moved-target",
+        "a target is not where the list says: it was knocked, mistaken for another, or measured wrongly",
+        _sizes(("dx", "dy", "dz"), "length", "5 mm"),
+        lambda block, where: Shift(block, _PART),
+        where=("target",),
+        confused_with=("bad-pose",),
+        reveal="this target in more images from other sides, or measured again",
+        source="Baarda 1968 (test of a group of readings)",
+    ),
+    Effect(
+        "bad-pose",
+        "in one image the machine was not where the file says: not settled, or a wrong line in the file",
+        _sizes(("dx", "dy", "dz"), "length", "5 mm"),
+        lambda block, where: Shift(block, _MACHINE, sign=-1.0),
+        where=("image",),
+        confused_with=("moved-target",),
+        reveal="more targets in this image, or the pose approached again",
+        source="Baarda 1968 (test of a group of readings)",
+    ),
+    Effect(
+        "focal-change",
+        "the focal length is not that of the calibration: temperature, focus, another aperture",
+        (_size("ratio", "ratio", "1 percent"),),
+        lambda block, where: LensChange(block, multiplied=(("f", "fx", "fy"),)),
+        confused_with=("part-expansion", "radial-distortion"),
+        reveal="targets at different distances, and off the middle of the image",
+        source="Smith and Cope 2010, The effects of temperature variation on single-lens-reflex digital cameras",
+    ),
+    Effect(
+        "principal-point-shift",
+        "the sensor or the lens sits sideways against its place when the camera was calibrated",
+        _sizes(("du", "dv"), "pixel", "50 px"),
+        lambda block, where: LensChange(block, added=(("cx",), ("cy",))),
+        confused_with=("coupling-tilt", "coupling-shift"),
+        reveal="poses at two distances from the part and with the spindle turned",
+        source="Elias et al. 2020, Assessing the influence of temperature changes on the stability of cameras",
+    ),
+    Effect(
+        "machine-scale",
+        "an axis of the machine goes further or less far than it says: temperature of its scale, wrong pitch",
+        (_size("scale", "ratio", "200 ppm"),),
+        lambda block, where: MachineError(block, "xyz".index(where["axis"]), "xyz".index(where["axis"])),
+        where=("axis",),
+        confused_with=("part-expansion", "focal-change"),
+        reveal="targets seen from poses far apart along this axis, and a calibrated length along it",
+        source="ISO 230-2; ISO 230-3",
+    ),
+    Effect(
+        "machine-squareness",
+        "two axes of the machine are not square to each other",
+        (_size("angle", "angle", "200 urad"),),
+        lambda block, where: MachineError(block, "xyz".index(where["pair"][0]), "xyz".index(where["pair"][1])),
+        where=("pair",),
+        confused_with=("part-drift", "clamping-angle"),
+        reveal="targets in a plane seen from poses far apart along both axes",
+        source="ISO 230-1",
+    ),
+    Effect(
+        "part-drift",
+        "the part moves in the machine while the images are taken: clamping, floor, warming up",
+        _sizes(("vx", "vy", "vz"), "speed", "0.1 mm/min"),
+        lambda block, where: Shift(block, _MACHINE, condition=ELAPSED),
+        needs=("t",),
+        confused_with=("machine-squareness", "bad-pose"),
+        reveal="the first poses again at the end",
+        source="ISO 230-3: drift over time",
+    ),
+    Effect(
+        "radial-distortion",
+        "the distortion of the lens is not that of its calibration",
+        (Parameter("dk1", plausible=0.1),),
+        lambda block, where: LensChange(block, added=(("k1",),)),
+        confused_with=("focal-change",),
+        reveal="targets up to the corners of the image",
+        source="Brown 1971, Close-range camera calibration",
+    ),
+    Effect(
+        "target-eccentricity",
+        "the measured centre of a circle's image is not the image of the circle's centre",
+        (Parameter("factor", plausible=2.0),),
+        lambda block, where: TargetEccentricity(block),
+        needs=("radius",),
+        confused_with=("focal-change",),
+        reveal="larger tilts of the targets; the radius of every target in the list",
+        source="Ahn, Warnecke and Kotowski 1999, Systematic geometric image measurement errors of circular targets",
+    ),
+)
+"""The table; its order is that of the documents"""

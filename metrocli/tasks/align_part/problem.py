@@ -1,0 +1,150 @@
+"""The adjustment of a part's alignment: from camera, spindle poses and sightings to blocks with starting values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.chain import Chain
+from metrocli.adjust.model.groups import Group, priors
+from metrocli.adjust.model.observations import Index
+from metrocli.effects.model import Added, Model, Place
+from metrocli.errors import Fault, InputError
+from metrocli.geometry import poses
+from metrocli.instruments import spindle_camera as spindle
+from metrocli.instruments.camera import TARGET, lens_link, target_block
+from metrocli.instruments.lens import ideal_point
+from metrocli.table import Table
+from metrocli.tasks.align_part.camera import CameraModel
+from metrocli.tasks.shared.images.adjustment import IMAGES
+from metrocli.tasks.shared.images.eccentricity import corrected
+from metrocli.tasks.shared.images.sightings import Sighted, check_inside
+
+_ANGLES = np.linspace(-np.pi, np.pi, 12, endpoint=False)
+"""Clamping angles to start from, where the smallest start at 0 fails"""
+_GOOD = 0.01
+"""A misfit [rad] small enough to start from"""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """An alignment ready to adjust."""
+
+    camera: CameraModel
+    sighted: Sighted
+    blocks: Mapping[str, Block]
+    images: Group
+    others: tuple[Group, ...]
+    warnings: tuple[str, ...] = ()
+    effects: tuple[Added, ...] = ()
+
+    def model(self) -> Model:
+        """Return the alignment as a model that effects can be added to."""
+        places = places_of(self.sighted.images, self.sighted.targets.names)
+        return Model(self.blocks, (self.images, *self.others), None, (IMAGES,), places, added=self.effects)
+
+    def with_model(self, model: Model) -> Problem:
+        """Return the alignment with the blocks, groups and effects of a model made from it."""
+        images = next(group for group in model.groups if group.name == IMAGES)
+        others = tuple(group for group in model.groups if group.name != IMAGES)
+        return replace(self, blocks=model.blocks, images=images, others=others, effects=model.added)
+
+    @property
+    def free_angle(self) -> bool:
+        """Whether the clamping angle is estimated (7D)."""
+        return bool(self.blocks[spindle.COUPLING].free.any())
+
+
+def places_of(images: Sequence[str], targets: Sequence[str]) -> dict[str, Place]:
+    """Return where effects can act: images, targets, axes and pairs of axes of the machine."""
+    return {
+        "image": Place(tuple(images), "view"),
+        "target": Place(tuple(targets), TARGET),
+        "axis": Place(("x", "y", "z")),
+        "pair": Place(("xy", "xz", "yz")),
+    }
+
+
+def build(camera: CameraModel, sighted: Sighted, table: Table, free_angle: bool) -> Problem:
+    """Return the adjustment with its starting values, found from the sightings alone."""
+    sighted = check_inside(sighted, camera.image_size)
+    held, warnings, sighted = _spindle_poses(sighted, table)
+    targets = sighted.targets
+    seen = np.bincount(sighted.target, minlength=len(targets.names)) > 0
+    pose, angle = _start(camera, sighted, held, free_angle)
+    extent = float(np.ptp(targets.points[seen], axis=0).max())
+    free = (targets.sigma != 0) & seen[:, None]
+    distance = float(
+        np.linalg.norm(held[:, :3] - (poses.apply(pose, targets.points[seen].mean(axis=0))), axis=1).mean()
+    )
+    lens, taper = camera.blocks()
+    blocks = {
+        block.name: block
+        for block in (
+            spindle.part_block(pose, extent, distance),
+            spindle.coupling_block(angle, free_angle),
+            lens,
+            taper,
+            target_block(targets.points, targets.names, free, max(extent, 1.0)),
+            spindle.spindle_block(held, sighted.images),
+        )
+    }
+    observations = replace(
+        sighted.observations, index={TARGET: sighted.target, spindle.SPINDLE: sighted.view, "view": sighted.view}
+    )
+    group = Group(IMAGES, Chain((*spindle.to_camera(), lens_link(camera.convention))), observations)
+    others: tuple[Group, ...] = (*camera.prior(), *priors(blocks[TARGET], targets.sigma, free))
+    if sighted.eccentric:
+        group, blocks = corrected(group, blocks, others, None, targets.radius)
+    return Problem(camera, sighted, blocks, group, others, warnings)
+
+
+def _spindle_poses(sighted: Sighted, table: Table) -> tuple[Array, tuple[str, ...], Sighted]:
+    """Return the spindle's pose for each image, and the sightings with the poses' time and temperature."""
+    place = {name: row for row, name in enumerate(table.texts("image"))}
+    missing = [name for name in sighted.images if name not in place]
+    if missing:
+        raise InputError(
+            [
+                Fault(f"there is no pose for image '{name}'", table.file, hint="add a row with its spindle position")
+                for name in missing
+            ]
+        )
+    rows = np.array([place[name] for name in sighted.images], dtype=np.intp)
+    unused = [name for name in place if name not in set(sighted.images)]
+    warnings = (f"{len(unused)} poses have no sighting: {', '.join(unused[:8])}",) if unused else ()
+    conditions = {**sighted.observations.conditions}
+    for name in ("t", "temp"):
+        if name in table and name not in conditions:
+            conditions[name] = table.numbers(name)[rows][sighted.view]
+    observations = replace(sighted.observations, conditions=conditions)
+    return spindle_poses(table, rows), warnings, replace(sighted, observations=observations)
+
+
+def spindle_poses(table: Table, rows: Sequence[int] | Index) -> Array:
+    """Return the commanded poses (rows, 6) of the spindle."""
+    chosen = np.asarray(rows, dtype=np.intp)
+    angles = np.stack([table.numbers(name, 0.0) for name in "abc"], axis=1)[chosen]
+    return poses.pose_from_euler(table.stacked("xyz")[chosen], angles)
+
+
+def _start(camera: CameraModel, sighted: Sighted, held: Array, free_angle: bool) -> tuple[Array, float]:
+    """Return the pose of the part and the clamping angle to start from: 0, or the best of twelve if 0 fits nothing."""
+    uv = sighted.observations.readings
+    ideal = np.nan_to_num(np.stack(ideal_point(camera.lens, uv[0], uv[1], camera.convention)))
+    points = sighted.targets.points[sighted.target]
+
+    def tried(angle: float) -> tuple[Array, float]:
+        return spindle.start_pose(spindle.rays(held[sighted.view], camera.taper, angle, ideal, points))
+
+    best, misfit = tried(0.0)
+    chosen = 0.0
+    if free_angle and misfit > _GOOD:
+        for angle in _ANGLES:
+            pose, value = tried(float(angle))
+            if value < misfit:
+                best, misfit, chosen = pose, value, float(angle)
+    return best, chosen

@@ -1,0 +1,187 @@
+"""The result of a part's alignment."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrocli.adjust.adjustment import covariance_at
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.solution import Solution
+from metrocli.effects.estimates import estimates as effect_estimates
+from metrocli.effects.estimates import free_blocks
+from metrocli.effects.estimates import tables as effect_results
+from metrocli.effects.model import Added
+from metrocli.geometry import poses
+from metrocli.instruments import spindle_camera as spindle
+from metrocli.instruments.camera import TARGET
+from metrocli.result import Estimate, Result
+from metrocli.table import Table
+from metrocli.tasks.align_part.problem import Problem
+from metrocli.tasks.shared.images.adjustment import Adjusted
+from metrocli.tasks.shared.images.camera_parameters import HIGH
+from metrocli.tasks.shared.images.tables import (
+    adjustment_notes,
+    rms_table,
+    root_mean_square,
+    suspect_images,
+    suspect_readings,
+)
+from metrocli.tasks.shared.statistics import basic_statistics, noise_warnings, residual_table, with_noise
+from metrocli.units import format_quantity
+
+KIND = "align-part"
+_UNITS = ("mm", "mm", "mm", "rad", "rad", "rad", "rad")
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What the poses and targets promise for the clamping angle, before the readings are fitted."""
+
+    std: float
+    """[rad]"""
+    correlation: float
+    """The largest with a rotation of the part"""
+    partner: str
+
+
+def predicted(problem: Problem) -> Prediction | None:
+    """Return the predicted standard uncertainty of gamma_s and its correlation with the part's rotation.
+
+    None for 6D, or where nothing is determined.
+    """
+    if not problem.free_angle:
+        return None
+    design = covariance_at(problem.blocks.values(), [problem.images, *problem.others])
+    if design.covariance is None:
+        return None
+    names, _, covariance, _ = _estimates(design)
+    std = np.sqrt(np.diag(covariance))
+    correlation = covariance[6, 3:6] / (std[6] * std[3:6])
+    worst = int(np.argmax(np.abs(correlation)))
+    return Prediction(float(std[6]), float(correlation[worst]), names[3 + worst])
+
+
+def _estimates(
+    solution: Solution, effects: Sequence[Added] = ()
+) -> tuple[tuple[str, ...], Array, Array, tuple[str, ...]]:
+    """Return names, values, covariance and units of x y z alpha beta gamma, of gamma_s in 7D, and of effects."""
+    pose = solution.blocks[spindle.PART].values[0]
+    angle = solution.blocks[spindle.COUPLING]
+    found = effect_estimates(effects, solution)
+    covariance = solution.joint([spindle.PART, spindle.COUPLING, *free_blocks(effects)])
+    change = np.eye(len(covariance))
+    change[:6, :6] = poses.euler_form_by_step(pose)
+    covariance = change @ covariance @ change.T
+    turns = [math.remainder(float(turn), math.tau) for turn in angle.values[angle.free]]
+    values = np.concatenate([poses.euler_form(pose), turns, [one.value for one in found]])
+    names = (*poses.EULER, *(["gamma_s"] if angle.free.any() else []), *(one.name for one in found))
+    units = (*_UNITS[: len(names) - len(found)], *(one.unit for one in found))
+    return names, values, (covariance + covariance.T) / 2, units
+
+
+def report(problem: Problem, adjusted: Adjusted, prediction: Prediction | None) -> Result:
+    """Return the result of a solved alignment."""
+    solution = adjusted.solution
+    found = adjusted.known_residuals()
+    names, values, covariance, units = _estimates(solution, problem.effects)
+    effect_tables, effect_arrays = effect_results(problem.effects, solution)
+    std = np.sqrt(np.diag(covariance))
+    estimates = tuple(
+        Estimate(name, float(value), float(s), unit)
+        for name, value, s, unit in zip(names, values, std, units, strict=True)
+    )
+    statistics = basic_statistics(solution, {"px": root_mean_square(found.values)})
+    statistics |= {
+        "readings": adjusted.group.observations.count,
+        "rejected": len(adjusted.rejected),
+        "images": len(problem.sighted.images),
+    }
+    if adjusted.noise is not None:
+        statistics = with_noise(statistics, solution, adjusted.noise)
+    if prediction is not None:
+        statistics |= {"predicted_std_gamma_s": prediction.std, "predicted_correlation_gamma_s": prediction.correlation}
+    images, targets = problem.sighted.images, problem.sighted.targets.names
+    index = adjusted.group.observations.index
+    views = rms_table(found.values, adjusted.group, "image", index["view"], images)
+    correlation = covariance / std[:, None] / std
+    arrays = {"rotation": poses.rotation_of(solution.blocks[spindle.PART].values[0]), "correlation": correlation}
+    arrays |= effect_arrays
+    tables = {
+        "residuals": residual_table(found, adjusted.group),
+        "views": views,
+        "targets": rms_table(found.values, adjusted.group, "target", index[TARGET], targets),
+        "rejected": adjusted.rejected,
+        **effect_tables,
+    }
+    return Result(
+        kind=KIND,
+        title="",
+        estimates=estimates,
+        covariance=covariance,
+        statistics=statistics,
+        tables=tables,
+        arrays=arrays,
+        warnings=tuple(_warnings(problem, adjusted, views, prediction)),
+        shown=("views: image, readings, rms, largest, largest_target",),
+        notes=tuple(_notes(solution, adjusted, prediction)),
+    )
+
+
+def _notes(solution: Solution, adjusted: Adjusted, prediction: Prediction | None) -> list[str]:
+    rotation = poses.rotation_of(solution.blocks[spindle.PART].values[0])
+    lines = ["rotation of the part into the machine, R_P ="]
+    lines += ["    " + "  ".join(f"{entry:+.8f}" for entry in row) for row in rotation]
+    if prediction is not None:
+        lines.append(
+            f"predicted from the poses before solving: s(gamma_s) = {format_quantity(prediction.std, 'rad', None)}, "
+            f"correlation with {prediction.partner} {prediction.correlation:+.3f}"
+        )
+    return lines + adjustment_notes(adjusted)
+
+
+def _warnings(problem: Problem, adjusted: Adjusted, views: Table, prediction: Prediction | None) -> list[str]:
+    lines = [*problem.sighted.warnings, *problem.warnings]
+    if problem.camera.covariance is None:
+        lines.append("the camera is taken as exact: its file states no covariance")
+    if prediction is not None and abs(prediction.correlation) > HIGH:
+        lines.append(
+            f"gamma_s and the part's {prediction.partner} are correlated {prediction.correlation:+.3f}: "
+            "the images hardly tell them apart; "
+            "take images from positions further apart, or with the spindle turned by 90 or 180 degrees"
+        )
+    lines += suspect_images(problem.sighted.images, views.numbers("rms"), views.numbers("readings"))
+    lines += suspect_readings(adjusted.suspects, adjusted.group)
+    if adjusted.noise is None:
+        lines += noise_warnings(adjusted.solution)
+    return lines
+
+
+def explained(problem: Problem, solution: Solution) -> str:
+    """Say what is undetermined, why, and what would determine it."""
+    lines = [f"{solution.outcome.value}: {solution.observations} readings, {solution.unknowns} unknowns"]
+    lines += [f"  undetermined: {_in_words(str(combination))}" for combination in solution.undetermined[:3]]
+    columns = {column for combination in solution.undetermined for _, column, _, _ in combination.parts}
+    if "gamma_s" in columns:
+        lines += [
+            "  why: the clamping angle and the part's rotation turn the images alike",
+            "  what would determine it: images from several positions of the spindle, far apart across its axis, "
+            "or `estimate: [part-pose]`",
+        ]
+    else:
+        targets = len(np.unique(problem.sighted.target))
+        lines += [
+            f"  why: {targets} targets in {len(problem.sighted.images)} images",
+            "  what would determine it: three or more targets not on a line, "
+            "each seen from two places or two or more of them in one image",
+        ]
+    return "\n".join(lines)
+
+
+def _in_words(text: str) -> str:
+    for block in (spindle.PART, spindle.COUPLING):
+        text = text.replace(f" of {block}", " of the part" if block == spindle.PART else "")
+    return text

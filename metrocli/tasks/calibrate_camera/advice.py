@@ -1,0 +1,99 @@
+"""Why a camera calibration is undetermined, and what would determine it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from metrocli.adjust.outcome import Outcome
+from metrocli.adjust.solution import Solution
+from metrocli.geometry import poses
+from metrocli.instruments import camera
+from metrocli.instruments.camera_start import plane_frame
+from metrocli.instruments.conventions import projection_range
+from metrocli.instruments.lens import RATIONAL
+from metrocli.tasks.calibrate_camera.problem import Problem
+
+_PARALLEL = np.radians(3.0)
+
+
+def explained(problem: Problem, solution: Solution) -> str:
+    """Say what is undetermined, why, and what would determine it."""
+    lines = [f"{solution.outcome.value}: {solution.observations} readings, {solution.unknowns} unknowns"]
+    lines += [f"  undetermined: {_in_words(str(combination))}" for combination in solution.undetermined[:3]]
+    if len(solution.undetermined) > 3:
+        lines.append(f"  and {len(solution.undetermined) - 3} more combinations")
+    noticed = [f"  noticed: {line}" for line in problem.sighted.warnings[:8]]
+    return "\n".join([*lines, *_advice(problem, solution), *noticed])
+
+
+def _in_words(text: str) -> str:
+    return (
+        text.replace(f" of {camera.LENS}", "")
+        .replace(f" of {camera.VIEW} ", " of ")
+        .replace(f" of {camera.TARGET} ", " of ")
+    )
+
+
+def _advice(problem: Problem, solution: Solution) -> list[str]:
+    columns = {
+        column
+        for combination in solution.undetermined
+        for block, column, _, _ in combination.parts
+        if block == camera.LENS
+    }
+    if flat := _flat(problem):
+        return flat
+    radius = _pole(problem, solution)
+    if radius is not None and (columns & set(RATIONAL) or not columns):
+        return [
+            f"  why: the rational terms drive the model into a pole at {radius:.0f} px from the principal point, "
+            "where they fit noise",
+            "  what would determine it: fewer distortion parameters "
+            "(metrocli calibrate-camera --compare shows which help)",
+        ]
+    if columns & {"cx", "cy"}:
+        return ["  what would determine it: views turned by 90 degrees about the camera's axis, and tilted ones"]
+    if solution.outcome is Outcome.TOO_FEW:
+        return ["  what would determine it: more views, more targets, or fewer parameters in camera.estimate"]
+    return [
+        "  what would determine it: more views from different directions and distances, "
+        "or fewer parameters in camera.estimate"
+    ]
+
+
+def ran_out(problem: Problem, solution: Solution) -> bool:
+    """Tell whether the steps ran out over a weakness that has a name."""
+    return solution.outcome is Outcome.ITERATION_LIMIT and bool(_pole(problem, solution) or _flat(problem))
+
+
+def _flat(problem: Problem) -> list[str]:
+    """Return the advice where nothing has depth: views parallel to a board, or targets in one plane; else nothing."""
+    if problem.rig == "board" and not _tilted(problem):
+        return [
+            "  why: all views are parallel to the board, or nearly so",
+            "  what would determine it: views tilted by 20 to 45 degrees about both axes of the image",
+        ]
+    if problem.rig == "cmm" and plane_frame(problem.sighted.targets.points[np.unique(problem.sighted.target)])[1]:
+        return [
+            "  why: all targets lie in one plane",
+            "  what would determine it: targets at several distances along the camera's axis",
+        ]
+    return []
+
+
+def _pole(problem: Problem, solution: Solution) -> float | None:
+    """Return the radius [px] where estimated rational terms fold the model over inside the image, else None."""
+    lens = solution.blocks[camera.LENS]
+    if problem.convention != "forward" or not lens.free[0, np.isin(lens.columns, RATIONAL)].any():
+        return None
+    return projection_range(lens.named(), problem.image_size)
+
+
+def _tilted(problem: Problem) -> bool:
+    """Tell whether any view of the board is tilted by more than 3 degrees against the others or the image plane."""
+    frame, planar = plane_frame(problem.sighted.targets.points[np.unique(problem.sighted.target)])
+    if not planar:
+        return True
+    normal = poses.rotation_of(frame)[2]
+    cosine = np.abs(poses.rotation_of(problem.blocks[camera.VIEW].values)[:, 2] @ normal)
+    return bool((np.arccos(np.clip(cosine, -1, 1)) > _PARALLEL).any())

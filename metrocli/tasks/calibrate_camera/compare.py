@@ -1,0 +1,168 @@
+"""Choice of a lens model by evidence: training and held-out RMS, significance, and how far each moves the camera."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from metrocli.adjust.adjustment import Control, adjust
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.solution import Solution
+from metrocli.geometry import poses
+from metrocli.instruments import camera
+from metrocli.instruments.conventions import projection_range
+from metrocli.instruments.lens import DISTORTION, PRISM, RATIONAL
+from metrocli.table import Table
+from metrocli.tasks.calibrate_camera.problem import Problem
+from metrocli.tasks.shared.images.tables import root_mean_square
+from metrocli.units import find_unit
+
+LADDER: tuple[tuple[str, tuple[str, ...]], ...] = (
+    ("pinhole", ()),
+    ("k1", ("k1",)),
+    ("k1 k2", ("k1", "k2")),
+    ("k1 k2 p1 p2", ("k1", "k2", "p1", "p2")),
+    ("k1 k2 k3 p1 p2", ("k1", "k2", "k3", "p1", "p2")),
+    ("rational", ("k1", "k2", "k3", *RATIONAL, "p1", "p2")),
+    ("rational + prism", ("k1", "k2", "k3", *RATIONAL, "p1", "p2", *PRISM)),
+)
+"""Each model contains the one before it."""
+_ALL_FOLDS, _FOLDS = 20, 10
+_FOLD_STEPS = 100
+"""A fold starts at the solution of all images: one that needs more steps is not determined without its images"""
+_LOST = 2.0
+"""An RMS [px] that no lens model for measurement leaves"""
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """One model with what the comparison says of it."""
+
+    name: str
+    problem: Problem
+    solution: Solution
+    rms: float
+    held: Array
+    """Sum of squares and number of readings of each held-out fold, (folds, 2)"""
+
+    @property
+    def held_out(self) -> float:
+        """Held-out RMS [px]"""
+        total, count = self.held.sum(axis=0)
+        return float(np.sqrt(total / count))
+
+
+def compare_models(problem: Problem) -> Table:
+    """Fit the ladder of nested models and return a row for each.
+
+    The least model within one standard error of the best is marked as chosen.
+    """
+    fitted = list(_climb(problem))
+    chosen = _chosen(fitted)
+    moves = [_moved(model, fitted[chosen]) for model in fitted]
+    remarks = [_remark(model, i == chosen) for i, model in enumerate(fitted)]
+    columns = {
+        "model": np.array([model.name for model in fitted]),
+        "unknowns": np.array([model.solution.unknowns for model in fitted]),
+        "rms": np.array([model.rms for model in fitted]),
+        "held_out": np.array([model.held_out for model in fitted]),
+        "p_value": np.array([float("nan"), *(_significance(a, b) for a, b in pairwise(fitted))]),
+        "camera_moves": np.array([find_unit("um", "length").outside(move) for move, _ in moves]),
+        "camera_turns": np.array([find_unit("arcsec", "angle").outside(turn) for _, turn in moves]),
+        "remark": np.array(remarks),
+    }
+    return Table(columns, {"rms": "px", "held_out": "px", "camera_moves": "um", "camera_turns": "arcsec"})
+
+
+def _climb(problem: Problem) -> Iterator[Fitted]:
+    """Fit each model from the solution of the one before, so that the RMS never rises."""
+    lens = problem.blocks[camera.LENS]
+    plain = [name for name in lens.columns if name not in DISTORTION and lens.free[0, lens.column(name)]]
+    here = problem.with_lens(dict.fromkeys(LADDER[-1][1], 0.0))
+    for name, terms in LADDER:
+        here = here.with_estimate([*plain, *terms])
+        solution = adjust(here.blocks.values(), [here.images, *here.others], here.datum)
+        here = here.with_blocks({**here.blocks, **solution.blocks})
+        yield Fitted(name, here, solution, root_mean_square(here.images.residuals(here.blocks)), _held_out(here))
+
+
+def _held_out(problem: Problem) -> Array:
+    """Return the sum of squares and number of readings of each fold, with the lens fitted without it.
+
+    The poses of its images are fitted to the fold itself.
+    """
+    views = len(problem.sighted.images)
+    folds = views if views <= _ALL_FOLDS else _FOLDS
+    fold_of = np.arange(views) % folds
+    found = []
+    for fold in range(folds):
+        inside = fold_of == fold
+        train = problem.of_images(~inside)
+        fitted = adjust(
+            train.blocks.values(),
+            [train.images, *train.others],
+            train.datum,
+            Control(limit=_FOLD_STEPS, covariance=False),
+        ).blocks
+        test = problem.of_images(inside)
+        held = {**test.blocks, **{name: fitted[name].fixed() for name in (camera.LENS, camera.TARGET)}}
+        if problem.rig == "cmm":
+            held[camera.TAPER] = fitted[camera.TAPER].fixed()
+        posed = adjust(held.values(), [test.images], None, Control(limit=_FOLD_STEPS, covariance=False)).blocks
+        residual = test.images.residuals(posed)
+        found.append([float((residual**2).sum()), test.images.observations.count])
+    return np.array(found)
+
+
+def _chosen(fitted: list[Fitted]) -> int:
+    """Return the first model whose held-out square error is that of the best one, to one standard error.
+
+    The standard error is that of their difference over the folds. Models that are not determined by the readings are
+    not chosen.
+    """
+    sound = [i for i, model in enumerate(fitted) if model.solution.outcome.good] or [0]
+    best = min(sound, key=lambda i: fitted[i].held_out)
+    for i in (i for i in sound if i < best):
+        model = fitted[i]
+        excess = model.held[:, 0] - fitted[best].held[:, 0]
+        if excess.sum() <= np.sqrt(len(excess)) * excess.std(ddof=1):
+            return i
+    return best
+
+
+def _significance(simple: Fitted, rich: Fitted) -> float:
+    """Return the probability of a fall of the sum of squares this large by chance (F test of nested models)."""
+    from scipy.special import fdtrc
+
+    more, dof = rich.solution.unknowns - simple.solution.unknowns, rich.solution.dof
+    if dof <= 0 or rich.solution.cost <= 0:
+        return float("nan")
+    statistic = (simple.solution.cost - rich.solution.cost) / more / (rich.solution.cost / dof)
+    return float(fdtrc(more, dof, max(statistic, 0.0)))
+
+
+def _moved(model: Fitted, reference: Fitted) -> tuple[float, float]:
+    """Return how far the camera moves [mm] and turns [rad] against the reference model, RMS over the images."""
+    name = camera.view_name(model.problem.rig)
+    here, there = (m.problem.blocks[name].values for m in (model, reference))
+    if model.problem.rig == "board":
+        here, there = poses.inverse(here), poses.inverse(there)
+    step = poses.difference(here, there)
+    return float(np.sqrt((step[:, :3] ** 2).sum(axis=1).mean())), float(np.sqrt((step[:, 3:] ** 2).sum(axis=1).mean()))
+
+
+def _remark(model: Fitted, chosen: bool) -> str:
+    words = ["chosen"] if chosen else []
+    if model.solution.undetermined:
+        words.append("not determined by these readings")
+    elif not model.solution.outcome.good:
+        words.append("did not converge")
+    fold = projection_range(model.problem.blocks[camera.LENS].named(), model.problem.image_size)
+    if model.problem.convention == "forward" and fold is not None:
+        words.append(f"folds over at {fold:.0f} px")
+    if chosen and model.held_out > _LOST:
+        words.append("no model of the ladder fits this lens")
+    return ", ".join(words)

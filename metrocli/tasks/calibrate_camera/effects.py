@@ -1,0 +1,153 @@
+"""Effects on the image points of a camera that is calibrated (docs/effects)."""
+
+from __future__ import annotations
+
+from metrocli.adjust.model.quantities import Quantity
+from metrocli.effects.effect import ELAPSED, WARMING, Effect, Parameter
+from metrocli.effects.links.eccentricity import TargetEccentricity
+from metrocli.effects.links.growth import Growth
+from metrocli.effects.links.lens_changes import LensChange
+from metrocli.effects.links.plane_bend import PlaneBend
+from metrocli.effects.links.shifts import Shift
+from metrocli.units import parse_quantity
+
+_LENS = "lens"
+_FOCAL = ("f", "fx", "fy")
+
+
+def _size(name: str, dimension: str, plausible: str) -> Parameter:
+    return Parameter(name, dimension, parse_quantity(plausible, dimension))
+
+
+def _focal_drift(by: str, condition: str, dimension: str, plausible: str) -> Effect:
+    return Effect(
+        "focal-drift",
+        "the focal length changes while the images are taken: the lens warms up or its focus creeps",
+        (_size("rate", dimension, plausible),),
+        lambda block, where: LensChange(block, multiplied=(_FOCAL,), condition=condition),
+        where=("by",),
+        by=by,
+        needs=({"t": "t", "T": "temp"}[by],),
+        confused_with=("principal-point-drift",),
+        reveal="the first views again at the end, near and far, and the temperature of the lens with each image",
+        source="Smith and Cope 2010, The effects of temperature variation on single-lens-reflex digital cameras",
+    )
+
+
+def _moved_target(frame: Quantity) -> Effect:
+    return Effect(
+        "moved-target",
+        "a target is not where the list says: it was knocked, mistaken for another, or measured wrongly",
+        tuple(_size(name, "length", "5 mm") for name in ("dx", "dy", "dz")),
+        lambda block, where: Shift(block, frame),
+        where=("target",),
+        confused_with=("target-plane-bend",),
+        reveal="this target measured again, or seen in more views from other sides",
+        source="Baarda 1968 (test of a group of readings)",
+    )
+
+
+def _scale_of_targets(frame: Quantity) -> Effect:
+    return Effect(
+        "scale-of-targets",
+        "the list of targets is too large or too small in all directions: a printed board that grew, a wrong pitch",
+        (_size("scale", "ratio", "1 percent"),),
+        lambda block, where: Growth(block, frame),
+        confused_with=("focal-drift",),
+        reveal="a calibrated length among the targets; the poses take a wrong scale in without a trace",
+        source="VDI/VDE 2634 part 1: lengths, not residuals, show the scale",
+    )
+
+
+EFFECTS: tuple[Effect, ...] = (
+    Effect(
+        "radial-distortion",
+        "the lens bends more than the radial terms of the job follow",
+        (Parameter("k1", plausible=1.0), Parameter("k2", plausible=2.0), Parameter("k3", plausible=5.0)),
+        columns_of=_LENS,
+        confused_with=("target-eccentricity", "target-plane-bend"),
+        reveal="targets up to the corners of the image",
+        source="Brown 1971, Close-range camera calibration; OpenCV's order of terms",
+    ),
+    Effect(
+        "decentring-distortion",
+        "the elements of the lens do not share one axis",
+        (Parameter("p1", plausible=0.01), Parameter("p2", plausible=0.01)),
+        columns_of=_LENS,
+        confused_with=("thin-prism", "principal-point"),
+        reveal="targets up to the corners, and the camera turned by 90 degrees about its view between images",
+        source="Brown 1966, Decentering distortion of lenses",
+    ),
+    Effect(
+        "thin-prism",
+        "an element of the lens or the sensor is tilted",
+        (Parameter("s1", plausible=0.01), Parameter("s3", plausible=0.01)),
+        columns_of=_LENS,
+        confused_with=("decentring-distortion", "principal-point"),
+        reveal="targets up to the corners; beside p1, p2, cx and cy it is hardly seen",
+        source="Weng, Cohen and Herniou 1992, Camera calibration with distortion models",
+    ),
+    Effect(
+        "aspect-ratio",
+        "pixels are not square, or the clock of a frame grabber is off: fx = f (1 + aspect)",
+        (Parameter("aspect", "ratio", plausible=0.01),),
+        columns_of=_LENS,
+        confused_with=("target-plane-bend", "axis-skew"),
+        reveal="the camera turned by 90 degrees about its view between images",
+        source="Fraser 1997, Digital camera self-calibration (affinity)",
+    ),
+    Effect(
+        "axis-skew",
+        "the rows and columns of the image are not square to each other",
+        (Parameter("skew", "ratio", plausible=0.01),),
+        columns_of=_LENS,
+        confused_with=("aspect-ratio",),
+        reveal="the camera turned by 45 and 90 degrees about its view between images",
+        source="Fraser 1997 (shear)",
+    ),
+    Effect(
+        "principal-point",
+        "the axis of the lens does not meet the image where the job says",
+        tuple(_size(name, "pixel", "200 px") for name in ("cx", "cy")),
+        columns_of=_LENS,
+        confused_with=("decentring-distortion", "thin-prism"),
+        reveal="views tilted about both axes, and the camera turned about its view",
+        source="Brown 1971",
+    ),
+    Effect(
+        "target-eccentricity",
+        "the measured centre of a circle's image is not the image of the circle's centre",
+        (Parameter("factor", plausible=2.0),),
+        lambda block, where: TargetEccentricity(block),
+        needs=("radius",),
+        confused_with=("radial-distortion",),
+        reveal="larger tilts of the targets; the radius of every target in the list",
+        source="Ahn, Warnecke and Kotowski 1999, Systematic geometric image measurement errors of circular targets",
+    ),
+    Effect(
+        "target-plane-bend",
+        "the board is not flat: paper on a bent plate, a plate under its own weight",
+        tuple(_size(name, "curvature", "1e-4 1/mm") for name in ("bxx", "bxy", "byy")),
+        lambda block, where: PlaneBend(block),
+        confused_with=("radial-distortion", "aspect-ratio"),
+        reveal="steep views from all sides, or the flatness of the board measured",
+        source="mrcal's board warp; plate bending to second order",
+    ),
+    _focal_drift("t", ELAPSED, "rate", "1e-3 1/h"),
+    _focal_drift("T", WARMING, "expansion", "5e-5 1/K"),
+    Effect(
+        "principal-point-drift",
+        "the sensor or the lens moves sideways in the camera while the images are taken",
+        tuple(_size(name, "image speed", "20 px/h") for name in ("rate_u", "rate_v")),
+        lambda block, where: LensChange(block, added=(("cx",), ("cy",)), condition=ELAPSED),
+        needs=("t",),
+        confused_with=("focal-drift",),
+        reveal="the first views again at the end",
+        source="Smith and Cope 2010; Elias et al. 2020",
+    ),
+    _moved_target(Quantity.POINT_ON_BOARD),
+    _moved_target(Quantity.POINT_ON_TARGETS),
+    _scale_of_targets(Quantity.POINT_ON_BOARD),
+    _scale_of_targets(Quantity.POINT_ON_TARGETS),
+)
+"""The table; its order is that of the documents. Two entries of one name stand for boards and for other frames."""

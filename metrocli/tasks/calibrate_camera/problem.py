@@ -1,0 +1,307 @@
+"""The adjustment of a camera calibration, from settings and readings to blocks and groups with starting values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from metrocli.adjust.adjustment import Control, adjust
+from metrocli.adjust.datum import Datum
+from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.chain import Chain
+from metrocli.adjust.model.groups import Group, priors
+from metrocli.adjust.model.observations import Index, Mask, Observations
+from metrocli.adjust.robust import robust_start, typical
+from metrocli.effects.model import Added, Model, Place
+from metrocli.errors import InputError, UndeterminedError
+from metrocli.geometry import poses
+from metrocli.instruments import camera
+from metrocli.instruments.camera_start import Scene, plane_frame, start
+from metrocli.instruments.frames import DistanceBetween
+from metrocli.instruments.lens import DISTORTION, PRISM, RATIONAL, plane_point, undistort
+from metrocli.table import Table
+from metrocli.tasks.calibrate_camera.mirrored_views import better_poses
+from metrocli.tasks.shared.images.adjustment import IMAGES
+from metrocli.tasks.shared.images.camera_settings import Camera
+from metrocli.tasks.shared.images.eccentricity import corrected
+from metrocli.tasks.shared.images.sightings import Sighted, check_inside
+from metrocli.words import listed
+
+_STRANGE = "not in the list of targets"
+_FEWEST_READINGS = 4
+"""Readings that the pose of one camera needs"""
+_ON_A_LINE = 1e-9
+"""Extent across a line of targets, as a share of the extent along it, that is rounding"""
+_GUESSES = (1.0, 0.5, 2.0, 4.0, 8.0)
+"""Focal lengths to try, in widths of the image, where the views do not give one"""
+_LOST = 0.02
+"""An RMS above this share of the image size means that the start failed"""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A camera calibration ready to adjust."""
+
+    rig: str
+    convention: str
+    image_size: tuple[int, int]
+    sighted: Sighted
+    blocks: Mapping[str, Block]
+    images: Group
+    others: tuple[Group, ...]
+    datum: Datum | None
+    effects: tuple[Added, ...] = ()
+
+    def model(self) -> Model:
+        """Return the calibration as a model that effects can be added to."""
+        targets = Place(self.sighted.targets.names, camera.TARGET)
+        places = {"image": Place(self.sighted.images, "view"), "target": targets}
+        return Model(self.blocks, (self.images, *self.others), self.datum, (IMAGES,), places, added=self.effects)
+
+    def with_model(self, model: Model) -> Problem:
+        """Return the calibration with the blocks, groups and effects of a model made from it."""
+        images = next(group for group in model.groups if group.name == IMAGES)
+        others = tuple(group for group in model.groups if group.name != IMAGES)
+        return replace(self, blocks=model.blocks, images=images, others=others, effects=model.added)
+
+    def with_estimate(self, estimate: Sequence[str]) -> Problem:
+        """Return the problem with other lens parameters free; distortion that is not estimated keeps its value."""
+        lens = self.blocks[camera.LENS]
+        return replace(
+            self, blocks={**self.blocks, camera.LENS: replace(lens, free=np.isin(lens.columns, list(estimate)))}
+        )
+
+    def with_lens(self, values: Mapping[str, float]) -> Problem:
+        """Return the problem with these lens parameters at these values; others keep theirs.
+
+        Parameters that the problem did not have are not free.
+        """
+        lens = self.blocks[camera.LENS]
+        known = {**lens.named(), **values}
+        free = [name for name, is_free in zip(lens.columns, lens.free[0], strict=True) if is_free]
+        return replace(self, blocks={**self.blocks, camera.LENS: camera.lens_block(known, free, self.image_size)})
+
+    def with_blocks(self, blocks: Mapping[str, Block]) -> Problem:
+        """Return the problem at other values."""
+        return replace(self, blocks=blocks)
+
+    def of_images(self, chosen: Mask) -> Problem:
+        """Return the problem of some of its images (a mask over them), with their readings and poses only."""
+        keep = chosen[self.images.observations.index["view"]]
+        numbers = np.cumsum(chosen) - 1
+        observations = self.images.observations.selected(keep)
+        observations = replace(observations, index={**observations.index, "view": numbers[observations.index["view"]]})
+        if self.rig == "cmm":
+            return replace(self, images=self.images.with_observations(observations))
+        views = self.blocks[camera.VIEW]
+        members = tuple(name for name, c in zip(views.members, chosen, strict=True) if c)
+        blocks = {
+            **self.blocks,
+            camera.VIEW: replace(views, values=views.values[chosen], members=members, free=views.free[chosen]),
+        }
+        return replace(self, blocks=blocks, images=self.images.with_observations(observations))
+
+
+def build(rig: str, settings: Camera, sighted: Sighted, bars: Table | None = None) -> Problem:
+    """Return the adjustment with its starting values, found from the readings alone."""
+    size = settings.image_size
+    if size is None:
+        raise InputError("camera: image_size is missing; give the width and height of the images, e.g. [2592, 1944]")
+    sighted = check_inside(sighted, size)
+    _check_targets(rig, sighted)
+    targets = sighted.targets
+    values = _lens_values(settings, size)
+    focal, views = _start(rig, sighted, values, size)
+    for name in ("f", "fx", "fy"):
+        if name in values and name not in settings.given():
+            values[name] = focal
+    extent = float(np.ptp(targets.points[np.unique(sighted.target)], axis=0).max())
+    seen = np.bincount(sighted.target, minlength=len(targets.names))
+    least = 2 if rig == "network" else 1
+    free = (targets.sigma != 0) & (seen >= least)[:, None]
+    sighted = _seen_once(sighted, seen, least)
+    distance = float(np.median(np.linalg.norm(views[:, :3], axis=1)))
+    images: tuple[str, ...] = sighted.images if rig != "cmm" else ("",)
+    blocks = {
+        camera.LENS: camera.lens_block(values, settings.estimate, size),
+        camera.view_name(rig): camera.view_block(
+            views, images, distance, camera.view_name(rig), "image" if rig != "cmm" else ""
+        ),
+        camera.TARGET: camera.target_block(targets.points, targets.names, free, extent),
+    }
+    group = Group(IMAGES, camera.chain(rig, settings.convention), _readings(sighted, seen, least, rig))
+    others = (*priors(blocks[camera.TARGET], targets.sigma, free), *_scale_bars(bars, targets.names, seen))
+    datum = (
+        camera.network_datum(blocks[camera.TARGET], free.all(axis=1).astype(float))
+        if rig == "network" and free.any()
+        else None
+    )
+    problem = Problem(rig, settings.convention, size, sighted, blocks, group, others, datum)
+    started = _better_start(problem, settings)
+    if not sighted.eccentric:
+        return started
+    group, found = corrected(started.images, started.blocks, started.others, datum, targets.radius)
+    return replace(started, images=group, blocks=found)
+
+
+def _check_targets(rig: str, sighted: Sighted) -> None:
+    """Raise UndeterminedError where the targets that are seen cannot give the pose of a camera."""
+    points = sighted.targets.points[np.unique(sighted.target)]
+    if rig == "cmm" and sighted.observations.count < _FEWEST_READINGS:
+        raise UndeterminedError(
+            f"{sighted.observations.count} readings in all: the place of a camera needs at least {_FEWEST_READINGS}"
+        )
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    if spread[1] <= _ON_A_LINE * max(spread[0], 1.0):
+        raise UndeterminedError(
+            f"all {len(points)} targets that are seen lie on one line or at one place: they give no pose of a camera\n"
+            "  what would determine it: targets spread over a plane or in space; check the columns of the targets file"
+        )
+
+
+def _lens_values(settings: Camera, size: tuple[int, int]) -> dict[str, float]:
+    given = settings.given()
+    wanted = set(settings.estimate) | set(given)
+    values: dict[str, float] = {}
+    for name in ("f", "aspect", "fx", "fy", "cx", "cy", "skew", *DISTORTION):
+        if name in wanted or name in ("cx", "cy") or (name == "f" and not wanted & {"fx", "fy"}):
+            values[name] = given.get(name, 0.0)
+    for name, extent in (("cx", size[0]), ("cy", size[1])):
+        values[name] = given.get(name, (extent - 1) / 2)
+    return values
+
+
+def _start(rig: str, sighted: Sighted, values: Mapping[str, float], size: Sequence[int]) -> tuple[float, Array]:
+    known = values.get("f") or values.get("fx") or None
+    centre = np.array([values["cx"], values["cy"]])
+    uv = sighted.observations.readings
+    if known and any(values.get(name) for name in DISTORTION):
+        x, y = undistort(*plane_point(values, uv[0], uv[1]), values)
+        uv = np.nan_to_num(np.stack([x * known + centre[0], y * known + centre[1]]))
+    view = np.zeros_like(sighted.view) if rig == "cmm" else sighted.view
+    scene = Scene(sighted.targets.points, uv, sighted.target, view, 1 if rig == "cmm" else len(sighted.images))
+    focal, found = start(scene, centre, known, float(max(size)))
+    return focal, found if rig == "board" else poses.inverse(found)
+
+
+def _seen_once(sighted: Sighted, seen: Index, least: int) -> Sighted:
+    """Return the sightings with a warning of targets that too few images show."""
+    once = [name for name, n in zip(sighted.targets.names, seen, strict=True) if 0 < n < least]
+    if not once:
+        return sighted
+    line = f"{len(once)} targets are seen in one image only, which does not place them: left out: {listed(once)}"
+    return replace(sighted, warnings=(*sighted.warnings, line))
+
+
+def _readings(sighted: Sighted, seen: Index, least: int, rig: str) -> Observations:
+    observations = sighted.observations.selected(seen[sighted.target] >= least)
+    index = dict(observations.index)
+    if rig == "cmm":
+        index[camera.TAPER] = np.zeros(observations.count, dtype=np.intp)
+    return replace(observations, index=index)
+
+
+def _scale_bars(bars: Table | None, names: tuple[str, ...], seen: Index) -> list[Group]:
+    if bars is None:
+        return []
+    place = {name: i for i, name in enumerate(names)}
+    ends = [bars.texts("from"), bars.texts("to")]
+    wrong = [
+        (row, f"scale bar end '{name}' is {'seen in fewer than two images' if name in place else _STRANGE}")
+        for column in ends
+        for row, name in enumerate(column)
+        if name not in place or seen[place[name]] < 2
+    ]
+    for name in ("length", "sigma"):
+        wrong += [
+            (int(row), f"the {name} of the scale bar is not above zero")
+            for row in np.flatnonzero(bars.numbers(name) <= 0)
+        ]
+    faults = [bars.fault_at(row, text) for row, text in wrong]
+    if faults:
+        raise InputError(faults)
+    index = np.array([[place[name] for name in column] for column in ends], dtype=np.intp)
+    observations = Observations(
+        bars.numbers("length")[None],
+        bars.numbers("sigma")[None],
+        {camera.TARGET: index},
+        keys={"from": tuple(ends[0]), "to": tuple(ends[1])},
+        components=("length",),
+        unit="mm",
+    )
+    return [Group("scale bars", Chain((DistanceBetween(camera.TARGET),)), observations)]
+
+
+def _better_start(problem: Problem, settings: Camera) -> Problem:
+    """Try other focal lengths where the first start ends far from the readings.
+
+    Then rational and prism terms are added in steps, so that a richer model starts from the solution of the model it
+    contains.
+    """
+    simple = [name for name in settings.estimate if name not in (*RATIONAL, *PRISM)]
+    best = _robustly(problem.with_estimate(simple))
+    if "f" not in settings.given() and "fx" not in settings.given():
+        for guess in _GUESSES:
+            if _misfit(best) < _LOST * max(problem.image_size):
+                break
+            retried = _retried(problem, guess * max(problem.image_size))
+            attempt = _robustly(retried.with_estimate(simple))
+            best = min(best, attempt, key=_misfit)
+    best = _unmirrored(best)
+    if set(RATIONAL) & set(settings.estimate) and set(PRISM) & set(settings.estimate):
+        best = _roughly(best.with_estimate([name for name in settings.estimate if name not in PRISM]), steps=1000)
+    return best.with_estimate(settings.estimate)
+
+
+def _unmirrored(problem: Problem) -> Problem:
+    """Take the better of the two poses of each view of a flat board, and tell of views where neither is better."""
+    board = problem.sighted.targets.points[np.unique(problem.sighted.target)]
+    frame, planar = plane_frame(board)
+    if problem.rig != "board" or not planar:
+        return problem
+    turned = better_poses(dict(problem.blocks), problem.images, board, poses.rotation_of(frame)[2])
+    told = (
+        f"the tilt of {len(turned.undecided)} views is not told from its mirror image (the board is small or far "
+        f"away): {listed(turned.undecided)}",
+    )
+    sighted = replace(problem.sighted, warnings=problem.sighted.warnings + (told if turned.undecided else ()))
+    return replace(problem, sighted=sighted, blocks={**problem.blocks, camera.VIEW: turned.views})
+
+
+def _roughly(problem: Problem, steps: int = 15) -> Problem:
+    solution = adjust(
+        problem.blocks.values(),
+        [problem.images, *problem.others],
+        problem.datum,
+        Control(limit=steps, covariance=False),
+    )
+    return problem.with_blocks({**problem.blocks, **solution.blocks})
+
+
+def _robustly(problem: Problem) -> Problem:
+    found = robust_start(problem.blocks.values(), [problem.images, *problem.others], IMAGES, problem.datum, "view")
+    return problem.with_blocks({**problem.blocks, **found})
+
+
+def _misfit(problem: Problem) -> float:
+    """Return the median residual, which gross errors do not raise."""
+    return typical(problem.images, problem.blocks)
+
+
+def _retried(problem: Problem, focal: float) -> Problem:
+    lens = problem.blocks[camera.LENS]
+    values = {
+        **lens.named(),
+        **{name: focal for name in lens.columns if name in ("f", "fx", "fy")},
+    }
+    _, views = _start(problem.rig, problem.sighted, {**values, **dict.fromkeys(DISTORTION, 0.0)}, problem.image_size)
+    name = camera.view_name(problem.rig)
+    return problem.with_blocks(
+        {
+            **problem.blocks,
+            camera.LENS: lens.with_values(np.array([list(values.values())])),
+            name: problem.blocks[name].with_values(views),
+        }
+    )

@@ -1,0 +1,229 @@
+"""The result of a camera calibration: every number a metrologist asks for, in tables."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.observations import Index
+from metrocli.adjust.schur.covariance import Covariance
+from metrocli.adjust.solution import Residuals, Solution
+from metrocli.effects.estimates import tables as effect_results
+from metrocli.geometry import poses
+from metrocli.instruments import camera
+from metrocli.instruments.conventions import projection_range
+from metrocli.result import Estimate, Result
+from metrocli.table import Table
+from metrocli.tasks.calibrate_camera.coverage import coverage
+from metrocli.tasks.calibrate_camera.lens_conventions import conventions_table, form_covariance, photogrammetric_form
+from metrocli.tasks.calibrate_camera.problem import Problem
+from metrocli.tasks.shared.images.adjustment import Adjusted
+from metrocli.tasks.shared.images.camera_parameters import HIGH, POSE_UNITS, Parameters, parameters, unit_of
+from metrocli.tasks.shared.images.camera_settings import Camera
+from metrocli.tasks.shared.images.tables import (
+    adjustment_notes,
+    rms_table,
+    root_mean_square,
+    suspect_images,
+    suspect_readings,
+)
+from metrocli.tasks.shared.statistics import (
+    Statistics,
+    basic_statistics,
+    chi_interval,
+    noise_warnings,
+    residual_table,
+    with_noise,
+)
+
+if TYPE_CHECKING:
+    from metrocli.table import Values
+
+KIND = "calibrate-camera"
+
+
+@dataclass(frozen=True)
+class _Calibration:
+    """A solved calibration with what is told of it."""
+
+    problem: Problem
+    settings: Camera
+    adjusted: Adjusted
+    residuals: Residuals
+    covariance: Covariance
+    delivered: Parameters
+
+    @property
+    def solution(self) -> Solution:
+        return self.adjusted.solution
+
+    @property
+    def lens(self) -> Block:
+        return self.solution.blocks[camera.LENS]
+
+    def index(self, name: str) -> Index:
+        return self.adjusted.group.observations.index[name]
+
+    def rms_table(self, label: str, index: Index, names: tuple[str, ...]) -> Table:
+        return rms_table(self.residuals.values, self.adjusted.group, label, index, names)
+
+
+def report(problem: Problem, settings: Camera, adjusted: Adjusted) -> Result:
+    """Return the result of a solved calibration."""
+    solution = adjusted.solution
+    covariance = solution.known()
+    p = parameters(problem.rig, solution, problem.effects)
+    effect_tables, effect_arrays = effect_results(problem.effects, solution)
+    solved = _Calibration(problem, settings, adjusted, adjusted.known_residuals(), covariance, p)
+    views = _views(solved)
+    arrays: dict[str, Array] = {"correlation": p.correlation, **effect_arrays}
+    form = photogrammetric_form(problem, settings, solution)
+    if form is not None:
+        arrays["photogrammetric_covariance"] = form_covariance(form, covariance)
+    names = problem.sighted.targets.names
+    tables = {
+        "residuals": residual_table(solved.residuals, adjusted.group),
+        "targets": solved.rms_table("target", solved.index(camera.TARGET), names),
+        "rejected": adjusted.rejected,
+        "correlations": p.high_correlations(),
+        "significance": p.significance(),
+        "conventions": conventions_table(problem, settings, solution, covariance),
+        "camera": _camera(solved),
+        **effect_tables,
+    }
+    if problem.rig != "cmm":
+        tables["views"] = views
+        arrays |= _view_covariances(solved)
+    if problem.rig == "network":
+        tables["points"], arrays["points_covariance"] = _points(solved)
+    return Result(
+        kind=KIND,
+        title="",
+        estimates=tuple(
+            Estimate(*row) for row in zip(p.names, p.values.tolist(), p.std.tolist(), p.units, strict=True)
+        ),
+        covariance=p.covariance,
+        statistics=_statistics(solved),
+        tables=tables,
+        arrays=arrays,
+        warnings=tuple(_warnings(solved, views)),
+        shown=("views: image, readings, rms, largest, largest_target",) if problem.rig == "board" else (),
+        notes=tuple(adjustment_notes(adjusted)),
+    )
+
+
+def _statistics(solved: _Calibration) -> Statistics:
+    problem, adjusted, solution, values = solved.problem, solved.adjusted, solved.solution, solved.residuals.values
+    observations = adjusted.group.observations
+    lens = solved.lens.named()
+    u_rms, v_rms = np.sqrt((values**2).mean(axis=1)).tolist()
+    eigenvalues, _ = np.linalg.eigh(solved.delivered.correlation)
+    low, high = chi_interval(solution)
+    pixel = solved.settings.pixel_size
+    statistics: Statistics = {
+        **basic_statistics(solution, {"px": root_mean_square(values)}),
+        "rank": solution.unknowns,
+        "datum": "inner constraints on the targets" if solution.conditions else "given by known targets",
+        "rms_u": u_rms,
+        "rms_v": v_rms,
+        "readings": observations.count,
+        "rejected": len(adjusted.rejected),
+        "images": len(problem.sighted.images),
+        "targets": len(np.unique(observations.index[camera.TARGET])),
+        **coverage(observations.readings, problem.image_size, (lens["cx"], lens["cy"])),
+        "sigma0_low": low,
+        "sigma0_high": high,
+        "condition": float(np.sqrt(eigenvalues.max(initial=1.0) / max(eigenvalues.min(initial=1.0), 1e-300))),
+        "image_width": problem.image_size[0],
+        "image_height": problem.image_size[1],
+        "pixel_size": pixel if pixel is not None else float("nan"),
+        "rig": problem.rig,
+        "convention": problem.convention,
+    }
+    return statistics if adjusted.noise is None else with_noise(statistics, solution, adjusted.noise)
+
+
+def _views(solved: _Calibration) -> Table:
+    table = solved.rms_table("image", solved.index("view"), solved.problem.sighted.images)
+    if solved.problem.rig == "cmm":
+        return table
+    columns, units = dict(table.columns), dict(table.units)
+    values = solved.solution.blocks[camera.VIEW].values
+    change = poses.euler_form_by_step(values)
+    std = np.sqrt(np.einsum("vab,vbc,vac->va", change, solved.covariance.members(camera.VIEW), change))
+    for i, (name, unit) in enumerate(zip(poses.EULER, POSE_UNITS, strict=True)):
+        columns[name], columns[f"s_{name}"] = poses.euler_form(values)[:, i], std[:, i]
+        units |= {name: unit, f"s_{name}": unit}
+    return Table(columns, units)
+
+
+def _view_covariances(solved: _Calibration) -> dict[str, Array]:
+    """Return the covariance of each pose (x y z alpha beta gamma) and its covariance with the lens parameters."""
+    values, covariance = solved.solution.blocks[camera.VIEW].values, solved.covariance
+    change = poses.euler_form_by_step(values)
+    each = change @ covariance.members(camera.VIEW) @ np.swapaxes(change, 1, 2)
+    cross = covariance.between(camera.VIEW, camera.LENS).reshape(len(values), 6, -1)[:, :, solved.lens.free[0]]
+    return {"views_covariance": each, "views_lens_covariance": change @ cross}
+
+
+def _camera(solved: _Calibration) -> Table:
+    """Return every lens parameter of the model, estimated or not, for jobs that use the camera."""
+    lens = solved.lens
+    std = np.sqrt(np.diag(solved.covariance.of(camera.LENS)))
+    units = np.array([unit_of(name) for name in lens.columns])
+    return Table({"parameter": np.array(lens.columns), "value": lens.values[0], "std": std, "unit": units})
+
+
+def _points(solved: _Calibration) -> tuple[Table, Array]:
+    block = solved.solution.blocks[camera.TARGET]
+    each = solved.covariance.members(camera.TARGET)
+    std = np.sqrt(np.einsum("mii->mi", each))
+    known = np.bincount(solved.index(camera.TARGET), minlength=len(block.members)) > 0
+    columns: dict[str, Values] = {"point": np.array(block.members)[known]}
+    columns |= {name: block.values[known, i] for i, name in enumerate("xyz")}
+    columns |= {f"s{name}": std[known, i] for i, name in enumerate("xyz")}
+    columns["rays"] = np.bincount(solved.index(camera.TARGET), minlength=len(block.members))[known]
+    columns["ray_angle"] = _ray_angles(solved)[known]
+    units = {**dict.fromkeys(("x", "y", "z", "sx", "sy", "sz"), "mm"), "ray_angle": "rad"}
+    return Table(columns, units), each[known]
+
+
+def _ray_angles(solved: _Calibration) -> Array:
+    """Return for each target the largest angle between two of its rays, 0 for a single ray."""
+    points = solved.solution.blocks[camera.TARGET].values
+    origins = solved.solution.blocks[camera.VIEW].values[:, :3]
+    target, view = solved.index(camera.TARGET), solved.index("view")
+    angles = np.zeros(len(points))
+    for i in np.unique(target):
+        rays = origins[view[target == i]] - points[i]
+        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        angles[i] = np.arccos(np.clip((rays @ rays.T).min(), -1.0, 1.0))
+    return angles
+
+
+def _warnings(solved: _Calibration, views: Table) -> list[str]:
+    problem, adjusted = solved.problem, solved.adjusted
+    lines = list(problem.sighted.warnings)
+    if problem.rig != "cmm":
+        lines += suspect_images(problem.sighted.images, views.numbers("rms"), views.numbers("readings"))
+    lines += suspect_readings(adjusted.suspects, adjusted.group)
+    lines += _correlation_warnings(solved.delivered.high_correlations())
+    if adjusted.noise is None:
+        lines += noise_warnings(solved.solution)
+    if problem.convention == "forward":
+        fold = projection_range(solved.lens.named(), problem.image_size)
+        if fold is not None:
+            lines.append(
+                f"the lens model folds over at {fold:.0f} px from the principal point, inside the image: "
+                "use fewer distortion parameters"
+            )
+    return lines
+
+
+def _correlation_warnings(table: Table) -> list[str]:
+    rows = zip(table.texts("first"), table.texts("second"), table.numbers("correlation"), strict=True)
+    pairs = ", ".join(f"{a}-{b} {c:+.3f}" for a, b, c in rows)
+    return [f"correlations above {HIGH}: {pairs}"] if pairs else []

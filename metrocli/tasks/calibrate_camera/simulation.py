@@ -1,0 +1,80 @@
+"""The truth behind a simulated calibration: where the camera takes its images, and when."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.effects.model import Model, Place
+from metrocli.errors import InputError
+from metrocli.geometry import poses
+from metrocli.geometry.rotations import rotation_from_euler, rotation_from_vector
+from metrocli.instruments import camera
+from metrocli.tasks.shared.images.adjustment import IMAGES
+from metrocli.tasks.shared.images.camera_settings import CameraSimulation
+from metrocli.tasks.shared.images.planted_effects import image_group
+from metrocli.tasks.shared.images.simulation import Shown, Sights
+from metrocli.tasks.shared.images.target_list import Targets
+
+_FIRST_TEMPERATURE = 20.0
+"""At the first image [degC] (ISO 1)"""
+
+
+def conditions(truth: CameraSimulation, images: int) -> dict[str, Array]:
+    """Return time and temperature of each image, where the simulation has them."""
+    turn = np.arange(images, dtype=float)
+    found = {} if truth.interval is None else {"t": turn * truth.interval}
+    if truth.warming:
+        found["temp"] = _FIRST_TEMPERATURE + truth.warming * turn / max(images - 1, 1)
+    return found
+
+
+@dataclass(frozen=True)
+class Views:
+    """Images of a simulation: their names, the pose that carries targets into each, and the targets that each shows."""
+
+    images: tuple[str, ...]
+    to_camera: Array
+    only: Callable[[int], list[int]] | None = None
+
+
+def simulated_views(rig: str, truth: CameraSimulation, known: Targets, rng: np.random.Generator) -> Views:
+    """Return one image for each target with rig cmm, else views from random sides of the targets."""
+    if rig == "cmm":
+        if truth.extrinsics is None:
+            raise InputError("simulation: rig cmm needs extrinsics: where the camera is in the reference frame")
+        at = np.array([getattr(truth.extrinsics, name) for name in poses.EULER])
+        back = poses.inverse(poses.pose_from_euler(at[:3], at[3:]))
+        names = tuple(f"{name}.png" for name in known.names)
+        return Views(names, np.broadcast_to(back, (len(names), 6)), lambda image: [image])
+    n = truth.images
+    axis, tilt, roll = (
+        rng.uniform(0, 2 * np.pi, n),
+        truth.tilt * np.sqrt(rng.uniform(0, 1, n)),
+        rng.uniform(-np.pi, np.pi, n),
+    )
+    vector = np.column_stack([np.cos(axis) * tilt, np.sin(axis) * tilt, np.zeros(n)])
+    rotation = rotation_from_euler(np.zeros(n), np.zeros(n), roll) @ rotation_from_vector(vector)
+    extent = float(np.ptp(known.points, axis=0).max())
+    aim = np.column_stack([rng.uniform(-0.1, 0.1, (n, 2)) * extent, truth.distance * rng.uniform(0.85, 1.2, n)])
+    centre = known.points.mean(axis=0)
+    return Views(tuple(f"view{i + 1:02d}.png" for i in range(n)), poses.pose(rotation, aim - rotation @ centre))
+
+
+def true_model(rig: str, shown: Shown, seen: Sights) -> Model:
+    """Return the calibration at the truth, with the sights as readings, so that effects can be planted in it."""
+    views = shown.to_camera if rig == "board" else poses.inverse(shown.to_camera)
+    name, images = camera.view_name(rig), shown.images
+    if rig == "cmm":
+        views, images = views[:1], ("",)
+    blocks = {
+        camera.LENS: camera.lens_block(shown.lens, (), shown.image_size),
+        name: camera.view_block(views, images, 1.0, name),
+        camera.TARGET: camera.target_block(shown.targets.points, shown.targets.names, False, 1.0),
+    }
+    group = image_group(shown, seen, camera.chain(rig, shown.convention), camera.VIEW)
+    places = {"image": Place(shown.images, "view"), "target": Place(shown.targets.names, camera.TARGET)}
+    return Model(blocks, (group,), None, (IMAGES,), places)

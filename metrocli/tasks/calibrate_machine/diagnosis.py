@@ -1,0 +1,82 @@
+"""The calibration of a machine as diagnosis sees it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from metrocli.adjust.adjustment import adjust
+from metrocli.adjust.model.blocks import Array, Space
+from metrocli.adjust.model.groups import Group
+from metrocli.adjust.model.observations import Index, Mask
+from metrocli.adjust.solution import Solution
+from metrocli.diagnosis.adjusted_job import Covariate, Delivered, Subject
+from metrocli.effects import effects_of
+from metrocli.effects.effect import ELAPSED
+from metrocli.effects.model import Model, with_conditions
+from metrocli.geometry import poses
+from metrocli.instruments.machine import POSITION
+from metrocli.instruments.tracker import TRACKER
+from metrocli.tasks.calibrate_machine.report import KIND
+from metrocli.tasks.calibrate_machine.solve import Solved
+
+_FOLDS = 10
+_PIECES = "readings stand for pieces of the path longer than a pitch; a job may name it with its period"
+
+
+def subject(solved: Solved) -> Subject:
+    """Return the subject of a solved calibration."""
+    problem = replace(solved.problem, blocks=solved.solution.blocks)
+    model = with_conditions(problem.model())
+    group = model.readings[0]
+
+    def refit(changed: Model, keep: Mapping[str, Mask]) -> Solution:
+        kept = [one.selected(keep[one.name]) if one.name in keep else one for one in changed.groups]
+        return adjust(changed.blocks.values(), kept)
+
+    first, *others = (axis.block for axis in problem.machine.axes)
+    return Subject(
+        KIND,
+        model,
+        effects_of(KIND),
+        tuple(_covariates(model, group)),
+        (),
+        {group.name: _parts(group)},
+        Delivered("error tables", first, (0, 1, 2), "um", "length", tuple(others)),
+        refit,
+        not_sought={one.name: _PIECES for one in effects_of(KIND) if one.space is Space.WAVE and _condensed(group)},
+    )
+
+
+def _condensed(group: Group) -> bool:
+    """Whether readings stand for pieces of a path, which a wave shorter than they are does not reach."""
+    return "leg" in group.observations.keys
+
+
+def _covariates(model: Model, group: Group) -> Iterator[Covariate]:
+    """Yield what an unknown effect could vary with: time, place, and the beam."""
+    conditions, name = group.observations.conditions, group.name
+    if ELAPSED in conditions:
+        yield Covariate("t_s", {name: conditions[ELAPSED]}, 6, periodic=True)
+    else:
+        order = np.arange(group.observations.count, dtype=float)
+        yield Covariate("order of the readings", {name: order}, 6, periodic=True)
+    position = np.stack([conditions[axis] for axis in POSITION])
+    yield Covariate("place in the machine", {name: position}, 3)
+    if TRACKER in model.blocks:
+        seen = poses.apply(poses.inverse(model.blocks[TRACKER].values[0]), position.T).T
+        yield Covariate("distance from the tracker", {name: np.linalg.norm(seen, axis=0)}, 4)
+        yield Covariate("azimuth of the beam", {name: np.arctan2(seen[1], seen[0])}, 3, angle=True)
+
+
+def _parts(group: Group) -> Index:
+    """Return ten parts that are held out one after the other: by time, or by legs of a path."""
+    keys, conditions = group.observations.keys, group.observations.conditions
+    if _condensed(group):
+        legs = np.unique(np.array(keys["leg"], dtype=int), return_inverse=True)[1]
+        return np.asarray(legs % _FOLDS)
+    when: Array = conditions.get("t", np.arange(group.observations.count, dtype=float))
+    rank = np.argsort(np.argsort(when, kind="stable"), kind="stable")
+    return np.asarray(rank * _FOLDS // len(rank))

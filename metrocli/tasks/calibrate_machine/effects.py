@@ -1,0 +1,120 @@
+"""Effects on the calibration of a machine (docs/effects)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array, Space
+from metrocli.effects.effect import Effect, Parameter
+from metrocli.effects.links.motions import AXES, Backlash, LoadSag, MachineDrift, ScrewPitchError, ThermalGrowth
+from metrocli.effects.links.trackers import TrackerEccentricity, TrackerMoves, TrackerScale
+from metrocli.units import parse_quantity
+
+_SCHWENKE = "Schwenke et al. 2008, Geometric error measurement and compensation of machines, CIRP Annals 57"
+
+
+def _size(name: str, dimension: str, plausible: str) -> Parameter:
+    return Parameter(name, dimension, parse_quantity(plausible, dimension))
+
+
+def _velocity() -> tuple[Parameter, ...]:
+    return tuple(_size(name, "speed", "1 um/min") for name in ("vx", "vy", "vz"))
+
+
+_SHORTEST, _LONGEST = 2.0, 50.0
+"""Periods that are looked for [mm]"""
+_TRIED = 1000
+"""Up to axes of 1 m no period falls between two that are tried: a quarter of a turn at the ends of the axis"""
+
+
+def _periods(conditions: Mapping[str, Array]) -> Array:
+    """Return periods so close that none is off by more than a sixteenth of a turn at the ends of an axis."""
+    longest = max(float(np.ptp(conditions[axis])) for axis in AXES)
+    count = int(np.ceil(8 * longest * (1 / _SHORTEST - 1 / _LONGEST))) + 1
+    return np.asarray(1 / np.linspace(1 / _LONGEST, 1 / _SHORTEST, count))
+
+
+EFFECTS: tuple[Effect, ...] = (
+    Effect(
+        "backlash",
+        "the axis stands elsewhere when it is approached from the other side: play, friction and wind-up of its drive",
+        (_size("width", "length", "20 um"),),
+        lambda block, where: Backlash(block, where["axis"]),
+        where=("axis",),
+        needs=("from_{axis}",),
+        reveal="the same points approached from both sides; lines run in both directions",
+        source="ISO 230-2:2014, reversal value B; left out by Sanders et al. 2023, section 1.1",
+    ),
+    Effect(
+        "screw-pitch-error",
+        "the screw or the scale has an error that comes back with every turn, too fine for the knots",
+        (_size("amplitude", "length", "10 um"), _size("phase", "angle", "6.3 rad")),
+        lambda block, where: ScrewPitchError(block, where["axis"]),
+        where=("axis",),
+        scanned=(Parameter("period", "length", grid=_periods, tried=_TRIED),),
+        space=Space.WAVE,
+        reveal="a line of points closer than a quarter of the pitch, at steps that are no multiple of it",
+        source="ISO 230-2:2014 (targets not at multiples of the pitch, for this error)",
+    ),
+    Effect(
+        "thermal-growth",
+        "the scale of an axis grows while the machine is measured",
+        (_size("rate", "rate", "60 ppm/h"),),
+        lambda block, where: ThermalGrowth(block, where["axis"]),
+        where=("axis",),
+        needs=("t",),
+        confused_with=("machine-drift", "tracker-drift"),
+        reveal="far points of the axis again at the end; its temperature",
+        source="ISO 230-3:2020; 11.5 um/m/K for steel",
+    ),
+    Effect(
+        "machine-drift",
+        "the tool moves against the workpiece while the machine is measured: spindle and column warm up",
+        _velocity(),
+        lambda block, where: MachineDrift(block),
+        needs=("t",),
+        confused_with=("tracker-drift", "thermal-growth"),
+        reveal="a second reflector, fixed on the table: it sees the tracker move and not the machine",
+        source="ISO 230-3:2020, environmental temperature variation error",
+    ),
+    Effect(
+        "load-sag",
+        "a carriage bends what carries it: the tool sinks with the product of two positions, as no rigid body does",
+        (_size("c", "curvature", "1e-6 1/mm"),),
+        lambda block, where: LoadSag(block, where["pair"]),
+        where=("pair",),
+        reveal="points over the whole plane of the two axes, also far from the axes",
+        source=_SCHWENKE,
+    ),
+    Effect(
+        "tracker-eccentricity",
+        "the horizontal circle of the tracker is not centred on its axis",
+        tuple(_size(name, "angle", "20 arcsec") for name in ("c1", "s1")),
+        lambda block, where: TrackerEccentricity(block),
+        confused_with=("tracker-scale",),
+        reveal="the same points from the other side of the machine, or with the tracker turned on its stand; two faces",
+        source="ASME B89.4.19-2021; Muralikrishnan et al. 2009, Laser tracker error determination, J. Res. NIST 114",
+    ),
+    Effect(
+        "tracker-scale",
+        "all distances of the tracker are too long or too short in proportion: wavelength or refraction of the air",
+        (_size("scale", "ratio", "5 ppm"),),
+        lambda block, where: TrackerScale(block),
+        confused_with=("tracker-eccentricity",),
+        reveal="a calibrated length between two nests, seen by the tracker along its beam",
+        source="1 ppm/K and 0.27 ppm/hPa of the air (Birch and Downs 1994)",
+    ),
+    Effect(
+        "tracker-drift",
+        "the tracker moves on its stand while the machine is measured",
+        _velocity(),
+        lambda block, where: TrackerMoves(block),
+        needs=("t",),
+        confused_with=("machine-drift", "thermal-growth"),
+        reveal="a second reflector, fixed on the table: it sees the tracker move and not the machine",
+        source=_SCHWENKE,
+    ),
+)
+"""The table; its order is that of the documents. machine-drift and tracker-drift are one to a single tracker."""

@@ -1,0 +1,272 @@
+"""What a measurement determines of the 21 errors, before any number: rank, what is open, and the worst amplification.
+
+Directions of the unknowns whose standard uncertainty would exceed every plausible size (1 mm, 1 mrad) are open. Those
+that do not move the measured tools anywhere in the volume are harmless: some tables are then held at zero, and the
+others are known only together with them. Those that do move the volume leave the job without an answer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from metrocli.adjust.dense_jacobian import Unknowns, normal_matrix, rows, unit_noise, unknowns_of
+from metrocli.adjust.model.blocks import Array, Block
+from metrocli.errors import UndeterminedError
+from metrocli.instruments.machine import ALL_NAMES, ANGLES, AXES, Machine, errors_of
+from metrocli.tasks.calibrate_machine.problem import Problem
+from metrocli.tasks.calibrate_machine.volume import grid_group, spread_over, without_rigid_motion
+
+_HARMLESS = 1e-4
+"""Displacement in the volume [mm] by an open direction of its full plausible size that does not matter: 0.1 um"""
+_TOUCHED = 1e-6
+"""Share of an open direction below which a table has no part in it"""
+_NAMED = 0.2
+_POINTS = 300
+"""Points over which the volume's error is taken"""
+DETERMINED, TOGETHER, UNDETERMINED, NOT_ESTIMATED = "determined", "together", "undetermined", "not estimated"
+
+
+@dataclass(frozen=True)
+class Identifiability:
+    """What the measurement determines."""
+
+    unknowns: int
+    rank: int
+    status: Mapping[str, str]
+    """By the name of an error: determined, together, undetermined, not estimated"""
+    partners: Mapping[str, tuple[str, ...]]
+    """For each error known only together with others, or not at all, the others"""
+    ratio: float
+    """Largest ratio of the volume's error to the misfit of the readings, both root mean square"""
+    blocks: Mapping[str, Block]
+    """The unknowns with what is undetermined held at zero"""
+    open_tools: tuple[str, ...]
+    """Tools of the job whose error cannot be predicted, since what is undetermined moves them"""
+
+    @property
+    def undetermined(self) -> tuple[str, ...]:
+        """Names of the errors that are held at zero."""
+        return tuple(name for name, status in self.status.items() if status == UNDETERMINED)
+
+    @property
+    def together(self) -> tuple[str, ...]:
+        """Names of the errors that are known only together with those."""
+        return tuple(name for name, status in self.status.items() if status == TOGETHER)
+
+
+@dataclass(frozen=True)
+class _Open:
+    """Open directions of the unknowns."""
+
+    directions: Array
+    """(unknowns, k), each of length 1 in units of the plausible reach"""
+    reach: Array
+    unknowns: Unknowns
+    blocks: Mapping[str, Block]
+
+    def moved(self, group_rows: Array) -> Array:
+        """Return the displacement by each direction of full plausible size, (d*n, k)."""
+        flat = group_rows.reshape(-1, self.unknowns.size)
+        return np.asarray(flat @ (self.reach[:, None] * self.directions))
+
+    def rows_of(self, name: str) -> Array:
+        """Return the numbers of the unknowns of an error."""
+        return np.array([i for i, (_, _, column) in enumerate(self.unknowns.names(self.blocks)) if column == name], int)
+
+    def shares(self, directions: Array) -> dict[str, float]:
+        """Return how much each error takes part in some directions, at most 1."""
+        found = {name: self.rows_of(name) for name in ALL_NAMES}
+        return {name: float(np.abs(directions[at]).max(initial=0.0)) for name, at in found.items()}
+
+
+def identify(problem: Problem) -> Identifiability:
+    """Return what the measurement determines; UndeterminedError where the volume of the measured tools is open."""
+    blocks = problem.blocks
+    names = [name for name, block in blocks.items() if block.free.any()]
+    unknowns = unknowns_of(blocks, names)
+    reach = unknowns.reach(blocks)
+    matrix = normal_matrix(problem.groups, blocks, unknowns)
+    values, vectors = np.linalg.eigh(matrix * reach[:, None] * reach)
+    opened = _Open(vectors[:, values < 1.0], reach, unknowns, blocks)
+    grids = {tool: _grid_rows(problem, tool, unknowns) for tool in blocks["tool"].members}
+    _refuse_harmful(opened, [grids[tool] for tool in problem.tools_used])
+    held, undetermined = _hold(opened, problem.machine)
+    shares = opened.shares(opened.directions)
+    status = {name: _status(name, shares, undetermined, blocks) for name in ALL_NAMES}
+    partners = {name: _partners(name, opened, status) for name in ALL_NAMES if status[name] in (TOGETHER, UNDETERMINED)}
+    return Identifiability(
+        unknowns.size,
+        int((values >= 1.0).sum()),
+        status,
+        partners,
+        worst_ratio(replace(problem, blocks=held)),
+        held,
+        tuple(tool for tool, grid in grids.items() if np.abs(opened.moved(grid)).max(initial=0.0) > _HARMLESS),
+    )
+
+
+def _grid_rows(problem: Problem, tool: str, unknowns: Unknowns) -> Array:
+    """Return the displacement of a tool over the volume by the unknowns, (3, n, unknowns), free of rigid motion."""
+    machine, blocks = problem.machine, problem.blocks
+    position = spread_over(machine, _POINTS)
+    group = grid_group(machine, position, blocks["tool"].members.index(tool))
+    return without_rigid_motion(rows(group, blocks, unknowns), position)
+
+
+def _refuse_harmful(opened: _Open, grids: Sequence[Array]) -> None:
+    if opened.directions.shape[1] == 0:
+        return
+    moved = np.concatenate([opened.moved(grid) for grid in grids])
+    _, sizes, mix = np.linalg.svd(moved, full_matrices=False)
+    count = int((sizes / np.sqrt(len(moved)) > _HARMLESS).sum())
+    if count == 0:
+        return
+    harmful = _simple(opened.directions @ mix[:count].T)
+    lines = [f"  {i + 1}: {_told(opened, direction)}" for i, direction in enumerate(harmful.T[:8])]
+    more = [f"  and {count - 8} more"] if count > 8 else []
+    raise UndeterminedError(
+        "\n".join(
+            [
+                f"the measurement leaves {count} combinations of errors open that move the tool in the volume:"
+                if count > 1
+                else "the measurement leaves a combination of errors open that moves the tool in the volume:",
+                *lines,
+                *more,
+                "measure lines in other directions (`metrocli plan` proposes them), use fewer knots or knots that "
+                "differ between the axes, or leave errors out of `estimate`",
+            ]
+        )
+    )
+
+
+def _simple(directions: Array) -> Array:
+    """Return directions that span the same space, each with as few large entries as elimination with pivots leaves."""
+    from scipy.linalg import qr
+
+    _, _, order = qr(directions.T, pivoting=True, mode="economic")
+    chosen = order[: directions.shape[1]]
+    return np.asarray(directions @ np.linalg.inv(directions[chosen]))
+
+
+def _told(opened: _Open, direction: Array) -> str:
+    shares = opened.shares(direction[:, None])
+    largest = max(shares.values()) or 1.0
+    parts = sorted(
+        ((share / largest, name) for name, share in shares.items() if share > _NAMED * largest), reverse=True
+    )
+    return ", ".join(name + _knots(opened, name, direction) for _, name in parts)
+
+
+def _knots(opened: _Open, name: str, direction: Array) -> str:
+    """Return at which positions an error moves, where these are only some."""
+    at = opened.rows_of(name)
+    members = [opened.unknowns.names(opened.blocks)[i][1] for i in at]
+    size = np.abs(direction[at])
+    moving = [member for member, part in zip(members, size, strict=True) if part > _NAMED * size.max()]
+    if len(moving) == len(members) or members == [""]:
+        return ""
+    return f" at {', '.join(moving[:4])}{' ...' if len(moving) > 4 else ''} mm"
+
+
+def _hold(opened: _Open, machine: Machine) -> tuple[dict[str, Block], tuple[str, ...]]:
+    """Return the blocks with open entries held, and the errors held: angles of the axes nearest to the tool first."""
+    directions, blocks, undetermined = opened.directions, dict(opened.blocks), []
+    names = opened.unknowns.names(opened.blocks)
+    for name in _preference(machine):
+        at = opened.rows_of(name)
+        if directions.shape[1] == 0 or at.size == 0 or np.abs(directions[at]).max() < _TOUCHED:
+            continue
+        chosen, directions = _taken(directions, at)
+        for i in chosen:
+            block, member, column = names[i]
+            free = np.array(blocks[block].free)
+            free[blocks[block].members.index(member), blocks[block].column(column)] = False
+            blocks[block] = replace(blocks[block], free=free)
+        undetermined.append(name)
+    return blocks, tuple(undetermined)
+
+
+def _preference(machine: Machine) -> list[str]:
+    near_first = [AXES[i] for i in reversed(machine.order)]
+    angles = [name for axis in near_first for name in errors_of(axis) if name[1] in ANGLES]
+    rest = [name for axis in near_first for name in errors_of(axis) if name[1] not in ANGLES]
+    return [*angles, *(name for name in ALL_NAMES if name[1] == "0" or name[2] == "0"), *rest, "A0Z", "B0Z", "C0Y"]
+
+
+def _taken(directions: Array, at: Array) -> tuple[Array, Array]:
+    """Return the entries of an error to hold, and the directions that then remain open."""
+    from scipy.linalg import qr
+
+    part = directions[at]
+    _, triangle, order = qr(part.T, pivoting=True, mode="economic")
+    size = np.abs(np.diag(triangle))
+    rank = int((size > _TOUCHED).sum())
+    _, _, right = np.linalg.svd(part)
+    rest = directions @ right[rank:].T
+    return at[order[:rank]], rest
+
+
+def _status(name: str, shares: Mapping[str, float], undetermined: Sequence[str], blocks: Mapping[str, Block]) -> str:
+    block = next(block for block in blocks.values() if name in block.columns)
+    if not block.free[:, block.column(name)].any():
+        return NOT_ESTIMATED
+    if name in undetermined:
+        return UNDETERMINED
+    return TOGETHER if shares[name] > _TOUCHED else DETERMINED
+
+
+def _partners(name: str, opened: _Open, status: Mapping[str, str]) -> tuple[str, ...]:
+    """Return the errors that move with an error in the open directions."""
+    at = opened.rows_of(name)
+    _, sizes, mix = np.linalg.svd(opened.directions[at], full_matrices=False)
+    moving = opened.directions @ mix[sizes > _TOUCHED].T
+    shares = opened.shares(moving)
+    return tuple(other for other, share in shares.items() if other != name and share > _TOUCHED)
+
+
+def worst_ratio(problem: Problem) -> float:
+    """Return the largest ratio of the volume's error to the readings' misfit, both root mean square of vectors.
+
+    Over all errors that the tables can describe: `max |G v| / |J v|`, with the tracker's frame fitted on either side.
+    """
+    from scipy.linalg import eigh
+
+    blocks = problem.blocks
+    names = [name for name, block in blocks.items() if block.free.any() and name != "tool"]
+    unknowns = unknowns_of(blocks, names)
+    if unknowns.size == 0:
+        return 0.0
+    weight = problem.per_reading / problem.per_reading.sum()
+    unit = _angles_as_lengths(problem)[:, None] / np.sqrt(weight)
+    path = normal_matrix([unit_noise(problem.readings, unit)], blocks, unknowns)
+    volume = volume_matrix(problem, unknowns)
+    scale = 1 / np.sqrt(np.maximum(np.diag(path), 1e-300))
+    last = unknowns.size - 1
+    try:
+        top = eigh(
+            volume * scale[:, None] * scale,
+            path * scale[:, None] * scale,
+            eigvals_only=True,
+            subset_by_index=(last, last),
+        )
+    except np.linalg.LinAlgError:
+        return float("inf")
+    return float(np.sqrt(max(top[0], 0.0)))
+
+
+def _angles_as_lengths(problem: Problem) -> Array:
+    """Return the size of each component that counts as 1 mm: angles at a lever of half the volume's diagonal."""
+    lever = float(np.linalg.norm(problem.machine.high - problem.machine.low)) / 2
+    return np.array(
+        [1 / lever if name in ("ea", "eb", "ec") else 1.0 for name in problem.readings.observations.components]
+    )
+
+
+def volume_matrix(problem: Problem, unknowns: Unknowns) -> Array:
+    """Return the mean square of the measured tools' displacement over the volume as a form of the unknowns."""
+    grids = np.concatenate([_grid_rows(problem, tool, unknowns) for tool in problem.tools_used], axis=1)
+    flat = grids.reshape(-1, unknowns.size)
+    return np.asarray(flat.T @ flat / grids.shape[1])

@@ -1,0 +1,226 @@
+"""six-dof: lines along axes and diagonals, each with its own misalignment, in one adjustment with the tables.
+
+Squareness follows from the length of the diagonals once the tables have taken their part of it (Kuprin et al.; with
+the tables zero it is `C0Y = (d2^2 - d1^2) / (4 Lx Ly)` of two diagonals).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.groups import Group
+from metrocli.adjust.model.observations import Index, Observations
+from metrocli.errors import Fault, InputError
+from metrocli.instruments.machine import TOOL, Machine
+from metrocli.instruments.six_dof import ACROSS, CHANNELS, LINE, POSITION, LineNoise, line_block, line_chain
+from metrocli.table import Table
+from metrocli.tasks.calibrate_machine.iso230 import Run, positioning
+from metrocli.tasks.calibrate_machine.problem import (
+    Problem,
+    commanded,
+    conditions,
+    error_blocks,
+    machine_of,
+    must_support,
+    tool_prior,
+)
+from metrocli.tasks.calibrate_machine.settings import Settings
+from metrocli.words import suggestion
+
+if TYPE_CHECKING:
+    from metrocli.table import Values
+
+READINGS = "lines"
+DIRECTIONS = {"x": (0,), "y": (1,), "z": (2,), "xy": (0, 1), "yz": (1, 2), "xz": (0, 2)}
+"""Axes that move along a line"""
+_APART = 0.01
+"""Two ways to give a position may differ by this [mm]"""
+_LEAST = 3
+_LEAST_PART = 1e-6
+"""Part of a line's direction below which an axis stands"""
+
+
+@dataclass(frozen=True)
+class Lines:
+    """Lines of readings with their places."""
+
+    names: tuple[str, ...]
+    axis: tuple[str, ...]
+    """Of each line"""
+    of: Index
+    """Line of each reading"""
+    position: Array
+    """Commanded (3, n)"""
+    distance: Array
+    """Along the line (n,)"""
+
+    @property
+    def sense(self) -> Array:
+        """Return +1 or -1, the travel that led to each reading, (n,); for the first and at a turn that which follows.
+
+        At a turn a target is read twice: at the end of one run, and as the first of the next.
+        """
+        step = np.sign(np.diff(self.distance))
+        step[np.diff(self.of) != 0] = 0.0
+        before, after = np.append(0.0, step), np.append(step, 0.0)
+        return np.where(before != 0, before, after)
+
+    @property
+    def along(self) -> Array:
+        """Unit vectors along the lines, (lines, 3)."""
+        rows = [np.flatnonzero(self.of == i) for i in range(len(self.names))]
+        ends = [at[np.argsort(self.distance[at])[[0, -1]]] for at in rows]
+        moved = np.stack([self.position[:, end[1]] - self.position[:, end[0]] for end in ends])
+        return np.asarray(moved / np.linalg.norm(moved, axis=1, keepdims=True))
+
+
+def lines_of(machine: Machine, table: Table) -> Lines:
+    """Return the lines of a file; InputError for directions that are none, short lines, and positions that differ."""
+    _refuse_directions(table)
+    names = tuple(dict.fromkeys(table.texts("line")))
+    number = {name: i for i, name in enumerate(names)}
+    of = np.array([number[name] for name in table.texts("line")])
+    axes = np.array(table.texts("axis"))
+    faults = []
+    for i, name in enumerate(names):
+        rows = np.flatnonzero(of == i)
+        if len(set(axes[rows])) > 1:
+            faults.append(Fault(f"line '{name}' has rows along {' and '.join(sorted(set(axes[rows])))}", table.file))
+        elif len(np.unique(table.numbers("position")[rows])) < _LEAST:
+            text = f"line '{name}' has fewer than {_LEAST} positions: nothing is left after its misalignment"
+            faults.append(table.fault_at(int(rows[0]), text))
+    if faults:
+        raise InputError(faults)
+    position = _positions(machine, table, axes)
+    axis = tuple(str(axes[of == i][0]) for i in range(len(names)))
+    return Lines(names, axis, of, position, table.numbers("position"))
+
+
+def _refuse_directions(table: Table) -> None:
+    faults = [
+        table.fault_at(row, f"'{axis}' is no direction of a line", suggestion(axis, DIRECTIONS))
+        for row, axis in enumerate(table.texts("axis"))
+        if axis not in DIRECTIONS
+    ]
+    if faults:
+        raise InputError(faults[:5])
+
+
+def _positions(machine: Machine, table: Table, axes: Values) -> Array:
+    """Return commanded positions: what the columns x, y, z say, else from the distance along the line."""
+    distance = table.numbers("position")
+    position = np.repeat(machine.home[:, None], len(table), axis=1)
+    for direction, moving in DIRECTIONS.items():
+        rows = np.flatnonzero(axes == direction)
+        size = (machine.high - machine.low)[list(moving)]
+        share = size / np.linalg.norm(size)
+        for axis, part in zip(moving, share, strict=True):
+            position[axis, rows] = distance[rows] if len(moving) == 1 else machine.low[axis] + distance[rows] * part
+    faults = []
+    for axis, name in enumerate("xyz"):
+        if name not in table:
+            continue
+        given = table.numbers(name)
+        wrong = np.flatnonzero((axes == name) & (np.abs(given - distance) > _APART))
+        faults += [
+            table.fault_at(
+                int(row), f"{name} = {given[row]:g} mm, but the position along {name} is {distance[row]:g} mm"
+            )
+            for row in wrong[:3]
+        ]
+        position[axis] = np.where(axes == name, position[axis], given)
+    if faults:
+        raise InputError(faults)
+    columns: dict[str, Values] = dict(zip("xyz", position, strict=True))
+    return commanded(machine, Table(columns, table.units, table.file, table.lines))
+
+
+def six_dof(settings: Settings, table: Table) -> Problem:
+    """Return the adjustment of the lines."""
+    machine = machine_of(settings)
+    blocks = error_blocks(machine, settings)
+    if len(settings.tools) > 1:
+        raise InputError("method six-dof has one tool: the receiver's vector, `machine: {tool: [...]}`")
+    lines = lines_of(machine, table)
+    must_support(machine, lines.position, blocks)
+    laser = laser_noise(settings)
+    along = lines.along
+    figures = positioning(runs_of(lines, table))
+    observations = Observations(
+        table.stacked(CHANNELS).T,
+        np.ones(1),
+        machine.index(lines.position) | {TOOL: np.zeros(len(table), dtype=np.intp), LINE: lines.of},
+        covariance=laser.covariance(along[lines.of].T),
+        keys={
+            "line": tuple(table.texts("line")),
+            "at": tuple(f"{distance:g} mm" for distance in lines.distance.tolist()),
+        },
+        conditions=conditions(lines.position, table) | line_conditions(lines, along) | approach(lines),
+        components=CHANNELS,
+        unit="mm",
+    )
+    return Problem(
+        machine,
+        {**blocks, LINE: line_block(lines.names)},
+        Group(READINGS, line_chain(machine), observations),
+        tool_prior(blocks, settings),
+        np.ones(len(table)),
+        tuple(settings.tools),
+        facts={"lines": len(lines.names)},
+        tables={"positioning": figures} if figures is not None else {},
+    )
+
+
+def runs_of(lines: Lines, table: Table) -> list[Run]:
+    """Return the runs along single axes with their displacement channel: a line may go to and fro."""
+    turns = np.flatnonzero((np.diff(lines.of) != 0) | (np.diff(lines.sense) != 0)) + 1
+    found = []
+    for rows in np.split(np.arange(len(lines.of)), turns):
+        direction = lines.axis[lines.of[rows[0]]]
+        if len(DIRECTIONS[direction]) == 1 and len(rows) > 1:
+            at = tuple(np.delete(lines.position[:, rows[0]], DIRECTIONS[direction]).round(2).tolist())
+            found.append(Run(direction.upper(), lines.distance[rows], table.numbers(f"e{direction}")[rows], at))
+    return found
+
+
+def approach(lines: Lines) -> dict[str, Array]:
+    """Return conditions from_x, from_y, from_z: from which side each axis came; 0 where it stands on its line."""
+    moved = np.sign(np.where(np.abs(lines.along) > _LEAST_PART, lines.along, 0.0))[lines.of].T * lines.sense
+    return dict(zip((f"from_{axis}" for axis in "xyz"), moved, strict=True))
+
+
+def line_conditions(lines: Lines, along: Array) -> dict[str, Array]:
+    """Return distance from the middle of each line, and two directions across it."""
+    least = np.eye(3)[np.argmin(np.abs(along), axis=1)]
+    first = np.cross(along, least)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    across = np.concatenate([first, np.cross(along, first)], axis=1)[lines.of].T
+    counts = np.bincount(lines.of)
+    middle = np.bincount(lines.of, lines.distance) / counts
+    return {POSITION: lines.distance - middle[lines.of], **dict(zip(ACROSS, across, strict=True))}
+
+
+def planned_lines(machine: Machine, step: float) -> Lines:
+    """Return lines along the axes, to and fro, and along the three face diagonals, with readings every `step`."""
+    of, positions, distances = [], [], []
+    for line, moving in enumerate(DIRECTIONS.values()):
+        size = (machine.high - machine.low) * np.isin(np.arange(3), moving)
+        length = float(np.linalg.norm(size))
+        along = np.linspace(0.0, length, max(_LEAST, round(length / step) + 1))
+        way = np.append(along, along[::-1]) if len(moving) == 1 else along
+        start = np.where(size > 0, machine.low, machine.home)
+        of.append(np.full(len(way), line))
+        positions.append(start[:, None] + size[:, None] / length * way)
+        distances.append(way if len(moving) > 1 else positions[-1][moving[0]])
+    names = tuple(DIRECTIONS)
+    return Lines(names, names, np.concatenate(of), np.concatenate(positions, axis=1), np.concatenate(distances))
+
+
+def laser_noise(settings: Settings) -> LineNoise:
+    """Return the noise of the laser."""
+    noise = settings.noise
+    return LineNoise(noise.displacement or 0.0, noise.straightness or 0.0, noise.angle or 0.0)

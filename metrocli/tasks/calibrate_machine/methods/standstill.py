@@ -1,0 +1,65 @@
+"""Standstill: the tracker's points at commanded positions, ready to adjust."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from metrocli.adjust.model.groups import Group
+from metrocli.adjust.model.observations import Observations
+from metrocli.errors import Fault, InputError
+from metrocli.instruments.machine import TOOL
+from metrocli.instruments.tracker import TrackerNoise, point_chain, tracker_block
+from metrocli.table import Table
+from metrocli.tasks.calibrate_machine.methods.frames import tracker_pose
+from metrocli.tasks.calibrate_machine.problem import (
+    Problem,
+    commanded,
+    conditions,
+    error_blocks,
+    machine_of,
+    must_support,
+    tool_prior,
+    tools_of,
+)
+from metrocli.tasks.calibrate_machine.settings import Settings
+
+READINGS = "points"
+
+
+def tracker_noise(settings: Settings) -> TrackerNoise:
+    """Return the noise of the tracker."""
+    noise = settings.noise
+    return TrackerNoise(noise.beam or 0.0, noise.square.constant, noise.square.proportional)
+
+
+def standstill(settings: Settings, points: Table) -> Problem:
+    """Return the adjustment; InputError where the measured points cannot be those that were commanded."""
+    machine = machine_of(settings)
+    blocks = error_blocks(machine, settings)
+    tool = tools_of(points, settings)
+    position = commanded(machine, points)
+    measured = points.stacked(("mx", "my", "mz")).T
+    if position.shape[1] < 4:
+        raise InputError([Fault(f"{position.shape[1]} points are too few for a tracker's frame", points.file)])
+    must_support(machine, position, blocks)
+    pose = tracker_pose(measured, position + blocks[TOOL].values[tool].T, points.file)
+    observations = Observations(
+        measured,
+        np.ones(1),
+        machine.index(position) | {TOOL: tool},
+        covariance=tracker_noise(settings).covariance(measured),
+        keys={"point": tuple(points.texts("point"))},
+        conditions=conditions(position, points),
+        components=("x", "y", "z"),
+        unit="mm",
+    )
+    readings = Group(READINGS, point_chain(machine), observations)
+    names = list(settings.tools)
+    return Problem(
+        machine,
+        {**blocks, "tracker": tracker_block(pose, settings.machine.tool_uncertainty)},
+        readings,
+        tool_prior(blocks, settings),
+        np.ones(position.shape[1]),
+        tuple(names[i] for i in np.unique(tool)),
+    )

@@ -1,0 +1,185 @@
+"""The track of an on-the-fly measurement, cut to what was measured on straight legs at speed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array, Mask
+from metrocli.adjust.model.observations import Index
+from metrocli.errors import Fault, InputError
+from metrocli.geometry import poses
+from metrocli.instruments.machine_path import Path
+from metrocli.instruments.track_alignment import Alignment, align
+from metrocli.table import Table
+from metrocli.tasks.calibrate_machine.methods.frames import extent, mismatch, wrong_unit
+
+_FAR = 0.02
+"""A matched track is within this share of the path's extent"""
+_WILD = 1.0
+"""Points farther from the path than this [mm] above the usual are no points of it"""
+_DWELL = 0.2
+"""Slower than this share of the leg's usual speed is standing still"""
+_FAST = 3.0
+"""Nine of ten points are slower than the machine at its fastest by less than this; what is faster is a jump"""
+_BREAK = 20.0
+"""A step of so many usual steps is a break of the beam ..."""
+_LEAST_BREAK = 3.0
+"""... where it is longer than this [mm]"""
+_SETTLE = 2.0
+"""What is cut on either side of a break [mm]"""
+_FEW = 50
+
+
+@dataclass(frozen=True)
+class Track:
+    """Points of the tracker on the legs of a path, in the order of time."""
+
+    points: Array
+    """(3, n), in the tracker's frame"""
+    leg: Index
+    time: Array | None
+    pose: Array
+    """Of the tracker in the machine, roughly"""
+    warnings: tuple[str, ...]
+    facts: dict[str, float]
+
+    def selected(self, keep: Mask) -> Track:
+        """Return the track with some of its points."""
+        time = None if self.time is None else self.time[keep]
+        return Track(self.points[:, keep], self.leg[keep], time, self.pose, self.warnings, self.facts)
+
+
+def cut(table: Table, path: Path, tools: Array, track_tool: Index | None, corner: float) -> Track:
+    """Return the points that count; InputError where the track is not one of this path."""
+    points = table.stacked("xyz").T
+    if points.shape[1] < _FEW:
+        raise InputError([Fault(f"{points.shape[1]} points are too few for a track along a path", table.file)])
+    found = _aligned(points, track_tool, path, tools, table.file)
+    leg, along, off = _on_legs(points, found, path, tools)
+    usual = float(np.median(off))
+    wild = off > usual * 3 + _WILD
+    near_corner = (along < corner) | (along > path.lengths[leg] - corner)
+    still = np.zeros(len(leg), dtype=bool)
+    still[~wild] = _standing(points[:, ~wild], leg[~wild])
+    broken, breaks = _breaks(points, wild, path.tool[leg])
+    kept = ~(wild | near_corner | still | broken)
+    time = table.numbers("t") if "t" in table else None
+    facts = {
+        "track_points": points.shape[1],
+        "points_used": int(kept.sum()),
+        "cut_at_corners": int(near_corner.sum()),
+        "cut_standing": int((still & ~near_corner).sum()),
+        "cut_wild": int(wild.sum()),
+        "beam_breaks": len(breaks),
+        "path_length": path.length,
+    }
+    seen = np.bincount(leg[kept], minlength=len(path.lengths)) > 0
+    told = _told(breaks, leg, along, wild) + _unseen(seen, path)
+    return Track(points[:, kept], leg[kept], None if time is None else time[kept], found.pose, tuple(told), facts)
+
+
+def _aligned(points: Array, tool: Index | None, path: Path, tools: Array, file: str) -> Alignment:
+    found = align(points, tool, path, tools)
+    _, leg, nominal = path.sampled(3000)
+    nominal = nominal + tools[path.tool[leg]].T
+    limit = _FAR * extent(nominal)
+    if found.miss <= limit and wrong_unit(points[:, found.rows], nominal) is None:
+        return found
+    thin = points[:, found.rows]
+    if wrong_unit(thin, nominal) is not None:
+        raise InputError([mismatch(thin, nominal, file)])
+    mirrored = align(points * [[1.0], [1.0], [-1.0]], tool, path, tools)
+    if mirrored.miss <= limit:
+        text = "the track is a mirror image of the path"
+        hint = "the tracker's frame is left-handed: one of its axes has the wrong sign"
+        raise InputError([Fault(text, file, hint=hint)])
+    text = f"the track does not have the shape of the path: {found.miss:.3g} mm off after the best alignment"
+    hint = "is this the track of another path, or are vertices missing or in another order?"
+    raise InputError([Fault(text, file, hint=hint)])
+
+
+def _on_legs(points: Array, found: Alignment, path: Path, tools: Array) -> tuple[Index, Array, Array]:
+    """Return the leg of each point, the way along it, and the distance from it."""
+    aligned = poses.apply(found.pose, points.T)
+    numbers = np.arange(points.shape[1])
+    after = np.clip(np.searchsorted(found.rows, numbers), 0, len(found.rows) - 1)
+    ends = path.leg_of(found.way)
+    candidates = (ends[np.maximum(after - 1, 0)], ends[after])
+    each = [_to_leg(aligned, leg, path, tools) for leg in candidates]
+    second = each[1][1] < each[0][1]
+    leg = np.where(second, candidates[1], candidates[0])
+    along, off = (np.where(second, each[1][k], each[0][k]) for k in range(2))
+    return leg, along, off
+
+
+def _to_leg(aligned: Array, leg: Index, path: Path, tools: Array) -> tuple[Array, Array]:
+    """Return the way along a leg, and the distance from it with its ends."""
+    from_start = aligned - (path.start + tools[path.tool])[leg]
+    along = np.einsum("na,na->n", from_start, path.direction[leg])
+    inside = np.clip(along, 0.0, path.lengths[leg])
+    return along, np.linalg.norm(from_start - path.direction[leg] * inside[:, None], axis=1)
+
+
+def _standing(points: Array, leg: Index) -> Mask:
+    """Return where the machine hardly moves, against the usual speed of the leg."""
+    n = points.shape[1]
+    step = np.linalg.norm(np.diff(points, axis=1), axis=0)
+    window = int(np.clip(np.ceil(_LEAST_BREAK / max(float(np.median(step)), 1e-9) / 4), 1, max(1, n // 100)))
+    left, right = np.maximum(np.arange(n) - window, 0), np.minimum(np.arange(n) + window, n - 1)
+    speed = np.linalg.norm(points[:, right] - points[:, left], axis=0) / (right - left)
+    moving = np.minimum(speed, _FAST * np.quantile(speed, 0.9))
+    return np.asarray(speed < _DWELL * _usual(moving, leg)[leg])
+
+
+def _usual(speed: Array, leg: Index) -> Array:
+    """Return for each leg the speed below which half of its way was made: rests take time and no way."""
+    order = np.lexsort((speed, leg))
+    way = np.cumsum(speed[order])
+    ends = np.cumsum(np.bincount(leg))
+    total = np.concatenate([[0.0], way])[ends]
+    before = np.concatenate([[0.0], total[:-1]])
+    return np.asarray(speed[order][np.searchsorted(way, (before + total) / 2).clip(0, len(way) - 1)])
+
+
+def _breaks(points: Array, wild: Mask, tool: Index) -> tuple[Mask, Index]:
+    """Return points near a break of the beam, and the points before each break; a change of the tool is none."""
+    rows = np.flatnonzero(~wild)
+    step = np.linalg.norm(np.diff(points[:, rows], axis=1), axis=0)
+    limit = max(_LEAST_BREAK, _BREAK * float(np.median(step[step > 0])) if (step > 0).any() else 0.0)
+    at = np.flatnonzero((step > limit) & (np.diff(tool[rows]) == 0))
+    near = np.zeros(points.shape[1], dtype=bool)
+    for k in at.tolist():
+        for end, side in (
+            (rows[k], slice(max(rows[k] - _REACH, 0), rows[k] + 1)),
+            (rows[k + 1], slice(rows[k + 1], rows[k + 1] + _REACH)),
+        ):
+            near[side] |= np.linalg.norm(points[:, side] - points[:, end, None], axis=0) < _SETTLE
+    return near, rows[at]
+
+
+_REACH = 1000
+"""Points looked at on either side of a break"""
+
+
+def _told(breaks: Index, leg: Index, along: Array, wild: Mask) -> list[str]:
+    lines = []
+    if len(breaks):
+        places = [f"leg {leg[k] + 1} at {max(along[k], 0.0):.0f} mm" for k in breaks[:5].tolist()]
+        more = f" and {len(breaks) - 5} more" if len(breaks) > 5 else ""
+        times = "once" if len(breaks) == 1 else f"{len(breaks)} times"
+        lines.append(f"the beam broke {times}, on {', '.join(places)}{more}: what is near is cut")
+    if wild.any():
+        lines.append(
+            f"{int(wild.sum())} points of the track are off the path by more than a machine can be, and are cut"
+        )
+    return lines
+
+
+def _unseen(seen: Mask, path: Path) -> list[str]:
+    missing = np.flatnonzero(~seen)
+    if not missing.size:
+        return []
+    names = ", ".join(str(i + 1) for i in missing[:8])
+    return [f"legs without points, of {len(path.lengths)}: {names}{' ...' if missing.size > 8 else ''}"]

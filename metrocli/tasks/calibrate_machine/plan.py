@@ -1,0 +1,214 @@
+"""Planning a measurement on the fly: what a path will determine, and a path that determines the volume."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from metrocli.adjust.adjustment import covariance_at
+from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.groups import Group
+from metrocli.adjust.model.observations import Index, Observations
+from metrocli.errors import UndeterminedError
+from metrocli.geometry import poses
+from metrocli.instruments.machine import ALL_NAMES, TOOL, Machine
+from metrocli.instruments.machine_path import Path
+from metrocli.instruments.tracker import LEG, TRACKER, leg_block, path_chain, tracker_block
+from metrocli.nc_program import Block as NcBlock
+from metrocli.nc_program import Dwell, Feed, Rapid, Stop, program
+from metrocli.plan import Plan
+from metrocli.result import Estimate
+from metrocli.table import Table
+from metrocli.tasks.calibrate_machine.identifiability import NOT_ESTIMATED, UNDETERMINED, Identifiability, identify
+from metrocli.tasks.calibrate_machine.methods.on_the_fly import READINGS, path_of
+from metrocli.tasks.calibrate_machine.methods.standstill import tracker_noise
+from metrocli.tasks.calibrate_machine.path_search import Found, Wanted, edges_and_diagonals, search
+from metrocli.tasks.calibrate_machine.problem import Problem, conditions, error_blocks, machine_of, tool_prior
+from metrocli.tasks.calibrate_machine.report import KIND, identifiability_notes
+from metrocli.tasks.calibrate_machine.settings import PathPlan, Settings
+from metrocli.tasks.calibrate_machine.tables import Tables, tables_of, unit_of
+from metrocli.tasks.calibrate_machine.volume_report import volume_tables
+
+if TYPE_CHECKING:
+    from metrocli.table import Values
+
+_MARGIN = 0.97
+"""The search stops a little below the ratio wanted"""
+REST = 0.5
+"""Rest at each vertex or point [s]"""
+PLACES = ("positions are machine coordinates of the spindle reference point, no length offset",)
+_GAUSS = np.sqrt(0.6)
+_NODES, _WEIGHTS = np.array([-_GAUSS, 0.0, _GAUSS]) / 2 + 0.5, np.array([5.0, 8.0, 5.0]) / 18.0
+
+
+def planned_problem(settings: Settings, plan: PathPlan, path: Path) -> Problem:
+    """Return the adjustment that a path will give, with its readings as the nodes of the cells."""
+    machine = machine_of(settings)
+    pose = tracker_pose(machine, plan)
+    rotation = poses.rotation_of(pose)
+    blocks: dict[str, Block] = {
+        **error_blocks(machine, settings),
+        TRACKER: tracker_block(pose, settings.machine.tool_uncertainty),
+        LEG: leg_block(path.across @ rotation),
+    }
+    leg, along, length = _nodes(machine, path, settings.corner)
+    position = path.at(leg, along)
+    seen = poses.apply(poses.inverse(pose), (position + blocks[TOOL].values[path.tool[leg]].T).T).T
+    across = blocks[LEG].values[leg].reshape(-1, 2, 3)
+    points = length / (plan.feed * plan.sampling)
+    covariance = np.einsum("nab,bcn,ndc->adn", across, tracker_noise(settings).covariance(seen), across) / points
+    observations = Observations(
+        np.zeros((2, len(leg))),
+        np.ones(1),
+        machine.index(position) | {TOOL: path.tool[leg], LEG: leg},
+        covariance=covariance,
+        conditions=conditions(position),
+        components=("a", "b"),
+        unit="mm",
+    )
+    names = list(settings.tools)
+    used = tuple(names[i] for i in np.unique(path.tool))
+    group = Group(READINGS, path_chain(machine), observations)
+    return Problem(machine, blocks, group, tool_prior(blocks, settings), length, used)
+
+
+def tracker_pose(machine: Machine, plan: PathPlan) -> Array:
+    """Return the tracker where it stands, or two thirds of the volume's size beside it."""
+    size = machine.high - machine.low
+    place = machine.low - np.array([1.5, 1.2, -0.5]) * size.max() if plan.tracker is None else np.array(plan.tracker)
+    return np.concatenate([place, np.zeros(3)])
+
+
+def _nodes(machine: Machine, path: Path, corner: float) -> tuple[Index, Array, Array]:
+    """Return leg, way along it and length of path of the three Gauss nodes of every cell, corners cut."""
+    low, high = path.cells(machine)[:-1], path.cells(machine)[1:]
+    leg = path.leg_of((low + high) / 2)
+    begin, end = low - path.before[leg], high - path.before[leg]
+    begin, end = np.maximum(begin, corner), np.minimum(end, path.lengths[leg] - corner)
+    keep = end - begin > 1e-3
+    leg, begin, end = leg[keep], begin[keep], end[keep]
+    size = (end - begin)[:, None]
+    return np.repeat(leg, 3), (begin[:, None] + size * _NODES).ravel(), (size * _WEIGHTS).ravel()
+
+
+def plan_of_path(settings: Settings, table: Table | None) -> Plan:
+    """Return what the path of the job will determine, and a path that determines the volume, with its NC program."""
+    wanted = settings.plan or PathPlan()
+    machine = machine_of(settings)
+    own = [] if table is None else _own(settings, wanted, path_of(settings, machine, table))
+    longest = wanted.length or edges_and_diagonals(machine).length
+    asked = Wanted(longest, wanted.ratio * _MARGIN, len(settings.tools), wanted.seed)
+    found = search(machine, lambda path: planned_problem(settings, wanted, path), asked)
+    path = Path.of(found.vertices, found.tool)
+    worth = worth_of(settings, planned_problem(settings, wanted, path))
+    time, ratio = float(travelled_time(path, wanted.feed)), worth.identified.ratio
+    warnings = (
+        []
+        if ratio <= wanted.ratio
+        else [f"the best path found has a ratio of {ratio:.1f}, more than {wanted.ratio:g}: allow a longer one"]
+    )
+    notes = [
+        *own,
+        f"proposed: {len(path.lengths)} legs, {path.length:.0f} mm of at most {longest:.0f} mm, {time:.0f} s",
+        *identifiability_notes(worth.identified)[1:],
+    ]
+    figures = (Estimate("path_length", path.length, 0.0, "mm"), Estimate("duration", time, 0.0, "s"))
+    files: dict[str, Table | str] = {
+        "path.csv": _path_table(settings, found, wanted),
+        "path.nc": _program(settings, found, wanted),
+    }
+    return planned(notes, figures, worth, files, warnings)
+
+
+@dataclass(frozen=True)
+class Worth:
+    """What planned readings will determine, and how well."""
+
+    identified: Identifiability
+    errors: Table
+    volumetric: Table
+
+
+def worth_of(settings: Settings, problem: Problem) -> Worth:
+    """Return what the readings of an adjustment will determine; UndeterminedError where they leave the volume open."""
+    identified = identify(problem)
+    solution = covariance_at(identified.blocks.values(), problem.groups)
+    if not solution.outcome.good:
+        raise UndeterminedError(f"the planned readings do not determine the machine: {solution.outcome.value}")
+    tables = tables_of(problem.machine, solution)
+    volume = volume_tables(tables, identified, settings.volume.grid, problem.tools_used)["volumetric"]
+    return Worth(identified, predicted_errors(tables, identified), volume)
+
+
+def planned(
+    notes: Sequence[str],
+    figures: Sequence[Estimate],
+    worth: Worth,
+    files: Mapping[str, Table | str],
+    warnings: Sequence[str],
+) -> Plan:
+    """Return the plan of readings that are worth so much."""
+    return Plan(
+        KIND,
+        tuple(notes),
+        (Estimate("ratio", worth.identified.ratio, 0.0, "1"), *figures),
+        {"errors": worth.errors, "volumetric": worth.volumetric},
+        files,
+        tuple(warnings),
+        ("errors", "volumetric: tool, uncertainty"),
+    )
+
+
+def travelled_time(path: Path, feed: float) -> float:
+    """Return how long a path takes at a feed [s], with rests at the vertices."""
+    return float(path.length / feed + REST * (len(path.lengths) + 1))
+
+
+def _own(settings: Settings, wanted: PathPlan, path: Path) -> list[str]:
+    """Return what the path of the job will determine, in words."""
+    head = f"the path of the job: {len(path.lengths)} legs, {path.length:.0f} mm"
+    try:
+        identified = identify(planned_problem(settings, wanted, path))
+    except UndeterminedError as error:
+        return [head, *(f"  {line}" for line in str(error).splitlines()), ""]
+    return [head, *(f"  {line}" for line in identifiability_notes(identified)[1:]), ""]
+
+
+def predicted_errors(tables: Tables, identified: Identifiability) -> Table:
+    """Return for each error whether it will be determined, and its largest standard uncertainty."""
+    names = [name for name in ALL_NAMES if identified.status[name] != NOT_ESTIMATED]
+    std = [tables.of(name)[2].max() for name in names]
+    open_ones = np.array([identified.status[name] == UNDETERMINED for name in names])
+    columns: dict[str, Values] = {
+        "error": np.array(names),
+        "status": np.array([identified.status[name] for name in names]),
+        "with": np.array([" ".join(identified.partners.get(name, ())) for name in names]),
+        "largest_std": np.where(open_ones, np.inf, std),
+        "unit": np.array([unit_of(name) for name in names]),
+    }
+    return Table(columns)
+
+
+def _path_table(settings: Settings, found: Found, wanted: PathPlan) -> Table:
+    columns: dict[str, Values] = dict(zip("xyz", found.vertices.T, strict=True))
+    if list(settings.tools) != [""]:
+        columns["tool"] = np.array(list(settings.tools))[found.tool]
+    columns["feed"] = np.full(len(found.tool), wanted.feed)
+    return Table(columns, {**dict.fromkeys("xyz", "mm"), "feed": "mm/s"})
+
+
+def _program(settings: Settings, found: Found, wanted: PathPlan) -> str:
+    """Return the path as an NC program: positions of the spindle's reference point, no tool length offset."""
+    names = list(settings.tools)
+    blocks: list[NcBlock] = []
+    for i, vertex in enumerate(found.vertices):
+        to = dict(zip("XYZ", vertex.tolist(), strict=True))
+        if i == 0 or found.tool[i] != found.tool[i - 1]:
+            blocks += [Stop(f"mount reflector {names[found.tool[i]]}".strip()), Rapid(to), Dwell(REST)]
+        else:
+            blocks += [Feed(to, wanted.feed), Dwell(REST)]
+    remarks = [*PLACES, "the reflector faces the tracker; exact stop at every vertex"]
+    return program("metrocli path for calibrate-machine", remarks, blocks, wanted.control)

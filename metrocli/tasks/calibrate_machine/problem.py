@@ -1,0 +1,215 @@
+"""What all methods of calibrate-machine share: the machine with its unknowns, tools, and rows that cannot be used."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array, Block, Mask
+from metrocli.adjust.model.groups import Group, prior
+from metrocli.adjust.model.observations import Index
+from metrocli.effects.model import Added, Model, Place, extended
+from metrocli.effects.wanted import Wanted
+from metrocli.errors import InputError, UndeterminedError
+from metrocli.instruments.machine import (
+    AXES,
+    POSITION,
+    SQUARENESS,
+    TOOL,
+    Axis,
+    Machine,
+    axis_order,
+    squareness_block,
+    tool_block,
+)
+from metrocli.instruments.six_dof import LINE
+from metrocli.instruments.tracker import LEG, TRACKER
+from metrocli.table import Table
+from metrocli.tasks.calibrate_machine.settings import Settings
+from metrocli.words import suggestion
+
+SIDES = ("from_x", "from_y", "from_z")
+"""Conditions: 1 where an axis last moved in its positive direction, -1 in its negative, 0 where it has not moved"""
+_SIDE = "expected 1 after a move in the positive direction of the axis, -1 after one in the negative"
+_OUTSIDE = 1e-3
+"""Positions may be outside the range by this [mm]: rounding of the control"""
+_SUPPORT = 0.02
+"""A knot is supported where some reading has at least this share of it"""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """An adjustment of the machine's errors."""
+
+    machine: Machine
+    blocks: Mapping[str, Block]
+    readings: Group
+    others: tuple[Group, ...]
+    per_reading: Array
+    """How much of the measurement each reading stands for, such as the length of path or the points in it (n,)"""
+    tools_used: tuple[str, ...]
+    warnings: tuple[str, ...] = ()
+    facts: Mapping[str, float] = field(default_factory=dict)
+    """Statistics of the method"""
+    tables: Mapping[str, Table] = field(default_factory=dict)
+    """What the readings say without the model, such as figures of ISO 230-2"""
+    effects: tuple[Added, ...] = ()
+
+    @property
+    def groups(self) -> tuple[Group, ...]:
+        """All groups."""
+        return (self.readings, *self.others)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What people call each reading: point, leg, or line and place on it."""
+        return tuple(" at ".join(parts) for parts in zip(*self.readings.observations.keys.values(), strict=True))
+
+    def model(self) -> Model:
+        """Return the problem as a model that effects can be added to."""
+        places = {"axis": Place(POSITION), "pair": Place(PAIRS)}
+        return Model(self.blocks, self.groups, None, (self.readings.name,), places, {}, self.effects)
+
+    def with_model(self, model: Model) -> Problem:
+        """Return the problem with the blocks, groups and effects of a model made from it."""
+        readings = next(group for group in model.groups if group.name == self.readings.name)
+        others = tuple(group for group in model.groups if group is not readings)
+        return replace(self, blocks=model.blocks, readings=readings, others=others, effects=model.added)
+
+    def with_effects(self, wanted: Sequence[Wanted]) -> Problem:
+        """Return the problem with the effects of a job, where `blocks` have them already at the values there."""
+        if not wanted:
+            return self
+        bare = {name: block for name, block in self.blocks.items() if name in BLOCKS}
+        found = extended(replace(self, blocks=bare).model(), wanted)
+        return self.with_model(
+            found.with_blocks({name: self.blocks.get(name, found.blocks[name]) for name in found.blocks})
+        )
+
+
+def machine_of(settings: Settings) -> Machine:
+    """Return the machine that a job describes."""
+    given = settings.machine.axes
+    axes = tuple(
+        Axis(letter, np.linspace(*axis.range, axis.knots))
+        for letter, axis in zip(AXES, (given.x, given.y, given.z), strict=True)
+    )
+    return Machine(axis_order(settings.machine.chain), (axes[0], axes[1], axes[2]))
+
+
+def error_blocks(machine: Machine, settings: Settings) -> dict[str, Block]:
+    """Return the unknown errors, all zero, and the tools."""
+    blocks = [axis.block_of({}, settings.estimated) for axis in machine.axes]
+    blocks.append(squareness_block({}, settings.estimated))
+    if not any(block.free.any() for block in blocks):
+        names = " ".join(settings.estimated)
+        raise InputError(f"nothing is unknown: of two knots {names} has none that may move; give the axis more knots")
+    tools = settings.tools
+    blocks.append(tool_block(np.array(list(tools.values())), list(tools), settings.machine.tool_uncertainty))
+    return {block.name: block for block in blocks}
+
+
+def tool_prior(blocks: Mapping[str, Block], settings: Settings) -> tuple[Group, ...]:
+    """Return what is known of the tool vectors, where they are not exact."""
+    block = blocks[TOOL]
+    if not block.free.any():
+        return ()
+    sigma = np.full(block.values.shape, settings.machine.tool_uncertainty)
+    return (prior(block, np.arange(len(sigma)), sigma),)
+
+
+def tools_of(table: Table, settings: Settings) -> Index:
+    """Return the tool of each row; InputError for tools that are not in the job."""
+    names = list(settings.tools)
+    if "tool" not in table:
+        if len(names) > 1:
+            text = "the job has several tools, but the file has no column 'tool'"
+            raise InputError([table.fault(text, f"tools: {', '.join(names)}")])
+        return np.zeros(len(table), dtype=np.intp)
+    if names == [""]:
+        used = sorted(set(table.texts("tool")))
+        if len(used) > 1:
+            text = f"the file has {len(used)} tools ({', '.join(used)}), the job has one tool vector"
+            raise InputError([table.fault(text, "give `machine: {tools: {T1: [...], T2: [...]}}`")])
+        return np.zeros(len(table), dtype=np.intp)
+    column = np.asarray(table.columns["tool"])
+    unknown = [str(name) for name in np.unique(column) if name not in names]
+    faults = [
+        table.fault_at(
+            int(np.argmax(column == name)), f"tool '{name}' is not among the job's tools", suggestion(name, names)
+        )
+        for name in unknown
+    ]
+    if faults:
+        raise InputError(faults)
+    order = np.argsort(names)
+    return np.asarray(order[np.searchsorted(np.array(names)[order], column)], dtype=np.intp)
+
+
+def commanded(machine: Machine, table: Table) -> Array:
+    """Return commanded positions (3, n); InputError where they are outside the axes' ranges."""
+    position = table.stacked(POSITION).T
+    low, high = machine.low[:, None] - _OUTSIDE, machine.high[:, None] + _OUTSIDE
+    outside = (position < low) | (position > high)
+    faults = [
+        table.fault_at(
+            int(row),
+            f"{POSITION[axis]} = {position[axis, row]:g} mm is outside the range of the axis, "
+            f"{machine.low[axis]:g} to {machine.high[axis]:g} mm",
+            "the columns x, y, z are the commanded positions",
+        )
+        for axis, row in zip(*np.nonzero(outside), strict=True)
+    ]
+    if faults:
+        more = [table.fault(f"and {len(faults) - 5} more such rows")] if len(faults) > 5 else []
+        raise InputError(faults[:5] + more)
+    return position
+
+
+def must_support(machine: Machine, position: Array, blocks: Mapping[str, Block]) -> None:
+    """Raise UndeterminedError where a knot has no reading in the intervals next to it."""
+    told = []
+    for axis in machine.axes:
+        free: Mask = np.asarray(blocks[axis.block].free.any(axis=1))
+        index, weight = axis.places(position[axis.number])
+        seen = np.zeros(len(axis.knots))
+        for knots, weights in zip(index[:2], weight[:2, 0], strict=True):
+            np.maximum.at(seen, knots, weights)
+        bare = np.flatnonzero(free & (seen < _SUPPORT))
+        if bare.size:
+            where = ", ".join(f"{axis.knots[i]:g}" for i in bare[:5]) + (" ..." if bare.size > 5 else "")
+            told.append(
+                f"no reading is near {bare.size} of the {len(axis.knots)} knots of {axis.letter} (at {where} mm): "
+                f"give {axis.letter.lower()} fewer knots, or measure there"
+            )
+    if told:
+        raise UndeterminedError("\n".join(told))
+
+
+def conditions(position: Array, table: Table | None = None) -> dict[str, Array]:
+    """Return the conditions of readings: commanded position, and what else the file has."""
+    found = dict(zip(POSITION, position, strict=True))
+    if table is not None:
+        _refuse_sides(table)
+        found |= {name: table.numbers(name) for name in ("t", *SIDES) if name in table}
+    return found
+
+
+def _refuse_sides(table: Table) -> None:
+    faults = [
+        table.fault_at(row, f"{name} = {table.numbers(name)[row]:g} is no direction", _SIDE)
+        for name in SIDES
+        if name in table
+        for row in np.flatnonzero(~np.isin(table.numbers(name), (-1, 0, 1))).tolist()
+    ]
+    if faults:
+        raise InputError(faults[:5])
+
+
+ERROR_BLOCKS = ("axis X", "axis Y", "axis Z", SQUARENESS, TOOL)
+"""Blocks on which the predicted error of a point depends"""
+BLOCKS = (*ERROR_BLOCKS, TRACKER, LEG, LINE)
+"""Blocks of the machine and the instruments; all others are effects"""
+PAIRS = ("xy", "xz", "yz")

@@ -1,0 +1,300 @@
+"""The result of a machine's calibration: tables, squareness, what is determined, and the error over the volume."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.solution import Solution
+from metrocli.effects.estimates import estimates as effect_estimates
+from metrocli.effects.estimates import free_blocks
+from metrocli.effects.estimates import tables as effect_results
+from metrocli.instruments.machine import AXES, ERRORS, SQUARENESS, SQUARENESS_NAMES, TOOL
+from metrocli.instruments.six_dof import LINE
+from metrocli.instruments.tracker import TRACKER
+from metrocli.result import Estimate, Result
+from metrocli.table import Table
+from metrocli.tasks.calibrate_machine.identifiability import NOT_ESTIMATED, UNDETERMINED, Identifiability
+from metrocli.tasks.calibrate_machine.settings import ON_THE_FLY, Settings
+from metrocli.tasks.calibrate_machine.solve import Solved
+from metrocli.tasks.calibrate_machine.tables import Tables, least_squares_squareness, tables_of, tool_names, unit_of
+from metrocli.tasks.calibrate_machine.volume_report import volume_tables
+from metrocli.tasks.shared.statistics import REMOVE, Statistics, basic_statistics, beyond_bound, noise_warnings
+from metrocli.words import listed
+
+if TYPE_CHECKING:
+    from metrocli.table import Values
+
+KIND = "calibrate-machine"
+SIGN = "actual minus commanded"
+WEAK = 10.0
+"""Beyond this ratio a good fit says little of the volume"""
+
+
+def report(solved: Solved, settings: Settings) -> Result:
+    """Return the result of a solved calibration."""
+    solution, added = solved.solution, solved.problem.effects
+    tables = tables_of(solved.problem.machine, solution)
+    identified = solved.identified
+    effect_tables, effect_arrays = effect_results(added, solution)
+    volume = volume_tables(tables, identified, settings.volume.grid, solved.problem.tools_used)
+    tools = (TOOL,) if solution.blocks[TOOL].free.any() else ()
+    return Result(
+        kind=KIND,
+        title="",
+        estimates=(*_estimates(solution), *effect_estimates(added, solution)),
+        covariance=solution.joint((SQUARENESS, *tools, *free_blocks(added))),
+        statistics=_statistics(solved, settings),
+        tables={
+            **{f"tables/{name}": _table(tables, name, identified) for name in ERRORS if _wanted(name, identified)},
+            "errors": _errors(tables, identified),
+            "squareness": _squareness(tables, identified),
+            "axes": _axes(tables),
+            "tools": _tools(solved),
+            **_tracker(solved),
+            **_lines(solved),
+            **solved.problem.tables,
+            **volume,
+            "residuals": _residuals(solved),
+            "suspects": _suspects(solved),
+            "rejected": _named_tests(solved, [name for name, _ in solved.rejected], [w for _, w in solved.rejected]),
+            "tables_entries": _entries(tables),
+            **effect_tables,
+        },
+        arrays={"tables_covariance": tables.covariance, **effect_arrays},
+        warnings=tuple(_warnings(solved, settings)),
+        shown=(
+            "errors: error, status, with, largest, largest_std, unit",
+            "volumetric",
+            *solved.problem.tables,
+            *(["suspects"] if len(solved.suspects.rows) else []),
+        ),
+        notes=tuple(identifiability_notes(identified)),
+    )
+
+
+def _wanted(name: str, identified: Identifiability) -> bool:
+    return identified.status[name] != NOT_ESTIMATED
+
+
+def _estimates(solution: Solution) -> list[Estimate]:
+    """Return the squareness errors that were found, then the tool vectors that were."""
+    square, tool = solution.blocks[SQUARENESS], solution.blocks[TOOL]
+    std = solution.std(SQUARENESS)[0]
+    found = [
+        Estimate(name, float(square.values[0, i]), float(std[i]), "rad")
+        for i, name in enumerate(SQUARENESS_NAMES)
+        if square.free[0, i]
+    ]
+    if not tool.free.any():
+        return found
+    names, spread = tool_names(solution.blocks), solution.std(TOOL)
+    return found + [
+        Estimate(f"{names[i]}.{tool.columns[k]}", float(tool.values[i, k]), float(spread[i, k]), "mm")
+        for i, k in zip(*np.nonzero(tool.free), strict=True)
+    ]
+
+
+def _table(tables: Tables, name: str, identified: Identifiability) -> Table:
+    """Return a table; values nan and standard uncertainties inf where it is not determined."""
+    position, value, std = tables.of(name)
+    if identified.status[name] == UNDETERMINED:
+        value, std = np.full_like(value, np.nan), np.full_like(std, np.inf)
+    unit = unit_of(name)
+    return Table({"position": position, "value": value, "std": std}, {"position": "mm", "value": unit, "std": unit})
+
+
+def _errors(tables: Tables, identified: Identifiability) -> Table:
+    names = (*ERRORS, *SQUARENESS_NAMES)
+    of = [tables.of(name) for name in names]
+    open_ones = np.array([identified.status[name] == UNDETERMINED for name in names])
+    largest = np.array([np.abs(value).max() for _, value, _ in of])
+    std = np.array([std.max() for _, _, std in of])
+    units = np.array([unit_of(name) for name in names])
+    columns: dict[str, Values] = {
+        "error": np.array(names),
+        "axis": np.array([name[2] for name in names]),
+        "unit": units,
+        "status": np.array([identified.status[name] for name in names]),
+        "with": np.array([" ".join(identified.partners.get(name, ())) for name in names]),
+        "largest": np.where(open_ones, np.nan, largest),
+        "largest_std": np.where(open_ones, np.inf, std),
+    }
+    return Table(columns)
+
+
+def _squareness(tables: Tables, identified: Identifiability) -> Table:
+    lsq, covariance = least_squares_squareness(tables)
+    ends = [tables.of(name) for name in SQUARENESS_NAMES]
+    columns: dict[str, Values] = {
+        "error": np.array(SQUARENESS_NAMES),
+        "status": np.array([identified.status[name] for name in SQUARENESS_NAMES]),
+        "end_points": np.array([value[0] for _, value, _ in ends]),
+        "s_end_points": np.array([std[0] for _, _, std in ends]),
+        "least_squares": lsq,
+        "s_least_squares": np.sqrt(np.maximum(np.diag(covariance), 0.0)),
+    }
+    return Table(columns, {name: "rad" for name in columns if name not in ("error", "status")})
+
+
+def _axes(tables: Tables) -> Table:
+    axes = tables.machine.axes
+    columns: dict[str, Values] = {
+        "axis": np.array(AXES),
+        "low": tables.machine.low,
+        "high": tables.machine.high,
+        "knots": np.array([len(axis.knots) for axis in axes]),
+        "reference": tables.machine.home,
+        "place": np.array([tables.machine.order.index(i) + 1 for i in range(3)]),
+    }
+    return Table(columns, dict.fromkeys(("low", "high", "reference"), "mm"))
+
+
+def _tools(solved: Solved) -> Table:
+    block = solved.solution.blocks[TOOL]
+    std = solved.solution.std(TOOL) if block.free.any() else np.zeros(block.values.shape)
+    used, open_ones = solved.problem.tools_used, solved.identified.open_tools
+    columns: dict[str, Values] = {"tool": np.array(tool_names(solved.solution.blocks))}
+    columns |= {axis: block.values[:, i] for i, axis in enumerate("xyz")}
+    columns |= {f"s{axis}": std[:, i] for i, axis in enumerate("xyz")}
+    columns["measured"] = np.array([name in used for name in block.members])
+    columns["predictable"] = np.array([name not in open_ones for name in block.members])
+    return Table(columns, {f"{s}{axis}": "mm" for axis in "xyz" for s in ("", "s")})
+
+
+def _tracker(solved: Solved) -> dict[str, Table]:
+    if TRACKER not in solved.solution.blocks:
+        return {}
+    block, std = solved.solution.blocks[TRACKER], solved.solution.std(TRACKER)[0]
+    units = ["mm"] * 3 + ["rad"] * 3
+    columns: dict[str, Values] = {
+        "parameter": np.array(block.columns),
+        "value": block.values[0],
+        "std": std,
+        "unit": np.array(units),
+    }
+    return {"tracker": Table(columns)}
+
+
+def _lines(solved: Solved) -> dict[str, Table]:
+    """Return the misalignment of each six-dof line: offsets of the channels, and slopes across the beam."""
+    if LINE not in solved.solution.blocks:
+        return {}
+    block, std = solved.solution.blocks[LINE], solved.solution.std(LINE)
+    columns: dict[str, Values] = {"line": np.array(block.members)}
+    units: dict[str, str] = {}
+    for i, name in enumerate(block.columns):
+        columns |= {name: block.values[:, i], f"s_{name}": std[:, i]}
+        units |= dict.fromkeys((name, f"s_{name}"), "mm" if name in ("ex", "ey", "ez") else "rad")
+    return {"lines": Table(columns, units)}
+
+
+def _residuals(solved: Solved) -> Table:
+    observations, found = solved.problem.readings.observations, solved.residuals
+    columns: dict[str, Values] = {name: np.array(values) for name, values in observations.keys.items()}
+    columns |= {axis: observations.conditions[axis] for axis in "xyz"}
+    units = dict.fromkeys("xyz", "mm")
+    for i, component in enumerate(observations.components):
+        columns |= {
+            f"residual_{component}": found.values[i],
+            f"sigma_{component}": _sigma(solved, i),
+            f"normalised_{component}": found.normalised[i],
+            f"redundancy_{component}": found.redundancy[i],
+        }
+        unit = "rad" if component in ("ea", "eb", "ec") else "mm"
+        units |= {f"residual_{component}": unit, f"sigma_{component}": unit}
+    return Table(columns, units)
+
+
+def _sigma(solved: Solved, component: int) -> Array:
+    return np.asarray(solved.problem.readings.observations.deviations[component])
+
+
+def _suspects(solved: Solved) -> Table:
+    names = solved.problem.names
+    return _named_tests(solved, [names[i] for i in solved.suspects.rows.tolist()], solved.suspects.tests.tolist())
+
+
+def _named_tests(solved: Solved, names: list[str], tests: list[float]) -> Table:
+    key = next(iter(solved.problem.readings.observations.keys))
+    order = np.argsort(-np.array(tests, dtype=float), kind="stable")
+    return Table({key: np.array(names, dtype=str)[order], "w": np.array(tests, dtype=float)[order]})
+
+
+def _entries(tables: Tables) -> Table:
+    return Table(
+        {
+            "error": np.array([name for name, _ in tables.entries]),
+            "position": np.array([at for _, at in tables.entries]),
+        },
+        {"position": "mm"},
+    )
+
+
+def _statistics(solved: Solved, settings: Settings) -> Statistics:
+    identified, values = solved.identified, solved.residuals.values
+    lengths = np.array([name not in ("ea", "eb", "ec") for name in solved.problem.readings.observations.components])
+    rms = {"mm": float(np.sqrt((values[lengths] ** 2).mean()))}
+    if not lengths.all():
+        rms["rad"] = float(np.sqrt((values[~lengths] ** 2).mean()))
+    return {
+        **basic_statistics(solved.solution, rms),
+        "method": settings.method,
+        "chain": settings.machine.chain,
+        "sign": SIGN,
+        "straightness": "zero at both ends",
+        "rank": identified.rank,
+        "possible_rank": identified.unknowns,
+        "ratio": identified.ratio,
+        "undetermined": " ".join(identified.undetermined),
+        "together": " ".join(identified.together),
+        "rejected": len(solved.rejected),
+        "critical_w": solved.suspects.critical,
+        **solved.problem.facts,
+    }
+
+
+def _warnings(solved: Solved, settings: Settings) -> list[str]:
+    identified = solved.identified
+    cures = () if settings.method == ON_THE_FLY else (REMOVE,)
+    lines = [*solved.problem.warnings, *noise_warnings(solved.solution, cures)]
+    if identified.undetermined:
+        lines.append(
+            f"not determined by this measurement, and left out of the tables: {' '.join(identified.undetermined)}"
+            + (f"; known only together with them: {' '.join(identified.together)}" if identified.together else "")
+            + "; tools of other length and offset determine them"
+        )
+    if identified.open_tools:
+        lines.append(
+            f"the error of tool {listed(identified.open_tools)} cannot be predicted: what is not determined moves it"
+        )
+    if identified.ratio > WEAK:
+        lines.append(
+            f"the volume may be off by {identified.ratio:.0f} times the misfit of the readings in the worst case: "
+            "a good fit says little of the volume (`metrocli plan` proposes what has 4)"
+        )
+    rows, tests = solved.suspects.rows.tolist(), solved.suspects.tests.tolist()
+    if rows:
+        key, names = next(iter(solved.problem.readings.observations.keys)), solved.problem.names
+        worst = sorted(zip(tests, [names[i] for i in rows], strict=True), reverse=True)
+        told = [f"{key} {name} (w = {test:.1f})" for test, name in worst]
+        cure = f"{REMOVE} leaves such out" if REMOVE in cures else ""
+        lines.append(beyond_bound(told, solved.suspects.critical, cure))
+    return lines
+
+
+def identifiability_notes(identified: Identifiability) -> list[str]:
+    """Return what the measurement determines, in words."""
+    lines = [
+        "",
+        f"rank {identified.rank} of {identified.unknowns} unknowns; "
+        f"worst ratio of volume error to misfit {identified.ratio:.1f}",
+    ]
+    for name in identified.undetermined:
+        partners = identified.partners[name]
+        lines.append(f"  {name}: {'only together with ' + ' '.join(partners) if partners else 'not at all'}")
+    if not identified.undetermined:
+        lines.append("  every error is determined")
+    return lines

@@ -1,0 +1,293 @@
+"""Simulated measurements of a machine with random errors: standstill points, a track along a path, six-dof lines."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.chain import Chain
+from metrocli.adjust.model.groups import Group
+from metrocli.adjust.model.observations import Index, Observations
+from metrocli.adjust.model.quantities import Quantity
+from metrocli.effects.estimates import true_values
+from metrocli.effects.model import Model, Place, extended
+from metrocli.effects.wanted import Wanted
+from metrocli.errors import InputError
+from metrocli.geometry import poses
+from metrocli.geometry.rotations import rotation_from_euler
+from metrocli.instruments.machine import (
+    POSITION,
+    SQUARENESS,
+    SQUARENESS_NAMES,
+    TOOL,
+    Axis,
+    Machine,
+    errors_of,
+    is_angle,
+    squareness_block,
+)
+from metrocli.instruments.machine_path import Path
+from metrocli.instruments.six_dof import CHANNELS, LINE, line_block, line_chain
+from metrocli.instruments.tracker import TRACKER, point_chain, tracker_block
+from metrocli.simulation import Simulation
+from metrocli.table import Table
+from metrocli.tasks.calibrate_machine.methods.on_the_fly import path_of
+from metrocli.tasks.calibrate_machine.methods.six_dof import approach, laser_noise, line_conditions, planned_lines
+from metrocli.tasks.calibrate_machine.methods.standstill import tracker_noise
+from metrocli.tasks.calibrate_machine.problem import (
+    PAIRS,
+    SIDES,
+    commanded,
+    conditions,
+    error_blocks,
+    machine_of,
+    tools_of,
+)
+from metrocli.tasks.calibrate_machine.settings import ON_THE_FLY, SIX_DOF, STANDSTILL, MachineSimulation, Settings
+from metrocli.tasks.calibrate_machine.volume import grid_group, grid_of, without_rigid_motion
+
+if TYPE_CHECKING:
+    from metrocli.table import Values
+
+_FINE = 401
+_HARMONICS = 4
+_ACCELERATION = 1000.0
+"""Of the simulated machine [mm/s^2]"""
+_REST = 0.5
+"""The machine stands so long at each vertex [s]"""
+_MISALIGNED = np.array([0.01] * 3 + [1e-4] * 5)
+"""Standard deviations of the simulated misalignment of a line [mm, rad]"""
+
+
+@dataclass(frozen=True)
+class Truth:
+    """A machine with its errors."""
+
+    machine: Machine
+    """With as many knots as its errors need"""
+    blocks: Mapping[str, Block]
+
+    def error(self, position: Array, tool: Index) -> Array:
+        """Return displacement and rotation of tools at commanded positions (3, n), (6, n)."""
+        group = grid_group(self.machine, position, tool)
+        return group.chain.predict(self.blocks, group.observations)
+
+    def model(self, chain: Chain, more: Mapping[str, Block], flow: Flow) -> Model:
+        """Return the forward model of readings where the machine is sent."""
+        n = flow.position.shape[1]
+        index = self.machine.index(flow.position) | {TOOL: flow.tool} | dict(flow.index)
+        sizes = np.zeros((6 if chain.quantities[-1] is Quantity.ERROR_MOTION else 3, n))
+        observations = Observations(
+            sizes, np.ones(1), index, conditions=conditions(flow.position) | dict(flow.conditions)
+        )
+        places = {"axis": Place(POSITION), "pair": Place(PAIRS)}
+        group = Group("readings", chain, observations)
+        return Model({**self.blocks, **more}, (group,), None, ("readings",), places)
+
+
+@dataclass(frozen=True)
+class Flow:
+    """Where the machine is sent, with which tool, when and from which side."""
+
+    position: Array
+    """(3, n)"""
+    tool: Index
+    conditions: Mapping[str, Array]
+    index: Mapping[str, Index] = field(default_factory=dict)
+
+
+def truth_of(settings: Settings, simulation: MachineSimulation, rng: np.random.Generator) -> Truth:
+    """Return a machine with random errors of the mean size asked for (after the best shift and turn of the volume)."""
+    machine = machine_of(settings)
+    if simulation.smooth:
+        axes = tuple(Axis(axis.letter, np.linspace(axis.knots[0], axis.knots[-1], _FINE)) for axis in machine.axes)
+        machine = Machine(machine.order, (axes[0], axes[1], axes[2]))
+    lever = float(np.max(machine.high - machine.low)) / 2
+    tables = {
+        name: _drawn(axis, name, simulation.smooth, rng) for axis in machine.axes for name in errors_of(axis.letter)
+    }
+    tables = {name: table / (lever if is_angle(name) else 1.0) for name, table in tables.items()}
+    square = {name: float(rng.normal()) / lever for name in SQUARENESS_NAMES}
+    unit = Truth(machine, blocks_of(settings, machine, tables, square))
+    grid = grid_of(machine, (6, 6, 6))
+    error = without_rigid_motion(unit.error(grid, np.zeros(grid.shape[1], dtype=np.intp)), grid)
+    size = simulation.error / float(np.linalg.norm(error, axis=0).mean())
+    scaled = {name: table * size for name, table in tables.items()}
+    return Truth(machine, blocks_of(settings, machine, scaled, {name: value * size for name, value in square.items()}))
+
+
+def blocks_of(
+    settings: Settings, machine: Machine, tables: Mapping[str, Array], square: Mapping[str, float]
+) -> dict[str, Block]:
+    """Return a machine with these tables (at its knots, in the gauge) and squareness; errors not estimated are zero."""
+    wanted = settings.estimated
+    kept = {name: table for name, table in tables.items() if name in wanted}
+    axes = {axis.block: axis.block_of(kept, wanted) for axis in machine.axes}
+    squareness = squareness_block({name: value for name, value in square.items() if name in wanted}, wanted)
+    return {**error_blocks(machine, settings), **axes, squareness.name: squareness}
+
+
+def _drawn(axis: Axis, name: str, smooth: bool, rng: np.random.Generator) -> Array:
+    """Return a random table in the gauge: harmonics, or independent steps between knots."""
+    u = (axis.knots - axis.knots[0]) / (axis.knots[-1] - axis.knots[0])
+    if smooth:
+        order = np.arange(1, _HARMONICS + 1)[:, None]
+        phase = rng.uniform(0, 2 * np.pi, (_HARMONICS, 1))
+        raw = (rng.normal(size=(_HARMONICS, 1)) / order * np.sin(np.pi * order * u + phase)).sum(axis=0)
+    else:
+        raw = rng.normal(size=len(u)).cumsum() / np.sqrt(len(u))
+    if axis.straightness[errors_of(axis.letter).index(name)]:
+        return np.asarray(raw - raw[0] - (raw[-1] - raw[0]) * u)
+    return np.asarray(raw - np.interp(axis.reference, axis.knots, raw))
+
+
+def simulated(settings: Settings, tables: Mapping[str, Table], effects: Sequence[Wanted], seed: int) -> Simulation:
+    """Return the files of a measurement of a random machine with effects, and its errors."""
+    if settings.simulation is None:
+        raise InputError("simulate needs the truth: `simulation: {error: 0.1 mm, tracker: [-1 m, -0.8 m, 0.3 m]}`")
+    rng = np.random.default_rng(seed)
+    truth = truth_of(settings, settings.simulation, rng)
+    file, make = {
+        STANDSTILL: ("points.csv", _points),
+        ON_THE_FLY: ("track.csv", _track),
+        SIX_DOF: ("lines.csv", _lines),
+    }[settings.method]
+    table, model = make(_Job(settings, settings.simulation, tables, tuple(effects)), truth, rng)
+    square = dict(zip(SQUARENESS_NAMES, truth.blocks[SQUARENESS].values[0].tolist(), strict=True))
+    return Simulation({file: table, "true_errors.csv": true_errors(settings, truth)}, square | true_values(model))
+
+
+@dataclass(frozen=True)
+class _Job:
+    settings: Settings
+    simulation: MachineSimulation
+    tables: Mapping[str, Table]
+    effects: tuple[Wanted, ...]
+
+    def read(self, model: Model) -> tuple[Array, Model]:
+        """Return what is read of a model with the effects in it, without noise."""
+        model = extended(model, self.effects) if self.effects else model
+        return model.groups[0].chain.predict(model.blocks, model.groups[0].observations), model
+
+
+def true_errors(settings: Settings, truth: Truth) -> Table:
+    """Return the true tables at the knots of the job."""
+    names, at, length, angle = [], [], [], []
+    for axis, fine in zip(machine_of(settings).axes, truth.machine.axes, strict=True):
+        for k, name in enumerate(errors_of(axis.letter)):
+            table = fine.from_raw[k] @ truth.blocks[fine.block].values[:, k]
+            values = np.interp(axis.knots, fine.knots, table)
+            none = np.full(len(values), np.nan)
+            names += [name] * len(values)
+            at.append(axis.knots)
+            length.append(none if is_angle(name) else values)
+            angle.append(values if is_angle(name) else none)
+    columns: dict[str, Values] = {
+        "error": np.array(names),
+        "position": np.concatenate(at),
+        "value": np.concatenate(length),
+        "turn": np.concatenate(angle),
+    }
+    return Table(columns, {"position": "mm", "value": "mm", "turn": "rad"})
+
+
+def _seen(job: _Job, truth: Truth, flow: Flow, rng: np.random.Generator) -> tuple[Array, Model]:
+    """Return what the tracker, turned at random, sees of a machine, with its noise, (3, n)."""
+    turn = rotation_from_euler(rng.normal() * 0.05, rng.normal() * 0.05, rng.uniform(-np.pi, np.pi))
+    pose = poses.pose(turn, np.array(job.simulation.tracker))
+    points, model = job.read(truth.model(point_chain(truth.machine), {TRACKER: tracker_block(pose)}, flow))
+    return points + tracker_noise(job.settings).drawn(points, rng), model
+
+
+def _points(job: _Job, truth: Truth, rng: np.random.Generator) -> tuple[Table, Model]:
+    """Return points at the listed commanded positions, or at random ones with the corners of the volume."""
+    flow = _stops(job, truth.machine, rng)
+    seen, model = _seen(job, truth, flow, rng)
+    names, n = list(job.settings.tools), seen.shape[1]
+    columns: dict[str, Values] = {"point": np.array([f"P{i + 1:03d}" for i in range(n)])}
+    columns |= dict(zip(POSITION, flow.position, strict=True))
+    columns |= {f"m{axis}": row for axis, row in zip(POSITION, seen, strict=True)}
+    columns |= {name: flow.conditions[name] for name in ("t", *SIDES)}
+    if names != [""]:
+        columns["tool"] = np.array(names)[flow.tool]
+    return Table(columns, {**dict.fromkeys(("x", "y", "z", "mx", "my", "mz"), "mm"), "t": "s"}), model
+
+
+def _stops(job: _Job, machine: Machine, rng: np.random.Generator) -> Flow:
+    table, names = job.tables.get("points"), list(job.settings.tools)
+    if table is not None:
+        position, tool = commanded(machine_of(job.settings), table), tools_of(table, job.settings)
+    else:
+        count = job.simulation.points
+        position = np.round(rng.uniform(machine.low, machine.high, (count, 3)).T, 3)
+        corners = grid_of(machine, (2, 2, 2))[:, :count]
+        position[:, : corners.shape[1]] = corners
+        position = position[:, rng.permutation(count)]
+        tool = rng.integers(len(names), size=count)
+    moved = np.sign(np.diff(position, axis=1, prepend=position[:, :1] - 1))
+    given = {"t": np.arange(position.shape[1]) * job.simulation.interval, **dict(zip(SIDES, moved, strict=True))}
+    if table is not None:
+        given |= {name: table.numbers(name) for name in given if name in table}
+    return Flow(position, tool, given)
+
+
+def _track(job: _Job, truth: Truth, rng: np.random.Generator) -> tuple[Table, Model]:
+    """Return the track of the machine along the path: ramps of speed on each leg, a rest at each vertex."""
+    listed = job.tables["path"]
+    path = path_of(job.settings, machine_of(job.settings), listed)
+    leg, along, time = travelled(path, _feeds(job, listed, path), job.simulation.sampling)
+    given = {"t": time, **{name: signs[leg] for name, signs in zip(SIDES, path.last_moves(), strict=True)}}
+    seen, model = _seen(job, truth, Flow(path.at(leg, along), path.tool[leg], given), rng)
+    columns: dict[str, Values] = {**dict(zip(POSITION, seen, strict=True)), "t": time}
+    if "tool" in listed:
+        columns["tool"] = np.array(list(job.settings.tools))[path.tool[leg]]
+    return Table(columns, {**dict.fromkeys(POSITION, "mm"), "t": "s"}), model
+
+
+def _feeds(job: _Job, table: Table, path: Path) -> Array:
+    if "feed" in table:
+        return np.asarray(table.numbers("feed")[path.vertex + 1])
+    return np.full(len(path.lengths), job.simulation.feed)
+
+
+def _lines(job: _Job, truth: Truth, rng: np.random.Generator) -> tuple[Table, Model]:
+    """Return lines along the axes, to and fro, and along the three face diagonals, each with its misalignment."""
+    lines = planned_lines(machine_of(job.settings), job.simulation.step)
+    along = lines.along
+    block = line_block(lines.names)
+    shifts = rng.normal(size=block.values.shape) * _MISALIGNED
+    time: Array = np.arange(float(len(lines.of))) * job.simulation.interval
+    given = {"t": time} | line_conditions(lines, along) | approach(lines)
+    flow = Flow(lines.position, np.zeros(len(lines.of), dtype=np.intp), given, {LINE: lines.of})
+    readings, model = job.read(truth.model(line_chain(truth.machine), {LINE: block.with_values(shifts)}, flow))
+    root = np.linalg.cholesky(np.moveaxis(laser_noise(job.settings).covariance(along[lines.of].T), -1, 0))
+    readings = readings + np.einsum("nab,bn->an", root, rng.normal(size=readings.shape))
+    columns: dict[str, Values] = {
+        "line": np.array(lines.names)[lines.of],
+        "axis": np.array(lines.axis)[lines.of],
+        "position": lines.distance,
+        **dict(zip(CHANNELS, readings, strict=True)),
+        "t": time,
+    }
+    units = {"position": "mm", "t": "s", **dict.fromkeys(CHANNELS[:3], "mm"), **dict.fromkeys(CHANNELS[3:], "rad")}
+    return Table(columns, units), model
+
+
+def travelled(path: Path, feeds: Array, sampling: float) -> tuple[Index, Array, Array]:
+    """Return leg, way along it and time of a machine with ramps of speed and rests, at equal steps of time."""
+    ramp = np.minimum(feeds / _ACCELERATION, np.sqrt(path.lengths / _ACCELERATION))
+    top = ramp * _ACCELERATION
+    moving = path.lengths / top + ramp
+    begins = np.cumsum(moving + _REST) - moving
+    time = np.arange(0.0, begins[-1] + moving[-1] + _REST, sampling)
+    leg = np.clip(np.searchsorted(begins, time, side="right") - 1, 0, len(begins) - 1)
+    since = np.clip(time - begins[leg], 0.0, moving[leg])
+    left = np.minimum(since, moving[leg] - since)
+    ramped = np.minimum(left, ramp[leg])
+    early = ramped**2 * _ACCELERATION / 2 + np.maximum(left - ramp[leg], 0.0) * top[leg]
+    along = np.where(since <= moving[leg] / 2, early, path.lengths[leg] - early)
+    return leg, along, time

@@ -1,0 +1,96 @@
+"""Solving for the errors of a machine: what is determined first, then the adjustment with gross errors held off."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from metrocli.adjust.adjustment import adjust
+from metrocli.adjust.model.blocks import Block
+from metrocli.adjust.model.groups import Group
+from metrocli.adjust.model.observations import Index
+from metrocli.adjust.outcome import Outcome
+from metrocli.adjust.robust import Fit, Suspects, robust_start, suspects
+from metrocli.adjust.solution import Residuals, Solution, residuals_of
+from metrocli.errors import NotConvergedError, UndeterminedError
+from metrocli.instruments.machine import TOOL
+from metrocli.tasks.calibrate_machine.identifiability import Identifiability, identify
+from metrocli.tasks.calibrate_machine.problem import Problem
+
+_ROUNDS = 30
+_VAGUE = "\na tool vector that is not known moves the tracker with it: give `tool_uncertainty` as a few mm, not more"
+
+
+@dataclass(frozen=True)
+class Solved:
+    """The errors of a machine with what was left out on the way."""
+
+    problem: Problem
+    """With the readings that were used"""
+    identified: Identifiability
+    solution: Solution
+    residuals: Residuals
+    suspects: Suspects
+    rejected: tuple[tuple[str, float], ...] = ()
+    """Name and |w| of readings left out"""
+
+
+def solve(problem: Problem, remove: bool) -> Solved:
+    """Adjust; leave outliers out where `remove` says so.
+
+    Raises UndeterminedError where the readings leave the volume open, NotConvergedError where no solution was found.
+    """
+    identified = identify(problem)
+    state: Mapping[str, Block] = robust_start(identified.blocks.values(), problem.groups, problem.readings.name)
+    rejected: list[tuple[str, float]] = []
+    for _ in range(_ROUNDS):
+        solution, found, doubtful = _adjusted(state, problem)
+        worst = _worst(doubtful) if remove else np.zeros(0, dtype=np.intp)
+        if not worst.size:
+            break
+        names = problem.names
+        tests = dict(zip(doubtful.rows.tolist(), doubtful.tests.tolist(), strict=True))
+        rejected += [(names[i], tests[i]) for i in worst.tolist()]
+        problem, state = _without(problem, worst), solution.blocks
+        identified = identify(problem)
+        state = {name: replace(block, free=identified.blocks[name].free) for name, block in state.items()}
+    return Solved(problem, identified, solution, found, doubtful, tuple(rejected))
+
+
+def solved_again(solved: Solved, problem: Problem) -> Solved:
+    """Return the solution of the same readings linearised anew; what is determined is taken over."""
+    solution, found, doubtful = _adjusted(problem.blocks, problem)
+    return replace(solved, problem=problem, solution=solution, residuals=found, suspects=doubtful)
+
+
+def adjusted(blocks: Mapping[str, Block], groups: tuple[Group, ...]) -> Solution:
+    """Return the adjustment, or raise why there is none."""
+    solution = adjust(blocks.values(), groups)
+    if solution.outcome in (Outcome.UNDETERMINED, Outcome.TOO_FEW):
+        open_ones = "\n".join(f"  {combination}" for combination in solution.undetermined[:8])
+        vague = any(part[0] == TOOL for combination in solution.undetermined for part in combination.parts)
+        raise UndeterminedError(f"{solution.outcome.value}\n{open_ones}".rstrip() + _VAGUE * vague)
+    if not solution.outcome.good:
+        raise NotConvergedError(f"{solution.outcome.value} ({solution.iterations} steps)")
+    return solution
+
+
+def _adjusted(state: Mapping[str, Block], problem: Problem) -> tuple[Solution, Residuals, Suspects]:
+    solution = adjusted(state, problem.groups)
+    found = residuals_of(solution, problem.readings)
+    return solution, found, suspects(found, Fit(solution.cost, solution.dof, True))
+
+
+def _worst(doubtful: Suspects) -> Index:
+    """Return the readings to leave out next: those that are not the shadow of one twice as large."""
+    if not doubtful.rows.size:
+        return doubtful.rows
+    return np.asarray(doubtful.rows[doubtful.tests >= doubtful.tests.max() / 2])
+
+
+def _without(problem: Problem, rows: Index) -> Problem:
+    keep = np.ones(problem.readings.observations.count, dtype=bool)
+    keep[rows] = False
+    return replace(problem, readings=problem.readings.selected(keep), per_reading=problem.per_reading[keep])

@@ -1,0 +1,145 @@
+"""Planning points at standstill, or lines of a laser: what the job's and what proposed ones will determine."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.errors import UndeterminedError
+from metrocli.geometry import poses
+from metrocli.instruments.machine import POSITION
+from metrocli.instruments.six_dof import CHANNELS
+from metrocli.nc_program import Block as NcBlock
+from metrocli.nc_program import Dwell, Feed, Stop, program
+from metrocli.plan import Plan
+from metrocli.result import Estimate
+from metrocli.table import Table
+from metrocli.tasks.calibrate_machine.methods.six_dof import planned_lines, six_dof
+from metrocli.tasks.calibrate_machine.methods.standstill import standstill
+from metrocli.tasks.calibrate_machine.plan import PLACES, REST, Worth, planned, tracker_pose, worth_of
+from metrocli.tasks.calibrate_machine.problem import Problem, machine_of, tools_of
+from metrocli.tasks.calibrate_machine.report import identifiability_notes
+from metrocli.tasks.calibrate_machine.settings import MachineSimulation, PathPlan, Settings
+from metrocli.tasks.calibrate_machine.volume import grid_of, spread_over
+
+if TYPE_CHECKING:
+    from metrocli.table import Values
+
+_FEWEST, _GROWTH, _MOST = 12, 1.25, 5000
+
+
+def plan_of_points(settings: Settings, points: Table | None) -> Plan:
+    """Return what the job's points will determine, and a list all over the volume that is just long enough.
+
+    Points of a sequence that fills the volume evenly from its start on, so that place and time are not mixed up.
+    """
+    wanted = settings.plan or PathPlan()
+    own = []
+    if points is not None:
+        own = _judged(f"the points of the job: {len(points)}", settings, _seen(settings, points))
+    # three coordinates a point, six errors a knot
+    count = max(float(_FEWEST), 2 * sum(len(axis.knots) for axis in machine_of(settings).axes) / len(settings.tools))
+    while True:
+        table = _all_over(settings, round(count))
+        worth = _worth(settings, _seen(settings, table))
+        if isinstance(worth, Worth) and worth.identified.ratio <= wanted.ratio:
+            break
+        if count > _MOST:
+            raise UndeterminedError(f"{len(table)} points have no ratio of {wanted.ratio:g}: give fewer knots")
+        count *= _GROWTH
+    names, tool = list(settings.tools), tools_of(table, settings)
+    blocks: list[NcBlock] = []
+    for k, name in enumerate(names):
+        blocks.append(Stop(f"mount reflector {name}".strip()))
+        blocks += _visits(table.stacked(POSITION)[tool == k], wanted.feed)
+    text = program(
+        "metrocli points for calibrate-machine", [*PLACES, "a reading in each dwell"], blocks, wanted.control
+    )
+    notes = [*own, f"proposed: {len(table)} points", *identifiability_notes(worth.identified)[1:]]
+    files: dict[str, Table | str] = {"points.csv": table, "points.nc": text}
+    return planned(notes, (Estimate("points", float(len(table)), 0.0, "1"),), worth, files, [])
+
+
+def plan_of_lines(settings: Settings, lines: Table | None) -> Plan:
+    """Return what the job's lines will determine, and what lines along the axes and three face diagonals will."""
+    wanted, machine = settings.plan or PathPlan(), machine_of(settings)
+    own = [] if lines is None else _judged("the lines of the job", settings, lambda: six_dof(settings, lines))
+    given = planned_lines(machine, (settings.simulation or MachineSimulation()).step)
+    columns: dict[str, Values] = {
+        "line": np.array(given.names)[given.of],
+        "axis": np.array(given.axis)[given.of],
+        "position": given.distance,
+        **dict(zip(POSITION, given.position, strict=True)),
+    }
+    table = Table(columns, dict.fromkeys(("position", *POSITION), "mm"))
+    zero = np.zeros(len(table))
+    read = Table({**columns, **dict.fromkeys(CHANNELS, zero)}, table.units)
+    worth = _worth(settings, lambda: six_dof(settings, read))
+    if not isinstance(worth, Worth):
+        raise worth
+    blocks: list[NcBlock] = []
+    for k, name in enumerate(given.names):
+        blocks.append(Stop(f"set the laser up along {name}"))
+        blocks += _visits(given.position[:, given.of == k].T, wanted.feed)
+    text = program("metrocli lines for calibrate-machine", [*PLACES, "a reading in each dwell"], blocks, wanted.control)
+    notes = [*own, f"proposed: {len(given.names)} lines", *identifiability_notes(worth.identified)[1:]]
+    warnings = (
+        [f"the lines have a ratio of {worth.identified.ratio:.1f}, more than {wanted.ratio:g}: also measure elsewhere"]
+        if worth.identified.ratio > wanted.ratio
+        else []
+    )
+    files: dict[str, Table | str] = {"lines.csv": table, "lines.nc": text}
+    return planned(notes, (Estimate("readings", float(len(table)), 0.0, "1"),), worth, files, warnings)
+
+
+def _visits(places: Array, feed: float) -> list[NcBlock]:
+    return [block for at in places.tolist() for block in (Feed(dict(zip("XYZ", at, strict=True)), feed), Dwell(REST))]
+
+
+def _all_over(settings: Settings, count: int) -> Table:
+    """Return so many points for each tool and the corners, one tool after the other.
+
+    Each has its own piece of the sequence: tools in turn would share out its digits, and y with them.
+    """
+    machine, names = machine_of(settings), list(settings.tools)
+    corners, inside = grid_of(machine, (2, 2, 2)), spread_over(machine, count * len(names))
+    pieces = np.split(inside, len(names), axis=1)
+    position = np.round(np.concatenate([part for piece in pieces for part in (corners, piece)], axis=1), 2)
+    columns: dict[str, Values] = {"point": np.array([f"P{i + 1:03d}" for i in range(position.shape[1])])}
+    columns |= dict(zip(POSITION, position, strict=True))
+    if names != [""]:
+        columns["tool"] = np.repeat(np.array(names), 8 + count)
+    return Table(columns, dict.fromkeys(POSITION, "mm"))
+
+
+def _seen(settings: Settings, table: Table) -> Callable[[], Problem]:
+    """Return the adjustment of points as a tracker will see them on a machine without errors."""
+    machine = machine_of(settings)
+    pose = tracker_pose(machine, settings.plan or PathPlan())
+
+    def problem() -> Problem:
+        vectors = np.array(list(settings.tools.values()))[tools_of(table, settings)]
+        seen = poses.apply(poses.inverse(pose), table.stacked(POSITION) + vectors)
+        measured: dict[str, Values] = dict(zip(("mx", "my", "mz"), seen.T, strict=True))
+        return standstill(settings, Table({**table.columns, **measured}, table.units, table.file, table.lines))
+
+    return problem
+
+
+def _worth(settings: Settings, problem: Callable[[], Problem]) -> Worth | UndeterminedError:
+    try:
+        return worth_of(settings, problem())
+    except UndeterminedError as error:
+        return error
+
+
+def _judged(head: str, settings: Settings, problem: Callable[[], Problem]) -> list[str]:
+    """Return what readings will determine, in words."""
+    worth = _worth(settings, problem)
+    lines: Sequence[str] = (
+        identifiability_notes(worth.identified)[1:] if isinstance(worth, Worth) else str(worth).splitlines()
+    )
+    return [head, *(f"  {line}" for line in lines), ""]

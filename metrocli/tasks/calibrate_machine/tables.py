@@ -1,0 +1,87 @@
+"""The error tables of a machine in their gauge, with the covariance of all their entries."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrocli.adjust.dense_jacobian import Unknowns, covariance_of, unknowns_of
+from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.solution import Solution
+from metrocli.instruments.machine import SQUARENESS, SQUARENESS_NAMES, TOOL, Axis, Machine, errors_of, is_angle
+from metrocli.tasks.calibrate_machine.problem import ERROR_BLOCKS
+from metrocli.units import internal_unit
+
+
+def unit_of(name: str) -> str:
+    """Return the internal unit of an error."""
+    return internal_unit("angle" if is_angle(name) else "length")
+
+
+@dataclass(frozen=True)
+class Tables:
+    """Values of all 18 tables at their knots and of the squareness errors, with what they are known to."""
+
+    machine: Machine
+    blocks: Mapping[str, Block]
+    unknowns: Unknowns
+    raw: Array
+    """Covariance of the unknowns (raw values), (size, size)"""
+    entries: tuple[tuple[str, float], ...]
+    """Error and position of each entry; nan for squareness"""
+    values: Array
+    covariance: Array
+    """Of the entries, (n, n)"""
+
+    def of(self, name: str) -> tuple[Array, Array, Array]:
+        """Return position, value and standard uncertainty of an error."""
+        at = [i for i, (error, _) in enumerate(self.entries) if error == name]
+        position = np.array([self.entries[i][1] for i in at])
+        return position, self.values[at], np.sqrt(np.maximum(np.diag(self.covariance)[at], 0.0))
+
+
+def tables_of(machine: Machine, solution: Solution) -> Tables:
+    """Return the tables of a solution."""
+    blocks = solution.blocks
+    unknowns = unknowns_of(blocks, ERROR_BLOCKS)
+    raw = covariance_of(solution, unknowns)
+    parts = [_axis_entries(axis, blocks[axis.block], unknowns) for axis in machine.axes]
+    square = unknowns.spread(SQUARENESS, np.eye(unknowns.size))[0]
+    entries = [entry for part in parts for entry in part[0]] + [(name, float("nan")) for name in SQUARENESS_NAMES]
+    maps = np.concatenate([*(part[2] for part in parts), square])
+    values = np.concatenate([*(part[1] for part in parts), blocks[SQUARENESS].values[0]])
+    return Tables(machine, blocks, unknowns, raw, tuple(entries), values, maps @ raw @ maps.T)
+
+
+def _axis_entries(axis: Axis, block: Block, unknowns: Unknowns) -> tuple[list[tuple[str, float]], Array, Array]:
+    """Return the entries of an axis, their values, and how they depend on the unknowns (entries, unknowns)."""
+    spread = unknowns.spread(axis.block, np.eye(unknowns.size))
+    names = errors_of(axis.letter)
+    entries = [(name, float(knot)) for name in names for knot in axis.knots]
+    values = np.concatenate([axis.from_raw[k] @ block.values[:, k] for k in range(6)])
+    return entries, values, np.concatenate([axis.from_raw[k] @ spread[:, k] for k in range(6)])
+
+
+def least_squares_squareness(tables: Tables) -> tuple[Array, Array]:
+    """Return A0Z, B0Z, C0Y between least-squares lines of the straightness tables, and their covariance.
+
+    A line with slope s of EXY turns Y towards +X, which is less C0Y; the tables hold the angle between end-point lines.
+    """
+    change = np.zeros((3, len(tables.entries)))
+    for row, terms in enumerate(
+        ((("EYZ", -1.0), ("EZY", -1.0)), (("EXZ", 1.0), ("EZX", 1.0)), (("EXY", -1.0), ("EYX", -1.0)))
+    ):
+        change[row, len(tables.entries) - 3 + row] = 1.0
+        for name, sign in terms:
+            at = [i for i, (error, _) in enumerate(tables.entries) if error == name]
+            position = np.array([tables.entries[i][1] for i in at])
+            centred = position - position.mean()
+            change[row, at] += sign * centred / (centred**2).sum()
+    return change @ tables.values, change @ tables.covariance @ change.T
+
+
+def tool_names(blocks: Mapping[str, Block]) -> list[str]:
+    """Return the names of the tools as people see them."""
+    return [name or "tool" for name in blocks[TOOL].members]

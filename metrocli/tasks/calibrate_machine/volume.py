@@ -1,0 +1,96 @@
+"""The error of the tool over the volume, predicted from the tables with its uncertainty."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrocli.adjust.dense_jacobian import Unknowns, rows
+from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.chain import Chain
+from metrocli.adjust.model.groups import Group
+from metrocli.adjust.model.observations import Index, Observations
+from metrocli.geometry.rotations import cross_matrix
+from metrocli.instruments.machine import POSITION, TOOL, ErrorMotion, Machine
+
+
+def grid_of(machine: Machine, counts: Sequence[int]) -> Array:
+    """Return a regular grid over the volume, (3, n)."""
+    lines = [np.linspace(low, high, n) for low, high, n in zip(machine.low, machine.high, counts, strict=True)]
+    return np.stack([part.ravel() for part in np.meshgrid(*lines, indexing="ij")])
+
+
+def spread_over(machine: Machine, count: int) -> Array:
+    """Return points spread evenly over the volume and in line with nothing, (3, n) (Halton 1960)."""
+    numbers = np.arange(1, count + 1)
+    unit = np.stack([_radical_inverse(numbers, base) for base in (2, 3, 5)])
+    return np.asarray(machine.low[:, None] + (machine.high - machine.low)[:, None] * unit)
+
+
+def _radical_inverse(numbers: Index, base: int) -> Array:
+    result, factor, left = np.zeros(len(numbers)), 1.0, numbers.copy()
+    while left.any():
+        factor /= base
+        result += factor * (left % base)
+        left = left // base
+    return result
+
+
+def grid_group(machine: Machine, position: Array, tool: int | Index) -> Group:
+    """Return the error motion of a tool, or of one for each, at commanded positions (3, n), as if it were read."""
+    n = position.shape[1]
+    index = machine.index(position) | {TOOL: np.full(n, tool)}
+    conditions = dict(zip(POSITION, position, strict=True))
+    observations = Observations(np.zeros((6, n)), np.ones(1), index, conditions=conditions)
+    return Group("volume", Chain((ErrorMotion(machine),)), observations)
+
+
+def rigid_motions(position: Array) -> Array:
+    """Return an orthonormal basis of small rigid motions of points (3, n), (3*n, 6)."""
+    n = position.shape[1]
+    centred = position - position.mean(axis=1, keepdims=True)
+    motions = np.zeros((3, n, 6))
+    motions[:, :, :3] = np.eye(3)[:, None]
+    motions[:, :, 3:] = -np.moveaxis(cross_matrix(centred.T), 0, 1) / np.abs(centred).max()
+    basis, _ = np.linalg.qr(motions.reshape(3 * n, 6))
+    return np.asarray(basis)
+
+
+def without_rigid_motion(motion_rows: Array, position: Array) -> Array:
+    """Return the displacement part of rows (6, n, ...) after the best small rigid motion, (3, n, ...)."""
+    flat = motion_rows[:3].reshape(3 * position.shape[1], -1)
+    basis = rigid_motions(position)
+    left = flat - basis @ (basis.T @ flat)
+    return np.asarray(left.reshape(motion_rows[:3].shape))
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Errors of a tool at commanded positions."""
+
+    error: Array
+    """(3, n)"""
+    covariance: Array
+    """(3, 3, n)"""
+
+    @property
+    def std(self) -> Array:
+        """Standard uncertainties, (3, n)."""
+        return np.asarray(np.sqrt(np.maximum(np.einsum("aan->an", self.covariance), 0.0)))
+
+
+def predict(
+    machine: Machine, blocks: Mapping[str, Block], known: tuple[Unknowns, Array], position: Array, tool: int
+) -> tuple[Prediction, Array]:
+    """Return the error at positions (3, n), with the rows (3, n, unknowns) that carry its covariance.
+
+    `known` are the unknowns and their covariance.
+    """
+    unknowns, covariance = known
+    group = grid_group(machine, position, tool)
+    motion = group.chain.predict(blocks, group.observations)[:3]
+    design = rows(group, blocks, unknowns)[:3]
+    spread = np.einsum("anp,bnp->abn", design @ covariance, design)
+    return Prediction(motion, spread), design

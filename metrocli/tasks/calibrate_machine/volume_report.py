@@ -1,0 +1,111 @@
+"""What a result says of the volume: errors of each tool on a grid, their reduction, and the body diagonals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.instruments.machine import TOOL
+from metrocli.table import Table
+from metrocli.tasks.calibrate_machine.identifiability import Identifiability
+from metrocli.tasks.calibrate_machine.tables import Tables
+from metrocli.tasks.calibrate_machine.volume import Prediction, grid_of, predict, without_rigid_motion
+
+if TYPE_CHECKING:
+    from metrocli.table import Values
+
+
+def volume_tables(
+    tables: Tables, identified: Identifiability, counts: Sequence[int], measured: Sequence[str]
+) -> dict[str, Table]:
+    """Return /volume, /volumetric and /diagonals: the error of each tool on a grid and along the body diagonals."""
+    position = grid_of(tables.machine, counts)
+    tools = tables.blocks[TOOL].members
+    grids = [_on_grid(tables, position, i, name in identified.open_tools) for i, name in enumerate(tools)]
+    first = tools.index(measured[0])
+    return {
+        "volumetric": _summary(grids, tools, measured),
+        "volume": _stacked([grid.table(tools[i]) for i, grid in enumerate(grids)]),
+        "diagonals": _diagonals(tables, first),
+    }
+
+
+@dataclass(frozen=True)
+class _OnGrid:
+    position: Array
+    prediction: Prediction
+    shape: Array
+    """Length of the error after the best shift and turn (n,)"""
+    left: float
+    """Root mean square length of what is uncertain of it"""
+    is_open: bool
+
+    def table(self, tool: str) -> Table:
+        n = self.position.shape[1]
+        std = np.full((3, n), np.inf) if self.is_open else self.prediction.std
+        error = np.full((3, n), np.nan) if self.is_open else self.prediction.error
+        columns: dict[str, Values] = {"tool": np.repeat(np.array([tool], dtype=str), n)}
+        for prefix, values in (("", self.position), ("e", error), ("s_e", std)):
+            columns |= {f"{prefix}{axis}": row for axis, row in zip("xyz", values, strict=True)}
+        return Table(columns, {name: "mm" for name in columns if name != "tool"})
+
+
+def _on_grid(tables: Tables, position: Array, tool: int, is_open: bool) -> _OnGrid:
+    prediction, design = predict(tables.machine, tables.blocks, (tables.unknowns, tables.raw), position, tool)
+    shape = np.linalg.norm(without_rigid_motion(prediction.error, position), axis=0)
+    free = without_rigid_motion(design, position).reshape(-1, tables.unknowns.size)
+    left = float(np.sqrt(max(np.einsum("ij,jk,ik->", free, tables.raw, free, optimize=True), 0.0) / position.shape[1]))
+    return _OnGrid(position, prediction, shape, left, is_open)
+
+
+def _summary(grids: Sequence[_OnGrid], tools: Sequence[str], measured: Sequence[str]) -> Table:
+    """Return for each tool the error in the volume now, and what its uncertainty leaves of it after compensation."""
+    unknown = np.array([grid.is_open for grid in grids])
+    mean = np.array([grid.shape.mean() for grid in grids])
+    largest = np.array([grid.shape.max() for grid in grids])
+    columns: dict[str, Values] = {
+        "tool": np.array([name or "tool" for name in tools]),
+        "measured": np.array([name in measured for name in tools]),
+        "mean_error": np.where(unknown, np.nan, mean),
+        "largest_error": np.where(unknown, np.nan, largest),
+        "uncertainty": np.where(unknown, np.inf, np.array([grid.left for grid in grids])),
+    }
+    return Table(columns, dict.fromkeys(("mean_error", "largest_error", "uncertainty"), "mm"))
+
+
+def _stacked(parts: Sequence[Table]) -> Table:
+    columns = {name: np.concatenate([part.columns[name] for part in parts]) for name in parts[0]}
+    return Table(columns, parts[0].units)
+
+
+DIAGONALS = {"PPP": (1, 1, 1), "NPP": (-1, 1, 1), "PNP": (1, -1, 1), "NNP": (-1, -1, 1)}
+"""The body diagonals of ISO 230-6 by the direction of travel along X, Y, Z"""
+_STEPS = 11
+
+
+def _diagonals(tables: Tables, tool: int) -> Table:
+    """Return the deviation along each body diagonal from its start, with standard uncertainty (ISO 230-6)."""
+    low, high = tables.machine.low, tables.machine.high
+    parts = []
+    for name, signs in DIAGONALS.items():
+        start, end = np.where(np.array(signs) > 0, low, high), np.where(np.array(signs) > 0, high, low)
+        share = np.linspace(0, 1, _STEPS)
+        position = start[:, None] + (end - start)[:, None] * share
+        along = (end - start) / np.linalg.norm(end - start)
+        prediction, design = predict(tables.machine, tables.blocks, (tables.unknowns, tables.raw), position, tool)
+        deviation = along @ prediction.error
+        row = np.einsum("a,anp->np", along, design)
+        row = row - row[0]
+        std = np.sqrt(np.maximum(np.einsum("np,pq,nq->n", row, tables.raw, row, optimize=True), 0.0))
+        columns: dict[str, Values] = {
+            "diagonal": np.repeat(np.array([name]), _STEPS),
+            "position": np.linalg.norm(end - start) * share,
+            "deviation": deviation - deviation[0],
+            "std": std,
+        }
+        parts.append(Table(columns, dict.fromkeys(("position", "deviation", "std"), "mm")))
+    return _stacked(parts)

@@ -1,0 +1,93 @@
+"""A location as diagnosis sees it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from metrocli.adjust.adjustment import adjust
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.groups import Group
+from metrocli.adjust.model.observations import Index, Mask
+from metrocli.adjust.solution import Solution
+from metrocli.diagnosis.adjusted_job import Covariate, Delivered, PerReading, Subject
+from metrocli.effects import effects_of
+from metrocli.effects.effect import ELAPSED, WARMING
+from metrocli.effects.model import Model, with_conditions
+from metrocli.errors import InputError
+from metrocli.instruments import launch_unit as lu
+from metrocli.tasks.locate_launch_unit.report import KIND
+from metrocli.tasks.locate_launch_unit.solve import Located
+
+_FOLDS = 10
+_DEGREE, _FEWEST_FOR = 6, 4
+"""Degree of polynomials in time, as far as there are four poses for each term"""
+
+
+def subject(located: Located) -> Subject:
+    """Return the subject of an adjusted location; InputError for the methods of the paper, which adjust nothing."""
+    if located.problem is None or located.solution is None:
+        raise InputError("only `method: adjustment` leaves residuals that can be diagnosed")
+    groups = located.solution.groups
+    model = with_conditions(replace(located.problem.model(), blocks=located.solution.blocks, groups=groups))
+
+    def refit(changed: Model, keep: Mapping[str, Mask]) -> Solution:
+        kept = [group.selected(keep[group.name]) if group.name in keep else group for group in changed.groups]
+        return adjust(changed.blocks.values(), [group for group in kept if group.observations.count])
+
+    when, poses = located.readings.conditions.get("t"), len(located.readings.names)
+    parts = _parts(np.arange(poses, dtype=float) if when is None else when)
+    return Subject(
+        KIND,
+        model,
+        effects_of(KIND),
+        tuple(_covariates(model)),
+        (),
+        {group.name: parts[_pose(group)] for group in model.readings},
+        Delivered("place of the launch unit", lu.UNIT, (0, 1, 2), "um", "length"),
+        refit,
+        reading=("urad", "angle"),
+    )
+
+
+def _covariates(model: Model) -> Iterator[Covariate]:
+    """Yield what an unknown effect could vary with: time, temperature, the encoders' own angles, and the beam."""
+    groups = model.readings
+    degree = max(1, min(_DEGREE, min(group.observations.count for group in groups) // _FEWEST_FOR))
+    for name, key in (("t_s", ELAPSED), ("temp_degC", WARMING)):
+        if all(key in group.observations.conditions for group in groups):
+            yield Covariate(name, {group.name: group.observations.conditions[key] for group in groups}, degree)
+            yield Covariate(name, {group.name: _moving(model, group, key) for group in groups}, together=True)
+    if any(ELAPSED not in group.observations.conditions for group in groups):
+        yield Covariate("order of the poses", {group.name: _pose(group).astype(float) for group in groups}, degree)
+    encoders = {group.name: group.observations.readings[0] for group in groups if group.name != lu.DISTANCE}
+    yield Covariate("encoder angle", encoders, min(degree, 3), angle=True)
+    beams = {group.name: _beam(model, group) for group in groups}
+    azimuth: PerReading = {name: np.arctan2(beam[1], beam[0]) for name, beam in beams.items()}
+    yield Covariate("beam azimuth", azimuth, min(degree, 3), angle=True)
+    yield Covariate("beam tilt", {name: np.arcsin(b[2] / np.linalg.norm(b, axis=0)) for name, b in beams.items()}, 3)
+    yield Covariate("length_mm", {name: np.linalg.norm(beam, axis=0) for name, beam in beams.items()}, 3)
+
+
+def _moving(model: Model, group: Group, condition: str) -> Array:
+    """Return what readings see of a unit that moves with a condition, along x, y and z, (3, n)."""
+    along = group.observations.conditions[condition]
+    touches = group.linear(model.blocks, frozenset({lu.UNIT})).touches
+    return np.asarray((touches[0].jacobian[0, :3] * group.observations.sigma[0]) * (along - along.mean()))
+
+
+def _pose(group: Group) -> Index:
+    return group.observations.index[lu.RECEIVER]
+
+
+def _beam(model: Model, group: Group) -> Array:
+    place = model.blocks[lu.UNIT].values[0, :3]
+    return np.ascontiguousarray((model.blocks[lu.RECEIVER].values[_pose(group)] - place).T)
+
+
+def _parts(when: Array) -> Index:
+    """Return for each pose the part that is held out together: ten parts of about equally many, in order of time."""
+    rank = np.argsort(np.argsort(when, kind="stable"), kind="stable")
+    return np.asarray(rank * min(_FOLDS, len(when)) // len(when))

@@ -1,0 +1,155 @@
+"""Effects on a launch unit and its receiver (docs/effects)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from metrocli.adjust.model.chain import Link
+from metrocli.adjust.model.quantities import Quantity
+from metrocli.effects.effect import Effect, Parameter
+from metrocli.effects.links.beams import BeamOffset
+from metrocli.effects.links.encoders import BaseTilt, Eccentricity, EncoderOffset, NonOrthogonality
+from metrocli.effects.links.lengths import LengthOffset, LengthScale
+from metrocli.effects.links.points import AxisError
+from metrocli.effects.links.shifts import Shift
+from metrocli.instruments.launch_unit import ENCODERS
+from metrocli.units import parse_quantity
+
+LAUNCH, RECEIVER = UNITS = "launch", "receiver"
+"""The two units, as places of effects name them"""
+AXES, PAIRS = ("x", "y", "z"), ("xy", "xz", "yz")
+_MURALIKRISHNAN = "Muralikrishnan et al. 2009, ASME B89.4.19 performance evaluation tests and geometric misalignments"
+
+
+def _size(name: str, dimension: str, plausible: str) -> Parameter:
+    return Parameter(name, dimension, parse_quantity(plausible, dimension))
+
+
+def _eccentricity(block: str, where: Mapping[str, str]) -> Link:
+    return Eccentricity(block, *ENCODERS[where["encoder"]])
+
+
+def _offset(block: str, where: Mapping[str, str]) -> Link:
+    return EncoderOffset(block, *ENCODERS[where["encoder"]])
+
+
+def _tilt(block: str, where: Mapping[str, str]) -> Link:
+    return BaseTilt(block, Quantity.BEAM_OUT if where["unit"] == LAUNCH else Quantity.BEAM_AT_RECEIVER)
+
+
+def _skew(block: str, where: Mapping[str, str]) -> Link:
+    return NonOrthogonality(block, Quantity.LAUNCH_ANGLES if where["unit"] == LAUNCH else Quantity.RECEIVER_ANGLES)
+
+
+def _scale(block: str, where: Mapping[str, str]) -> Link:
+    axis = AXES.index(where["axis"])
+    return AxisError(block, axis, axis)
+
+
+def _squareness(block: str, where: Mapping[str, str]) -> Link:
+    pair = where["pair"]
+    return AxisError(block, AXES.index(pair[0]), AXES.index(pair[1]))
+
+
+EFFECTS: tuple[Effect, ...] = (
+    Effect(
+        "encoder-eccentricity",
+        "the disc of one encoder is not centred on its axis",
+        (_size("c1", "angle", "100 arcsec"), _size("s1", "angle", "100 arcsec")),
+        _eccentricity,
+        where=("encoder",),
+        confused_with=("encoder-offset", "base-tilt", "axis-nonorthogonality", "beam-offset"),
+        reveal="poses all around the unit, and over the whole range of tilt",
+        source=_MURALIKRISHNAN,
+    ),
+    Effect(
+        "encoder-offset",
+        "the zero of one encoder is not where the unit's axes say",
+        (_size("offset", "angle", "1 deg"),),
+        _offset,
+        where=("encoder",),
+        confused_with=("encoder-eccentricity", "base-tilt", "axis-nonorthogonality", "beam-offset"),
+        reveal="the same poses with the unit over the top (base + 180 degrees, 180 degrees - tilt), or distances",
+        source=_MURALIKRISHNAN,
+    ),
+    Effect(
+        "base-tilt",
+        "the base axis of one unit does not stand along z: of the machine for the launch unit, of the spindle for the "
+        "receiver",
+        (_size("tx", "angle", "1 deg"), _size("ty", "angle", "1 deg")),
+        _tilt,
+        where=("unit",),
+        confused_with=("encoder-eccentricity", "encoder-offset", "machine-squareness"),
+        reveal="poses all around the unit; for the receiver the same positions with the spindle turned by 90 degrees",
+        source=_MURALIKRISHNAN,
+    ),
+    Effect(
+        "axis-nonorthogonality",
+        "the tilt axis of one unit is not square to its base axis",
+        (_size("angle", "angle", "1 deg"),),
+        _skew,
+        where=("unit",),
+        confused_with=("encoder-offset", "encoder-eccentricity", "beam-offset"),
+        reveal="poses of steep and of level beams, and over the top",
+        source=_MURALIKRISHNAN,
+    ),
+    Effect(
+        "beam-offset",
+        "the beam passes the crossing of a unit's axes at a distance; launch unit and receiver cannot be told apart",
+        (_size("h", "length", "2 mm"),),
+        lambda block, where: BeamOffset(block),
+        confused_with=("axis-nonorthogonality", "encoder-offset", "encoder-eccentricity"),
+        reveal="poses near to the unit and far from it",
+        source=_MURALIKRISHNAN,
+    ),
+    Effect(
+        "distance-offset",
+        "all distances are off by one amount: the zero is not at the control points",
+        (_size("offset", "length", "10 mm"),),
+        lambda block, where: LengthOffset(block),
+        needs=("distance",),
+        confused_with=("distance-scale",),
+        reveal="distances from short to long",
+        source="zero constant of distance meters: Rüeger, Electronic Distance Measurement",
+    ),
+    Effect(
+        "distance-scale",
+        "all distances are too long in proportion: wavelength, air, or the machine's own scale",
+        (_size("scale", "ratio", "1 percent"),),
+        lambda block, where: LengthScale(block),
+        needs=("distance",),
+        confused_with=("distance-offset", "machine-scale"),
+        reveal="distances from short to long, in directions along all axes; air temperature and pressure",
+        source="Birch and Downs 1994: -0.955 ppm/K, +0.268 ppm/hPa at 20 °C",
+    ),
+    Effect(
+        "machine-scale",
+        "one axis of the machine moves by more than it says, in proportion",
+        (_size("scale", "ratio", "1000 ppm"),),
+        _scale,
+        where=("axis",),
+        confused_with=("machine-squareness", "distance-scale"),
+        reveal="poses far apart along that axis, on both sides of the unit; distances",
+        source="ISO 230-1:2012 (EXX, EYY, EZZ); steel scales 11.5 ppm/K",
+    ),
+    Effect(
+        "machine-squareness",
+        "two axes of the machine are not square to each other",
+        (_size("angle", "angle", "1 mrad"),),
+        _squareness,
+        where=("pair",),
+        confused_with=("machine-scale", "base-tilt"),
+        reveal="poses in the four corners of that plane; distances",
+        source="ISO 230-1:2012 (C0Y, B0Z, A0Z)",
+    ),
+    Effect(
+        "bad-pose",
+        "the receiver was not where the file says in one pose",
+        tuple(_size(name, "length", "100 mm") for name in ("dx", "dy", "dz")),
+        lambda block, where: Shift(block, Quantity.POINT_IN_MACHINE),
+        where=("pose",),
+        reveal="this pose measured again, with a distance, without which nothing sees its error along the beam",
+        source="Baarda 1968 (mean shift of the readings of one pose)",
+    ),
+)
+"""The table; its order is that of the documents"""

@@ -1,0 +1,115 @@
+"""The lines that an interferometer can measure from where its launch unit stands: axes and face diagonals."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.geometry.angles import wrapped
+from metrocli.instruments.launch_unit import direction
+
+AXES = "xyz"
+_VERTICAL = 1e-9
+_INSIDE = 1e-9
+"""Rounding of a point at the end of an axis, as a share of the range"""
+_ROUNDING = 1e-3
+"""A unit so little [mm] outside the range of an axis is taken as inside"""
+
+
+@dataclass(frozen=True)
+class Line:
+    """Receiver positions along one beam through the unit, from the low end of the axes to the high one."""
+
+    name: str
+    """x, y, z, xy, yz or xz"""
+    beam: Array
+    """Direction from the unit to the receiver, (3,)"""
+    points: Array
+    """(n, 3)"""
+    position: Array
+    """Of the axis; for a diagonal the distance from where it enters the machine's volume, (n,)"""
+    distance: Array
+    """From the unit, (n,)"""
+
+
+@dataclass(frozen=True)
+class Reach:
+    """Where receivers may stand."""
+
+    box: Array
+    """Lowest and highest position of the axes, (3, 2)"""
+    step: float
+    nearest: float
+    """Distance from the unit"""
+    farthest: float
+
+
+def along(name: str, box: Array) -> Array:
+    """Return the unit vector of an axis, or of a face diagonal from the low to the high corner, (3,)."""
+    vector = np.array([np.ptp(box[i]) if axis in name else 0.0 for i, axis in enumerate(AXES)])
+    return np.asarray(vector / np.linalg.norm(vector))
+
+
+def measurable(place: Array, names: Sequence[str], reach: Reach) -> tuple[list[Line], dict[str, str]]:
+    """Return the lines through the unit that hold two points or more, and for the others why not.
+
+    A line runs on one side of the unit, that with more points; points are `step` apart, counted from where the line
+    enters the volume.
+    """
+    lines, refused = [], {}
+    for name in names:
+        vector = along(name, reach.box)
+        first, last = _inside(place, vector, reach.box)
+        if not first < last:
+            refused[name] = _outside(place, name, reach.box)
+            continue
+        grid = first + reach.step * np.arange(np.floor((last - first) / reach.step * (1 + _INSIDE)) + 1)
+        sides = {sign: (sign * grid >= reach.nearest) & (sign * grid <= reach.farthest) for sign in (1.0, -1.0)}
+        sign = max(sides, key=lambda sign: int(sides[sign].sum()))
+        chosen = grid[sides[sign]]
+        if len(chosen) < 2:
+            refused[name] = "fewer than two points are far enough from the unit and within the axes"
+            continue
+        points = np.clip(place + chosen[:, None] * vector, *reach.box.T)
+        position = points[:, AXES.index(name)] if len(name) == 1 else chosen - first
+        lines.append(Line(name, sign * vector, points, position, np.abs(chosen)))
+    return lines, refused
+
+
+def _inside(place: Array, vector: Array, box: Array) -> tuple[float, float]:
+    """Return the stretch of `place + t vector` within the box; empty where it passes by."""
+    moving = vector != 0
+    rest = ~moving
+    if ((place < box[:, 0] - _ROUNDING) | (place > box[:, 1] + _ROUNDING))[rest].any():
+        return 0.0, 0.0
+    ends = (box[moving] - place[moving, None]) / vector[moving, None]
+    return float(ends.min(axis=1).max()), float(ends.max(axis=1).min())
+
+
+def _outside(place: Array, name: str, box: Array) -> str:
+    off = [
+        f"{axis} = {place[i]:.1f} mm of the unit is outside {box[i, 0]:g} ... {box[i, 1]:g} mm"
+        for i, axis in enumerate(AXES)
+        if axis not in name and not box[i, 0] <= place[i] <= box[i, 1]
+    ]
+    return "; ".join(off) or "the line through the unit passes beside the volume"
+
+
+def commanded(beam: Array, gamma: float, psi: float) -> Mapping[str, float]:
+    """Return the encoder angles [rad] that aim both units along a beam; vertical beams have the azimuth 0."""
+    level = float(np.hypot(beam[0], beam[1]))
+    azimuth = float(np.arctan2(beam[1], beam[0])) if level > _VERTICAL else 0.0
+    tilt = float(np.arctan2(beam[2], level))
+    phi1, phi4 = wrapped(np.array([azimuth - gamma, azimuth + np.pi - psi]))
+    return {"phi1": float(phi1), "phi2": tilt, "phi3": -tilt, "phi4": float(phi4)}
+
+
+def across(beam: Array) -> tuple[Array, Array, float]:
+    """Return the unit vectors beside and above a beam, and by how much a turn of the base moves it, cos(tilt)."""
+    aim = commanded(beam, 0.0, 0.0)
+    azimuth, tilt, quarter = aim["phi1"], aim["phi2"], np.pi / 2
+    beside = direction(np.array(azimuth + quarter), np.array(0.0))
+    return beside, direction(np.array(azimuth), np.array(tilt + quarter)), float(np.cos(tilt))

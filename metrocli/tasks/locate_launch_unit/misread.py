@@ -1,0 +1,74 @@
+"""Files that do not hold what their headings say: other readings of the columns that would fit."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import combinations, permutations
+
+import numpy as np
+
+from metrocli.instruments import launch_unit as lu
+from metrocli.tasks.locate_launch_unit.problem import WEAK, NoiseSettings, build, uncertainty_along
+from metrocli.tasks.locate_launch_unit.readings import ANGLES, Readings
+from metrocli.units import parse_quantity
+
+_FITS = 30.0
+"""Root mean square residual at the start, in standard deviations, below which a reading of the columns fits"""
+_ALIKE = 1.5
+"""Readings of the columns whose residuals differ by less than this factor fit alike"""
+
+
+def misread(readings: Readings, noise: NoiseSettings) -> tuple[str, ...]:
+    """Return what the columns seem to hold instead, the best first.
+
+    Nothing where no other reading of them fits, or where they fit as they stand.
+    """
+    with np.errstate(all="ignore"):
+        if misfit(readings, noise) <= _FITS:
+            return ()
+        found = [(misfit(other, noise), text) for text, other in _others(readings)]
+    best = min(value for value, _ in found)
+    return tuple(text for value, text in sorted(found) if value <= min(_FITS, _ALIKE * best))
+
+
+def misfit(readings: Readings, noise: NoiseSettings) -> float:
+    """Return the root mean square of the normalised angles' residuals where the beams meet, inf where they do not."""
+    if uncertainty_along(readings, noise) > WEAK:
+        return float("inf")
+    problem = build(readings, noise)
+    ahead = np.einsum("ni,ni->n", readings.beams.towards, problem.blocks[lu.UNIT].values[0, :3] - readings.receiver)
+    angles = [group for group in problem.groups if group.name != lu.DISTANCE]
+    if not angles or (ahead <= 0).any():
+        return float("inf")
+    whitened = [group.observations.whitened(group.residuals(problem.blocks)) for group in angles]
+    return float(np.nan_to_num(np.sqrt(np.mean(np.concatenate(whitened, axis=None) ** 2)), nan=np.inf))
+
+
+def _others(readings: Readings) -> Iterator[tuple[str, Readings]]:
+    degree = parse_quantity("1 deg", "angle")
+    angles, spindle = readings.angles, readings.spindle
+    for text, factor in (("radians, not degrees", 1 / degree), ("degrees, not radians", degree)):
+        yield f"the encoder columns hold {text}", replace(readings, angles=angles * factor)
+        yield (
+            f"the encoder columns and the spindle's hold {text}",
+            replace(readings, angles=angles * factor, spindle=spindle * factor),
+        )
+        yield f"the spindle's column holds {text}", replace(readings, spindle=spindle * factor)
+    for order in permutations(range(len(ANGLES))):
+        moved = [ANGLES[i] for i, at in enumerate(order) if i != at]
+        if moved:
+            what = f"{' and '.join(moved)} are swapped" if len(moved) == 2 else f"{', '.join(moved)} are mixed up"
+            yield f"the columns {what}", replace(readings, angles=angles[list(order)])
+    for size in (1, 2, 3):
+        for chosen in combinations(range(len(ANGLES)), size):
+            sign = np.where(np.isin(np.arange(len(ANGLES)), chosen), -1.0, 1.0)[:, None]
+            names = " and ".join(ANGLES[i] for i in chosen)
+            yield f"{names} count the other way round", replace(readings, angles=angles * sign)
+    yield "the spindle's angle counts the other way round", replace(readings, spindle=-spindle)
+    back = angles * np.array([1.0, 1.0, -1.0, 1.0])[:, None] + np.array([0.0, 0.0, 0.0, np.pi])[:, None]
+    yield (
+        "phi3 and phi4 describe the beam as it travels, from the launch unit to the receiver (the mirror solution); "
+        "they must describe the direction from the receiver to the launch unit",
+        replace(readings, angles=back),
+    )

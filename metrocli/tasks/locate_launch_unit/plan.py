@@ -1,0 +1,211 @@
+"""The plan of a measurement with a located launch unit: lines, margins, further poses, NC programs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from metrocli.errors import UndeterminedError
+from metrocli.instruments.launch_unit import COLUMNS
+from metrocli.plan import Plan
+from metrocli.result import Estimate
+from metrocli.table import Table
+from metrocli.tasks.locate_launch_unit.further import Further, Wanted, candidates, further, information
+from metrocli.tasks.locate_launch_unit.lines import AXES, Line, Reach, commanded, measurable
+from metrocli.tasks.locate_launch_unit.margin import Margin, Uncertainty, Window, beam_position
+from metrocli.tasks.locate_launch_unit.plan_settings import Planned
+from metrocli.tasks.locate_launch_unit.problem import NoiseSettings
+from metrocli.tasks.locate_launch_unit.programs import Motion, farthest_corner, line_program
+from metrocli.tasks.locate_launch_unit.report import KIND, UNITS
+from metrocli.tasks.locate_launch_unit.solve import Located
+from metrocli.units import find_unit
+
+if TYPE_CHECKING:
+    from metrocli.table import Values
+
+
+@dataclass(frozen=True)
+class Prospect:
+    """The lines from a located unit, and how certain their beams are."""
+
+    located: Located
+    planned: Planned
+    noise: NoiseSettings
+    lines: tuple[Line, ...]
+
+    @property
+    def uncertain(self) -> Uncertainty:
+        """Of the location and of the encoders."""
+        return Uncertainty(self.located.covariance, self.noise.encoder)
+
+    @property
+    def wanted(self) -> Wanted:
+        """What further poses are for."""
+        return Wanted(self.lines, self.window, self.planned.confidence)
+
+    @property
+    def window(self) -> Window:
+        """Range of the receiver."""
+        return Window(self.planned.range.straightness, self.planned.range.angle)
+
+
+def planned_measurement(located: Located, planned: Planned, noise: NoiseSettings) -> Plan:
+    """Return the plan; UndeterminedError where no line can be measured from where the unit stands."""
+    reach = Reach(planned.axes.box, planned.step, planned.standoff, planned.range.distance)
+    lines, refused = measurable(located.place, [*AXES, *planned.diagonals], reach)
+    reasons = tuple(f"line {name} cannot be measured: {reason}" for name, reason in refused.items())
+    if not lines:
+        cure = "what would allow it: the unit within the axes' ranges, near a corner; a smaller `standoff` or `step`"
+        raise UndeterminedError("\n  ".join(["no line can be measured from where the unit stands", *reasons, cure]))
+    prospect = Prospect(located, planned, noise, tuple(lines))
+    margins = _margins(prospect)
+    more = _further(prospect, reach)
+    files, blocked = _programs(prospect)
+    return Plan(
+        kind=KIND,
+        notes=(*_notes(prospect, more), *_told(prospect, more)),
+        figures=figures(located),
+        tables={"lines": margins, "points": _points(lines), **_further_table(prospect, more)},
+        files=files,
+        warnings=(*reasons, *blocked),
+        shown=(
+            "lines: line, points, near, far, probability, probability_at_range, safe_distance, probability_aligned",
+            *(("further_poses",) if more else ()),
+        ),
+    )
+
+
+def figures(located: Located) -> tuple[Estimate, ...]:
+    """Return x y z gamma with what they are known to."""
+    std = np.sqrt(np.diag(located.covariance)).tolist()
+    return tuple(Estimate(*row) for row in zip(COLUMNS, located.values.tolist(), std, UNITS, strict=True))
+
+
+def _margins(prospect: Prospect) -> Table:
+    """Return /lines: where each runs, what to command, and how likely the beam stays in range."""
+    planned, lines = prospect.planned, prospect.lines
+    errors, limit = prospect.uncertain.draws(), planned.range.distance
+    margins = [Margin(line, prospect.window, errors) for line in lines]
+    spread = np.array(
+        [np.sqrt(np.diag(beam_position(line, prospect.uncertain, line.distance.max()))) for line in lines]
+    )
+    aims = [commanded(line.beam, float(prospect.located.values[3]), planned.spindle) for line in lines]
+    columns: dict[str, Values] = {
+        "line": np.array([line.name for line in lines]),
+        "points": np.array([len(line.points) for line in lines]),
+        "near": np.array([line.distance.min() for line in lines]),
+        "far": np.array([line.distance.max() for line in lines]),
+        **{name: np.array([aim[name] for aim in aims]) for name in aims[0]},
+        "probability": np.array([margin.probability() for margin in margins]),
+        "probability_at_range": np.array([margin.probability(limit) for margin in margins]),
+        "safe_distance": np.minimum([margin.safe_distance(planned.confidence) for margin in margins], limit),
+        "probability_aligned": np.array([margin.probability_aligned() for margin in margins]),
+        "s_beside": spread[:, 0],
+        "s_above": spread[:, 1],
+    }
+    lengths = dict.fromkeys(("near", "far", "safe_distance", "s_beside", "s_above"), "mm")
+    return Table(columns, lengths | dict.fromkeys(aims[0], "rad"))
+
+
+def _points(lines: Sequence[Line]) -> Table:
+    """Return /points: every receiver position, in the order of the programs, as calibrate-machine takes lines."""
+    points = np.concatenate([line.points for line in lines])
+    name = np.concatenate([np.repeat(line.name, len(line.points)) for line in lines])
+    columns: dict[str, Values] = {
+        "line": name,
+        "axis": name,
+        "position": np.concatenate([line.position for line in lines]),
+        **{axis: points[:, i] for i, axis in enumerate(AXES)},
+        "distance": np.concatenate([line.distance for line in lines]),
+    }
+    return Table(columns, dict.fromkeys(("position", *AXES, "distance"), "mm"))
+
+
+def _further(prospect: Prospect, reach: Reach) -> list[Further]:
+    located, noise = prospect.located, prospect.noise
+    places = candidates(located.place, reach)
+    if not len(places):
+        return []
+    distances = bool(located.readings.beams.measured.any())
+    tells = information(located.values, places, noise, distances)
+    return further(located.covariance, prospect.wanted, noise.encoder, places, tells)
+
+
+def _further_table(prospect: Prospect, more: Sequence[Further]) -> dict[str, Table]:
+    """Return /further_poses, where there are any, with the probabilities of the least certain line after each."""
+    if not more:
+        return {}
+    wanted, encoder = prospect.wanted, prospect.noise.encoder
+    known = [Uncertainty(one.location, encoder) for one in more]
+    places = np.array([one.receiver for one in more])
+    columns: dict[str, Values] = {
+        "poses": len(prospect.located.readings.names) + 1 + np.arange(len(more)),
+        **{axis: places[:, i] for i, axis in enumerate(AXES)},
+        "probability": np.array([wanted.worst(each) for each in known], dtype=float),
+        "probability_aligned": np.array([wanted.worst_aligned(each) for each in known], dtype=float),
+    }
+    return {"further_poses": Table(columns, dict.fromkeys(AXES, "mm"))}
+
+
+def _programs(prospect: Prospect) -> tuple[dict[str, Table | str], list[str]]:
+    """Return the NC programs by file name, and why some could not be written."""
+    planned, place = prospect.planned, prospect.located.place
+    park = farthest_corner(place, planned.axes.box)
+    motion = Motion(planned.feed, planned.dwell, planned.standoff, park, planned.control)
+    files: dict[str, Table | str] = {}
+    blocked = []
+    for line in prospect.lines:
+        text = line_program(line, prospect.located.values, planned.spindle, motion)
+        if text is None:
+            blocked.append(f"line {line.name} has no NC program: no way of single-axis moves leads clear of the unit")
+        else:
+            files[f"{line.name}.nc"] = text
+    return files, blocked
+
+
+def _notes(prospect: Prospect, more: Sequence[Further]) -> list[str]:
+    """Say how likely the worst line stays in range, what limits it, and what would help."""
+    wanted, planned, uncertain = prospect.wanted, prospect.planned, prospect.uncertain
+    now, limit = wanted.worst(uncertain), wanted.worst(uncertain.without_location())
+    radius, angle = find_unit("um", "length"), find_unit("urad", "angle")
+    n = len(prospect.located.readings.names)
+    lines = [
+        f"range of the receiver: +-{radius.outside(planned.range.straightness):g} um, "
+        f"+-{angle.outside(planned.range.angle):g} urad, to {planned.range.distance:g} mm",
+        f"aimed by the encoders, the beam stays in range along the least certain line with {percent(now)}",
+    ]
+    if now >= planned.confidence:
+        return lines
+    lines.append(f"a unit whose place is known exactly would have {percent(limit)}: the rest is the encoders")
+    if more:
+        best = wanted.worst(Uncertainty(more[-1].location, prospect.noise.encoder))
+        at = ", ".join(f"{axis} = {value:.0f}" for axis, value in zip(AXES, more[0].receiver, strict=True))
+        lines.append(f"the pose to add first is the receiver at {at} mm")
+        lines.append(
+            f"{n + len(more)} poses make it safe ({percent(best)})"
+            if best >= planned.confidence
+            else f"{n + len(more)} poses would give {percent(best)}; no number gives more than {percent(limit)}"
+        )
+    return lines
+
+
+def _told(prospect: Prospect, more: Sequence[Further]) -> list[str]:
+    """Say what aligning the units at the far end of each line gives."""
+    aligned = prospect.wanted.worst_aligned(prospect.uncertain)
+    lines = [f"aligned at the far end by the receiver's own readings, it stays in range with {percent(aligned)}"]
+    if aligned < prospect.planned.confidence and more:
+        known = [Uncertainty(one.location, prospect.noise.encoder) for one in more]
+        enough = [
+            i for i, each in enumerate(known) if prospect.wanted.worst_aligned(each) >= prospect.planned.confidence
+        ]
+        if enough:
+            lines.append(f"{len(prospect.located.readings.names) + enough[0] + 1} poses make that safe")
+    return lines
+
+
+def percent(probability: float) -> str:
+    """Return a probability for people; it is known to some 0.3 %."""
+    return "more than 99.9 %" if probability > 0.999 else f"{100 * probability:.1f} %"

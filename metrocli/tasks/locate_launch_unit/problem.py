@@ -1,0 +1,129 @@
+"""The adjustment of a launch unit's place: from aligned poses to blocks and groups with starting values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.groups import Group, priors
+from metrocli.adjust.model.observations import Index, Observations
+from metrocli.adjust.model.quantities import Quantity
+from metrocli.effects.model import Added, Model, Place
+from metrocli.instruments import launch_unit as lu
+from metrocli.instruments.launch_start import nearest, set_up_angle, spread
+from metrocli.tasks.locate_launch_unit.effects import AXES, PAIRS, UNITS
+from metrocli.tasks.locate_launch_unit.readings import ANGLES, Readings
+from metrocli.words import listed
+
+
+class NoiseSettings(Protocol):
+    """Standard deviations of the readings."""
+
+    @property
+    def encoder(self) -> float:
+        """Of each angle [rad]"""
+
+    @property
+    def distance(self) -> float | None:
+        """Of a distance [mm]; None where there are none"""
+
+
+WEAK = 0.01
+"""Relative uncertainty of the distance to the unit beyond which beams do not locate it"""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A location ready to adjust."""
+
+    readings: Readings
+    blocks: Mapping[str, Block]
+    groups: tuple[Group, ...]
+    """One for each encoder, and one of the distances; none without readings"""
+    others: tuple[Group, ...]
+    warnings: tuple[str, ...] = ()
+    effects: tuple[Added, ...] = ()
+
+    @property
+    def all_groups(self) -> tuple[Group, ...]:
+        """The readings, and what is known beforehand."""
+        return (*self.groups, *self.others)
+
+    def model(self) -> Model:
+        """Return the location as a model that effects can be added to."""
+        places = {
+            "encoder": Place(tuple(lu.ENCODERS)),
+            "unit": Place(UNITS),
+            "axis": Place(AXES),
+            "pair": Place(PAIRS),
+            "pose": Place(self.readings.names, lu.RECEIVER),
+        }
+        measured = tuple(group.name for group in self.groups)
+        return Model(self.blocks, self.all_groups, None, measured, places, added=self.effects)
+
+    def with_model(self, model: Model) -> Problem:
+        """Return the location with the blocks, groups and effects of a model made from it."""
+        others = tuple(group for group in model.groups if group.name not in model.measured)
+        return replace(self, blocks=model.blocks, groups=model.readings, others=others, effects=model.added)
+
+
+def build(readings: Readings, noise: NoiseSettings) -> Problem:
+    """Return the adjustment, started where the beams meet."""
+    place, beams = nearest(readings.beams), readings.beams
+    away = float(np.linalg.norm(place - readings.receiver, axis=1).mean())
+    free = readings.sigma != 0
+    receiver = lu.receiver_block(readings.receiver, readings.names, free, away)
+    blocks = (
+        lu.unit_block(place, set_up_angle(beams), away),
+        receiver,
+        lu.spindle_block(readings.spindle, readings.names),
+    )
+    level, measured = np.flatnonzero(readings.level), np.flatnonzero(beams.measured)
+    groups = [_angles(readings, name, level, noise.encoder) for name in lu.ENCODERS]
+    if noise.distance is not None:
+        groups.append(_distances(readings, measured, noise.distance))
+    steep = [name for name, used in zip(readings.names, readings.level, strict=True) if not used]
+    text = f"the beam is vertical in {len(steep)} poses, so that their angles say nothing and are left out: "
+    return Problem(
+        readings,
+        {block.name: block for block in blocks},
+        tuple(group for group in groups if group.observations.count),
+        tuple(priors(receiver, readings.sigma, free)),
+        (text + listed(steep),) if steep else (),
+    )
+
+
+def uncertainty_along(readings: Readings, noise: NoiseSettings) -> float:
+    """Return the relative uncertainty of the distance to where the beams meet, by the angles alone."""
+    return noise.encoder / max(spread(readings.beams), 1e-12)
+
+
+def _angles(readings: Readings, name: str, rows: Index, sigma: float) -> Group:
+    """Return what one encoder read in some of the poses."""
+    tilt = readings.angles[1] if lu.ENCODERS[name][0] is Quantity.LAUNCH_ANGLES else readings.angles[2]
+    values = readings.angles[ANGLES.index(name)][rows]
+    observations = _observations(readings, name, rows, values, sigma)
+    conditions = {**observations.conditions, lu.OVER: (np.cos(tilt[rows]) < 0).astype(float)}
+    return Group(name, lu.encoder_chain(name), replace(observations, conditions=conditions, unit="rad"))
+
+
+def _distances(readings: Readings, rows: Index, sigma: float) -> Group:
+    values = readings.distance[rows]
+    observations = _observations(readings, lu.DISTANCE, rows, values, sigma)
+    conditions = {**observations.conditions, "distance": values}
+    return Group(lu.DISTANCE, lu.distance_chain(), replace(observations, conditions=conditions, unit="mm"))
+
+
+def _observations(readings: Readings, name: str, rows: Index, values: Array, sigma: float) -> Observations:
+    return Observations(
+        values[None],
+        np.array(sigma),
+        {lu.RECEIVER: rows, lu.SPINDLE: rows},
+        keys={"pose": tuple(readings.names[i] for i in rows), "reading": (name,) * len(rows)},
+        conditions={key: value[rows] for key, value in readings.conditions.items()},
+        components=(name,),
+    )

@@ -1,0 +1,92 @@
+"""Aligned poses of receiver and launch unit as they are read from a file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array, Mask
+from metrocli.errors import Fault, InputError
+from metrocli.instruments.launch_start import Beams
+from metrocli.table import TEXT, Column, Columns, Table
+from metrocli.tasks.shared.known_places import SIGMAS, sigmas
+
+ANGLES = ("phi1", "phi2", "phi3", "phi4")
+_PLACE = (
+    Column("pose", TEXT),
+    *(Column(axis, "length") for axis in "xyz"),
+    Column("spindle", "angle"),
+)
+_CONDITIONS = (Column("t", "time", required=False), Column("temp", "temperature", required=False))
+POSES = Columns(
+    (
+        *_PLACE,
+        *(Column(angle, "angle") for angle in ANGLES),
+        Column("distance", "length", required=False, may_be_empty=True),
+        *_CONDITIONS,
+        *SIGMAS,
+    ),
+    ("pose",),
+    "receiver positions and encoder angles of aligned poses",
+)
+PLACES = Columns((*_PLACE, *_CONDITIONS), ("pose",), "receiver positions to measure at")
+_STEEP = 1.7e-3
+"""Cosine of the tilt of the steepest beam that has a usable base angle, 0.1 degrees from vertical"""
+
+
+@dataclass(frozen=True)
+class Readings:
+    """n aligned poses."""
+
+    names: tuple[str, ...]
+    receiver: Array
+    """(n, 3)"""
+    sigma: Array
+    """Of the receiver's coordinates, (n, 3): 0 exact, nan unknown"""
+    spindle: Array
+    """psi, (n,)"""
+    angles: Array
+    """phi1 phi2 phi3 phi4, (4, n)"""
+    distance: Array
+    """(n,), nan where none was measured"""
+    conditions: dict[str, Array]
+
+    @property
+    def level(self) -> Mask:
+        """Poses whose beam has a base angle: those not within 0.1 degrees of vertical."""
+        return np.asarray((np.abs(np.cos(self.angles[1:3])) > _STEEP).all(axis=0))
+
+    @property
+    def beams(self) -> Beams:
+        """The beams that the receiver's angles describe."""
+        phi1, phi2, phi3, phi4 = self.angles
+        launch_base = phi1 + np.where(np.cos(phi2) < 0, np.pi, 0.0)
+        return Beams(self.receiver, self.spindle + phi4, phi3, launch_base, self.distance)
+
+
+def read(table: Table) -> Readings:
+    """Return the poses of a table; raises InputError for all its faults."""
+    faults = list(_faults(table))
+    if faults:
+        raise InputError(faults)
+    known = any(name.startswith("sigma") for name in table)
+    receiver = table.stacked("xyz")
+    return Readings(
+        tuple(table.texts("pose")),
+        receiver,
+        sigmas(table) if known else np.zeros_like(receiver),
+        table.numbers("spindle"),
+        np.stack([table.numbers(angle) for angle in ANGLES]),
+        table.numbers("distance", float("nan")),
+        {name: table.numbers(name) for name in ("t", "temp") if name in table},
+    )
+
+
+def _faults(table: Table) -> Iterator[Fault]:
+    if len(table) == 0:
+        yield table.fault("there are no poses")
+    distance = table.numbers("distance", float("nan"))
+    for row in np.flatnonzero(distance <= 0).tolist():
+        yield table.fault_at(row, f"pose {table.texts('pose')[row]}: the distance is not above zero")

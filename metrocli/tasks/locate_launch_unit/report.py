@@ -1,0 +1,172 @@
+"""The result of a location: the unit with its covariance, residuals of every reading, and the beams."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.groups import Group
+from metrocli.adjust.solution import Residuals, residuals_of
+from metrocli.effects.estimates import estimates, free_blocks
+from metrocli.effects.estimates import tables as effect_results
+from metrocli.instruments import launch_unit as lu
+from metrocli.result import Estimate, Result, Scalar
+from metrocli.table import Table
+from metrocli.tasks.locate_launch_unit.readings import Readings
+from metrocli.tasks.locate_launch_unit.solve import Located
+from metrocli.tasks.shared.statistics import REMOVE, basic_statistics, beyond_bound, noise_warnings
+from metrocli.words import listed
+
+if TYPE_CHECKING:
+    from metrocli.table import Values
+
+KIND = "locate-launch-unit"
+UNITS = ("mm", "mm", "mm", "rad")
+_DELTA0 = 4.13
+"""Non-centrality of a w-test at 0.1 % with 80 % power (Baarda 1968): the least detectable bias is 4.13 s / sqrt(r)"""
+_CONTROLLED = 1e-6
+"""Redundancy below which a reading is not controlled at all"""
+_TABLES = {"angles": tuple(lu.ENCODERS), "distances": (lu.DISTANCE,)}
+
+
+def report(located: Located, method: str) -> Result:
+    """Return the result of a located unit."""
+    std = np.sqrt(np.diag(located.covariance))
+    rows = zip(lu.COLUMNS, located.values.tolist(), std.tolist(), UNITS, strict=True)
+    unit = tuple(Estimate(*row) for row in rows)
+    beams = _beams(located)
+    solution, problem = located.solution, located.problem
+    if solution is None or problem is None:
+        return Result(
+            kind=KIND,
+            title="",
+            estimates=unit,
+            covariance=located.covariance,
+            statistics=_statistics_as_printed(located, method, beams),
+            tables={"beams": beams},
+            shown=("beams",),
+            warnings=_warning_as_printed(method),
+        )
+    groups = {group.name: group for group in solution.groups}
+    residuals = {
+        table: _residuals([(groups[name], residuals_of(solution, groups[name])) for name in names if name in groups])
+        for table, names in _TABLES.items()
+        if not groups.keys().isdisjoint(names)
+    }
+    outliers = _outliers(located)
+    effects, arrays = effect_results(problem.effects, solution)
+    rms = {
+        table.units["residual"]: float(np.sqrt((table.numbers("residual") ** 2).mean())) for table in residuals.values()
+    }
+    statistics = basic_statistics(solution, rms) | {
+        "method": method,
+        "poses": len(located.readings.names),
+        "critical_w": located.critical,
+        "rejected": sum(group.observations.count for group in problem.all_groups)
+        - sum(group.observations.count for group in solution.groups),
+    }
+    return Result(
+        kind=KIND,
+        title="",
+        estimates=(*unit, *estimates(problem.effects, solution)),
+        covariance=solution.joint((lu.UNIT, *free_blocks(problem.effects))),
+        statistics=statistics,
+        tables={"beams": beams, **residuals, "outliers": outliers, **effects},
+        arrays=arrays,
+        shown=("beams", *(("outliers",) if len(outliers) else ())),
+        warnings=(
+            *problem.warnings,
+            *noise_warnings(solution, cures=(REMOVE,)),
+            *_told(outliers, located.critical, bool(statistics["rejected"])),
+            *_repeated(problem.readings),
+        ),
+    )
+
+
+def _statistics_as_printed(located: Located, method: str, beams: Table) -> dict[str, Scalar | dict[str, float]]:
+    per_pose = 2 if method == "lines" else 3
+    miss = float(np.sqrt((beams.numbers("miss") ** 2).mean()))
+    return {
+        "method": method,
+        "poses": len(beams),
+        "observations": per_pose * len(beams),
+        "unknowns": 3,
+        "rms": {"mm": miss},
+    }
+
+
+def _warning_as_printed(method: str) -> tuple[str, ...]:
+    ignored = "phi1 and phi2 only give gamma" if method == "closed-loop" else "distances are not used, phi1 gives gamma"
+    return (
+        f"method {method}: uncertainties are those of the declared noise; there is no test of it, {ignored}, and all "
+        "poses count alike; `method: adjustment` uses every reading",
+    )
+
+
+def _beams(located: Located) -> Table:
+    """Return /beams: length and direction of each beam in the machine, and how far it misses the unit."""
+    readings = located.readings
+    out = readings.receiver - located.place
+    length = np.linalg.norm(out, axis=1)
+    beams = readings.beams
+    along = np.einsum("ni,ni->n", beams.towards, -out)
+    miss = np.linalg.norm(-out - along[:, None] * beams.towards, axis=1)
+    columns: dict[str, Values] = {"pose": np.array(readings.names), "length": length}
+    columns |= {f"w{axis}": out[:, i] / length for i, axis in enumerate("xyz")}
+    columns |= {"miss": miss}
+    return Table(columns, {"length": "mm", "miss": "mm"})
+
+
+def _residuals(parts: list[tuple[Group, Residuals]]) -> Table:
+    """Return the residuals of groups of one unit, with the least error of each reading that would be detected."""
+    groups, found = [group.observations for group, _ in parts], [residuals for _, residuals in parts]
+    columns: dict[str, Values] = {
+        key: np.concatenate([np.array(o.keys[key]) for o in groups]) for key in ("pose", "reading")
+    }
+    numbers = {
+        "value": [o.readings for o in groups],
+        "residual": [one.values for one in found],
+        "sigma": [one.sigma for one in found],
+        "normalised": [one.normalised for one in found],
+        "redundancy": [one.redundancy for one in found],
+        "detectable": [_detectable(one) for one in found],
+    }
+    columns |= {name: np.concatenate([part[0] for part in values]) for name, values in numbers.items()}
+    return Table(columns, dict.fromkeys(("value", "residual", "sigma", "detectable"), groups[0].unit))
+
+
+def _detectable(found: Residuals) -> Array:
+    """Return the least error of each reading that a test finds, inf where the reading is not controlled."""
+    controlled = found.redundancy > _CONTROLLED
+    root = np.sqrt(np.where(controlled, found.redundancy, 1.0))
+    return np.where(controlled, _DELTA0 * found.sigma / root, np.inf)
+
+
+def _outliers(located: Located) -> Table:
+    """Return the readings that do not fit the others, the largest first."""
+    found = located.outliers
+    return Table(
+        {
+            "pose": np.array([one.pose for one in found], dtype=str),
+            "reading": np.array([one.group for one in found], dtype=str),
+            "w": np.array([one.test for one in found], dtype=float),
+        }
+    )
+
+
+def _told(outliers: Table, critical: float, removed: bool) -> list[str]:
+    rows = zip(*(outliers.texts(name) for name in ("pose", "reading")), outliers.numbers("w"), strict=True)
+    names = [f"{reading} of {pose} (w = {w:.1f})" for pose, reading, w in rows]
+    cure = {"cure": "left out"} if removed else {}
+    return [beyond_bound(names, critical, **cure)] if names else []
+
+
+def _repeated(readings: Readings) -> list[str]:
+    """Return a warning of rows that hold the same readings."""
+    rows = np.column_stack([readings.receiver, readings.spindle, readings.angles.T])
+    _, first, counts = np.unique(rows, axis=0, return_inverse=True, return_counts=True)
+    same = [name for name, at in zip(readings.names, first.ravel(), strict=True) if counts[at] > 1]
+    text = f"poses with the same readings to the last digit count as if measured twice: {listed(same)}"
+    return [text] if same else []

@@ -1,0 +1,95 @@
+"""Simulated alignments: what the encoders read when receiver and launch unit look at each other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.effects.estimates import true_values
+from metrocli.effects.model import extended
+from metrocli.effects.wanted import Wanted
+from metrocli.geometry.angles import wrapped
+from metrocli.instruments import launch_unit as lu
+from metrocli.simulation import Simulation
+from metrocli.table import Table
+from metrocli.tasks.locate_launch_unit.problem import NoiseSettings, build
+from metrocli.tasks.locate_launch_unit.readings import ANGLES, Readings
+
+if TYPE_CHECKING:
+    from metrocli.table import Values
+
+
+_UNITS = {"distance": "mm", "t": "s", "temp": "degC"}
+
+
+class Truth(Protocol):
+    """Where the unit truly is."""
+
+    @property
+    def place(self) -> tuple[float, ...]:
+        """x, y, z [mm]"""
+
+    @property
+    def gamma(self) -> float:
+        """Its set-up angle [rad]"""
+
+    @property
+    def distances(self) -> bool:
+        """Whether distances are read"""
+
+
+def simulated(
+    truth: Truth,
+    noise: NoiseSettings,
+    places: Table,
+    rng: np.random.Generator,
+    effects: Sequence[Wanted] = (),
+) -> Simulation:
+    """Return the poses of a measurement at the listed places, with effects and noise."""
+    readings, added = _exact(truth, noise, places, effects)
+    angles = wrapped(readings.angles + rng.normal(size=readings.angles.shape) * noise.encoder)
+    columns: dict[str, Values] = {"pose": np.array(readings.names)}
+    columns |= dict(zip("xyz", readings.receiver.T, strict=True))
+    columns |= {"spindle": readings.spindle} | dict(zip(ANGLES, angles, strict=True))
+    units = dict.fromkeys("xyz", "mm") | dict.fromkeys(("spindle", *ANGLES), "rad")
+    if truth.distances:
+        columns["distance"] = readings.distance + rng.normal(size=len(readings.names)) * (noise.distance or 0.0)
+    columns |= readings.conditions
+    units |= {name: unit for name, unit in _UNITS.items() if name in columns}
+    true = dict(zip("xyz", truth.place, strict=True)) | {"gamma": float(wrapped(truth.gamma))}
+    return Simulation({"poses.csv": Table(columns, units)}, true | added)
+
+
+def _exact(
+    truth: Truth, noise: NoiseSettings, places: Table, effects: Sequence[Wanted]
+) -> tuple[Readings, dict[str, float]]:
+    """Return readings without noise, and the values of the effects in them; vertical beams are left as they are."""
+    receiver, spindle = places.stacked("xyz"), places.numbers("spindle")
+    angles, distance = aligned(np.array(truth.place), truth.gamma, receiver, spindle)
+    conditions = {name: places.numbers(name) for name in ("t", "temp") if name in places}
+    has = distance if truth.distances else np.full_like(distance, np.nan)
+    names = tuple(places.texts("pose"))
+    readings = Readings(names, receiver, np.zeros_like(receiver), spindle, angles, has, conditions)
+    if not effects:
+        return readings, {}
+    problem = build(readings, noise)
+    unit = problem.blocks[lu.UNIT].with_values(np.array([[*truth.place, truth.gamma]]))
+    model = extended(problem.model().with_blocks({**problem.blocks, lu.UNIT: unit}), effects)
+    for group in model.readings:
+        read = has if group.name == lu.DISTANCE else angles[ANGLES.index(group.name)]
+        read[group.observations.index[lu.RECEIVER]] = group.chain.predict(model.blocks, group.observations)[0]
+    return readings, true_values(model)
+
+
+def aligned(place: Array, gamma: float, receiver: Array, spindle: Array) -> tuple[Array, Array]:
+    """Return the angles phi1..phi4 (4, n) and distances (n,) of units that look at each other (Kuprin et al. eq. 5).
+
+    `phi1 = atan2(b) - gamma`, `phi2 = asin(bz/|b|)`, `phi3 = -phi2`, `phi4 = atan2(-b) - psi`, b from unit to receiver.
+    """
+    x, y, z = (receiver - place).T
+    tilt = np.arctan2(z, np.hypot(x, y))
+    angles = np.stack([np.arctan2(y, x) - gamma, tilt, -tilt, np.arctan2(-y, -x) - spindle])
+    return angles, np.sqrt(x * x + y * y + z * z)

@@ -1,0 +1,187 @@
+"""Locating a launch unit by each of the three methods."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrocli.adjust.adjustment import adjust
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.outcome import Outcome
+from metrocli.adjust.solution import Solution
+from metrocli.effects.estimates import absorbed
+from metrocli.effects.model import extended
+from metrocli.effects.wanted import Wanted
+from metrocli.errors import InputError, MetrocliError, NotConvergedError, UndeterminedError
+from metrocli.geometry.angles import wrapped
+from metrocli.instruments import launch_unit as lu
+from metrocli.instruments.launch_start import Beams, Meeting, closed_loop, lines, set_up_angle, spread
+from metrocli.tasks.locate_launch_unit.misread import misread
+from metrocli.tasks.locate_launch_unit.outliers import Outlier, screened
+from metrocli.tasks.locate_launch_unit.problem import WEAK, NoiseSettings, Problem, build, uncertainty_along
+from metrocli.tasks.locate_launch_unit.readings import Readings
+from metrocli.words import listed
+
+_ABSURD = 100.0
+"""A sigma0 that no noise makes"""
+_ENOUGH = 1
+"""More poses than this can tell that the columns hold something else"""
+
+
+@dataclass(frozen=True)
+class How:
+    """How to locate a unit."""
+
+    method: str = "adjustment"
+    """adjustment, lines or closed-loop"""
+    remove: bool = False
+    """Leave outliers out"""
+    effects: Sequence[Wanted] = ()
+
+
+@dataclass(frozen=True)
+class Located:
+    """A located unit."""
+
+    values: Array
+    """x y z gamma"""
+    covariance: Array
+    """(4, 4)"""
+    readings: Readings
+    problem: Problem | None = None
+    """Of the adjustment; None for the methods of the paper"""
+    solution: Solution | None = None
+    outliers: tuple[Outlier, ...] = ()
+    critical: float = float("nan")
+    """The bound of their test"""
+
+    @property
+    def place(self) -> Array:
+        """p, (3,)"""
+        return self.values[:3]
+
+
+def locate(readings: Readings, noise: NoiseSettings, how: How | None = None) -> Located:
+    """Return the located unit; InputError, UndeterminedError or NotConvergedError where there is none."""
+    how = how or How()
+    try:
+        located = _located(readings, noise, how)
+    except MetrocliError as error:
+        refusal: MetrocliError | None = error
+    else:
+        if located.solution is None or not located.solution.sigma0 > _ABSURD:
+            return located
+        refusal = None
+    instead = misread(readings, noise) if readings.names[_ENOUGH:] else ()
+    if instead:
+        raise InputError("the readings fit no place of the unit as they stand, but would if " + "; or ".join(instead))
+    if refusal is not None:
+        raise refusal
+    return located
+
+
+def _located(readings: Readings, noise: NoiseSettings, how: How) -> Located:
+    if how.effects and how.method != "adjustment":
+        raise InputError("effects: only `method: adjustment` can have effects in its model")
+    _must_suffice(readings, noise, how.method)
+    _refuse_mirrored(readings, noise)
+    if how.method != "adjustment":
+        return _as_printed(readings, noise, how.method)
+    problem = build(readings, noise)
+    if how.effects:
+        problem = problem.with_model(extended(problem.model(), how.effects))
+    solution = adjust(problem.blocks.values(), problem.all_groups)
+    if solution.undetermined or solution.outcome is Outcome.TOO_FEW:
+        raise UndeterminedError(_undetermined(problem, solution))
+    if not solution.outcome.good:
+        raise NotConvergedError(f"{solution.outcome.value} ({solution.iterations} steps)")
+    checked = screened(solution, [group.name for group in problem.groups])
+    used = checked.solution if how.remove else solution
+    values = used.blocks[lu.UNIT].values[0].copy()
+    values[3] = wrapped(values[3])
+    return Located(values, used.known().of(lu.UNIT), readings, problem, used, checked.outliers, checked.critical)
+
+
+def _undetermined(problem: Problem, solution: Solution) -> str:
+    """Say what is undetermined: an effect that the other unknowns absorb, or the place itself."""
+    hidden = absorbed(problem.effects, solution, None)
+    if hidden:
+        return "\n".join(
+            f"{one.label} cannot be told from the other unknowns of this job, which absorb it; "
+            f"leave it out; what may tell it: {one.effect.reveal}"
+            for one in hidden
+        )
+    found = f"undetermined: {solution.undetermined[0]}" if solution.undetermined else solution.outcome.value
+    return explained(problem.readings, found)
+
+
+def _must_suffice(readings: Readings, noise: NoiseSettings, method: str) -> None:
+    """Raise where the poses cannot locate anything by this method, before any computing."""
+    measured = readings.beams.measured
+    if measured.any() and noise.distance is None and method != "lines":
+        raise InputError("noise: the poses have distances; add `distance: 1 um`, their standard deviation")
+    if method == "closed-loop":
+        if not measured.all():
+            lacking = [name for name, has in zip(readings.names, measured, strict=True) if not has]
+            text = f"method: closed-loop needs a distance in every pose; without one: {listed(lacking)}"
+            raise UndeterminedError(f"{text}\n  what would determine it: `method: adjustment`, or those distances")
+        return
+    if measured.any() and method == "adjustment":
+        return
+    uncertain = uncertainty_along(readings, noise)
+    if uncertain > WEAK:
+        text = f"the distance to the unit would be uncertain by {min(uncertain, 1.0):.0%} or more"
+        raise UndeterminedError(explained(readings, text))
+
+
+def explained(readings: Readings, found: str) -> str:
+    """Say what is undetermined, why, and what would determine it."""
+    n = len(readings.names)
+    angle = np.rad2deg(np.arcsin(min(spread(readings.beams) / np.sqrt(n), 1.0)))
+    why = "there is one pose" if n == 1 else f"all {n} poses lie on nearly one beam (within {angle:.2g} degrees)"
+    return (
+        f"the place of the launch unit cannot be determined: {found}\n"
+        f"  why: {why}, so the unit could be anywhere along it\n"
+        "  what would determine it: a pose whose beam comes from another direction, or a measured distance"
+    )
+
+
+def _refuse_mirrored(readings: Readings, noise: NoiseSettings) -> None:
+    """Raise InputError where receivers look away from the place where the beams meet: the same line, the other way."""
+    if uncertainty_along(readings, noise) > WEAK:
+        return
+    beams = readings.beams
+    ahead = np.einsum("ni,ni->n", beams.towards, lines(beams).place - readings.receiver)
+    behind = [name for name, along in zip(readings.names, ahead, strict=True) if along <= 0]
+    if behind:
+        raise InputError(
+            f"the receiver looks away from the unit in {len(behind)} of {len(ahead)} poses: {listed(behind)}; the "
+            "beams meet behind it (the mirror solution). phi3, phi4 must describe the direction from the receiver "
+            "to the launch unit: there phi3 has the other sign and phi4 differs by 180 degrees"
+        )
+
+
+def _as_printed(readings: Readings, noise: NoiseSettings, method: str) -> Located:
+    """Return the place by one of the paper's methods, with the declared noise propagated to first order."""
+    beams = readings.beams
+    meeting = lines(beams) if method == "lines" else closed_loop(beams)
+    values = np.array([*meeting.place, set_up_angle(beams)])
+    return Located(values, _propagated(beams, meeting, noise), readings)
+
+
+def _propagated(beams: Beams, meeting: Meeting, noise: NoiseSettings) -> Array:
+    """Return the covariance (4, 4) of x y z gamma; gamma has phi4 - phi1 of each pose, the place phi4, phi3 and l."""
+    n = len(beams.base)
+    share = np.full((n, 1), 1 / n)
+    nothing = np.zeros((n, 3))
+    encoders = np.concatenate(
+        [
+            np.hstack([meeting.by_base, share]),
+            np.hstack([meeting.by_tilt, 0 * share]),
+            np.hstack([nothing, -share]),
+        ]
+    )
+    distances = np.hstack([meeting.by_distance, 0 * share]) * (noise.distance or 0.0)
+    return np.asarray(noise.encoder**2 * encoders.T @ encoders + distances.T @ distances)

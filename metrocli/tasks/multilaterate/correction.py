@@ -1,0 +1,97 @@
+"""Task-specific correction: a measurement corrected by the mover's error at each point (Härtig et al. section 2)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from metrocli.adjust.model.observations import Index
+from metrocli.adjust.solution import Solution
+from metrocli.errors import InputError
+from metrocli.instruments import tracer as t
+from metrocli.table import Table
+from metrocli.tasks.multilaterate.problem import Network
+from metrocli.words import listed
+
+if TYPE_CHECKING:
+    from metrocli.table import Values
+
+_FAR, _PLAIN, _ENOUGH = 12.0, 1e-4, 6
+"""A point is told that is this many times further from its entry than the median, and further than this share of the
+volume, where there are so many points"""
+
+
+_NOWHERE = "probing point '{}' has no replayed point of its name or within {:g} mm"
+_LEFT_OUT = "the replayed point of probing point '{}' was left out: too few of its lengths are right"
+
+
+def refuse_lost(network: Network, probing: Table, tolerance: float) -> None:
+    """Raise InputError that lists every probing point without a replayed point of its name or within the tolerance."""
+    _refuse(probing, _matches(network, probing, tolerance), _NOWHERE, tolerance)
+
+
+def corrected(network: Network, solution: Solution, probing: Table, tolerance: float) -> Table:
+    """Return the probing points with the mover's error at their replayed points taken off, in the shape they came.
+
+    A probing point belongs to the replayed point of its name, else to the nearest nominal point within the tolerance.
+    Raises InputError that lists every probing point whose replayed one the adjustment left out.
+    """
+    match = _matches(network, probing, tolerance)
+    _refuse(probing, match, _LEFT_OUT, tolerance)
+    error = network.nominal[match] - solution.blocks[t.POINT].values[match]
+    moved = probing.stacked("xyz") - error
+    columns: dict[str, Values] = {name: probing.columns[name] for name in ("feature", "point")}
+    columns |= {name: moved[:, i] for i, name in enumerate("xyz")}
+    return Table(columns, dict.fromkeys("xyz", "mm"))
+
+
+def _refuse(probing: Table, match: Index, text: str, tolerance: float) -> None:
+    lost, names = np.flatnonzero(match < 0).tolist(), probing.texts("point")
+    if lost:
+        raise InputError([probing.fault_at(row, text.format(names[row], tolerance)) for row in lost])
+
+
+def distant(network: Network, probing: Table | None, tolerance: float) -> tuple[str, ...]:
+    """Return the warning that points were replayed elsewhere than they were probed, where they were."""
+    if probing is None:
+        return ()
+    gap = np.linalg.norm(probing.stacked("xyz") - network.nominal[_matches(network, probing, tolerance)], axis=1)
+    far = int((gap > tolerance).sum())
+    if not far:
+        return ()
+    return (
+        f"{far} probing points were replayed up to {gap.max():.3g} mm away from where they were probed: "
+        "the correction holds where the mover's error is the same at both places",
+    )
+
+
+def wrong_entries(network: Network, solution: Solution) -> tuple[str, ...]:
+    """Return the warning that the frame of a free network rests on entries of the points' list that look wrong."""
+    rows = np.flatnonzero((network.seen > 0) & network.unknown)
+    if network.datum is None or len(rows) < _ENOUGH:
+        return ()
+    error = network.nominal[rows] - solution.blocks[t.POINT].values[rows]
+    size = np.linalg.norm(error - np.median(error, axis=0), axis=1)
+    far = np.flatnonzero(size > max(_FAR * np.median(size), _PLAIN * np.ptp(network.nominal[rows], axis=0).max()))
+    if not far.size:
+        return ()
+    names = [network.blocks[t.POINT].members[rows[i]] for i in far[np.argsort(-size[far])]]
+    return (
+        f"the entries of {len(names)} points may be wrong: {listed(names)} lie up to {size.max():.3g} mm from where "
+        f"their list says, the others about {np.median(size):.3g} mm; such entries turn and shift the frame: mend them",
+    )
+
+
+def _matches(network: Network, probing: Table, tolerance: float) -> Index:
+    """Return the replayed point of each probing point, -1 where there is none."""
+    from scipy.spatial import cKDTree
+
+    replayed = np.flatnonzero(network.seen > 0)
+    names = network.blocks[t.POINT].members
+    place = {names[i]: i for i in replayed.tolist()}
+    match = np.array([place.get(name, -1) for name in probing.texts("point")], dtype=np.intp)
+    rest = np.flatnonzero(match < 0)
+    gap, nearest = cKDTree(network.nominal[replayed]).query(probing.stacked("xyz")[rest])
+    match[rest] = np.where(gap <= tolerance, replayed[nearest], -1)
+    return match

@@ -1,0 +1,219 @@
+"""A multilateration as diagnosis sees it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.chain import Chain
+from metrocli.adjust.model.groups import Group, ReadBlock
+from metrocli.adjust.model.observations import Index, Mask, Observations
+from metrocli.adjust.solution import Solution
+from metrocli.diagnosis.adjusted_job import Covariate, Delivered, Subject
+from metrocli.effects import effects_of
+from metrocli.effects.effect import ELAPSED, WARMING
+from metrocli.effects.model import Model, Place, with_conditions
+from metrocli.instruments import tracer as t
+from metrocli.instruments.frames import DistanceBetween
+from metrocli.tasks.multilaterate.problem import LENGTHS
+from metrocli.tasks.multilaterate.report import KIND
+from metrocli.tasks.multilaterate.solve import Solved, refitted
+from metrocli.units import parse_quantity
+
+FOLDS = 10
+_CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
+_BEYOND = 0.2
+"""By how much of its size the box of offered points goes beyond points and tracers"""
+_BAR = parse_quantity("1 um", "length")
+
+
+def subject(solved: Solved) -> Subject:
+    """Return the subject of an adjusted network."""
+    network = solved.network
+    model = with_conditions(
+        replace(network.model(), blocks=solved.solution.blocks, groups=solved.solution.groups, aspects=t.ASPECTS)
+    )
+
+    def refit(changed: Model, keep: Mapping[str, Mask]) -> Solution:
+        return refitted(network.with_model(changed), keep[LENGTHS])
+
+    group = model.readings[0]
+    points = model.blocks[t.POINT].free.any()
+    delivered = ("point coordinates", t.POINT) if points else ("places of the tracers", t.TRACER)
+    return Subject(
+        KIND,
+        model,
+        effects_of(KIND),
+        tuple(covariates(model)),
+        ("tracer",),
+        {LENGTHS: folds(group.observations.index[t.POINT], group.observations.conditions)},
+        Delivered(*delivered, (0, 1, 2), "um", "length"),
+        refit,
+        astray=_astray(solved),
+        offers=offers,
+    )
+
+
+_POINTS_NEAR, _TRACERS_NEAR = 0.02, 0.5
+"""How far points and tracers may be from where their lists say, as shares of the measured volume"""
+
+
+def _astray(solved: Solved) -> float:
+    """Return how far places are from what the files say, over what is plausible, root mean square."""
+    network, blocks = solved.whole, solved.solution.blocks
+    seen = network.seen > 0
+    extent = float(np.ptp(network.nominal[seen], axis=0).max()) or 1.0
+    off = network.nominal[seen] - blocks[t.POINT].values[seen]
+    points = float(np.sqrt((off**2).sum(axis=1).mean())) / extent
+    apart = np.linalg.norm(network.said - blocks[t.TRACER].values[:, :3], axis=1)
+    tracers = float(np.nanmedian(apart)) / extent if np.isfinite(apart).any() else 0.0
+    return max(points / _POINTS_NEAR, tracers / _TRACERS_NEAR)
+
+
+def covariates(model: Model) -> list[Covariate]:
+    """Return what an unknown effect on lengths could vary with."""
+    observations = model.readings[0].observations
+    conditions = observations.conditions
+    found = [
+        Covariate(name, {LENGTHS: conditions[key]}, 6)
+        for name, key in (("t_s", ELAPSED), ("temp_degC", WARMING))
+        if key in conditions
+    ]
+    if ELAPSED not in conditions:
+        found.append(Covariate("order of the readings", {LENGTHS: np.arange(observations.count, dtype=float)}, 6))
+    beam = t.beams(model.blocks, observations)
+    length = np.sqrt((beam**2).sum(axis=0))
+    found.append(Covariate("length_mm", {LENGTHS: length}, 5))
+    found.append(Covariate("beam azimuth", {LENGTHS: np.arctan2(beam[1], beam[0])}, 4, angle=True))
+    found.append(Covariate("beam elevation", {LENGTHS: beam[2] / length}, 4))
+    points = model.blocks[t.POINT].values[observations.index[t.POINT]].T
+    found.append(Covariate("place of the point", {LENGTHS: np.ascontiguousarray(points)}, 3))
+    return found
+
+
+def folds(point: Index, conditions: Mapping[str, Array]) -> Index:
+    """Return ten parts of about equally many points, in the order of time where there is one."""
+    points = np.unique(point)
+    when = conditions.get("t", np.arange(len(point), dtype=float))
+    mean = np.bincount(point, when) / np.maximum(np.bincount(point), 1)
+    rank = np.empty(len(mean), dtype=np.intp)
+    rank[points[np.argsort(mean[points], kind="stable")]] = np.arange(len(points))
+    return np.asarray(rank[point] * min(FOLDS, len(points)) // len(points))
+
+
+_CLOSING = 4
+"""One point in so many is measured again"""
+
+
+def offers(model: Model) -> Iterator[tuple[str, Model]]:
+    """Yield what could be measured in addition, the cheapest first."""
+    group = model.readings[0]
+    observations = group.observations
+    points = observations.index[t.POINT]
+    some = np.flatnonzero(points % _CLOSING == 0)
+    if ELAPSED in observations.conditions:
+        first = f"every {_CLOSING}th point again at the end, by all tracers"
+        yield first, _with_repeats(model, some, later=0.1)
+        yield f"{first}, after a break as long as the measurement", _with_repeats(model, some, later=1.0)
+    if WARMING in observations.conditions:
+        yield (
+            f"every {_CLOSING}th point again with the air 2 K warmer",
+            _with_repeats(model, some, later=1.0, warmer=2.0),
+        )
+    if ELAPSED in observations.conditions:
+        yield (
+            "eight points all around the tracers, by all of them, at the beginning and at the end",
+            _with_corners(model),
+        )
+    ends = _far_apart(model.blocks[t.POINT].values)
+    names = [model.blocks[t.POINT].members[i] for i in ends]
+    yield f"a calibrated distance from {names[0]} to {names[1]} (to 1 um)", _with_bar(model, ends)
+
+
+def _with_repeats(model: Model, rows: Index, later: float, warmer: float = 0.0) -> Model:
+    """Return the model with some readings taken again, later by a share of the time that the measurement took."""
+    group = model.readings[0]
+    old = group.observations
+    new = old.selected(rows)
+    conditions = dict(new.conditions)
+    if ELAPSED in conditions:
+        span = float(np.ptp(old.conditions[ELAPSED]))
+        turn = np.linspace(0, span * len(rows) / old.count, len(rows))
+        shift = span * (1 + later) + turn - conditions[ELAPSED]
+        conditions |= {name: conditions[name] + shift for name in ("t", ELAPSED) if name in conditions}
+    if WARMING in conditions:
+        last = float(old.conditions[WARMING][np.argmax(old.conditions.get(ELAPSED, np.zeros(1)))])
+        conditions[WARMING] = np.full(len(rows), last + warmer)
+    repeated = old.followed_by(replace(new, conditions=conditions))
+    groups = tuple(replace(one, observations=repeated) if one is group else one for one in model.groups)
+    return replace(model, groups=groups)
+
+
+def _with_corners(model: Model) -> Model:
+    """Return the model with new points at the corners of a box that holds tracers and points, read at two times."""
+    group, block, tracers = model.readings[0], model.blocks[t.POINT], model.blocks[t.TRACER]
+    places = np.concatenate([block.values, tracers.values[:, :3]])
+    low, high = places.min(axis=0), places.max(axis=0)
+    corners = low + (high - low) * (_CORNERS * (1 + 2 * _BEYOND) - _BEYOND)
+    names = tuple(f"corner {i}" for i in range(len(corners)))
+    points = replace(
+        block,
+        values=np.concatenate([block.values, corners]),
+        members=(*block.members, *names),
+        free=np.concatenate([block.free, np.ones((len(corners), 3), dtype=bool)]),
+    )
+    m, old = len(tracers.members), group.observations
+    corner, tracer = np.divmod(np.tile(np.arange(len(corners) * m), 2), m)
+    rows = np.array([int(np.flatnonzero(old.index[t.TRACER] == j)[0]) for j in range(m)])[tracer]
+    new = old.selected(rows)
+    late = np.repeat([0.0, 1.0], len(corners) * m)
+    span = {name: (values.min(), np.ptp(values)) for name, values in old.conditions.items() if name in ("t", ELAPSED)}
+    conditions = {name: start + width * late for name, (start, width) in span.items()}
+    changed = replace(
+        new,
+        index={**new.index, t.POINT: len(block.members) + corner},
+        keys={**new.keys, "point": tuple(names[i] for i in corner)},
+        conditions={**new.conditions, **conditions},
+    )
+    datum = model.datum
+    if datum is not None:
+        zeros = np.zeros(len(corners))
+        datum = replace(
+            datum,
+            reference=np.concatenate([datum.reference, corners]),
+            members=np.concatenate([datum.members, zeros]),
+        )
+    groups = tuple(
+        replace(one, observations=old.followed_by(changed)) if one is group else _of_more(one, points)
+        for one in model.groups
+    )
+    places_ = {**model.places, "point": Place(points.members, t.POINT)}
+    whole = replace(model, blocks={**model.blocks, t.POINT: points}, groups=groups, datum=datum, places=places_)
+    return with_conditions(whole)
+
+
+def _of_more(group: Group, block: Block) -> Group:
+    """Return a group whose priors of a block know the members that the block has in addition."""
+    links = tuple(
+        replace(link, reference=np.concatenate([link.reference, block.values[len(link.reference) :]]))
+        if isinstance(link, ReadBlock) and link.block == block.name
+        else link
+        for link in group.chain.links
+    )
+    return replace(group, chain=Chain(links))
+
+
+def _far_apart(points: Array) -> tuple[int, int]:
+    """Return two points that are nearly as far apart as any."""
+    one = int(np.argmax(((points - points.mean(axis=0)) ** 2).sum(axis=1)))
+    return one, int(np.argmax(((points - points[one]) ** 2).sum(axis=1)))
+
+
+def _with_bar(model: Model, ends: tuple[int, int]) -> Model:
+    index = {t.POINT: np.array(ends)[:, None]}
+    observations = Observations(np.zeros((1, 1)), np.array(_BAR), index, components=("length",), unit="mm")
+    bar = Group("offered distance", Chain((DistanceBetween(t.POINT),)), observations)
+    return replace(model, groups=(*model.groups, bar.with_observations(bar.simulated(model.blocks).observations)))

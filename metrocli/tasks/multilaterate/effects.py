@@ -1,0 +1,146 @@
+"""Effects on the lengths of tracking interferometers (docs/effects)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from metrocli.adjust.model.chain import Link
+from metrocli.effects.effect import ELAPSED, WARMING, Effect, Parameter, change_points
+from metrocli.effects.links.beams import BeamScale, TracerDrift
+from metrocli.effects.links.lengths import LengthJump, LengthOffset, LengthTerms
+from metrocli.effects.links.points import PointStep
+from metrocli.instruments.tracer import COS_2A, INCIDENCE, SIN_2A
+from metrocli.units import parse_quantity
+
+_HARTIG = "Härtig et al., Coordinate Measurement Technique Considering the 3D-Abbe Principle,"
+
+
+def _size(name: str, dimension: str, plausible: str) -> Parameter:
+    return Parameter(name, dimension, parse_quantity(plausible, dimension))
+
+
+def _refraction(by: str, condition: str, need: str, rate: Parameter) -> Effect:
+    def link(block: str, where: Mapping[str, str]) -> Link:
+        return BeamScale(block, condition=condition)
+
+    return Effect(
+        "refraction-drift",
+        "the refractive index of the air changes while the tracers measure, and no correction follows it",
+        (rate,),
+        link,
+        by=by,
+        needs=(need,),
+        confused_with=("dead-path-drift", "tracer-drift"),
+        reveal="temperature and pressure of the air with each reading; the first points again at the end",
+        source="Birch and Downs 1994: -0.955 ppm/K, +0.268 ppm/hPa at 20 °C",
+    )
+
+
+EFFECTS: tuple[Effect, ...] = (
+    Effect(
+        "tracer-scale",
+        "the wavelength or the air correction of one tracer is wrong",
+        (_size("scale", "ratio", "5 ppm"),),
+        lambda block, where: BeamScale(block),
+        where=("tracer",),
+        confused_with=("dead-path-drift", "sphere-form", "length-scale"),
+        reveal="a calibrated length, or the same points from another place of this tracer",
+        source=f"{_HARTIG} eq. 1; EUROMET 610: 14 to 460 nm/m between systems",
+    ),
+    Effect(
+        "length-scale",
+        "all lengths are too long or too short in proportion: one wavelength, air correction or unit for all",
+        (_size("scale", "ratio", "5 percent"),),
+        lambda block, where: BeamScale(block),
+        confused_with=("length-offset",),
+        reveal="a calibrated length (inputs: distances), or points known by sigma_mm",
+        source=f"{_HARTIG} eq. 4",
+    ),
+    Effect(
+        "length-offset",
+        "all absolute distances are off by one amount: zero of the instrument, delay of its electronics",
+        (_size("offset", "length", "1 m"),),
+        lambda block, where: LengthOffset(block),
+        confused_with=("length-scale",),
+        reveal="distances from short to long, or the same line measured in parts",
+        source="zero constant of distance meters: Rüeger, Electronic Distance Measurement",
+    ),
+    _refraction("T", WARMING, "temp", _size("rate", "expansion", "2e-6 1/K")),
+    _refraction("t", ELAPSED, "t", _size("rate", "rate", "10 ppm/h")),
+    Effect(
+        "dead-path-drift",
+        "the dead path of one tracer grows: its stand, its optics or the air in it warm up",
+        (_size("rate", "speed", "1 um/min"),),
+        lambda block, where: LengthTerms(block, (ELAPSED,)),
+        where=("tracer",),
+        needs=("t",),
+        confused_with=("tracer-drift", "refraction-drift"),
+        reveal="the first points again at the end, from far apart directions of this tracer",
+        source="Schwenke et al. 2008, Geometric error measurement and compensation of machines, CIRP Annals 57",
+    ),
+    Effect(
+        "dead-path-jump",
+        "the beam of one tracer was broken and found again, or the tracer was bumped along the beam",
+        (_size("step", "length", "1 mm"),),
+        lambda block, where: LengthJump(block),
+        where=("tracer",),
+        scanned=(Parameter("at", "time", grid=change_points),),
+        needs=("t",),
+        confused_with=("dead-path-drift", "tracer-drift"),
+        reveal="points measured before and after the jump",
+        source="Teunissen 2018, Distributional theory for the DIA method, J. Geodesy 92 (step in the mean)",
+    ),
+    Effect(
+        "tracer-drift",
+        "one tracer moves on its stand while it measures",
+        tuple(_size(name, "speed", "1 um/min") for name in ("vx", "vy", "vz")),
+        lambda block, where: TracerDrift(block),
+        where=("tracer",),
+        needs=("t",),
+        turns=True,
+        confused_with=("dead-path-drift",),
+        reveal="the first points again at the end, seen by this tracer in three directions far apart",
+        source="Schwenke et al. 2008, CIRP Annals 57",
+    ),
+    Effect(
+        "sphere-form",
+        "the reference sphere of one tracer is out of round",
+        tuple(_size(name, "length", "10 um") for name in ("c2", "s2")),
+        lambda block, where: LengthTerms(block, (COS_2A, SIN_2A)),
+        where=("tracer",),
+        confused_with=("tracer-scale",),
+        reveal="this tracer turned by 45 degrees about its vertical axis and the points measured again",
+        source="the first harmonic of the azimuth is a shift of the centre; the second is the lowest that is seen",
+    ),
+    Effect(
+        "reflector-incidence",
+        "the length changes with the angle at which the beam enters the reflector",
+        (_size("c", "length", "20 um"),),
+        lambda block, where: LengthTerms(block, (INCIDENCE,)),
+        confused_with=("tracer-scale",),
+        reveal="points measured again with the reflector turned to another axis",
+        source="Lin et al. 2002; Ouyang et al. 2007 (corner cubes within 20 degrees)",
+    ),
+    Effect(
+        "reseated-reflector",
+        "the reflector was taken out and put back, and sits elsewhere in its nest",
+        tuple(_size(name, "length", "1 mm") for name in ("dx", "dy", "dz")),
+        lambda block, where: PointStep(block),
+        scanned=(Parameter("at", "time", grid=change_points),),
+        needs=("t",),
+        confused_with=("tracer-drift", "dead-path-jump"),
+        reveal="some points measured before and after the reflector is touched",
+        source="geodetic practice: closing points",
+    ),
+    Effect(
+        "moved-point",
+        "one length is wrong",
+        (_size("step", "length", "10 m"),),
+        lambda block, where: LengthOffset(block),
+        where=("point", "tracer"),
+        reveal="this point measured again by this tracer",
+        source="Baarda 1968 (mean shift of one reading)",
+        of_one_reading=True,
+    ),
+)
+"""The table; its order is that of the documents"""

@@ -1,0 +1,143 @@
+"""Layouts that cannot carry the answer: what is wrong with them, in words, and what would mend it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.outcome import Outcome
+from metrocli.adjust.solution import Solution
+from metrocli.effects.estimates import absorbed
+from metrocli.instruments import tracer as t
+from metrocli.tasks.multilaterate.problem import Network
+from metrocli.words import listed
+
+TOO_WEAK, WEAK = 300.0, 10.0
+"""Uncertainty of a point over that of a length: beyond the first nothing is given out, beyond the second it is said"""
+_THIN = 0.02
+"""Points thinner than this share of their length lie on a line or plane"""
+_CLOSE = 0.05
+"""Tracers nearer than this share of the layout stand at one place"""
+_FEW = 6
+
+
+def weakness(network: Network, solution: Solution) -> float:
+    """Return the uncertainty of the points over that of the lengths, both root mean squares; 1 to 3 is good."""
+    if solution.covariance is None:
+        return float("inf")
+    members = solution.covariance.members(t.POINT)[network.seen > 0]
+    spread = np.einsum("mii->m", members).mean() / 3
+    return float(np.sqrt(max(spread, 0.0)) / np.sqrt((network.lengths.observations.sigma**2).mean()))
+
+
+def carries(network: Network, solution: Solution) -> bool:
+    """Tell whether the layout determines the points well enough to give them out."""
+    if solution.undetermined or solution.outcome is Outcome.TOO_FEW:
+        return False
+    return solution.covariance is None or weakness(network, solution) <= TOO_WEAK
+
+
+def warnings(network: Network, solution: Solution) -> list[str]:
+    """Return what makes a layout weak that determines its points."""
+    ratio = weakness(network, solution)
+    if ratio <= WEAK:
+        return []
+    return [
+        f"the layout is weak, points are {ratio:.2g} times less certain than lengths: {reason}"
+        for reason in reasons(network, solution)
+    ]
+
+
+def explained(network: Network, solution: Solution) -> str:
+    """Say what is undetermined, why, and what would determine it."""
+    lines = [
+        f"the layout does not determine the points: {solution.observations} readings, {solution.unknowns} unknowns"
+    ]
+    lines += [f"  undetermined: {combination}" for combination in solution.undetermined[:3]]
+    if not solution.undetermined and solution.covariance is not None:
+        lines.append(f"  points are {weakness(network, solution):.2g} times less certain than lengths")
+    lines += [f"  why: {reason}" for reason in reasons(network, solution)]
+    return "\n".join(lines)
+
+
+def reasons(network: Network, solution: Solution) -> list[str]:
+    """Return what is wrong with the layout of a network that is undetermined or weak."""
+    hidden = absorbed(network.effects, solution, network.datum) if solution.undetermined else ()
+    if hidden:
+        return [
+            f"{one.label} cannot be told from the other unknowns of this job, which absorb it; "
+            f"leave it out, or measure {one.effect.reveal}"
+            for one in hidden
+        ]
+    found = [*_counts(network, solution), *_shapes(network, solution)]
+    return found or ["the tracers see the points from too few directions; add tracers or points away from the others"]
+
+
+def _counts(network: Network, solution: Solution) -> Iterator[str]:
+    tracers, index = network.blocks[t.TRACER], network.lengths.observations.index
+    m, fewest = len(tracers.members), 3 if network.absolute and not network.unknown.all() else 4
+    if m < fewest and not (~tracers.free[:, :3]).all():
+        kind = "absolute distances" if network.absolute else "length changes"
+        yield f"there are {m} tracers; positions from {kind} need {fewest} or more, not in one plane{_three(network)}"
+    per_tracer = int(tracers.free.sum()) / m
+    there = int((network.seen > 0).sum())
+    needed = math.ceil((per_tracer * m - 6) / (m - 3)) if m > 3 else 0
+    if solution.dof < 0 and there < needed:
+        yield f"too few points: {there}, where {m} tracers need {needed}, and more to be checked"
+    few = [name for name, n in zip(network.blocks[t.POINT].members, network.seen, strict=True) if 0 < n < 3]
+    if few and network.unknown[network.seen > 0].any():
+        yield (
+            f"points read by fewer than three tracers: {listed(few)}; `outliers: remove` leaves them out, or read them "
+            "by more"
+        )
+    reads = np.bincount(index[t.TRACER], minlength=m)
+    poor = [f"{name} ({n})" for name, n in zip(tracers.members, reads, strict=True) if n < _FEW]
+    if poor:
+        yield f"tracers that read too few points for their place: {listed(poor)}; six or more spread in space are sound"
+
+
+def _three(network: Network) -> str:
+    known = "where points or tracers are known (sigma_mm)"
+    return f"; three are enough {known}" if network.absolute and network.unknown.all() else ""
+
+
+def _shapes(network: Network, solution: Solution) -> Iterator[str]:
+    tracers, points = network.blocks[t.TRACER], network.blocks[t.POINT].values[network.seen > 0]
+    if _flat(points, 1):
+        yield "the points lie on a line: add points away from it in two directions"
+        return
+    if _flat(points, 2):
+        yield "the points lie in one plane: add points out of it"
+    places, m = tracers.values[:, :3], len(tracers.members)
+    near = [(i, j) for i in range(m) for j in range(i) if _gap(places, i, j) < _CLOSE * _span(places)]
+    for i, j in near:
+        yield (
+            f"tracers {tracers.members[j]} and {tracers.members[i]} stand nearly at one place "
+            f"({_gap(places, i, j):.3g} mm apart): set them further apart"
+        )
+    if not near and 3 < m < _FEW and _flat(places, 2):
+        yield (
+            f"the {m} tracers stand in one plane (within {_thickness(places, 2):.3g} mm): "
+            "move one out of it by a good part of their distances, or use six"
+        )
+
+
+def _gap(places: Array, i: int, j: int) -> float:
+    return float(np.linalg.norm(places[i] - places[j]))
+
+
+def _span(points: Array) -> float:
+    return float(np.linalg.norm(np.ptp(points, axis=0)))
+
+
+def _thickness(points: Array, dimensions: int) -> float:
+    """Return how far points lie from the best line (1) or plane (2), root mean square."""
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return float(spread[dimensions:].max(initial=0.0) / np.sqrt(len(points)))
+
+
+def _flat(points: Array, dimensions: int) -> bool:
+    return _thickness(points, dimensions) < _THIN * _thickness(points, 0)

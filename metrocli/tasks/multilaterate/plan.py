@@ -1,0 +1,146 @@
+"""What a planned multilateration will determine: points, distances, wrong lengths that stay hidden, one more tracer."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import product
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.solution import Solution, residuals_of
+from metrocli.effects.estimates import estimates
+from metrocli.errors import UndeterminedError
+from metrocli.instruments import tracer as t
+from metrocli.plan import Plan
+from metrocli.result import Estimate
+from metrocli.table import Table
+from metrocli.tasks.multilaterate import layout_faults
+from metrocli.tasks.multilaterate.distance import between_two, factors
+from metrocli.tasks.multilaterate.layout import Layout, root_mean_square, worst_direction
+from metrocli.tasks.multilaterate.reliability import UNITS, reliability
+from metrocli.tasks.multilaterate.report import KIND
+from metrocli.tasks.multilaterate.tracer_candidates import Ranking, ranked
+from metrocli.tasks.multilaterate.uncontrolled import in_words, uncontrolled
+from metrocli.units import roughly
+
+if TYPE_CHECKING:
+    from metrocli.table import Values
+
+_HEAD = "tracers, and distances of points along lines through the volume:"
+_FEWEST_CHECKED = 4
+"""Lengths of a point that show that one is wrong, and not which"""
+_TOLD = 3
+"""Places for one more tracer that are told"""
+_UNCONTROLLED = 0.01
+"""Redundancy below which a test of the length says nothing: its least detectable error exceeds 41 sigma"""
+
+
+def planned(layout: Layout, candidates: Table | None) -> Plan:
+    """Return what a layout will determine; UndeterminedError, with what would help, where it does not."""
+    ranking = ranked(layout, candidates)
+    if not layout_faults.carries(layout.network, layout.solution):
+        best = _best(ranking)
+        raise UndeterminedError("\n".join([layout_faults.explained(layout.network, layout.solution), *best]))
+    lengths, hidden = _lengths(layout), uncontrolled(layout.network)
+    tables = {"points": _points(layout), "reliability": lengths, "candidates": ranking.table, "not_controlled": hidden}
+    return Plan(
+        KIND,
+        (*_quality(layout), *_of_lengths(layout, lengths), *_best(ranking), *in_words(hidden), "", _HEAD),
+        (*_tracers(layout.solution), *_lines(layout), *estimates(layout.network.effects, layout.solution)),
+        tables,
+        warnings=(*layout.network.warnings, *layout_faults.warnings(layout.network, layout.solution)),
+    )
+
+
+def _points(layout: Layout) -> Table:
+    std = layout.solution.std(t.POINT)[layout.network.seen > 0]
+    columns: dict[str, Values] = {"point": np.array(layout.names)}
+    columns |= {axis: layout.places[:, i] for i, axis in enumerate("xyz")}
+    columns |= {f"s{axis}": std[:, i] for i, axis in enumerate("xyz")}
+    columns["worst"] = worst_direction(layout.covariances)
+    return Table(columns, {name: "mm" for name in columns if name != "point"})
+
+
+def _lengths(layout: Layout) -> Table:
+    """Return each length with its redundancy, its least detectable error, and how far that moves the point unseen."""
+    group = layout.network.lengths
+    found = residuals_of(layout.solution, group)
+    columns: dict[str, Values] = {name: np.array(values) for name, values in group.observations.keys.items()}
+    columns |= {"sigma": group.observations.sigma[0], **reliability(layout.solution, group, found)}
+    return Table(columns, {"sigma": "mm", **UNITS})
+
+
+def _tracers(solution: Solution) -> Iterator[Estimate]:
+    block, std = solution.blocks[t.TRACER], solution.std(t.TRACER)
+    for i, j in np.argwhere(block.free[:, :3]):
+        yield Estimate(f"{block.members[i]}.{block.columns[j]}", float(block.values[i, j]), float(std[i, j]), "mm")
+
+
+def _lines(layout: Layout) -> Iterator[Estimate]:
+    """Yield distances of points near the ends of lines through the volume: along the axes, and its diagonals."""
+    points, names, read = layout.places, layout.names, np.flatnonzero(layout.network.seen > 0)
+    middle, half = (points.max(axis=0) + points.min(axis=0)) / 2, np.ptp(points, axis=0) / 2
+    told = set()
+    for direction in [*np.eye(3), *(np.array([1.0, y, z]) for y, z in product((1, -1), repeat=2))]:
+        a, b = (int(np.argmin(np.linalg.norm(points - end, axis=1))) for end in _ends(middle, half * direction))
+        if a != b and (a, b) not in told:
+            told.add((a, b))
+            rows = np.sort([a, b])
+            chosen = np.isin(np.arange(len(layout.network.seen)), read[rows])
+            shared = factors(layout.solution.known(), chosen)
+            length, std = between_two(points[rows], layout.covariances[rows], shared)
+            yield Estimate(f"{names[a]} - {names[b]}", length, std, "mm")
+
+
+def _ends(middle: Array, half: Array) -> tuple[Array, Array]:
+    return middle - half, middle + half
+
+
+def _quality(layout: Layout) -> Iterator[str]:
+    worst, ratio = worst_direction(layout.covariances), layout_faults.weakness(layout.network, layout.solution)
+    name, m = layout.names[int(np.argmax(worst))], len(layout.network.blocks[t.TRACER].members)
+    yield (
+        f"{len(layout.names)} points from {m} tracers: coordinates to "
+        f"{roughly(root_mean_square(layout.covariances), 'um')} (root mean square), the worst point {name} to "
+        f"{roughly(float(worst.max()), 'um')} in its worst direction"
+    )
+    yield f"coordinates are {ratio:.2g} times as uncertain as lengths (1 to 3 is good)"
+
+
+def _of_lengths(layout: Layout, lengths: Table) -> Iterator[str]:
+    """Yield what tests of the lengths will find, and what they will not."""
+    least, moves = lengths.numbers("detectable"), lengths.numbers("moves_point")
+    yield (
+        f"an error of one length will be found from {roughly(float(np.median(least)), 'um')} on in half of the lengths "
+        "(0.1 % level, 80 % power)"
+    )
+    row = int(np.argmax(np.where(np.isfinite(moves), moves, np.inf)))
+    name = f"{lengths.texts('point')[row]}/{lengths.texts('tracer')[row]}"
+    if np.isfinite(moves[row]):
+        yield f"unseen, the error of one length moves its point by {roughly(moves[row], 'um')} at most ({name})"
+    poor = int((lengths.numbers("redundancy") < _UNCONTROLLED).sum())
+    if poor:
+        yield f"{poor} lengths are hardly controlled by the others (redundancy below {_UNCONTROLLED:g}), such as {name}"
+    if (layout.network.seen[layout.network.unknown] == _FEWEST_CHECKED).any():
+        yield "a wrong length will show in its point, but with four tracers nobody can tell whose it is: a fifth would"
+
+
+def _best(ranking: Ranking) -> Iterator[str]:
+    """Yield the best places for one more tracer."""
+    table = ranking.table
+    if not len(table):
+        yield f"one more tracer alone would not help: none of {ranking.tried} places tried"
+        return
+    yield f"one more tracer would serve best of {ranking.tried} places tried at"
+    for row in range(min(_TOLD, len(table))):
+        place = ", ".join(f"{table.numbers(axis)[row]:.0f}" for axis in "xyz")
+        rms, worst, gain, gain_worst = (
+            float(table.numbers(name)[row]) for name in ("rms", "worst", "gain_rms", "gain_worst")
+        )
+        gains = "" if np.isnan(gain) else f" ({gain:.0%} and {gain_worst:.0%} less)"
+        yield (
+            f"  {table.texts('candidate')[row]} ({place}) mm: coordinates to {roughly(rms, 'um')}, "
+            f"the worst point to {roughly(worst, 'um')}{gains}"
+        )

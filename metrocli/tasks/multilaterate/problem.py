@@ -1,0 +1,227 @@
+"""The adjustment of a network of lengths, from readings to blocks and groups with starting values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Protocol
+
+import numpy as np
+
+from metrocli.adjust.datum import Datum
+from metrocli.adjust.iterated_weights import Aspect, Noise
+from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.chain import Chain
+from metrocli.adjust.model.groups import Group, prior, priors
+from metrocli.adjust.model.observations import Index, Mask, Observations
+from metrocli.effects.model import Added, Model, Place
+from metrocli.errors import InputError, together
+from metrocli.instruments import tracer as t
+from metrocli.instruments.frames import DistanceBetween
+from metrocli.table import Table
+from metrocli.tasks.multilaterate.readings import Readings, join, matched
+from metrocli.tasks.multilaterate.start import places_of
+from metrocli.words import listed
+
+LENGTHS, DISTANCES = "lengths", "distances"
+"""Names of the groups: lengths from tracers, and calibrated distances between points"""
+
+
+class NoiseSettings(Protocol):
+    """Standard deviation of a length."""
+
+    @property
+    def constant(self) -> float:
+        """a [mm]"""
+
+    @property
+    def proportional(self) -> float:
+        """b"""
+
+
+class ScaleSettings(Protocol):
+    """What is known of the scales."""
+
+    @property
+    def uncertainty(self) -> float:
+        """Standard uncertainty of each"""
+
+
+class NetworkSettings(Protocol):
+    """The settings that the network needs."""
+
+    @property
+    def noise(self) -> NoiseSettings:
+        """Standard deviation of a length"""
+
+    @property
+    def measures(self) -> str:
+        """changes or absolute"""
+
+    @property
+    def scale(self) -> ScaleSettings | None:
+        """None: scales are 1"""
+
+    @property
+    def datum(self) -> str | None:
+        """inner-constraints, points, or None"""
+
+
+@dataclass(frozen=True)
+class Network:
+    """A network of lengths ready to adjust."""
+
+    blocks: Mapping[str, Block]
+    lengths: Group
+    others: tuple[Group, ...]
+    datum: Datum | None
+    noise: Noise
+    nominal: Array
+    """The mover's readings of the points (points, 3)"""
+    absolute: bool
+    said: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    """Where the tracers are said to be (tracers, 3), nan where nothing is said"""
+    warnings: tuple[str, ...] = ()
+    effects: tuple[Added, ...] = ()
+
+    def model(self) -> Model:
+        """Return the network as a model that effects can be added to."""
+        places = {"tracer": Place(self.blocks[t.TRACER].members, t.TRACER)}
+        places["point"] = Place(self.blocks[t.POINT].members, t.POINT)
+        groups = (self.lengths, *self.others)
+        return Model(self.blocks, groups, self.datum, (LENGTHS,), places, t.ASPECTS, self.effects)
+
+    def with_model(self, model: Model) -> Network:
+        """Return the network with the blocks, groups and effects of a model made from it."""
+        lengths = next(group for group in model.groups if group.name == LENGTHS)
+        others = tuple(group for group in model.groups if group.name != LENGTHS)
+        added = model.added
+        return replace(self, blocks=model.blocks, lengths=lengths, others=others, datum=model.datum, effects=added)
+
+    @property
+    def aspects(self) -> Mapping[str, Aspect]:
+        """What the effects in the network depend on and the solution decides."""
+        return t.ASPECTS if self.effects else {}
+
+    @property
+    def seen(self) -> Index:
+        """Number of lengths to each point."""
+        return np.bincount(self.lengths.observations.index[t.POINT], minlength=len(self.nominal))
+
+    @property
+    def unknown(self) -> Mask:
+        """Points of which nothing is known but the lengths."""
+        held = np.zeros(len(self.nominal), dtype=bool)
+        for group in self.others:
+            if t.POINT in group.observations.index:
+                held[group.observations.index[t.POINT].ravel()] = True
+        return self.blocks[t.POINT].free.all(axis=1) & ~held
+
+    def only(self, keep: Mask) -> Network:
+        """Return the network with some of its lengths; points without any are no unknowns any more."""
+        lengths = self.lengths.selected(keep)
+        left = np.bincount(lengths.observations.index[t.POINT], minlength=len(self.nominal)) > 0
+        points = self.blocks[t.POINT]
+        fewer = replace(points, free=points.free & left[:, None])
+        others = tuple(_without(group, left) for group in self.others)
+        datum = None if self.datum is None else replace(self.datum, members=self.datum.members * left)
+        return replace(self, lengths=lengths, blocks={**self.blocks, t.POINT: fewer}, others=others, datum=datum)
+
+
+def _without(group: Group, left: Mask) -> Group:
+    index = group.observations.index.get(t.POINT)
+    return group if index is None else group.selected(np.asarray(left[np.atleast_2d(index)].all(axis=0)))
+
+
+def build(
+    settings: NetworkSettings, lengths: Table, points: Table, tracers: Table | None, distances: Table | None
+) -> Network:
+    """Return the adjustment with its starting values."""
+    readings = join(lengths, points, tracers, settings.measures == "absolute")
+    return network_of(settings, readings, places_of(readings), lengths, distances)
+
+
+def network_of(
+    settings: NetworkSettings, readings: Readings, places: Array, lengths: Table, distances: Table | None
+) -> Network:
+    """Return the adjustment of readings from tracers that start at `places` (tracers, 5)."""
+    names, sigma = readings.names, readings.point_sigma
+    free = (sigma != 0) & (readings.seen > 0)[:, None]
+    point_block = t.point_block(readings.nominal, names, free, readings.extent)
+    tracer_block = _tracers(settings, readings, places)
+    observations = Observations(
+        readings.length[None],
+        np.array(settings.noise.constant),
+        {t.POINT: readings.point, t.TRACER: readings.station},
+        keys={"point": tuple(lengths.texts("point")), "tracer": tuple(lengths.texts("tracer"))},
+        conditions={name: lengths.numbers(name) for name in ("t", "temp") if name in lengths},
+        components=("length",),
+        unit="mm",
+    )
+    noise = _path_noise(settings.noise)
+    blocks = {t.POINT: point_block, t.TRACER: tracer_block}
+    group = Group(LENGTHS, t.chain(), observations)
+    group = group.with_observations(replace(observations, sigma=noise(group, blocks)))
+    tracer_sigma = np.column_stack([readings.tracer_sigma, np.full((len(readings.stations), 2), np.nan)])
+    others = (
+        *priors(point_block, sigma, free),
+        *priors(tracer_block, tracer_sigma, tracer_block.free),
+        *_scales(settings, tracer_block),
+        *_distances(distances, names, readings.seen),
+    )
+    inner = settings.datum != "points" and bool(tracer_block.free[:, :3].any()) and bool(free.any())
+    datum = t.datum(point_block, free.all(axis=1).astype(float)) if inner else None
+    absolute = settings.measures == "absolute"
+    return Network(blocks, group, others, datum, noise, readings.nominal, absolute, readings.said, _unused(readings))
+
+
+def _unused(readings: Readings) -> tuple[str, ...]:
+    """Return warnings of points without a length and of tracers that read nothing."""
+    unseen = [name for name, n in zip(readings.names, readings.seen, strict=True) if n == 0]
+    warnings = (f"{len(unseen)} points have no length: {listed(unseen)}",) if unseen else ()
+    return warnings + ((f"tracers that read nothing are left out: {listed(readings.idle)}",) if readings.idle else ())
+
+
+def _tracers(settings: NetworkSettings, readings: Readings, places: Array) -> Block:
+    free = np.ones((len(readings.stations), 5), dtype=bool)
+    free[:, :3] = readings.tracer_sigma != 0
+    free[:, 3] = settings.measures != "absolute"
+    free[:, 4] = settings.scale is not None
+    return t.tracer_block(places, readings.stations, free, readings.extent)
+
+
+def _scales(settings: NetworkSettings, block: Block) -> list[Group]:
+    if settings.scale is None:
+        return []
+    members = np.arange(len(block.members))
+    return [prior(block, members, np.full((len(members), 1), settings.scale.uncertainty), columns=(4,))]
+
+
+def _distances(table: Table | None, names: Sequence[str], seen: Index) -> list[Group]:
+    if table is None:
+        return []
+    ends = np.stack(together(*(partial(matched, table, column, names, "the points") for column in ("from", "to"))))
+    length, sigma = table.numbers("length"), table.numbers("sigma")
+    wrong = {
+        "a distance to a point that no tracer reads": (seen[ends] == 0).any(axis=0),
+        "a distance of a point to itself": ends[0] == ends[1],
+        "a distance is not above zero": length <= 0,
+        "the standard deviation of a distance is not above zero": sigma <= 0,
+    }
+    faults = [table.fault_at(row, text) for text, rows in wrong.items() for row in np.flatnonzero(rows).tolist()]
+    if faults:
+        raise InputError(faults)
+    observations = Observations(length[None], sigma[None], {t.POINT: ends}, components=("length",), unit="mm")
+    return [Group(DISTANCES, Chain((DistanceBetween(t.POINT),)), observations)]
+
+
+def _path_noise(settings: NoiseSettings) -> Noise:
+    """Return `sigma = sqrt(a^2 + b^2 (l + l0)^2)` with the adjusted dead paths."""
+
+    def sigma(group: Group, blocks: Mapping[str, Block]) -> Array:
+        observations = group.observations
+        path = observations.readings[0] + blocks[t.TRACER].values[observations.index[t.TRACER], 3]
+        return np.asarray(np.sqrt(settings.constant**2 + (settings.proportional * path) ** 2)[None])
+
+    return sigma

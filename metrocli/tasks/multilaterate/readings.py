@@ -1,0 +1,125 @@
+"""Readings of tracers joined to their points and tracers, with what the files say is known of these."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.observations import Index
+from metrocli.errors import InputError, together
+from metrocli.table import MOST_FAULTS, Table
+from metrocli.tasks.shared.known_places import sigmas
+from metrocli.words import nearest
+
+
+@dataclass(frozen=True)
+class Readings:
+    """Lengths with their places in the lists of points and tracers."""
+
+    names: tuple[str, ...]
+    stations: tuple[str, ...]
+    """Tracers that read something"""
+    idle: tuple[str, ...]
+    """Tracers of the list that read nothing"""
+    length: Array
+    point: Index
+    station: Index
+    nominal: Array
+    """(points, 3)"""
+    said: Array
+    """Where the tracers are said to be, (tracers, 3), nan where nothing is said"""
+    point_sigma: Array
+    """(points, 3), nan where nothing is known"""
+    tracer_sigma: Array
+    """(tracers, 3)"""
+    absolute: bool
+    file: str = ""
+
+    @property
+    def seen(self) -> Index:
+        """Number of lengths to each point."""
+        return np.bincount(self.point, minlength=len(self.names))
+
+    @property
+    def extent(self) -> float:
+        """Largest side of the box around the points that are read."""
+        return float(np.ptp(self.nominal[self.seen > 0], axis=0).max()) or 1.0
+
+
+def join(lengths: Table, points: Table, tracers: Table | None, absolute: bool) -> Readings:
+    """Match lengths to points and tracers; InputError for every length that has none, and for impossible readings."""
+    if len(lengths) == 0:
+        raise InputError([lengths.fault("the file has no lengths")])
+    used = sorted(set(lengths.texts("tracer")))
+    listed = used if tracers is None else tracers.texts("tracer")
+    stations = [name for name in listed if name in set(used)]
+    names, in_points = points.texts("point"), points.file or "the list of points"
+    point, station, point_sigma, tracer_sigma, _ = together(
+        lambda: matched(lengths, "point", names, in_points),
+        lambda: matched(lengths, "tracer", stations, "" if tracers is None else tracers.file, listed),
+        lambda: sigmas(points),
+        lambda: None if tracers is None else sigmas(tracers),
+        lambda: _refuse_readings(lengths, absolute),
+    )
+    if tracers is None:
+        said = sigma = np.full((len(stations), 3), np.nan)
+    else:
+        rows = [listed.index(name) for name in stations]
+        said, sigma = tracers.stacked("xyz")[rows], tracer_sigma[rows]
+        _refuse_negative_paths(lengths, station, tracers, rows)
+    return Readings(
+        tuple(names),
+        tuple(stations),
+        tuple(name for name in listed if name not in set(used)),
+        lengths.numbers("length"),
+        point,
+        station,
+        points.stacked("xyz"),
+        said,
+        point_sigma,
+        sigma,
+        absolute,
+        lengths.file,
+    )
+
+
+def matched(table: Table, column: str, names: Sequence[str], where: str, known: Sequence[str] = ()) -> Index:
+    """Return for each row the place of its name in `names`; InputError for every name that is not there.
+
+    `known` are the names that could have been meant, where these are more.
+    """
+    place = {name: i for i, name in enumerate(names)}
+    different, which = np.unique(np.asarray(table.columns[column], dtype=str), return_inverse=True)
+    found = np.array([place.get(str(name), -1) for name in different], dtype=np.intp)[which]
+    strange = np.flatnonzero(found < 0)
+    if strange.size:
+        values = table.texts(column)
+        meant = {
+            name: nearest(name, known or names) for name in {values[row] for row in strange[:MOST_FAULTS].tolist()}
+        }
+        hints = {name: f"did you mean '{found}'?" for name, found in meant.items() if found}
+        text = f"{column} '{{}}' is not in {where}".format
+        raise InputError(table.faults_at(strange, lambda row: text(values[row]), lambda row: hints.get(values[row])))
+    return found
+
+
+def _refuse_readings(lengths: Table, absolute: bool) -> None:
+    values = lengths.numbers("length")
+    if absolute and (values <= 0).any():
+        wrong = np.flatnonzero(values <= 0)
+        raise InputError(lengths.faults_at(wrong, lambda row: "an absolute distance is not above zero"))
+    if len(values) > 1 and np.ptp(values) == 0:
+        raise InputError([lengths.fault("all lengths are equal", "is this the right column?")])
+
+
+def _refuse_negative_paths(lengths: Table, station: Index, tracers: Table, rows: Sequence[int]) -> None:
+    """Raise InputError where a length and the dead path that is given for its tracer make no path."""
+    dead = tracers.numbers("dead_path", float("nan"))[list(rows)][station]
+    path = lengths.numbers("length") + dead
+    bad = np.flatnonzero(path <= 0)
+    if bad.size:
+        text = "length and dead path together make a path of {:g} mm, which is not above zero"
+        raise InputError(lengths.faults_at(bad, lambda row: text.format(path[row])))

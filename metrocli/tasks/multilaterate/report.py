@@ -1,0 +1,215 @@
+"""The result of a multilateration: points with their covariance, tracers, reliability, and the corrected probing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.solution import Solution
+from metrocli.effects.estimates import estimates, free_blocks
+from metrocli.effects.estimates import tables as effect_results
+from metrocli.instruments import tracer as t
+from metrocli.result import Estimate, Result
+from metrocli.table import Table
+from metrocli.tasks.multilaterate import layout_faults
+from metrocli.tasks.multilaterate.correction import corrected, distant, wrong_entries
+from metrocli.tasks.multilaterate.distance import factors
+from metrocli.tasks.multilaterate.reliability import UNITS as RELIABILITY_UNITS
+from metrocli.tasks.multilaterate.reliability import reliability
+from metrocli.tasks.multilaterate.solve import Solved
+from metrocli.tasks.multilaterate.uncontrolled import in_words, uncontrolled
+from metrocli.tasks.shared.statistics import REMOVE, basic_statistics, noise_warnings
+from metrocli.words import listed
+
+if TYPE_CHECKING:
+    from metrocli.table import Values
+
+KIND = "multilaterate"
+_UNITS = ("mm", "mm", "mm", "mm", "1")
+_ELSEWHERE = 0.5
+"""A tracer is told that is this share of its distance from the points away from where its list says"""
+
+_REASONS = {
+    "gross": "far off before the adjustment",
+    "outlier": "outlier",
+    "alike": "one of the point's lengths is wrong; which cannot be told",
+    "point": "too few lengths of the point are left to be checked",
+    "few": "fewer than three tracers read the point",
+    "doubt": "the point lost a length, and the others do not meet either",
+}
+
+
+def report(solved: Solved, probing: Table | None, tolerance: float) -> Result:
+    """Return the result of a solved network."""
+    solution = solved.solution
+    added = solved.network.effects
+    found = (*_tracer_estimates(solution), *estimates(added, solution))
+    points, arrays = _points(solved)
+    effect_tables, effect_arrays = effect_results(added, solution)
+    hidden = uncontrolled(solved.network)
+    tables = {
+        "points": points,
+        "residuals": _residuals(solved),
+        "tracers": _tracers(solution),
+        "suspects": _suspects(solved),
+        "rejected": _rejected(solved),
+        "not_controlled": hidden,
+        **effect_tables,
+    }
+    if probing is not None:
+        tables["corrected"] = corrected(solved.network, solution, probing, tolerance)
+    rms = float(np.sqrt((solved.residuals.values**2).mean()))
+    statistics = basic_statistics(solution, {"mm": rms}) | {
+        "rejected": len(solved.rejected),
+        "critical_w": solved.critical,
+        "weakness": layout_faults.weakness(solved.network, solution),
+    }
+    return Result(
+        kind=KIND,
+        title="",
+        estimates=found,
+        covariance=solution.joint((t.TRACER, *free_blocks(added))),
+        statistics=statistics,
+        tables=tables,
+        arrays={**arrays, **effect_arrays},
+        warnings=(*_warnings(solved), *distant(solved.network, probing, tolerance)),
+        shown=tuple(_shown(solved)),
+        notes=in_words(hidden),
+    )
+
+
+def _shown(solved: Solved) -> Iterator[str]:
+    if solved.network.blocks[t.POINT].free.any():
+        yield "points: point, x, y, z, sx, sy, sz"
+    if solved.suspects:
+        yield "suspects"
+
+
+def _tracer_estimates(solution: Solution) -> tuple[Estimate, ...]:
+    block, std = solution.blocks[t.TRACER], solution.std(t.TRACER)
+    return tuple(
+        Estimate(f"{block.members[i]}.{block.columns[k]}", float(block.values[i, k]), float(std[i, k]), _UNITS[k])
+        for i, k in zip(*np.nonzero(block.free), strict=True)
+    )
+
+
+def _points(solved: Solved) -> tuple[Table, dict[str, Array]]:
+    """Return /points, with the mover's error at each (its reading minus the point), and their covariances."""
+    solution, network = solved.solution, solved.network
+    block, seen = solution.blocks[t.POINT], network.seen > 0
+    each = solution.known().members(t.POINT)[seen]
+    std = np.sqrt(np.maximum(np.einsum("mii->mi", each), 0.0))
+    error = network.nominal[seen] - block.values[seen]
+    columns: dict[str, Values] = {"point": np.array(block.members)[seen]}
+    columns |= {name: block.values[seen, i] for i, name in enumerate("xyz")}
+    columns |= {f"s{name}": std[:, i] for i, name in enumerate("xyz")}
+    columns |= {f"error_{name}": error[:, i] for i, name in enumerate("xyz")}
+    arrays = {"points_covariance": each, **factors(solution.known(), seen)}
+    return Table(columns, {name: "mm" for name in columns if name != "point"}), arrays
+
+
+def _tracers(solution: Solution) -> Table:
+    block = solution.blocks[t.TRACER]
+    std = solution.std(t.TRACER)
+    columns: dict[str, Values] = {"tracer": np.array(block.members)}
+    for i, name in enumerate(block.columns):
+        columns[name], columns[f"s_{name}"] = block.values[:, i], std[:, i]
+    units = {f"{s}{name}": "mm" for name in ("x", "y", "z", "dead_path") for s in ("", "s_")}
+    return Table(columns, units)
+
+
+def _residuals(solved: Solved) -> Table:
+    """Return /residuals with the least detectable error of each length, and how far it could move its point unseen."""
+    observations, found = solved.group.observations, solved.residuals
+    columns: dict[str, Values] = {name: np.array(values) for name, values in observations.keys.items()}
+    columns |= {
+        "reading": observations.readings[0],
+        "residual": found.values[0],
+        "sigma": found.sigma[0],
+        "normalised": found.normalised[0],
+        **reliability(solved.solution, solved.group, found),
+    }
+    return Table(columns, dict.fromkeys(("reading", "residual", "sigma", *RELIABILITY_UNITS), "mm"))
+
+
+def _rejected(solved: Solved) -> Table:
+    observations = solved.whole.lengths.observations
+    chosen = sorted(solved.rejected, key=lambda one: one.row)
+    rows = [one.row for one in chosen]
+    return Table(
+        {
+            **{key: np.array([values[i] for i in rows], dtype=str) for key, values in observations.keys.items()},
+            "reading": observations.readings[0, rows],
+            "w": np.array([one.test for one in chosen], dtype=float),
+            "reason": np.array([_REASONS[one.reason] for one in chosen], dtype=str),
+        },
+        {"reading": "mm"},
+    )
+
+
+def _suspects(solved: Solved) -> Table:
+    found = solved.suspects
+    return Table(
+        {
+            "point": np.array([one.point for one in found], dtype=str),
+            "tracer": np.array([one.tracer or "cannot be told" for one in found], dtype=str),
+            "or": np.array([" ".join(one.others) for one in found], dtype=str),
+            "w": np.array([one.test for one in found], dtype=float),
+        }
+    )
+
+
+def _warnings(solved: Solved) -> list[str]:
+    lines = [*solved.network.warnings, *noise_warnings(solved.solution, cures=(REMOVE,))]
+    keys = solved.whole.lengths.observations.keys
+    wrong = [
+        f"{keys['point'][one.row]}/{keys['tracer'][one.row]}"
+        for one in solved.rejected
+        if one.reason in ("gross", "outlier")
+    ]
+    if wrong:
+        lines.append(f"{len(wrong)} lengths are left out as wrong: {listed(wrong)} (table rejected)")
+    told = [
+        f"{one.point}/{one.tracer} (w = {one.test:.1f}{', or ' + ' or '.join(one.others) if one.others else ''})"
+        for one in solved.suspects
+        if one.tracer
+    ]
+    untold = [one for one in solved.suspects if not one.tracer]
+    alike = [f"{one.point} (w = {one.test:.1f}: {' or '.join(one.others)})" for one in untold]
+    bound = f"the outlier bound |w| = {solved.critical:.2f}"
+    if told:
+        lines.append(f"{len(told)} lengths exceed {bound}: {listed(told, 5)}; `outliers: remove` leaves such out")
+    if alike:
+        lines.append(
+            f"{len(alike)} points have a wrong length beyond {bound}: {listed(alike, 5)}; whose it is cannot be told, "
+            "since their |w| are alike (of a point with four lengths all are equal): one more tracer would tell"
+        )
+    gone = [name for name, n, before in _lost(solved) if n == 0 < before]
+    if gone:
+        lines.append(f"{len(gone)} points are left out, since too few of their lengths are left: {listed(gone)}")
+    lines += [*wrong_entries(solved.network, solved.solution), *_elsewhere(solved)]
+    return lines + layout_faults.warnings(solved.network, solved.solution)
+
+
+def _elsewhere(solved: Solved) -> Iterator[str]:
+    """Yield the warning of tracers far from their list: lengths do not tell a layout from its mirror image."""
+    found, network = solved.solution.blocks[t.TRACER], solved.network
+    if not len(network.said):
+        return
+    gap = np.linalg.norm(found.values[:, :3] - network.said, axis=1)
+    away = np.linalg.norm(found.values[:, :3] - network.nominal[network.seen > 0].mean(axis=0), axis=1)
+    far = np.flatnonzero(gap > _ELSEWHERE * away)
+    if far.size:
+        places = [f"{found.members[i]} ({gap[i]:.0f} mm)" for i in far]
+        yield (
+            f"tracers are far from where their list says: {listed(places)}; are axes and signs of both lists the same? "
+            "If those of the points are wrong, so is the result"
+        )
+
+
+def _lost(solved: Solved) -> list[tuple[str, int, int]]:
+    names = solved.network.blocks[t.POINT].members
+    return list(zip(names, solved.network.seen.tolist(), solved.whole.seen.tolist(), strict=True))

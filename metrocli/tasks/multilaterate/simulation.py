@@ -1,0 +1,106 @@
+"""Simulated lengths: what tracers read of a mover that is not where it says."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.groups import Group
+from metrocli.adjust.model.observations import Observations
+from metrocli.effects.estimates import true_values
+from metrocli.effects.model import Model, Place, extended
+from metrocli.effects.wanted import Wanted
+from metrocli.errors import InputError
+from metrocli.instruments import tracer as t
+from metrocli.simulation import Simulation
+from metrocli.table import Table
+from metrocli.tasks.multilaterate.design import Pace, Planned
+from metrocli.tasks.multilaterate.problem import LENGTHS, NetworkSettings
+from metrocli.tasks.multilaterate.readings import matched
+
+if TYPE_CHECKING:
+    from metrocli.table import Values
+
+
+class Truth(Pace, Protocol):
+    """What is true of the mover and the tracers."""
+
+    @property
+    def mover_error(self) -> float:
+        """Standard deviation of each coordinate"""
+
+    @property
+    def mover_scale(self) -> float:
+        """How much too long the mover reads distances"""
+
+    @property
+    def tracer_error(self) -> float:
+        """Standard deviation of the places that are written as approximate"""
+
+
+def simulated(
+    settings: NetworkSettings, truth: Truth, planned: Planned, effects: Sequence[Wanted], rng: np.random.Generator
+) -> Simulation:
+    """Return lengths to the points where they really are, from tracers at the places listed, with effects in them.
+
+    The mover's readings are the list of points; the points themselves are off by its error. Interferometers are set to
+    zero at the first point; scales are off by their uncertainty.
+    """
+    nominal, places = planned.points.stacked("xyz"), planned.tracers.stacked("xyz")
+    if len(nominal) == 0 or len(places) == 0:
+        raise InputError("simulation: there are no points or no tracers")
+    centre = nominal.mean(axis=0)
+    actual = centre + (nominal - centre) / (1 + truth.mover_scale)
+    actual = actual + rng.normal(0.0, 1.0, actual.shape) * truth.mover_error
+    distance = np.linalg.norm(actual[:, None] - places, axis=2)
+    spread = 0.0 if settings.scale is None else settings.scale.uncertainty
+    scale = 1 + rng.normal(0.0, 1.0, len(places)) * spread
+    dead = np.zeros(len(places)) if settings.measures == "absolute" else scale * distance[0]
+    stations = np.column_stack([places, dead, scale])
+    design = planned.design(truth)
+    model = _model(design, planned, actual, stations)
+    model = extended(model, effects) if effects else model
+    observations = model.groups[0].observations
+    path = distance[observations.index[t.POINT], observations.index[t.TRACER]]
+    sigma = np.sqrt(settings.noise.constant**2 + (settings.noise.proportional * path) ** 2)
+    reading = model.groups[0].chain.predict(model.blocks, observations)[0] + rng.normal(0.0, 1.0, path.shape) * sigma
+    said = places + rng.normal(0.0, 1.0, places.shape) * truth.tracer_error
+    units = {"length": "mm", "t": "s", "temp": "degC"}
+    columns: dict[str, Values] = {"point": design.columns["point"], "tracer": design.columns["tracer"]}
+    columns |= {"length": reading} | {name: design.columns[name] for name in ("t", "temp") if name in design}
+    names = planned.tracers.texts("tracer")
+    files = {
+        "lengths.csv": Table(columns, {name: unit for name, unit in units.items() if name in columns}),
+        "tracers.csv": _listed("tracer", names, said),
+        "true_points.csv": _listed("point", planned.points.texts("point"), actual),
+    }
+    return Simulation(files, _named(names, stations) | true_values(model))
+
+
+def _named(names: Sequence[str], stations: Array) -> dict[str, float]:
+    return {
+        f"{name}.{column}": float(stations[i, k]) for i, name in enumerate(names) for k, column in enumerate(t.COLUMNS)
+    }
+
+
+def _model(design: Table, planned: Planned, points: Array, stations: Array) -> Model:
+    """Return the forward model of the design at the truth, with readings of zero."""
+    names, tracers = planned.points.texts("point"), planned.tracers.texts("tracer")
+    index = {t.POINT: matched(design, "point", names, "the points")}
+    index[t.TRACER] = matched(design, "tracer", tracers, "the tracers")
+    conditions = {name: design.numbers(name) for name in ("t", "temp") if name in design}
+    observations = Observations(np.zeros((1, len(design))), np.ones(1), index, conditions=conditions)
+    point = t.point_block(points, names, False, 1.0)
+    tracer = t.tracer_block(stations, tracers, np.zeros(stations.shape, dtype=bool), 1.0)
+    places = {"point": Place(tuple(names), t.POINT), "tracer": Place(tuple(tracers), t.TRACER)}
+    group = Group(LENGTHS, t.chain(), observations)
+    return Model({t.POINT: point, t.TRACER: tracer}, (group,), None, (LENGTHS,), places, t.ASPECTS)
+
+
+def _listed(key: str, names: list[str], places: Array) -> Table:
+    columns: dict[str, Values] = {key: np.array(names)}
+    columns |= {axis: places[:, i] for i, axis in enumerate("xyz")}
+    return Table(columns, dict.fromkeys("xyz", "mm"))

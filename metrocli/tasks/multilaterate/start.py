@@ -1,0 +1,94 @@
+"""Where tracers stand before the adjustment, from the data; and readings that fit no place are refused in words."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from metrocli import units
+from metrocli.adjust.model.blocks import Array
+from metrocli.errors import Fault, InputError, UndeterminedError
+from metrocli.instruments.tracer_start import start
+from metrocli.tasks.multilaterate.readings import Readings
+
+_MISFIT = 0.05
+"""Lengths whose median misfit is more than this share of the volume are not those of these points"""
+_REMOTE = 500.0
+"""A place further away than this many times the volume is none: from there all lengths change alike"""
+_SPARE = 3
+"""Lengths more than unknowns that a tracer needs before its misfit says something"""
+
+
+def places_of(readings: Readings) -> Array:
+    """Return x0, y0, z0, dead path and scale 1 of each tracer (tracers, 5).
+
+    Raises UndeterminedError for a tracer that reads too few points for its place, or to find it; InputError where
+    lengths and points cannot belong together: other units, a turned sign, the rows of one tracer in another order.
+    """
+    values = np.zeros((len(readings.stations), 5))
+    values[:, 4] = 1.0
+    misfits, strange = np.zeros(len(readings.stations)), np.zeros(len(readings.stations), dtype=bool)
+    fewest = 3 if readings.absolute else 4
+    for i, name in enumerate(readings.stations):
+        mine = readings.station == i
+        if mine.sum() < fewest and not (readings.tracer_sigma[i] == 0).all():
+            raise UndeterminedError(
+                f"tracer {name} reads {mine.sum()} points: its place{'' if readings.absolute else ' and dead path'} "
+                f"need {fewest} at least, not in one plane, and {fewest + 2} to be checked"
+            )
+        points, lengths = readings.nominal[readings.point[mine]], readings.length[mine]
+        values[i, :4] = _start_of(readings, i, points, lengths)
+        if mine.sum() >= fewest + _SPARE:
+            misfits[i] = _misfit(points, lengths, values[i])
+            away = float(np.linalg.norm(values[i, :3] - points.mean(axis=0)))
+            strange[i] = misfits[i] > _MISFIT * readings.extent or away > _REMOTE * readings.extent
+    bad = np.flatnonzero(strange)
+    if bad.size:
+        raise InputError([_strange(readings, int(i), float(misfits[i]), bad.size) for i in bad])
+    return values
+
+
+def _start_of(readings: Readings, i: int, points: Array, lengths: Array) -> Array:
+    """Return the start of one tracer, found from the data; a place that is known stays as it is given."""
+    given = readings.said[i]
+    said = None if np.isnan(given).any() else given
+    known = np.isfinite(readings.tracer_sigma[i])
+    if known.all():
+        dead = 0.0 if readings.absolute else float(np.median(np.linalg.norm(points - given, axis=1) - lengths))
+        return np.array([*given, dead])
+    found = start(points, lengths, readings.absolute, said)
+    if np.isnan(found).any():
+        raise UndeterminedError(
+            f"tracer {readings.stations[i]} reads {len(points)} points, too few to find where it stands: "
+            "let it read two more, or say about where it stands in `inputs: tracers`"
+        )
+    return np.array([*np.where(known, given, found[:3]), found[3]])
+
+
+def _misfit(points: Array, lengths: Array, tracer: Array) -> float:
+    return float(np.median(np.abs(lengths + tracer[3] - np.linalg.norm(points - tracer[:3], axis=1))))
+
+
+def _strange(readings: Readings, i: int, misfit: float, bad: int) -> Fault:
+    mine = readings.station == i
+    points, lengths = readings.nominal[readings.point[mine]], readings.length[mine]
+    text = f"the lengths of tracer {readings.stations[i]} do not belong to these points: they miss by {misfit:.3g} mm"
+    hint = (
+        "are its rows in another order?" if bad < len(readings.stations) else "do points and lengths belong together?"
+    )
+    for factor, symbol in _factors():
+        found = np.nan_to_num(start(points, factor * lengths, readings.absolute))
+        if _misfit(points, factor * lengths, found) < _MISFIT * readings.extent / 10:
+            hint = (
+                "they fit with the other sign: lengths grow with the distance"
+                if factor < 0
+                else f"they fit if they are multiplied by {factor:g} ({symbol}): check the units of both files"
+            )
+            break
+    return Fault(text, readings.file, hint=hint)
+
+
+def _factors() -> list[tuple[float, str]]:
+    """Return what lengths may have been multiplied by: the sign, or units taken for others."""
+    ones = {unit.symbol: unit.inside(1.0) for unit in units.DIMENSIONS["length"].units}
+    ratios = {f"{a} written as {b}": ones[a] / ones[b] for a in ones for b in ones if a != b}
+    return [(-1.0, ""), *((ratio, name) for name, ratio in ratios.items())]

@@ -1,0 +1,170 @@
+"""Tolerances of measurands: their faults, and the decision that follows from value and uncertainty."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from metrocli import units
+from metrocli.errors import Fault
+from metrocli.settings import Placed
+from metrocli.tasks.report_uncertainty.settings import Limits
+from metrocli.tasks.report_uncertainty.values import Measure
+from metrocli.uncertainty.decision import (
+    FACTOR_2017,
+    Interval,
+    Items,
+    capable,
+    conformance,
+    global_risk,
+    guard_for_global,
+    guard_for_specific,
+    zone,
+)
+from metrocli.uncertainty.dimensions import Compound, compound, described
+from metrocli.uncertainty.samples import Sample
+from metrocli.words import suggestion
+
+PLAIN = (
+    "U_over_T", "conformance", "conformance_mc", "consumer", "consumer_of_accepted", "producer", "wanted_risk",
+)  # fmt: skip
+"""Names in a decision that are plain numbers"""
+
+
+def limits_of(placed: Placed) -> Limits:
+    """Return a tolerance, however it is written."""
+    return placed.value if isinstance(placed.value, Limits) else Limits(placed.value)
+
+
+def faults(tolerance: Any, wanted: Mapping[str, Placed]) -> Iterable[Fault | tuple[str, ...]]:
+    """Yield what is wrong with the tolerances of measurands."""
+    if tolerance is None:
+        return
+    if isinstance(tolerance, Placed):
+        yield "tolerance", "one width is the tolerance of a volume", "write {NAME: [lower, upper]} for a measurand"
+        return
+    for name, placed in tolerance.items():
+        if name not in wanted:
+            yield placed.node.fault(f"tolerance of '{name}', which is no measurand", suggestion(name, wanted))
+            continue
+        try:
+            unit = compound("" if wanted[name].value.unit == "1" else wanted[name].value.unit)
+        except units.QuantityError:
+            continue
+        yield from _of_one(placed, unit)
+
+
+def _of_one(placed: Placed, unit: Compound) -> Iterable[Fault]:
+    limits = limits_of(placed)
+    low, high = limits.between
+    process = limits.process
+    for measure in (low, high, *((process.mean, process.std) if process else ())):
+        if measure is not None and measure.unit.powers != unit.powers:
+            yield measure.fault(
+                f"{described(measure.unit)}, the measurand is {described(unit)}", f"write it in {unit.text}"
+            )
+    if low is None and high is None:
+        yield placed.node.fault(
+            f"{placed.node.path}: there is no limit", "write [lower, upper], one of them may be none"
+        )
+    elif low is not None and high is not None and low.value >= high.value:
+        yield high.fault("the upper limit is not above the lower one", "write [lower, upper]")
+    if process is not None and process.std.number <= 0:
+        yield process.std.fault("the standard deviation of the items is not above zero")
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A measurand before the decision, in base units."""
+
+    value: float
+    std: float
+    U: float
+    dof: float
+    sample: Sample | None
+    centre: float
+
+
+def decide(limits: Limits, found: Measured, factor: float) -> dict[str, Any]:
+    """Return the decision in the unit of the measurand, whose value in base units is `factor`."""
+    ends = Interval(_end(limits.between[0], -math.inf), _end(limits.between[1], math.inf))
+    narrow = FACTOR_2017 * found.std
+    decision: dict[str, Any] = {
+        "limits": _shown(ends, factor),
+        "zone": zone(found.value, ends, found.U),
+        "acceptance": _shown(ends.inside(found.U), factor),
+        "zone_2017": zone(found.value, ends, narrow),
+        "acceptance_2017": _shown(ends.inside(narrow), factor),
+        "conformance": conformance(found.value, found.std, ends, found.dof),
+    }
+    if math.isfinite(ends.width):
+        decision |= {"T": ends.width / factor, "U_over_T": found.U / ends.width}
+        decision["capable"] = capable(found.U, ends.width)
+    if found.sample is not None:
+        above = found.sample.below(ends.high - found.centre) if math.isfinite(ends.high) else 1.0
+        under = found.sample.below(ends.low - found.centre) if math.isfinite(ends.low) else 0.0
+        decision["conformance_mc"] = above - under
+    return decision | _risks(limits, found, ends, factor)
+
+
+def _risks(limits: Limits, found: Measured, ends: Interval, factor: float) -> dict[str, Any]:
+    """Return global risks of simple acceptance where the items are known, and the guard band for a wanted risk."""
+    if found.std == 0:
+        return {}
+    said: dict[str, Any] = {}
+    items = Items(limits.process.mean.value, limits.process.std.value) if limits.process else None
+    if items is not None:
+        risks = global_risk(items, found.std, ends, ends)
+        said |= {
+            "consumer": risks.consumer,
+            "consumer_of_accepted": risks.consumer_of_accepted,
+            "producer": risks.producer,
+        }
+    if limits.risk is not None:
+        specific = guard_for_specific(found.std, limits.risk, ends, found.dof)
+        guard = specific if items is None else guard_for_global(items, found.std, ends, limits.risk)
+        said |= {
+            "wanted_risk": limits.risk,
+            "guard_band": guard / factor,
+            "acceptance_guarded": _shown(ends.inside(guard), factor),
+        }
+        if items is not None and math.isfinite(guard):
+            guarded = global_risk(items, found.std, ends, ends.inside(guard))
+            said |= {"guarded": {"consumer": guarded.consumer, "producer": guarded.producer}}
+    return said
+
+
+def _end(limit: Measure | None, otherwise: float) -> float:
+    return otherwise if limit is None else limit.value
+
+
+def _shown(interval: Interval, factor: float) -> list[float]:
+    """Return an interval in the unit of the measurand, empty where nothing is left of it."""
+    return [interval.low / factor, interval.high / factor] if interval.low <= interval.high else []
+
+
+def lines(decision: Mapping[str, Any], unit: str) -> list[str]:
+    """Return a decision in words."""
+    low, high = decision["limits"]
+    zones = f"{decision['zone']} with U (ISO 14253-1), {decision['zone_2017']} with 1.65 u"
+    said = [f"tolerance {low:.10g} to {high:.10g} {unit}: {zones}"]
+    if not decision["acceptance"]:
+        said.append("U is larger than half of the tolerance: no value is within the acceptance zone of ISO 14253-1")
+    if "T" in decision:
+        words = "capable" if decision["capable"] else "not capable"
+        said.append(f"U/T = {100 * decision['U_over_T']:.1f} %: {words} by the 20 % of Berndt")
+    mc = f", by Monte Carlo {decision['conformance_mc']:.6g}" if "conformance_mc" in decision else ""
+    said.append(f"probability of conformity {decision['conformance']:.6g} (JCGM 106){mc}")
+    if "consumer" in decision:
+        of_accepted = f"{decision['consumer_of_accepted']:.4g} of those accepted"
+        risks = f"consumer {decision['consumer']:.4g} ({of_accepted}), producer {decision['producer']:.4g}"
+        said.append(f"global risks: {risks}")
+    if "guard_band" in decision:
+        ends = decision["acceptance_guarded"]
+        accept = (
+            f"{decision['guard_band']:.4g} {unit}: accept {ends[0]:.10g} to {ends[1]:.10g}" if ends else "there is none"
+        )
+        said.append(f"guard band for a risk of {decision['wanted_risk']:g}: {accept}")
+    return said

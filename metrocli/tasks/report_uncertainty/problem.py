@@ -1,0 +1,293 @@
+"""A job of report-uncertainty as quantities, models and their units, or all that is wrong with it."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from metrocli import units
+from metrocli.errors import Fault
+from metrocli.result import Result
+from metrocli.settings import Placed
+from metrocli.table import Table
+from metrocli.tasks.report_uncertainty import correlations
+from metrocli.tasks.report_uncertainty import decisions as uncertainty_decisions
+from metrocli.tasks.report_uncertainty.quantity import column_of, quantity, unit_of
+from metrocli.tasks.report_uncertainty.sources import identity, shared
+from metrocli.tasks.report_uncertainty.values import Model
+from metrocli.uncertainty import dimensions
+from metrocli.uncertainty.dimensions import Compound, compound, described
+from metrocli.uncertainty.distributions import Normal, Sampled
+from metrocli.uncertainty.expression import CONSTANTS, FUNCTIONS, NAME, Expression, ExpressionError
+from metrocli.uncertainty.inputs import Block, Inputs, NotSemiDefiniteError, Quantity, join
+from metrocli.words import suggestion
+
+if TYPE_CHECKING:
+    from metrocli.tasks.report_uncertainty.settings import Settings
+
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What is propagated."""
+
+    inputs: Inputs
+    models: Mapping[str, Expression]
+    units: Mapping[str, Compound]
+    """Of each measurand, as the job wants it"""
+    nodes: Mapping[str, Placed]
+    warnings: tuple[str, ...] = ()
+
+
+def faults(settings: Settings) -> Iterable[Fault | tuple[str, ...]]:
+    """Yield what is wrong with a job as far as it shows without its files."""
+    for key, wanted in (("measurands", settings.measurands), ("quantities", settings.quantities)):
+        if not wanted and not (key == "quantities" and settings.inputs.results):
+            yield key, f"the key '{key}' is missing", "or give volume and contributors"
+    yield from _Gathering(settings, None, None).faults
+    yield from uncertainty_decisions.faults(settings.tolerance, settings.measurands)
+
+
+def build(settings: Settings, results: Mapping[str, Result], files: Mapping[str, Table]) -> Problem | list[Fault]:
+    """Return the problem of a job with its files, or its faults."""
+    gathered = _Gathering(settings, results, files)
+    if gathered.faults:
+        return gathered.faults
+    assert gathered.inputs is not None
+    models = {name: placed.value.model.expression for name, placed in settings.measurands.items()}
+    prefixes = {gathered.target(name).partition(".")[0] for name in gathered.named}
+    used = {name: result for name, result in results.items() if name in prefixes}
+    warnings = [*gathered.noted, *shared(used, settings.quantities), *_heavy_tails(gathered.inputs)]
+    return Problem(gathered.inputs, models, gathered.wanted, settings.measurands, tuple(warnings))
+
+
+def _heavy_tails(inputs: Inputs) -> list[str]:
+    few = [q.name for q in inputs.quantities if q.dof <= 2 and isinstance(q.distribution, Normal)]
+    said = "has 2 degrees of freedom or fewer, and a t distribution of these no standard deviation"
+    return [f"{name} {said}: mean and std of Monte Carlo depend on chance, its intervals do not" for name in few]
+
+
+@dataclass
+class _Gathering:
+    """Puts a job together and keeps what is wrong; without files it goes as far as it can."""
+
+    settings: Settings
+    results: Mapping[str, Result] | None
+    files: Mapping[str, Table] | None
+    faults: list[Fault] = field(default_factory=list)
+    quantities: dict[str, Quantity] = field(default_factory=dict)
+    units: dict[str, Compound] = field(default_factory=dict)
+    wanted: dict[str, Compound] = field(default_factory=dict)
+    named: tuple[str, ...] = ()
+    inputs: Inputs | None = None
+    reserved: set[str] = field(default_factory=set)
+    noted: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        for name, placed in self.settings.quantities.items():
+            self._quantity(name, placed)
+        models: list[Model] = [placed.value.model for placed in self.settings.measurands.values()]
+        self.named = tuple(dict.fromkeys(name for model in models for name in model.expression.names))
+        blocks = self._results()
+        for model in models:
+            self._names_of(model)
+        self._unused()
+        for name, placed in self.settings.measurands.items():
+            self._measurand(name, placed)
+        known = {*self.settings.quantities, *self.named}
+        self.faults += correlations.misnamed(self.settings.correlations, known, self.results is not None)
+        if not self.faults and self._whole():
+            self._join(blocks)
+
+    def _whole(self) -> bool:
+        return all(name in self.quantities for name in self.named)
+
+    def _quantity(self, name: str, placed: Placed) -> None:
+        node = placed.node
+        if not _NAME.fullmatch(name) or "__" in name:
+            hint = "letters, digits and _, beginning with a letter"
+            self.faults.append(node.fault(f"'{name}' cannot be the name of a quantity", hint))
+        elif name in FUNCTIONS or name in CONSTANTS or _keyword(name):
+            self.reserved.add(name)
+            hint = f"write {name}_ or {name}1"
+            self.faults.append(node.fault(f"'{name}' is reserved: it has a meaning of its own", hint))
+        elif name in self.settings.inputs.results:
+            self.faults.append(node.fault(f"'{name}' is the name of a result too", "give one of them another name"))
+        if self.target(name) != name:
+            self._must_be_estimate(name, placed)
+            return
+        held = [getattr(placed.value, key, None) is not None for key in ("readings", "samples")]
+        if unit := unit_of(placed):
+            self.units[name] = unit
+        if any(held) and self.files is None:
+            return
+        table = (self.files or {}).get(f"{node.path}.{'readings' if held[0] else 'samples'}")
+        if found := quantity(name, placed, table, self.faults):
+            self.quantities[name] = found
+            self.units[name] = found.unit
+
+    def target(self, name: str) -> str:
+        """Return the estimate that a quantity stands for, the name itself where it stands for none."""
+        placed = self.settings.quantities.get(name)
+        return (getattr(placed.value, "estimate", None) or name) if placed is not None else name
+
+    def _must_be_estimate(self, name: str, placed: Placed) -> None:
+        prefix, _, estimate = self.target(name).partition(".")
+        node, files = placed.node.at("estimate"), self.settings.inputs.results
+        if prefix not in files:
+            hint = suggestion(prefix, files) if files else "name the result under `inputs: {results: {NAME: FILE.h5}}`"
+            self.faults.append(node.fault(f"there is no result '{prefix}' under inputs", hint))
+        elif self.results is not None:
+            known = [item.name for item in self.results[prefix].estimates]
+            if estimate not in known:
+                hint = suggestion(estimate, known)
+                self.faults.append(node.fault(f"the result '{prefix}' has no estimate '{estimate}'", hint))
+
+    def _results(self) -> list[Block]:
+        """Take the estimates of results that the models name: one block for each file, however many names it has."""
+        files: dict[str, list[tuple[str, Result, int]]] = {}
+        for name in self.named:
+            prefix, _, estimate = self.target(name).partition(".")
+            result = (self.results or {}).get(prefix)
+            known = [item.name for item in result.estimates] if result is not None else []
+            if result is not None and estimate in known:
+                files.setdefault(identity(result), []).append((name, result, known.index(estimate)))
+        return [block for held in files.values() if (block := self._block(held)) is not None]
+
+    def _block(self, held: list[tuple[str, Result, int]]) -> Block | None:
+        _, result, _ = held[0]
+        at = [index for _, _, index in held]
+        found = [compound(result.estimates[index].unit) for index in at]
+        scale = np.array([unit.factor for unit in found])
+        covariance = np.asarray(result.covariance)[np.ix_(at, at)] * scale[:, None] * scale
+        size = np.sqrt(np.abs(np.diag(covariance)))
+        if not np.isfinite(covariance).all() or (abs(covariance - covariance.T) > 1e-6 * np.outer(size, size)).any():
+            node = self.settings.measurands[next(iter(self.settings.measurands))].node
+            self.faults.append(
+                node.fault(f"the result of {held[0][0]} has no covariance that can be used", "run its job again")
+            )
+            return None
+        dofs = [degrees_of_freedom(result, index) for index in at]
+        for (name, _, index), unit, dof, variance in zip(held, found, dofs, np.diag(covariance), strict=True):
+            shape = Normal(math.sqrt(max(float(variance), 0.0)))
+            value = result.estimates[index].value * unit.factor
+            self.quantities[name] = Quantity(name, value, shape, dof, unit)
+            self.units[name] = unit
+        return Block(tuple(name for name, _, _ in held), (covariance + covariance.T) / 2)
+
+    def _names_of(self, model: Model) -> None:
+        for part in model.expression.parts:
+            if part.operation != NAME or part.name in self.settings.quantities or part.name in self.quantities:
+                continue
+            prefix, point, _ = part.name.partition(".")
+            if point and prefix in self.settings.inputs.results:
+                if self.results is None:
+                    continue
+                known = [f"{prefix}.{estimate.name}" for estimate in self.results[prefix].estimates]
+                said = f"the result '{prefix}' has no estimate '{part.name[len(prefix) + 1 :]}'"
+            elif point:
+                known = list(self.settings.inputs.results)
+                said = f"there is no result '{prefix}' under inputs"
+            else:
+                known = [*self.settings.quantities, *FUNCTIONS]
+                said = f"there is no quantity '{part.name}'"
+            hint = suggestion(part.name if point and prefix in self.settings.inputs.results else prefix, known)
+            hint = hint if known else "name the result under `inputs: {results: {NAME: FILE.h5}}`"
+            self.faults.append(model.fault(ExpressionError(said, part.start, hint)))
+
+    def _unused(self) -> None:
+        for name, placed in self.settings.quantities.items():
+            if name not in self.named and self.settings.measurands and name not in self.reserved:
+                hint = "a misspelt name in a model? else leave it out"
+                self.faults.append(placed.node.fault(f"the quantity '{name}' is in no model", hint))
+
+    def _measurand(self, name: str, placed: Placed) -> None:
+        model: Model = placed.value.model
+        if not _NAME.fullmatch(name):
+            self.faults.append(
+                placed.node.fault(f"'{name}' cannot be the name of a measurand", "letters, digits and _")
+            )
+        try:
+            wanted = compound("" if placed.value.unit == "1" else placed.value.unit)
+        except units.QuantityError as error:
+            self.faults.append(placed.node.at("unit").fault(f"{placed.node.path}.unit: {error.message}", error.hint))
+            return
+        if not model.expression.names:
+            self.faults.append(model.fault(ExpressionError("the model names no quantity", 0, "e.g. 'ls + d'")))
+        if not all(item in self.units for item in model.expression.names):
+            return
+        try:
+            found = dimensions.unit_of(model.expression, self.units)
+        except ExpressionError as error:
+            self.faults.append(model.fault(error))
+            return
+        if found.powers != wanted.powers or found.point != wanted.point:
+            node = placed.node.at("unit") if placed.node.get("unit") else model.node
+            said = f"{placed.node.path}: the model gives {described(found)}, the unit is that of {described(wanted)}"
+            self.faults.append(node.fault(said, f"unit: one such as {_example(found)}"))
+        self.wanted[name] = wanted
+
+    def _join(self, blocks: list[Block]) -> None:
+        """Put the quantities together with their correlations."""
+        declared = [placed.value for placed in self.settings.correlations]
+        self.faults += correlations.refused(self.settings.correlations, self.quantities, blocks)
+        if self.faults:
+            return
+        together = correlations.simultaneous(self._readings(), {frozenset(pair.between) for pair in declared})
+        self.noted += [pair.said for pair in together]
+        pairs = [(*pair.between, pair.value) for pair in (*declared, *together)]
+        # In the order of the job, then estimates of results in that of the models.
+        order = [quantity for name, quantity in self.quantities.items() if name in self.named]
+        try:
+            self.inputs = join(order, pairs, blocks, self._rows({name for pair in declared for name in pair.between}))
+        except NotSemiDefiniteError as error:
+            first = next(iter(self.settings.measurands.values())).node
+            self.faults.append(correlations.contradiction(error, self.settings.correlations, first))
+
+    def _readings(self) -> Iterable[tuple[str, Table, str]]:
+        """Yield the name, file and column of each quantity that is evaluated from readings, or drawn from samples."""
+        for name in self.named:
+            placed = self.settings.quantities.get(name)
+            for key in ("readings", "samples"):
+                table = (self.files or {}).get(f"{placed.node.path}.{key}") if placed is not None else None
+                if placed is not None and table is not None and self.quantities[name].distribution is not None:
+                    yield name, table, column_of(placed.value, table)
+
+    def _rows(self, declared: Collection[str]) -> Iterable[list[str]]:
+        """Yield the names of samples in one file, but for those whose correlation the job declares itself."""
+        files: dict[str, list[str]] = {}
+        for name in self.named:
+            shape = self.quantities[name].distribution
+            if isinstance(shape, Sampled) and name not in declared:
+                files.setdefault(shape.file, []).append(name)
+        return (names for names in files.values() if len(names) > 1)
+
+
+def _keyword(name: str) -> bool:
+    import keyword
+
+    return keyword.iskeyword(name)
+
+
+def _example(unit: Compound) -> str:
+    if unit.point or unit.number:
+        return "'degC'" if unit.point else "1"
+    found = next((d for d in units.DIMENSIONS.values() if described(unit) == d.phrase), None)
+    return f"'{found.unit if found is not None else dimensions.base_unit(unit.powers)}'"
+
+
+def degrees_of_freedom(result: Result, index: int) -> float:
+    """Return the degrees of freedom of an estimate: as it states them, those of an estimated noise, or infinite."""
+    stated = result.details.get(result.estimates[index].name, {}).get("dof")
+    if isinstance(stated, int | float) and math.isfinite(stated):
+        return float(stated)
+    dof = result.statistics.get("dof")
+    if result.statistics.get("noise_estimated") and isinstance(dof, int | float) and dof > 0:
+        return float(dof)
+    return math.inf

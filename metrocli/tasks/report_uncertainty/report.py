@@ -1,0 +1,269 @@
+"""The result of report-uncertainty: each measurand by GUM and Monte Carlo, its budget, and the decision."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from metrocli.result import Estimate, Result
+from metrocli.table import Table
+from metrocli.tasks.report_uncertainty.aligned_text import aligned
+from metrocli.tasks.report_uncertainty.decisions import PLAIN as DECIDED
+from metrocli.tasks.report_uncertainty.decisions import Measured, decide, limits_of, lines
+from metrocli.tasks.report_uncertainty.problem import Problem
+from metrocli.tasks.report_uncertainty.settings import Settings
+from metrocli.uncertainty.distributions import in_trials
+from metrocli.uncertainty.monte_carlo import Outcome
+from metrocli.uncertainty.propagation import (
+    Coverage,
+    Linear,
+    Propagated,
+    budget_order,
+    coverage_factor,
+    covered,
+    ellipsoid_factor,
+    whole_dof,
+)
+from metrocli.uncertainty.validation import Judged, Verdict, judge
+from metrocli.units import rounded
+
+KIND = "report-uncertainty"
+PLAIN = ("k", "dof", "probability", "trials", "gum_valid", "capable", *DECIDED)
+
+
+@dataclass(frozen=True)
+class Found:
+    """What both methods say."""
+
+    problem: Problem
+    propagated: Propagated
+    coverage: Coverage
+    outcome: Outcome | None
+    settings: Settings
+
+
+@dataclass(frozen=True)
+class _Measurand:
+    """One measurand, in its own unit."""
+
+    name: str
+    unit: str
+    linear: Linear
+    value: float
+    std: float
+    details: dict[str, Any]
+    verdict: Verdict | None
+
+
+def report(found: Found) -> Result:
+    """Return the result of a job."""
+    names = list(found.problem.models)
+    measurands = [_measurand(found, index, name) for index, name in enumerate(names)]
+    factors = np.array([found.problem.units[name].factor for name in names])
+    covariance = found.propagated.covariance.copy()
+    if found.outcome is not None:
+        # A measurand that the law of propagation cannot reach has the covariance of the trials.
+        missing = [n for n, m in enumerate(measurands) if m.linear.replaced]
+        covariance[missing, :] = found.outcome.covariance[missing, :]
+        covariance[:, missing] = found.outcome.covariance[:, missing]
+    covariance = covariance / factors[:, None] / factors
+    statistics: dict[str, Any] = {"measurands": len(names), "quantities": len(found.problem.inputs.quantities)}
+    arrays = {}
+    if len(names) > 1:
+        statistics["joint_factor"] = ellipsoid_factor(covered(found.coverage), len(names))
+        arrays["correlation"] = _correlation(covariance)
+    if found.outcome is not None:
+        statistics |= {"trials": found.outcome.trials, "seed": found.settings.monte_carlo.seed}
+        arrays["monte_carlo_covariance"] = found.outcome.covariance / factors[:, None] / factors
+    return Result(
+        kind=KIND,
+        title="",
+        estimates=tuple(Estimate(m.name, m.value, m.std, m.unit) for m in measurands),
+        covariance=covariance,
+        statistics=statistics,
+        tables={"budget": _budget(found, measurands)},
+        arrays=arrays,
+        warnings=(*found.problem.warnings, *(note for m in measurands for note in _warnings(m))),
+        notes=tuple(line for m in measurands for line in _notes(found, m)),
+        details={m.name: m.details for m in measurands},
+        plain=PLAIN,
+    )
+
+
+def _correlation(covariance: Any) -> Any:
+    std = np.sqrt(np.diag(covariance))
+    scale = np.where(std > 0, std, 1.0)
+    return covariance / scale[:, None] / scale
+
+
+def _measurand(found: Found, index: int, name: str) -> _Measurand:
+    unit, linear = found.problem.units[name], found.propagated.measurands[name]
+    factor, mc = unit.factor, _monte_carlo(found, index, covered(found.coverage))
+    k, dof = coverage_factor(found.coverage, linear.dof), linear.dof
+    std, interval = linear.std, (linear.value - k * linear.std, linear.value + k * linear.std)
+    if linear.replaced and mc is not None:
+        std, interval = mc["std"], tuple(mc["interval"])
+        k = (interval[1] - interval[0]) / 2 / std if std > 0 else k
+    details: dict[str, Any] = {
+        "U": k * std / factor, "k": k, "dof": dof, "probability": covered(found.coverage),
+        "interval": [end / factor for end in interval],
+        "second_order": {"value": linear.second_value / factor, "std": linear.second_std / factor},
+    }  # fmt: skip
+    verdict = None
+    if mc is not None:
+        mc = details["mc"] = {key: _scaled(item, factor) if key != "trials" else item for key, item in mc.items()}
+        verdict = _verdict(found, linear, k, factor, mc)
+    details["gum_valid"] = verdict.valid if verdict is not None else math.nan
+    if found.settings.tolerance and name in found.settings.tolerance:
+        details["tolerance"] = _decision(found, index, name, std, k * std)
+    return _Measurand(name, unit.text, linear, linear.value / factor, std / factor, details, verdict)
+
+
+def _verdict(found: Found, linear: Linear, k: float, factor: float, mc: dict[str, Any]) -> Verdict:
+    """Return whether the law of propagation holds against Monte Carlo, by digits of u in the unit of the measurand."""
+    if linear.replaced:
+        return Verdict(False, linear.notes)
+    normal = coverage_factor(Coverage(covered(found.coverage)), math.inf)
+    value, std, second = linear.value / factor, linear.std / factor, linear.second_std / factor
+    ends = (mc["interval"][0], mc["interval"][1])
+    judged = Judged(value, std, k * std, linear.nonlinear, second, mc["mean"], mc["std"], ends, normal)
+    return judge(judged, found.settings.monte_carlo.digits)
+
+
+def _decision(found: Found, index: int, name: str, std: float, expanded: float) -> dict[str, Any]:
+    linear, outcome = found.propagated.measurands[name], found.outcome
+    sample = outcome.samples[index] if outcome is not None else None
+    centre = outcome.centres[index] if outcome is not None else 0.0
+    measured = Measured(linear.value, std, expanded, whole_dof(linear.dof), sample, centre)
+    return decide(limits_of(found.settings.tolerance[name]), measured, found.problem.units[name].factor)
+
+
+def _scaled(value: Any, factor: float) -> Any:
+    return [item / factor for item in value] if isinstance(value, list | tuple) else value / factor
+
+
+def _monte_carlo(found: Found, index: int, probability: float) -> dict[str, Any] | None:
+    outcome = found.outcome
+    if outcome is None:
+        return None
+    sample, centre = outcome.samples[index], outcome.centres[index]
+    said: dict[str, Any] = {
+        "mean": float(outcome.means[index]),
+        "std": float(math.sqrt(outcome.covariance[index, index])),
+        "interval": [end + centre for end in sample.symmetric(probability)],
+        "shortest": [end + centre for end in sample.shortest(probability)],
+        "trials": outcome.trials,
+    }
+    return said | ({"resolution": sample.resolution} if sample.resolution else {})
+
+
+def _budget(found: Found, measurands: Sequence[_Measurand]) -> Table:
+    """Return one row for each measurand and contributor, the largest contribution first."""
+    inputs = found.problem.inputs
+    rows: list[tuple[Any, ...]] = []
+    for measurand in measurands:
+        linear, factor = measurand.linear, found.problem.units[measurand.name].factor
+        along = inputs.covariance @ linear.sensitivities
+        for i in budget_order(linear):
+            item = inputs.quantities[i]
+            scale = item.unit.factor
+            share = _share(linear, along, i)
+            shape = in_trials(item.distribution, item.dof).words if item.distribution else "constant"
+            rows.append((
+                measurand.name, item.name, item.value / scale, item.std / scale, item.unit.text, shape,
+                linear.sensitivities[i] * scale / factor, linear.contributions[i] / factor, share, item.dof,
+            ))  # fmt: skip
+    names = (
+        "measurand",
+        "contributor",
+        "value",
+        "std",
+        "unit",
+        "distribution",
+        "sensitivity",
+        "contribution",
+        "share",
+        "dof",
+    )
+    texts = {"measurand", "contributor", "unit", "distribution"}
+    columns = list(zip(*rows, strict=True)) or [()] * len(names)
+    kinds = {name: np.str_ if name in texts else float for name in names}
+    return Table(
+        {name: np.array(column, dtype=kinds[name]) for name, column in zip(names, columns, strict=True)},
+        {"share": "percent"},
+    )
+
+
+def _share(linear: Linear, along: Any, i: int) -> float:
+    """Return the share of a contributor in the variance [percent]; shares of correlated ones can be negative."""
+    return 100 * float(linear.sensitivities[i] * along[i]) / linear.std**2 + 0.0 if linear.std > 0 else 0.0
+
+
+def _warnings(measurand: _Measurand) -> list[str]:
+    said = [f"{measurand.name}: {note}" for note in measurand.linear.notes]
+    if measurand.verdict is not None and not measurand.verdict.valid and not measurand.linear.replaced:
+        said.append(
+            f"{measurand.name}: the interval of GUM does not hold against Monte Carlo; take that of Monte Carlo"
+        )
+    return said
+
+
+def _notes(found: Found, measurand: _Measurand) -> list[str]:
+    details, unit = measurand.details, "" if measurand.unit == "1" else f" {measurand.unit}"
+    value, std = rounded(measurand.value, measurand.std)
+    U = rounded(measurand.value, details["U"])[1]
+    dof = details["dof"]
+    freedom = f", {dof:.4g} effective degrees of freedom" if math.isfinite(dof) else ""
+    covers = f"k = {details['k']:.3g}, {100 * details['probability']:.4g} %"
+    said = [f"{measurand.name} = {value}{unit}, U = {U}{unit} ({covers}{freedom}), u = {std}{unit}"]
+    second = details["second_order"]
+    if math.isfinite(second["std"]) and measurand.linear.nonlinear > 1e-4:
+        said.append("  second order: " + " ± ".join(rounded(second["value"], second["std"])) + unit)
+    mc = details.get("mc")
+    if mc is not None:
+        ends = [
+            "[" + ", ".join(rounded(end, mc["std"] / 10)[0] for end in mc[key]) + "]"
+            for key in ("interval", "shortest")
+        ]
+        mean = " ± ".join(rounded(mc["mean"], mc["std"]))
+        said.append(f"  Monte Carlo, {mc['trials']} trials: {mean}{unit}, interval {ends[0]}, shortest {ends[1]}{unit}")
+        if mc.get("resolution"):
+            said.append(f"  values counted in bins: ends of intervals to ± {mc['resolution']:.1e}{unit}")
+    said += _judgement(measurand)
+    said += [f"  {line}" for line in _budget_lines(found, measurand)]
+    if "tolerance" in details:
+        said += [f"  {line}" for line in lines(details["tolerance"], measurand.unit)]
+    return said
+
+
+def _judgement(measurand: _Measurand) -> list[str]:
+    verdict = measurand.verdict
+    if verdict is None:
+        return []
+    if verdict.valid:
+        return ["  GUM holds against Monte Carlo (JCGM 101, clause 8)"]
+    return ["  GUM does not hold against Monte Carlo (JCGM 101, clause 8):"] + [
+        f"    {reason}" for reason in verdict.reasons
+    ]
+
+
+def _budget_lines(found: Found, measurand: _Measurand) -> list[str]:
+    inputs, linear = found.problem.inputs, measurand.linear
+    factor = found.problem.units[measurand.name].factor
+    along = inputs.covariance @ linear.sensitivities
+    rows = [("contributor", "value", "u", "unit", "sensitivity", "contribution", "share %", "dof")]
+    order = budget_order(linear)
+    for i in order[:20]:
+        item = inputs.quantities[i]
+        scale = item.unit.factor
+        share = _share(linear, along, i)
+        dof = f"{item.dof:.4g}" if math.isfinite(item.dof) else "-"
+        slope, brings = linear.sensitivities[i] * scale / factor, linear.contributions[i] / factor
+        value, std = rounded(item.value / scale, item.std / scale)
+        rows.append((item.name, value, std, item.unit.text, f"{slope:.4g}", f"{brings:.3g}", f"{share:.1f}", dof))
+    said = aligned(rows, left=(0, 3))
+    return said + ([f"... {len(order) - 20} more (show --table budget)"] if len(order) > 20 else [])

@@ -1,0 +1,237 @@
+"""The volume form of a job: points and what each contributor brings to them, or all that is wrong with it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from metrocli.errors import Fault, InputError
+from metrocli.geometry.poses import EULER
+from metrocli.result import Result
+from metrocli.settings import Placed
+from metrocli.tasks.report_uncertainty.problem import degrees_of_freedom
+from metrocli.tasks.report_uncertainty.sources import contributors, identity, shared
+from metrocli.tasks.report_uncertainty.values import Measure
+from metrocli.uncertainty.derivatives import NoValueError
+from metrocli.uncertainty.dimensions import compound, described, unit_of
+from metrocli.uncertainty.expression import NAME, ExpressionError
+from metrocli.uncertainty.volume import AXES, Contribution, grid, of_models, of_pose
+from metrocli.words import suggestion
+
+if TYPE_CHECKING:
+    from metrocli.tasks.report_uncertainty.settings import Contributor, Settings
+
+Array = npt.NDArray[np.float64]
+PLACES = ("X", "Y", "Z")
+"""Names of a point's place in the models of contributors"""
+
+
+@dataclass(frozen=True)
+class VolumeProblem:
+    """Points and contributions."""
+
+    points: Array
+    contributions: tuple[Contribution, ...]
+    warnings: tuple[str, ...]
+
+
+def faults(settings: Settings) -> Iterable[Fault | tuple[str, ...]]:
+    """Yield what is wrong with a job as far as it shows without its files."""
+    for key in ("volume", "contributors"):
+        if not getattr(settings, key):
+            yield key, f"the key '{key}' is missing", "a volume needs its contributors"
+    for key in ("quantities", "measurands", "correlations"):
+        if getattr(settings, key):
+            yield key, f"{key} and a volume are both given", "make two jobs of it"
+    tolerance = settings.tolerance
+    if tolerance is not None and not (isinstance(tolerance, Placed) and isinstance(tolerance.value, Measure)):
+        yield "tolerance", "the tolerance of a volume is one width", "write e.g. 'tolerance: 2 mm', the full width"
+    elif tolerance is not None and (
+        tolerance.value.unit.powers != compound("mm").powers or tolerance.value.number <= 0
+    ):
+        yield "tolerance", f"the tolerance is {described(tolerance.value.unit)}", "a length above zero: its full width"
+    yield from _of_contributors(settings)
+
+
+def _of_contributors(settings: Settings) -> Iterable[Fault]:
+    seen: dict[str, Placed] = {}
+    for placed in settings.contributors:
+        given: Contributor = placed.value
+        if given.name in seen:
+            yield placed.node.fault(f"two contributors have the name '{given.name}'", "give each a name of its own")
+        seen[given.name] = placed
+        if given.result is not None and given.result not in settings.inputs.results:
+            hint = suggestion(given.result, settings.inputs.results) if settings.inputs.results else "name it there"
+            said = f"there is no result '{given.result}' under inputs"
+            yield placed.node.at("result").fault(said, hint)
+        for model in given.model or ():
+            for part in model.expression.parts:
+                prefix = part.name.partition(".")[0]
+                if part.operation == NAME and part.name not in PLACES and prefix not in settings.inputs.results:
+                    hint = suggestion(prefix, [*PLACES, *settings.inputs.results])
+                    yield model.fault(
+                        ExpressionError(f"'{part.name}' is neither X, Y, Z nor of a result", part.start, hint)
+                    )
+
+
+def build(settings: Settings, results: Mapping[str, Result]) -> VolumeProblem:
+    """Return the problem of a job with its files; raises InputError with all faults."""
+    wanted = settings.volume
+    assert wanted is not None
+    points = grid(wanted.from_, wanted.to, wanted.grid)
+    lengths = np.abs(points - np.asarray(wanted.origin))
+    found: list[Contribution] = []
+    wrong: list[Fault] = []
+    for placed in settings.contributors:
+        given: Contributor = placed.value
+        try:
+            std, uniform, dof = _size(placed, results, points, lengths)
+        except InputError as error:
+            wrong += error.faults
+            continue
+        dof = given.dof if given.dof is not None else dof
+        found.append(Contribution(given.name, std, uniform, dof, given.source or ""))
+    if wrong:
+        raise InputError(wrong)
+    return VolumeProblem(points, tuple(found), tuple(_double(settings, results)))
+
+
+def _size(placed: Placed, results: Mapping[str, Result], points: Array, lengths: Array) -> tuple[Array, bool, float]:
+    """Return standard uncertainties (n, 3) or (1, 3), whether they are of a rectangle, and their dof."""
+    given: Contributor = placed.value
+    if given.result is not None:
+        result = results[given.result]
+        return _of_result(placed, result, points), False, _dof(result)
+    if given.model is not None:
+        return _of_model(placed, results, points), False, math.inf
+    if given.std is not None:
+        return _along_axes(given.std), given.distribution == "uniform", math.inf
+    if given.half_width is not None:
+        return _along_axes(given.half_width) / math.sqrt(3), True, math.inf
+    if given.expansion is not None:
+        heat = given.expansion
+        warmth = heat.std if heat.std is not None else (heat.half_width or 0.0) / math.sqrt(3)
+        return heat.alpha * lengths * warmth, heat.std is None, math.inf
+    assert given.length_error is not None
+    error = given.length_error
+    return (error.constant + error.proportional * lengths) / math.sqrt(3), True, math.inf
+
+
+def _along_axes(value: float | tuple[float, float, float]) -> Array:
+    return np.broadcast_to(np.asarray(value, dtype=float), (1, 3))
+
+
+def _dof(result: Result) -> float:
+    return min(degrees_of_freedom(result, index) for index in range(len(result.estimates)))
+
+
+def _of_result(placed: Placed, result: Result, points: Array) -> Array:
+    """Return what the pose of a part brings, or the plain uncertainties of a result with x, y and z only."""
+    names = [estimate.name for estimate in result.estimates]
+    wanted = EULER if all(name in names for name in EULER) else AXES
+    missing = [name for name in wanted if name not in names]
+    if missing:
+        said = f"the result '{placed.value.result}' ({result.kind}) has no {', '.join(missing)}"
+        hint = "a pose (x y z alpha beta gamma), or x y z; else give a model of it"
+        raise InputError([placed.node.at("result").fault(said, hint)])
+    at = [names.index(name) for name in wanted]
+    scale = np.array([compound(result.estimates[index].unit).factor for index in at])
+    covariance = np.asarray(result.covariance)[np.ix_(at, at)] * scale[:, None] * scale
+    if not np.isfinite(covariance).all():
+        raise InputError([placed.node.at("result").fault("its covariance has entries that are no numbers")])
+    if wanted is AXES:
+        return np.sqrt(np.maximum(np.diag(covariance), 0.0))[None, :]
+    values = np.array([result.estimates[index].value for index in at]) * scale
+    return of_pose(values, covariance, points)
+
+
+def _of_model(placed: Placed, results: Mapping[str, Result], points: Array) -> Array:
+    """Return what expressions in estimates of one or more results bring."""
+    models = placed.value.model
+    names = list(dict.fromkeys(name for model in models for name in model.expression.names if name not in PLACES))
+    values: dict[str, float | Array] = dict(zip(PLACES, points.T, strict=True))
+    known = dict.fromkeys(PLACES, compound("mm"))
+    covariance = np.zeros((len(names), len(names)))
+    files: dict[str, Result] = {}
+    places: dict[str, list[tuple[int, int]]] = {}
+    for n, name in enumerate(names):
+        prefix, _, estimate = name.partition(".")
+        result = results[prefix]
+        estimates = [item.name for item in result.estimates]
+        if estimate not in estimates:
+            said = ExpressionError(
+                f"the result '{prefix}' has no estimate '{estimate}'", 0, suggestion(estimate, estimates)
+            )
+            raise InputError([next(model for model in models if name in model.expression.names).fault(said)])
+        at = estimates.index(estimate)
+        unit = compound(result.estimates[at].unit)
+        values[name] = result.estimates[at].value * unit.factor
+        known[name] = unit
+        files[identity(result)] = result
+        places.setdefault(identity(result), []).append((n, at))
+    for file, pairs in places.items():
+        own, theirs = map(list, zip(*pairs, strict=True))
+        scale = np.array([known[names[n]].factor for n in own])
+        covariance[np.ix_(own, own)] = (
+            np.asarray(files[file].covariance)[np.ix_(theirs, theirs)] * scale[:, None] * scale
+        )
+    for model in models:
+        try:
+            if not unit_of(model.expression, known).powers == compound("mm").powers and model.expression.names:
+                raise ExpressionError("the error along an axis is a length", 0, "X Y Z are in mm, angles in rad")
+        except ExpressionError as error:
+            raise InputError([model.fault(error)]) from error
+    try:
+        return of_models([model.expression for model in models], values, covariance, names)
+    except NoValueError as error:
+        raise InputError([models[0].fault(error)]) from error
+
+
+def _double(settings: Settings, results: Mapping[str, Result]) -> Iterable[str]:
+    """Say what is counted more than once: a source that others include, a source with several contributors."""
+    placed = [item.value for item in settings.contributors]
+    labels = {label: given.name for given in placed for label in (given.source, given.name) if label}
+    for given in placed:
+        for label in given.includes:
+            if label in labels and labels[label] != given.name:
+                twice = f"the figures of '{given.name}' contain it, and '{labels[label]}' adds it"
+                yield f"'{label}' is counted twice: {twice}"
+    sources: dict[str, list[str]] = {}
+    for given in placed:
+        if given.source:
+            sources.setdefault(given.source, []).append(given.name)
+    for source, names in sources.items():
+        if len(names) > 1:
+            said = f"{' and '.join(names)} have the common source '{source}'"
+            yield f"{said}: they are added linearly, as fully correlated"
+    yield from _of_results(placed, results, labels)
+
+
+def _of_results(placed: list[Contributor], results: Mapping[str, Result], labels: Mapping[str, str]) -> Iterable[str]:
+    held: dict[str, str] = {}
+    for given in placed:
+        held |= {name: given.name for name in _results_of(given) if name not in held}
+    used = {name: results[name] for name in held}
+    yield from shared(used)
+    for name, result in used.items():
+        for label in sorted(contributors(result) & set(labels)):
+            if labels[label] != held[name]:
+                twice = f"it is in the budget of the result {name}, and '{labels[label]}' adds it"
+                yield f"'{label}' is counted twice: {twice}"
+    seen: dict[str, str] = {}
+    for given in placed:
+        for file in dict.fromkeys(identity(results[name]) for name in _results_of(given)):
+            first = seen.setdefault(file, given.name)
+            if first != given.name:
+                yield f"'{given.name}' and '{first}' are the same result: it is counted twice"
+
+
+def _results_of(given: Contributor) -> list[str]:
+    """Return the names of the results that a contributor uses, in the order in which it names them."""
+    named = [name.partition(".")[0] for model in given.model or () for name in model.expression.names]
+    return list(dict.fromkeys([given.result] if given.result else [name for name in named if name not in PLACES]))

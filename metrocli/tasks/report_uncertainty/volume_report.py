@@ -1,0 +1,232 @@
+"""The result of the volume form: per axis the largest uncertainty, contributor by contributor and point by point."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from metrocli.result import Estimate, Result
+from metrocli.table import Table
+from metrocli.tasks.report_uncertainty.aligned_text import aligned
+from metrocli.tasks.report_uncertainty.settings import Settings
+from metrocli.tasks.report_uncertainty.volume_problem import VolumeProblem, build
+from metrocli.uncertainty import monte_carlo
+from metrocli.uncertainty.decision import FACTOR_2017, capable
+from metrocli.uncertainty.dimensions import converted
+from metrocli.uncertainty.distributions import Normal, Uniform
+from metrocli.uncertainty.expression import Expression, parse
+from metrocli.uncertainty.inputs import Inputs, Quantity, join
+from metrocli.uncertainty.propagation import Coverage, coverage_factor, covered, effective_dof
+from metrocli.uncertainty.trials import plan_of
+from metrocli.uncertainty.validation import Judged, judge
+from metrocli.uncertainty.volume import AXES, Contribution, Extremes, by_source, extremes
+from metrocli.uncertainty.workers import Workers
+
+Array = npt.NDArray[np.float64]
+KIND = "report-uncertainty"
+PLAIN = (
+    "k",
+    "dof",
+    "probability",
+    "trials",
+    "gum_valid",
+    "capable",
+    "U_over_T",
+    "U_over_T_pointwise",
+    "k_trials",
+    "covered",
+)
+
+
+@dataclass(frozen=True)
+class _Axis:
+    """One axis: u is that of the contributors' maxima."""
+
+    name: str
+    std: float
+    pointwise: float
+    place: Array
+    k: float
+    dof: float
+    mc: monte_carlo.Outcome | None
+
+
+def run(settings: Settings, results: Mapping[str, Result], workers: Workers) -> Result:
+    """Return the result of a job with a volume; raises InputError."""
+    problem = build(settings, results)
+    found = extremes(problem.contributions, problem.points)
+    axes = [_axis(n, found, problem.contributions, settings, workers) for n in range(3)]
+    details = {axis.name: _details(axis, settings) for axis in axes}
+    covariance = np.diag([axis.std**2 for axis in axes])
+    statistics: dict[str, Any] = {"points": len(problem.points), "contributors": len(problem.contributions)}
+    if axes[0].mc is not None:
+        statistics |= {"trials": axes[0].mc.trials, "seed": settings.monte_carlo.seed}
+    return Result(
+        kind=KIND,
+        title="",
+        estimates=tuple(Estimate(axis.name, 0.0, axis.std, "mm") for axis in axes),
+        covariance=covariance,
+        statistics=statistics,
+        tables=_tables(problem, found, axes, settings),
+        warnings=(*problem.warnings, *_warnings(details)),
+        notes=tuple(_notes(problem, found, axes, details)),
+        details=details,
+        plain=PLAIN,
+    )
+
+
+def _sum(parts: tuple[Contribution, ...], axis: int) -> tuple[Inputs, Expression]:
+    """Return the contributors' maxima along one axis as quantities, one for each source, and their sum."""
+    quantities = []
+    for n, group in enumerate(by_source(parts)):
+        std = sum(float(part.std[:, axis].max()) for part in group)
+        shape = Uniform(std * math.sqrt(3)) if all(part.uniform for part in group) else Normal(std)
+        quantities.append(Quantity(f"c{n}", 0.0, shape if std > 0 else None, min(part.dof for part in group)))
+    return join(quantities), parse(" + ".join(quantity.name for quantity in quantities))
+
+
+def _axis(axis: int, found: Extremes, parts: tuple[Contribution, ...], settings: Settings, workers: Workers) -> _Axis:
+    inputs, total = _sum(parts, axis)
+    coverage = coverage_of(settings)
+    dof, _ = effective_dof(inputs, np.ones(len(inputs.quantities)))
+    mc = None
+    if settings.monte_carlo.trials != 0:
+        wanted = settings.monte_carlo
+        plan = plan_of({"sum": total}, inputs, wanted.seed, covered(coverage), wanted.trials)
+        mc = monte_carlo.run(plan, workers, wanted.digits, wanted.most)
+    pointwise, place = float(found.pointwise[axis]), found.places[axis]
+    k = coverage_factor(coverage, dof)
+    return _Axis(AXES[axis], float(found.by_contributor[axis]), pointwise, place, k, dof, mc)
+
+
+def coverage_of(settings: Settings) -> Coverage:
+    """Return what U covers."""
+    return Coverage(settings.coverage.probability or 0.95, settings.coverage.k)
+
+
+def _details(axis: _Axis, settings: Settings) -> dict[str, Any]:
+    coverage = coverage_of(settings)
+    U, probability = axis.k * axis.std, covered(coverage)
+    said: dict[str, Any] = {
+        "U": U, "U_pointwise": axis.k * axis.pointwise, "std_pointwise": axis.pointwise, "at": axis.place.tolist(),
+        "k": axis.k, "dof": axis.dof, "probability": probability, "interval": [-U, U],
+        "second_order": {"value": 0.0, "std": axis.std}, "gum_valid": math.nan,
+    }  # fmt: skip
+    if axis.mc is not None:
+        said |= _against_trials(axis, axis.mc, U, settings)
+    if settings.tolerance is not None:
+        width = settings.tolerance.value.value
+        said["tolerance"] = {
+            "T": width, "U_over_T": U / width, "capable": capable(U, width),
+            "U_over_T_pointwise": axis.k * axis.pointwise / width,
+            "acceptance": _left(width, U), "acceptance_2017": _left(width, FACTOR_2017 * axis.std),
+        }  # fmt: skip
+    return said
+
+
+def _left(width: float, guard: float) -> float:
+    """Return the half-width of what can be accepted, NaN where nothing is left."""
+    return width / 2 - guard if guard <= width / 2 else math.nan
+
+
+def _against_trials(axis: _Axis, mc: monte_carlo.Outcome, U: float, settings: Settings) -> dict[str, Any]:
+    """Return what Monte Carlo says of the sum of the maxima, and whether k u holds against it."""
+    probability = covered(coverage_of(settings))
+    sample, std = mc.samples[0], math.sqrt(mc.covariance[0, 0])
+    interval = sample.symmetric(probability)
+    half = (interval[1] - interval[0]) / 2
+    normal = coverage_factor(Coverage(probability), math.inf)
+    judged = Judged(0.0, axis.std, U, 0.0, axis.std, float(mc.means[0]), std, interval, normal)
+    verdict = judge(judged, settings.monte_carlo.digits)
+    covers = sample.below(U) - sample.below(-U)
+    trials = {"mean": float(mc.means[0]), "std": std, "interval": list(interval), "trials": mc.trials}
+    trials |= {"shortest": list(sample.shortest(probability)), "k_trials": half / std if std else math.nan}
+    return {"mc": trials | {"covered": covers}, "gum_valid": verdict.valid}
+
+
+def _tables(problem: VolumeProblem, found: Extremes, axes: list[_Axis], settings: Settings) -> dict[str, Table]:
+    parts = problem.contributions
+    rows = []
+    for n, axis in enumerate(axes):
+        share = 100 * found.largest[:, n] ** 2 / axis.std**2 if axis.std > 0 else np.zeros(len(parts))
+        for part, std, percent in zip(parts, found.largest[:, n], share, strict=True):
+            shape = "uniform" if part.uniform else "normal"
+            rows.append((axis.name, part.name, 0.0, std, shape, part.source, 1.0, std, percent, part.dof))
+    names = (
+        "measurand",
+        "contributor",
+        "value",
+        "std",
+        "distribution",
+        "source",
+        "sensitivity",
+        "contribution",
+        "share",
+    )
+    columns = {name: np.array(column) for name, column in zip((*names, "dof"), zip(*rows, strict=True), strict=True)}
+    lengths = dict.fromkeys(("value", "std", "contribution"), "mm")
+    columns_of_map = dict(zip("xyz", problem.points.T, strict=True))
+    columns_of_map |= {f"u_{name}": column for name, column in zip("xyz", found.each.T, strict=True)}
+    maxima = {
+        "axis": np.array([axis.name for axis in axes]),
+        "u": np.array([axis.std for axis in axes]),
+        "U": np.array([axis.k * axis.std for axis in axes]),
+        "u_pointwise": np.array([axis.pointwise for axis in axes]),
+        "U_pointwise": np.array([axis.k * axis.pointwise for axis in axes]),
+    } | {name: np.array([axis.place[n] for axis in axes]) for n, name in enumerate(AXES)}
+    return {
+        "sources": _sources(settings),
+        "budget": Table(columns, lengths | {"share": "percent"}),
+        "map": Table(columns_of_map, dict.fromkeys(columns_of_map, "mm")),
+        "maxima": Table(maxima, dict.fromkeys([name for name in maxima if name != "axis"], "mm")),
+    }
+
+
+def _sources(settings: Settings) -> Table:
+    """Return what each contributor stands for, so that a job that uses this result sees what is in it already."""
+    given = [placed.value for placed in settings.contributors]
+    rows = [(label, item.name) for item in given for label in (item.name, item.source, *item.includes) if label]
+    labels, names = zip(*rows, strict=True)
+    return Table({"source": np.array(labels), "contributor": np.array(names)})
+
+
+def _warnings(details: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    said = []
+    for name, detail in details.items():
+        mc = detail.get("mc")
+        if mc is not None and not detail["gum_valid"]:
+            said.append(
+                f"{name}: k = {detail['k']:.3g} covers {100 * mc['covered']:.2f} % of the sum of these distributions; "
+                f"k = {mc['k_trials']:.2f} covers {100 * detail['probability']:.4g} %"
+            )
+    return said
+
+
+def _notes(
+    problem: VolumeProblem, found: Extremes, axes: list[_Axis], details: Mapping[str, Mapping[str, Any]]
+) -> list[str]:
+    rows = [["largest in the volume", *(f"{axis.name} [um]" for axis in axes)]]
+    rows += [[part.name, *map(_um, std)] for part, std in zip(problem.contributions, found.largest, strict=True)]
+    ks = sorted({f"{axis.k:.3g}" for axis in axes})
+    rows.append([f"U (k = {', '.join(ks)}), contributor by contributor", *(_um(axis.k * axis.std) for axis in axes)])
+    rows.append(["U, point by point", *(_um(axis.k * axis.pointwise) for axis in axes)])
+    if details["x"].get("mc"):
+        halves = [(mc["interval"][1] - mc["interval"][0]) / 2 for mc in (details[axis.name]["mc"] for axis in axes)]
+        rows.append([f"Monte Carlo, {100 * details['x']['probability']:.4g} % half-width", *map(_um, halves)])
+    if "tolerance" in details["x"]:
+        held = [details[axis.name]["tolerance"] for axis in axes]
+        width = held[0]["T"]
+        rows.append([f"U/T, T = {width:g} mm", *(f"{100 * item['U_over_T']:.1f} %" for item in held)])
+        rows.append(["Berndt, 20 %", *("capable" if item["capable"] else "not capable" for item in held)])
+        rows.append(["accept within ± (ISO 14253-1, U)", *(_um(item["acceptance"]) for item in held)])
+        rows.append(["accept within ± (1.65 u)", *(_um(item["acceptance_2017"]) for item in held)])
+    return aligned(rows, left=(0,))
+
+
+def _um(length: float) -> str:
+    return f"{converted(length, 'mm', 'um'):.2f}" if math.isfinite(length) else "none"

@@ -1,0 +1,114 @@
+"""A self-calibration as diagnosis sees it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from metrocli.adjust.coupled_fields import adjust_fields
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.chain import Chain
+from metrocli.adjust.model.observations import Index, Mask
+from metrocli.adjust.solution import Solution
+from metrocli.diagnosis.adjusted_job import Covariate, Delivered, Subject
+from metrocli.effects import effects_of
+from metrocli.effects.effect import ELAPSED, WARMING
+from metrocli.effects.model import Model, with_conditions
+from metrocli.instruments import ball_grid as bg
+from metrocli.tasks.selfcal_grid.problem import READINGS, Problem
+from metrocli.tasks.selfcal_grid.report import KIND
+from metrocli.tasks.selfcal_grid.solve import Solved
+
+FOLDS = 10
+_FEWEST = 4
+"""Components that an effect must touch: what touches one reading only is an outlier"""
+
+
+def subject(solved: Solved) -> Subject:
+    """Return the subject of an adjusted self-calibration."""
+    problem = solved.problem.held(solved.design)
+    model = with_conditions(replace(problem.model(), blocks=solved.solution.blocks))
+
+    def refit(changed: Model, keep: Mapping[str, Mask]) -> Solution:
+        return adjust_fields(problem.with_model(changed).only(keep[READINGS]).fields).solution
+
+    index = problem.readings.observations.index
+    return Subject(
+        KIND,
+        model,
+        effects_of(KIND),
+        tuple(_covariates(model)),
+        ("view",),
+        {READINGS: folds(index[bg.ARTEFACT], index[bg.VIEW])},
+        Delivered("machine error", bg.MACHINE, (0, 1, 2), "um", "length"),
+        refit,
+        fewest=_FEWEST,
+        single_components=True,
+        offers=lambda changed: offers(problem, changed),
+    )
+
+
+def _covariates(model: Model) -> Iterator[Covariate]:
+    """Yield what an unknown effect could vary with."""
+    observations = model.readings[0].observations
+    for name, key in (("t_s", ELAPSED), ("temp_degC", WARMING)):
+        if key in observations.conditions:
+            yield Covariate(name, {READINGS: observations.conditions[key]}, 6)
+    if ELAPSED not in observations.conditions:
+        yield Covariate("order of the readings", {READINGS: np.arange(observations.count, dtype=float)}, 6)
+    nominal: Array = model.readings[0].chain.predict(model.blocks, observations)
+    yield Covariate("place in the machine", {READINGS: np.ascontiguousarray(np.round(nominal, 1))}, 3)
+
+
+def offers(problem: Problem, model: Model) -> Iterator[tuple[str, Model]]:
+    """Yield what could be measured in addition, the cheapest first."""
+    if ELAPSED in model.readings[0].observations.conditions:
+        yield "each view forth and back, in the reverse order", _forth_and_back(model)
+    yield "two views more, shifted by one pitch along y and along z", _with_views(problem, model)
+
+
+def _forth_and_back(model: Model) -> Model:
+    """Return the model with each view measured again from its last ball to its first."""
+    group = model.readings[0]
+    old = group.observations
+    time, view = old.conditions[ELAPSED], old.index[bg.VIEW]
+    last = np.array([time[view == n].max(initial=0.0) for n in range(int(view.max()) + 1)])[view]
+    later = {name: old.conditions[name] + 2 * (last - time) for name in ("t", ELAPSED) if name in old.conditions}
+    again = replace(old, conditions={**old.conditions, **later})
+    groups = tuple(replace(one, observations=old.followed_by(again)) if one is group else one for one in model.groups)
+    return replace(model, groups=groups)
+
+
+def _with_views(problem: Problem, model: Model) -> Model:
+    """Return the model with two views more, shifted along y and z, after the others."""
+    group, old = model.readings[0], model.readings[0].observations
+    views = (*problem.views, *(bg.View(f"+{'xyz'[a]}", np.eye(3), np.eye(3)[a]) for a in (1, 2)))
+    ball = np.concatenate([np.arange(len(problem.grid.balls))] * 2)
+    view = np.repeat([len(views) - 2, len(views) - 1], len(problem.grid.balls))
+    sites = np.concatenate([one.sites(problem.grid.balls) for one in views[-2:]])
+    at = bg.numbers_at(problem.grid.sites, sites)
+    kept = np.flatnonzero(at >= 0)
+    new = old.selected(np.zeros(len(kept), dtype=np.intp))
+    index = {bg.MACHINE: at[kept], bg.ARTEFACT: ball[kept], bg.VIEW: view[kept]}
+    more = {name: np.zeros(len(kept), dtype=np.intp) for name in old.index if name not in index}
+    balls, pitch = problem.grid.balls[ball[kept]], problem.grid.pitch
+    time = np.arange(1.0, len(kept) + 1) * float(np.ptp(old.conditions.get("t", np.zeros(2)))) / old.count
+    conditions = {name: values.max() + time for name, values in old.conditions.items() if name in ("t", ELAPSED)}
+    conditions[bg.HOLLOW] = bg.hollow(views, view[kept], balls, pitch)
+    changed = replace(new, index=index | more, conditions={**new.conditions, **conditions})
+    mountings = model.blocks[bg.VIEW]
+    block = bg.view_block(views, np.concatenate([mountings.values, np.zeros((2, 6))]))
+    links = (bg.mounted(views, pitch) if isinstance(link, bg.Mounted) else link for link in group.chain.links)
+    observations = old.followed_by(changed)
+    groups = tuple(
+        replace(one, chain=Chain(tuple(links)), observations=observations) if one is group else one
+        for one in model.groups
+    )
+    return replace(model, blocks={**model.blocks, bg.VIEW: block}, groups=groups)
+
+
+def folds(ball: Index, view: Index) -> Index:
+    """Return ten parts such that no ball loses more than one reading to a part, where it has no more than ten."""
+    return np.asarray((7 * ball + 3 * view + ball // FOLDS) % FOLDS)

@@ -1,0 +1,83 @@
+"""Effects on the views of a ball grid (docs/effects)."""
+
+from __future__ import annotations
+
+from metrocli.effects.effect import ELAPSED, Effect, Parameter, change_points
+from metrocli.effects.links.balls import BallShift, Bending, Growth, ReadingDrift, ReadingScale, ReadingStep
+from metrocli.units import parse_quantity
+
+AXES = ("x", "y", "z")
+
+
+def _size(name: str, dimension: str, plausible: str) -> Parameter:
+    return Parameter(name, dimension, parse_quantity(plausible, dimension))
+
+
+EFFECTS: tuple[Effect, ...] = (
+    Effect(
+        "artefact-expansion",
+        "the artefact is warmer or colder in one view than in the first",
+        (_size("scale", "ratio", "50 ppm"),),
+        lambda block, where: Growth(block),
+        where=("view",),
+        not_first=("view",),
+        confused_with=("axis-expansion", "artefact-bending", "drift-in-view"),
+        reveal="the temperature of the artefact in each view; this view again after a rest",
+        source="ISO 15530-3 (thermal effects); aluminium grows by 23 ppm/K, steel by 11.5 ppm/K",
+    ),
+    Effect(
+        "artefact-bending",
+        "the artefact bends under its own weight or its clamps in one view",
+        (_size("b", "curvature", "1e-6 1/mm"),),
+        lambda block, where: Bending(block),
+        where=("view",),
+        confused_with=("artefact-expansion", "axis-expansion"),
+        reveal="views shifted along y and along z as well as along x",
+        source="Roark, Formulas for stress and strain: a plate on supports; EURAMET guides on ball plates",
+    ),
+    Effect(
+        "drift-in-view",
+        "machine and artefact move against each other while one view is measured",
+        tuple(_size(name, "speed", "20 um/h") for name in ("vx", "vy", "vz")),
+        lambda block, where: ReadingDrift(block, ELAPSED),
+        where=("view",),
+        needs=("t",),
+        confused_with=("axis-expansion", "reseated-artefact", "artefact-expansion"),
+        reveal="the first balls again at the end of the view, or the view forth and back",
+        source="ISO 230-3 (drift with time)",
+    ),
+    Effect(
+        "reseated-artefact",
+        "the artefact was knocked or seated anew in the middle of one view",
+        tuple(_size(name, "length", "0.1 mm") for name in ("dx", "dy", "dz")),
+        lambda block, where: ReadingStep(block),
+        where=("view",),
+        scanned=(Parameter("at", "time", grid=change_points),),
+        needs=("t",),
+        confused_with=("drift-in-view",),
+        reveal="the first balls again at the end of the view",
+        source="Teunissen 2018, Distributional theory for the DIA method, J. Geodesy 92 (step in the mean)",
+    ),
+    Effect(
+        "moved-ball",
+        "one ball came loose and sits elsewhere from one view on",
+        tuple(_size(name, "length", "0.1 mm") for name in ("dx", "dy", "dz")),
+        lambda block, where: BallShift(block),
+        where=("ball",),
+        scanned=(Parameter("from_view", place="view"),),
+        not_first=("view",),
+        reveal="the first view again at the end",
+        source="Baarda 1968 (mean shift of some readings)",
+    ),
+    Effect(
+        "axis-expansion",
+        "the scale of one axis of the machine is warmer or colder in one view",
+        (_size("scale", "ratio", "50 ppm"),),
+        lambda block, where: ReadingScale(block, AXES.index(where["axis"])),
+        where=("view", "axis"),
+        confused_with=("artefact-expansion", "artefact-bending", "drift-in-view"),
+        reveal="the temperature of the scales in each view; this view again after a rest",
+        source="ISO 230-1:2012 (EXX, EYY, EZZ); steel scales 11.5 ppm/K",
+    ),
+)
+"""The table; its order is that of the documents"""

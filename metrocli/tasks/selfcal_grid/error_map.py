@@ -1,0 +1,190 @@
+"""The machine error between the sites: trilinear, and a smooth form with its own uncertainty.
+
+The smooth form is a polynomial in x, y, z of the total degree with the smallest error at sites left out (PRESS); what
+of that error the noise of the sites does not explain is counted in its uncertainty beside what the measurement brings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.observations import Index, Mask
+from metrocli.errors import InputError
+from metrocli.instruments.ball_grid import numbers_at
+from metrocli.table import Table
+
+_DEGREES = 6
+_AT_ONCE = 200
+_TRIED = 20
+"""Sites at which the noise of what is left out is taken"""
+Covariance = Callable[[Array], Array]
+"""From weights (rows, sites) on one component to the covariance (3, rows, rows) of the weighted errors"""
+
+
+@dataclass(frozen=True)
+class SiteErrors:
+    """The machine error at sites."""
+
+    sites: Index
+    """(sites, 3) in pitches"""
+    pitch: float
+    values: Array
+    """(sites, 3) [mm]"""
+    std: Array
+    """(sites, 3), inf where the views leave it undetermined"""
+
+    @property
+    def places(self) -> Array:
+        """Where the sites are, (sites, 3) [mm]."""
+        return np.asarray(self.sites * self.pitch, dtype=float)
+
+    @property
+    def open(self) -> Mask:
+        """Whether a component is undetermined, (sites, 3)."""
+        return np.asarray(~np.isfinite(self.std))
+
+
+@dataclass(frozen=True)
+class Smooth:
+    """A polynomial of the machine error in coordinates scaled to -1 ... 1 in the grid."""
+
+    degree: int
+    centre: Array
+    half: Array
+    """(3,) [mm]"""
+    coefficients: Array
+    """(terms, 3) [mm]"""
+    covariance: Array
+    """(3, terms, terms)"""
+    misfit: Array
+    """Root mean square error at sites left out beyond what their noise explains, (3,) [mm]"""
+
+    def at(self, points: Array) -> tuple[Array, Array]:
+        """Return the error (n, 3) at points [mm], and its standard uncertainty with the misfit (n, 3)."""
+        design = _terms((points - self.centre) / self.half, self.degree)
+        own = np.einsum("nt,ctu,nu->nc", design, self.covariance, design)
+        return design @ self.coefficients, np.sqrt(np.maximum(own, 0.0) + self.misfit**2)
+
+
+def _exponents(degree: int) -> list[tuple[int, ...]]:
+    return [powers for powers in product(range(degree + 1), repeat=3) if sum(powers) <= degree]
+
+
+def _terms(scaled: Array, degree: int) -> Array:
+    """Return products of Legendre polynomials of total degree up to `degree`, (n, terms)."""
+    each = [np.polynomial.legendre.legvander(scaled[:, a], degree) for a in range(3)]
+    return np.stack([each[0][:, p] * each[1][:, q] * each[2][:, r] for p, q, r in _exponents(degree)], axis=1)
+
+
+def smooth(field: SiteErrors, covariance: Covariance) -> Smooth | None:
+    """Return the smooth form of a field; None where the sites do not span space."""
+    places, errors = field.places, field.values
+    centre = (places.max(axis=0) + places.min(axis=0)) / 2
+    half = (places.max(axis=0) - places.min(axis=0)) / 2
+    if (half <= 0).any():
+        return None
+    scaled = (places - centre) / half
+    best: tuple[int, Array, Array] | None = None
+    # a degree that meets all sites of a line shows there nothing of what it misses between them
+    layers = min(len(np.unique(places[:, a])) for a in range(3))
+    for degree in range(1, min(_DEGREES, max(layers - 2, 1)) + 1):
+        design = _terms(scaled, degree)
+        if design.shape[1] > len(places) / 2 or np.linalg.matrix_rank(design) < design.shape[1]:
+            break
+        inverse: Array = np.asarray(np.linalg.pinv(design), dtype=float)
+        left = (errors - design @ (inverse @ errors)) / (1 - np.einsum("nt,tn->n", design, inverse))[:, None]
+        press: Array = (left**2).mean(axis=0)
+        if best is None or float(press.sum()) < float(best[2].sum()):
+            best = (degree, inverse, press)
+    if best is None:
+        return None
+    degree, inverse, press = best
+    some = np.unique(np.rint(np.linspace(0, len(places) - 1, _TRIED)).astype(np.intp))
+    both = covariance(np.concatenate([inverse, _left_out(_terms(scaled, degree), inverse, some)]))
+    terms = len(inverse)
+    noise = np.einsum("cnn->cn", both)[:, terms:].mean(axis=1)
+    beyond = np.sqrt(np.maximum(press - noise, 0.0))
+    return Smooth(degree, centre, half, inverse @ errors, both[:, :terms, :terms], beyond)
+
+
+def _left_out(design: Array, inverse: Array, sites: Index) -> Array:
+    """Return the weights of all sites in what some are off when they are left out, (sites, all)."""
+    hat = design[sites] @ inverse
+    own = np.zeros_like(hat)
+    own[np.arange(len(sites)), sites] = 1.0
+    return np.asarray((own - hat) / (1 - hat[np.arange(len(sites)), sites])[:, None])
+
+
+def trilinear(sites: Index, pitch: float, points: Array) -> tuple[Index, Array]:
+    """Return the eight sites around each point and their weights, (n, 8) each; sites are -1 where it is outside."""
+    scaled = points / pitch
+    low, high = sites.min(axis=0), sites.max(axis=0)
+    corner = np.clip(np.floor(scaled), low, np.maximum(high - 1, low)).astype(np.intp)
+    share = scaled - corner
+    steps = np.array(list(product((0, 1), repeat=3)))
+    weights = np.where(steps[None] == 1, share[:, None], 1 - share[:, None]).prod(axis=2)
+    at = numbers_at(sites, corner[:, None] + steps)
+    weights[np.abs(weights) < 1e-12] = 0.0
+    lost = ((at < 0) & (weights != 0)).any(axis=1) | (weights < 0).any(axis=1)
+    return np.where(lost[:, None], -1, np.maximum(at, 0)), weights
+
+
+def error_map(points: Table, field: SiteErrors, covariance: Covariance, form: Smooth | None) -> Table:
+    """Return the machine error at points, trilinear and smooth; InputError for points outside the sites.
+
+    The uncertainty of the trilinear value counts, beside the measurement, the bend of the field between sites, `h^2/8`
+    times its second differences beyond their noise, taken as the limit of an even distribution; it is inf where a site
+    is undetermined.
+    """
+    sites, pitch = field.sites, field.pitch
+    places = points.stacked("xyz")
+    at, weights = trilinear(sites, pitch, places)
+    lost = np.flatnonzero(at[:, 0] < 0)
+    if lost.size:
+        low, high = sites.min(axis=0) * pitch, sites.max(axis=0) * pitch
+        box = ", ".join(f"{'xyz'[a]} {low[a]:g} ... {high[a]:g} mm" for a in range(3))
+        names, text = points.texts("point"), "is not between measured sites"
+        raise InputError([points.fault_at(row, f"point '{names[row]}' {text}", box) for row in lost[:20].tolist()])
+    value, std = _trilinear_errors((at, weights), field, covariance)
+    bend = _bend(field)[np.maximum(at, 0)].max(axis=1) / np.sqrt(3)
+    inner = (np.abs(weights).max(axis=1) < 1 - 1e-9)[:, None]
+    columns = {"point": np.array(points.texts("point"))} | {axis: places[:, n] for n, axis in enumerate("xyz")}
+    columns |= {f"e{axis}": value[:, n] for n, axis in enumerate("xyz")}
+    total = np.sqrt(std**2 + np.where(inner, bend, 0.0) ** 2)
+    columns |= {f"s_e{axis}": total[:, n] for n, axis in enumerate("xyz")}
+    if form is not None:
+        smoothed, spread_of = form.at(places)
+        columns |= {f"smooth_e{axis}": smoothed[:, n] for n, axis in enumerate("xyz")}
+        columns |= {f"s_smooth_e{axis}": spread_of[:, n] for n, axis in enumerate("xyz")}
+    return Table(columns, {name: "mm" for name in columns if name != "point"})
+
+
+def _trilinear_errors(corners: tuple[Index, Array], field: SiteErrors, covariance: Covariance) -> tuple[Array, Array]:
+    """Return the weighted errors (n, 3) and their standard uncertainties (n, 3), some hundred points at a time."""
+    at, weights = corners
+    std = np.empty((len(at), 3))
+    for start in range(0, len(at), _AT_ONCE):
+        part = slice(start, start + _AT_ONCE)
+        spread = np.zeros((len(at[part]), len(field.sites)))
+        np.add.at(spread, (np.arange(len(spread))[:, None], at[part]), weights[part])
+        std[part] = np.sqrt(np.maximum(np.einsum("cnn->nc", covariance(spread)), 0.0))
+    std[(field.open[at] & (weights != 0)[:, :, None]).any(axis=1)] = np.inf
+    return np.einsum("nk,nka->na", weights, field.values[at]), std
+
+
+def _bend(field: SiteErrors) -> Array:
+    """Return an eighth of the second differences at each site beyond their noise, added over the directions."""
+    sites, errors, variance = field.sites, field.values, np.where(field.open, 0.0, field.std) ** 2
+    total = np.zeros_like(errors)
+    for axis in np.eye(3, dtype=np.intp):
+        before, after = numbers_at(sites, sites - axis), numbers_at(sites, sites + axis)
+        both = (before >= 0) & (after >= 0)
+        second = errors[after[both]] - 2 * errors[both] + errors[before[both]]
+        noise = variance[after[both]] + 4 * variance[both] + variance[before[both]]
+        total[both] += np.sqrt(np.maximum(second**2 - noise, 0.0)) / 8
+    return total

@@ -1,0 +1,246 @@
+"""How the artefact stood in each view according to the readings, against what the job says.
+
+An affine fit of the readings of a view to its balls is, but for a tilt and errors far below a pitch, one of the 48
+matrices that bring the grid onto itself. A rotation that is not the declared one is a wrong sense or a swapped view; a
+reflection an exchange of indices. So all alternatives are tried at once, and the one that the readings fit is named.
+Balls of one plane leave the side of the artefact open: they are taken as seen from above, turned over if need be.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import permutations, product
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.observations import Index, Mask
+from metrocli.errors import Fault, InputError
+from metrocli.instruments.ball_grid import View
+from metrocli.tasks.selfcal_grid.readings import Readings, ball_name
+from metrocli.tasks.selfcal_grid.settings import shift_in_words, turn_in_words
+
+_OFF = 0.25
+"""A reading further than this share of a pitch from its place is another ball's, or wrong"""
+_TILT = 0.2
+"""Entries of a fit may differ from whole numbers by less than this, unless its balls are few and near each other"""
+_DOUBTFUL = 0.005
+"""Share by which the distance of neighbouring balls may differ from the pitch before it is told"""
+_OFF_SITE = 0.05
+_MOST = 20
+
+
+@dataclass(frozen=True)
+class Observed:
+    """How the artefact stood in a view: a ball b was read near `pitch scale (turn + tilt) b + origin`."""
+
+    turn: Array
+    """(3, 3) of whole numbers, a reflection where indices are exchanged"""
+    tilt: Array
+    """(3, 3)"""
+    scale: float
+    origin: Array
+    """(3,) in pitches"""
+
+    def off(self, balls: Index, values: Array) -> Array:
+        """Return how far readings (n, 3) are from where the fit has their balls, in pitches."""
+        place = values - self.scale * balls @ (self.turn + self.tilt).T
+        return np.asarray(place - np.median(place, axis=0))
+
+
+def check(readings: Readings, pitch: float) -> list[str]:
+    """Return warnings; InputError names every view that stood otherwise than declared, and readings of other balls."""
+    found = [_observed(readings, n, pitch) for n in range(len(readings.views))]
+    file = readings.table.file
+    for faults in (
+        _other_pitch(readings, found, pitch),
+        _exchanged(readings.views, found),
+        _otherwise(readings.views, found),
+    ):
+        if faults:
+            raise InputError([Fault(text, file) for text in faults])
+    astray = [one for n, seen in enumerate(found) if seen for one in _astray(readings, n, seen, pitch)]
+    if astray:
+        raise InputError(astray[:_MOST])
+    return [*_doubtful_pitch(found, pitch), *_off_site(readings, found)]
+
+
+def _observed(readings: Readings, view: int, pitch: float) -> Observed | None:
+    """Return how a view stood; None where its balls stand in a row or are too few."""
+    rows = readings.at(view)
+    balls, values = readings.balls[rows].astype(float), readings.values[rows] / pitch
+    keep: Mask = np.ones(len(balls), dtype=bool)
+    for _ in range(3):
+        if np.linalg.matrix_rank(balls[keep] - balls[keep].mean(axis=0)) < 2:
+            return None
+        matrix = _affine(balls[keep], values[keep])
+        place = values - balls @ matrix.T
+        off = np.abs(place - np.median(place[keep], axis=0)).max(axis=1)
+        keep = off <= max(2 * float(np.median(off)), 1e-9)
+    scale = float(np.linalg.svd(matrix, compute_uv=False).mean())
+    turn = _nearest(matrix / scale)
+    return Observed(turn, matrix / scale - turn, scale, np.median(values - balls @ turn.T, axis=0))
+
+
+def _affine(balls: Array, values: Array) -> Array:
+    """Return the matrix (3, 3) that brings balls (n, 3) to values but for a shift; across a plane that of a turn."""
+    inner = balls - balls.mean(axis=0)
+    fit = np.asarray(np.linalg.lstsq(inner, values - values.mean(axis=0), rcond=None)[0].T)
+    _, sizes, axes = np.linalg.svd(inner, full_matrices=False)
+    if sizes[2] > 1e-9 * sizes[0]:
+        return fit
+    images = fit @ axes[:2].T
+    length = np.sqrt(np.linalg.norm(images[:, 0]) * np.linalg.norm(images[:, 1]))
+    across = np.cross(images[:, 0], images[:, 1]) / max(float(length), 1e-300)
+    return np.asarray(fit + np.outer(across, np.cross(axes[0], axes[1])))
+
+
+def _nearest(matrix: Array) -> Array:
+    """Return the one of the 48 matrices of the grid that is nearest to a matrix."""
+    every = [
+        np.eye(3)[list(order)] * np.array(signs)[:, None]
+        for order in permutations(range(3))
+        for signs in product((1.0, -1.0), repeat=3)
+    ]
+    return max(every, key=lambda one: float((one * matrix).sum()))
+
+
+def _other_pitch(readings: Readings, found: list[Observed | None], pitch: float) -> list[str]:
+    """Return the views whose readings are no grid of this pitch, all of them together where none is one."""
+    known = [(view.name, seen) for view, seen in zip(readings.views, found, strict=True) if seen is not None]
+    reach = [_reach(readings.balls[readings.at(n)]) for n, seen in enumerate(found) if seen is not None]
+    wrong = {
+        f" of view '{name}'": seen.scale * pitch
+        for (name, seen), far in zip(known, reach, strict=True)
+        if abs(seen.scale - 1) * far > _OFF
+    }
+    if len(wrong) == len(known) > 1:
+        wrong = {"": float(np.median(list(wrong.values())))}
+    texts = [
+        f"the balls{whose} are read {apart:.5g} mm apart, the pitch is {pitch:g} mm: "
+        "is the pitch or a unit of the file wrong?"
+        for whose, apart in wrong.items()
+    ]
+    skew = [
+        name
+        for (name, seen), far in zip(known, reach, strict=True)
+        if (tilt := float(np.abs(seen.tilt).max())) > _TILT and tilt * far > 2 * _OFF
+    ]
+    return texts or [f"the readings of view '{name}' are no grid turned by a multiple of 90 deg" for name in skew]
+
+
+def _reach(balls: Index) -> float:
+    """Return how far the outermost ball is from the middle of some, in pitches."""
+    return float(np.linalg.norm(balls - balls.mean(axis=0), axis=1).max())
+
+
+def _doubtful_pitch(found: list[Observed | None], pitch: float) -> list[str]:
+    scales = [seen.scale for seen in found if seen is not None]
+    scale = float(np.median(scales)) if scales else 1.0
+    if abs(scale - 1) < _DOUBTFUL:
+        return []
+    return [
+        f"the balls are read {scale * pitch:.5g} mm apart, the pitch is {pitch:g} mm: machine and artefact share that"
+    ]
+
+
+def _exchanged(views: tuple[View, ...], found: list[Observed | None]) -> list[str]:
+    """Return what is exchanged: indices or axes in all views alike, or indices in one, where readings are mirrored."""
+    known = [(view, seen) for view, seen in zip(views, found, strict=True) if seen is not None]
+    for names, matrices in (
+        ("ijk", [view.turn.T @ seen.turn for view, seen in known]),
+        ("xyz", [view.turn @ seen.turn.T for view, seen in known]),
+    ):
+        alike = len(known) > 1 and all(np.array_equal(matrix, matrices[0]) for matrix in matrices)
+        if alike and not np.array_equal(matrices[0], np.eye(3)):
+            return [f"in all views {_exchange(matrices[0], names)}"]
+    return [
+        f"in view '{view.name}' {_exchange(view.turn.T @ seen.turn, 'ijk')}"
+        for view, seen in known
+        if np.linalg.det(seen.turn) < 0
+    ]
+
+
+def _exchange(matrix: Array, names: str) -> str:
+    order = [int(np.argmax(np.abs(row))) for row in matrix]
+    swapped = [n for n in range(3) if order[n] != n]
+    if len(swapped) == 2 and matrix.sum() == 3:
+        pair = f"{names[swapped[0]]} and {names[swapped[1]]}"
+        return f"{pair} are exchanged: the readings fit the balls the other way round"
+    flipped = [names[n] for n in range(3) if order[n] == n and matrix[n, n] < 0]
+    if len(flipped) in (1, 3) and not swapped:
+        verb = "counts against its axis" if len(flipped) == 1 else "count against their axes"
+        return f"{' and '.join(flipped)} {verb}: the readings fit balls of the opposite sign"
+    seen = ", ".join(f"{'-' if matrix[n, order[n]] < 0 else ''}{names[order[n]]}" for n in range(3))
+    artefact = "a mirrored artefact" if np.linalg.det(matrix) < 0 else "the artefact"
+    return f"the readings fit {artefact} with {', '.join(names)} read as {seen}"
+
+
+def _otherwise(views: tuple[View, ...], found: list[Observed | None]) -> list[str]:
+    """Return what is wrong with the views that stood otherwise than declared, as rotations and as shifts."""
+    known = [(n, seen) for n, seen in enumerate(found) if seen is not None]
+    right = [(n, seen) for n, seen in known if np.array_equal(seen.turn, views[n].turn)]
+    origins = np.array([seen.origin - views[n].shift for n, seen in (right or known)])
+    common = np.median(origins, axis=0) if len(origins) else np.zeros(3)
+    stood = {n: (seen.turn, np.rint(seen.origin - common)) for n, seen in known}
+    wrong = [n for n in stood if not _as(views[n], stood[n])]
+    texts = []
+    for n in wrong:
+        others = [m for m in range(len(views)) if m != n and _as(views[m], stood[n])]
+        swapped = [m for m in others if m in wrong and _as(views[n], stood[m])]
+        if swapped and swapped[0] > n:
+            texts.append(
+                f"views '{views[n].name}' and '{views[swapped[0]].name}' are exchanged: "
+                "the readings of each stand as the other is declared"
+            )
+        elif not swapped:
+            texts.append(_stood(views, n, stood[n], others))
+    return texts
+
+
+def _as(view: View, stood: tuple[Array, Array]) -> bool:
+    return np.array_equal(view.turn, stood[0]) and np.array_equal(view.shift, stood[1])
+
+
+def _stood(views: tuple[View, ...], n: int, stood: tuple[Array, Array], others: list[int]) -> str:
+    view, (turn, shift) = views[n], stood
+    like = f", which is how view '{views[others[0]].name}' is declared" if others else ""
+    if np.array_equal(turn, view.turn):
+        return (
+            f"view '{view.name}' stands shifted by {shift_in_words(shift)} pitches against the others, "
+            f"declared {shift_in_words(view.shift)}{like}"
+        )
+    sense = "; is the sense of its rotation wrong?" if np.array_equal(turn, view.turn.T) else ""
+    return f"view '{view.name}' stands {turn_in_words(turn)}, declared {turn_in_words(view.turn)}{like}{sense}"
+
+
+def _astray(readings: Readings, n: int, seen: Observed, pitch: float) -> list[Fault]:
+    """Return the readings that are not where their ball stands, with the ball that stands there."""
+    rows, view = np.flatnonzero(readings.at(n)), readings.views[n]
+    off = seen.off(readings.balls[rows], readings.values[rows] / pitch)
+    faults = []
+    for k in np.flatnonzero(np.abs(off).max(axis=1) > _OFF)[:_MOST]:
+        ball, row = readings.balls[rows[k]], int(rows[k])
+        nearest = np.rint(ball + off[k] @ view.turn).astype(np.intp)
+        distance = float(np.linalg.norm(off[k])) * pitch
+        meant = f", where {ball_name(nearest)} stands" if not np.array_equal(nearest, ball) else ""
+        text = f"{ball_name(ball)} of view '{view.name}' is read {distance:.3g} mm from its place{meant}"
+        faults.append(readings.table.fault_at(row, text))
+    return faults
+
+
+def _off_site(readings: Readings, found: list[Observed | None]) -> list[str]:
+    """Return warnings of views with balls so far from their sites that the machine error there is another one."""
+    known = [(n, seen) for n, seen in enumerate(found) if seen is not None]
+    if not known:
+        return []
+    origins = np.array([seen.origin - readings.views[n].shift for n, seen in known])
+    texts = []
+    for (n, seen), origin in zip(known, (origins - np.median(origins, axis=0)), strict=True):
+        share = float(np.abs(readings.balls[readings.at(n)] @ seen.tilt.T + origin).max())
+        if share > _OFF_SITE:
+            texts.append(
+                f"view '{readings.views[n].name}' stands up to {share:.2g} pitches from its sites: the machine error "
+                "there is not that at the site"
+            )
+    return texts

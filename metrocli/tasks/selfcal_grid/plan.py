@@ -1,0 +1,148 @@
+"""Which views determine what, before anything is measured: null space and noise gain of planned and other views."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from metrocli.adjust.model.observations import Index
+from metrocli.errors import UndeterminedError
+from metrocli.instruments import ball_grid as bg
+from metrocli.plan import Plan
+from metrocli.result import Estimate
+from metrocli.table import Table
+from metrocli.tasks.selfcal_grid.problem import Problem, build
+from metrocli.tasks.selfcal_grid.readings import Readings
+from metrocli.tasks.selfcal_grid.report import KIND
+from metrocli.tasks.selfcal_grid.settings import Settings, turn_in_words
+from metrocli.tasks.selfcal_grid.simulation import balls_on, views_on_the_grid
+from metrocli.tasks.selfcal_grid.solve import design
+from metrocli.tasks.selfcal_grid.undetermined import Open, candidates, determined, opened
+
+if TYPE_CHECKING:
+    from metrocli.table import Values
+
+_TRIED = 5
+"""Sets of views are compared on a grid of at most so many balls a side; noise gains hardly depend on it"""
+_WORKED_OUT = 11
+
+
+@dataclass(frozen=True)
+class _Worth:
+    """What a set of views is worth."""
+
+    found: Open
+    gain: float
+    """Root mean square standard uncertainty of the machine error over the noise; inf where something is open"""
+    largest: float
+    readings: int
+
+
+@dataclass(frozen=True)
+class _Given:
+    """What does not depend on the views."""
+
+    settings: Settings
+    lengths: Table | None
+
+    def lengths_on(self, half: Index) -> Table | None:
+        """Return the calibrated lengths as they would be on a grid, ends beyond it at its rim; None for none."""
+        if self.lengths is None:
+            return None
+        names = [[f"{name}{end}" for name in "ijk"] for end in "12"]
+        ends = [np.clip(self.lengths.stacked(one), -half, half) for one in names]
+        length = np.linalg.norm(ends[0] - ends[1], axis=1) * self.settings.grid.pitch
+        kept = length > 0
+        columns: dict[str, Values] = {"length": length[kept], "sigma": self.lengths.numbers("sigma")[kept]}
+        for one, end in zip(names, ends, strict=True):
+            columns |= {name: end[kept, n] for n, name in enumerate(one)}
+        return Table(columns) if kept.any() else None
+
+
+def plan(settings: Settings, lengths: Table | None = None) -> Plan:
+    """Return the null space and the uncertainties of the planned views, and what one view more or less would change."""
+    given = _Given(settings, lengths)
+    views, half = views_on_the_grid(settings), settings.grid.half
+    small = np.minimum(half, _TRIED // 2)
+    own = _worth(views, np.minimum(half, _WORKED_OUT // 2), given)
+    sets = [(words, some) for words, some in _sets(views) if all(len(balls_on(view, small)) for view in some)]
+    table = _table([(words, _tried(some, small, given)) for words, some in sets])
+    gain = Estimate("s_machine_error", 0.0, own.gain * settings.declared, "mm")
+    most = Estimate("s_machine_error_max", 0.0, own.largest * settings.declared, "mm")
+    size = " x ".join(str(2 * n + 1) for n in small.tolist())
+    known = bool(np.isfinite(own.gain))
+    notes = (
+        *own.found.sentences(),
+        *([f"noise gain {own.gain:.3f} rms, {own.largest:.3f} at most"] if known else []),
+        f"other sets of views, on a grid of {size}:",
+    )
+    figures = (gain, most) if known and not isinstance(settings.noise, str) else ()
+    files = {"views_to_measure.csv": _sheet(settings, views)}
+    return Plan(KIND, notes, figures, {"view_sets": table}, files, shown=("view_sets",))
+
+
+def _sets(views: Sequence[bg.View]) -> Iterator[tuple[str, list[bg.View]]]:
+    """Yield the planned views, these with one more, and with one less."""
+    yield "planned", list(views)
+    for words, view in candidates():
+        yield f"with a view {words}", [*views, view]
+    for one in views if len(views) > 2 else ():
+        yield f"without '{one.name}'", [view for view in views if view is not one]
+
+
+def _tried(views: Sequence[bg.View], half: Index, given: _Given) -> _Worth | None:
+    try:
+        return _worth(views, half, given)
+    except UndeterminedError:
+        return None
+
+
+def _worth(views: Sequence[bg.View], half: Index, given: _Given) -> _Worth:
+    problem = _problem(views, half, given)
+    taken = design(problem)
+    found = opened(problem, taken)
+    std = np.where(determined(problem, taken)[bg.MACHINE], taken.std(bg.MACHINE), np.inf)[problem.grid.within > 0]
+    std = std / given.settings.declared
+    return _Worth(found, float(np.sqrt((std**2).mean())), float(std.max()), problem.readings.observations.count)
+
+
+def _problem(views: Sequence[bg.View], half: Index, given: _Given) -> Problem:
+    """Return the adjustment of views whose readings are those of a grid without errors."""
+    settings = given.settings
+    each = [balls_on(view, half) for view in views]
+    values = [view.sites(one) * settings.grid.pitch for view, one in zip(views, each, strict=True)]
+    count = [len(one) for one in each]
+    ball = np.concatenate(each)
+    columns: dict[str, Values] = {"view": np.repeat(np.array([view.name for view in views]), count)}
+    columns |= {name: ball[:, n] for n, name in enumerate("ijk")}
+    view = np.repeat(np.arange(len(views)), count)
+    readings = Readings(tuple(views), view, ball, np.concatenate(values), Table(columns))
+    return build(readings, (half, settings.grid.pitch), settings.declared, given.lengths_on(half))
+
+
+def _table(rows: Sequence[tuple[str, _Worth | None]]) -> Table:
+    columns: dict[str, Values] = {
+        "views": np.array([words for words, _ in rows]),
+        "undetermined": np.array([str(worth.found.count) if worth else "more" for _, worth in rows]),
+        "noise_gain": np.array([worth.gain if worth else np.inf for _, worth in rows]),
+        "largest_gain": np.array([worth.largest if worth else np.inf for _, worth in rows]),
+    }
+    return Table(columns)
+
+
+def _sheet(settings: Settings, views: Sequence[bg.View]) -> Table:
+    """Return where each ball is to be measured, in the order of the views."""
+    each = [balls_on(view, settings.grid.half) for view in views]
+    places = np.concatenate([view.sites(one) for view, one in zip(views, each, strict=True)]) * settings.grid.pitch
+    ball = np.concatenate(each)
+    count = [len(one) for one in each]
+    columns: dict[str, Values] = {
+        "view": np.repeat(np.array([view.name for view in views]), count),
+        "mounting": np.repeat(np.array([turn_in_words(view.turn) for view in views]), count),
+    }
+    columns |= {name: ball[:, n].astype(np.int64) for n, name in enumerate("ijk")}
+    columns |= {name: places[:, n] for n, name in enumerate("xyz")}
+    return Table(columns, dict.fromkeys("xyz", "mm"))

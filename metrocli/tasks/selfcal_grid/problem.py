@@ -1,0 +1,194 @@
+"""The adjustment of machine and artefact errors, from readings to blocks and groups with starting values."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from metrocli.adjust.coupled_fields import Design, Fields
+from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.chain import Chain
+from metrocli.adjust.model.groups import Group
+from metrocli.adjust.model.observations import Index, Mask, Observations
+from metrocli.effects.model import Added, Model, Place
+from metrocli.errors import InputError
+from metrocli.geometry.poses import fit_pose
+from metrocli.instruments import ball_grid as bg
+from metrocli.table import Table
+from metrocli.tasks.selfcal_grid.effects import AXES
+from metrocli.tasks.selfcal_grid.readings import Readings, ball_name
+from metrocli.words import suggestion
+
+_EXACT = 1e-2
+"""Standard deviation of a condition of the datum where it stands among readings, over theirs"""
+_DEPENDENT = 1e-9
+READINGS, LENGTHS = "views", "lengths"
+"""Names of the groups: readings of the views, and calibrated distances of balls"""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A self-calibration ready to adjust."""
+
+    grid: bg.Grid
+    views: tuple[bg.View, ...]
+    fields: Fields
+    warnings: tuple[str, ...] = ()
+    effects: tuple[Added, ...] = ()
+
+    def with_noise(self, noise: float) -> Problem:
+        """Return the problem with another standard deviation of its readings."""
+        observations = self.readings.observations
+        readings = self.readings.with_observations(replace(observations, sigma=np.array(noise)))
+        return replace(self, fields=replace(self.fields, groups=(readings, *self.fields.groups[1:])))
+
+    def held(self, design: Design) -> Problem:
+        """Return the problem with a condition on the fields for everything that the design leaves open in them."""
+        places = {name: design.partition.columns[name] for name in (bg.MACHINE, bg.ARTEFACT)}
+        parts = [np.where(at >= 0, design.constraint[:, np.maximum(at, 0)], 0.0) for at in places.values()]
+        _, sizes, rows = np.linalg.svd(
+            np.concatenate([part.reshape(len(part), -1) for part in parts], axis=1), full_matrices=False
+        )
+        rows = rows[sizes > _DEPENDENT * sizes.max()]
+        split = np.split(rows, [parts[0][0].size], axis=1)
+        conditions = {name: part.reshape(-1, *at.shape) for (name, at), part in zip(places.items(), split, strict=True)}
+        return replace(self, fields=replace(self.fields, conditions=conditions))
+
+    def model(self) -> Model:
+        """Return the problem as a model that effects can be added to, its datum as readings."""
+        groups = (*self.fields.groups, bg.as_readings(self.fields.conditions, _EXACT * self.noise))
+        places = {
+            "view": Place(tuple(view.name for view in self.views), bg.VIEW),
+            "ball": Place(self.fields.blocks[bg.ARTEFACT].members, bg.ARTEFACT),
+            "axis": Place(AXES),
+        }
+        return Model(self.fields.blocks, groups, None, (READINGS,), places, added=self.effects)
+
+    def with_model(self, model: Model) -> Problem:
+        """Return the problem with the blocks, readings and effects of a model made from it."""
+        groups = tuple(group for group in model.groups if group.name in (READINGS, LENGTHS))
+        return replace(self, fields=replace(self.fields, blocks=model.blocks, groups=groups), effects=model.added)
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation of a coordinate that is read."""
+        return float(self.readings.observations.sigma.mean())
+
+    @property
+    def readings(self) -> Group:
+        """The readings of the views."""
+        return self.fields.groups[0]
+
+    @property
+    def scale_given(self) -> bool:
+        """Whether a length fixes the common scale."""
+        return len(self.fields.groups) > 1
+
+    def warned(self, warnings: Sequence[str]) -> Problem:
+        """Return the problem with what is to be told of its readings."""
+        return replace(self, warnings=(*self.warnings, *warnings))
+
+    def only(self, keep: Mask) -> Problem:
+        """Return the problem with some of its readings; what they do not touch is no unknown any more."""
+        readings = self.readings.selected(keep)
+        blocks = dict(self.fields.blocks)
+        for name in (bg.MACHINE, bg.ARTEFACT, bg.VIEW):
+            seen = np.zeros(len(blocks[name].members), dtype=bool)
+            seen[readings.observations.index[name]] = True
+            blocks[name] = replace(blocks[name], free=blocks[name].free & seen[:, None])
+        known = np.asarray(blocks[bg.ARTEFACT].free.all(axis=1))
+        others = [_touching(group, known) for group in self.fields.groups[1:]]
+        return replace(self, fields=_fields(self.grid, blocks, [readings, *others]))
+
+
+def _touching(group: Group, known: Mask) -> Group:
+    return group.selected(np.asarray(known[group.observations.index[bg.ARTEFACT]].all(axis=0)))
+
+
+def _fields(grid: bg.Grid, blocks: dict[str, Block], groups: Sequence[Group]) -> Fields:
+    present = [group for group in groups if group.observations.count]
+    fields = bg.fields(grid, blocks, present, len(present) > 1)
+    seen = {name: np.asarray(blocks[name].free.all(axis=1)) for name in (bg.MACHINE, bg.ARTEFACT)}
+    conditions = {name: given * seen[name][None, :, None] for name, given in fields.conditions.items()}
+    return replace(fields, conditions=conditions)
+
+
+def build(readings: Readings, size: tuple[Index, float], noise: float, lengths: Table | None = None) -> Problem:
+    """Return the adjustment; size is (half, pitch) of the grid."""
+    half, pitch = size
+    sites = np.empty_like(readings.balls)
+    for n, view in enumerate(readings.views):
+        rows = readings.at(n)
+        sites[rows] = view.sites(readings.balls[rows])
+    all_sites, site = np.unique(sites, axis=0, return_inverse=True)
+    all_balls, ball = np.unique(readings.balls, axis=0, return_inverse=True)
+    grid = bg.Grid(all_sites, all_balls, pitch, half)
+    starts = np.array([_start(readings, n, pitch) for n in range(len(readings.views))])
+    blocks = {
+        bg.MACHINE: bg.field_block(bg.MACHINE, all_sites, "site"),
+        bg.ARTEFACT: bg.field_block(bg.ARTEFACT, all_balls, "ball"),
+        bg.VIEW: bg.view_block(readings.views, starts),
+    }
+    index = {bg.MACHINE: site.reshape(-1), bg.ARTEFACT: ball.reshape(-1), bg.VIEW: readings.view}
+    observations = Observations(
+        np.ascontiguousarray(readings.values.T),
+        np.array(noise),
+        index,
+        keys=_keys(readings.table),
+        conditions=_conditions(readings, pitch),
+        components=("x", "y", "z"),
+        unit="mm",
+    )
+    groups = [Group(READINGS, bg.chain(readings.views, all_balls, pitch), observations)]
+    if lengths is not None:
+        groups.append(_lengths(lengths, readings.views, all_balls, pitch))
+    return Problem(grid, readings.views, _fields(grid, blocks, groups))
+
+
+def _conditions(readings: Readings, pitch: float) -> dict[str, Array]:
+    given = {name: readings.table.numbers(name) for name in ("t", "temp") if name in readings.table}
+    return {**given, bg.HOLLOW: bg.hollow(readings.views, readings.view, readings.balls, pitch)}
+
+
+def _keys(table: Table) -> dict[str, tuple[str, ...]]:
+    names = ["view", *"ijk", *(["repeat"] if "repeat" in table else [])]
+    return {name: tuple(table.texts(name)) for name in names}
+
+
+def _start(readings: Readings, n: int, pitch: float) -> Array:
+    """Return the mounting (6,) that fits a view if neither machine nor artefact had errors."""
+    rows, view = readings.at(n), readings.views[n]
+    nominal: Array = np.asarray(view.sites(readings.balls[rows]) * pitch, dtype=float)
+    return fit_pose(nominal, readings.values[rows])
+
+
+def _lengths(table: Table, views: Sequence[bg.View], balls: Index, pitch: float) -> Group:
+    """Return the calibrated distances; InputError for balls that no view has and for distances that cannot be."""
+    ends = [np.rint(table.stacked([f"{name}{end}" for name in "ijk"])).astype(np.intp) for end in "12"]
+    index = np.stack([bg.numbers_at(balls, end) for end in ends])
+    faults = [
+        table.fault_at(int(row), f"{ball_name(ends[end][row])} is not in the views")
+        for end, row in np.argwhere(index < 0).tolist()
+    ]
+    nominal = np.linalg.norm(ends[0] - ends[1], axis=1) * pitch
+    given, names = table.numbers("length"), [view.name for view in views]
+    for row in range(len(table)):
+        if "view" in table and (said := table.texts("view")[row]) not in ["", *names]:
+            faults.append(table.fault_at(row, f"view '{said}' has no readings", suggestion(said, names)))
+        if nominal[row] == 0:
+            faults.append(table.fault_at(row, f"a length from {ball_name(ends[0][row])} to itself"))
+        if table.numbers("sigma")[row] <= 0:
+            faults.append(table.fault_at(row, "the standard uncertainty of a length must be above zero"))
+        if abs(given[row] - nominal[row]) > pitch / 4:
+            faults.append(
+                table.fault_at(row, f"the length is {given[row]:g} mm, but these balls are {nominal[row]:g} mm apart")
+            )
+    if faults:
+        raise InputError(faults)
+    keys = {f"{name}{end}": tuple(table.texts(f"{name}{end}")) for end in "12" for name in "ijk"}
+    observations = Observations(
+        given[None], table.numbers("sigma"), {bg.ARTEFACT: index}, keys=keys, components=("length",), unit="mm"
+    )
+    return Group(LENGTHS, Chain((bg.BallDistance(np.asarray(balls * pitch, dtype=float)),)), observations)

@@ -1,0 +1,280 @@
+"""The result of a self-calibration: error fields with uncertainty, what is undetermined, views, residuals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array, Mask
+from metrocli.adjust.model.observations import Index
+from metrocli.effects.estimates import estimates
+from metrocli.effects.estimates import tables as effect_results
+from metrocli.geometry.poses import EULER, euler_form
+from metrocli.instruments import ball_grid as bg
+from metrocli.result import Estimate, Result
+from metrocli.table import Table
+from metrocli.tasks.selfcal_grid import warnings as grid_warnings
+from metrocli.tasks.selfcal_grid.error_map import Covariance, SiteErrors, Smooth, error_map, smooth
+from metrocli.tasks.selfcal_grid.lengths import LengthError, largest
+from metrocli.tasks.selfcal_grid.solve import LeftOut, Solved
+from metrocli.tasks.selfcal_grid.undetermined import Open, determined
+from metrocli.tasks.shared.statistics import Statistics, basic_statistics, residual_table
+from metrocli.units import find_unit
+
+if TYPE_CHECKING:
+    from metrocli.table import Values
+
+KIND = "selfcal-grid"
+_UNITS = ("mm", "mm", "mm", "rad", "rad", "rad")
+_KEPT = 4_000_000
+"""Numbers of a covariance that are written"""
+_CONTROLLED = 1e-6
+"""Redundancy of a view below which it is rounding"""
+
+
+@dataclass(frozen=True)
+class _Field:
+    """A solved error field on the grid proper."""
+
+    indices: Index
+    values: Array
+    std: Array
+    """inf where the views leave it undetermined"""
+
+
+def report(solved: Solved, found: Open, left_out: Sequence[LeftOut], points: Table | None) -> Result:
+    """Return the result of a solved self-calibration."""
+    machine, artefact = _field(solved, bg.MACHINE), _field(solved, bg.ARTEFACT)
+    form, length = _forms(solved, machine)
+    mountings, covariance = _mountings(solved)
+    groups = solved.problem.fields.groups
+    effects, effect_arrays = effect_results(solved.problem.effects, solved.found)
+    tables = {
+        "machine_error": _table(machine),
+        "artefact_error": _table(artefact),
+        "correction": _correction(solved, machine),
+        "undetermined": _undetermined(found),
+        "views": _views(solved, left_out),
+        "residuals": residual_table(solved.residuals[0], solved.problem.readings),
+        **({"lengths": residual_table(solved.residuals[1], groups[1])} if len(groups) > 1 else {}),
+        "suspects": _suspects(solved),
+        "rejected": _rejected(solved),
+        **effects,
+        **({"length_error": length.table} if length else {}),
+        **({"map": _map(solved, machine, points, form)} if points is not None else {}),
+    }
+    statistics, length_note = _statistics(solved, found, machine, length)
+    return Result(
+        kind=KIND,
+        title="",
+        estimates=(*mountings, *estimates(solved.problem.effects, solved.found)),
+        covariance=covariance,
+        statistics=statistics,
+        tables=tables,
+        arrays=_arrays(solved, machine, form) | effect_arrays,
+        warnings=(*solved.problem.warnings, *grid_warnings.warnings(solved, found, machine.std, left_out)),
+        shown=("views", *(("suspects",) if len(solved.suspects.rows) else ())),
+        notes=(*found.sentences(), *length_note, *_smooth_note(form)),
+    )
+
+
+def _forms(solved: Solved, machine: _Field) -> tuple[Smooth | None, LengthError | None]:
+    """Return the smooth form and the length errors; None where a part of the field is undetermined."""
+    if not np.isfinite(machine.std).all():
+        return None, None
+    sites = _at_sites(solved, machine)
+    return smooth(sites, _of_machine(solved)), largest(sites.places, machine.values)
+
+
+def _at_sites(solved: Solved, machine: _Field) -> SiteErrors:
+    return SiteErrors(machine.indices, solved.problem.grid.pitch, machine.values, machine.std)
+
+
+def _field(solved: Solved, name: str) -> _Field:
+    """Return a field where it was measured; the machine's on the sites of the grid and those outside alike."""
+    block = solved.solution.blocks[name]
+    indices = solved.problem.grid.sites if name == bg.MACHINE else solved.problem.grid.balls
+    seen: Mask = np.asarray(block.free.all(axis=1))
+    std = np.where(determined(solved.problem, solved.design)[name], solved.design.std(name), np.inf)
+    return _Field(indices[seen], block.values[seen], std[seen])
+
+
+def _table(field: _Field) -> Table:
+    columns: dict[str, Values] = {name: field.indices[:, n].astype(np.int64) for n, name in enumerate("ijk")}
+    columns |= {name: field.values[:, n] for n, name in enumerate(bg.COLUMNS)}
+    columns |= {f"s_{name}": field.std[:, n] for n, name in enumerate(bg.COLUMNS)}
+    return Table(columns, {name: "mm" for name in columns if name not in "ijk"})
+
+
+def _correction(solved: Solved, field: _Field) -> Table:
+    """Return what is to be added to a reading near each site: minus the machine error."""
+    places = field.indices * solved.problem.grid.pitch
+    columns: dict[str, Values] = {name: np.asarray(places[:, n], dtype=float) for n, name in enumerate("xyz")}
+    columns |= {f"add_{name}": -field.values[:, n] for n, name in enumerate("xyz")}
+    columns |= {f"s_add_{name}": field.std[:, n] for n, name in enumerate("xyz")}
+    return Table(columns, dict.fromkeys(columns, "mm"))
+
+
+def _of_machine(solved: Solved) -> Covariance:
+    """Return what gives the covariance of weighted machine errors, component by component."""
+    from scipy.sparse import csr_array
+
+    block = solved.solution.blocks[bg.MACHINE]
+    places = solved.design.partition.columns[bg.MACHINE][block.free.all(axis=1)]
+
+    def covariance(weights: Array) -> Array:
+        given, width = csr_array(weights), solved.design.partition.width
+        rows = [
+            csr_array((given.data, column[given.indices], given.indptr), shape=(len(weights), width))
+            for column in places.T
+        ]
+        return np.stack([solved.design.covariance(each) for each in rows])
+
+    return covariance
+
+
+def _mountings(solved: Solved) -> tuple[list[Estimate], Array]:
+    """Return the mountings, and the covariance of them and of the effects' parameters."""
+    columns = solved.design.partition.columns
+    block, places = solved.solution.blocks[bg.VIEW], columns[bg.VIEW].ravel()
+    effects = [columns[one.block].ravel() for one in solved.problem.effects]
+    covariance = solved.found.between(np.concatenate([part[part >= 0] for part in (places, *effects)]))
+    std = np.zeros(len(places))
+    std[places >= 0] = np.sqrt(np.diag(covariance))[: int((places >= 0).sum())]
+    std[~determined(solved.problem, solved.design)[bg.VIEW].ravel()] = np.inf
+    values, names = euler_form(block.values).ravel(), [f"{view}.{name}" for view in block.members for name in EULER]
+    rows = zip(names, values.tolist(), std.tolist(), _UNITS * len(block.members), strict=True)
+    return [Estimate(*row) for row, place in zip(rows, places, strict=True) if place >= 0], covariance
+
+
+def _undetermined(found: Open) -> Table:
+    rows = [("rigid motion of the machine error", 6), ("rigid motion of the artefact error", 6)]
+    rows += [("common scale", 1)] if found.scale else []
+    rows += [(one.pattern, one.count) for one in found.families]
+    return Table(
+        {"pattern": np.array([row[0] for row in rows], dtype=str), "directions": np.array([row[1] for row in rows])}
+    )
+
+
+def _views(solved: Solved, left_out: Sequence[LeftOut]) -> Table:
+    """Return how each view fits: within the adjustment, and against the others."""
+    group, residuals = solved.problem.readings, solved.residuals[0]
+    view = group.observations.index[bg.VIEW]
+    count = len(solved.problem.views)
+    square = np.bincount(view, (residuals.values**2).sum(axis=0), count)
+    chi2 = np.bincount(view, ((residuals.values / residuals.sigma) ** 2).sum(axis=0), count)
+    share = np.bincount(view, residuals.redundancy.sum(axis=0), count)
+    readings = np.bincount(view, minlength=count)
+    columns: dict[str, Values] = {
+        "view": np.array([one.name for one in solved.problem.views]),
+        "readings": readings,
+        "rms": np.sqrt(square / np.maximum(3 * readings, 1)),
+        "chi2": chi2,
+        "redundancy": share,
+        "sigma0": np.sqrt(chi2 / np.where(share > _CONTROLLED, share, np.nan)),
+    }
+    if left_out:
+        columns["left_out_chi2"] = np.array([one.chi2 for one in left_out])
+        columns["left_out_dof"] = np.array([one.dof for one in left_out])
+        columns["left_out_p"] = np.array([one.p_value for one in left_out])
+    return Table(columns, {"rms": "mm"})
+
+
+def _reading_columns(solved: Solved, whole: bool, rows: Sequence[int]) -> dict[str, Values]:
+    group = solved.whole.readings if whole else solved.problem.readings
+    return {key: np.array([values[row] for row in rows], dtype=str) for key, values in group.observations.keys.items()}
+
+
+def _suspects(solved: Solved) -> Table:
+    rows = solved.suspects.rows
+    order = np.argsort(-solved.suspects.tests)
+    components = np.abs(solved.residuals[0].normalised[:, rows]).argmax(axis=0)
+    columns = _reading_columns(solved, False, rows[order].tolist())
+    columns["component"] = np.array(["xyz"[n] for n in components[order]], dtype=str)
+    columns["w"] = solved.suspects.tests[order]
+    return Table(columns)
+
+
+def _rejected(solved: Solved) -> Table:
+    columns = _reading_columns(solved, True, [row for row, _ in solved.rejected])
+    return Table(columns | {"w": np.array([test for _, test in solved.rejected], dtype=float)})
+
+
+def _map(solved: Solved, machine: _Field, points: Table, form: Smooth | None) -> Table:
+    return error_map(points, _at_sites(solved, machine), _of_machine(solved), form)
+
+
+def _arrays(solved: Solved, machine: _Field, form: Smooth | None) -> dict[str, Array]:
+    arrays: dict[str, Array] = {"pitch": np.array([solved.problem.grid.pitch])}
+    if form is not None:
+        arrays |= {
+            "smooth/degree": np.array([float(form.degree)]),
+            "smooth/coefficients": form.coefficients,
+            "smooth/covariance": form.covariance,
+            "smooth/misfit": form.misfit,
+            "smooth/centre": form.centre,
+            "smooth/half": form.half,
+        }
+    if (3 * len(machine.indices)) ** 2 <= _KEPT:
+        from scipy.sparse import eye_array
+
+        free = solved.solution.blocks[bg.MACHINE].free.all(axis=1)
+        columns = solved.design.partition.columns[bg.MACHINE][free].ravel()
+        arrays["machine_error_covariance"] = solved.design.covariance(
+            eye_array(solved.design.partition.width, format="csr")[columns]
+        )
+    return arrays
+
+
+def _statistics(
+    solved: Solved, found: Open, machine: _Field, length: LengthError | None
+) -> tuple[Statistics, tuple[str, ...]]:
+    rms = float(np.sqrt((solved.residuals[0].values ** 2).mean()))
+    finite = np.isfinite(machine.std)
+    noise = float(solved.problem.readings.observations.sigma.mean())
+    gain = float(np.sqrt((machine.std[finite] ** 2).mean()) / noise) if finite.any() else float("inf")
+    statistics = basic_statistics(solved.solution, {"mm": rms}) | {
+        "undetermined": found.count,
+        "noise_gain": gain,
+        "rejected": len(solved.rejected),
+        "critical_w": solved.suspects.critical,
+    }
+    if finite.all():
+        statistics |= {
+            "largest_machine_error": {"mm": float(np.linalg.norm(machine.values, axis=1).max())},
+            "rms_machine_error": {"mm": float(np.sqrt((machine.values**2).mean()))},
+            "rms_artefact_error": {"mm": float(np.sqrt((solved.solution.blocks[bg.ARTEFACT].values ** 2).mean()))},
+        }
+    if length is None:
+        return statistics, ()
+    um, std = find_unit("um", "length"), _length_std(solved, length)
+    statistics |= {"largest_length_error": {"mm": length.error}, "largest_length_error_std": {"mm": std}}
+    ends = [", ".join(map(str, machine.indices[n].tolist())) for n in (length.first, length.second)]
+    reach = " apart from the common scale" if found.scale else ""
+    note = (
+        f"largest length error between sites{reach}: {um.outside(length.error):.2f} um, standard uncertainty "
+        f"{um.outside(std):.2f} um, from ({ends[0]}) to ({ends[1]}); all pairs of {length.sites} sites"
+    )
+    return statistics, (note,)
+
+
+def _length_std(solved: Solved, length: LengthError) -> float:
+    from scipy.sparse import csr_array
+
+    block = solved.solution.blocks[bg.MACHINE]
+    places = solved.design.partition.columns[bg.MACHINE][block.free.all(axis=1)]
+    row = np.zeros((1, solved.design.partition.width))
+    row[0, places[length.second]], row[0, places[length.first]] = length.direction, -length.direction
+    return float(np.sqrt(max(solved.design.covariance(csr_array(row))[0, 0], 0.0)))
+
+
+def _smooth_note(form: Smooth | None) -> tuple[str, ...]:
+    if form is None:
+        return ()
+    um = find_unit("um", "length")
+    misfit = ", ".join(f"{um.outside(value):.2f}" for value in form.misfit)
+    words = f"off at sites left out by {misfit} um in x, y, z (rms) beyond their noise"
+    return (f"smooth form: polynomial of degree {form.degree}, {words}",)

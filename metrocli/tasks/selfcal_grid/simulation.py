@@ -1,0 +1,141 @@
+"""Simulated views of a ball grid, on a machine with errors, of an artefact with larger ones."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.observations import Index
+from metrocli.effects.estimates import true_values
+from metrocli.effects.model import extended
+from metrocli.effects.wanted import Wanted
+from metrocli.errors import Fault, InputError
+from metrocli.geometry.poses import EULER, pose_from_euler
+from metrocli.instruments.ball_grid import ARTEFACT, MACHINE, VIEW, View, numbers_at, rigid
+from metrocli.simulation import Simulation
+from metrocli.table import Table
+from metrocli.tasks.selfcal_grid.problem import LENGTHS, build
+from metrocli.tasks.selfcal_grid.readings import read
+from metrocli.tasks.selfcal_grid.settings import GridSimulation, Settings, views_of
+
+if TYPE_CHECKING:
+    from metrocli.table import Values
+
+_FILE_UNITS = {"x": "mm", "y": "mm", "z": "mm", "t": "s", "temp": "degC"}
+
+
+def balls_of(half: Index) -> Index:
+    """Return all balls of a grid, (n, 3)."""
+    axes = [np.arange(-n, n + 1) for n in half.tolist()]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def balls_on(view: View, half: Index) -> Index:
+    """Return the balls whose sites lie on the grid in this view, (n, 3)."""
+    balls = balls_of(half)
+    return balls[(np.abs(view.sites(balls)) <= half).all(axis=1)]
+
+
+def views_on_the_grid(settings: Settings) -> list[View]:
+    """Return the nominal mountings; InputError for those that bring no ball to a site of the grid."""
+    views = views_of(settings)
+    lost = [view.name for view in views if not len(balls_on(view, settings.grid.half))]
+    if lost:
+        raise InputError([Fault(f"view '{name}' brings no ball to a site of the grid") for name in lost])
+    return views
+
+
+def simulated(
+    settings: Settings,
+    views: Table | None,
+    effects: Sequence[Wanted],
+    rng: np.random.Generator,
+    lengths: Table | None = None,
+) -> Simulation:
+    """Return the readings of each view with errors drawn for machine, artefact and mountings, and with effects.
+
+    The machine's error is smooth, a polynomial of third order. Errors are free of rigid motion and of scale, as the
+    result states them. Sites outside the grid have no error. Calibrated lengths are drawn anew between their balls.
+    """
+    truth, half, pitch = settings.simulation or GridSimulation(), settings.grid.half, settings.grid.pitch
+    balls = balls_of(half)
+    machine, artefact = _drawn(np.asarray(balls * pitch, dtype=float), truth, rng)
+    readings = read(views_of(settings), half, _design(settings, truth) if views is None else views)
+    problem = build(readings, (half, pitch), settings.declared, lengths)
+    count = len(problem.views)
+    mountings = np.column_stack([rng.normal(0.0, truth.shift, (count, 3)), rng.normal(0.0, truth.tilt, (count, 3))])
+    fields = ((MACHINE, problem.grid.sites, machine), (ARTEFACT, problem.grid.balls, artefact))
+    values = {VIEW: pose_from_euler(mountings[:, :3], mountings[:, 3:])}
+    values |= {name: _at(balls, indices, field) for name, indices, field in fields}
+    model = problem.model()
+    model = model.with_blocks({name: block.with_values(values[name]) for name, block in model.blocks.items()})
+    model = extended(model, effects) if effects else model
+    group = model.readings[0]
+    exact = group.chain.predict(model.blocks, group.observations).T
+    files = {"views.csv": _read(readings.table, exact + rng.normal(0.0, 1.0, exact.shape) * settings.declared)}
+    files |= {"true_machine_error.csv": _errors(balls, machine), "true_artefact_error.csv": _errors(balls, artefact)}
+    if lengths is not None:
+        known = next(group for group in model.groups if group.name == LENGTHS)
+        exact = known.chain.predict(model.blocks, known.observations)[0]
+        length = exact + rng.normal(0.0, 1.0, len(lengths)) * lengths.numbers("sigma")
+        files["lengths.csv"] = Table(dict(lengths.columns) | {"length": length}, {"length": "mm", "sigma": "mm"})
+    names = [f"{view.name}.{name}" for view in problem.views for name in EULER]
+    return Simulation(files, dict(zip(names, mountings.ravel().tolist(), strict=True)) | true_values(model))
+
+
+def _drawn(places: Array, truth: GridSimulation, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Return errors of a machine and of an artefact at places (n, 3), each (n, 3)."""
+    artefact = rng.normal(0.0, 1.0, places.shape) * truth.artefact_error
+    machine = _shape(places, smooth_error(places / np.abs(places).max(), rng))
+    largest = max(float(np.linalg.norm(machine, axis=1).max()), 1e-300)
+    return machine * (truth.machine_error / largest), _shape(places, artefact)
+
+
+def _shape(places: Array, field: Array) -> Array:
+    """Return a field (n, 3) free of rigid motion and of scale, so that it is in the gauge of the result."""
+    motions = np.concatenate([rigid(places), places[:, :, None]], axis=2).reshape(-1, 7)
+    return np.asarray(field - (motions @ np.linalg.lstsq(motions, field.ravel(), rcond=None)[0]).reshape(-1, 3))
+
+
+def _at(balls: Index, indices: Index, field: Array) -> Array:
+    """Return the values of a field on the grid at sites, 0 outside."""
+    at = numbers_at(balls, indices)
+    return np.where((at >= 0)[:, None], field[np.maximum(at, 0)], 0.0)
+
+
+def _design(settings: Settings, truth: GridSimulation) -> Table:
+    """Return the balls of each view whose sites are on the grid, at their nominal places, one after the other."""
+    views = views_on_the_grid(settings)
+    each = [np.tile(balls_on(view, settings.grid.half), (truth.repeats, 1)) for view in views]
+    count, ball = [len(one) for one in each], np.concatenate(each)
+    places = np.concatenate([view.sites(one) for view, one in zip(views, each, strict=True)]) * settings.grid.pitch
+    columns: dict[str, Values] = {"view": np.repeat(np.array([view.name for view in views]), count)}
+    columns |= {name: ball[:, n].astype(np.int64) for n, name in enumerate("ijk")}
+    columns |= {name: places[:, n].astype(float) for n, name in enumerate("xyz")}
+    if truth.repeats > 1:
+        turns = [np.repeat(np.arange(1, truth.repeats + 1), n // truth.repeats) for n in count]
+        columns["repeat"] = np.concatenate(turns).astype(np.str_)
+    columns["t"] = np.asarray(np.arange(len(ball)) * truth.interval, dtype=float)
+    return Table(columns, {"x": "mm", "y": "mm", "z": "mm", "t": "s"})
+
+
+def _read(design: Table, readings: Array) -> Table:
+    """Return a table with other readings."""
+    columns = dict(design.columns) | {name: np.ascontiguousarray(readings[:, n]) for n, name in enumerate("xyz")}
+    return Table(columns, {name: unit for name, unit in _FILE_UNITS.items() if name in columns})
+
+
+def smooth_error(scaled: Array, rng: np.random.Generator) -> Array:
+    """Return a smooth error field with second and third order terms of random size, (n, 3); scaled is -1 ... 1."""
+    powers = [(p, q, r) for p in range(4) for q in range(4) for r in range(4) if 0 < p + q + r <= 3]
+    terms = np.stack([scaled[:, 0] ** p * scaled[:, 1] ** q * scaled[:, 2] ** r for p, q, r in powers], axis=1)
+    return np.asarray(terms @ rng.normal(0.0, 1.0, (len(powers), 3)))
+
+
+def _errors(indices: Index, values: Array) -> Table:
+    columns: dict[str, Values] = {name: indices[:, n].astype(np.int64) for n, name in enumerate("ijk")}
+    columns |= {f"e{name}": values[:, n] for n, name in enumerate("xyz")}
+    return Table(columns, dict.fromkeys(("ex", "ey", "ez"), "mm"))

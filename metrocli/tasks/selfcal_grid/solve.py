@@ -1,0 +1,172 @@
+"""Solving a self-calibration: outliers named or left out, each view left out in turn."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrocli.adjust.coupled_fields import Design, FieldSolution, adjust_fields, design_of
+from metrocli.adjust.model.observations import Index, Mask
+from metrocli.adjust.outcome import Outcome
+from metrocli.adjust.robust import Fit, Suspects, suspects
+from metrocli.adjust.solution import Residuals, Solution
+from metrocli.adjust.sparse.bordered_factor import OpenDesignError
+from metrocli.errors import NotConvergedError, UndeterminedError
+from metrocli.instruments import ball_grid as bg
+from metrocli.tasks.selfcal_grid.problem import Problem
+from metrocli.tasks.selfcal_grid.undetermined import with_determined_datum
+
+_ROUNDS = 30
+_TAKEN = 1e-9
+"""Share of its reach that an effect may have in a direction that no reading sees"""
+
+
+@dataclass(frozen=True)
+class Solved:
+    """An adjusted self-calibration."""
+
+    problem: Problem
+    """With the readings that were used"""
+    whole: Problem
+    found: FieldSolution
+    residuals: tuple[Residuals, ...]
+    """Of each group"""
+    suspects: Suspects
+    rejected: tuple[tuple[int, float], ...]
+    """Rows left out, with their |w|"""
+
+    @property
+    def design(self) -> Design:
+        """Rank and covariance."""
+        return self.found.design
+
+    @property
+    def solution(self) -> Solution:
+        """Values and statistics."""
+        return self.found.solution
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """What the other views say of one: the fall of the sum of squares without it."""
+
+    view: str
+    chi2: float
+    dof: int
+    rest_chi2: float
+    """Of the other views alone"""
+    rest_dof: int
+
+    @property
+    def p_value(self) -> float:
+        """Probability of a fall at least as large if the view is as the others."""
+        return _tail(self.chi2, self.dof)
+
+    @property
+    def rest_p_value(self) -> float:
+        """Probability of a sum of squares at least as large as that of the others alone."""
+        return _tail(self.rest_chi2, self.rest_dof)
+
+
+def _tail(chi2: float, dof: int) -> float:
+    from scipy.special import chdtrc
+
+    return float(chdtrc(dof, chi2)) if dof > 0 else float("nan")
+
+
+def design(problem: Problem) -> Design:
+    """Return rank and covariance; UndeterminedError where views do not separate machine and artefact at all."""
+    if len(problem.views) < 2:
+        raise UndeterminedError(
+            "one view shows only the sum of machine and artefact error: measure the artefact in another one too, "
+            "turned by 90 deg or shifted by one pitch"
+        )
+    if np.linalg.matrix_rank(problem.grid.balls - problem.grid.balls[0]) < 2:
+        raise UndeterminedError(
+            "the balls stand in one row: no view shows a turn of the artefact about it; measure at least two rows"
+        )
+    try:
+        found = design_of(problem.fields)
+    except OpenDesignError as error:
+        raise UndeterminedError(
+            f"the views leave machine and artefact error undetermined: {error}; views turned by 90 deg about two axes "
+            "and one shifted by a pitch leave 13, all rigid motions or scale"
+        ) from error
+    _refuse_absorbed(problem, found)
+    return with_determined_datum(problem, found)
+
+
+def _refuse_absorbed(problem: Problem, found: Design) -> None:
+    """Raise UndeterminedError for effects that the other unknowns can take the place of in these views."""
+    null = found.null / np.maximum(np.abs(found.null).max(axis=0), 1e-300) if found.null.size else found.null
+    for one in problem.effects:
+        columns = found.partition.columns[one.block]
+        block = problem.fields.blocks[one.block]
+        reach = np.broadcast_to(block.reach, columns.shape)[columns >= 0]
+        if (np.abs(null[columns[columns >= 0]]) > _TAKEN * reach[:, None]).any():
+            raise UndeterminedError(
+                f"these views do not determine {one.label}: machine and artefact error take its place; "
+                f"{one.effect.reveal} would"
+            )
+
+
+def solve(problem: Problem, remove: bool) -> Solved:
+    """Adjust; with `remove` leave out the worst outliers first, until none is left. Raises NotConvergedError."""
+    out: dict[int, float] = {}
+    whole = problem
+    for _ in range(_ROUNDS):
+        found = _once(problem, whole, out)
+        worst = _worst(found, out) if remove else {}
+        if not worst:
+            break
+        out |= worst
+        keep: Mask = np.ones(whole.readings.observations.count, dtype=bool)
+        keep[list(out)] = False
+        problem = whole.only(keep)
+    return found
+
+
+def _once(problem: Problem, whole: Problem, out: dict[int, float]) -> Solved:
+    found: FieldSolution = adjust_fields(problem.fields, design(problem))
+    solution = found.solution
+    if solution.outcome is not Outcome.CONVERGED:
+        raise NotConvergedError(f"{solution.outcome.value} ({solution.iterations} steps)")
+    residuals = found.residuals()
+    tested = suspects(residuals[0], Fit(solution.cost, solution.dof, noise_known=True))
+    return Solved(problem, whole, found, residuals, tested, tuple(sorted(out.items())))
+
+
+def _worst(solved: Solved, out: dict[int, float]) -> dict[int, float]:
+    """Return the suspects to leave out next, by their rows in the whole."""
+    rows, tests = solved.suspects.rows, solved.suspects.tests
+    if not len(rows):
+        return {}
+    kept: Index = np.setdiff1d(np.arange(solved.whole.readings.observations.count), list(out))
+    chosen = tests >= tests.max() / 2
+    return {int(kept[row]): float(test) for row, test in zip(rows[chosen], tests[chosen], strict=True)}
+
+
+def leave_one_out(solved: Solved) -> list[LeftOut]:
+    """Return for each view what the sum of squares loses without it, and the degrees of freedom that go with it."""
+    view = solved.problem.readings.observations.index[bg.VIEW]
+    found = []
+    for n, one in enumerate(solved.problem.views):
+        without = _adjusted(solved.problem.only(np.asarray(view != n)))
+        if without is None:
+            found.append(LeftOut(one.name, float("nan"), 0, float("nan"), 0))
+            continue
+        fall, dof = solved.solution.cost - without.cost, solved.solution.dof - without.dof
+        found.append(LeftOut(one.name, fall, dof, without.cost, without.dof))
+    return found
+
+
+def _adjusted(rest: Problem) -> Solution | None:
+    """Return the adjustment of some views; None where it is of one view only, too open, or does not converge."""
+    if len(np.unique(rest.readings.observations.index[bg.VIEW])) < 2:
+        return None
+    try:
+        found = adjust_fields(rest.fields, design_of(rest.fields)).solution
+    except OpenDesignError:
+        return None
+    return found if found.outcome is Outcome.CONVERGED else None

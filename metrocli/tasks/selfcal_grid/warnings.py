@@ -1,0 +1,59 @@
+"""What a self-calibration warns of: noise, what is open, outliers, lengths and views that do not agree."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.tasks.selfcal_grid.solve import LeftOut, Solved
+from metrocli.tasks.selfcal_grid.undetermined import Open
+from metrocli.tasks.shared.statistics import beyond_bound, noise_warnings
+from metrocli.words import listed
+
+
+def warnings(solved: Solved, found: Open, std: Array, left_out: Sequence[LeftOut]) -> list[str]:
+    """Return what is to be told of a self-calibration; std are those of the machine error, inf where it is open."""
+    lines = noise_warnings(solved.solution)
+    if found.families:
+        open_share = float((~np.isfinite(std)).mean())
+        lines += found.sentences()[1:]
+        lines.append(
+            f"{open_share:.0%} of the machine error's components are not determined (standard uncertainty inf): their "
+            "values are those with the least sum of squares of machine and artefact error; the datum is over the "
+            "others, and smooth form and length errors are not given"
+        )
+    if len(solved.suspects.rows):
+        observations = solved.problem.readings.observations
+        keys = observations.keys
+        order = solved.suspects.rows[np.argsort(-solved.suspects.tests)]
+        told = [f"{keys['view'][n]}: ({keys['i'][n]}, {keys['j'][n]}, {keys['k'][n]})" for n in order]
+        lines.append(beyond_bound(told, solved.suspects.critical))
+    return lines + _contradicting(solved) + _disagreeing(left_out)
+
+
+def _contradicting(solved: Solved) -> list[str]:
+    """Return a warning of the calibrated lengths that disagree with the readings or with each other."""
+    if not solved.problem.scale_given:
+        return []
+    tests = np.abs(solved.residuals[1].normalised[0])
+    keys = solved.problem.fields.groups[1].observations.keys
+    told = [
+        " to ".join(f"({', '.join(keys[f'{name}{end}'][n] for name in 'ijk')})" for end in "12")
+        + f" |w| = {tests[n]:.1f}"
+        for n in np.argsort(-tests)
+        if tests[n] > solved.suspects.critical
+    ]
+    return [f"lengths do not agree with each other or with the readings: {listed(told, 5)}"] if told else []
+
+
+def _disagreeing(left_out: Sequence[LeftOut]) -> list[str]:
+    """Return a warning of the view without which the others fit, where there is one and they do not fit with it."""
+    bound = 0.01 / max(len(left_out), 1)
+    odd = [one for one in left_out if one.p_value < bound and one.rest_p_value > bound]
+    return [
+        f"view '{one.view}' does not agree with the others, which fit without it: the sum of squares falls by "
+        f"{one.chi2:.0f} for {one.dof} degrees of freedom (p = {one.p_value:.1g})"
+        for one in sorted(odd, key=lambda one: one.p_value)[:1]
+    ]

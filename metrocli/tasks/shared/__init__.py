@@ -1,0 +1,1 @@
+"""What at least two kinds of job use, by its subject."""

@@ -1,0 +1,108 @@
+"""The parameters that a camera calibration delivers, with their covariance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.solution import Solution
+from metrocli.effects.estimates import estimates, free_blocks
+from metrocli.effects.model import Added
+from metrocli.geometry import poses
+from metrocli.instruments import camera
+from metrocli.instruments.lens import DISTORTION, PIXELS
+from metrocli.table import Table
+
+if TYPE_CHECKING:
+    from metrocli.table import Values
+
+HIGH = 0.95
+"""A correlation beyond this is flagged."""
+POSE_UNITS = ("mm", "mm", "mm", "rad", "rad", "rad")
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """The delivered parameters with their covariance."""
+
+    names: tuple[str, ...]
+    values: Array
+    covariance: Array
+    units: tuple[str, ...]
+
+    @property
+    def std(self) -> Array:
+        """Standard uncertainties."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def correlation(self) -> Array:
+        """Correlation matrix."""
+        std = np.where(self.std > 0, self.std, 1.0)
+        matrix: Array = self.covariance / std[:, None] / std
+        return matrix
+
+    def significance(self) -> Table:
+        """Return each parameter with its expanded uncertainty (k = 2).
+
+        For distortion also the probability of a value this far from 0 by chance.
+        """
+        from scipy.special import ndtr
+
+        std = np.where(self.std > 0, self.std, np.nan)
+        neutral = np.isin(self.names, (*DISTORTION, "skew", "aspect"))
+        by_chance = np.where(neutral, 2 * ndtr(-np.abs(self.values / std)), np.nan)
+        columns: dict[str, Values] = {
+            "parameter": np.array(self.names, dtype=str),
+            "value": self.values,
+            "std": self.std,
+            "U": 2 * self.std,
+            "unit": np.array(self.units, dtype=str),
+            "p_value": by_chance,
+        }
+        return Table(columns)
+
+    def high_correlations(self) -> Table:
+        """Return the pairs whose correlation is flagged."""
+        matrix = self.correlation
+        first, second = np.nonzero(np.triu(np.abs(matrix) > HIGH, 1))
+        names = np.array(self.names, dtype=str)
+        return Table({"first": names[first], "second": names[second], "correlation": matrix[first, second]})
+
+
+def unit_of(name: str) -> str:
+    """Return the unit of a lens parameter."""
+    return "px" if name in PIXELS else "1"
+
+
+def parameters(rig: str, solution: Solution, effects: Sequence[Added] = ()) -> Parameters:
+    """Return the estimated lens parameters, for rig cmm the camera in the reference frame, and effects.
+
+    The camera as x y z alpha beta gamma.
+    """
+    lens = solution.blocks[camera.LENS]
+    free = np.flatnonzero(lens.free[0])
+    names = [lens.columns[i] for i in free]
+    units = [unit_of(name) for name in names]
+    values = lens.values[0, free]
+    blocks = [camera.LENS]
+    if rig == "cmm":
+        values = np.concatenate([values, poses.euler_form(solution.blocks[camera.TAPER].values[0])])
+        names += list(poses.EULER)
+        units += POSE_UNITS
+        blocks.append(camera.TAPER)
+    found = estimates(effects, solution)
+    matrix = solution.joint([*blocks, *free_blocks(effects)])
+    if rig == "cmm":
+        change = np.eye(len(matrix))
+        pose = slice(len(free), len(free) + 6)
+        change[pose, pose] = poses.euler_form_by_step(solution.blocks[camera.TAPER].values[0])
+        matrix = change @ matrix @ change.T
+    names += [one.name for one in found]
+    units += [one.unit for one in found]
+    values = np.concatenate([values, [one.value for one in found]])
+    return Parameters(tuple(names), values, (matrix + matrix.T) / 2, tuple(units))

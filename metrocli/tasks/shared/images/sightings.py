@@ -1,0 +1,207 @@
+"""Sightings: image points of targets, read from a table or found in images, joined to the targets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.observations import Index, Mask, Observations
+from metrocli.errors import Fault, InputError, UndeterminedError
+from metrocli.imageset import ImageSet
+from metrocli.table import TEXT, Column, Columns, Table
+from metrocli.targets.find import find
+from metrocli.targets.pattern import Pattern
+from metrocli.tasks.shared.images.settings import ImageSettings
+from metrocli.tasks.shared.images.target_list import Targets, known_targets
+from metrocli.words import listed
+
+OBSERVATIONS = Columns(
+    (
+        Column("image", TEXT),
+        Column("target", TEXT),
+        Column("u", "pixel"),
+        Column("v", "pixel"),
+        Column("sigma", "pixel", required=False),
+        Column("t", "time", required=False),
+        Column("temp", "temperature", required=False),
+    ),
+    key=("image", "target"),
+    description="image coordinates of targets",
+)
+START_NOISE = 0.1
+"""Noise [px] to start from where it is estimated"""
+
+_BEYOND = 0.01
+"""How far beyond the border a reading may lie, as a share of the image"""
+_MANY = 0.25
+"""More readings outside than this share are refused; fewer may be gross errors"""
+
+
+@dataclass(frozen=True)
+class Needs:
+    """What a job needs of its sightings."""
+
+    fewest: int
+    """Targets that an image must show"""
+    unknown_sigma: float = 0.0
+    """Standard deviation of targets in a list without a sigma column; nan: unknown"""
+
+
+@dataclass(frozen=True)
+class Sighted:
+    """Image points of known targets, ready for an adjustment."""
+
+    images: tuple[str, ...]
+    targets: Targets
+    observations: Observations
+    warnings: tuple[str, ...] = ()
+    eccentric: bool = False
+    """Whether the readings are centres of ellipses whose eccentricity the model has to follow"""
+
+    @property
+    def view(self) -> Index:
+        """Image of each reading."""
+        return self.observations.index["view"]
+
+    @property
+    def target(self) -> Index:
+        """Target of each reading."""
+        return self.observations.index["target"]
+
+
+def sightings(
+    settings: ImageSettings, observations: Table | None, targets: Table | None, images: ImageSet | None, needs: Needs
+) -> Sighted:
+    """Return the readings, from a table or found in images, joined to their targets."""
+    warnings: tuple[str, ...] = ()
+    pattern = settings.pattern
+    if images is not None and pattern is not None:
+        observations, warnings = sight(images, pattern)
+    if observations is None:
+        raise InputError("there are neither observations nor images")
+    known = known_targets(pattern, targets, needs.unknown_sigma)
+    noise = START_NOISE if isinstance(settings.noise, str) else settings.noise
+    sighted = join(observations, known, noise, needs.fewest)
+    if not sighted.images:
+        raise UndeterminedError(
+            f"no image shows {needs.fewest} or more targets of the list, so nothing can be determined"
+        )
+    eccentric = _eccentric(settings, sighted, measured=images is not None)
+    return replace(sighted, warnings=warnings + sighted.warnings, eccentric=eccentric)
+
+
+def _eccentric(settings: ImageSettings, sighted: Sighted, measured: bool) -> bool:
+    """Tell whether eccentricity has to be followed; `measured`: the readings were found in images."""
+    known = bool(np.isfinite(sighted.observations.conditions["radius"]).all())
+    if settings.eccentricity == "correct" and not known:
+        raise InputError(
+            "eccentricity: correct needs the radius of every target: "
+            "a column radius_mm in the targets file, or the pattern's diameter"
+        )
+    circular = settings.pattern is not None and settings.pattern.type not in ("chessboard", "charuco")
+    automatic = settings.eccentricity == "auto" and measured and circular
+    return known and (settings.eccentricity == "correct" or automatic)
+
+
+def sight(images: ImageSet, pattern: Pattern) -> tuple[Table, tuple[str, ...]]:
+    """Find the targets of a pattern in images; return the sightings as a table of observations and what to warn of.
+
+    A single dot is named after its image (file name without ending), since it stands in another place in each.
+    """
+    names: list[str] = []
+    targets: list[str] = []
+    parts: list[Array] = []
+    warnings: list[str] = []
+    for name, picture in images:
+        found = find(pattern, picture)
+        if found.reason:
+            warnings.append(f"{name}: {found.reason}")
+        names += [name] * len(found.targets)
+        targets += [name.rsplit(".", 1)[0]] if pattern.type == "dot" and len(found.targets) else list(found.targets)
+        parts.append(found.uv)
+    uv = np.concatenate([*parts, np.zeros((0, 2))])
+    if not len(uv):
+        raise InputError([Fault(f"no target found in any of {len(images.names)} images", hint="; ".join(warnings[:3]))])
+    columns = {"image": np.array(names), "target": np.array(targets), "u": uv[:, 0], "v": uv[:, 1]}
+    return Table(columns, {"u": "px", "v": "px"}), tuple(warnings)
+
+
+def join(table: Table, targets: Targets, sigma: float, fewest: int) -> Sighted:
+    """Match readings to targets; images with fewer than `fewest` of them are left out with a warning.
+
+    Raises InputError for every reading of a target that the list does not have.
+    """
+    of_target, target = _matched(table, targets)
+    of_image = np.asarray(table.columns["image"], dtype=str)
+    images, view, counts = np.unique(of_image, return_inverse=True, return_counts=True)
+    enough = counts >= fewest
+    keep = enough[view]
+    warnings = [
+        f"image {images[i]} has {counts[i]} targets, fewer than {fewest}: left out" for i in np.flatnonzero(~enough)
+    ]
+    unseen = np.flatnonzero(np.bincount(target[keep], minlength=len(targets.names)) == 0)
+    if unseen.size:
+        names = listed([targets.names[i] for i in unseen])
+        warnings.append(f"{unseen.size} targets of the list are seen in no image: {names}")
+    spread = table.numbers("sigma", sigma)
+    _refuse(table, spread <= 0, "the standard deviation of an image point is not above zero")
+    numbers = np.cumsum(enough) - 1
+    conditions = {name: table.numbers(name)[keep] for name in ("t", "temp") if name in table}
+    observations = Observations(
+        readings=table.stacked(("u", "v")).T[:, keep],
+        sigma=np.broadcast_to(spread, (2, len(spread)))[:, keep],
+        index={"view": numbers[view[keep]], "target": target[keep]},
+        keys={"image": tuple(of_image[keep].tolist()), "target": tuple(of_target[keep].tolist())},
+        conditions={**conditions, "radius": targets.radius[target[keep]]},
+        components=("u", "v"),
+        unit="px",
+    )
+    return Sighted(tuple(images[enough].tolist()), targets, observations, tuple(warnings))
+
+
+def check_inside(sighted: Sighted, size: tuple[int, int]) -> Sighted:
+    """Return the sightings, with a warning where single readings lie outside the image.
+
+    Raises InputError where many do, where one lies farther outside than the image is large, or where all would lie
+    inside with u and v exchanged.
+    """
+    uv, extent = sighted.observations.readings, np.array(size)[:, None]
+    outside = ((uv < -_BEYOND * extent) | (uv > (1 + _BEYOND) * extent)).any(axis=0)
+    if not outside.any():
+        return sighted
+    far = ((uv < -extent) | (uv > 2 * extent)).any(axis=0)
+    i = int(np.flatnonzero(far if far.any() else outside)[0])
+    keys = sighted.observations.keys
+    which = "one of them far" if far.any() else "the first"
+    told = (
+        f"{outside.sum()} of {outside.size} readings lie outside an image of {size[0]} x {size[1]} px, "
+        f"{which}: image {keys['image'][i]}, target {keys['target'][i]} at ({uv[0, i]:.1f}, {uv[1, i]:.1f}); "
+        "check image_size and the columns"
+    )
+    exchanged = ((uv >= -_BEYOND * extent[::-1]) & (uv <= (1 + _BEYOND) * extent[::-1])).all()
+    if exchanged:
+        raise InputError(f"{told}: with u and v exchanged all would lie inside")
+    if outside.mean() > _MANY or far.any():
+        raise InputError(told)
+    return replace(sighted, warnings=(*sighted.warnings, told))
+
+
+def _matched(table: Table, targets: Targets) -> tuple[np.ndarray[tuple[int], np.dtype[np.str_]], Index]:
+    """Return the name of each reading's target and its place in the list."""
+    place = {name: i for i, name in enumerate(targets.names)}
+    of_target = np.asarray(table.columns["target"], dtype=str)
+    names, which = np.unique(of_target, return_inverse=True)
+    found = np.array([place.get(str(name), -1) for name in names], dtype=np.intp)[which]
+    strange = np.flatnonzero(found < 0)
+    if strange.size:
+        hint = "add it to the targets file, or remove the row"
+        text = "target '{}' is not in the list of targets".format
+        raise InputError(table.faults_at(strange, lambda row: text(of_target[row]), lambda row: hint))
+    return of_target, found
+
+
+def _refuse(table: Table, rows: Mask, text: str) -> None:
+    if rows.any():
+        raise InputError(table.faults_at(np.flatnonzero(rows), lambda row: text))

@@ -1,0 +1,92 @@
+"""Tables and warnings of an image adjustment: residuals, RMS by image and by target, and what stands out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.groups import Group
+from metrocli.adjust.model.observations import Index
+from metrocli.adjust.robust import Suspects
+from metrocli.table import Table
+from metrocli.tasks.shared.images.adjustment import Adjusted
+from metrocli.tasks.shared.statistics import beyond_bound
+
+if TYPE_CHECKING:
+    from metrocli.table import Values
+
+_VIEW_SUSPECT = 2.5
+"""An image whose RMS is this many times the median of all is named."""
+
+
+def root_mean_square(values: Array) -> float:
+    """Return the root mean square length of image residuals (2, n), in their unit, a point counting once."""
+    return float(np.sqrt((values**2).sum(axis=0).mean())) if values.size else float("nan")
+
+
+def rms_table(residuals: Array, group: Group, label: str, index: Index, names: Sequence[str]) -> Table:
+    """Return for each member, an image or a target, how many readings it has and how they fit.
+
+    Readings, RMS of the points and of each coordinate, the largest residual and the reading it belongs to.
+    """
+    square = residuals**2
+    distance = np.sqrt(square.sum(axis=0))
+    counts = np.bincount(index, minlength=len(names))
+    u, v = (np.sqrt(np.bincount(index, row, len(names)) / np.maximum(counts, 1)) for row in square)
+    by_size = np.argsort(distance, kind="stable")
+    worst = np.full(len(names), -1, dtype=np.intp)
+    worst[index[by_size]] = by_size
+    other = "target" if label == "image" else "image"
+    keys = group.observations.keys[other]
+    columns: dict[str, Values] = {
+        label: np.array(names),
+        "readings": counts,
+        "rms": np.hypot(u, v),
+        "rms_u": u,
+        "rms_v": v,
+        "largest": np.where(worst >= 0, distance[worst], 0.0),
+        f"largest_{other}": np.array([keys[i] if i >= 0 else "" for i in worst], dtype=str),
+    }
+    return Table(columns, dict.fromkeys(("rms", "rms_u", "rms_v", "largest"), "px"))
+
+
+def suspect_images(names: Sequence[str], rms: Array, counts: Array) -> list[str]:
+    """Return a warning for each image whose RMS is far above the others'."""
+    seen = rms[counts > 0]
+    if seen.size < 3:
+        return []
+    middle = float(np.median(seen))
+    return [
+        f"image {name}: RMS {value:.3f} px is {value / middle:.1f} times the median of the images; "
+        "look at it, or leave it out"
+        for name, value, n in zip(names, rms, counts, strict=True)
+        if n > 0 and value > _VIEW_SUSPECT * middle
+    ]
+
+
+def suspect_readings(found: Suspects, group: Group) -> list[str]:
+    """Return a warning that names the readings with the largest tests."""
+    if not found.rows.size:
+        return []
+    order = np.argsort(-found.tests)
+    keys = group.observations.keys
+    worst = [
+        f"{keys['image'][i]}/{keys['target'][i]} (w = {t:.1f})"
+        for i, t in zip(found.rows[order].tolist(), found.tests[order].tolist(), strict=True)
+    ]
+    return [beyond_bound(worst, found.critical)]
+
+
+def adjustment_notes(adjusted: Adjusted) -> list[str]:
+    """Return what the reader is told of the noise found and the readings rejected."""
+    lines = []
+    if adjusted.noise is not None:
+        lines.append(f"noise of an image coordinate found: {adjusted.noise:.3g} px; covariances are scaled by it")
+    if len(adjusted.rejected):
+        lines.append(
+            f"{len(adjusted.rejected)} readings rejected as outliers (table 'rejected' has each with its test value)"
+        )
+    return lines

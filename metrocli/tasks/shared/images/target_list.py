@@ -1,0 +1,72 @@
+"""The targets of an image job: read from a list or taken from a printed pattern, and what is known of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.errors import InputError, together
+from metrocli.table import TEXT, Column, Columns, Table
+from metrocli.targets.pattern import Pattern, pattern_points
+from metrocli.tasks.shared.known_places import SIGMAS, sigmas
+
+TARGETS = Columns(
+    (
+        Column("target", TEXT),
+        *(Column(axis, "length") for axis in "xyz"),
+        *SIGMAS,
+        Column("radius", "length", required=False, may_be_empty=True),
+    ),
+    key=("target",),
+    description="coordinates of targets",
+)
+
+
+@dataclass(frozen=True)
+class Targets:
+    """A list of targets and how well each coordinate is known."""
+
+    names: tuple[str, ...]
+    points: Array
+    """(m, 3) mm"""
+    sigma: Array
+    """(m, 3) mm: 0 exact, nan unknown"""
+    radius: Array
+    """(m,) mm, nan where it is not given"""
+
+
+def known_targets(pattern: Pattern | None, targets: Table | None, unknown_sigma: float) -> Targets:
+    """Return the targets of the list, or of the printed pattern where there is none.
+
+    Where the list has no radius, that of the pattern holds.
+    """
+    if targets is not None:
+        known = read_targets(targets, unknown_sigma)
+    elif pattern is not None:
+        known = targets_of(pattern)
+    else:
+        raise InputError("there is no list of targets")
+    if pattern is not None and pattern.diameter is not None:
+        known = replace(known, radius=np.where(np.isnan(known.radius), pattern.diameter / 2, known.radius))
+    return known
+
+
+def read_targets(table: Table, default_sigma: float = 0.0) -> Targets:
+    """Return the targets of a list; where no sigma column is given, `default_sigma` (nan: unknown)."""
+    sigma, radius = together(lambda: sigmas(table, default_sigma), lambda: _radii(table))
+    return Targets(tuple(table.texts("target")), table.stacked(("x", "y", "z")), sigma, radius)
+
+
+def _radii(table: Table) -> Array:
+    radius = table.numbers("radius", np.nan)
+    if (radius <= 0).any():
+        raise InputError(table.faults_at(np.flatnonzero(radius <= 0), lambda row: "a radius is not above zero"))
+    return radius
+
+
+def targets_of(pattern: Pattern) -> Targets:
+    """Return the targets of a printed pattern, taken as exact."""
+    names, points = pattern_points(pattern)
+    return Targets(tuple(names), points, np.zeros_like(points), np.full(len(names), np.nan))

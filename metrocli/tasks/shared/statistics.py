@@ -1,0 +1,108 @@
+"""What every adjustment reports: statistics, residuals, and whether these are of the declared size."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from metrocli.adjust.model.groups import Group
+from metrocli.adjust.solution import Residuals, Solution
+from metrocli.result import Scalar
+from metrocli.table import Table
+from metrocli.words import listed
+
+if TYPE_CHECKING:
+    from metrocli.table import Values
+
+_ABSURD = 10.0
+"""A sigma0 beyond this is not a matter of noise"""
+
+ESTIMATED, REMOVE = "`noise: estimated`", "`outliers: remove`"
+_NAMED = 5
+
+Statistics = dict[str, Scalar | Mapping[str, float]]
+
+
+def basic_statistics(solution: Solution, rms: Mapping[str, float]) -> Statistics:
+    """Return the statistics that every adjustment has; `rms` by unit, a reading of several components counting once."""
+    return {
+        "observations": solution.observations,
+        "unknowns": solution.unknowns,
+        "conditions": solution.conditions,
+        "dof": solution.dof,
+        "sigma0": solution.sigma0,
+        "chi2": solution.cost,
+        "p_value": solution.p_value,
+        "iterations": solution.iterations,
+        "rms": dict(rms),
+        "outcome": solution.outcome.value,
+    }
+
+
+def with_noise(statistics: Statistics, solution: Solution, noise: float) -> Statistics:
+    """Return the statistics of a job whose noise was found.
+
+    sigma0 is then for a unit weight of 1 px, and there is no global test.
+    """
+    kept = {name: value for name, value in statistics.items() if name not in ("p_value", "sigma0_low", "sigma0_high")}
+    return {**kept, "noise_estimated": True, "noise": noise, "sigma0": noise, "chi2": solution.dof * noise**2}
+
+
+def residual_table(residuals: Residuals, group: Group) -> Table:
+    """Return /residuals: a row for each coordinate of each reading."""
+    observations = group.observations
+    d, n = observations.readings.shape
+    columns: dict[str, Values] = {
+        name: np.repeat(np.array(values, dtype=str), d) for name, values in observations.keys.items()
+    }
+    columns["component"] = np.tile(np.array(observations.components, dtype=str), n)
+    columns["reading"] = observations.readings.T.ravel()
+    for name, values in (
+        ("residual", residuals.values),
+        ("sigma", residuals.sigma),
+        ("normalised", residuals.normalised),
+        ("redundancy", residuals.redundancy),
+    ):
+        columns[name] = np.ascontiguousarray(values.T).ravel()
+    return Table(columns, dict.fromkeys(("reading", "residual", "sigma"), observations.unit))
+
+
+def chi_interval(solution: Solution) -> tuple[float, float]:
+    """Return the interval that sigma0 falls in with 95 % if model and noise are right."""
+    from scipy.special import chdtri
+
+    if solution.dof <= 0:
+        return float("nan"), float("nan")
+    low, high = chdtri(solution.dof, [0.975, 0.025])
+    return float(np.sqrt(low / solution.dof)), float(np.sqrt(high / solution.dof))
+
+
+def noise_warnings(solution: Solution, cures: Collection[str] = (ESTIMATED, REMOVE)) -> list[str]:
+    """Return the warning that the residuals are not of the declared size, where they are not.
+
+    It names those of the `cures` that the job knows.
+    """
+    low, high = chi_interval(solution)
+    if not np.isfinite(solution.sigma0) or low <= solution.sigma0 <= high:
+        return []
+    if solution.sigma0 > _ABSURD:
+        return [
+            f"sigma0 = {solution.sigma0:.1f}: the model does not fit the readings, do not use this result; "
+            f"gross errors{f' ({REMOVE})' if REMOVE in cures else ''}, wrong names or units, "
+            "or a noise declared far too small"
+        ]
+    scaled = f" ({ESTIMATED} scales them)" if ESTIMATED in cures else ""
+    word = "larger" if solution.sigma0 > high else "smaller"
+    return [
+        f"sigma0 = {solution.sigma0:.3f} is outside {low:.3f} ... {high:.3f}: "
+        f"the residuals are {word} than the declared noise says; "
+        f"standard uncertainties are for the declared noise{scaled}"
+    ]
+
+
+def beyond_bound(names: Sequence[str], critical: float, cure: str = f"{REMOVE} leaves such out") -> str:
+    """Return the warning that names readings with tests beyond the outlier bound, worst first."""
+    count = "1 reading exceeds" if len(names) == 1 else f"{len(names)} readings exceed"
+    return f"{count} the outlier bound |w| = {critical:.2f}: {listed(names, _NAMED)}" + (f"; {cure}" if cure else "")
