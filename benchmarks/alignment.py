@@ -91,9 +91,13 @@ def repeated(row: Row, camera: Result, repeats: int) -> Array:
     for seed in range(repeats):
         angle = float(np.random.default_rng(seed).uniform(-1.0, 1.0)) * row.spread
         settings = alignment_settings(NOISE, angle, row.seven)
-        seen = align_part.simulate(settings, SimulationOptions(1000 + seed), true_camera(), poses, targets)
+        seen = align_part.simulate(
+            align_part.TASK.job(settings, true_camera(), poses, targets), SimulationOptions(1000 + seed)
+        )
         turned = turned_by(poses, -angle) if row.told else poses
-        result = align_part.run(settings, camera, turned, targets, observations=seen.files["observations.csv"])
+        result = align_part.run(
+            align_part.TASK.job(settings, camera, turned, targets, observations=seen.files["observations.csv"])
+        )
         found.append([estimate.value for estimate in result.estimates])
     return np.array(found)
 
@@ -116,11 +120,13 @@ def seconds(runs: int = 20) -> float:
     camera, _ = calibrated("cmm", 1, planes())
     targets = corners()
     poses, settings = positions(targets), alignment_settings(NOISE, 1e-3)
-    seen = align_part.simulate(settings, SimulationOptions(1), true_camera(), poses, targets).files["observations.csv"]
+    seen = align_part.simulate(
+        align_part.TASK.job(settings, true_camera(), poses, targets), SimulationOptions(1)
+    ).files["observations.csv"]
     spent = []
     for _ in range(runs):
         before = time.process_time()
-        align_part.run(settings, camera, poses, targets, observations=seen)
+        align_part.run(align_part.TASK.job(settings, camera, poses, targets, observations=seen))
         spent.append(time.process_time() - before)
     return min(spent)
 

@@ -21,7 +21,7 @@ import numpy.typing as npt
 from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.tasks.multilaterate import task as multilaterate
-from metrocli.tasks.multilaterate.task import Inputs, LengthNoise, Settings
+from metrocli.tasks.multilaterate.settings import Inputs, LengthNoise, Settings
 
 Array = npt.NDArray[np.float64]
 NOISE = LengthNoise(1e-4, 1e-7)
@@ -55,7 +55,7 @@ class Measured:
         )
         points = Table({"point": names, **dict(zip("xyz", self.nominal.T, strict=True))}, dict.fromkeys("xyz", "mm"))
         settings = Settings(Inputs(Path("-"), Path("-")), NOISE, outliers=outliers)
-        return multilaterate.run(settings, lengths, points)
+        return multilaterate.run(multilaterate.TASK.job(settings, lengths, points))
 
 
 def measured(m: int, rng: np.random.Generator) -> Measured:

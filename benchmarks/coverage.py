@@ -21,7 +21,9 @@ import numpy.typing as npt
 from metrocli.result import Result
 from metrocli.simulation import SimulationOptions
 from metrocli.table import Table
+from metrocli.tasks.align_part import settings as part_job
 from metrocli.tasks.align_part import task as align_part
+from metrocli.tasks.calibrate_camera import settings as camera_job
 from metrocli.tasks.calibrate_camera import task as calibrate_camera
 from metrocli.tasks.shared.images.camera_settings import Camera, CameraFile, CameraSimulation, Extrinsics, LensValues
 
@@ -111,11 +113,11 @@ def planes(distances: tuple[float, ...] = (395.0, 650.0, 900.0, 1150.0, 1430.0),
     )
 
 
-def camera_settings(rig: str, noise: float = 0.05, images: int = 10) -> calibrate_camera.Settings:
+def camera_settings(rig: str, noise: float = 0.05, images: int = 10) -> camera_job.Settings:
     """Return a calibration job whose simulation has the true lens."""
-    return calibrate_camera.Settings(
+    return camera_job.Settings(
         rig=rig,
-        inputs=calibrate_camera.Inputs(observations=NOWHERE, targets=NOWHERE),
+        inputs=camera_job.Inputs(observations=NOWHERE, targets=NOWHERE),
         noise=noise,
         camera=Camera(image_size=SIZE, pixel_size=PIXEL, estimate=ESTIMATED),
         simulation=CameraSimulation(
@@ -127,8 +129,12 @@ def camera_settings(rig: str, noise: float = 0.05, images: int = 10) -> calibrat
 def calibrated(rig: str, seed: int, targets: Table) -> tuple[Result, dict[str, float]]:
     """Return a calibration of simulated readings and the truth behind them."""
     settings = camera_settings(rig)
-    simulation = calibrate_camera.simulate(settings, SimulationOptions(seed), targets=targets)
-    result = calibrate_camera.run(settings, observations=simulation.files["observations.csv"], targets=targets)
+    simulation = calibrate_camera.simulate(
+        calibrate_camera.TASK.job(settings, targets=targets), SimulationOptions(seed)
+    )
+    result = calibrate_camera.run(
+        calibrate_camera.TASK.job(settings, observations=simulation.files["observations.csv"], targets=targets)
+    )
     return result, dict(simulation.truth)
 
 
@@ -171,13 +177,13 @@ def poses_over(targets: Table, distance: float = 300.0, aside: float = 90.0) -> 
     return Table({"image": names, "x": x, "y": y, "z": z}, dict.fromkeys("xyz", "mm"))
 
 
-def alignment_settings(noise: float, angle: float, seven: bool = True) -> align_part.Settings:
+def alignment_settings(noise: float, angle: float, seven: bool = True) -> part_job.Settings:
     """Return an alignment job, 7D or 6D, whose simulation has the true part and this clamping angle."""
-    return align_part.Settings(
-        inputs=align_part.Inputs(camera=NOWHERE, poses=NOWHERE, targets=NOWHERE, observations=NOWHERE),
+    return part_job.Settings(
+        inputs=part_job.Inputs(camera=NOWHERE, poses=NOWHERE, targets=NOWHERE, observations=NOWHERE),
         noise=noise,
         estimate=("part-pose", "clamping-angle") if seven else ("part-pose",),
-        simulation=align_part.AlignSimulation(part=PART, clamping_angle=angle),
+        simulation=part_job.AlignSimulation(part=PART, clamping_angle=angle),
     )
 
 
@@ -200,8 +206,12 @@ def aligned(runs: int) -> Iterator[tuple[Result, dict[str, float]]]:
         camera, _ = calibrated("cmm", 10_000 + seed, places)
         angle = float(np.random.default_rng(seed).uniform(-3.1e-3, 3.1e-3))
         settings = alignment_settings(0.05, angle)
-        seen = align_part.simulate(settings, SimulationOptions(20_000 + seed), true_camera(), poses, targets)
-        result = align_part.run(settings, camera, poses, targets, observations=seen.files["observations.csv"])
+        seen = align_part.simulate(
+            align_part.TASK.job(settings, true_camera(), poses, targets), SimulationOptions(20_000 + seed)
+        )
+        result = align_part.run(
+            align_part.TASK.job(settings, camera, poses, targets, observations=seen.files["observations.csv"])
+        )
         yield result, dict(seen.truth)
 
 

@@ -15,14 +15,14 @@ import numpy as np
 from benchmarks.hidden import images, lengths
 from benchmarks.hidden.images import Images
 from benchmarks.hidden.scenes import board_scene
-from metrocli.diagnosis.adjusted_job import Subject
+from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.diagnose import diagnose
 
 LENGTHS, COORDINATES = 5.0, 60.0
 """CPU seconds allowed"""
 
 
-def measurements() -> Iterator[tuple[str, Callable[[], Subject], float]]:
+def measurements() -> Iterator[tuple[str, Callable[[], AdjustedJob], float]]:
     """Yield what is diagnosed, in words, with the seconds allowed."""
     rng = np.random.default_rng(7)
     plain = lengths.measurement(rng, 100)

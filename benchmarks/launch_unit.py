@@ -17,8 +17,8 @@ from metrocli.tasks.locate_launch_unit.margin import Margin, Uncertainty, Window
 from metrocli.tasks.locate_launch_unit.plan import planned_measurement
 from metrocli.tasks.locate_launch_unit.plan_settings import Axes, Planned
 from metrocli.tasks.locate_launch_unit.readings import Readings
+from metrocli.tasks.locate_launch_unit.settings import Noise
 from metrocli.tasks.locate_launch_unit.solve import How, Located, locate
-from metrocli.tasks.locate_launch_unit.task import Noise
 from metrocli.units import find_unit
 
 Array = npt.NDArray[np.float64]

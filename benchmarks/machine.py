@@ -70,7 +70,7 @@ def settings(
 
 def planned(job: Settings) -> Table:
     """The path that `metrocli plan` proposes."""
-    table = calibrate_machine.plan(job).files["path.csv"]
+    table = calibrate_machine.plan(calibrate_machine.TASK.job(job)).files["path.csv"]
     assert isinstance(table, Table)
     return Table({name: values for name, values in table.columns.items() if name != "feed"}, table.units)
 
@@ -138,7 +138,12 @@ def measured(job: Settings, path: Table, seed: int, exact: bool = False) -> Meas
     made = simulated(replace(job, noise=LEAST) if exact else job, {"path": path}, (), seed)
     assert job.simulation is not None
     truth = truth_of(job, job.simulation, np.random.default_rng(seed))
-    return Measured(calibrate_machine.run(job, path=path, track=made.files["track.csv"]), truth, path, job)
+    return Measured(
+        calibrate_machine.run(calibrate_machine.TASK.job(job, path=path, track=made.files["track.csv"])),
+        truth,
+        path,
+        job,
+    )
 
 
 def line(label: str, found: Measured) -> None:
@@ -172,7 +177,7 @@ def paths() -> None:
     for knots in ((11, 11, 11), (13, 11, 11), (25, 21, 21)):
         job = settings(knots)
         machine = machine_of(job)
-        proposed = calibrate_machine.plan(job)
+        proposed = calibrate_machine.plan(calibrate_machine.TASK.job(job))
         vertices = proposed.files["path.csv"].stacked("xyz")  # type: ignore[union-attr]
         for label, path in (
             ("edges and diagonals", edges_and_diagonals(machine)),
@@ -263,7 +268,7 @@ def read(folder: str) -> None:
     start = time.process_time()
     path, track = csv.read(File(folder) / "path.csv", PATH), csv.read(File(folder) / "track.csv", TRACK)
     middle = time.process_time()
-    result = calibrate_machine.run(settings(), path=path, track=track)
+    result = calibrate_machine.run(calibrate_machine.TASK.job(settings(), path=path, track=track))
     end = time.process_time()
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     print(

@@ -16,7 +16,7 @@ from metrocli.formats import csv
 from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera import task as calibrate_camera
-from metrocli.tasks.calibrate_camera.task import SCALE_BARS, Inputs, Settings
+from metrocli.tasks.calibrate_camera.settings import SCALE_BARS, Inputs, Settings
 from metrocli.tasks.shared.images.camera_settings import Camera
 from metrocli.tasks.shared.images.sightings import OBSERVATIONS
 from metrocli.tasks.shared.images.target_list import TARGETS
@@ -64,12 +64,16 @@ def against_opencv(title: str, stem: str, reference: str) -> None:
     models = json.loads((DATA / reference).read_text())["models"]
     readings = csv.read(DATA / f"{stem}.observations.csv", OBSERVATIONS)
     targets = csv.read(DATA / f"{stem}.targets.csv", TARGETS)
-    compared = calibrate_camera.compare(board_settings(MODELS["k1 k2 p1 p2"][0]), readings, targets)
+    compared = calibrate_camera.compare(
+        calibrate_camera.TASK.job(board_settings(MODELS["k1 k2 p1 p2"][0]), readings, targets)
+    )
     held = dict(zip(compared.texts("model"), compared.numbers("held_out"), strict=True))
     labels = ("RMS px", "- OpenCV", "value/std", "std ratio", "held-out", "- OpenCV")
     print(f"\n{title}\n{'model':<16}" + "".join(f"{label:>11}" for label in labels))
     for row, (terms, name) in MODELS.items():
-        result = calibrate_camera.run(board_settings(terms), observations=readings, targets=targets)
+        result = calibrate_camera.run(
+            calibrate_camera.TASK.job(board_settings(terms), observations=readings, targets=targets)
+        )
         print(f"{row:<16}" + _beside(result, models[name], held[row]))
 
 
@@ -99,7 +103,7 @@ def network() -> None:
     columns = {"observations": OBSERVATIONS, "targets": TARGETS, "scale_bars": SCALE_BARS}
     tables = {name: csv.read(folder / f"{name}.csv", wanted) for name, wanted in columns.items()}
     before = time.process_time()
-    result = calibrate_camera.run(settings, **tables)
+    result = calibrate_camera.run(calibrate_camera.TASK.job(settings, **tables))
     seconds = time.process_time() - before
     found = _photogrammetric(result.tables["conventions"])
     print(f"\nnetwork of 115 images, {seconds:.1f} s CPU, s0 {float(str(result.statistics['sigma0'])) * PIXEL:.7f} mm")

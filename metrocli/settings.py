@@ -393,6 +393,10 @@ def _glob(node: Node) -> Iterable[Path]:
     return node.source.folder.glob(node.text)
 
 
+ANY_KIND = ("any kind of job",)
+"""For `FileOf`: results of all kinds are taken"""
+
+
 @dataclass(frozen=True)
 class FileOf(_OfText):
     """The result of another job (.h5), or a YAML file with the same facts written by hand."""

@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 from metrocli import tasks
-from metrocli.tasks import Kind
 
 READINGS = "point,x_mm,y_um\na,0,1000\nb,1000,2000\nc,2000,3100\nd,3000,3900\n"
 JOB = "metrocli: 1\njob: straight-line\ninputs: {readings: readings.csv}\nnoise: 0.1 mm\n"
@@ -18,9 +17,10 @@ JOB = "metrocli: 1\njob: straight-line\ninputs: {readings: readings.csv}\nnoise:
 @pytest.fixture
 def straight_line(monkeypatch: pytest.MonkeyPatch) -> str:
     """Add the kind of job that the tests of the house use."""
-    kind = Kind("straight_line", "a straight line through readings", {"compare": "Compare models."})
-    monkeypatch.setitem(tasks.KINDS, "straight-line", kind)
-    return "straight-line"
+    from straight_line import KIND
+
+    monkeypatch.setitem(tasks.KINDS, KIND.name, KIND)
+    return KIND.name
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from metrocli.table import Table
-from metrocli.tasks.locate_launch_unit.task import Inputs, Noise, Settings
+from metrocli.tasks.locate_launch_unit.settings import Inputs, Noise, Settings
 
 Array = npt.NDArray[np.float64]
 NOWHERE = Path("-")

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from metrocli.table import Table
-from metrocli.tasks.multilaterate.task import Inputs, LengthNoise, Scale, Settings
+from metrocli.tasks.multilaterate.settings import Inputs, LengthNoise, Scale, Settings
 
 Array = npt.NDArray[np.float64]
 NOWHERE = Path("-")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
-from metrocli.diagnosis.adjusted_job import Subject
+from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.diagnose import Diagnosis
 
 ALIKE = 0.9
@@ -34,7 +34,7 @@ class Case:
     """A measurement and its truth."""
 
     scenario: str
-    subject: Callable[[], Subject]
+    subject: Callable[[], AdjustedJob]
     hidden: tuple[Hidden, ...] = ()
     outliers: frozenset[tuple[str, ...]] = frozenset()
     """Keys of the readings that are wrong"""

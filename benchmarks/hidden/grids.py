@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmarks.hidden.case import Case, Hidden
-from metrocli.diagnosis.adjusted_job import Subject
+from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.detectability import needed
 from metrocli.diagnosis.diagnose import field_of_job
 from metrocli.table import Table
@@ -129,14 +129,14 @@ class Measurement:
     noise: float = 1.0
     """By which the true noise is divided in the job's declaration"""
 
-    def subject(self) -> Subject:
+    def subject(self) -> AdjustedJob:
         """Return it as the job that a user would give."""
         v = self.views
         balls = v.balls[v.ball]
         columns = {"view": np.array(list(v.names))[v.view], **dict(zip("ijk", balls.T, strict=True))}
         columns |= dict(zip("xyz", self.readings.T, strict=True)) | {"t": self.t, "temp": self.temp}
         table = Table(columns, {"x": "mm", "y": "mm", "z": "mm", "t": "s", "temp": "degC"})
-        return selfcal_grid.diagnosed(job(v.names, NOISE / self.noise), table)
+        return selfcal_grid.diagnosed(selfcal_grid.TASK.job(job(v.names, NOISE / self.noise), table))
 
 
 def job(names: str, noise: float) -> Settings:

@@ -13,9 +13,11 @@ import numpy.typing as npt
 from benchmarks.hidden.case import Case, Hidden
 from benchmarks.hidden.scenes import Scene, Sight, board_scene, cmm_scene, part_scene, sight
 from benchmarks.hidden.stated import stated
-from metrocli.diagnosis.adjusted_job import Subject
+from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.table import Table
+from metrocli.tasks.align_part import settings as part_job
 from metrocli.tasks.align_part import task as align_part
+from metrocli.tasks.calibrate_camera import settings as camera_job
 from metrocli.tasks.calibrate_camera import task as calibrate_camera
 from metrocli.tasks.shared.images.camera_settings import Camera, CameraFile, Extrinsics
 
@@ -33,7 +35,7 @@ class Images:
     declared: float = 1.0
     """Declared noise over the true one"""
 
-    def subject(self) -> Subject:
+    def subject(self) -> AdjustedJob:
         """Return it as the job that a user would give."""
         scene = self.scene
         names, images = _names("T", len(scene.targets)), _names("I", len(scene.time))
@@ -44,26 +46,28 @@ class Images:
         if scene.kind == "align-part":
             return self._alignment(Table(seen, {"u": "px", "v": "px"}), targets, noise)
         seen |= {"t": scene.time[scene.view], "temp": scene.warmth[scene.view]}
-        settings = calibrate_camera.Settings(
+        settings = camera_job.Settings(
             rig=scene.rig,
-            inputs=calibrate_camera.Inputs(observations=NOWHERE, targets=NOWHERE),
+            inputs=camera_job.Inputs(observations=NOWHERE, targets=NOWHERE),
             noise=noise,
             camera=Camera(image_size=scene.image_size, estimate=scene.lens_free),
         )
         units = {"u": "px", "v": "px", "t": "s", "temp": "degC"}
-        return calibrate_camera.diagnosed(settings, observations=Table(seen, units), targets=targets)
+        return calibrate_camera.diagnosed(
+            calibrate_camera.TASK.job(settings, observations=Table(seen, units), targets=targets)
+        )
 
-    def _alignment(self, observations: Table, targets: Table, noise: float) -> Subject:
+    def _alignment(self, observations: Table, targets: Table, noise: float) -> AdjustedJob:
         scene = self.scene
         held, mounting = scene.given["spindle"].T, scene.given["mounting"]
         columns = {"image": _names("I", len(scene.time)), **dict(zip("xyzabc", held, strict=True)), "t": scene.time}
         poses = Table(columns, {**dict.fromkeys("xyz", "mm"), **dict.fromkeys("abc", "rad"), "t": "s"})
         place = dict(zip(("x", "y", "z", "alpha", "beta", "gamma"), mounting.tolist(), strict=True))
         camera = CameraFile(image_size=scene.image_size, extrinsics=Extrinsics(**place), **scene.lens)
-        files = align_part.Inputs(camera=NOWHERE, poses=NOWHERE, targets=NOWHERE, observations=NOWHERE)
+        files = part_job.Inputs(camera=NOWHERE, poses=NOWHERE, targets=NOWHERE, observations=NOWHERE)
         estimate = ("part-pose", "clamping-angle") if scene.angle_free else ("part-pose",)
-        settings = align_part.Settings(inputs=files, noise=noise, estimate=estimate)
-        return align_part.diagnosed(settings, camera, poses, targets, observations)
+        settings = part_job.Settings(inputs=files, noise=noise, estimate=estimate)
+        return align_part.diagnosed(align_part.TASK.job(settings, camera, poses, targets, observations))
 
 
 def _names(letter: str, count: int) -> npt.NDArray[np.str_]:

@@ -11,10 +11,10 @@ import numpy.typing as npt
 
 from benchmarks.hidden.case import Case, Hidden
 from benchmarks.hidden.stated import stated
-from metrocli.diagnosis.adjusted_job import Subject
+from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.table import Table
 from metrocli.tasks.locate_launch_unit import task as locate_launch_unit
-from metrocli.tasks.locate_launch_unit.task import Inputs, Noise, Settings
+from metrocli.tasks.locate_launch_unit.settings import Inputs, Noise, Settings
 
 Array = npt.NDArray[np.float64]
 ENCODER, DISTANCE = 2.4240684e-5, 1e-3
@@ -77,14 +77,14 @@ class Measurement:
         ]
         return np.array([*rows, np.linalg.norm(beam, axis=1)][: 4 + self.distances])
 
-    def subject(self) -> Subject:
+    def subject(self) -> AdjustedJob:
         """Return it as the job that a user would give."""
         angles = (self.read[:4] + np.pi) % (2 * np.pi) - np.pi
         columns = {"pose": poses(self), **dict(zip("xyz", self.receivers.T, strict=True)), "spindle": self.psi}
         columns |= dict(zip(READINGS, [*angles, *self.read[4:]], strict=False))
         table = Table(columns | {"t": self.t, "temp": self.temp}, {})
         noise = Noise(ENCODER / self.noise, DISTANCE / self.noise)
-        return locate_launch_unit.diagnosed(Settings(Inputs(Path("-")), noise), table)
+        return locate_launch_unit.diagnosed(locate_launch_unit.TASK.job(Settings(Inputs(Path("-")), noise), table))
 
 
 def _base(tilt: Array) -> Array:

@@ -11,10 +11,10 @@ import numpy.typing as npt
 
 from benchmarks.hidden.case import Case, Hidden
 from benchmarks.hidden.stated import stated
-from metrocli.diagnosis.adjusted_job import Subject
+from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.table import Table
 from metrocli.tasks.multilaterate import task as multilaterate
-from metrocli.tasks.multilaterate.task import Inputs, LengthNoise, Settings
+from metrocli.tasks.multilaterate.settings import Inputs, LengthNoise, Settings
 
 Array = npt.NDArray[np.float64]
 NOISE = (1e-4, 1e-7)
@@ -60,7 +60,7 @@ class Measurement:
         """True standard deviation of readings, (n,)."""
         return np.sqrt(NOISE[0] ** 2 + (NOISE[1] * self.distance) ** 2)
 
-    def subject(self) -> Subject:
+    def subject(self) -> AdjustedJob:
         """Return it as the job that a user would give."""
         names, stations = _names("P", len(self.points)), _names("T", len(self.tracers))
         lengths = {"point": names[self.point], "tracer": stations[self.tracer], "length": self.length}
@@ -68,7 +68,9 @@ class Measurement:
         points = Table({"point": names, **dict(zip("xyz", self.nominal.T, strict=True))}, dict.fromkeys("xyz", "mm"))
         tracers = Table({"tracer": stations, **dict(zip("xyz", self.said.T, strict=True))}, dict.fromkeys("xyz", "mm"))
         declared = LengthNoise(NOISE[0] / self.noise, NOISE[1] / self.noise)
-        return multilaterate.diagnosed(Settings(Inputs(Path("-"), Path("-")), declared), table, points, tracers)
+        return multilaterate.diagnosed(
+            multilaterate.TASK.job(Settings(Inputs(Path("-"), Path("-")), declared), table, points, tracers)
+        )
 
 
 def _names(letter: str, count: int) -> npt.NDArray[np.str_]:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from benchmarks.hidden.case import Case, Hidden
 from benchmarks.hidden.stated import stated
-from metrocli.diagnosis.adjusted_job import Subject
+from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
 from metrocli.tasks.calibrate_machine.settings import (
@@ -97,7 +97,7 @@ class Measurement:
         white = self.whitened(change)
         return np.asarray(white - self.absorbed @ (self.absorbed.T @ white))
 
-    def subject(self) -> Subject:
+    def subject(self) -> AdjustedJob:
         """Return it as the job that a user would give."""
         columns = {"point": names(self), "tool": np.array(list(TOOLS))[self.tool], "t": self.t}
         columns |= dict(zip("xyz", self.at.T, strict=True)) | dict(zip(("mx", "my", "mz"), self.read.T, strict=True))
@@ -105,7 +105,7 @@ class Measurement:
         axes = AxesSettings(*(AxisSettings((low, high), n) for low, high, n in zip(LOW, HIGH, KNOTS, strict=True)))
         noise = Noise(beam=BEAM / self.noise, lateral=LateralNoise(CONSTANT / self.noise, PROPORTIONAL / self.noise))
         settings = Settings("standstill", MachineSettings("wXbYZt", axes, tools=TOOLS), Inputs(Path("-")), noise)
-        return calibrate_machine.diagnosed(settings, points=Table(columns, {}))
+        return calibrate_machine.diagnosed(calibrate_machine.TASK.job(settings, points=Table(columns, {})))
 
 
 def names(m: Measurement) -> npt.NDArray[np.str_]:

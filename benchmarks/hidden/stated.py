@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from metrocli.diagnosis.adjusted_job import Subject
+from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.detectability import needed
 from metrocli.diagnosis.diagnose import field_of_job
 
 
-def stated(subject: Subject, name: str, parameters: int) -> float:
+def stated(subject: AdjustedJob, name: str, parameters: int) -> float:
     """Return the squared norm, in standard deviations, at which an effect is said to be found with 80 % power.
 
     For an effect that is in no table it is that of a family of as many parameters tried for each tracer.

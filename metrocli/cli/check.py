@@ -16,22 +16,21 @@ from metrocli.cli import options
 def command(place: Path, overrides: tuple[str, ...], quiet: bool) -> int:
     """Tell every fault, or that there is none."""
     from metrocli.errors import Fault, InputError, UsageError
-    from metrocli.project.inputs import read_inputs
-    from metrocli.project.job import Job, Wishes, load
+    from metrocli.project.job import JobFile, Wishes, load
     from metrocli.project.pipeline import FILE, load_project
-    from metrocli.project.runner import verify
+    from metrocli.project.runner import content, verify
 
     if place.is_dir() or place.name == FILE:
         if overrides:
             raise UsageError("--set changes one job; check that job")
-        jobs: list[Job] = [step.job for step in load_project(place)]
+        jobs: list[JobFile] = [step.job for step in load_project(place)]
     else:
         jobs = [load(place, Wishes(overrides))]
     faults: list[Fault] = []
     for job in jobs:
         missing = [item.key for item in job.inputs if not all(path.exists() for path in item.paths)]
         try:
-            held = read_inputs(job, missing)
+            held = content(job, missing)
             if not missing:
                 verify(job, held)
         except InputError as error:

@@ -13,7 +13,7 @@ from types import FrameType
 import click
 
 from metrocli import __version__
-from metrocli.cli.main import COMMANDS, help_text, version_text
+from metrocli.cli.help import COMMANDS, help_text, version_text
 from metrocli.errors import InputError, MetrocliError
 from metrocli.tasks import KINDS
 

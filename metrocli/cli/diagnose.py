@@ -26,13 +26,14 @@ def command(job: Path, design: bool, output: Path | None, as_json: bool, **wante
     from metrocli.cli import diagnosis_text, summary
     from metrocli.diagnosis import verdict
     from metrocli.errors import InputError
-    from metrocli.project import diagnosed, runner
+    from metrocli.project import diagnosed
     from metrocli.project.job import Wishes, kind_of_job, load
+    from metrocli.tasks import KINDS
 
     voice, overrides = options.Voice(wanted["quiet"] or as_json, wanted["verbose"]), wanted["overrides"]
     if design:
         kind = kind_of_job(job)
-        not_needed = runner.simulated_inputs(kind) if kind else ()
+        not_needed = KINDS[kind].measured if kind else ()
         subject, found = diagnosed.design_of(load(job, Wishes(overrides, not_needed=not_needed)))
         if as_json:
             click.echo(summary.as_json(verdict.design_data(subject, found)))

@@ -10,7 +10,7 @@ import numpy as np
 
 from metrocli import units
 from metrocli.diagnosis import verdict
-from metrocli.diagnosis.adjusted_job import Subject
+from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.cross_validation import Gain
 from metrocli.diagnosis.detectability import Candidate, Design
 from metrocli.diagnosis.diagnose import Diagnosis, Finding
@@ -40,7 +40,7 @@ def of_diagnosis(diagnosis: Diagnosis, extended: Path | None) -> str:
     return "\n".join([*lines, "", *_candidates(diagnosis.subject, diagnosis.design, names)])
 
 
-def of_design(subject: Subject, design: Design) -> str:
+def of_design(subject: AdjustedJob, design: Design) -> str:
     """Return what a measurement can see."""
     lines = ["what this measurement can see, in 80 of 100 cases, counting all that is tried:", ""]
     lines += _candidates(subject, design, [])
@@ -93,7 +93,7 @@ def _left(diagnosis: Diagnosis) -> Iterator[str]:
     yield "Standard uncertainties of the result do not count it."
 
 
-def _about(finding: Finding, subject: Subject) -> Iterator[str]:
+def _about(finding: Finding, subject: AdjustedJob) -> Iterator[str]:
     name, gain = finding.named, finding.gain
     cause, reveal = name.alternative.effect.cause, name.alternative.effect.reveal
     yield f"{name.alternative} explains it: {cause}; {', '.join(_parameters(finding))}."
@@ -128,7 +128,7 @@ def _together(diagnosis: Diagnosis) -> Iterator[str]:
     yield f"With all of it {what} (root mean square; {_score(gain)}){shown}."
 
 
-def _error(size: float, subject: Subject) -> str:
+def _error(size: float, subject: AdjustedJob) -> str:
     value, unit = units.readable(size, subject.reading[1])
     return f"{value:.3g} {unit}"
 
@@ -176,7 +176,7 @@ def _chance(p: float) -> str:
 _HEAD = ("effect", "size", "chance", "or", "held out", "changes")
 
 
-def _row(finding: Finding, subject: Subject) -> tuple[str, ...]:
+def _row(finding: Finding, subject: AdjustedJob) -> tuple[str, ...]:
     name, gain = finding.named, finding.gain
     shift, unit = units.readable(finding.shift, subject.delivered.dimension)
     return (
@@ -189,7 +189,7 @@ def _row(finding: Finding, subject: Subject) -> tuple[str, ...]:
     )
 
 
-def _candidates(subject: Subject, design: Design, named: Sequence[Named]) -> list[str]:
+def _candidates(subject: AdjustedJob, design: Design, named: Sequence[Named]) -> list[str]:
     """Return the table of candidates, those of one cause and one state in one line."""
     rows: dict[tuple[str, str], list[Candidate]] = {}
     for candidate in design.candidates:
@@ -211,7 +211,7 @@ def _candidates(subject: Subject, design: Design, named: Sequence[Named]) -> lis
     return _table(("effect", "where", "", "seen from", "hides up to", ""), lines)
 
 
-def _line(subject: Subject, name: str, word: str, found: Sequence[Candidate]) -> tuple[str, ...]:
+def _line(subject: AdjustedJob, name: str, word: str, found: Sequence[Candidate]) -> tuple[str, ...]:
     places = ["/".join(one.alternative.instance) for one in found if one.alternative.instance]
     where = ", ".join(places[:_SHOWN]) + (f" and {len(places) - _SHOWN} more" if len(places) > _SHOWN else "")
     dimension = found[0].alternative.effect.parameters[0].dimension

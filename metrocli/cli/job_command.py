@@ -15,7 +15,7 @@ from metrocli.tasks import KINDS
 def make(kind: str) -> click.Command:
     """Return the command that runs jobs of one kind."""
 
-    questions = [_question(name, text) for name, text in KINDS[kind].answers.items()]
+    questions = [options.asking(question) for question in KINDS[kind].questions]
     shared = [options.WORKERS, options.SCHEDULER] if KINDS[kind].chunked else []
     shared += [options.DRY_RUN, options.FORCE, options.JSON, options.QUIET, options.VERBOSE]
 
@@ -27,10 +27,6 @@ def make(kind: str) -> click.Command:
     return click.command(kind, help=help_text)(command)
 
 
-def _question(name: str, help_text: str) -> options.Decorator:
-    return click.option(f"--{name}", is_flag=True, help=help_text)
-
-
 def _carry_out(kind: str, path: Path, voice: Voice, wanted: dict[str, Any]) -> int:
     """Load the job, then check, ask or run it, and print what came out."""
     from metrocli.errors import UsageError
@@ -40,12 +36,10 @@ def _carry_out(kind: str, path: Path, voice: Voice, wanted: dict[str, Any]) -> i
     if wanted["output"] is not None and wanted["output"].suffix != ".h5":
         raise UsageError(f"--output {wanted['output']}: a result file ends in .h5")
     job = load(path, Wishes(wanted["overrides"], wanted["output"], kind))
-    question = next((name for name in KINDS[kind].answers if wanted[name]), None)
+    question = next((one.name for one in KINDS[kind].questions if wanted[one.name]), None)
     if wanted["dry_run"]:
-        from metrocli.project.inputs import read_inputs
-
         runner.refuse_foreign(job.output, kind, wanted["force"])
-        runner.verify(job, read_inputs(job))
+        runner.verify(job, runner.content(job))
         voice.line(f"{path}: no faults; would write {job.output}")
         return 0
     from metrocli.cli import summary, terminal

@@ -11,6 +11,8 @@ from typing import Any
 
 import click
 
+from metrocli.tasks.kind import Question
+
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 JOB = click.argument("job", type=click.Path(path_type=Path), metavar="JOB.yaml")
 JSON = click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON and nothing else on stdout.")
@@ -27,6 +29,14 @@ WORKERS = click.option(
 SCHEDULER = click.option(
     "--scheduler", default="", metavar="ADDRESS", help="Dask scheduler to do the work: tcp://HOST:PORT or its file."
 )
+
+
+def asking(question: Question) -> Decorator:
+    """Return the option of a question: a flag, or as many values as it has arguments."""
+    if not question.arguments:
+        return click.option(f"--{question.name}", is_flag=True, help=question.help)
+    metavar = " ".join(question.arguments)
+    return click.option(f"--{question.name}", nargs=len(question.arguments), metavar=metavar, help=question.help)
 
 
 def all_of(*options: Decorator) -> Decorator:

@@ -26,12 +26,13 @@ def command(job: Path, out: Path | None, overrides: tuple[str, ...], force: bool
     from metrocli.cli import summary, terminal
     from metrocli.project import planned, runner
     from metrocli.project.job import Wishes, kind_of_job, load
+    from metrocli.tasks import KINDS
 
     voice = options.Voice(quiet)
     folder = out if out is not None else job.with_name(f"{job.stem}.plan")
     planned.refuse_foreign(folder, force)
     kind = kind_of_job(job)
-    loaded = load(job, Wishes(overrides, not_needed=runner.planned_inputs(kind) if kind else ()))
+    loaded = load(job, Wishes(overrides, not_needed=KINDS[kind].planned if kind else ()))
     plan = runner.plan(loaded)
     text = summary.json_of_plan(plan, folder)
     written = list(planned.write(planned.files_of(plan), text, folder))

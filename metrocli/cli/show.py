@@ -4,26 +4,26 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from metrocli.cli import options
+from metrocli.tasks import KINDS
+
+if TYPE_CHECKING:
+    from metrocli.result import Result
+
+QUESTIONS = {question.name: question for kind in KINDS.values() for question in kind.result_questions}
 
 
 @click.command("show", help="A result on the terminal.")
 @click.argument("result", type=click.Path(path_type=Path), metavar="RESULT.h5")
 @click.option("--table", "name", metavar="NAME", help="Print one table, whole, as CSV.")
-@click.option(
-    "--distance", nargs=2, metavar="POINT POINT", help="Print the distance of two points with its uncertainty."
-)
-@click.option(
-    "--at", nargs=3, metavar="X Y Z", help="Print the machine error at a point, such as '10 mm' '0 mm' '-32.5 mm'."
-)
+@options.all_of(*map(options.asking, QUESTIONS.values()))
 @options.JSON
-def command(
-    result: Path, name: str | None, distance: tuple[str, str] | None, at: tuple[str, str, str] | None, as_json: bool
-) -> int:
-    """Print a result as its job did, one of its tables, the distance of two points, or the machine error at one."""
+def command(result: Path, name: str | None, as_json: bool, **asked: tuple[str, ...] | None) -> int:
+    """Print a result as its job did, one of its tables, or its answer to a question of its kind."""
     from metrocli.cli import summary, terminal
     from metrocli.errors import UsageError
     from metrocli.formats import csv, hdf5
@@ -36,18 +36,9 @@ def command(
         table = found.tables[name]
         click.echo(summary.json_of_table(table) if as_json else csv.to_text(table), nl=as_json)
         return 0
-    if distance is not None:
-        from metrocli.tasks.multilaterate.distance import distance as between
-
-        estimate = between(found, *distance)
-        click.echo(summary.as_json(asdict(estimate)) if as_json else terminal.estimates_text((estimate,)))
-        return 0
-    if at is not None:
-        from metrocli.tasks.selfcal_grid.point import error_at
-
-        estimates = error_at(found, at)
-        as_text = summary.as_json([asdict(one) for one in estimates]) if as_json else terminal.estimates_text(estimates)
-        click.echo(as_text)
+    question = next((one for one in QUESTIONS if asked[one] is not None), None)
+    if question is not None:
+        click.echo(_answer(found, question, asked[question] or (), as_json))
         return 0
     if as_json:
         click.echo(summary.json_of(found, record, result))
@@ -57,3 +48,18 @@ def command(
     for line in found.warnings:
         click.echo(f"warning: {line}", err=True)
     return 0
+
+
+def _answer(result: Result, question: str, values: tuple[str, ...], as_json: bool) -> str:
+    """Return the answer of a result's kind as text; UsageError where that kind has none."""
+    from metrocli.cli import summary, terminal
+    from metrocli.errors import UsageError
+
+    answering = [kind.name for kind in KINDS.values() if question in {one.name for one in kind.result_questions}]
+    if result.kind not in answering:
+        raise UsageError(f"--{question} is for results of {' and '.join(answering)}; this is one of {result.kind}")
+    estimates = KINDS[result.kind].task().result_answers[question](result, values)
+    if not as_json:
+        return terminal.estimates_text(estimates)
+    found = [asdict(estimate) for estimate in estimates]
+    return summary.as_json(found if len(found) > 1 else found[0])

@@ -31,11 +31,12 @@ def command(job: Path, out: Path, seed: int, images: bool, quiet: bool, force: b
     from metrocli.project.job import Wishes, kind_of_job, load
     from metrocli.project.simulated import write
     from metrocli.simulation import SimulationOptions
+    from metrocli.tasks import KINDS
 
     if out.exists() and not force and (not out.is_dir() or any(out.iterdir())):
         raise InputError([Fault("the folder is not empty", str(out), hint="name a new one, or use --force")])
     kind = kind_of_job(job)
-    not_needed = runner.simulated_inputs(kind) if kind else ()
+    not_needed = KINDS[kind].measured if kind else ()
     loaded = load(job, Wishes(wishes["overrides"], not_needed=not_needed, effects=wishes["effects"]))
     for path in list(write(runner.simulate(loaded, SimulationOptions(seed, images)), out)):
         options.Voice(quiet).line(str(path))

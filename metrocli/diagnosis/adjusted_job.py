@@ -64,7 +64,7 @@ class Standing:
 
 
 @dataclass(frozen=True)
-class Subject:
+class AdjustedJob:
     """An adjusted job as diagnosis sees it."""
 
     kind: str

@@ -13,7 +13,7 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
-from metrocli.diagnosis.adjusted_job import Subject
+from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.linear.fitted_columns import Given, nothing
 from metrocli.diagnosis.linear.score_tests import Field
 from metrocli.diagnosis.selection.confidence_set import Named
@@ -58,7 +58,7 @@ class _Held:
     """As how many errors they count"""
 
 
-def gains(subject: Subject, selection: Selection, names: Sequence[Named]) -> list[Gain]:
+def gains(subject: AdjustedJob, selection: Selection, names: Sequence[Named]) -> list[Gain]:
     """Return the gain of each named effect, then of all: with what each fold's own selection names of it, and without.
 
     Smooth terms are in neither, as the extended job has none.
@@ -80,7 +80,7 @@ def gains(subject: Subject, selection: Selection, names: Sequence[Named]) -> lis
     return [_gain(pairs) for pairs in found]
 
 
-def _rows_of_folds(subject: Subject, field: Field) -> Index:
+def _rows_of_folds(subject: AdjustedJob, field: Field) -> Index:
     rows = np.full(field.system.rows, -1, dtype=np.intp)
     for group in subject.model.readings:
         fold = field.system.spread(group, subject.folds[group.name].astype(float) + 1)

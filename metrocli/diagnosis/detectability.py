@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
-from metrocli.diagnosis.adjusted_job import Subject
+from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.linear.candidates import Alternative, NotTested
 from metrocli.diagnosis.linear.distributions import noncentrality, single_level
 from metrocli.diagnosis.linear.projection import System, linearised
@@ -115,14 +115,14 @@ class Design:
     readings: tuple[WrongReading, ...] = ()
 
 
-def design(subject: Subject, field: Field, not_tested: Sequence[NotTested], noise: float = 1.0) -> Design:
+def design(subject: AdjustedJob, field: Field, not_tested: Sequence[NotTested], noise: float = 1.0) -> Design:
     """Return what a measurement can see, for a noise in units of the declared one."""
     candidates = tuple(_candidate(subject, field, *spot, noise) for spot in _spots(field))
     readings = tuple(_wrong_reading(subject, field, e, noise) for e in subject.effects if e.of_one_reading)
     return Design(candidates, tuple(not_tested), tuple(_pairs(field, candidates, noise)), readings)
 
 
-def _wrong_reading(subject: Subject, field: Field, effect: Effect, noise: float) -> WrongReading:
+def _wrong_reading(subject: AdjustedJob, field: Field, effect: Effect, noise: float) -> WrongReading:
     """Return the least detectable error of a reading, `sqrt(lambda / r) sigma` (Baarda 1968)."""
     system = field.system
     level = single_level(single_level(WRONG_READING, field.causes), field.tests[-1])
@@ -150,7 +150,7 @@ def _spots(field: Field) -> Iterable[tuple[int, Sequence[int]]]:
             yield number, chosen
 
 
-def _candidate(subject: Subject, field: Field, family: int, chosen: Sequence[int], noise: float) -> Candidate:
+def _candidate(subject: AdjustedJob, field: Field, family: int, chosen: Sequence[int], noise: float) -> Candidate:
     columns, gram = field.families[family].columns, field.grams[family]
     _, ranks = quadratic(
         gram[list(chosen)], np.zeros((len(chosen), columns.shape[2])), field.scales[family][list(chosen)]
@@ -246,7 +246,7 @@ def _unit(columns: Array) -> Array:
     return basis
 
 
-def separations(subject: Subject, one: Alternative, other: Alternative) -> list[str]:
+def separations(subject: AdjustedJob, one: Alternative, other: Alternative) -> list[str]:
     """Return what to measure so that two names are told apart: the first offers that bring their cosine below 0.9.
 
     Where none does, the one that brings it lowest; where the subject has no offers, what the effects say.

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
-from metrocli.diagnosis.adjusted_job import Subject
+from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.cross_validation import Gain, gains
 from metrocli.diagnosis.detectability import Design, design, separations
 from metrocli.diagnosis.extended_fit import Size, about, field_of_job, kept, mended, recentred, sizes, weights_of
@@ -69,7 +69,7 @@ class Finding:
 class Diagnosis:
     """What the model of a job gets wrong."""
 
-    subject: Subject
+    subject: AdjustedJob
     noise: Noise
     apart: tuple[Unit, ...]
     outliers: tuple[Outlier, ...]
@@ -103,7 +103,7 @@ class Diagnosis:
         return "indistinct" if any(sets) else "explained"
 
 
-def diagnose(subject: Subject, say: Say = lambda line: None) -> Diagnosis:
+def diagnose(subject: AdjustedJob, say: Say = lambda line: None) -> Diagnosis:
     """Return what the readings of an adjusted job say of its model.
 
     Raises UndeterminedError where no reading is to spare.
@@ -151,7 +151,7 @@ def diagnose(subject: Subject, say: Say = lambda line: None) -> Diagnosis:
 Race = tuple[Field, list[NotTested], tuple[Unit, ...], Selection]
 
 
-def _raced(subject: Subject, say: Say) -> tuple[Subject, Race]:
+def _raced(subject: AdjustedJob, say: Say) -> tuple[AdjustedJob, Race]:
     """Return the race, and the subject with its unknowns where the named effects do not bend them.
 
     Where effects stop it, it is held again about the job adjusted with them, with these among all others; in the end it
@@ -177,13 +177,13 @@ def _raced(subject: Subject, say: Say) -> tuple[Subject, Race]:
     return point, (field, not_tested, units, selection)
 
 
-def planned(subject: Subject) -> Design:
+def planned(subject: AdjustedJob) -> Design:
     """Return what a measurement can see, before or without looking at its residuals."""
     field, not_tested = field_of_job(subject, {}, np.random.default_rng(_SEED))
     return design(subject, field, not_tested)
 
 
-def _selected(subject: Subject, rng: np.random.Generator) -> Race:
+def _selected(subject: AdjustedJob, rng: np.random.Generator) -> Race:
     """Return the selection with the readings of each unit weighted by the noise that was found in it."""
     weights: Mapping[str, Array] = {}
     units: tuple[Unit, ...] = ()
@@ -206,7 +206,7 @@ def _selected(subject: Subject, rng: np.random.Generator) -> Race:
     return field, not_tested, _joined(units), selection
 
 
-def _sigma_first(subject: Subject, field: Field) -> Unit | None:
+def _sigma_first(subject: AdjustedJob, field: Field) -> Unit | None:
     """Return what the job gives with a wrong sigma, where that says more of the residuals than any cause.
 
     With draws of its own: the levels of a job that gives nothing are those without this test.
@@ -227,7 +227,7 @@ def _joined(units: Sequence[Unit]) -> tuple[Unit, ...]:
     return tuple(found.values())
 
 
-def _outliers(subject: Subject, selection: Selection) -> tuple[Outlier, ...]:
+def _outliers(subject: AdjustedJob, selection: Selection) -> tuple[Outlier, ...]:
     if not selection.outliers:
         return ()
     given = selection.given()
@@ -255,7 +255,7 @@ def _keys(field: Field, number: int) -> dict[str, str]:
     return keys | ({"component": observations.components[component]} if single else {})
 
 
-def _shift(subject: Subject, system: System, name: Named) -> float:
+def _shift(subject: AdjustedJob, system: System, name: Named) -> float:
     """Return by how much what is delivered changes at most when an effect is taken into the model."""
     alternative = name.alternative
     full = signature(subject.model, system, alternative.effect, alternative.instance, dict(alternative.scanned))
@@ -263,7 +263,7 @@ def _shift(subject: Subject, system: System, name: Named) -> float:
     return float(np.sqrt((shift**2).sum(axis=(1, 2)).max(initial=0.0)))
 
 
-def _separate(subject: Subject, names: Sequence[Named]) -> tuple[str, ...]:
+def _separate(subject: AdjustedJob, names: Sequence[Named]) -> tuple[str, ...]:
     found: dict[str, None] = {}
     for name in names:
         for rival in name.rivals[:2]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.observations import Mask
-from metrocli.diagnosis.adjusted_job import Standing, Subject
+from metrocli.diagnosis.adjusted_job import AdjustedJob, Standing
 from metrocli.diagnosis.linear.candidates import NotTested, families_of
 from metrocli.diagnosis.linear.fitted_columns import Given, nothing
 from metrocli.diagnosis.linear.projection import System, linearised
@@ -24,7 +24,7 @@ from metrocli.effects.model import Added, Model, with_effect
 
 
 def field_of_job(
-    subject: Subject, weights: Mapping[str, Array], rng: np.random.Generator
+    subject: AdjustedJob, weights: Mapping[str, Array], rng: np.random.Generator
 ) -> tuple[Field, list[NotTested]]:
     """Return the race of everything that could be in a job, and the effects that its data do not allow to test."""
     system = _with_standing(subject, linearised(subject.model, weights))
@@ -35,7 +35,7 @@ def field_of_job(
     return replace(field, adjusted=subject.adjusted | spots), not_tested
 
 
-def _with_standing(subject: Subject, system: System) -> System:
+def _with_standing(subject: AdjustedJob, system: System) -> System:
     """Return a system with the residuals that it would have without the effects that stand in its model.
 
     What they add is linear about their sizes: `r + G theta`.
@@ -46,7 +46,7 @@ def _with_standing(subject: Subject, system: System) -> System:
     return replace(system, residual=system.seen(residual)) if subject.standing else system
 
 
-def weights_of(subject: Subject, units: Sequence[Unit]) -> Mapping[str, Array]:
+def weights_of(subject: AdjustedJob, units: Sequence[Unit]) -> Mapping[str, Array]:
     """Return the factors on whitened readings that bring units to the noise of the others."""
     weights: Mapping[str, Array] = {}
     for unit in units:
@@ -54,7 +54,7 @@ def weights_of(subject: Subject, units: Sequence[Unit]) -> Mapping[str, Array]:
     return weights
 
 
-def extended_model(subject: Subject, names: Sequence[Named]) -> Model:
+def extended_model(subject: AdjustedJob, names: Sequence[Named]) -> Model:
     """Return the model with the named effects in it, at what was found of them."""
     model = subject.model
     for name in names:
@@ -92,7 +92,7 @@ class Size:
     """Whether the readings say what it is, apart from the others; else `value` holds with others taken as 0"""
 
 
-def sizes(subject: Subject, name: Named) -> tuple[Size, ...]:
+def sizes(subject: AdjustedJob, name: Named) -> tuple[Size, ...]:
     """Return the parameters of a named effect, for the noise that was found."""
     alternative = name.alternative
     block, row = _own_row(extended_model(subject, [name]), name)
@@ -110,7 +110,7 @@ def sizes(subject: Subject, name: Named) -> tuple[Size, ...]:
     return (*found, *(Size(known[key], value, None) for key, value in alternative.scanned if not known[key].place))
 
 
-def mended(subject: Subject, names: Sequence[Named], kept: Mapping[str, Mask]) -> Subject | None:
+def mended(subject: AdjustedJob, names: Sequence[Named], kept: Mapping[str, Mask]) -> AdjustedJob | None:
     """Return the subject with the named effects in its model, adjusted to the kept readings; None where that fails."""
     model = extended_model(subject, names)
     solution = subject.refit(model, kept)
@@ -120,7 +120,7 @@ def mended(subject: Subject, names: Sequence[Named], kept: Mapping[str, Mask]) -
     return replace(subject, model=model.with_blocks(blocks))
 
 
-def about(subject: Subject, names: Sequence[Named], adjusted: Subject) -> Subject:
+def about(subject: AdjustedJob, names: Sequence[Named], adjusted: AdjustedJob) -> AdjustedJob:
     """Return the subject with its unknowns where an adjustment with the named effects brought them.
 
     What a large effect did to them is undone there. Those that are columns of the job's own blocks, such as terms of a
@@ -157,7 +157,7 @@ def _value(block: Block, row: int, key: str) -> float:
 
 
 def recentred(
-    changed: Subject | None, selection: Selection, units: Sequence[Unit], rng: np.random.Generator
+    changed: AdjustedJob | None, selection: Selection, units: Sequence[Unit], rng: np.random.Generator
 ) -> tuple[Field, Given]:
     """Return the smooth functions' race about the solution with the named effects adjusted, outliers left out of it.
 

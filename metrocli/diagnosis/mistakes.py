@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from metrocli.diagnosis.adjusted_job import Subject
+from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.errors import InputError, NotConvergedError, UndeterminedError
 from metrocli.table import Table
 from metrocli.units import DIMENSIONS, INCH
@@ -27,7 +27,7 @@ _BETTER = 10.0
 _AS_GOOD = 2.0
 
 Inputs = Mapping[str, object]
-Adjust = Callable[[Inputs], Subject]
+Adjust = Callable[[Inputs], AdjustedJob]
 
 
 @dataclass(frozen=True)
@@ -48,13 +48,13 @@ class Mistaken:
     """The mistakes that explain a job as it is, the best first, and the job without that one."""
 
     mistakes: tuple[Mistake, ...]
-    subject: Subject
+    subject: AdjustedJob
     before: float
     """How far beyond the plausible the job is with the mistake, inf where it failed"""
     after: float
 
 
-def without_mistakes(inputs: Inputs, adjust: Adjust) -> tuple[Subject, Mistaken | None]:
+def without_mistakes(inputs: Inputs, adjust: Adjust) -> tuple[AdjustedJob, Mistaken | None]:
     """Return the adjusted job; where it is absurd or fails, and a mistake in a file explains that, without the mistake.
 
     Raises what the adjustment of the job as it is raised where no mistake explains it.
@@ -76,7 +76,7 @@ def without_mistakes(inputs: Inputs, adjust: Adjust) -> tuple[Subject, Mistaken 
     return subject, None
 
 
-def strangeness(subject: Subject) -> float:
+def strangeness(subject: AdjustedJob) -> float:
     """Return how many times a job is beyond the plausible: its median residual, or what its files say of places."""
     medians = []
     for group in subject.model.readings:
@@ -86,7 +86,7 @@ def strangeness(subject: Subject) -> float:
 
 
 def _explaining(inputs: Inputs, adjust: Adjust, before: float) -> Mistaken | None:
-    tried: list[tuple[float, Mistake, Subject]] = []
+    tried: list[tuple[float, Mistake, AdjustedJob]] = []
     for mistake, changed in altered(inputs):
         try:
             subject = adjust(changed)

@@ -9,7 +9,7 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Mask
-from metrocli.diagnosis.adjusted_job import Subject
+from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.linear.distributions import chi_interval, log_tail
 from metrocli.diagnosis.linear.fitted_columns import PRIOR, Given
 from metrocli.diagnosis.linear.projection import System
@@ -57,7 +57,7 @@ def noise_of(given: Given) -> Noise:
     return Noise(float(np.sqrt(squares / dof)), low, high, dof)
 
 
-def apart(subject: Subject, system: System, given: Given, rng: np.random.Generator) -> Unit | None:
+def apart(subject: AdjustedJob, system: System, given: Given, rng: np.random.Generator) -> Unit | None:
     """Return the unit whose noise differs most from that of the others, None where that is chance.
 
     Score test of its variance, `|r_u|^2 / |r|^2` against its null distribution, a scaled chi-squared of the moments
@@ -89,7 +89,7 @@ def apart(subject: Subject, system: System, given: Given, rng: np.random.Generat
     return None if 1 / _APART < ratio < _APART else Unit(key, name, ratio, log_p + float(np.log(len(units))))
 
 
-def _units(subject: Subject, system: System) -> Iterator[tuple[str, str, Mask]]:
+def _units(subject: AdjustedJob, system: System) -> Iterator[tuple[str, str, Mask]]:
     for key in subject.units:
         place = subject.model.places[key]
         for number, name in enumerate(place.names):
@@ -148,7 +148,7 @@ def _ratio(system: System, given: Given, rows: Mask) -> float:
     return float(np.sqrt(max(variance[0], floor) / max(variance[1], floor)))
 
 
-def weighted(subject: Subject, weights: Mapping[str, Array], unit: Unit) -> dict[str, Array]:
+def weighted(subject: AdjustedJob, weights: Mapping[str, Array], unit: Unit) -> dict[str, Array]:
     """Return factors on the whitened readings of each group that bring those of a unit to the noise of the others."""
     if unit.key == GIVEN:
         return {**weights, unit.name: weights.get(unit.name, np.ones(1)) / unit.ratio * _ones(subject, unit.name)}
@@ -164,5 +164,5 @@ def weighted(subject: Subject, weights: Mapping[str, Array], unit: Unit) -> dict
     return found
 
 
-def _ones(subject: Subject, group: str) -> Array:
+def _ones(subject: AdjustedJob, group: str) -> Array:
     return np.ones(next(one.observations.count for one in subject.model.groups if one.name == group))

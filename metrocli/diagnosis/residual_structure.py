@@ -9,7 +9,7 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
-from metrocli.diagnosis.adjusted_job import Subject
+from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.linear.distributions import log_family, log_tail, noncentrality, single_level
 from metrocli.diagnosis.linear.fitted_columns import PRIOR, Given, nothing
 from metrocli.diagnosis.linear.projection import System
@@ -50,7 +50,7 @@ class PureError:
     """Level of what the residuals hold beside that scatter"""
 
 
-def pure_error(subject: Subject, system: System, given: Given) -> PureError | None:
+def pure_error(subject: AdjustedJob, system: System, given: Given) -> PureError | None:
     """Return the scatter of repeated readings, and the F test of what is left beside it; None without repetitions.
 
     `F = ((S - S_pe) / (nu - nu_pe)) / (S_pe / nu_pe)` (Fisher 1922; NIST e-Handbook 4.4.4.6).

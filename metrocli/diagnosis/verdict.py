@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from metrocli import units
-from metrocli.diagnosis.adjusted_job import Subject
+from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.cross_validation import Gain
 from metrocli.diagnosis.detectability import Candidate, Design, WrongReading
 from metrocli.diagnosis.diagnose import Diagnosis, Finding
@@ -49,7 +49,7 @@ def as_data(diagnosis: Diagnosis) -> dict[str, Any]:
     }
 
 
-def design_data(subject: Subject, design: Design) -> dict[str, Any]:
+def design_data(subject: AdjustedJob, design: Design) -> dict[str, Any]:
     """Return what a measurement can see, before it is looked at."""
     return {"candidates": candidates(subject, design, []), "alike": alike(design)}
 
@@ -71,7 +71,7 @@ def _mistake(mistaken: Mistaken) -> dict[str, Any]:
     }
 
 
-def _effect(subject: Subject, finding: Finding) -> dict[str, Any]:
+def _effect(subject: AdjustedJob, finding: Finding) -> dict[str, Any]:
     name, gain = finding.named, finding.gain
     return {
         "name": name.alternative.effect.name,
@@ -88,7 +88,7 @@ def _where(alternative: Alternative) -> dict[str, str]:
     return alternative.where | dict(alternative.named)
 
 
-def _gain(gain: Gain, subject: Subject) -> dict[str, Any]:
+def _gain(gain: Gain, subject: AdjustedJob) -> dict[str, Any]:
     unit = units.find_unit(*subject.reading)
     return {
         "holdout_before": unit.outside(gain.before),
@@ -103,7 +103,7 @@ def _gain(gain: Gain, subject: Subject) -> dict[str, Any]:
     }
 
 
-def _left(subject: Subject, left: Left) -> dict[str, Any]:
+def _left(subject: AdjustedJob, left: Left) -> dict[str, Any]:
     unit = units.find_unit(*subject.reading)
     return {
         "p_value": left.p_value,
@@ -130,7 +130,7 @@ def _rival(rival: Rival) -> dict[str, Any]:
     }
 
 
-def _delivered(subject: Subject, value: float) -> dict[str, Any]:
+def _delivered(subject: AdjustedJob, value: float) -> dict[str, Any]:
     unit = units.find_unit(subject.delivered.unit, subject.delivered.dimension)
     return {"what": subject.delivered.what, "value": unit.outside(value), "unit": unit.symbol}
 
@@ -149,7 +149,7 @@ def spots(name: Named) -> set[tuple[str, tuple[str, ...]]]:
     return {name.alternative.spot, *(rival.alternative.spot for rival in name.rivals)}
 
 
-def candidates(subject: Subject, design: Design, named: Iterable[Named]) -> list[dict[str, Any]]:
+def candidates(subject: AdjustedJob, design: Design, named: Iterable[Named]) -> list[dict[str, Any]]:
     """Return all candidates, tested or not."""
     names = list(named)
     tested = [_candidate(subject, candidate, status(candidate, names)) for candidate in design.candidates]
@@ -158,7 +158,7 @@ def candidates(subject: Subject, design: Design, named: Iterable[Named]) -> list
     return tested + readings + missing
 
 
-def _wrong_reading(subject: Subject, one: WrongReading) -> dict[str, Any]:
+def _wrong_reading(subject: AdjustedJob, one: WrongReading) -> dict[str, Any]:
     unchecked = f"; {one.unchecked} readings cannot be checked" if one.unchecked else ""
     if not one.testable:
         return _open(one.effect, {}, NOT_TESTABLE, UNCHECKED)
@@ -172,7 +172,7 @@ def _wrong_reading(subject: Subject, one: WrongReading) -> dict[str, Any]:
     }
 
 
-def _candidate(subject: Subject, candidate: Candidate, word: str) -> dict[str, Any]:
+def _candidate(subject: AdjustedJob, candidate: Candidate, word: str) -> dict[str, Any]:
     return {
         "name": candidate.alternative.effect.name,
         "where": candidate.alternative.where,

@@ -6,7 +6,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from metrocli.effects import effects_of, forms
 from metrocli.effects.effect import Effect
 from metrocli.errors import Fault, InputError
 from metrocli.nodes import Node
@@ -55,9 +54,9 @@ class Wanted:
         return alike and (self.name, self.where, self.values) == (other.name, other.where, other.values)
 
 
-def read(kind: str, nodes: Sequence[Node], faults: list[Fault]) -> tuple[Wanted, ...]:
-    """Return the effects that the nodes name, with a fault for each key or value that is wrong."""
-    found = [_read(kind, node, faults) for node in nodes]
+def read(table: Sequence[Effect], nodes: Sequence[Node], faults: list[Fault]) -> tuple[Wanted, ...]:
+    """Return the effects of a table that the nodes name, with a fault for each key or value that is wrong."""
+    found = [_read(table, node, faults) for node in nodes]
     listed = tuple(wanted for wanted in found if wanted is not None)
     for number, one in enumerate(listed):
         if any(one.same_as(other) for other in listed[:number]):
@@ -65,15 +64,15 @@ def read(kind: str, nodes: Sequence[Node], faults: list[Fault]) -> tuple[Wanted,
     return listed
 
 
-def _read(kind: str, node: Node, faults: list[Fault]) -> Wanted | None:
+def _read(table: Sequence[Effect], node: Node, faults: list[Fault]) -> Wanted | None:
     name = node.get("name")
     if name is None or name.kind != "scalar":
         faults.append(node.fault(f"{node.path}: an effect needs a name", "write {name: ..., ...}"))
         return None
-    known = forms(kind, name.text)
+    known = [effect for effect in table if effect.name == name.text]
     if not known:
-        names = dict.fromkeys(effect.name for effect in effects_of(kind))
-        hint = suggestion(name.text, names) if names else f"metrocli has no effect for jobs of the kind {kind}"
+        names = dict.fromkeys(effect.name for effect in table)
+        hint = suggestion(name.text, names) if names else "no effects are known for this kind of job"
         faults.append(name.fault(f"unknown effect '{name.text}'", hint))
         return None
     attempts = [(effect, _as(effect, node)) for effect in known]
@@ -127,9 +126,8 @@ def planted(wanted: Iterable[Wanted]) -> tuple[Wanted, ...]:
     return tuple(one for one, names in missing if not names)
 
 
-def schema(kind: str) -> Schema:
-    """Return the JSON schema of `effects:` for a kind of job."""
-    table = effects_of(kind)
+def schema(table: Sequence[Effect]) -> Schema:
+    """Return the JSON schema of `effects:` for a kind of job with this table."""
     if not table:
         return {"type": "array", "maxItems": 0}
     return {"type": "array", "items": {"anyOf": [_schema(effect) for effect in table]}}

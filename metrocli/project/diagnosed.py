@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from metrocli import tasks
-from metrocli.diagnosis.adjusted_job import Subject
+from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.detectability import Design
 from metrocli.diagnosis.diagnose import Diagnosis, diagnose, planned
 from metrocli.diagnosis.mistakes import without_mistakes
@@ -18,20 +18,20 @@ from metrocli.formats.aside import written_aside
 from metrocli.nodes import Node
 from metrocli.project import yaml_text
 from metrocli.project.inputs import read_inputs
-from metrocli.project.job import Job
-from metrocli.project.runner import Say, simulate, simulated_inputs
+from metrocli.project.job import JobFile
+from metrocli.project.runner import Say, simulate
 from metrocli.simulation import SimulationOptions
 
 _NAMED = " with the effects that metrocli diagnose named"
 """The end of the first line of an extended job"""
 
 
-def subject_of(job: Job) -> Subject:
+def subject_of(job: JobFile) -> AdjustedJob:
     """Return what is diagnosed of a job; UsageError for a kind that has no diagnosis."""
     return _adjuster(job)(read_inputs(job))
 
 
-def carry_out(job: Job, say: Say = lambda line: None) -> Diagnosis:
+def carry_out(job: JobFile, say: Say = lambda line: None) -> Diagnosis:
     """Adjust a job, without a mistake in its files where there is one, and diagnose it."""
     adjust = _adjuster(job)
     say(f"{job.file}: adjusting")
@@ -39,9 +39,9 @@ def carry_out(job: Job, say: Say = lambda line: None) -> Diagnosis:
     return replace(diagnose(subject, lambda line: say(f"{job.file}: {line}")), mistaken=mistaken)
 
 
-def design_of(job: Job) -> tuple[Subject, Design]:
+def design_of(job: JobFile) -> tuple[AdjustedJob, Design]:
     """Return what the measurement of a job can see; readings that do not exist yet are simulated by it."""
-    wanted = simulated_inputs(job.kind)
+    wanted = tasks.KINDS[job.kind].measured
     held = read_inputs(job, wanted)
     if not set(wanted) & set(held) and any(item.key in wanted for item in job.inputs):
         files = simulate(job, SimulationOptions()).files
@@ -51,16 +51,15 @@ def design_of(job: Job) -> tuple[Subject, Design]:
     return subject, planned(subject)
 
 
-def _adjuster(job: Job) -> Callable[[Mapping[str, object]], Subject]:
-    module = tasks.load(job.kind)
-    if not hasattr(module, "diagnosed"):
+def _adjuster(job: JobFile) -> Callable[[Mapping[str, object]], AdjustedJob]:
+    task = tasks.KINDS[job.kind].task()
+    adjusted = task.diagnosed
+    if adjusted is None:
         raise UsageError(f"{job.kind} cannot be diagnosed yet")
-    more = {"effects": job.effects} if job.effects else {}
     declared = _declared(job.root.get("noise"))
 
-    def adjust(inputs: Mapping[str, object]) -> Subject:
-        subject: Subject = module.diagnosed(job.settings, **inputs, **more)
-        return replace(subject, declared=declared)
+    def adjust(inputs: Mapping[str, object]) -> AdjustedJob:
+        return replace(adjusted(task.job(job.settings, effects=job.effects, **inputs)), declared=declared)
 
     return adjust
 
@@ -71,7 +70,7 @@ def _declared(node: Node | None) -> str:
     return node.text if node.kind == "scalar" else ", ".join(filter(None, (_declared(one) for _, one in node.entries)))
 
 
-def write_extended(job: Job, diagnosis: Diagnosis, path: Path | None = None) -> Path | None:
+def write_extended(job: JobFile, diagnosis: Diagnosis, path: Path | None = None) -> Path | None:
     """Write the job with the named effects, beside it as `NAME.extended.yaml`; None where there is nothing to add.
 
     Parameters that the readings do not show apart from the others are 0 in it. Elsewhere its paths are made to lead to
@@ -102,7 +101,7 @@ def _refuse_foreign(path: Path) -> None:
         raise InputError([Fault("is there, and is no extended job", str(path), hint="give another --output")])
 
 
-def _extended(job: Job, effects: Sequence[Node], folder: Path) -> Node:
+def _extended(job: JobFile, effects: Sequence[Node], folder: Path) -> Node:
     listed = job.root.get("effects")
     items = [*(listed.items if listed is not None else ()), *effects]
     output = job.output.with_name(f"{job.output.stem}.extended.h5")
@@ -130,10 +129,10 @@ def _led(node: Node, old: Path, new: Path) -> Node:
     return replace(node, items=items, entries=tuple((key, _led(value, old, new)) for key, value in node.entries))
 
 
-def _key(job: Job, text: str) -> Node:
+def _key(job: JobFile, text: str) -> Node:
     return replace(job.root, kind="scalar", text=text, entries=(), items=())
 
 
-def _node(job: Job, effect: Mapping[str, str]) -> Node:
+def _node(job: JobFile, effect: Mapping[str, str]) -> Node:
     entries = tuple((_key(job, key), _key(job, value)) for key, value in effect.items())
     return replace(job.root, kind="mapping", text="", entries=entries, items=())

@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from metrocli.errors import Fault, InputError
-from metrocli.project.job import Input, Job
+from metrocli.project.job import Input, JobFile
 from metrocli.record import InputFile
 from metrocli.settings import FileOf, ImageFiles, TableFile
 
 
-def read_inputs(job: Job, absent: Collection[str] = ()) -> dict[str, Any]:
+def read_inputs(job: JobFile, absent: Collection[str] = ()) -> dict[str, Any]:
     """Return by its key what each input holds: Table, ImageSet, Result or a section; raise InputError for all faults.
 
     Inputs named in `absent` are left out where their files do not exist. Files that other keys than `inputs:` name are
@@ -65,7 +65,7 @@ def _read_one(spec: Any, path: Path, item: Input) -> Any:
     raise TypeError(f"no reader for {spec}")
 
 
-def input_files(job: Job) -> tuple[InputFile, ...]:
+def input_files(job: JobFile) -> tuple[InputFile, ...]:
     """Return each existing file of a job with its hash, by path relative to the job file."""
     paths = sorted({path for item in job.inputs for path in item.paths if path.is_file()})
     return tuple(_hashed(path, job.folder) for path in paths)

@@ -1,4 +1,4 @@
-"""Job files: YAML text to a frozen job, with all its faults at once."""
+"""JobFile files: YAML text to a frozen job, with all its faults at once."""
 
 from __future__ import annotations
 
@@ -144,7 +144,7 @@ class Input:
 
 
 @dataclass(frozen=True)
-class Job:
+class JobFile:
     """A job file that has no faults."""
 
     file: Path
@@ -186,7 +186,7 @@ class Wishes:
     """More effects, each as `NAME:key=value,...`."""
 
 
-def load(path: Path, wishes: Wishes | None = None) -> Job:
+def load(path: Path, wishes: Wishes | None = None) -> JobFile:
     """Return a job; raise InputError with all faults of the file and its YAML inputs, UsageError for another kind."""
     wishes = wishes or Wishes()
     faults: list[Fault] = []
@@ -196,17 +196,18 @@ def load(path: Path, wishes: Wishes | None = None) -> Job:
     if kind is None:
         read_sections(_only(root, settings_of(Heading)), (Heading,), faults)
         raise InputError(_in_order(faults))
-    heading, settings = read_sections(root, (Heading, tasks.load(kind).Settings), faults)
-    listed = heading.effects if heading is not BAD else ()
-    wanted = effects.read(kind, (*listed, *more), faults)
-    inputs = _inputs(root, tasks.load(kind).Settings, faults)
+    section = tasks.KINDS[kind].settings()
+    heading, settings = read_sections(root, (Heading, section), faults)
+    named = (*(heading.effects if heading is not BAD else ()), *more)
+    wanted = effects.read(tasks.KINDS[kind].task().effects, named, faults) if named else ()
+    inputs = _inputs(root, section, faults)
     faults.extend(_missing(inputs, wishes))
     if faults:
         raise InputError(_in_order(faults))
     output = wishes.output or heading.output or path.parent / "results" / f"{path.stem}.h5"
     if os.path.abspath(output) in {os.path.abspath(file) for item in inputs for file in item.paths}:
         raise InputError([root.at("output").fault(f"the output {output} is one of the inputs", "name another output")])
-    return Job(path, heading, settings, inputs, output, text, root, wanted)
+    return JobFile(path, heading, settings, inputs, output, text, root, wanted)
 
 
 def effect_node(text: str, folder: Path) -> Node:
@@ -371,7 +372,7 @@ def _neighbour(path: Path) -> str | None:
 
 def schema(kind: str) -> Schema:
     """Return the JSON schema (2020-12) of a kind of job, for editors."""
-    own = sections_schema((Heading, tasks.load(kind).Settings))
-    own["properties"]["effects"] |= effects.schema(kind)
+    own = sections_schema((Heading, tasks.KINDS[kind].settings()))
+    own["properties"]["effects"] |= effects.schema(tasks.KINDS[kind].task().effects)
     own["properties"]["job"] = {"const": kind, "description": "kind of the job"}
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": f"metrocli {kind}", **own}

@@ -13,7 +13,7 @@ from metrocli.errors import Fault, InputError, MetrocliError
 from metrocli.nodes import Node
 from metrocli.project import yaml_text
 from metrocli.project.inputs import input_files
-from metrocli.project.job import Job, Wishes, load
+from metrocli.project.job import JobFile, Wishes, load
 from metrocli.project.runner import Done, Say, carry_out
 from metrocli.record import Record
 from metrocli.settings import BAD, ListOf, Section, Text, path_beside, setting
@@ -35,7 +35,7 @@ class Step:
 
     name: str
     """The job file as the project names it."""
-    job: Job
+    job: JobFile
     needs: tuple[str, ...]
 
 
@@ -84,7 +84,7 @@ def load_project(place: Path) -> tuple[Step, ...]:
         raise InputError(faults)
     nodes = root.at("jobs").items
     made = {_absolute(output) for node in nodes if (output := _peek_output(path_beside(node))) is not None}
-    jobs: dict[str, Job] = {}
+    jobs: dict[str, JobFile] = {}
     for node in nodes:
         _load_one(node, path_beside(node), made, jobs, faults)
     makers = _makers(nodes, jobs, faults)
@@ -107,7 +107,7 @@ def _peek_output(path: Path) -> Path | None:
     return path_beside(output) if output is not None else path.parent / "results" / f"{path.stem}.h5"
 
 
-def _load_one(node: Node, path: Path, made: set[Path], jobs: dict[str, Job], faults: list[Fault]) -> None:
+def _load_one(node: Node, path: Path, made: set[Path], jobs: dict[str, JobFile], faults: list[Fault]) -> None:
     if not path.is_file():
         faults.append(node.fault(f"no such job file: {path}"))
         return
@@ -117,7 +117,7 @@ def _load_one(node: Node, path: Path, made: set[Path], jobs: dict[str, Job], fau
         faults.extend(error.faults)
 
 
-def _makers(nodes: Sequence[Node], jobs: Mapping[str, Job], faults: list[Fault]) -> dict[Path, str]:
+def _makers(nodes: Sequence[Node], jobs: Mapping[str, JobFile], faults: list[Fault]) -> dict[Path, str]:
     """Return which job makes which result; a fault where two make the same one."""
     makers: dict[Path, str] = {}
     for node in nodes:
@@ -131,7 +131,7 @@ def _makers(nodes: Sequence[Node], jobs: Mapping[str, Job], faults: list[Fault])
     return makers
 
 
-def _needed(job: Job, makers: Mapping[Path, str]) -> tuple[str, ...]:
+def _needed(job: JobFile, makers: Mapping[Path, str]) -> tuple[str, ...]:
     paths = (_absolute(path) for item in job.inputs for path in item.paths)
     return tuple(dict.fromkeys(makers[path] for path in paths if path in makers))
 
@@ -211,7 +211,7 @@ def _state(step: Step, would_run: set[str]) -> State:
     return State(step, _difference(step.job, record), record)
 
 
-def _difference(job: Job, record: Record) -> str:
+def _difference(job: JobFile, record: Record) -> str:
     """Say what is not as it was when the result was made, "" where everything is."""
     if record.metrocli_version != __version__:
         return f"the result was made by metrocli {record.metrocli_version}, this is {__version__}"

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -14,11 +14,12 @@ from metrocli.errors import Fault, InputError, UsageError
 from metrocli.plan import Plan
 from metrocli.project.chunks import ChunkFolder
 from metrocli.project.inputs import input_files, read_inputs
-from metrocli.project.job import Job
+from metrocli.project.job import JobFile
 from metrocli.record import Record, Verdict
 from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import Table
+from metrocli.tasks.kind import Job
 from metrocli.uncertainty.workers import Workers
 
 HERE = Workers()
@@ -36,74 +37,63 @@ class Done:
     path: Path
 
 
-def carry_out(job: Job, force: bool = False, say: Say = lambda line: None, workers: Workers = HERE) -> Done:
+def carry_out(file: JobFile, force: bool = False, say: Say = lambda line: None, workers: Workers = HERE) -> Done:
     """Read the inputs, run the task, judge and write; nothing is written where anything is wrong.
 
     The chunks that `workers` finish are kept beside the output until the job is done, so that a killed run goes on.
     """
-    refuse_foreign(job.output, job.kind, force)
-    files = input_files(job)
-    say(f"{job.file}: reading {len(files)} input files")
-    held = read_inputs(job)
-    say(f"{job.file}: {job.kind}")
-    if tasks.KINDS[job.kind].chunked:
-        held["workers"] = replace(workers, finished=ChunkFolder(job.output.with_suffix(".chunks")))
-    result: Result = tasks.load(job.kind).run(job.settings, **held, **_effects(job))
-    result = replace(result, title=result.title or job.heading.title, warnings=_noticed(held) + result.warnings)
+    kind = tasks.KINDS[file.kind]
+    refuse_foreign(file.output, file.kind, force)
+    files = input_files(file)
+    say(f"{file.file}: reading {len(files)} input files")
+    job = content(file)
+    say(f"{file.file}: {file.kind}")
+    if kind.chunked:
+        job = replace(job, workers=replace(workers, finished=ChunkFolder(file.output.with_suffix(".chunks"))))
+    result = kind.task().run(job)
+    result = replace(result, title=result.title or file.heading.title, warnings=_noticed(job.files) + result.warnings)
     created = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-    record = Record(job.text, files, __version__, created, _judged(job, result))
+    record = Record(file.text, files, __version__, created, _judged(file, result))
     from metrocli.formats import hdf5
 
-    hdf5.write(job.output, result, record)
-    return Done(result, record, job.output)
+    hdf5.write(file.output, result, record)
+    return Done(result, record, file.output)
 
 
-def verify(job: Job, held: dict[str, Any]) -> None:
+def content(file: JobFile, absent: Collection[str] = ()) -> Job[Any, Any]:
+    """Return a job with what its files hold; inputs named in `absent` may be missing."""
+    held = read_inputs(file, absent)
+    return tasks.KINDS[file.kind].task().job(file.settings, effects=file.effects, **held)
+
+
+def verify(file: JobFile, job: Job[Any, Any]) -> None:
     """Raise InputError with what a kind finds wrong with a job and its inputs together, without computing."""
-    check = getattr(tasks.load(job.kind), "check", None)
+    check = tasks.KINDS[file.kind].task().check
     if check is not None:
-        check(job.settings, **held, **_effects(job))
+        check(job)
 
 
-def answer(job: Job, question: str) -> Table:
-    """Return what a task's other function (`compare`, ...) says of a job; nothing is written."""
-    table: Table = getattr(tasks.load(job.kind), question)(job.settings, **read_inputs(job), **_effects(job))
-    return table
+def answer(file: JobFile, question: str) -> Table:
+    """Return what a kind answers to a question (`compare`, ...) about a job; nothing is written."""
+    return tasks.KINDS[file.kind].task().answers[question](content(file))
 
 
-def simulated_inputs(kind: str) -> tuple[str, ...]:
-    """Return the inputs that the simulation of a kind makes, and that need not exist."""
-    return tuple(getattr(tasks.load(kind), "SIMULATED", ()))
-
-
-def simulate(job: Job, options: SimulationOptions) -> Simulation:
+def simulate(file: JobFile, options: SimulationOptions) -> Simulation:
     """Return the measurement that the model of a job predicts."""
-    module = tasks.load(job.kind)
-    if not hasattr(module, "simulate"):
-        raise UsageError(f"{job.kind} has no simulation")
-    job = replace(job, effects=planted(job.effects))
-    held = read_inputs(job, simulated_inputs(job.kind))
-    simulation: Simulation = module.simulate(job.settings, options, **held, **_effects(job))
-    return simulation
+    kind = tasks.KINDS[file.kind]
+    simulated = kind.task().simulate
+    if simulated is None:
+        raise UsageError(f"{file.kind} has no simulation")
+    return simulated(content(replace(file, effects=planted(file.effects)), kind.measured), options)
 
 
-def planned_inputs(kind: str) -> tuple[str, ...]:
-    """Return the inputs that do not exist before a measurement of a kind is made."""
-    return tuple(getattr(tasks.load(kind), "PLANNED", simulated_inputs(kind)))
-
-
-def plan(job: Job) -> Plan:
+def plan(file: JobFile) -> Plan:
     """Return what the measurement that a job describes will determine."""
-    module = tasks.load(job.kind)
-    if not hasattr(module, "plan"):
-        raise UsageError(f"{job.kind} has no plan")
-    made: Plan = module.plan(job.settings, **read_inputs(job, planned_inputs(job.kind)), **_effects(job))
-    return made
-
-
-def _effects(job: Job) -> dict[str, Any]:
-    """Return the keyword of a task that takes effects; none where the job names none."""
-    return {"effects": job.effects} if job.effects else {}
+    kind = tasks.KINDS[file.kind]
+    planned = kind.task().plan
+    if planned is None:
+        raise UsageError(f"{file.kind} has no plan")
+    return planned(content(file, kind.planned))
 
 
 def refuse_foreign(path: Path, kind: str, force: bool) -> None:
@@ -121,13 +111,15 @@ def refuse_foreign(path: Path, kind: str, force: bool) -> None:
     raise InputError([Fault(f"the file exists and {what}", str(path), hint="choose another --output, or use --force")])
 
 
-def _noticed(held: dict[str, Any]) -> tuple[str, ...]:
-    return tuple(line for value in held.values() if isinstance(value, Table) for line in value.warnings)
+def _noticed(files: Any) -> tuple[str, ...]:
+    """Return what the readers of the tables noticed."""
+    held = (getattr(files, field.name) for field in fields(files))
+    return tuple(line for value in held if isinstance(value, Table) for line in value.warnings)
 
 
-def _judged(job: Job, result: Result) -> tuple[Verdict, ...]:
+def _judged(file: JobFile, result: Result) -> tuple[Verdict, ...]:
     faults: list[Fault] = []
-    verdicts = [requirement.verdict(result, faults) for requirement in job.heading.require]
+    verdicts = [requirement.verdict(result, faults) for requirement in file.heading.require]
     if faults:
         raise InputError(faults)
     return tuple(verdict for verdict in verdicts if verdict is not None)

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -334,7 +335,7 @@ def test_a_plan_takes_no_folder_of_others(job: Path, metrocli: Metrocli) -> None
 
 
 def test_a_kind_without_a_plan_says_so(tmp_path: Path, job: Path, metrocli: Metrocli, monkeypatch: Any) -> None:
-    import straight_line
+    from straight_line import task
 
-    monkeypatch.delattr(straight_line, "plan")
+    monkeypatch.setattr(task, "TASK", replace(task.TASK, plan=None))
     assert metrocli("plan", job).code == 2

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from metrocli import tasks
-from metrocli.cli import commands, main
+from metrocli.cli import commands, help
 
 HEAVY = ("numpy", "scipy", "cv2", "h5py", "yaml", "json")
 MOST_CPU_S = 0.08
@@ -51,25 +51,16 @@ def test_help_costs_little(tmp_path: Path) -> None:
 
 def test_help_names_every_command() -> None:
     done = subprocess.run([sys.executable, "-m", "metrocli", "--help"], capture_output=True, text=True, check=True)
-    for name in (*tasks.KINDS, *main.COMMANDS):
+    for name in (*tasks.KINDS, *help.COMMANDS):
         assert name in done.stdout
 
 
-@pytest.mark.parametrize("name", main.COMMANDS)
+@pytest.mark.parametrize("name", help.COMMANDS)
 def test_each_command_is_there_and_says_what_help_says(name: str) -> None:
     command = commands.commands.get_command(None, name)  # type: ignore[arg-type]
     assert command is not None
     assert command.name == name
     assert command.help
-
-
-@pytest.mark.parametrize("kind", tasks.KINDS)
-def test_each_kind_is_as_the_table_says(kind: str) -> None:
-    module = tasks.load(kind)
-    assert kind == module.KIND
-    assert tasks.KINDS[kind].summary == module.SUMMARY
-    for question in tasks.KINDS[kind].answers:
-        assert callable(getattr(module, question))
 
 
 @pytest.mark.parametrize("arguments", [[], ["-h"], ["--help"], ["--version"]])

@@ -12,7 +12,7 @@ from benchmarks.hidden import lengths
 from metrocli.diagnosis.mistakes import strangeness, without_mistakes
 from metrocli.table import Table
 from metrocli.tasks.multilaterate import task as multilaterate
-from metrocli.tasks.multilaterate.task import Inputs, LengthNoise, Settings
+from metrocli.tasks.multilaterate.settings import Inputs, LengthNoise, Settings
 
 SETTINGS = Settings(Inputs(Path("-"), Path("-")), LengthNoise(*lengths.NOISE))
 
@@ -37,7 +37,7 @@ def changed(table: Table, **columns: np.typing.NDArray[np.float64]) -> Table:
 
 
 def adjust(inputs: dict[str, Table]) -> object:
-    return multilaterate.diagnosed(SETTINGS, **inputs)
+    return multilaterate.diagnosed(multilaterate.TASK.job(SETTINGS, **inputs))
 
 
 WRONG = {

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from benchmarks.hidden_effects import KINDS
-from metrocli.diagnosis.adjusted_job import Subject
+from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.linear import signatures
 from metrocli.diagnosis.linear.candidates import instances
 from metrocli.diagnosis.linear.projection import linearised
 from metrocli.effects.model import can_act
 
-ALL: dict[str, Callable[[], Subject]] = {kind: campaign.case(0).subject for kind, campaign in KINDS.items()}
+ALL: dict[str, Callable[[], AdjustedJob]] = {kind: campaign.case(0).subject for kind, campaign in KINDS.items()}
 
 
 @pytest.mark.parametrize("kind", ALL)

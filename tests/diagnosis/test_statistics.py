@@ -16,7 +16,7 @@ from metrocli.adjust.model.chain import Chain, Local, Step
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.model.quantities import Quantity
-from metrocli.diagnosis.adjusted_job import Subject
+from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.cross_validation import _held, _without
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.extended_fit import field_of_job
@@ -38,7 +38,7 @@ Array = np.typing.NDArray[np.float64]
 
 
 @cache
-def subject() -> Subject:
+def subject() -> AdjustedJob:
     return lengths.measurement(np.random.default_rng(2), 30).subject()
 
 

@@ -30,7 +30,7 @@ def measured(tools: int, seed: int = 5) -> tuple[sim.Machine, Result]:
     machine = sim.random_machine(rng)
     vectors = sim.ONE if tools == 1 else sim.THREE
     points = sim.points(machine, rng, 400, vectors)
-    return machine, calibrate_machine.run(sim.settings(tools=vectors), points=points)
+    return machine, calibrate_machine.run(calibrate_machine.TASK.job(sim.settings(tools=vectors), points=points))
 
 
 def true_error(machine: sim.Machine, places: Array) -> Array:
@@ -103,7 +103,7 @@ def test_tables_are_written_for_the_tool_that_was_measured() -> None:
     machine = sim.random_machine(rng)
     used = {"T2": sim.THREE["T2"]}
     points = sim.points(machine, rng, 400, used)
-    result = calibrate_machine.run(sim.settings(tools=sim.THREE), points=points)
+    result = calibrate_machine.run(calibrate_machine.TASK.job(sim.settings(tools=sim.THREE), points=points))
     tables = error_tables.of(result)
     assert tables.tool == sim.THREE["T2"]
     places = sim.commands(rng, 60)

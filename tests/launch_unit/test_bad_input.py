@@ -11,7 +11,7 @@ from simulated_launch import NOISE, Poses, anywhere, poses, settings
 
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.tasks.locate_launch_unit import task as locate_launch_unit
-from metrocli.tasks.locate_launch_unit.task import Noise
+from metrocli.tasks.locate_launch_unit.settings import Noise
 
 RNG = np.random.default_rng(32)
 UNIT = np.array([300.0, 400.0, -250.0])
@@ -27,36 +27,38 @@ def test_poses_on_one_beam_are_refused_with_the_reason(n: int) -> None:
     with pytest.raises(
         UndeterminedError, match="what would determine it: a pose whose beam comes from another"
     ) as told:
-        locate_launch_unit.run(settings(), on_one_beam(n).table())
+        locate_launch_unit.run(locate_launch_unit.TASK.job(settings(), on_one_beam(n).table()))
     assert told.value.exit_code == 4
     assert ("there is one pose" if n == 1 else f"all {n} poses lie on nearly one beam") in str(told.value)
 
 
 @pytest.mark.parametrize("n", [1, 2, 5])
 def test_distances_save_them(n: int) -> None:
-    result = locate_launch_unit.run(settings(), on_one_beam(n, distances=True).table())
+    result = locate_launch_unit.run(locate_launch_unit.TASK.job(settings(), on_one_beam(n, distances=True).table()))
     error = [e.value - t for e, t in zip(result.estimates, [*UNIT, 0.7], strict=True)]
     assert np.all(np.abs(error) < 4.5 * np.array([e.std for e in result.estimates]))
 
 
 def test_two_poses_in_different_directions_are_enough() -> None:
-    result = locate_launch_unit.run(settings(), anywhere(2, 1).table())
+    result = locate_launch_unit.run(locate_launch_unit.TASK.job(settings(), anywhere(2, 1).table()))
     assert (result.statistics["observations"], result.statistics["unknowns"], result.statistics["dof"]) == (8, 4, 4)
 
 
 def test_a_receiver_of_unknown_place_is_refused() -> None:
     with pytest.raises(UndeterminedError, match="undetermined"):
-        locate_launch_unit.run(settings(), anywhere(4, 1).table(sigma=np.full(4, np.nan)))
+        locate_launch_unit.run(locate_launch_unit.TASK.job(settings(), anywhere(4, 1).table(sigma=np.full(4, np.nan))))
 
 
 def test_closed_loop_needs_distances() -> None:
     with pytest.raises(UndeterminedError, match="needs a distance in every pose; without one: P0, P1, P2, P3"):
-        locate_launch_unit.run(settings("closed-loop"), anywhere(4, 1).table())
+        locate_launch_unit.run(locate_launch_unit.TASK.job(settings("closed-loop"), anywhere(4, 1).table()))
 
 
 def test_distances_need_their_standard_deviation() -> None:
     with pytest.raises(InputError, match="add `distance: 1 um`"):
-        locate_launch_unit.run(settings(noise=Noise(NOISE.encoder)), anywhere(4, 1, True).table())
+        locate_launch_unit.run(
+            locate_launch_unit.TASK.job(settings(noise=Noise(NOISE.encoder)), anywhere(4, 1, True).table())
+        )
 
 
 def rows(change: Callable[[np.ndarray], object]) -> Callable[[Poses], Poses]:
@@ -104,7 +106,7 @@ def test_columns_that_hold_something_else_are_named(name: str, distances: bool) 
     spoil, words = MISREAD[name]
     given = spoil(anywhere(8, 17, distances).noisy(RNG))
     with pytest.raises(InputError, match=f"fit no place of the unit as they stand.*{words}"):
-        locate_launch_unit.run(settings(), given.table())
+        locate_launch_unit.run(locate_launch_unit.TASK.job(settings(), given.table()))
 
 
 @pytest.mark.parametrize("name", ["radians called degrees", "phi1 and phi4 swapped", "the mirrored unit"])
@@ -113,20 +115,22 @@ def test_two_poses_tell_as_much(name: str, seed: int) -> None:
     """Eight angles for four unknowns: four are left to tell that the columns hold something else."""
     spoil, words = MISREAD[name]
     with pytest.raises(InputError, match=f"fit no place of the unit as they stand.*{words}"):
-        locate_launch_unit.run(settings(), spoil(anywhere(2, seed).noisy(RNG)).table())
+        locate_launch_unit.run(locate_launch_unit.TASK.job(settings(), spoil(anywhere(2, seed).noisy(RNG)).table()))
 
 
 def test_one_pose_of_the_mirrored_unit_is_named() -> None:
     given = rows(lambda angles: mirrored(angles[:, 3:4]))(anywhere(8, 17).noisy(RNG))
     with pytest.raises(InputError, match=r"looks away from the unit in 1 of 8 poses: P3; the beams meet behind it"):
-        locate_launch_unit.run(settings(), given.table())
+        locate_launch_unit.run(locate_launch_unit.TASK.job(settings(), given.table()))
 
 
 def test_a_wrong_pose_is_told_and_the_result_not_recommended() -> None:
     given = anywhere(8, 17).noisy(RNG)
     receivers = given.receivers.copy()
     receivers[2] += [0.0, 30.0, 0.0]
-    result = locate_launch_unit.run(settings(), replace(given, receivers=receivers).table())
+    result = locate_launch_unit.run(
+        locate_launch_unit.TASK.job(settings(), replace(given, receivers=receivers).table())
+    )
     assert any("do not use this result" in line for line in result.warnings)
     assert set(result.tables["outliers"].texts("pose")) >= {"P2"}
 
@@ -139,18 +143,20 @@ def test_repeated_rows_are_told() -> None:
         psi=np.append(given.psi, given.psi[1]),
         angles=np.hstack([given.angles, given.angles[:, 1:2]]),
     )
-    result = locate_launch_unit.run(settings(), twice.table())
+    result = locate_launch_unit.run(locate_launch_unit.TASK.job(settings(), twice.table()))
     assert any("count as if measured twice: P1, P5" in line for line in result.warnings)
 
 
 def test_no_poses_and_distances_that_are_none() -> None:
     with pytest.raises(InputError, match="there are no poses"):
         locate_launch_unit.run(
-            settings(),
-            replace(anywhere(3, 1), receivers=np.zeros((0, 3)), psi=np.zeros(0), angles=np.zeros((4, 0))).table(),
+            locate_launch_unit.TASK.job(
+                settings(),
+                replace(anywhere(3, 1), receivers=np.zeros((0, 3)), psi=np.zeros(0), angles=np.zeros((4, 0))).table(),
+            )
         )
     given = anywhere(3, 1, True)
     assert given.distance is not None
     given.distance[1] = -5.0
     with pytest.raises(InputError, match=r"poses.csv:3: error: pose P1: the distance is not above zero"):
-        locate_launch_unit.run(settings(), given.table())
+        locate_launch_unit.run(locate_launch_unit.TASK.job(settings(), given.table()))

@@ -9,14 +9,15 @@ import pytest
 from simulated_launch import NOISE, PAPER_ENCODER, Poses, anywhere, paper, poses, settings
 
 from metrocli.result import Result
+from metrocli.tasks.locate_launch_unit import settings as unit_job
 from metrocli.tasks.locate_launch_unit import task as locate_launch_unit
-from metrocli.tasks.locate_launch_unit.task import Noise
+from metrocli.tasks.locate_launch_unit.settings import Noise
 
 RNG = np.random.default_rng(31)
 
 
 def located(given: Poses, method: str = "adjustment", noise: Noise = NOISE) -> Result:
-    return locate_launch_unit.run(settings(method, noise), given.table())
+    return locate_launch_unit.run(locate_launch_unit.TASK.job(settings(method, noise), given.table()))
 
 
 def values(result: Result) -> np.ndarray:
@@ -35,7 +36,7 @@ def test_the_ideal_scenario_of_the_paper_is_exact(method: str) -> None:
     assert np.abs(off(located(paper(), method), paper().truth)).max() < 1e-6
 
 
-@pytest.mark.parametrize("method", locate_launch_unit.METHODS)
+@pytest.mark.parametrize("method", unit_job.METHODS)
 @pytest.mark.parametrize("seed", range(40))
 def test_any_place_is_found_from_nothing(method: str, seed: int) -> None:
     """Any quadrant and set-up angle; encoders that jump from 180 to -180 degrees."""
@@ -110,7 +111,9 @@ def test_the_scatter_of_the_paper_s_errors_is_the_stated_covariance() -> None:
     stated = np.sqrt(np.diag(results[0].covariance))
     # the standard deviation of 1,000 draws is itself uncertain by 2.2 %
     assert errors.std(axis=0) == pytest.approx(stated, rel=0.05)
-    covariance = locate_launch_unit.run(settings("lines", noise), paper().table()).covariance[:3, :3]
+    covariance = locate_launch_unit.run(
+        locate_launch_unit.TASK.job(settings("lines", noise), paper().table())
+    ).covariance[:3, :3]
     table2 = np.array([0.08, 0.01, -0.04])
     assert table2 @ np.linalg.solve(covariance, table2) < 7.81
 
@@ -139,7 +142,7 @@ def test_outliers_are_named() -> None:
         ("P5", "distance"),
     }
     spoilt = replace(noisy, angles=angles, distance=distance).table()
-    clean = locate_launch_unit.run(replace(settings(), outliers="remove"), spoilt)
+    clean = locate_launch_unit.run(locate_launch_unit.TASK.job(replace(settings(), outliers="remove"), spoilt))
     assert clean.statistics["rejected"] == 3 and clean.statistics["observations"] == 5 * 12 - 3
     assert clean.statistics["p_value"] > 1e-3  # type: ignore[operator]
     assert np.all(np.abs(off(clean, noisy.truth)) < 4.5 * np.sqrt(np.diag(clean.covariance)))
@@ -154,11 +157,11 @@ def test_readings_without_fault_raise_no_alarm() -> None:
 def test_receivers_whose_place_is_uncertain() -> None:
     """sigma_mm: a prior; the uncertainty of the machine counts in that of the unit."""
     exact = anywhere(5, 9)
-    result = locate_launch_unit.run(settings(), exact.table(sigma=np.full(5, 0.05)))
+    result = locate_launch_unit.run(locate_launch_unit.TASK.job(settings(), exact.table(sigma=np.full(5, 0.05))))
     assert np.abs(off(result, exact.truth)).max() < 1e-6
     certain = located(exact)
     assert (np.diag(result.covariance)[:3] > 5 * np.diag(certain.covariance)[:3]).all()
-    zero = locate_launch_unit.run(settings(), exact.table(sigma=np.zeros(5)))
+    zero = locate_launch_unit.run(locate_launch_unit.TASK.job(settings(), exact.table(sigma=np.zeros(5))))
     assert zero.covariance == pytest.approx(certain.covariance)
 
 
@@ -171,8 +174,10 @@ def test_vertical_beams_are_left_out_in_words() -> None:
 
 
 def test_three_methods_side_by_side() -> None:
-    table = locate_launch_unit.compare(settings(), anywhere(4, 2, True).noisy(RNG).table())
+    table = locate_launch_unit.compare(locate_launch_unit.TASK.job(settings(), anywhere(4, 2, True).noisy(RNG).table()))
     assert table.texts("method") == ["adjustment", "lines", "closed-loop"]
     assert (table.numbers("sx")[0] < table.numbers("sx")[1:]).all()
-    refused = locate_launch_unit.compare(settings(), anywhere(4, 2).noisy(RNG).table()).texts("refused")
+    refused = locate_launch_unit.compare(
+        locate_launch_unit.TASK.job(settings(), anywhere(4, 2).noisy(RNG).table())
+    ).texts("refused")
     assert refused[:2] == ["", ""] and "needs a distance in every pose" in refused[2]

@@ -14,7 +14,7 @@ from metrocli.errors import InputError, UndeterminedError
 from metrocli.plan import Plan
 from metrocli.tasks.locate_launch_unit import task as locate_launch_unit
 from metrocli.tasks.locate_launch_unit.plan_settings import Axes, Planned, Range
-from metrocli.tasks.locate_launch_unit.task import Noise, Settings, Truth
+from metrocli.tasks.locate_launch_unit.settings import Noise, Settings, Truth
 
 RNG = np.random.default_rng(41)
 PAPER_PLAN = Planned(Axes((-1200.0, 4200.0), (0.0, 1200.0), (0.0, 1600.0)), 50.0, 300.0)
@@ -22,7 +22,9 @@ NAMES = ("x", "y", "z", "xy", "yz", "xz")
 
 
 def planned(given: Poses, plan: Planned = PAPER_PLAN, noise: Noise = NOISE) -> Plan:
-    return locate_launch_unit.plan(replace(settings(noise=noise), plan=plan), given.table())
+    return locate_launch_unit.plan(
+        locate_launch_unit.TASK.job(replace(settings(noise=noise), plan=plan), given.table())
+    )
 
 
 def angle(plan: Plan, name: str) -> np.ndarray:
@@ -173,12 +175,12 @@ def test_before_measuring_the_places_tell_what_to_expect() -> None:
     table = paper().table()
     places = replace(table, columns={name: table.columns[name] for name in ("pose", "x", "y", "z", "spindle")})
     job = replace(settings(), plan=PAPER_PLAN, simulation=Truth(tuple(PAPER_UNIT), 0.3))
-    expected = locate_launch_unit.plan(job, places=places)
+    expected = locate_launch_unit.plan(locate_launch_unit.TASK.job(job, places=places))
     assert expected.notes[0] == "expected of 3 poses that are still to be measured"
     assert [e.std for e in expected.figures] == pytest.approx([e.std for e in planned(paper()).figures], rel=1e-6)
     with pytest.raises(InputError, match="plan needs measured poses"):
-        locate_launch_unit.plan(replace(job, simulation=None), places=places)
-    assert not locate_launch_unit.plan(replace(job, plan=None), places=places).files
+        locate_launch_unit.plan(locate_launch_unit.TASK.job(replace(job, simulation=None), places=places))
+    assert not locate_launch_unit.plan(locate_launch_unit.TASK.job(replace(job, plan=None), places=places)).files
 
 
 def test_lines_that_miss_the_volume_are_named() -> None:

@@ -12,16 +12,16 @@ from effects_of_kinds import MEASURED, instance_of, size
 
 from metrocli.adjust.adjustment import adjust
 from metrocli.adjust.model.blocks import Array
-from metrocli.effects import TABLES, effects_of
 from metrocli.effects.effect import DRIVERS, Effect
 from metrocli.effects.model import Model, with_effect
+from metrocli.tasks import KINDS
 from metrocli.units import DIMENSIONS
 
 PAGES = Path(__file__).parents[2] / "docs" / "effects"
-ENTRIES = [(kind, at) for kind in TABLES for at in range(len(effects_of(kind)))]
+TABLES = {kind.name: kind.task().effects for kind in KINDS.values()}
+ENTRIES = [(kind, at) for kind, effects in TABLES.items() for at in range(len(effects))]
 NAMES = [
-    f"{kind}: {effects_of(kind)[at].name}{effects_of(kind)[at].by and ' by '}{effects_of(kind)[at].by}"
-    for kind, at in ENTRIES
+    f"{kind}: {TABLES[kind][at].name}{TABLES[kind][at].by and ' by '}{TABLES[kind][at].by}" for kind, at in ENTRIES
 ]
 
 
@@ -33,7 +33,7 @@ def model_of(kind: str, effect: Effect) -> Model:
 @pytest.fixture(params=ENTRIES, ids=NAMES)
 def entry(request: pytest.FixtureRequest) -> tuple[str, Effect]:
     kind, at = request.param
-    return kind, effects_of(kind)[at]
+    return kind, TABLES[kind][at]
 
 
 def with_one(kind: str, effect: Effect, known: dict[str, float]) -> Model:
@@ -81,7 +81,7 @@ def test_an_entry_is_complete(entry: tuple[str, Effect]) -> None:
 
 def test_names_it_is_confused_with_exist(entry: tuple[str, Effect]) -> None:
     kind, effect = entry
-    assert set(effect.confused_with) <= {other.name for other in effects_of(kind)} - {effect.name}
+    assert set(effect.confused_with) <= {other.name for other in TABLES[kind]} - {effect.name}
 
 
 def test_it_has_a_page(entry: tuple[str, Effect]) -> None:

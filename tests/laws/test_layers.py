@@ -14,10 +14,9 @@ ROOT = Path(metrocli.__file__).parent
 LAYERS = [
     {"cli", "__main__"},
     {"project"},
-    {"exports", "plots"},
+    {"exports"},
     {"tasks"},
     {"diagnosis", "uncertainty"},
-    {"simulate"},
     {"effects"},
     {"instruments", "targets"},
     {"formats"},
@@ -33,7 +32,16 @@ LAYERS = [
 """From the top down; parts in one layer do not import each other."""
 LEVEL = {part: n for n, layer in enumerate(LAYERS) for part in layer}
 ALLOWED_WITHIN = {("__main__", "cli"), ("simulation", "imageset"), ("result", "record"), ("plan", "result")}
-NOT_FORMATS = {"exports", "plots", "tasks", "diagnosis", "uncertainty", "simulate", "instruments", "effects", "targets"}
+NOT_FORMATS = {"exports", "tasks", "diagnosis", "uncertainty", "instruments", "effects", "targets"}
+NOT_KINDS = {"__init__", "kind", "shared"}
+"""In `tasks`: what is no kind of job"""
+INSIDE = {
+    "adjust": [{"coupled_fields", "iterated_weights", "robust", "dense_jacobian"}, {"adjustment"}, {"*"}, {"model"}],
+    "effects": [{"links"}, {"*"}],
+    "diagnosis": [{"verdict"}, {"diagnose"}, {"*"}, {"linear"}, {"adjusted_job"}],
+}
+"""Layers inside packages, from the top down; * is all that is not named"""
+MOST_MODULES, MOST_LINES = 20, 300
 ONLY_IN = {
     "h5py": {"formats"},
     "yaml": {"project"},
@@ -45,6 +53,21 @@ ONLY_IN = {
 FORBIDDEN = {"scipy.stats": "slow to import; scipy.special has the distributions"}
 VAGUE = {"utils", "util", "helpers", "helper", "common", "core", "base", "manager", "misc", "tools"}
 MODULES = sorted(ROOT.rglob("*.py"))
+
+
+def module_of(path: Path) -> str:
+    """The full name of a module."""
+    name = ".".join(path.relative_to(ROOT.parent).with_suffix("").parts)
+    return name.removesuffix(".__init__")
+
+
+NAMES = {module_of(path): path for path in MODULES}
+
+
+def imported_modules(path: Path) -> set[str]:
+    """The modules of the program that a module imports."""
+    names = (name for name in imports(path) if name.startswith("metrocli"))
+    return {name if name in NAMES else name.rpartition(".")[0] for name in names} & set(NAMES)
 
 
 def part_of(path: Path) -> str:
@@ -77,6 +100,49 @@ def test_imports_go_downwards(path: Path) -> None:
         inside = there == here or (here, there) in ALLOWED_WITHIN
         assert inside or LEVEL[there] > LEVEL[here], f"{here} imports {name}"
         assert there != "formats" or here not in NOT_FORMATS, f"{here} imports {name}: tasks are pure"
+
+
+def test_no_module_imports_itself_in_a_circle() -> None:
+    """Also inside functions, and also over several modules."""
+    graph = {name: imported_modules(path) for name, path in NAMES.items()}
+    open_names, done = set(graph), set[str]()
+    while ready := {name for name in open_names if graph[name] - {name} <= done}:
+        done |= ready
+        open_names -= ready
+    assert not open_names, f"circles among {sorted(open_names)}"
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "tasks").rglob("*.py")), ids=named)
+def test_no_kind_imports_another(path: Path) -> None:
+    own = path.relative_to(ROOT / "tasks").parts[0].removesuffix(".py")
+    for name in imported_modules(path):
+        parts = name.split(".")
+        if parts[:2] == ["metrocli", "tasks"] and len(parts) > 2:
+            assert parts[2] == own or parts[2] in NOT_KINDS - {"__init__"}, f"{named(path)} imports {name}"
+
+
+@pytest.mark.parametrize("package", INSIDE)
+def test_imports_inside_a_package_go_downwards(package: str) -> None:
+    level = {part: n for n, layer in enumerate(INSIDE[package]) for part in layer}
+    for name, path in NAMES.items():
+        if not name.startswith(f"metrocli.{package}."):
+            continue
+        here = name.split(".")[2]
+        for other in imported_modules(path):
+            there = other.split(".")[2:3]
+            if other.startswith(f"metrocli.{package}.") and there != [here]:
+                below = level.get(there[0], level["*"]) - level.get(here, level["*"])
+                assert below >= 0, f"{name} imports {other}"
+
+
+@pytest.mark.parametrize("folder", sorted({path.parent for path in MODULES}), ids=named)
+def test_no_folder_is_crowded(folder: Path) -> None:
+    assert len(list(folder.glob("*.py"))) <= MOST_MODULES
+
+
+@pytest.mark.parametrize("path", MODULES, ids=named)
+def test_no_module_is_long(path: Path) -> None:
+    assert len(path.read_text(encoding="utf-8").splitlines()) <= MOST_LINES
 
 
 @pytest.mark.parametrize("path", MODULES, ids=named)

@@ -29,7 +29,7 @@ def clean() -> list[Path]:
 def test_tables_are_true_within_their_uncertainty(case: Path) -> None:
     job, truth = load(case / "job.yaml"), json.loads((case / "truth.json").read_text())
     settings = job.settings.__class__(**{**job.settings.__dict__, "outliers": "remove"})
-    result = calibrate_machine.run(settings, **read_inputs(job))
+    result = calibrate_machine.run(calibrate_machine.TASK.job(settings, **read_inputs(job)))
     noise = truth["noise_ratio"]
     scores = []
     for name, table in truth["tables"].items():
@@ -82,7 +82,7 @@ def test_the_verdict_is_right(case: Path) -> None:
     from metrocli.diagnosis.diagnose import diagnose
 
     job, truth = load(case / "job.yaml"), json.loads((case / "truth.json").read_text())
-    found = diagnose(calibrate_machine.diagnosed(job.settings, **read_inputs(job)))
+    found = diagnose(calibrate_machine.diagnosed(calibrate_machine.TASK.job(job.settings, **read_inputs(job))))
     assert {outlier.keys["point"] for outlier in found.outliers} == {outlier["point"] for outlier in truth["outliers"]}
     # with exact tool vectors tracker-scale can be seen, though the truth of the cases calls it not identifiable
     planted = [e for e in truth["effects"] if e.get("identifiable", True) or (truth["strength"] or 0) > 3]
@@ -114,7 +114,7 @@ def test_a_wave_shorter_than_the_pieces_of_a_path_is_not_called_excluded() -> No
     machine = sim.random_machine(rng)
     flight = sim.flight(machine, sim.walls(rng, 31), rng, spacing=3.0)
     settings = sim.settings("on-the-fly", noise=Noise(beam=1e-3, lateral=5e-3))
-    subject = calibrate_machine.diagnosed(settings, path=flight.path, track=flight.track)
+    subject = calibrate_machine.diagnosed(calibrate_machine.TASK.job(settings, path=flight.path, track=flight.track))
     found = diagnose(subject).design
     assert "screw-pitch-error" not in {one.alternative.effect.name for one in found.candidates}
     assert "backlash" in {one.alternative.effect.name for one in found.candidates}

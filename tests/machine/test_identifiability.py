@@ -125,7 +125,7 @@ def test_the_tool_of_the_measurement_is_predicted_and_another_is_refused() -> No
     tools = {**sim.ONE, "LONG": (0.0, 0.0, 220.0)}
     machine = sim.random_machine(rng)
     table = sim.points(machine, rng, 200, sim.ONE)
-    result = calibrate_machine.run(sim.settings(tools=tools), points=table)
+    result = calibrate_machine.run(calibrate_machine.TASK.job(sim.settings(tools=tools), points=table))
     volume = result.tables["volume"]
     names = np.array(volume.texts("tool"))
     own = predicted(result.tables["volume"], names == "T1")
@@ -148,7 +148,9 @@ def predicted(volume, rows) -> tuple[Array, Array]:  # type: ignore[no-untyped-d
 
 def test_what_is_not_determined_has_no_number() -> None:
     rng = np.random.default_rng(9)
-    result = calibrate_machine.run(sim.settings(), points=sim.points(sim.random_machine(rng), rng, 200))
+    result = calibrate_machine.run(
+        calibrate_machine.TASK.job(sim.settings(), points=sim.points(sim.random_machine(rng), rng, 200))
+    )
     assert result.statistics["undetermined"] == "ECY EAZ EBZ ECZ"
     assert result.statistics["together"] == "EXZ EYZ A0Z B0Z"
     for name in sim.NAMES:

@@ -52,7 +52,7 @@ def of_rows(table: Table, rows: Array) -> Table:
 def test_without_noise_nothing_is_left(machine: sim.Machine, vertices: Array) -> None:
     """No floor of the closest point: errors along the path do not enter (paper: 0.95 um on the path, 0.87 on a grid)."""
     flight = sim.flight(machine, vertices, np.random.default_rng(33), noise=0.0)
-    result = calibrate_machine.run(job(), path=flight.path, track=flight.track)
+    result = calibrate_machine.run(calibrate_machine.TASK.job(job(), path=flight.path, track=flight.track))
     whole, left = sim.left_in_volume(result.tables["volume"], machine, sim.ONE["T1"])
     assert whole > 0.08
     assert left < 1e-6
@@ -64,7 +64,7 @@ def test_with_noise_the_prediction_is_right_and_its_uncertainty_honest(machine: 
     for seed in range(6):
         rng = np.random.default_rng(100 + seed)
         flight = sim.flight(machine, vertices, rng, spacing=2.0)
-        result = calibrate_machine.run(job(), path=flight.path, track=flight.track)
+        result = calibrate_machine.run(calibrate_machine.TASK.job(job(), path=flight.path, track=flight.track))
         volume = result.tables["volume"]
         _, left = sim.left_in_volume(volume, machine, sim.ONE["T1"])
         assert left < 0.001
@@ -85,7 +85,9 @@ def test_with_noise_the_prediction_is_right_and_its_uncertainty_honest(machine: 
 def test_several_tools_determine_every_table(machine: sim.Machine, vertices: Array) -> None:
     rng = np.random.default_rng(34)
     flight = sim.flight(machine, vertices[:25], rng, tools=sim.THREE, noise=0.0, spacing=3.0)
-    result = calibrate_machine.run(job(tools=sim.THREE), path=flight.path, track=flight.track)
+    result = calibrate_machine.run(
+        calibrate_machine.TASK.job(job(tools=sim.THREE), path=flight.path, track=flight.track)
+    )
     assert result.statistics["undetermined"] == ""
     assert result.statistics["beam_breaks"] == 0, "the tool was changed, the beam did not break"
     for name in sim.NAMES:
@@ -102,7 +104,7 @@ def test_a_rest_in_the_middle_of_a_leg_has_no_weight(machine: sim.Machine, verti
         [xyz[:at], np.repeat(xyz[at : at + 1] + 0.02, 4000, axis=0) + rng.normal(0, 0.004, (4000, 3)), xyz[at:]]
     )
     track = Table(dict(zip("xyz", held.T, strict=True)), flight.track.units, "track.csv")
-    result = calibrate_machine.run(job(), path=flight.path, track=track)
+    result = calibrate_machine.run(calibrate_machine.TASK.job(job(), path=flight.path, track=track))
     assert result.statistics["cut_standing"] >= 3990
     assert result.statistics["sigma0"] == pytest.approx(1.0, abs=0.1)
 
@@ -112,7 +114,9 @@ def test_a_beam_break_in_the_middle_is_found_cut_and_said(machine: sim.Machine, 
     flight = sim.flight(machine, vertices, rng)
     n = len(flight.track)
     rows = np.concatenate([np.arange(n // 2), np.arange(n // 2 + 1500, n)])
-    result = calibrate_machine.run(job(), path=flight.path, track=of_rows(flight.track, rows))
+    result = calibrate_machine.run(
+        calibrate_machine.TASK.job(job(), path=flight.path, track=of_rows(flight.track, rows))
+    )
     assert result.statistics["beam_breaks"] == 1
     assert any(line.startswith("the beam broke once, on leg") for line in result.warnings)
     _, left = sim.left_in_volume(result.tables["volume"], machine, sim.ONE["T1"])
@@ -128,7 +132,9 @@ def test_a_tracker_that_looks_elsewhere_takes_no_other_points_with_it(machine: s
         xyz = flight.track.stacked("xyz").copy()
         at = int(share * len(xyz))
         xyz[at : at + 50] = place
-        result = calibrate_machine.run(job(), path=flight.path, track=changed(flight.track, xyz))
+        result = calibrate_machine.run(
+            calibrate_machine.TASK.job(job(), path=flight.path, track=changed(flight.track, xyz))
+        )
         lost.append(result.statistics["cut_wild"] - 50)
         assert not any("legs without points" in line for line in result.warnings)
     assert lost == [0, 0, 0]
@@ -141,7 +147,7 @@ def test_a_break_of_most_of_a_leg_leaves_its_ends(machine: sim.Machine, vertices
     share = (flight.commanded - start) @ (end - start) / ((end - start) @ (end - start))
     on = np.linalg.norm(flight.commanded - start - share[:, None] * (end - start), axis=1) < 1e-6
     track = of_rows(flight.track, np.flatnonzero(~(on & (share > 0.2) & (share < 0.8))))
-    result = calibrate_machine.run(job(), path=flight.path, track=track)
+    result = calibrate_machine.run(calibrate_machine.TASK.job(job(), path=flight.path, track=track))
     assert result.statistics["beam_breaks"] == 1
     assert not any("legs without points" in line for line in result.warnings)
     assert "12" in result.tables["residuals"].texts("leg")
@@ -155,7 +161,9 @@ def test_points_off_the_path_while_the_beam_is_lost_are_cut(machine: sim.Machine
     at = len(xyz) // 3
     xyz[at : at + 300] = [300.0, 100.0, -50.0]
     xyz[at + 2000] += 0.3
-    result = calibrate_machine.run(job(), path=flight.path, track=changed(flight.track, xyz))
+    result = calibrate_machine.run(
+        calibrate_machine.TASK.job(job(), path=flight.path, track=changed(flight.track, xyz))
+    )
     assert result.statistics["cut_wild"] == 300
     assert any("300 points of the track are off the path" in line for line in result.warnings)
     assert result.statistics["cut_off_path"] >= 1
@@ -170,7 +178,7 @@ def test_a_wrong_unit_is_told(machine: sim.Machine, vertices: Array, factor: flo
     flight = sim.flight(machine, vertices, np.random.default_rng(38), spacing=4.0)
     track = changed(flight.track, flight.track.stacked("xyz") * factor)
     with pytest.raises(InputError, match=said) as told:
-        calibrate_machine.run(job(), path=flight.path, track=track)
+        calibrate_machine.run(calibrate_machine.TASK.job(job(), path=flight.path, track=track))
     assert "is their unit right?" in str(told.value)
 
 
@@ -178,7 +186,9 @@ def test_a_mirrored_tracker_is_told(machine: sim.Machine, vertices: Array) -> No
     flight = sim.flight(machine, vertices, np.random.default_rng(39), spacing=4.0)
     with pytest.raises(InputError, match="the track is a mirror image of the path"):
         calibrate_machine.run(
-            job(), path=flight.path, track=changed(flight.track, flight.track.stacked("xyz") * [1, -1, 1])
+            calibrate_machine.TASK.job(
+                job(), path=flight.path, track=changed(flight.track, flight.track.stacked("xyz") * [1, -1, 1])
+            )
         )
 
 
@@ -186,7 +196,7 @@ def test_the_track_of_another_path_is_told(machine: sim.Machine, vertices: Array
     flight = sim.flight(machine, vertices, np.random.default_rng(40), spacing=4.0)
     other = sim.flight(machine, sim.walls(np.random.default_rng(41), 31), np.random.default_rng(42), spacing=4.0)
     with pytest.raises(InputError, match="does not have the shape of the path"):
-        calibrate_machine.run(job(), path=flight.path, track=other.track)
+        calibrate_machine.run(calibrate_machine.TASK.job(job(), path=flight.path, track=other.track))
 
 
 def test_a_path_outside_the_axes_is_told_with_its_line(machine: sim.Machine, vertices: Array) -> None:
@@ -196,21 +206,21 @@ def test_a_path_outside_the_axes_is_told_with_its_line(machine: sim.Machine, ver
     with pytest.raises(
         InputError, match=r"path.csv:5: error: y = 261 mm is outside the range of the axis, -260 to 260 mm"
     ):
-        calibrate_machine.run(job(), path=changed(flight.path, values), track=flight.track)
+        calibrate_machine.run(calibrate_machine.TASK.job(job(), path=changed(flight.path, values), track=flight.track))
 
 
 def test_a_tool_that_is_not_in_the_list_is_told(machine: sim.Machine, vertices: Array) -> None:
     flight = sim.flight(machine, vertices[:12], np.random.default_rng(44), tools=sim.THREE, spacing=4.0)
     two = {name: sim.THREE[name] for name in ("T1", "T2")}
     with pytest.raises(InputError, match=r"tool 'T3' is not among the job's tools"):
-        calibrate_machine.run(job(tools=two), path=flight.path, track=flight.track)
+        calibrate_machine.run(calibrate_machine.TASK.job(job(tools=two), path=flight.path, track=flight.track))
 
 
 def test_a_path_that_does_not_say_which_of_the_tools_is_told(machine: sim.Machine, vertices: Array) -> None:
     flight = sim.flight(machine, vertices, np.random.default_rng(44), spacing=4.0)
     path = Table({axis: flight.path.columns[axis] for axis in "xyz"}, flight.path.units, "path.csv")
     with pytest.raises(InputError, match="several tools, but the file has no column 'tool'"):
-        calibrate_machine.run(job(tools=sim.THREE), path=path, track=flight.track)
+        calibrate_machine.run(calibrate_machine.TASK.job(job(tools=sim.THREE), path=path, track=flight.track))
 
 
 def test_a_tool_that_is_not_known_is_found_or_refused_with_a_hint(machine: sim.Machine, vertices: Array) -> None:
@@ -219,19 +229,21 @@ def test_a_tool_that_is_not_known_is_found_or_refused_with_a_hint(machine: sim.M
     settings = job()
     wrong = {"T1": (1.5, -2.0, 121.0)}
     loose = replace(settings, machine=replace(settings.machine, tools=wrong, tool_uncertainty=3.0))
-    result = calibrate_machine.run(loose, path=flight.path, track=flight.track)
+    result = calibrate_machine.run(calibrate_machine.TASK.job(loose, path=flight.path, track=flight.track))
     _, left = sim.left_in_volume(result.tables["volume"], machine, sim.ONE["T1"])
     assert left < 0.0015
     with pytest.raises(UndeterminedError, match="give `tool_uncertainty` as a few mm"):
         vague = replace(settings.machine, tool_uncertainty=300.0)
-        calibrate_machine.run(replace(settings, machine=vague), path=flight.path, track=flight.track)
+        calibrate_machine.run(
+            calibrate_machine.TASK.job(replace(settings, machine=vague), path=flight.path, track=flight.track)
+        )
 
 
 def test_no_warning_names_a_key_that_the_method_does_not_take(machine: sim.Machine, vertices: Array) -> None:
     """On the fly there is neither `outliers: remove` nor a noise to be found."""
     flight = sim.flight(machine, vertices, np.random.default_rng(46), spacing=4.0)
     noisy = replace(job(), noise=Noise(beam=1e-4, lateral=1e-3))
-    result = calibrate_machine.run(noisy, path=flight.path, track=flight.track)
+    result = calibrate_machine.run(calibrate_machine.TASK.job(noisy, path=flight.path, track=flight.track))
     assert any(line.startswith("sigma0 = ") for line in result.warnings)
     assert not any("remove" in line or "estimated" in line for line in result.warnings)
     assert [key for key, _ in replace(job(), outliers="remove").faults()] == ["outliers"]
@@ -244,7 +256,9 @@ def test_a_leg_without_points_is_said(machine: sim.Machine, vertices: Array) -> 
     other = np.linalg.norm(flight.commanded - vertices[12], axis=1) < 1e-9
     gone = np.arange(np.flatnonzero(way)[-1] - 30, np.flatnonzero(other)[0] + 30)
     keep = np.setdiff1d(np.arange(len(flight.track)), gone)
-    result = calibrate_machine.run(job(), path=flight.path, track=of_rows(flight.track, keep))
+    result = calibrate_machine.run(
+        calibrate_machine.TASK.job(job(), path=flight.path, track=of_rows(flight.track, keep))
+    )
     assert any(line == "legs without points, of 30: 12" for line in result.warnings)
 
 
@@ -274,7 +288,10 @@ def test_cells_end_where_an_axis_passes_a_knot() -> None:
 def test_more_points_make_the_result_more_certain_not_slower_than_linear(machine: sim.Machine, vertices: Array) -> None:
     """Ten times the points: a third of the uncertainty, and the solution itself costs the same."""
     few, many = (sim.flight(machine, vertices, np.random.default_rng(47), spacing=spacing) for spacing in (5.0, 0.5))
-    results = [calibrate_machine.run(job(), path=flight.path, track=flight.track) for flight in (few, many)]
+    results = [
+        calibrate_machine.run(calibrate_machine.TASK.job(job(), path=flight.path, track=flight.track))
+        for flight in (few, many)
+    ]
     std = [np.median(result.tables["tables/EYX"].numbers("std")[1:-1]) for result in results]
     assert std[0] / std[1] == pytest.approx(np.sqrt(len(many.track) / len(few.track)), rel=0.1)
     condensed = [result.statistics["condensed_points"] for result in results]
@@ -286,7 +303,7 @@ def test_weights_are_those_of_the_beam(machine: sim.Machine, vertices: Array) ->
     rng = np.random.default_rng(48)
     flight = sim.flight(machine, vertices, rng)
     settings = replace(job(), noise=Noise(beam=1e-3, lateral=5e-3))
-    result = calibrate_machine.run(settings, path=flight.path, track=flight.track)
+    result = calibrate_machine.run(calibrate_machine.TASK.job(settings, path=flight.path, track=flight.track))
     residuals = result.tables["residuals"]
     for which in "ab":
         w, r = residuals.numbers(f"normalised_{which}"), residuals.numbers(f"redundancy_{which}")

@@ -38,7 +38,9 @@ def machine() -> sim.Machine:
 def test_without_noise_misalignment_goes_and_the_machine_stays(machine: sim.Machine) -> None:
     rng = np.random.default_rng(52)
     result = calibrate_machine.run(
-        job(), lines=line_table([line(machine, axis, rng, 0.0) for axis in (*AXES, *DIAGONALS)])
+        calibrate_machine.TASK.job(
+            job(), lines=line_table([line(machine, axis, rng, 0.0) for axis in (*AXES, *DIAGONALS)])
+        )
     )
     assert result.statistics["undetermined"] == ""
     for name in sim.NAMES:
@@ -72,7 +74,9 @@ def test_uncertainties_are_honest(machine: sim.Machine) -> None:
     for seed in range(20):
         rng = np.random.default_rng(200 + seed)
         result = calibrate_machine.run(
-            job(), lines=line_table([line(machine, axis, rng) for axis in (*AXES, *DIAGONALS)])
+            calibrate_machine.TASK.job(
+                job(), lines=line_table([line(machine, axis, rng) for axis in (*AXES, *DIAGONALS)])
+            )
         )
         sigma0.append(result.statistics["sigma0"])
         for name in sim.NAMES:
@@ -97,9 +101,9 @@ def test_lines_may_stand_elsewhere(machine: sim.Machine) -> None:
         line(machine, "z", rng, 0.0),
     ]
     lines += [line(machine, axis, rng, 0.0) for axis in DIAGONALS]
-    result = calibrate_machine.run(job(), lines=line_table(lines, ("x", "y", "z")))
+    result = calibrate_machine.run(calibrate_machine.TASK.job(job(), lines=line_table(lines, ("x", "y", "z"))))
     assert np.abs(result.tables["tables/EYX"].numbers("value") - machine.tables["EYX"]).max() < 1e-9
-    without = calibrate_machine.run(job(), lines=line_table(lines))
+    without = calibrate_machine.run(calibrate_machine.TASK.job(job(), lines=line_table(lines)))
     assert np.abs(without.tables["tables/EYX"].numbers("value") - machine.tables["EYX"]).max() > 1e-4
 
 
@@ -107,16 +111,18 @@ def test_without_diagonals_squareness_is_not_determined(machine: sim.Machine) ->
     rng = np.random.default_rng(54)
     lines = line_table([line(machine, axis, rng) for axis in AXES])
     with pytest.raises(UndeterminedError, match="3 combinations of errors open") as told:
-        calibrate_machine.run(job(), lines=lines)
+        calibrate_machine.run(calibrate_machine.TASK.job(job(), lines=lines))
     assert all(name in str(told.value) for name in ("A0Z", "B0Z", "C0Y"))
-    result = calibrate_machine.run(job(estimate=sim.NAMES), lines=lines)
+    result = calibrate_machine.run(calibrate_machine.TASK.job(job(estimate=sim.NAMES), lines=lines))
     assert np.abs(result.tables["tables/EAX"].numbers("value") - machine.tables["EAX"]).max() < 5e-6
 
 
 def test_one_missing_axis_is_told(machine: sim.Machine) -> None:
     rng = np.random.default_rng(55)
     with pytest.raises(UndeterminedError, match="no reading is near 4 of the 5 knots of Z"):
-        calibrate_machine.run(job(), lines=line_table([line(machine, axis, rng) for axis in ("x", "y", "xy")]))
+        calibrate_machine.run(
+            calibrate_machine.TASK.job(job(), lines=line_table([line(machine, axis, rng) for axis in ("x", "y", "xy")]))
+        )
 
 
 @pytest.mark.parametrize(
@@ -144,7 +150,7 @@ def test_wrong_rows_are_told(machine: sim.Machine, change, said: str) -> None:  
     whole = line_table([line(machine, axis, np.random.default_rng(56)) for axis in AXES])
     bad = Table({**whole.columns, **change(whole)}, whole.units, whole.file, whole.lines)
     with pytest.raises(InputError) as told:
-        calibrate_machine.run(job(), lines=bad)
+        calibrate_machine.run(calibrate_machine.TASK.job(job(), lines=bad))
     assert said in str(told.value)
 
 
@@ -182,7 +188,7 @@ def test_backlash_shows_in_the_figures(machine: sim.Machine) -> None:
     down = {name: values[::-1] for name, values in down.items()}
     down["ex"] = down["ex"] - down["ex"][-1] + up["ex"][0] - 0.004
     lines = [up, down, *(line(machine, axis, rng) for axis in (*AXES[1:], *DIAGONALS))]
-    result = calibrate_machine.run(job(), lines=line_table(lines))
+    result = calibrate_machine.run(calibrate_machine.TASK.job(job(), lines=line_table(lines)))
     found = result.tables["positioning"]
     assert found.texts("axis") == ["X"]
     assert found.numbers("B")[0] == pytest.approx(0.004, abs=0.0005)
@@ -200,7 +206,7 @@ def test_a_line_may_go_to_and_fro(machine: sim.Machine) -> None:
     rng = np.random.default_rng(58)
     lines = [line(machine, axis, rng) for axis in (*AXES, *DIAGONALS)]
     table = line_table([with_width(lines[0], 0.004), *lines[1:]])
-    found = calibrate_machine.run(job(), lines=table).tables["positioning"]
+    found = calibrate_machine.run(calibrate_machine.TASK.job(job(), lines=table)).tables["positioning"]
     assert found.texts("axis") == ["X"] and found.texts("at") == ["Y = 0 mm, Z = 0 mm"]
     assert (found.numbers("runs_up")[0], found.numbers("runs_down")[0]) == (1, 1)
     assert found.numbers("B")[0] == pytest.approx(0.004, abs=1e-9)
@@ -225,7 +231,7 @@ def test_the_one_tool_may_have_a_name(machine: sim.Machine) -> None:
     rng = np.random.default_rng(59)
     lines = line_table([line(machine, axis, rng) for axis in (*AXES, *DIAGONALS)])
     named = sim.settings("six-dof", tools={"T1": (0.0, 0.0, 0.0)}, knots=KNOTS, noise=job().noise)
-    result = calibrate_machine.run(named, lines=lines)
+    result = calibrate_machine.run(calibrate_machine.TASK.job(named, lines=lines))
     assert result.tables["tools"].texts("tool") == ["T1"]
 
 
@@ -233,6 +239,6 @@ def test_a_wrong_reading_is_named_with_its_place(machine: sim.Machine) -> None:
     rng = np.random.default_rng(60)
     lines = line_table([line(machine, axis, rng) for axis in (*AXES, *DIAGONALS)])
     lines.columns["ex"][3] += 0.02
-    result = calibrate_machine.run(job(), lines=lines)
+    result = calibrate_machine.run(calibrate_machine.TASK.job(job(), lines=lines))
     assert result.tables["suspects"].texts("line")[0] == "L0 at 75 mm"
     assert any("line L0 at 75 mm (w = " in warning for warning in result.warnings)

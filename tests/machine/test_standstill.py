@@ -35,8 +35,10 @@ def test_without_noise_the_truth_comes_back(order: str, knots: tuple[int, int, i
     rng = np.random.default_rng(11)
     machine = sim.random_machine(rng, order, knots)
     result = calibrate_machine.run(
-        sim.settings(tools=sim.THREE, knots=knots, chain=order),
-        points=sim.points(machine, rng, 250, sim.THREE, noise=0.0),
+        calibrate_machine.TASK.job(
+            sim.settings(tools=sim.THREE, knots=knots, chain=order),
+            points=sim.points(machine, rng, 250, sim.THREE, noise=0.0),
+        )
     )
     for name in sim.NAMES:
         angle = name[1] in "ABC"
@@ -54,7 +56,9 @@ def test_uncertainties_are_honest() -> None:
         rng = np.random.default_rng(seed)
         machine = sim.random_machine(rng, knots=(4, 5, 4))
         result = calibrate_machine.run(
-            sim.settings(tools=sim.THREE, knots=(4, 5, 4)), points=sim.points(machine, rng, 150, sim.THREE)
+            calibrate_machine.TASK.job(
+                sim.settings(tools=sim.THREE, knots=(4, 5, 4)), points=sim.points(machine, rng, 150, sim.THREE)
+            )
         )
         z = scores(result, machine)
         inside.append((np.abs(z) < 1.96).mean())
@@ -71,7 +75,9 @@ def test_squareness_between_least_squares_lines() -> None:
     rng = np.random.default_rng(12)
     machine = sim.random_machine(rng)
     result = calibrate_machine.run(
-        sim.settings(tools=sim.THREE), points=sim.points(machine, rng, 250, sim.THREE, noise=0.0)
+        calibrate_machine.TASK.job(
+            sim.settings(tools=sim.THREE), points=sim.points(machine, rng, 250, sim.THREE, noise=0.0)
+        )
     )
     slope = {
         name: np.polyfit(machine.positions(name[2]), machine.tables[name], 1)[0]
@@ -96,10 +102,12 @@ def test_a_wrong_point_is_named_and_left_out_on_request() -> None:
     moved = table.numbers("my").copy()
     moved[[20, 77]] += [0.05, -0.2]
     bad = replace(table, columns={**table.columns, "my": moved})
-    result = calibrate_machine.run(sim.settings(tools=sim.THREE), points=bad)
+    result = calibrate_machine.run(calibrate_machine.TASK.job(sim.settings(tools=sim.THREE), points=bad))
     assert result.tables["suspects"].texts("point") == ["P77", "P20"]
     assert any("2 readings exceed" in line for line in result.warnings)
-    removed = calibrate_machine.run(sim.settings(tools=sim.THREE, outliers="remove"), points=bad)
+    removed = calibrate_machine.run(
+        calibrate_machine.TASK.job(sim.settings(tools=sim.THREE, outliers="remove"), points=bad)
+    )
     assert set(removed.tables["rejected"].texts("point")) == {"P20", "P77"}
     assert removed.statistics["sigma0"] == pytest.approx(1.0, abs=0.1)
     assert np.abs(scores(removed, machine)).max() < 4.5
@@ -111,9 +119,11 @@ def test_tool_vectors_can_be_uncertain() -> None:
     machine = sim.random_machine(rng)
     true = {name: tuple(np.array(vector) + rng.normal(0, 0.05, 3)) for name, vector in sim.THREE.items()}
     table = sim.points(machine, rng, 300, true)
-    exact = calibrate_machine.run(sim.settings(tools=sim.THREE), points=table)
+    exact = calibrate_machine.run(calibrate_machine.TASK.job(sim.settings(tools=sim.THREE), points=table))
     assert exact.statistics["sigma0"] > 2
-    found = calibrate_machine.run(sim.settings(tools=sim.THREE, tool_uncertainty=0.05), points=table)
+    found = calibrate_machine.run(
+        calibrate_machine.TASK.job(sim.settings(tools=sim.THREE, tool_uncertainty=0.05), points=table)
+    )
     assert found.statistics["sigma0"] == pytest.approx(1.0, abs=0.1)
     values = {estimate.name: estimate for estimate in found.estimates}
     for name, vector in true.items():
@@ -133,7 +143,9 @@ def test_errors_that_are_not_estimated_are_zero_and_have_no_table() -> None:
     flat = {name: table * (name[1] not in "ABC") for name, table in whole.tables.items()}
     machine = sim.Machine("XYZ", (5, 5, 5), flat, whole.squareness)
     names = (*(name for name in sim.NAMES if name[1] not in "ABC"), "COY", "BOZ", "AOZ")
-    result = calibrate_machine.run(sim.settings(estimate=names), points=sim.points(machine, rng, 100, noise=0.0))
+    result = calibrate_machine.run(
+        calibrate_machine.TASK.job(sim.settings(estimate=names), points=sim.points(machine, rng, 100, noise=0.0))
+    )
     assert "tables/EAX" not in result.tables
     status = dict(zip(result.tables["errors"].texts("error"), result.tables["errors"].texts("status"), strict=True))
     assert status["EAX"] == "not estimated" and status["EXX"] == status["C0Y"] == "determined"
@@ -145,7 +157,9 @@ def test_two_knots_have_no_straightness() -> None:
     rng = np.random.default_rng(15)
     points = sim.points(sim.random_machine(rng), rng, 100)
     with pytest.raises(InputError, match="nothing is unknown: of two knots EYX EZX"):
-        calibrate_machine.run(sim.settings(knots=(2, 2, 2), estimate=("EYX", "EZX")), points=points)
+        calibrate_machine.run(
+            calibrate_machine.TASK.job(sim.settings(knots=(2, 2, 2), estimate=("EYX", "EZX")), points=points)
+        )
 
 
 def test_a_knot_that_no_point_supports_is_named() -> None:
@@ -157,20 +171,22 @@ def test_a_knot_that_no_point_supports_is_named() -> None:
     with pytest.raises(
         UndeterminedError, match=r"no reading is near 1 of the 5 knots of Y \(at 260 mm\): give y fewer knots"
     ):
-        calibrate_machine.run(sim.settings(), points=short)
+        calibrate_machine.run(calibrate_machine.TASK.job(sim.settings(), points=short))
 
 
 def test_too_few_points_are_refused_with_the_combinations() -> None:
     rng = np.random.default_rng(17)
     machine = sim.random_machine(rng)
     with pytest.raises(UndeterminedError, match="of errors open that move"):
-        calibrate_machine.run(sim.settings(), points=sim.points(machine, rng, 25))
+        calibrate_machine.run(calibrate_machine.TASK.job(sim.settings(), points=sim.points(machine, rng, 25)))
 
 
 def test_the_predicted_diagonals_are_those_of_the_machine() -> None:
     rng = np.random.default_rng(18)
     machine = sim.random_machine(rng)
-    result = calibrate_machine.run(sim.settings(tools=sim.THREE), points=sim.points(machine, rng, 300, sim.THREE))
+    result = calibrate_machine.run(
+        calibrate_machine.TASK.job(sim.settings(tools=sim.THREE), points=sim.points(machine, rng, 300, sim.THREE))
+    )
     table = result.tables["diagonals"]
     signs = {"PPP": (1, 1, 1), "NPP": (-1, 1, 1), "PNP": (1, -1, 1), "NNP": (-1, -1, 1)}
     deviations = []

@@ -20,7 +20,7 @@ def test_with_five_tracers_a_coin_is_not_tossed() -> None:
     for size in np.linspace(2e-3, 6e-3, 15):
         drawn = net.read(np.random.default_rng(int(size * 1e6)))
         drawn.readings[7, 2] += size
-        result = multilaterate.run(settings(), drawn.lengths(), drawn.point_table())
+        result = multilaterate.run(multilaterate.TASK.job(settings(), drawn.lengths(), drawn.point_table()))
         for point, tracer, others in zip(
             *(result.tables["suspects"].texts(k) for k in ("point", "tracer", "or")), strict=True
         ):
@@ -50,7 +50,7 @@ def test_nothing_is_found_where_nothing_is() -> None:
 def test_with_four_tracers_the_point_is_named_and_no_tracer() -> None:
     net = network(40, 4, seed=3)
     net.readings[7, 2] += 20e-3
-    result = multilaterate.run(settings(), net.lengths(), net.point_table())
+    result = multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table()))
     suspects = result.tables["suspects"]
     assert suspects.texts("point") == ["P7"]
     assert suspects.texts("tracer") == ["cannot be told"]
@@ -65,14 +65,16 @@ def test_with_four_tracers_the_point_is_named_and_no_tracer() -> None:
 def test_with_five_tracers_the_tracer_is_named() -> None:
     net = network(40, 5, seed=3)
     net.readings[7, 2] += 20e-3
-    suspects = multilaterate.run(settings(), net.lengths(), net.point_table()).tables["suspects"]
+    suspects = multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table())).tables[
+        "suspects"
+    ]
     assert (suspects.texts("point")[0], suspects.texts("tracer")[0]) == ("P7", "T2")
 
 
 def test_what_is_left_out_with_four_tracers_is_the_whole_point() -> None:
     net = network(40, 4, seed=3)
     net.readings[7, 2] += 20e-3
-    result = multilaterate.run(settings(outliers="remove"), net.lengths(), net.point_table())
+    result = multilaterate.run(multilaterate.TASK.job(settings(outliers="remove"), net.lengths(), net.point_table()))
     assert "P7" not in result.tables["points"].texts("point")
     assert len(result.tables["points"]) == 39
     rejected = result.tables["rejected"]
@@ -93,7 +95,7 @@ def test_gross_errors_do_not_move_the_points(m: int) -> None:
 def test_nothing_is_left_out_of_a_good_measurement_whose_noise_is_understated() -> None:
     """Noise of five times the declared size is one warning, not a hundred outliers."""
     net = network(40, 6, seed=5, noise=5.0)
-    result = multilaterate.run(settings(outliers="remove"), net.lengths(), net.point_table())
+    result = multilaterate.run(multilaterate.TASK.job(settings(outliers="remove"), net.lengths(), net.point_table()))
     assert len(result.tables["rejected"]) <= 1
     assert any("larger than the declared noise" in line for line in result.warnings)
 
@@ -101,20 +103,26 @@ def test_nothing_is_left_out_of_a_good_measurement_whose_noise_is_understated() 
 def test_the_least_detectable_error_is_detected_in_80_of_100() -> None:
     """An error of the size given in /residuals gives |w| beyond 3.29 with 80 %, and moves its point as stated."""
     net = network(30, 6, seed=6, noise=0.0)
-    table = multilaterate.run(settings(), net.lengths(), net.point_table()).tables["residuals"]
+    table = multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table())).tables["residuals"]
     rng = np.random.default_rng(0)
     row = int(np.argmin(np.abs(table.numbers("redundancy") - np.median(table.numbers("redundancy")))))
     i, j = divmod(row, 6)
     size, moves = table.numbers("detectable")[row], table.numbers("moves_point")[row]
     hits, shifts = [], []
-    clean = places(multilaterate.run(settings(), net.lengths(), net.point_table()).tables["points"])
+    clean = places(
+        multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table())).tables["points"]
+    )
     net.readings[i, j] += size
-    shifted = places(multilaterate.run(settings(), net.lengths(), net.point_table()).tables["points"])
+    shifted = places(
+        multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table())).tables["points"]
+    )
     shifts = np.linalg.norm(shifted[i] - clean[i])
     for _ in range(100):
         drawn = net.read(rng)
         drawn.readings[i, j] += size
-        found = multilaterate.run(settings(), drawn.lengths(), drawn.point_table()).tables["residuals"]
+        found = multilaterate.run(multilaterate.TASK.job(settings(), drawn.lengths(), drawn.point_table())).tables[
+            "residuals"
+        ]
         hits.append(abs(found.numbers("normalised")[row]) > 3.29)
     assert shifts == pytest.approx(moves, rel=1e-3)
     assert np.mean(hits) == pytest.approx(0.8, abs=3 * np.sqrt(0.8 * 0.2 / 100))

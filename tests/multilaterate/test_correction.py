@@ -15,9 +15,10 @@ from metrocli.formats import csv
 from metrocli.project.job import load
 from metrocli.simulation import SimulationOptions
 from metrocli.table import Table
+from metrocli.tasks.multilaterate import settings as length_job
 from metrocli.tasks.multilaterate import task as multilaterate
 from metrocli.tasks.multilaterate.distance import distance
-from metrocli.tasks.multilaterate.task import PROBING, LengthSimulation
+from metrocli.tasks.multilaterate.settings import PROBING, LengthSimulation
 
 SAMPLE = Path(__file__).parents[2] / "sample_projects" / "gear-m3d3"
 CENTRES = np.array([[200.0, 200.0, 150.0], [340.0, 270.0, 205.0], [680.0, 440.0, 340.0]])
@@ -55,7 +56,7 @@ def test_a_ball_bar_is_corrected_to_its_calibrated_lengths() -> None:
     names = net.names[:75]
     probing = table(said[:75], "point", names)
     probing = replace(probing, columns={"feature": np.repeat(["S1", "S2", "S3"], 25), **probing.columns})
-    result = multilaterate.run(settings(), net.lengths(), net.point_table(), probing=probing)
+    result = multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table(), probing=probing))
     corrected = result.tables["corrected"]
     assert list(corrected) == ["feature", "point", "x", "y", "z"]
     assert corrected.texts("point") == names
@@ -81,7 +82,7 @@ def test_points_are_found_by_name_else_by_place() -> None:
         by_name, columns={**by_name.columns, "point": np.array(["", "17", "x"]), "x": by_name.columns["x"] + 0.4}
     )
     run = [
-        multilaterate.run(settings(), net.lengths(), net.point_table(), probing=probing)
+        multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table(), probing=probing))
         for probing in (by_name, by_place)
     ]
     named, placed = (result.tables["corrected"].stacked("xyz") for result in run)
@@ -99,7 +100,7 @@ def test_probing_points_without_their_replay_are_all_listed() -> None:
     probing = table(at, "point", ["P0", "P1", "P2", "Q1", "Q2"])
     probing = replace(probing, columns={"feature": np.repeat("f", 5), **probing.columns})
     with pytest.raises(InputError) as told:
-        multilaterate.run(settings(), net.lengths(), net.point_table(), probing=probing)
+        multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table(), probing=probing))
     assert [fault.line for fault in told.value.faults] == [4, 5, 6]
     assert all("has no replayed point of its name or within 1 mm" in fault.message for fault in told.value.faults)
 
@@ -112,7 +113,7 @@ def test_a_probing_point_whose_replay_was_left_out_is_told_so() -> None:
     probing = replace(probing, columns={"feature": np.repeat("f", 3), **probing.columns})
     wanted = replace(settings(), outliers="remove")
     with pytest.raises(InputError, match="the replayed point of probing point 'P2' was left out") as told:
-        multilaterate.run(wanted, net.lengths(), net.point_table(), probing=probing)
+        multilaterate.run(multilaterate.TASK.job(wanted, net.lengths(), net.point_table(), probing=probing))
     assert [fault.line for fault in told.value.faults] == [4]
 
 
@@ -120,7 +121,7 @@ def test_replays_that_were_elsewhere_are_told() -> None:
     net = network(30, 5, seed=1)
     probing = table(net.nominal[:2] + [0, 0, 50.0], "point", ["P0", "P1"])
     probing = replace(probing, columns={"feature": np.repeat("f", 2), **probing.columns})
-    result = multilaterate.run(settings(), net.lengths(), net.point_table(), probing=probing)
+    result = multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table(), probing=probing))
     assert any("up to 50 mm away from where they were probed" in line for line in result.warnings)
 
 
@@ -149,10 +150,10 @@ def test_the_sample_is_corrected_to_the_truth(ran: Path, tmp_path: Path, metrocl
     job = load(ran / "jobs" / "tip3.yaml")
     points, tracers = (
         csv.read(ran / "data" / name, spec)
-        for name, spec in (("points.csv", multilaterate.POINTS), ("true_tracers.csv", multilaterate.TRACERS))
+        for name, spec in (("points.csv", length_job.POINTS), ("true_tracers.csv", length_job.TRACERS))
     )
     true = (
-        multilaterate.simulate(job.settings, SimulationOptions(3), points, tracers)
+        multilaterate.simulate(multilaterate.TASK.job(job.settings, points, tracers), SimulationOptions(3))
         .files["true_points.csv"]
         .stacked("xyz")[:144]
     )
@@ -169,10 +170,10 @@ def test_the_simulation_makes_the_sample_again(ran: Path) -> None:
     job = load(ran / "jobs" / "tip3.yaml")
     points, tracers = (
         csv.read(ran / "data" / name, spec)
-        for name, spec in (("points.csv", multilaterate.POINTS), ("true_tracers.csv", multilaterate.TRACERS))
+        for name, spec in (("points.csv", length_job.POINTS), ("true_tracers.csv", length_job.TRACERS))
     )
-    made = multilaterate.simulate(job.settings, SimulationOptions(3), points, tracers)
-    there = csv.read(ran / "data" / "lengths.csv", multilaterate.LENGTHS)
+    made = multilaterate.simulate(multilaterate.TASK.job(job.settings, points, tracers), SimulationOptions(3))
+    there = csv.read(ran / "data" / "lengths.csv", length_job.LENGTHS)
     assert np.abs(made.files["lengths.csv"].numbers("length") - there.numbers("length")).max() < 1e-9
     assert made.files["lengths.csv"].numbers("length")[:4] == pytest.approx(0.0, abs=1e-3)
 
@@ -182,8 +183,10 @@ def test_simulated_measurements_give_the_truth_back(measures: str) -> None:
     net = network(40, 5, seed=4)
     chosen = replace(settings(5e-7, measures), simulation=LengthSimulation(0.02, 0.0, 5.0))
     tracers = table(net.tracers, "tracer", net.stations)
-    made = multilaterate.simulate(chosen, SimulationOptions(1), net.point_table(), tracers)
-    result = multilaterate.run(chosen, made.files["lengths.csv"], net.point_table(), made.files["tracers.csv"])
+    made = multilaterate.simulate(multilaterate.TASK.job(chosen, net.point_table(), tracers), SimulationOptions(1))
+    result = multilaterate.run(
+        multilaterate.TASK.job(chosen, made.files["lengths.csv"], net.point_table(), made.files["tracers.csv"])
+    )
     for estimate in result.estimates:
         # the frame is that of the mover's readings: 20 um / sqrt(40) from that of the truth
         assert estimate.value == pytest.approx(made.truth[estimate.name], abs=0.05)
@@ -192,10 +195,10 @@ def test_simulated_measurements_give_the_truth_back(measures: str) -> None:
 
 def test_a_simulation_without_truth_is_refused() -> None:
     with pytest.raises(InputError, match="simulate needs the truth"):
-        multilaterate.simulate(settings(), SimulationOptions(), network(9, 4).point_table())
+        multilaterate.simulate(multilaterate.TASK.job(settings(), network(9, 4).point_table()), SimulationOptions())
     with pytest.raises(UndeterminedError):
         net = network(9, 4)
-        multilaterate.run(settings(), net.lengths(), net.point_table())
+        multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table()))
 
 
 def test_export_beside_the_result_and_of_nothing(tmp_path: Path, ran: Path, metrocli) -> None:  # type: ignore[no-untyped-def]

@@ -23,7 +23,9 @@ def test_intervals_hold_the_truth(m: int, scale: float | None) -> None:
     errors, stated, tracers, sigma0, distances = [], [], [], [], []
     for _ in range(RUNS):
         drawn = replace(truth, scale=1 + rng.normal(0, scale or 0.0, m)).read(rng)
-        result = multilaterate.run(settings(scale), drawn.lengths(), drawn.point_table(), truth.tracer_table())
+        result = multilaterate.run(
+            multilaterate.TASK.job(settings(scale), drawn.lengths(), drawn.point_table(), truth.tracer_table())
+        )
         table = result.tables["points"]
         error = places(table) - truth.points
         errors.append(error)

@@ -35,7 +35,9 @@ def bars() -> Table:
 def test_its_uncertainty_is_that_of_the_full_covariance(known: bool, scale: float | None) -> None:
     net = network(20, 5, seed=1)
     distances = bars() if known else None
-    result = multilaterate.run(settings(scale), net.lengths(), net.point_table(), distances=distances)
+    result = multilaterate.run(
+        multilaterate.TASK.job(settings(scale), net.lengths(), net.point_table(), distances=distances)
+    )
     solved = solve(build(settings(scale), net.lengths(), net.point_table(), None, distances), remove=False)
     full = solved.solution.known().of(tracer.POINT)
     points = solved.solution.blocks[tracer.POINT].values
@@ -54,7 +56,9 @@ def test_it_covers_the_truth() -> None:
     inside = []
     for _ in range(100):
         drawn = net.read(rng)
-        result = multilaterate.run(settings(), drawn.lengths(), drawn.point_table(), drawn.tracer_table())
+        result = multilaterate.run(
+            multilaterate.TASK.job(settings(), drawn.lengths(), drawn.point_table(), drawn.tracer_table())
+        )
         for a, b in ((0, 1), (2, 9), (5, 20), (11, 24)):
             found = distance(result, f"P{a}", f"P{b}")
             inside.append(abs(found.value - np.linalg.norm(net.points[a] - net.points[b])) <= 1.96 * found.std)
@@ -79,7 +83,7 @@ def test_distances_along_lines_have_the_uncertainty_of_the_paper() -> None:
     nominal = points + rng.normal(0, 0.02, points.shape)
     net = Network(points, nominal, tracers, rng.uniform(100, 400, 5), np.ones(5), np.zeros((len(points), 5))).read(rng)
     four = replace(net, tracers=tracers[:4], dead=net.dead[:4], scale=net.scale[:4], readings=net.readings[:, :4])
-    result = multilaterate.run(settings(), four.lengths(), four.point_table())
+    result = multilaterate.run(multilaterate.TASK.job(settings(), four.lengths(), four.point_table()))
     for first in (0, 6):
         found = [distance(result, f"P{first}", f"P{first + i}") for i in range(1, 6)]
         assert all(0.1e-3 <= one.std <= 0.2e-3 for one in found), [one.std for one in found]
@@ -92,7 +96,7 @@ def test_distances_along_lines_have_the_uncertainty_of_the_paper() -> None:
 
 def test_on_the_command_line(tmp_path: Path, metrocli) -> None:  # type: ignore[no-untyped-def]
     net = network(20, 4, seed=2)
-    result = multilaterate.run(settings(), net.lengths(), net.point_table())
+    result = multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table()))
     hdf5.write(tmp_path / "o.h5", result, Record("", (), "", ""))
     expected = distance(result, "P3", "P8")
     ran = metrocli("show", tmp_path / "o.h5", "--distance", "P3", "P8", "--json")
@@ -112,4 +116,4 @@ def test_results_without_it_are_refused_in_words() -> None:
         distance(Result("x", "", (), np.zeros((0, 0)), {}), "a", "b")
     with pytest.raises(UsageError):
         net = network(20, 4, seed=2)
-        distance(multilaterate.run(settings(), net.lengths(), net.point_table()), "P1", "Q")
+        distance(multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table())), "P1", "Q")

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from metrocli.formats import csv, hdf5
-from metrocli.tasks.multilaterate.task import LENGTHS
+from metrocli.tasks.multilaterate.settings import LENGTHS
 
 TRACERS = """tracer,x_mm,y_mm,z_mm
 LT1,-600,-500,100

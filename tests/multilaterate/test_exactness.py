@@ -79,7 +79,7 @@ def dense(net: Network, scale: float | None) -> tuple[Wide, Wide, float]:
 
 
 def run(net: Network, scale: float | None) -> Result:
-    return multilaterate.run(settings(scale), net.lengths(), net.point_table())
+    return multilaterate.run(multilaterate.TASK.job(settings(scale), net.lengths(), net.point_table()))
 
 
 @pytest.mark.parametrize(("m", "scale"), CASES)
@@ -101,14 +101,16 @@ def test_residuals_do_not_depend_on_the_datum(m: int, scale: float | None) -> No
     inner = run(net, scale)
     moved = net.nominal + np.random.default_rng(1).normal(0, 0.05, net.nominal.shape)
     other = multilaterate.run(
-        settings(scale), net.lengths(), type(net)(**{**vars(net), "nominal": moved}).point_table()
+        multilaterate.TASK.job(
+            settings(scale), net.lengths(), type(net)(**{**vars(net), "nominal": moved}).point_table()
+        )
     )
     sigma = {name: np.full(30, np.nan) for name in ("sigma_x", "sigma_y", "sigma_z")}
     for point, axes in ((0, "xyz"), (1, "xy"), (2, "x")):
         for axis in axes:
             sigma[f"sigma_{axis}"][point] = 0.0
     # six coordinates that hold the frame and no more
-    fixed = multilaterate.run(settings(scale), net.lengths(), net.point_table(**sigma))
+    fixed = multilaterate.run(multilaterate.TASK.job(settings(scale), net.lengths(), net.point_table(**sigma)))
     for found in (other, fixed):
         assert found.statistics["chi2"] == pytest.approx(inner.statistics["chi2"], rel=1e-9)
         assert found.statistics["dof"] == inner.statistics["dof"]

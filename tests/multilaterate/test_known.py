@@ -16,7 +16,7 @@ from metrocli.tasks.multilaterate import task as multilaterate
 def test_absolute_distances_have_no_dead_path() -> None:
     """Four tracers of unknown place are enough for positions, as long as the points are many."""
     net = replace(network(30, 4, seed=1), dead=np.zeros(4)).read(np.random.default_rng(0))
-    result = multilaterate.run(settings(measures="absolute"), net.lengths(), net.point_table())
+    result = multilaterate.run(multilaterate.TASK.job(settings(measures="absolute"), net.lengths(), net.point_table()))
     assert not any("dead_path" in e.name for e in result.estimates)
     assert result.statistics["unknowns"] == 3 * 30 + 3 * 4
     error = without_motion(places(result.tables["points"]), net.points) - net.points
@@ -29,7 +29,7 @@ def test_an_absolute_distance_below_zero_is_refused_with_its_line() -> None:
     lengths = replace(net, readings=np.where(net.readings > 0, net.readings, 100.0)).lengths()
     lengths.columns["length"][17] = -3.0
     with pytest.raises(InputError, match=r"lengths.csv:19: error: an absolute distance is not above zero"):
-        multilaterate.run(settings(measures="absolute"), lengths, net.point_table())
+        multilaterate.run(multilaterate.TASK.job(settings(measures="absolute"), lengths, net.point_table()))
 
 
 def test_known_points_fix_the_frame_and_the_scale() -> None:
@@ -41,7 +41,9 @@ def test_known_points_fix_the_frame_and_the_scale() -> None:
     nominal[:3] = net.points[:3]
     nominal[3:6] = net.points[3:6] + np.random.default_rng(3).normal(0, 1e-3, (3, 3))
     net = replace(net, nominal=nominal)
-    result = multilaterate.run(settings(1e-5, datum="points"), net.lengths(), net.point_table(sigma=sigma))
+    result = multilaterate.run(
+        multilaterate.TASK.job(settings(1e-5, datum="points"), net.lengths(), net.point_table(sigma=sigma))
+    )
     assert result.statistics["conditions"] == 0
     error = places(result.tables["points"]) - net.points
     stated = result.tables["points"].stacked(["sx", "sy", "sz"])
@@ -60,8 +62,10 @@ def test_a_known_length_controls_the_common_scale() -> None:
         {"from": np.array(["P0"]), "to": np.array(["P1"]), "length": np.array([truth]), "sigma": np.array([1e-5])},
         {"length": "mm", "sigma": "mm"},
     )
-    free = multilaterate.run(settings(1e-5), net.lengths(), net.point_table())
-    with_bar = multilaterate.run(settings(1e-5), net.lengths(), net.point_table(), distances=bar)
+    free = multilaterate.run(multilaterate.TASK.job(settings(1e-5), net.lengths(), net.point_table()))
+    with_bar = multilaterate.run(
+        multilaterate.TASK.job(settings(1e-5), net.lengths(), net.point_table(), distances=bar)
+    )
 
     def scale(result: object) -> tuple[float, float]:
         of = [e for e in result.estimates if e.name.endswith(".scale")]  # type: ignore[attr-defined]
@@ -76,7 +80,7 @@ def test_a_known_length_controls_the_common_scale() -> None:
 def test_points_that_are_said_to_be_known_and_are_not() -> None:
     net = network(30, 4)
     with pytest.raises(UndeterminedError):
-        multilaterate.run(settings(datum="points"), net.lengths(), net.point_table())
+        multilaterate.run(multilaterate.TASK.job(settings(datum="points"), net.lengths(), net.point_table()))
 
 
 def test_tracers_of_known_place() -> None:
@@ -87,7 +91,9 @@ def test_tracers_of_known_place() -> None:
         dict.fromkeys(("x", "y", "z", "sigma"), "mm"),
     )
     absolute = replace(net, dead=np.zeros(3)).read(np.random.default_rng(2))
-    result = multilaterate.run(settings(measures="absolute"), absolute.lengths(), absolute.point_table(), tracers)
+    result = multilaterate.run(
+        multilaterate.TASK.job(settings(measures="absolute"), absolute.lengths(), absolute.point_table(), tracers)
+    )
     assert result.statistics["dof"] == 0
     error = places(result.tables["points"]) - net.points
     assert np.abs(error).max() < 5 * result.tables["points"].stacked(["sx", "sy", "sz"]).max()
@@ -106,7 +112,7 @@ def test_one_tracer_at_many_stations(stations: int) -> None:
     )
     if stations > 4:
         net.readings[:20, 5] = net.readings[40:, 6] = np.nan
-    result = multilaterate.run(settings(), net.lengths(), net.point_table())
+    result = multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table()))
     error = without_motion(places(result.tables["points"]), net.points) - net.points
     stated = result.tables["points"].stacked(["sx", "sy", "sz"])
     assert 0.5 < np.sqrt((error**2).mean() / (stated**2).mean()) < 1.6
@@ -117,7 +123,7 @@ def test_points_and_tracers_without_a_length_are_left_out_and_named() -> None:
     net = network(30, 5, seed=7)
     net.readings[4] = np.nan
     net.readings[:, 2] = np.nan
-    result = multilaterate.run(settings(), net.lengths(), net.point_table(), net.tracer_table())
+    result = multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table(), net.tracer_table()))
     assert any("P4" in line for line in result.warnings)
     assert any("T2" in line for line in result.warnings)
     assert "P4" not in result.tables["points"].texts("point")

@@ -52,14 +52,14 @@ def test_degenerate_layouts_are_named(name: str) -> None:
     make, words = CATALOGUE[name]
     net = make()
     with pytest.raises(UndeterminedError, match=words) as told:
-        multilaterate.run(settings(), net.lengths(), net.point_table())
+        multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table()))
     assert told.value.exit_code == 4
 
 
 def test_three_absolute_tracers_are_not_enough_where_nothing_is_known() -> None:
     net = replace(network(30, 3), dead=np.zeros(3)).read(np.random.default_rng(1))
     with pytest.raises(UndeterminedError, match="positions from absolute distances need 4 or more"):
-        multilaterate.run(settings(measures="absolute"), net.lengths(), net.point_table())
+        multilaterate.run(multilaterate.TASK.job(settings(measures="absolute"), net.lengths(), net.point_table()))
 
 
 def test_good_layouts_raise_no_alarm() -> None:
@@ -68,7 +68,9 @@ def test_good_layouts_raise_no_alarm() -> None:
     alarms = []
     for seed in range(300):
         net = network(int(rng.integers(15, 80)), int(rng.integers(4, 9)), seed=1000 + seed)
-        result = multilaterate.run(settings(), net.lengths(), net.point_table(), net.tracer_table())
+        result = multilaterate.run(
+            multilaterate.TASK.job(settings(), net.lengths(), net.point_table(), net.tracer_table())
+        )
         alarms += [line for line in result.warnings if "layout" in line]
     assert alarms == []
 
@@ -79,7 +81,7 @@ def test_a_weak_layout_is_said_to_be_weak(off: float, weak: bool) -> None:
     tracers = net.tracers.copy()
     tracers[3, 2] += off
     net = replace(net, tracers=tracers).read(RNG)
-    result = multilaterate.run(settings(), net.lengths(), net.point_table())
+    result = multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table()))
     told = [line for line in result.warnings if "layout is weak" in line and "stand in one plane" in line]
     assert bool(told) is weak
     ratio = result.statistics["weakness"]
@@ -88,12 +90,15 @@ def test_a_weak_layout_is_said_to_be_weak(off: float, weak: bool) -> None:
 
 def test_six_tracers_in_a_plane_are_enough() -> None:
     net = on_plane(6)
-    assert multilaterate.run(settings(), net.lengths(), net.point_table()).statistics["weakness"] < 10  # type: ignore[operator]
+    assert (
+        multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table())).statistics["weakness"]
+        < 10
+    )  # type: ignore[operator]
 
 
 def test_what_no_residual_shows_is_listed() -> None:
     net = network(30, 4, seed=1)
-    result = multilaterate.run(settings(), net.lengths(), net.point_table())
+    result = multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table()))
     hidden = result.tables["not_controlled"]
     effects = hidden.texts("effect")
     for word in ("refractive index", "drift", "growth", "re-seated"):
@@ -119,7 +124,7 @@ def test_what_is_said_to_be_hidden_is_hidden(effect: str) -> None:
     # a common index scales tracers and dead paths along, as far as lengths can tell
     scale = 1 + 1e-6 if effect == "index" else 1.0
     spoilt = replace(net, dead=net.dead).at(moved, net.tracers * scale)
-    result = multilaterate.run(settings(), spoilt.lengths(), spoilt.point_table())
+    result = multilaterate.run(multilaterate.TASK.job(settings(), spoilt.lengths(), spoilt.point_table()))
     assert result.statistics["chi2"] < 1e-4
 
 
@@ -133,7 +138,9 @@ def test_known_lengths_control_the_index() -> None:
         "length": np.linalg.norm(net.points[:1] - net.points[1:2], axis=1),
     }
     distances = Table(bar | {"sigma": np.array([1e-4])}, {"length": "mm", "sigma": "mm"})
-    result = multilaterate.run(settings(), net.lengths(), net.point_table(), distances=distances)
+    result = multilaterate.run(
+        multilaterate.TASK.job(settings(), net.lengths(), net.point_table(), distances=distances)
+    )
     assert not any("refractive" in effect for effect in result.tables["not_controlled"].texts("effect"))
 
 
@@ -146,8 +153,8 @@ def test_points_that_too_few_read_are_left_out_on_demand() -> None:
     seen = np.isfinite(net.readings).sum(axis=1)
     assert (seen < 3).sum() >= 3
     with pytest.raises(UndeterminedError, match="points read by fewer than three tracers: .*`outliers: remove` leaves"):
-        multilaterate.run(settings(), net.lengths(), net.point_table())
-    result = multilaterate.run(settings(outliers="remove"), net.lengths(), net.point_table())
+        multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table()))
+    result = multilaterate.run(multilaterate.TASK.job(settings(outliers="remove"), net.lengths(), net.point_table()))
     rows = [int(name[1:]) for name in result.tables["points"].texts("point")]
     assert rows == np.flatnonzero(seen >= 3).tolist()
     rejected = result.tables["rejected"]

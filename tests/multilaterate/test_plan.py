@@ -35,7 +35,7 @@ from metrocli.tasks.multilaterate.distance import distance
 def planned(net: Network, scale: float | None = None, **more: Any) -> Plan:
     """The plan of a network with the points where they are meant to be."""
     points = replace(net, nominal=net.points).point_table()
-    return multilaterate.plan(settings(scale), points, net.tracer_table(0.0), **more)
+    return multilaterate.plan(multilaterate.TASK.job(settings(scale), points, net.tracer_table(0.0), **more))
 
 
 def candidates(at: np.ndarray) -> Table:
@@ -47,7 +47,9 @@ def candidates(at: np.ndarray) -> Table:
 def test_the_measurement_states_what_was_planned(m: int, scale: float | None) -> None:
     net = network(40, m, seed=m, scale=scale or 0.0)
     plan = planned(net, scale)
-    result = multilaterate.run(settings(scale), net.lengths(), net.point_table(), net.tracer_table())
+    result = multilaterate.run(
+        multilaterate.TASK.job(settings(scale), net.lengths(), net.point_table(), net.tracer_table())
+    )
     said, then = plan.tables["points"], result.tables["points"]
     assert said.stacked(["sx", "sy", "sz"]) == pytest.approx(then.stacked(["sx", "sy", "sz"]), rel=2e-3)
     worst = np.sqrt(np.linalg.eigvalsh(result.arrays["points_covariance"])[:, -1])
@@ -71,8 +73,12 @@ def test_the_measurement_states_what_was_planned(m: int, scale: float | None) ->
 def test_what_is_known_beforehand_counts() -> None:
     net = network(30, 4, seed=1)
     sigma = np.where(np.arange(30) < 4, 1e-4, np.nan)
-    plan = multilaterate.plan(settings(datum="points"), net.point_table(sigma=sigma), net.tracer_table(0.0))
-    then = multilaterate.run(settings(datum="points"), net.lengths(), net.point_table(sigma=sigma))
+    plan = multilaterate.plan(
+        multilaterate.TASK.job(settings(datum="points"), net.point_table(sigma=sigma), net.tracer_table(0.0))
+    )
+    then = multilaterate.run(
+        multilaterate.TASK.job(settings(datum="points"), net.lengths(), net.point_table(sigma=sigma))
+    )
     stated = then.tables["points"].stacked(["sx", "sy", "sz"])
     assert plan.tables["points"].stacked(["sx", "sy", "sz"]) == pytest.approx(stated, rel=1e-2)
 
@@ -85,7 +91,7 @@ def test_what_is_read_may_be_listed() -> None:
     zero = net.lengths()
     zero.columns["length"][:] = 0.0  # type: ignore[index]
     plan = planned(net, lengths=zero, candidates=candidates(CORNERS[6:7] * VOLUME))
-    result = multilaterate.run(settings(), net.lengths(), net.point_table())
+    result = multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table()))
     said, then = plan.tables["points"], result.tables["points"]
     assert said.texts("point") == then.texts("point") and len(said) == 38
     assert said.stacked(["sx", "sy", "sz"]) == pytest.approx(then.stacked(["sx", "sy", "sz"]), rel=2e-3)
@@ -141,7 +147,7 @@ def test_the_best_place_for_one_more_tracer_is_as_good_as_told() -> None:
         errors = []
         for _ in range(12):
             more = replace(net, tracers=tracers, dead=np.append(net.dead, 300.0), scale=np.ones(5)).read(rng)
-            result = multilaterate.run(settings(), more.lengths(), more.point_table())
+            result = multilaterate.run(multilaterate.TASK.job(settings(), more.lengths(), more.point_table()))
             errors.append(without_motion(places(result.tables["points"]), net.points) - net.points)
         made.append(np.sqrt(np.mean(np.square(errors))))
         assert made[-1] == pytest.approx(table.numbers("rms")[row], rel=0.12)
@@ -161,13 +167,17 @@ def test_many_points_are_compared_by_some_of_them_and_planned_by_all() -> None:
     sigma[[1, 501, 777, 998]] = 1e-5
     at = VOLUME * [[1.6, 0.5, 0.5], [0.5, 0.5, 2.5], [-0.6, 0.5, 0.5]]
     points = net.point_table(sigma=sigma)
-    plan = multilaterate.plan(settings(), points, net.tracer_table(0.0), candidates=candidates(at))
+    plan = multilaterate.plan(
+        multilaterate.TASK.job(settings(), points, net.tracer_table(0.0), candidates=candidates(at))
+    )
     assert len(plan.tables["points"]) == 1000
     names = plan.tables["candidates"].texts("candidate")
     rms = []
     for name in names:
         more = replace(net, tracers=np.vstack([net.tracers, at[int(name[1:])]]), dead=np.zeros(5), scale=np.ones(5))
-        alone = multilaterate.plan(settings(), points, more.tracer_table(0.0), candidates=candidates(at[:1]))
+        alone = multilaterate.plan(
+            multilaterate.TASK.job(settings(), points, more.tracer_table(0.0), candidates=candidates(at[:1]))
+        )
         rms.append(np.sqrt((alone.tables["points"].stacked(["sx", "sy", "sz"]) ** 2).mean()))
     assert rms == sorted(rms)
     assert plan.tables["candidates"].numbers("rms") == pytest.approx(rms, rel=0.1)

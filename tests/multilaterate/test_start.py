@@ -102,8 +102,10 @@ def test_a_job_without_a_list_of_tracers(seed: int, tmp_path: Path, metrocli) ->
 def test_a_rough_list_of_tracers_gives_the_same() -> None:
     """Half a metre off, and with dead paths that the list does not have."""
     net = network(40, 5, seed=8)
-    found = multilaterate.run(settings(), net.lengths(), net.point_table())
-    rough = multilaterate.run(settings(), net.lengths(), net.point_table(), net.tracer_table(500.0))
+    found = multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table()))
+    rough = multilaterate.run(
+        multilaterate.TASK.job(settings(), net.lengths(), net.point_table(), net.tracer_table(500.0))
+    )
     for a, b in zip(found.estimates, rough.estimates, strict=True):
         assert a.value == pytest.approx(b.value, abs=1e-6)
 
@@ -114,7 +116,7 @@ def test_points_in_one_plane_with_tracers_around(m: int) -> None:
     flat = net.points * [1, 1, 0]
     tracers = CORNERS[:m] * VOLUME + [0, 0, 600.0]
     net = replace(net, nominal=flat + np.random.default_rng(1).normal(0, 0.02, flat.shape)).at(flat, tracers)
-    result = multilaterate.run(settings(), net.lengths(), net.point_table(), net.tracer_table())
+    result = multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table(), net.tracer_table()))
     assert result.statistics["chi2"] < 1e-6
 
 
@@ -131,7 +133,7 @@ def test_a_tracer_with_four_points_and_no_list_is_refused_at_once() -> None:
     net = poor(network(22, 7, seed=402415), 4)
     began = time.process_time()
     with pytest.raises(UndeterminedError, match="tracer T0 reads 4 points, too few to find where it stands"):
-        multilaterate.run(settings(), net.lengths(), net.point_table())
+        multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table()))
     assert time.process_time() - began < 2
 
 
@@ -141,7 +143,9 @@ def test_a_tracer_with_four_points_that_is_listed(n: int, m: int, seed: int, sca
     net = poor(network(n, m, seed=seed), 4)
     began = time.process_time()
     try:
-        result = multilaterate.run(settings(scale), net.lengths(), net.point_table(), net.tracer_table())
+        result = multilaterate.run(
+            multilaterate.TASK.job(settings(scale), net.lengths(), net.point_table(), net.tracer_table())
+        )
         error = without_motion(places(result.tables["points"]), net.points) - net.points
         assert np.sqrt((error**2).mean() / (result.tables["points"].stacked(["sx", "sy", "sz"]) ** 2).mean()) < 2
     except UndeterminedError as error:

@@ -140,7 +140,7 @@ def test_a_large_grid_may_stand_askew(tilt: float) -> None:
     one = grid(9, seed=2)
     one.mountings["3"] = (np.zeros(3), np.array([tilt, -tilt / 2, tilt / 2]))
     settings = one.settings(leave_one_out="no")
-    result = selfcal_grid.run(settings, one.read(np.random.default_rng(1), noise=0.0))
+    result = selfcal_grid.run(selfcal_grid.TASK.job(settings, one.read(np.random.default_rng(1), noise=0.0)))
     assert np.abs(result.tables["machine_error"].stacked(["ex", "ey", "ez"]) - one.machine).max() < 1e-9
     told = [line for line in result.warnings if "pitches from its sites" in line]
     assert len(told) == 1
@@ -181,7 +181,10 @@ def test_a_pitch_that_is_a_little_off_is_told() -> None:
     settings = one.settings(leave_one_out="no")
     table = one.read(np.random.default_rng(1))
     off = replace(settings, grid=replace(settings.grid, pitch=66.0))
-    assert any("are read 65" in line and "the pitch is 66 mm" in line for line in selfcal_grid.run(off, table).warnings)
+    assert any(
+        "are read 65" in line and "the pitch is 66 mm" in line
+        for line in selfcal_grid.run(selfcal_grid.TASK.job(off, table)).warnings
+    )
 
 
 def test_a_few_rough_balls_are_no_other_pitch() -> None:
@@ -193,14 +196,14 @@ def test_a_few_rough_balls_are_no_other_pitch() -> None:
     ball = np.stack([table.numbers(k) for k in "ijk"], axis=1)
     three = (ball >= 0).all(axis=1) & (ball.sum(axis=1) <= 1) & (ball[:, 2] == 0)
     few = without(table, (np.array(table.texts("view")) == "2") & ~three)
-    result = selfcal_grid.run(one.settings(leave_one_out="no"), few)
+    result = selfcal_grid.run(selfcal_grid.TASK.job(one.settings(leave_one_out="no"), few))
     assert result.tables["views"].numbers("readings")[1] == 3
 
 
 def test_a_view_without_readings_is_told() -> None:
     one = grid(5, "1234", seed=2)
     settings = replace(one.settings(leave_one_out="no"), views=(*one.settings().views, DECLARED["5"]))
-    result = selfcal_grid.run(settings, one.read(np.random.default_rng(1)))
+    result = selfcal_grid.run(selfcal_grid.TASK.job(settings, one.read(np.random.default_rng(1))))
     assert result.warnings == ("view '5' has no readings",)
 
 

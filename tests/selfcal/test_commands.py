@@ -90,7 +90,9 @@ def test_between_sites_both_forms_are_off_as_their_uncertainties_say(
     points = Table(
         {"point": np.arange(300).astype(str), **dict(zip("xyz", places.T, strict=True))}, dict.fromkeys("xyz", "mm")
     )
-    result = selfcal_grid.run(moved.settings(noise, leave_one_out="no"), moved.read(rng, noise), None, points)
+    result = selfcal_grid.run(
+        selfcal_grid.TASK.job(moved.settings(noise, leave_one_out="no"), moved.read(rng, noise), None, points)
+    )
     basis = np.concatenate([np.ones((125, 1)), r], axis=1)
     # what the gauge took away is linear in the place
     removed = np.linalg.lstsq(basis, field(r) - machine, rcond=None)[0]
@@ -313,6 +315,6 @@ def test_without_noise_the_published_sequence_is_right_but_for_second_order() ->
     from metrocli.tasks.selfcal_grid import task as selfcal_grid
 
     one = grid(5, seed=5)
-    table = selfcal_grid.compare(one.settings(), one.read(np.random.default_rng(0), noise=0.0))
+    table = selfcal_grid.compare(selfcal_grid.TASK.job(one.settings(), one.read(np.random.default_rng(0), noise=0.0)))
     assert table.numbers("rms_machine_error")[0] > 8e-3
     assert table.numbers("rms_difference")[1] < 5e-5

@@ -68,8 +68,8 @@ def test_estimated_noise_scales_the_uncertainties() -> None:
 
     one = grid(5, seed=12)
     table = one.read(np.random.default_rng(4), noise=3 * NOISE)
-    declared = selfcal_grid.run(one.settings(3 * NOISE, leave_one_out="no"), table)
-    found = selfcal_grid.run(replace(one.settings(leave_one_out="no"), noise="estimated"), table)
+    declared = selfcal_grid.run(selfcal_grid.TASK.job(one.settings(3 * NOISE, leave_one_out="no"), table))
+    found = selfcal_grid.run(selfcal_grid.TASK.job(replace(one.settings(leave_one_out="no"), noise="estimated"), table))
     ratio = found.tables["machine_error"].numbers("s_ex") / declared.tables["machine_error"].numbers("s_ex")
     assert np.allclose(ratio, declared.statistics["sigma0"], rtol=1e-6)
     assert found.statistics["noise"]["mm"] == pytest.approx(3 * NOISE, rel=0.1)

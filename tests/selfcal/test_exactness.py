@@ -33,7 +33,9 @@ def fields(result: Result) -> tuple[np.ndarray, np.ndarray]:
 )
 def test_fields_are_recovered(n: int, views: str) -> None:
     one = grid(n, views, seed=n)
-    result = selfcal_grid.run(one.settings(leave_one_out="no"), one.read(np.random.default_rng(0), noise=0.0))
+    result = selfcal_grid.run(
+        selfcal_grid.TASK.job(one.settings(leave_one_out="no"), one.read(np.random.default_rng(0), noise=0.0))
+    )
     machine, artefact = fields(result)
     assert np.abs(machine - one.machine).max() < 1e-9
     assert np.abs(artefact - one.artefact).max() < 1e-9
@@ -48,7 +50,9 @@ def test_a_rough_artefact_does_no_harm() -> None:
     one = grid(5, seed=2)
     machine, artefact = in_gauge(one.balls * PITCH, one.machine, 60 * one.artefact)
     rough = Grid(5, "1234", one.balls, machine, artefact, one.mountings)
-    result = selfcal_grid.run(rough.settings(leave_one_out="no"), rough.read(np.random.default_rng(0), noise=0.0))
+    result = selfcal_grid.run(
+        selfcal_grid.TASK.job(rough.settings(leave_one_out="no"), rough.read(np.random.default_rng(0), noise=0.0))
+    )
     assert np.abs(artefact).max() > 5
     assert all(np.abs(a - b).max() < 1e-9 for a, b in zip(fields(result), (machine, artefact), strict=True))
 
@@ -110,7 +114,9 @@ def test_uncertainties_are_those_of_dense_algebra(views: str) -> None:
 
 def test_the_datum_is_the_stated_one() -> None:
     one = grid(5)
-    result = selfcal_grid.run(one.settings(leave_one_out="no"), one.read(np.random.default_rng(3)))
+    result = selfcal_grid.run(
+        selfcal_grid.TASK.job(one.settings(leave_one_out="no"), one.read(np.random.default_rng(3)))
+    )
     machine, artefact = fields(result)
     r = one.balls * PITCH
     for values in (machine, artefact):
@@ -133,13 +139,13 @@ def test_a_length_fixes_the_scale() -> None:
     columns = {f"{name}{end}": ends[:, 3 * (end - 1) + n] for end in (1, 2) for n, name in enumerate("ijk")}
     lengths = Table({**columns, "length": length, "sigma": np.full(2, 1e-4)}, {"length": "mm", "sigma": "mm"})
     settings = one.settings(leave_one_out="no")
-    result = selfcal_grid.run(settings, table, lengths)
+    result = selfcal_grid.run(selfcal_grid.TASK.job(settings, table, lengths))
     machine, artefact = fields(result)
     assert np.abs(machine - stretched.machine).max() < 1e-9
     assert np.abs(artefact - stretched.artefact).max() < 1e-9
     assert result.statistics["undetermined"] == 12
     assert "the scale is that of the lengths" in result.notes[0]
-    free, _ = fields(selfcal_grid.run(settings, table))
+    free, _ = fields(selfcal_grid.run(selfcal_grid.TASK.job(settings, table)))
     share = ((stretched.machine - stretched.artefact) * r).sum() / (2 * (r * r).sum())
     assert np.abs(free - (stretched.machine - share * r)).max() < 1e-8
 
@@ -163,7 +169,9 @@ def test_sites_outside_the_grid_and_repeats() -> None:
     }
     repeat = np.array(["1"] * len(table) + ["2"] * 5 + ["1"] * 9)
     result = selfcal_grid.run(
-        one.settings(leave_one_out="no"), Table({**joined, "repeat": repeat}, dict.fromkeys("xyz", "mm"))
+        selfcal_grid.TASK.job(
+            one.settings(leave_one_out="no"), Table({**joined, "repeat": repeat}, dict.fromkeys("xyz", "mm"))
+        )
     )
     found = result.tables["machine_error"]
     beyond = found.numbers("i") == 2

@@ -44,7 +44,7 @@ def run(views: str, drop: float = 0.0, **more: object):  # type: ignore[no-untyp
     one = grid(5, views, seed=8)
     table = one.read(np.random.default_rng(2))
     table = without(table, np.random.default_rng(3).random(len(table)) < drop)
-    return one, selfcal_grid.run(one.settings(leave_one_out="no", **more), table)
+    return one, selfcal_grid.run(selfcal_grid.TASK.job(one.settings(leave_one_out="no", **more), table))
 
 
 @pytest.mark.parametrize("views", FAMILIES)
@@ -71,7 +71,9 @@ def test_a_length_fixes_one_of_two_scales(end: tuple[int, int, int], left: str) 
     lengths = Table(
         {**columns, "length": np.array([length]), "sigma": np.array([1e-3])}, {"length": "mm", "sigma": "mm"}
     )
-    result = selfcal_grid.run(one.settings(leave_one_out="no"), one.read(np.random.default_rng(2)), lengths)
+    result = selfcal_grid.run(
+        selfcal_grid.TASK.job(one.settings(leave_one_out="no"), one.read(np.random.default_rng(2)), lengths)
+    )
     table = result.tables["undetermined"]
     assert table.texts("pattern")[2:] == [f"another scale {left}"]
     assert result.statistics["undetermined"] == 13
@@ -123,7 +125,9 @@ def test_nothing_that_follows_from_what_is_open_is_given_out(views: str) -> None
         {"point": np.arange(len(places)).astype(str), **dict(zip("xyz", places.T, strict=True))},
         dict.fromkeys("xyz", "mm"),
     )
-    result = selfcal_grid.run(one.settings(leave_one_out="no"), one.read(np.random.default_rng(2)), None, points)
+    result = selfcal_grid.run(
+        selfcal_grid.TASK.job(one.settings(leave_one_out="no"), one.read(np.random.default_rng(2)), None, points)
+    )
     names = ["s_ex", "s_ey", "s_ez"]
     at_sites, mapped = result.tables["machine_error"].stacked(names)[::7], result.tables["map"].stacked(names)
     assert np.array_equal(np.isinf(at_sites), np.isinf(mapped))
@@ -138,7 +142,7 @@ def test_nothing_that_follows_from_what_is_open_is_given_out(views: str) -> None
 def test_two_views_say_what_is_open() -> None:
     """As many as are there: nothing is left when one of them is left out."""
     one = grid(3, "12", seed=8)
-    result = selfcal_grid.run(one.settings(), one.read(np.random.default_rng(2)))
+    result = selfcal_grid.run(selfcal_grid.TASK.job(one.settings(), one.read(np.random.default_rng(2))))
     readings = grid_readings.read(
         views_of(one.settings()), one.settings().grid.half, one.read(np.random.default_rng(2))
     )
@@ -158,7 +162,7 @@ def test_views_that_share_no_turn_and_no_site(shift: tuple[int, int, int]) -> No
     twice["view"] = np.repeat(["1", "2"], len(table))
     twice["x"] = twice["x"] + np.repeat([0.0, PITCH * shift[0]], len(table))
     settings = replace(one.settings(), views=(ViewSettings("1"), ViewSettings("2", shift=shift)))
-    result = selfcal_grid.run(settings, Table(twice, table.units))
+    result = selfcal_grid.run(selfcal_grid.TASK.job(settings, Table(twice, table.units)))
     # all of A, and for a view beside the first its own sites, which follow its mounting
     assert result.statistics["undetermined"] == 3 * 27 + 6 + (6 if shift[0] else 0)
     assert np.isinf(result.tables["machine_error"].numbers("s_ex")).all()
@@ -171,7 +175,7 @@ def test_a_view_of_few_balls() -> None:
     fourth = np.array(table.texts("view")) == "4"
     row = (table.numbers("j") == 0) & (table.numbers("k") == 0)
     for drop, count in ((fourth & ~row, 1), (fourth & ~(row & (table.numbers("i") == 0)), 3)):
-        result = selfcal_grid.run(one.settings(leave_one_out="no"), without(table, drop))
+        result = selfcal_grid.run(selfcal_grid.TASK.job(one.settings(leave_one_out="no"), without(table, drop)))
         last = result.tables["undetermined"]
         assert last.texts("pattern")[-1] == "turns of view '4', whose balls are fewer than three or in a row"
         assert last.numbers("directions")[-1] == count
@@ -194,7 +198,7 @@ def test_a_ball_seen_once_at_a_site_seen_once() -> None:
             & (table.numbers("k") == image[2])
         )
     assert turned.tolist() == [1, 1, 1]
-    result = selfcal_grid.run(one.settings(leave_one_out="no"), without(table, drop))
+    result = selfcal_grid.run(selfcal_grid.TASK.job(one.settings(leave_one_out="no"), without(table, drop)))
     table = result.tables["undetermined"]
     assert table.texts("pattern")[3:] == ["machine errors at sites seen once, by a ball seen once"]
     assert table.numbers("directions")[3:].tolist() == [3]
@@ -211,7 +215,7 @@ def test_outliers_are_named_and_left_out() -> None:
     rows = [7, 200, 430]
     for row in rows:
         table.columns["y"][row] += 40 * NOISE
-    reported = selfcal_grid.run(one.settings(leave_one_out="no"), table)
+    reported = selfcal_grid.run(selfcal_grid.TASK.job(one.settings(leave_one_out="no"), table))
     names = list(
         zip(
             reported.tables["suspects"].texts("view"),
@@ -221,7 +225,7 @@ def test_outliers_are_named_and_left_out() -> None:
     )
     wanted = [(table.texts("view")[row], *(int(table.numbers(k)[row]) for k in "ijk")) for row in rows]
     assert set(wanted) <= set(names)
-    removed = selfcal_grid.run(one.settings(leave_one_out="no", outliers="remove"), table)
+    removed = selfcal_grid.run(selfcal_grid.TASK.job(one.settings(leave_one_out="no", outliers="remove"), table))
     out = removed.tables["rejected"]
     gone = list(zip(out.texts("view"), *(out.numbers(k).astype(int).tolist() for k in "ijk"), strict=True))
     assert sorted(gone) == sorted(wanted)
@@ -235,7 +239,7 @@ def test_a_view_that_does_not_agree_is_told() -> None:
     rows = np.array(table.texts("view")) == "3"
     for axis in "xyz":
         table.columns[axis][rows] *= 1 + 2e-5
-    result = selfcal_grid.run(one.settings(), table)
+    result = selfcal_grid.run(selfcal_grid.TASK.job(one.settings(), table))
     told = [line for line in result.warnings if "does not agree with the others" in line]
     assert len(told) == 1
     assert told[0].startswith("view '3'")
@@ -249,12 +253,14 @@ def test_a_view_left_out_that_does_not_converge_says_nothing() -> None:
     rng = np.random.default_rng(4)
     for name in one.mountings:
         one.mountings[name] = (rng.normal(0, 0.2, 3), rng.normal(0, 0.08, 3))
-    p_values = selfcal_grid.run(one.settings(), one.read(rng)).tables["views"].numbers("left_out_p")
+    p_values = (
+        selfcal_grid.run(selfcal_grid.TASK.job(one.settings(), one.read(rng))).tables["views"].numbers("left_out_p")
+    )
     assert ((p_values > 1e-4) & (p_values < 1 - 1e-4) | np.isnan(p_values)).all()
 
 
 def test_good_views_agree() -> None:
     one = grid(5, "123456", seed=11)
-    result = selfcal_grid.run(one.settings(), one.read(np.random.default_rng(6)))
+    result = selfcal_grid.run(selfcal_grid.TASK.job(one.settings(), one.read(np.random.default_rng(6))))
     assert result.warnings == ()
     assert (result.tables["views"].numbers("left_out_p") > 1e-3).all()

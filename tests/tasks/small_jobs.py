@@ -13,6 +13,7 @@ from metrocli.formats import csv
 from metrocli.simulation import SimulationOptions
 from metrocli.table import Table
 from metrocli.tasks.align_part import task as align_part
+from metrocli.tasks.calibrate_camera import settings as camera_job
 from metrocli.tasks.calibrate_camera import task as calibrate_camera
 
 _CAMERA = "camera: {image_size: [2592, 1944], pixel_size: 2.2 um, estimate: [f, cx, cy, k1, k2, p1, p2]}\n"
@@ -29,10 +30,10 @@ extrinsics: {x: -2.139 mm, y: 0.301 mm, z: -320.3 mm, alpha: -0.003 rad, beta: -
 """
 
 
-def calibration(folder: Path, rig: str, targets: Table, settings: calibrate_camera.Settings | None = None) -> Path:
+def calibration(folder: Path, rig: str, targets: Table, settings: camera_job.Settings | None = None) -> Path:
     """Write a calibration job with simulated readings."""
     settings = settings or coverage.camera_settings(rig, images=6)
-    simulation = calibrate_camera.simulate(settings, SimulationOptions(1), targets=targets)
+    simulation = calibrate_camera.simulate(calibrate_camera.TASK.job(settings, targets=targets), SimulationOptions(1))
     csv.write(folder / "targets.csv", targets)
     csv.write(folder / "observations.csv", simulation.files["observations.csv"])
     job = folder / "job.yaml"
@@ -87,7 +88,9 @@ def one_plane(folder: Path) -> Path:
 def alignment(folder: Path, targets: Table, poses: Table) -> Path:
     """Write a 7D alignment with the camera in a file."""
     settings = coverage.alignment_settings(0.05, 1e-3)
-    seen = align_part.simulate(settings, SimulationOptions(1), coverage.true_camera(), poses, targets)
+    seen = align_part.simulate(
+        align_part.TASK.job(settings, coverage.true_camera(), poses, targets), SimulationOptions(1)
+    )
     for name, table in (("targets", targets), ("poses", poses), ("observations", seen.files["observations.csv"])):
         csv.write(folder / f"{name}.csv", table)
     (folder / "camera.yaml").write_text(CAMERA_FILE)

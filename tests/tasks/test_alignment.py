@@ -56,8 +56,10 @@ def test_a_start_for_any_clamping_angle_takes_less_than_half_a_second() -> None:
     targets = corners()
     poses = poses_over(targets)
     settings = alignment_settings(0.05, np.radians(40.0))
-    seen = align_part.simulate(settings, SimulationOptions(7), true_camera(), poses, targets)
+    seen = align_part.simulate(align_part.TASK.job(settings, true_camera(), poses, targets), SimulationOptions(7))
     began = time.process_time()
-    result = align_part.run(settings, true_camera(), poses, targets, observations=seen.files["observations.csv"])
+    result = align_part.run(
+        align_part.TASK.job(settings, true_camera(), poses, targets, observations=seen.files["observations.csv"])
+    )
     assert time.process_time() - began < 0.5
     assert {e.name: e.value for e in result.estimates}["gamma_s"] == pytest.approx(np.radians(40.0), abs=1e-3)

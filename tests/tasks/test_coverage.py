@@ -44,9 +44,11 @@ def test_the_calibration_of_the_camera_is_part_of_the_uncertainty_of_the_part() 
     targets = coverage.corners(0.0)
     poses, settings = coverage.poses_over(targets), coverage.alignment_settings(0.05, 1e-3)
     true = coverage.true_camera()
-    seen = align_part.simulate(settings, SimulationOptions(1), true, poses, targets).files["observations.csv"]
-    with_camera = align_part.run(settings, camera, poses, targets, observations=seen)
-    exact = align_part.run(settings, true, poses, targets, observations=seen)
+    seen = align_part.simulate(align_part.TASK.job(settings, true, poses, targets), SimulationOptions(1)).files[
+        "observations.csv"
+    ]
+    with_camera = align_part.run(align_part.TASK.job(settings, camera, poses, targets, observations=seen))
+    exact = align_part.run(align_part.TASK.job(settings, true, poses, targets, observations=seen))
     assert all(a.std > b.std for a, b in zip(with_camera.estimates, exact.estimates, strict=True))
     z, exact_z = with_camera.estimates[2].std, exact.estimates[2].std
     assert z > 1.1 * exact_z

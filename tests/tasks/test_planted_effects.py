@@ -12,7 +12,7 @@ import pytest
 from tasks import small_jobs
 from tasks.test_round_trips import BOUND, LENS, TRUTH, assert_true, simulated
 
-from metrocli.effects import effects_of
+from metrocli.tasks import KINDS
 
 Metrocli = Callable[..., Any]
 TIMES = "interval: 30 s, warming: 3 K"
@@ -135,9 +135,10 @@ def test_an_alignment_finds_what_was_planted(name: str, tmp_path: Path, metrocli
 
 
 def test_every_effect_of_alignments_is_planted_here() -> None:
-    assert {effect.name for effect in effects_of("align-part")} - {"clamping-angle", "target-eccentricity"} == set(
-        ALIGNED
-    )
+    assert {effect.name for effect in KINDS["align-part"].task().effects} - {
+        "clamping-angle",
+        "target-eccentricity",
+    } == set(ALIGNED)
 
 
 def test_a_known_effect_is_applied(tmp_path: Path, metrocli: Metrocli) -> None:

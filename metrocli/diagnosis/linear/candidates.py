@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
-from metrocli.diagnosis.adjusted_job import Subject
+from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.linear.projection import System
 from metrocli.diagnosis.linear.signatures import scan
 from metrocli.effects.effect import Effect
@@ -83,7 +83,7 @@ class NotTested:
     where: Mapping[str, str] = field(default_factory=dict)
 
 
-def families_of(subject: Subject, system: System) -> tuple[list[Family], list[NotTested]]:
+def families_of(subject: AdjustedJob, system: System) -> tuple[list[Family], list[NotTested]]:
     """Return the candidates of all effects that the data allow to test, and those that they do not."""
     families: dict[tuple[str, int], list[Family]] = {}
     missing: list[NotTested] = []
@@ -132,7 +132,7 @@ def _places(model: Model, effect: Effect) -> list[tuple[str, ...]]:
     return list(product(*(names_for(model, effect, key) for key in effect.keys)))[:_MOST_PLACES]
 
 
-def _of_effect(subject: Subject, system: System, effect: Effect) -> Iterator[Family]:
+def _of_effect(subject: AdjustedJob, system: System, effect: Effect) -> Iterator[Family]:
     places = _absent(subject.model, effect)
     together = bool(effect.keys) and all(subject.model.places[key].index for key in effect.keys)
     for chosen in [places] if together else [[place] for place in places]:
@@ -189,7 +189,7 @@ def thinned(values: Array, most: int) -> Array:
 
 
 def _columns(
-    subject: Subject, system: System, effect: Effect, places: Sequence[tuple[str, ...]]
+    subject: AdjustedJob, system: System, effect: Effect, places: Sequence[tuple[str, ...]]
 ) -> Iterator[tuple[Alternative, Array, Array]]:
     """Yield for each place and scan the visible columns of its parameters (rows, parameters) and their norms before."""
     scans = [dict(one) for one in _scans(subject.model, effect)]

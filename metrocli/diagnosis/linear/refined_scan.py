@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
-from metrocli.diagnosis.adjusted_job import Subject
+from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.linear.candidates import Alternative, Family, thinned
 from metrocli.diagnosis.linear.score_tests import Field
 from metrocli.diagnosis.linear.signatures import signature
@@ -17,7 +17,7 @@ _TRIED = 40
 _ROUNDS = 2
 
 
-def polished(subject: Subject, selection: Selection) -> Selection:
+def polished(subject: AdjustedJob, selection: Selection) -> Selection:
     """Return the selection with the scanned parameters of its names where they explain the readings best.
 
     The levels stay those of the coarse scan, which counted what was tried.
@@ -43,7 +43,7 @@ def _same(selection: Selection, one: Chosen) -> Chosen:
     )
 
 
-def _closer(subject: Subject, selection: Selection, one: Chosen, name: str) -> Selection:
+def _closer(subject: AdjustedJob, selection: Selection, one: Chosen, name: str) -> Selection:
     field = selection.field
     family = field.families[one.family]
     alternative = family.alternatives[one.number]
@@ -66,7 +66,7 @@ def _closer(subject: Subject, selection: Selection, one: Chosen, name: str) -> S
     return replace(selection, field=grown).with_one(new, instead=one)
 
 
-def _between(subject: Subject, family: Family, alternative: Alternative, name: str) -> Array:
+def _between(subject: AdjustedJob, family: Family, alternative: Alternative, name: str) -> Array:
     """Return values of a scanned parameter between those next to the best one that were tried."""
     parameter = next(p for p in alternative.effect.scanned if p.name == name)
     if parameter.grid is None:

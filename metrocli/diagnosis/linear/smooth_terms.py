@@ -9,7 +9,7 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.groups import Group
-from metrocli.diagnosis.adjusted_job import Covariate, Subject
+from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate
 from metrocli.diagnosis.linear.candidates import Alternative, Family
 from metrocli.diagnosis.linear.projection import System
 from metrocli.effects.effect import Effect, Parameter
@@ -25,7 +25,7 @@ _FEWEST_FOR = 4
 """Readings for each term that a unit must have to get terms of its own"""
 
 
-def smooth_families(subject: Subject, system: System) -> list[Family]:
+def smooth_families(subject: AdjustedJob, system: System) -> list[Family]:
     """Return for each covariate polynomials of it: one for all readings, and one for each unit (tracer, image).
 
     And sines where it asks for them, a scan over their periods; for those that are terms themselves, these.
@@ -37,7 +37,7 @@ def smooth_families(subject: Subject, system: System) -> list[Family]:
     return smooth + waves
 
 
-def _of(subject: Subject, system: System, covariate: Covariate) -> Iterator[Family]:
+def _of(subject: AdjustedJob, system: System, covariate: Covariate) -> Iterator[Family]:
     found: list[tuple[Alternative, Array]] = []
     for group in subject.model.readings:
         values = covariate.values.get(group.name)
@@ -72,7 +72,7 @@ def _shown(system: System, columns: Array) -> Array:
     return np.asarray(u * np.where(s > _SHOWS, s, 0.0))
 
 
-def _together(subject: Subject, system: System, covariate: Covariate) -> Family:
+def _together(subject: AdjustedJob, system: System, covariate: Covariate) -> Family:
     """Return the family whose terms are the coordinates of a covariate, for readings of one component each."""
     full = np.zeros((system.rows, len(np.atleast_2d(next(iter(covariate.values.values()))))))
     for group in subject.model.readings:
@@ -83,7 +83,7 @@ def _together(subject: Subject, system: System, covariate: Covariate) -> Family:
     return Family(f"moving with {covariate.name}", alternatives, seen, raw, covariate.name)
 
 
-def _waves(subject: Subject, system: System, covariate: Covariate) -> Iterator[Family]:
+def _waves(subject: AdjustedJob, system: System, covariate: Covariate) -> Iterator[Family]:
     """Yield cosine and sine of a covariate for each component, from one period over the measurement on.
 
     Up to one in two of the steps that the covariate takes (Nyquist); half a period apart, so that none falls between.
@@ -107,7 +107,7 @@ def _waves(subject: Subject, system: System, covariate: Covariate) -> Iterator[F
         yield Family(f"waves in {covariate.name}", tuple(names), seen, raw, unknown=covariate.name)
 
 
-def _parts(subject: Subject, group: Group) -> Iterator[tuple[tuple[str, ...], Array]]:
+def _parts(subject: AdjustedJob, group: Group) -> Iterator[tuple[tuple[str, ...], Array]]:
     """Yield all readings, then those of each unit."""
     count = group.observations.count
     yield (), np.ones(count, dtype=bool)

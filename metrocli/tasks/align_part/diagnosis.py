@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from metrocli.diagnosis.adjusted_job import Delivered, Subject
-from metrocli.effects import effects_of
+from metrocli.diagnosis.adjusted_job import AdjustedJob, Delivered
 from metrocli.geometry import poses
 from metrocli.instruments import spindle_camera as spindle
 from metrocli.instruments.camera import TAPER, TARGET
+from metrocli.tasks.align_part import KIND
+from metrocli.tasks.align_part.effects import EFFECTS
 from metrocli.tasks.align_part.problem import Problem
-from metrocli.tasks.align_part.report import KIND
 from metrocli.tasks.shared.images.adjustment import Adjusted
 from metrocli.tasks.shared.images.covariates import at_solution, covariate, covariates, folds, named, refit
 
 
-def subject(problem: Problem, adjusted: Adjusted) -> Subject:
+def subject(problem: Problem, adjusted: Adjusted) -> AdjustedJob:
     """Return the subject of an adjusted alignment; images are held out."""
     model = at_solution(problem.model(), adjusted)
     index, blocks = model.readings[0].observations.index, model.blocks
@@ -32,10 +32,10 @@ def subject(problem: Problem, adjusted: Adjusted) -> Subject:
         covariate("place of the spindle", held[index["view"], :3].T, 2),
         covariate("turn of the spindle", np.stack([np.cos(about), np.sin(about)]), 2),
     ]
-    return Subject(
-        KIND,
+    return AdjustedJob(
+        KIND.name,
         model,
-        effects_of(KIND),
+        EFFECTS,
         named(found),
         ("image", "target"),
         folds(index["view"]),

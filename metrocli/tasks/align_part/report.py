@@ -20,6 +20,7 @@ from metrocli.instruments import spindle_camera as spindle
 from metrocli.instruments.camera import TARGET
 from metrocli.result import Estimate, Result
 from metrocli.table import Table
+from metrocli.tasks.align_part import KIND
 from metrocli.tasks.align_part.problem import Problem
 from metrocli.tasks.shared.images.adjustment import Adjusted
 from metrocli.tasks.shared.images.camera_parameters import HIGH
@@ -33,7 +34,6 @@ from metrocli.tasks.shared.images.tables import (
 from metrocli.tasks.shared.statistics import basic_statistics, noise_warnings, residual_table, with_noise
 from metrocli.units import format_quantity
 
-KIND = "align-part"
 _UNITS = ("mm", "mm", "mm", "rad", "rad", "rad", "rad")
 
 
@@ -118,7 +118,7 @@ def report(problem: Problem, adjusted: Adjusted, prediction: Prediction | None) 
         **effect_tables,
     }
     return Result(
-        kind=KIND,
+        kind=KIND.name,
         title="",
         estimates=estimates,
         covariance=covariance,

@@ -1,161 +1,58 @@
-"""align-part: where a part stands in the machine, seen by a camera in the spindle whose clamping angle is found too."""
+"""What align-part does with a job."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 
 from metrocli.adjust.outcome import Outcome
-from metrocli.diagnosis.adjusted_job import Subject
+from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.effects.model import extended
-from metrocli.effects.wanted import Wanted
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.geometry.poses import EULER, pose_from_euler
-from metrocli.imageset import ImageSet
 from metrocli.instruments.spindle_camera import part_in_camera
 from metrocli.result import Result
-from metrocli.settings import Choice, Either, FileOf, ImageFiles, ListOf, Quantity, Section, TableFile, setting
 from metrocli.simulation import Simulation, SimulationOptions
-from metrocli.table import TEXT, Column, Columns, Table
-from metrocli.targets.pattern import Pattern
 from metrocli.tasks.align_part.camera import camera_of
 from metrocli.tasks.align_part.diagnosis import subject
+from metrocli.tasks.align_part.effects import EFFECTS
 from metrocli.tasks.align_part.problem import Problem, build, spindle_poses
-from metrocli.tasks.align_part.report import KIND, explained, predicted, report
+from metrocli.tasks.align_part.report import explained, predicted, report
+from metrocli.tasks.align_part.settings import Files, Settings
 from metrocli.tasks.align_part.simulation import Truth, true_model
+from metrocli.tasks.kind import Job, Task
 from metrocli.tasks.shared.images.adjustment import Adjusted, Options, adjust_images, must_converge
-from metrocli.tasks.shared.images.camera_settings import CameraFile, Extrinsics
 from metrocli.tasks.shared.images.planted_effects import planted, refuse_pictures
 from metrocli.tasks.shared.images.rendering import Draw, pictures
-from metrocli.tasks.shared.images.settings import eccentricity_setting, image_faults
-from metrocli.tasks.shared.images.sightings import OBSERVATIONS, START_NOISE, Needs, sightings
+from metrocli.tasks.shared.images.sightings import START_NOISE, Needs, sightings
 from metrocli.tasks.shared.images.simulation import Shown, sightings_table, sights, true_targets
-from metrocli.tasks.shared.images.target_list import TARGETS, known_targets
-
-SIMULATED = ("observations", "images")
-SUMMARY = "part location and orientation in the machine (6D/7D)"
-POSES = Columns(
-    (
-        Column("image", TEXT),
-        Column("x", "length"),
-        Column("y", "length"),
-        Column("z", "length"),
-        *(Column(name, "angle", required=False) for name in ("a", "b", "c")),
-        Column("t", "time", required=False),
-        Column("temp", "temperature", required=False),
-    ),
-    ("image",),
-    "commanded poses of the spindle",
-)
+from metrocli.tasks.shared.images.target_list import known_targets
 
 
-@dataclass(frozen=True)
-class Inputs:
-    """The camera, the spindle's poses, and what was seen."""
-
-    camera: Path = setting(
-        FileOf(("calibrate-camera",), CameraFile),
-        "result of calibrate-camera (rig cmm), or a camera written by hand (.yaml)",
-    )
-    poses: Path = setting(TableFile(POSES), "commanded pose of the spindle for each image")
-    targets: Path = setting(TableFile(TARGETS), "coordinates of targets in the part")
-    observations: Path | None = setting(TableFile(OBSERVATIONS), "image coordinates of targets", default=None)
-    images: tuple[Path, ...] | None = setting(
-        ImageFiles(), "images, such as img/*.png, instead of observations", default=None
-    )
-
-
-@dataclass(frozen=True, kw_only=True)
-class AlignSimulation:
-    """The truth that `metrocli simulate` starts from."""
-
-    part: Extrinsics = setting(Section(Extrinsics), "the part in the machine")
-    clamping_angle: float = setting(
-        Either(Quantity("angle"), Quantity("slope")), "true clamping angle gamma_s", default=0.0
-    )
-
-
-@dataclass(frozen=True)
-class Settings:
-    """Locate a part in the machine from images of a camera in the spindle (6D), with its clamping angle (7D)."""
-
-    inputs: Inputs = setting(Section(Inputs), "the files of the job")
-    noise: float | str = setting(
-        Either(Quantity("pixel", positive=True, minimum=1e-9), Choice("estimated")),
-        "standard deviation of an image coordinate, or 'estimated'",
-    )
-    estimate: tuple[str, ...] = setting(
-        ListOf(Choice("part-pose", "clamping-angle"), distinct=True),
-        "unknowns: the 6D or the 7D job",
-        default=("part-pose", "clamping-angle"),
-    )
-    pattern: Pattern | None = setting(Section(Pattern), "what the images show", default=None)
-    outliers: str = setting(
-        Choice("report", "remove"), "name outliers, or leave them out and list them", default="report"
-    )
-    eccentricity: str = eccentricity_setting()
-    simulation: AlignSimulation | None = setting(
-        Section(AlignSimulation), "the truth for `metrocli simulate`", default=None
-    )
-
-    def faults(self) -> Iterable[tuple[str, str]]:
-        """Yield what does not fit together."""
-        yield from image_faults(self.inputs.observations, self.inputs.images, self.pattern, self.inputs.targets)
-        if "part-pose" not in self.estimate:
-            yield "estimate", "part-pose is missing: write [part-pose] for 6D or [part-pose, clamping-angle] for 7D"
-
-
-def run(
-    settings: Settings,
-    camera: Result | CameraFile,
-    poses: Table,
-    targets: Table,
-    observations: Table | None = None,
-    images: ImageSet | None = None,
-    effects: Sequence[Wanted] = (),
-) -> Result:
+def run(job: Job[Settings, Files]) -> Result:
     """Locate the part; raises InputError, UndeterminedError or NotConvergedError."""
-    problem = prepared(settings, camera, poses, Seen(targets, observations, images), effects)
+    problem = prepared(job)
     prediction = predicted(problem)
-    return report(problem, solved(settings, problem), prediction)
+    return report(problem, solved(job.settings, problem), prediction)
 
 
-def diagnosed(
-    settings: Settings,
-    camera: Result | CameraFile,
-    poses: Table,
-    targets: Table,
-    observations: Table | None = None,
-    images: ImageSet | None = None,
-    effects: Sequence[Wanted] = (),
-) -> Subject:
+def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
     """Return the job as diagnosis sees it, with all its readings; raises as `run` does."""
-    problem = prepared(settings, camera, poses, Seen(targets, observations, images), effects)
-    return subject(problem, solved(replace(settings, outliers="report"), problem))
+    problem = prepared(job)
+    return subject(problem, solved(replace(job.settings, outliers="report"), problem))
 
 
-@dataclass(frozen=True)
-class Seen:
-    """What was seen of which targets."""
-
-    targets: Table
-    observations: Table | None
-    images: ImageSet | None
-
-
-def prepared(
-    settings: Settings, camera: Result | CameraFile, poses: Table, seen: Seen, effects: Sequence[Wanted]
-) -> Problem:
+def prepared(job: Job[Settings, Files]) -> Problem:
     """Return the adjustment with its starting values and the effects of the job."""
-    model = camera_of(camera)
-    if seen.images is not None:
-        model.must_fit(seen.images)
-    sighted = sightings(settings, seen.observations, seen.targets, seen.images, Needs(fewest=1))
-    problem = build(model, sighted, poses, free_angle="clamping-angle" in settings.estimate)
-    return problem.with_model(extended(problem.model(), effects)) if effects else problem
+    settings, files = job.settings, job.files
+    model = camera_of(files.camera)
+    if files.images is not None:
+        model.must_fit(files.images)
+    sighted = sightings(settings, files.observations, files.targets, files.images, Needs(fewest=1))
+    problem = build(model, sighted, files.poses, free_angle="clamping-angle" in settings.estimate)
+    return problem.with_model(extended(problem.model(), job.effects)) if job.effects else problem
 
 
 def solved(settings: Settings, problem: Problem) -> Adjusted:
@@ -169,25 +66,18 @@ def solved(settings: Settings, problem: Problem) -> Adjusted:
     return adjusted
 
 
-def simulate(
-    settings: Settings,
-    options: SimulationOptions,
-    camera: Result | CameraFile,
-    poses: Table,
-    targets: Table,
-    effects: Sequence[Wanted] = (),
-    **_: object,
-) -> Simulation:
+def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulation:
     """Return what the camera sees of the part of `simulation:` from each pose, with noise and effects.
 
     Pictures too if asked for.
     """
-    truth = settings.simulation
+    settings, files, effects = job.settings, job.files, job.effects
+    truth, poses = settings.simulation, files.poses
     if truth is None:
         raise InputError("simulate needs the truth: give `simulation: {part: {x: 10 mm, ...}, clamping_angle: 1 mm/m}`")
-    model = camera_of(camera)
+    model = camera_of(files.camera)
     rng = np.random.default_rng(options.seed)
-    known = true_targets(known_targets(settings.pattern, targets, 0.0), rng)
+    known = true_targets(known_targets(settings.pattern, files.targets, 0.0), rng)
     at = np.array([getattr(truth.part, name) for name in EULER])
     held = spindle_poses(poses, range(len(poses)))
     part = pose_from_euler(at[:3], at[3:])
@@ -206,4 +96,4 @@ def simulate(
     return Simulation({"observations.csv": table}, true | values, drawn)
 
 
-__all__ = ["KIND", "SIMULATED", "SUMMARY", "Inputs", "Settings", "run", "simulate"]
+TASK = Task(Files, run, simulate=simulate, diagnosed=diagnosed, effects=EFFECTS)

@@ -1,0 +1,11 @@
+"""calibrate-camera: the model of a camera from a board, from targets placed by a CMM, or from a network."""
+
+from metrocli.tasks.kind import Kind, Question
+
+KIND = Kind(
+    "calibrate-camera",
+    "camera model from images or observed points",
+    measured=("observations", "images"),
+    planned=("observations", "images"),
+    questions=(Question("compare", "Fit each lens model and print what it would gain, without writing a result."),),
+)

@@ -5,28 +5,28 @@ from __future__ import annotations
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
-from metrocli.diagnosis.adjusted_job import Delivered, Subject
-from metrocli.effects import effects_of
+from metrocli.diagnosis.adjusted_job import AdjustedJob, Delivered
 from metrocli.effects.model import Model
 from metrocli.geometry import poses
 from metrocli.instruments import camera
+from metrocli.tasks.calibrate_camera import KIND
+from metrocli.tasks.calibrate_camera.effects import EFFECTS
 from metrocli.tasks.calibrate_camera.problem import Problem
-from metrocli.tasks.calibrate_camera.report import KIND
 from metrocli.tasks.shared.images.adjustment import Adjusted
 from metrocli.tasks.shared.images.covariates import at_solution, covariate, covariates, folds, named, refit
 
 
-def subject(problem: Problem, adjusted: Adjusted) -> Subject:
+def subject(problem: Problem, adjusted: Adjusted) -> AdjustedJob:
     """Return the subject of an adjusted calibration; views are held out, with rig cmm the targets."""
     model = at_solution(problem.model(), adjusted)
     index = model.readings[0].observations.index
     points = model.blocks[camera.TARGET].values[index[camera.TARGET]]
     found = [*covariates(model, _in_camera(problem.rig, model, points)), covariate("place of the target", points.T, 3)]
     cmm = problem.rig == "cmm"
-    return Subject(
-        KIND,
+    return AdjustedJob(
+        KIND.name,
         model,
-        effects_of(KIND),
+        EFFECTS,
         named(found),
         () if cmm else ("image",),
         folds(index[camera.TARGET if cmm else "view"]),

@@ -14,8 +14,8 @@ from metrocli.instruments.conventions import Photogrammetric, converted, photogr
 from metrocli.instruments.lens import PRISM, RATIONAL
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera.problem import Problem
+from metrocli.tasks.calibrate_camera.settings import Camera
 from metrocli.tasks.shared.images.camera_parameters import unit_of
-from metrocli.tasks.shared.images.camera_settings import Camera
 
 if TYPE_CHECKING:
     from metrocli.table import Values

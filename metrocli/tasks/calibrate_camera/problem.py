@@ -23,8 +23,8 @@ from metrocli.instruments.frames import DistanceBetween
 from metrocli.instruments.lens import DISTORTION, PRISM, RATIONAL, plane_point, undistort
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera.mirrored_views import better_poses
+from metrocli.tasks.calibrate_camera.settings import Camera
 from metrocli.tasks.shared.images.adjustment import IMAGES
-from metrocli.tasks.shared.images.camera_settings import Camera
 from metrocli.tasks.shared.images.eccentricity import corrected
 from metrocli.tasks.shared.images.sightings import Sighted, check_inside
 from metrocli.words import listed

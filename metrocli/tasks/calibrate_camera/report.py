@@ -17,12 +17,13 @@ from metrocli.instruments import camera
 from metrocli.instruments.conventions import projection_range
 from metrocli.result import Estimate, Result
 from metrocli.table import Table
+from metrocli.tasks.calibrate_camera import KIND
 from metrocli.tasks.calibrate_camera.coverage import coverage
 from metrocli.tasks.calibrate_camera.lens_conventions import conventions_table, form_covariance, photogrammetric_form
 from metrocli.tasks.calibrate_camera.problem import Problem
+from metrocli.tasks.calibrate_camera.settings import Camera
 from metrocli.tasks.shared.images.adjustment import Adjusted
 from metrocli.tasks.shared.images.camera_parameters import HIGH, POSE_UNITS, Parameters, parameters, unit_of
-from metrocli.tasks.shared.images.camera_settings import Camera
 from metrocli.tasks.shared.images.tables import (
     adjustment_notes,
     rms_table,
@@ -41,8 +42,6 @@ from metrocli.tasks.shared.statistics import (
 
 if TYPE_CHECKING:
     from metrocli.table import Values
-
-KIND = "calibrate-camera"
 
 
 @dataclass(frozen=True)
@@ -100,7 +99,7 @@ def report(problem: Problem, settings: Camera, adjusted: Adjusted) -> Result:
     if problem.rig == "network":
         tables["points"], arrays["points_covariance"] = _points(solved)
     return Result(
-        kind=KIND,
+        kind=KIND.name,
         title="",
         estimates=tuple(
             Estimate(*row) for row in zip(p.names, p.values.tolist(), p.std.tolist(), p.units, strict=True)

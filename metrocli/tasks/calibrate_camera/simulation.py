@@ -13,8 +13,8 @@ from metrocli.errors import InputError
 from metrocli.geometry import poses
 from metrocli.geometry.rotations import rotation_from_euler, rotation_from_vector
 from metrocli.instruments import camera
+from metrocli.tasks.calibrate_camera.settings import CameraSimulation
 from metrocli.tasks.shared.images.adjustment import IMAGES
-from metrocli.tasks.shared.images.camera_settings import CameraSimulation
 from metrocli.tasks.shared.images.planted_effects import image_group
 from metrocli.tasks.shared.images.simulation import Shown, Sights
 from metrocli.tasks.shared.images.target_list import Targets

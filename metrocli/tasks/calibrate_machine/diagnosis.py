@@ -12,21 +12,21 @@ from metrocli.adjust.model.blocks import Array, Space
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.solution import Solution
-from metrocli.diagnosis.adjusted_job import Covariate, Delivered, Subject
-from metrocli.effects import effects_of
+from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate, Delivered
 from metrocli.effects.effect import ELAPSED
 from metrocli.effects.model import Model, with_conditions
 from metrocli.geometry import poses
 from metrocli.instruments.machine import POSITION
 from metrocli.instruments.tracker import TRACKER
-from metrocli.tasks.calibrate_machine.report import KIND
+from metrocli.tasks.calibrate_machine import KIND
+from metrocli.tasks.calibrate_machine.effects import EFFECTS
 from metrocli.tasks.calibrate_machine.solve import Solved
 
 _FOLDS = 10
 _PIECES = "readings stand for pieces of the path longer than a pitch; a job may name it with its period"
 
 
-def subject(solved: Solved) -> Subject:
+def subject(solved: Solved) -> AdjustedJob:
     """Return the subject of a solved calibration."""
     problem = replace(solved.problem, blocks=solved.solution.blocks)
     model = with_conditions(problem.model())
@@ -37,16 +37,16 @@ def subject(solved: Solved) -> Subject:
         return adjust(changed.blocks.values(), kept)
 
     first, *others = (axis.block for axis in problem.machine.axes)
-    return Subject(
-        KIND,
+    return AdjustedJob(
+        KIND.name,
         model,
-        effects_of(KIND),
+        EFFECTS,
         tuple(_covariates(model, group)),
         (),
         {group.name: _parts(group)},
         Delivered("error tables", first, (0, 1, 2), "um", "length", tuple(others)),
         refit,
-        not_sought={one.name: _PIECES for one in effects_of(KIND) if one.space is Space.WAVE and _condensed(group)},
+        not_sought={one.name: _PIECES for one in EFFECTS if one.space is Space.WAVE and _condensed(group)},
     )
 
 

@@ -22,12 +22,13 @@ from metrocli.nc_program import Dwell, Feed, Rapid, Stop, program
 from metrocli.plan import Plan
 from metrocli.result import Estimate
 from metrocli.table import Table
+from metrocli.tasks.calibrate_machine import KIND
 from metrocli.tasks.calibrate_machine.identifiability import NOT_ESTIMATED, UNDETERMINED, Identifiability, identify
 from metrocli.tasks.calibrate_machine.methods.on_the_fly import READINGS, path_of
 from metrocli.tasks.calibrate_machine.methods.standstill import tracker_noise
 from metrocli.tasks.calibrate_machine.path_search import Found, Wanted, edges_and_diagonals, search
 from metrocli.tasks.calibrate_machine.problem import Problem, conditions, error_blocks, machine_of, tool_prior
-from metrocli.tasks.calibrate_machine.report import KIND, identifiability_notes
+from metrocli.tasks.calibrate_machine.report import identifiability_notes
 from metrocli.tasks.calibrate_machine.settings import PathPlan, Settings
 from metrocli.tasks.calibrate_machine.tables import Tables, tables_of, unit_of
 from metrocli.tasks.calibrate_machine.volume_report import volume_tables
@@ -152,7 +153,7 @@ def planned(
 ) -> Plan:
     """Return the plan of readings that are worth so much."""
     return Plan(
-        KIND,
+        KIND.name,
         tuple(notes),
         (Estimate("ratio", worth.identified.ratio, 0.0, "1"), *figures),
         {"errors": worth.errors, "volumetric": worth.volumetric},

@@ -16,6 +16,7 @@ from metrocli.instruments.six_dof import LINE
 from metrocli.instruments.tracker import TRACKER
 from metrocli.result import Estimate, Result
 from metrocli.table import Table
+from metrocli.tasks.calibrate_machine import KIND
 from metrocli.tasks.calibrate_machine.identifiability import NOT_ESTIMATED, UNDETERMINED, Identifiability
 from metrocli.tasks.calibrate_machine.settings import ON_THE_FLY, Settings
 from metrocli.tasks.calibrate_machine.solve import Solved
@@ -27,7 +28,6 @@ from metrocli.words import listed
 if TYPE_CHECKING:
     from metrocli.table import Values
 
-KIND = "calibrate-machine"
 SIGN = "actual minus commanded"
 WEAK = 10.0
 """Beyond this ratio a good fit says little of the volume"""
@@ -42,7 +42,7 @@ def report(solved: Solved, settings: Settings) -> Result:
     volume = volume_tables(tables, identified, settings.volume.grid, solved.problem.tools_used)
     tools = (TOOL,) if solution.blocks[TOOL].free.any() else ()
     return Result(
-        kind=KIND,
+        kind=KIND.name,
         title="",
         estimates=(*_estimates(solution), *effect_estimates(added, solution)),
         covariance=solution.joint((SQUARENESS, *tools, *free_blocks(added))),

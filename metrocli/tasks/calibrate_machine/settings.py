@@ -22,7 +22,7 @@ from metrocli.settings import (
     Whole,
     setting,
 )
-from metrocli.table import TEXT, Column, Columns
+from metrocli.table import TEXT, Column, Columns, Table
 
 ON_THE_FLY, STANDSTILL, SIX_DOF = "on-the-fly", "standstill", "six-dof"
 _PLACE = tuple(Column(name, "length") for name in ("x", "y", "z"))
@@ -116,6 +116,16 @@ class Inputs:
     path: Path | None = setting(TableFile(PATH), "on-the-fly: vertices of the path", default=None)
     track: Path | None = setting(TableFile(TRACK), "on-the-fly: what the tracker saw", default=None)
     lines: Path | None = setting(TableFile(LINES), "six-dof: lines along axes and diagonals", default=None)
+
+
+@dataclass(frozen=True)
+class Files:
+    """What the inputs hold."""
+
+    points: Table | None = None
+    path: Table | None = None
+    track: Table | None = None
+    lines: Table | None = None
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -47,8 +47,16 @@ from metrocli.tasks.calibrate_machine.problem import (
     machine_of,
     tools_of,
 )
-from metrocli.tasks.calibrate_machine.settings import ON_THE_FLY, SIX_DOF, STANDSTILL, MachineSimulation, Settings
+from metrocli.tasks.calibrate_machine.settings import (
+    ON_THE_FLY,
+    SIX_DOF,
+    STANDSTILL,
+    Files,
+    MachineSimulation,
+    Settings,
+)
 from metrocli.tasks.calibrate_machine.volume import grid_group, grid_of, without_rigid_motion
+from metrocli.tasks.kind import Job
 
 if TYPE_CHECKING:
     from metrocli.table import Values
@@ -145,8 +153,9 @@ def _drawn(axis: Axis, name: str, smooth: bool, rng: np.random.Generator) -> Arr
     return np.asarray(raw - np.interp(axis.reference, axis.knots, raw))
 
 
-def simulated(settings: Settings, tables: Mapping[str, Table], effects: Sequence[Wanted], seed: int) -> Simulation:
+def simulated(job: Job[Settings, Files], seed: int) -> Simulation:
     """Return the files of a measurement of a random machine with effects, and its errors."""
+    settings = job.settings
     if settings.simulation is None:
         raise InputError("simulate needs the truth: `simulation: {error: 0.1 mm, tracker: [-1 m, -0.8 m, 0.3 m]}`")
     rng = np.random.default_rng(seed)
@@ -156,16 +165,16 @@ def simulated(settings: Settings, tables: Mapping[str, Table], effects: Sequence
         ON_THE_FLY: ("track.csv", _track),
         SIX_DOF: ("lines.csv", _lines),
     }[settings.method]
-    table, model = make(_Job(settings, settings.simulation, tables, tuple(effects)), truth, rng)
+    table, model = make(_Measurement(settings, settings.simulation, job.files, tuple(job.effects)), truth, rng)
     square = dict(zip(SQUARENESS_NAMES, truth.blocks[SQUARENESS].values[0].tolist(), strict=True))
     return Simulation({file: table, "true_errors.csv": true_errors(settings, truth)}, square | true_values(model))
 
 
 @dataclass(frozen=True)
-class _Job:
+class _Measurement:
     settings: Settings
     simulation: MachineSimulation
-    tables: Mapping[str, Table]
+    files: Files
     effects: tuple[Wanted, ...]
 
     def read(self, model: Model) -> tuple[Array, Model]:
@@ -195,7 +204,7 @@ def true_errors(settings: Settings, truth: Truth) -> Table:
     return Table(columns, {"position": "mm", "value": "mm", "turn": "rad"})
 
 
-def _seen(job: _Job, truth: Truth, flow: Flow, rng: np.random.Generator) -> tuple[Array, Model]:
+def _seen(job: _Measurement, truth: Truth, flow: Flow, rng: np.random.Generator) -> tuple[Array, Model]:
     """Return what the tracker, turned at random, sees of a machine, with its noise, (3, n)."""
     turn = rotation_from_euler(rng.normal() * 0.05, rng.normal() * 0.05, rng.uniform(-np.pi, np.pi))
     pose = poses.pose(turn, np.array(job.simulation.tracker))
@@ -203,7 +212,7 @@ def _seen(job: _Job, truth: Truth, flow: Flow, rng: np.random.Generator) -> tupl
     return points + tracker_noise(job.settings).drawn(points, rng), model
 
 
-def _points(job: _Job, truth: Truth, rng: np.random.Generator) -> tuple[Table, Model]:
+def _points(job: _Measurement, truth: Truth, rng: np.random.Generator) -> tuple[Table, Model]:
     """Return points at the listed commanded positions, or at random ones with the corners of the volume."""
     flow = _stops(job, truth.machine, rng)
     seen, model = _seen(job, truth, flow, rng)
@@ -217,8 +226,8 @@ def _points(job: _Job, truth: Truth, rng: np.random.Generator) -> tuple[Table, M
     return Table(columns, {**dict.fromkeys(("x", "y", "z", "mx", "my", "mz"), "mm"), "t": "s"}), model
 
 
-def _stops(job: _Job, machine: Machine, rng: np.random.Generator) -> Flow:
-    table, names = job.tables.get("points"), list(job.settings.tools)
+def _stops(job: _Measurement, machine: Machine, rng: np.random.Generator) -> Flow:
+    table, names = job.files.points, list(job.settings.tools)
     if table is not None:
         position, tool = commanded(machine_of(job.settings), table), tools_of(table, job.settings)
     else:
@@ -235,9 +244,11 @@ def _stops(job: _Job, machine: Machine, rng: np.random.Generator) -> Flow:
     return Flow(position, tool, given)
 
 
-def _track(job: _Job, truth: Truth, rng: np.random.Generator) -> tuple[Table, Model]:
+def _track(job: _Measurement, truth: Truth, rng: np.random.Generator) -> tuple[Table, Model]:
     """Return the track of the machine along the path: ramps of speed on each leg, a rest at each vertex."""
-    listed = job.tables["path"]
+    listed = job.files.path
+    if listed is None:
+        raise InputError("simulate needs the path: `inputs: {path: path.csv}`")
     path = path_of(job.settings, machine_of(job.settings), listed)
     leg, along, time = travelled(path, _feeds(job, listed, path), job.simulation.sampling)
     given = {"t": time, **{name: signs[leg] for name, signs in zip(SIDES, path.last_moves(), strict=True)}}
@@ -248,13 +259,13 @@ def _track(job: _Job, truth: Truth, rng: np.random.Generator) -> tuple[Table, Mo
     return Table(columns, {**dict.fromkeys(POSITION, "mm"), "t": "s"}), model
 
 
-def _feeds(job: _Job, table: Table, path: Path) -> Array:
+def _feeds(job: _Measurement, table: Table, path: Path) -> Array:
     if "feed" in table:
         return np.asarray(table.numbers("feed")[path.vertex + 1])
     return np.full(len(path.lengths), job.simulation.feed)
 
 
-def _lines(job: _Job, truth: Truth, rng: np.random.Generator) -> tuple[Table, Model]:
+def _lines(job: _Measurement, truth: Truth, rng: np.random.Generator) -> tuple[Table, Model]:
     """Return lines along the axes, to and fro, and along the three face diagonals, each with its misalignment."""
     lines = planned_lines(machine_of(job.settings), job.simulation.step)
     along = lines.along

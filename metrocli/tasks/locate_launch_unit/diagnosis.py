@@ -12,13 +12,13 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.solution import Solution
-from metrocli.diagnosis.adjusted_job import Covariate, Delivered, PerReading, Subject
-from metrocli.effects import effects_of
+from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate, Delivered, PerReading
 from metrocli.effects.effect import ELAPSED, WARMING
 from metrocli.effects.model import Model, with_conditions
 from metrocli.errors import InputError
 from metrocli.instruments import launch_unit as lu
-from metrocli.tasks.locate_launch_unit.report import KIND
+from metrocli.tasks.locate_launch_unit import KIND
+from metrocli.tasks.locate_launch_unit.effects import EFFECTS
 from metrocli.tasks.locate_launch_unit.solve import Located
 
 _FOLDS = 10
@@ -26,7 +26,7 @@ _DEGREE, _FEWEST_FOR = 6, 4
 """Degree of polynomials in time, as far as there are four poses for each term"""
 
 
-def subject(located: Located) -> Subject:
+def subject(located: Located) -> AdjustedJob:
     """Return the subject of an adjusted location; InputError for the methods of the paper, which adjust nothing."""
     if located.problem is None or located.solution is None:
         raise InputError("only `method: adjustment` leaves residuals that can be diagnosed")
@@ -39,10 +39,10 @@ def subject(located: Located) -> Subject:
 
     when, poses = located.readings.conditions.get("t"), len(located.readings.names)
     parts = _parts(np.arange(poses, dtype=float) if when is None else when)
-    return Subject(
-        KIND,
+    return AdjustedJob(
+        KIND.name,
         model,
-        effects_of(KIND),
+        EFFECTS,
         tuple(_covariates(model)),
         (),
         {group.name: parts[_pose(group)] for group in model.readings},

@@ -11,8 +11,9 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.instruments import launch_unit as lu
 from metrocli.tasks.locate_launch_unit.lines import Line, Reach
 from metrocli.tasks.locate_launch_unit.margin import Margin, Uncertainty, Window, beam_errors
-from metrocli.tasks.locate_launch_unit.problem import NoiseSettings, build
+from metrocli.tasks.locate_launch_unit.problem import build
 from metrocli.tasks.locate_launch_unit.readings import Readings
+from metrocli.tasks.locate_launch_unit.settings import Noise
 from metrocli.tasks.locate_launch_unit.simulation import aligned
 
 _GRID = 5
@@ -66,7 +67,7 @@ def candidates(place: Array, reach: Reach) -> Array:
     return np.asarray(grid[(away >= reach.nearest) & (away <= reach.farthest) & level])
 
 
-def information(values: Array, receivers: Array, noise: NoiseSettings, distances: bool) -> Array:
+def information(values: Array, receivers: Array, noise: Noise, distances: bool) -> Array:
     """Return what an aligned pose at each place tells of x y z gamma: `J' W J`, (n, 4, 4)."""
     spindle = np.zeros(len(receivers))
     angles, length = aligned(values[:3], values[3], receivers, spindle)

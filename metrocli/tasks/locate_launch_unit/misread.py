@@ -9,8 +9,9 @@ from itertools import combinations, permutations
 import numpy as np
 
 from metrocli.instruments import launch_unit as lu
-from metrocli.tasks.locate_launch_unit.problem import WEAK, NoiseSettings, build, uncertainty_along
+from metrocli.tasks.locate_launch_unit.problem import WEAK, build, uncertainty_along
 from metrocli.tasks.locate_launch_unit.readings import ANGLES, Readings
+from metrocli.tasks.locate_launch_unit.settings import Noise
 from metrocli.units import parse_quantity
 
 _FITS = 30.0
@@ -19,7 +20,7 @@ _ALIKE = 1.5
 """Readings of the columns whose residuals differ by less than this factor fit alike"""
 
 
-def misread(readings: Readings, noise: NoiseSettings) -> tuple[str, ...]:
+def misread(readings: Readings, noise: Noise) -> tuple[str, ...]:
     """Return what the columns seem to hold instead, the best first.
 
     Nothing where no other reading of them fits, or where they fit as they stand.
@@ -32,7 +33,7 @@ def misread(readings: Readings, noise: NoiseSettings) -> tuple[str, ...]:
     return tuple(text for value, text in sorted(found) if value <= min(_FITS, _ALIKE * best))
 
 
-def misfit(readings: Readings, noise: NoiseSettings) -> float:
+def misfit(readings: Readings, noise: Noise) -> float:
     """Return the root mean square of the normalised angles' residuals where the beams meet, inf where they do not."""
     if uncertainty_along(readings, noise) > WEAK:
         return float("inf")

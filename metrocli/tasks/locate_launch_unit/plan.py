@@ -13,13 +13,14 @@ from metrocli.instruments.launch_unit import COLUMNS
 from metrocli.plan import Plan
 from metrocli.result import Estimate
 from metrocli.table import Table
+from metrocli.tasks.locate_launch_unit import KIND
 from metrocli.tasks.locate_launch_unit.further import Further, Wanted, candidates, further, information
 from metrocli.tasks.locate_launch_unit.lines import AXES, Line, Reach, commanded, measurable
 from metrocli.tasks.locate_launch_unit.margin import Margin, Uncertainty, Window, beam_position
 from metrocli.tasks.locate_launch_unit.plan_settings import Planned
-from metrocli.tasks.locate_launch_unit.problem import NoiseSettings
 from metrocli.tasks.locate_launch_unit.programs import Motion, farthest_corner, line_program
-from metrocli.tasks.locate_launch_unit.report import KIND, UNITS
+from metrocli.tasks.locate_launch_unit.report import UNITS
+from metrocli.tasks.locate_launch_unit.settings import Noise
 from metrocli.tasks.locate_launch_unit.solve import Located
 from metrocli.units import find_unit
 
@@ -33,7 +34,7 @@ class Prospect:
 
     located: Located
     planned: Planned
-    noise: NoiseSettings
+    noise: Noise
     lines: tuple[Line, ...]
 
     @property
@@ -52,7 +53,7 @@ class Prospect:
         return Window(self.planned.range.straightness, self.planned.range.angle)
 
 
-def planned_measurement(located: Located, planned: Planned, noise: NoiseSettings) -> Plan:
+def planned_measurement(located: Located, planned: Planned, noise: Noise) -> Plan:
     """Return the plan; UndeterminedError where no line can be measured from where the unit stands."""
     reach = Reach(planned.axes.box, planned.step, planned.standoff, planned.range.distance)
     lines, refused = measurable(located.place, [*AXES, *planned.diagonals], reach)
@@ -65,7 +66,7 @@ def planned_measurement(located: Located, planned: Planned, noise: NoiseSettings
     more = _further(prospect, reach)
     files, blocked = _programs(prospect)
     return Plan(
-        kind=KIND,
+        kind=KIND.name,
         notes=(*_notes(prospect, more), *_told(prospect, more)),
         figures=figures(located),
         tables={"lines": margins, "points": _points(lines), **_further_table(prospect, more)},

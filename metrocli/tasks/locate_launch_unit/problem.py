@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
@@ -17,20 +16,8 @@ from metrocli.instruments import launch_unit as lu
 from metrocli.instruments.launch_start import nearest, set_up_angle, spread
 from metrocli.tasks.locate_launch_unit.effects import AXES, PAIRS, UNITS
 from metrocli.tasks.locate_launch_unit.readings import ANGLES, Readings
+from metrocli.tasks.locate_launch_unit.settings import Noise
 from metrocli.words import listed
-
-
-class NoiseSettings(Protocol):
-    """Standard deviations of the readings."""
-
-    @property
-    def encoder(self) -> float:
-        """Of each angle [rad]"""
-
-    @property
-    def distance(self) -> float | None:
-        """Of a distance [mm]; None where there are none"""
-
 
 WEAK = 0.01
 """Relative uncertainty of the distance to the unit beyond which beams do not locate it"""
@@ -71,7 +58,7 @@ class Problem:
         return replace(self, blocks=model.blocks, groups=model.readings, others=others, effects=model.added)
 
 
-def build(readings: Readings, noise: NoiseSettings) -> Problem:
+def build(readings: Readings, noise: Noise) -> Problem:
     """Return the adjustment, started where the beams meet."""
     place, beams = nearest(readings.beams), readings.beams
     away = float(np.linalg.norm(place - readings.receiver, axis=1).mean())
@@ -97,7 +84,7 @@ def build(readings: Readings, noise: NoiseSettings) -> Problem:
     )
 
 
-def uncertainty_along(readings: Readings, noise: NoiseSettings) -> float:
+def uncertainty_along(readings: Readings, noise: Noise) -> float:
     """Return the relative uncertainty of the distance to where the beams meet, by the angles alone."""
     return noise.encoder / max(spread(readings.beams), 1e-12)
 

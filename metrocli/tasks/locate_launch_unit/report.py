@@ -14,6 +14,7 @@ from metrocli.effects.estimates import tables as effect_results
 from metrocli.instruments import launch_unit as lu
 from metrocli.result import Estimate, Result, Scalar
 from metrocli.table import Table
+from metrocli.tasks.locate_launch_unit import KIND
 from metrocli.tasks.locate_launch_unit.readings import Readings
 from metrocli.tasks.locate_launch_unit.solve import Located
 from metrocli.tasks.shared.statistics import REMOVE, basic_statistics, beyond_bound, noise_warnings
@@ -22,7 +23,6 @@ from metrocli.words import listed
 if TYPE_CHECKING:
     from metrocli.table import Values
 
-KIND = "locate-launch-unit"
 UNITS = ("mm", "mm", "mm", "rad")
 _DELTA0 = 4.13
 """Non-centrality of a w-test at 0.1 % with 80 % power (Baarda 1968): the least detectable bias is 4.13 s / sqrt(r)"""
@@ -40,7 +40,7 @@ def report(located: Located, method: str) -> Result:
     solution, problem = located.solution, located.problem
     if solution is None or problem is None:
         return Result(
-            kind=KIND,
+            kind=KIND.name,
             title="",
             estimates=unit,
             covariance=located.covariance,
@@ -68,7 +68,7 @@ def report(located: Located, method: str) -> Result:
         - sum(group.observations.count for group in solution.groups),
     }
     return Result(
-        kind=KIND,
+        kind=KIND.name,
         title="",
         estimates=(*unit, *estimates(problem.effects, solution)),
         covariance=solution.joint((lu.UNIT, *free_blocks(problem.effects))),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,8 +15,9 @@ from metrocli.geometry.angles import wrapped
 from metrocli.instruments import launch_unit as lu
 from metrocli.simulation import Simulation
 from metrocli.table import Table
-from metrocli.tasks.locate_launch_unit.problem import NoiseSettings, build
+from metrocli.tasks.locate_launch_unit.problem import build
 from metrocli.tasks.locate_launch_unit.readings import ANGLES, Readings
+from metrocli.tasks.locate_launch_unit.settings import Noise, Truth
 
 if TYPE_CHECKING:
     from metrocli.table import Values
@@ -25,25 +26,9 @@ if TYPE_CHECKING:
 _UNITS = {"distance": "mm", "t": "s", "temp": "degC"}
 
 
-class Truth(Protocol):
-    """Where the unit truly is."""
-
-    @property
-    def place(self) -> tuple[float, ...]:
-        """x, y, z [mm]"""
-
-    @property
-    def gamma(self) -> float:
-        """Its set-up angle [rad]"""
-
-    @property
-    def distances(self) -> bool:
-        """Whether distances are read"""
-
-
 def simulated(
     truth: Truth,
-    noise: NoiseSettings,
+    noise: Noise,
     places: Table,
     rng: np.random.Generator,
     effects: Sequence[Wanted] = (),
@@ -63,9 +48,7 @@ def simulated(
     return Simulation({"poses.csv": Table(columns, units)}, true | added)
 
 
-def _exact(
-    truth: Truth, noise: NoiseSettings, places: Table, effects: Sequence[Wanted]
-) -> tuple[Readings, dict[str, float]]:
+def _exact(truth: Truth, noise: Noise, places: Table, effects: Sequence[Wanted]) -> tuple[Readings, dict[str, float]]:
     """Return readings without noise, and the values of the effects in them; vertical beams are left as they are."""
     receiver, spindle = places.stacked("xyz"), places.numbers("spindle")
     angles, distance = aligned(np.array(truth.place), truth.gamma, receiver, spindle)

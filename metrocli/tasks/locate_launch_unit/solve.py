@@ -20,8 +20,9 @@ from metrocli.instruments import launch_unit as lu
 from metrocli.instruments.launch_start import Beams, Meeting, closed_loop, lines, set_up_angle, spread
 from metrocli.tasks.locate_launch_unit.misread import misread
 from metrocli.tasks.locate_launch_unit.outliers import Outlier, screened
-from metrocli.tasks.locate_launch_unit.problem import WEAK, NoiseSettings, Problem, build, uncertainty_along
+from metrocli.tasks.locate_launch_unit.problem import WEAK, Problem, build, uncertainty_along
 from metrocli.tasks.locate_launch_unit.readings import Readings
+from metrocli.tasks.locate_launch_unit.settings import Noise
 from metrocli.words import listed
 
 _ABSURD = 100.0
@@ -63,7 +64,7 @@ class Located:
         return self.values[:3]
 
 
-def locate(readings: Readings, noise: NoiseSettings, how: How | None = None) -> Located:
+def locate(readings: Readings, noise: Noise, how: How | None = None) -> Located:
     """Return the located unit; InputError, UndeterminedError or NotConvergedError where there is none."""
     how = how or How()
     try:
@@ -82,7 +83,7 @@ def locate(readings: Readings, noise: NoiseSettings, how: How | None = None) -> 
     return located
 
 
-def _located(readings: Readings, noise: NoiseSettings, how: How) -> Located:
+def _located(readings: Readings, noise: Noise, how: How) -> Located:
     if how.effects and how.method != "adjustment":
         raise InputError("effects: only `method: adjustment` can have effects in its model")
     _must_suffice(readings, noise, how.method)
@@ -117,7 +118,7 @@ def _undetermined(problem: Problem, solution: Solution) -> str:
     return explained(problem.readings, found)
 
 
-def _must_suffice(readings: Readings, noise: NoiseSettings, method: str) -> None:
+def _must_suffice(readings: Readings, noise: Noise, method: str) -> None:
     """Raise where the poses cannot locate anything by this method, before any computing."""
     measured = readings.beams.measured
     if measured.any() and noise.distance is None and method != "lines":
@@ -148,7 +149,7 @@ def explained(readings: Readings, found: str) -> str:
     )
 
 
-def _refuse_mirrored(readings: Readings, noise: NoiseSettings) -> None:
+def _refuse_mirrored(readings: Readings, noise: Noise) -> None:
     """Raise InputError where receivers look away from the place where the beams meet: the same line, the other way."""
     if uncertainty_along(readings, noise) > WEAK:
         return
@@ -163,7 +164,7 @@ def _refuse_mirrored(readings: Readings, noise: NoiseSettings) -> None:
         )
 
 
-def _as_printed(readings: Readings, noise: NoiseSettings, method: str) -> Located:
+def _as_printed(readings: Readings, noise: Noise, method: str) -> Located:
     """Return the place by one of the paper's methods, with the declared noise propagated to first order."""
     beams = readings.beams
     meeting = lines(beams) if method == "lines" else closed_loop(beams)
@@ -171,7 +172,7 @@ def _as_printed(readings: Readings, noise: NoiseSettings, method: str) -> Locate
     return Located(values, _propagated(beams, meeting, noise), readings)
 
 
-def _propagated(beams: Beams, meeting: Meeting, noise: NoiseSettings) -> Array:
+def _propagated(beams: Beams, meeting: Meeting, noise: Noise) -> Array:
     """Return the covariance (4, 4) of x y z gamma; gamma has phi4 - phi1 of each pose, the place phi4, phi3 and l."""
     n = len(beams.base)
     share = np.full((n, 1), 1 / n)

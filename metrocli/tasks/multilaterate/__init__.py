@@ -1,0 +1,13 @@
+"""multilaterate: reflector positions from the lengths of four or more tracking interferometers."""
+
+from metrocli.tasks.kind import Kind, Question
+
+KIND = Kind(
+    "multilaterate",
+    "reflector positions from length changes of 4+ tracers",
+    measured=("lengths",),
+    planned=("lengths", "probing"),
+    result_questions=(
+        Question("distance", "Print the distance of two points with its uncertainty.", ("POINT", "POINT")),
+    ),
+)

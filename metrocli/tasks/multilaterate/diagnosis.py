@@ -12,14 +12,14 @@ from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group, ReadBlock
 from metrocli.adjust.model.observations import Index, Mask, Observations
 from metrocli.adjust.solution import Solution
-from metrocli.diagnosis.adjusted_job import Covariate, Delivered, Subject
-from metrocli.effects import effects_of
+from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate, Delivered
 from metrocli.effects.effect import ELAPSED, WARMING
 from metrocli.effects.model import Model, Place, with_conditions
 from metrocli.instruments import tracer as t
 from metrocli.instruments.frames import DistanceBetween
+from metrocli.tasks.multilaterate import KIND
+from metrocli.tasks.multilaterate.effects import EFFECTS
 from metrocli.tasks.multilaterate.problem import LENGTHS
-from metrocli.tasks.multilaterate.report import KIND
 from metrocli.tasks.multilaterate.solve import Solved, refitted
 from metrocli.units import parse_quantity
 
@@ -30,7 +30,7 @@ _BEYOND = 0.2
 _BAR = parse_quantity("1 um", "length")
 
 
-def subject(solved: Solved) -> Subject:
+def subject(solved: Solved) -> AdjustedJob:
     """Return the subject of an adjusted network."""
     network = solved.network
     model = with_conditions(
@@ -43,10 +43,10 @@ def subject(solved: Solved) -> Subject:
     group = model.readings[0]
     points = model.blocks[t.POINT].free.any()
     delivered = ("point coordinates", t.POINT) if points else ("places of the tracers", t.TRACER)
-    return Subject(
-        KIND,
+    return AdjustedJob(
+        KIND.name,
         model,
-        effects_of(KIND),
+        EFFECTS,
         tuple(covariates(model)),
         ("tracer",),
         {LENGTHS: folds(group.observations.index[t.POINT], group.observations.conditions)},

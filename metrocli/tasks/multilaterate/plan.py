@@ -16,11 +16,10 @@ from metrocli.instruments import tracer as t
 from metrocli.plan import Plan
 from metrocli.result import Estimate
 from metrocli.table import Table
-from metrocli.tasks.multilaterate import layout_faults
+from metrocli.tasks.multilaterate import KIND, layout_faults
 from metrocli.tasks.multilaterate.distance import between_two, factors
 from metrocli.tasks.multilaterate.layout import Layout, root_mean_square, worst_direction
 from metrocli.tasks.multilaterate.reliability import UNITS, reliability
-from metrocli.tasks.multilaterate.report import KIND
 from metrocli.tasks.multilaterate.tracer_candidates import Ranking, ranked
 from metrocli.tasks.multilaterate.uncontrolled import in_words, uncontrolled
 from metrocli.units import roughly
@@ -46,7 +45,7 @@ def planned(layout: Layout, candidates: Table | None) -> Plan:
     lengths, hidden = _lengths(layout), uncontrolled(layout.network)
     tables = {"points": _points(layout), "reliability": lengths, "candidates": ranking.table, "not_controlled": hidden}
     return Plan(
-        KIND,
+        KIND.name,
         (*_quality(layout), *_of_lengths(layout, lengths), *_best(ranking), *in_words(hidden), "", _HEAD),
         (*_tracers(layout.solution), *_lines(layout), *estimates(layout.network.effects, layout.solution)),
         tables,

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Protocol
 
 import numpy as np
 
@@ -21,51 +20,12 @@ from metrocli.instruments import tracer as t
 from metrocli.instruments.frames import DistanceBetween
 from metrocli.table import Table
 from metrocli.tasks.multilaterate.readings import Readings, join, matched
+from metrocli.tasks.multilaterate.settings import LengthNoise, Settings
 from metrocli.tasks.multilaterate.start import places_of
 from metrocli.words import listed
 
 LENGTHS, DISTANCES = "lengths", "distances"
 """Names of the groups: lengths from tracers, and calibrated distances between points"""
-
-
-class NoiseSettings(Protocol):
-    """Standard deviation of a length."""
-
-    @property
-    def constant(self) -> float:
-        """a [mm]"""
-
-    @property
-    def proportional(self) -> float:
-        """b"""
-
-
-class ScaleSettings(Protocol):
-    """What is known of the scales."""
-
-    @property
-    def uncertainty(self) -> float:
-        """Standard uncertainty of each"""
-
-
-class NetworkSettings(Protocol):
-    """The settings that the network needs."""
-
-    @property
-    def noise(self) -> NoiseSettings:
-        """Standard deviation of a length"""
-
-    @property
-    def measures(self) -> str:
-        """changes or absolute"""
-
-    @property
-    def scale(self) -> ScaleSettings | None:
-        """None: scales are 1"""
-
-    @property
-    def datum(self) -> str | None:
-        """inner-constraints, points, or None"""
 
 
 @dataclass(frozen=True)
@@ -134,16 +94,14 @@ def _without(group: Group, left: Mask) -> Group:
     return group if index is None else group.selected(np.asarray(left[np.atleast_2d(index)].all(axis=0)))
 
 
-def build(
-    settings: NetworkSettings, lengths: Table, points: Table, tracers: Table | None, distances: Table | None
-) -> Network:
+def build(settings: Settings, lengths: Table, points: Table, tracers: Table | None, distances: Table | None) -> Network:
     """Return the adjustment with its starting values."""
     readings = join(lengths, points, tracers, settings.measures == "absolute")
     return network_of(settings, readings, places_of(readings), lengths, distances)
 
 
 def network_of(
-    settings: NetworkSettings, readings: Readings, places: Array, lengths: Table, distances: Table | None
+    settings: Settings, readings: Readings, places: Array, lengths: Table, distances: Table | None
 ) -> Network:
     """Return the adjustment of readings from tracers that start at `places` (tracers, 5)."""
     names, sigma = readings.names, readings.point_sigma
@@ -183,7 +141,7 @@ def _unused(readings: Readings) -> tuple[str, ...]:
     return warnings + ((f"tracers that read nothing are left out: {listed(readings.idle)}",) if readings.idle else ())
 
 
-def _tracers(settings: NetworkSettings, readings: Readings, places: Array) -> Block:
+def _tracers(settings: Settings, readings: Readings, places: Array) -> Block:
     free = np.ones((len(readings.stations), 5), dtype=bool)
     free[:, :3] = readings.tracer_sigma != 0
     free[:, 3] = settings.measures != "absolute"
@@ -191,7 +149,7 @@ def _tracers(settings: NetworkSettings, readings: Readings, places: Array) -> Bl
     return t.tracer_block(places, readings.stations, free, readings.extent)
 
 
-def _scales(settings: NetworkSettings, block: Block) -> list[Group]:
+def _scales(settings: Settings, block: Block) -> list[Group]:
     if settings.scale is None:
         return []
     members = np.arange(len(block.members))
@@ -216,7 +174,7 @@ def _distances(table: Table | None, names: Sequence[str], seen: Index) -> list[G
     return [Group(DISTANCES, Chain((DistanceBetween(t.POINT),)), observations)]
 
 
-def _path_noise(settings: NoiseSettings) -> Noise:
+def _path_noise(settings: LengthNoise) -> Noise:
     """Return `sigma = sqrt(a^2 + b^2 (l + l0)^2)` with the adjusted dead paths."""
 
     def sigma(group: Group, blocks: Mapping[str, Block]) -> Array:

@@ -14,7 +14,7 @@ from metrocli.effects.estimates import tables as effect_results
 from metrocli.instruments import tracer as t
 from metrocli.result import Estimate, Result
 from metrocli.table import Table
-from metrocli.tasks.multilaterate import layout_faults
+from metrocli.tasks.multilaterate import KIND, layout_faults
 from metrocli.tasks.multilaterate.correction import corrected, distant, wrong_entries
 from metrocli.tasks.multilaterate.distance import factors
 from metrocli.tasks.multilaterate.reliability import UNITS as RELIABILITY_UNITS
@@ -27,7 +27,6 @@ from metrocli.words import listed
 if TYPE_CHECKING:
     from metrocli.table import Values
 
-KIND = "multilaterate"
 _UNITS = ("mm", "mm", "mm", "mm", "1")
 _ELSEWHERE = 0.5
 """A tracer is told that is this share of its distance from the points away from where its list says"""
@@ -68,7 +67,7 @@ def report(solved: Solved, probing: Table | None, tolerance: float) -> Result:
         "weakness": layout_faults.weakness(solved.network, solution),
     }
     return Result(
-        kind=KIND,
+        kind=KIND.name,
         title="",
         estimates=found,
         covariance=solution.joint((t.TRACER, *free_blocks(added))),

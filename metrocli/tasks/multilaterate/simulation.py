@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,32 +17,17 @@ from metrocli.errors import InputError
 from metrocli.instruments import tracer as t
 from metrocli.simulation import Simulation
 from metrocli.table import Table
-from metrocli.tasks.multilaterate.design import Pace, Planned
-from metrocli.tasks.multilaterate.problem import LENGTHS, NetworkSettings
+from metrocli.tasks.multilaterate.layout import Planned
+from metrocli.tasks.multilaterate.problem import LENGTHS
 from metrocli.tasks.multilaterate.readings import matched
+from metrocli.tasks.multilaterate.settings import LengthSimulation, Settings
 
 if TYPE_CHECKING:
     from metrocli.table import Values
 
 
-class Truth(Pace, Protocol):
-    """What is true of the mover and the tracers."""
-
-    @property
-    def mover_error(self) -> float:
-        """Standard deviation of each coordinate"""
-
-    @property
-    def mover_scale(self) -> float:
-        """How much too long the mover reads distances"""
-
-    @property
-    def tracer_error(self) -> float:
-        """Standard deviation of the places that are written as approximate"""
-
-
 def simulated(
-    settings: NetworkSettings, truth: Truth, planned: Planned, effects: Sequence[Wanted], rng: np.random.Generator
+    settings: Settings, truth: LengthSimulation, planned: Planned, effects: Sequence[Wanted], rng: np.random.Generator
 ) -> Simulation:
     """Return lengths to the points where they really are, from tracers at the places listed, with effects in them.
 

@@ -10,7 +10,7 @@ from typing import Any
 from metrocli import units
 from metrocli.errors import Fault
 from metrocli.settings import Placed
-from metrocli.tasks.report_uncertainty.settings import Limits
+from metrocli.tasks.report_uncertainty.entries import Limits
 from metrocli.tasks.report_uncertainty.values import Measure
 from metrocli.uncertainty.decision import (
     FACTOR_2017,

@@ -28,7 +28,7 @@ from metrocli.uncertainty.inputs import Block, Inputs, NotSemiDefiniteError, Qua
 from metrocli.words import suggestion
 
 if TYPE_CHECKING:
-    from metrocli.tasks.report_uncertainty.settings import Settings
+    from metrocli.tasks.report_uncertainty.entries import Entries
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
@@ -45,7 +45,7 @@ class Problem:
     warnings: tuple[str, ...] = ()
 
 
-def faults(settings: Settings) -> Iterable[Fault | tuple[str, ...]]:
+def faults(settings: Entries) -> Iterable[Fault | tuple[str, ...]]:
     """Yield what is wrong with a job as far as it shows without its files."""
     for key, wanted in (("measurands", settings.measurands), ("quantities", settings.quantities)):
         if not wanted and not (key == "quantities" and settings.inputs.results):
@@ -54,7 +54,7 @@ def faults(settings: Settings) -> Iterable[Fault | tuple[str, ...]]:
     yield from uncertainty_decisions.faults(settings.tolerance, settings.measurands)
 
 
-def build(settings: Settings, results: Mapping[str, Result], files: Mapping[str, Table]) -> Problem | list[Fault]:
+def build(settings: Entries, results: Mapping[str, Result], files: Mapping[str, Table]) -> Problem | list[Fault]:
     """Return the problem of a job with its files, or its faults."""
     gathered = _Gathering(settings, results, files)
     if gathered.faults:
@@ -77,7 +77,7 @@ def _heavy_tails(inputs: Inputs) -> list[str]:
 class _Gathering:
     """Puts a job together and keeps what is wrong; without files it goes as far as it can."""
 
-    settings: Settings
+    settings: Entries
     results: Mapping[str, Result] | None
     files: Mapping[str, Table] | None
     faults: list[Fault] = field(default_factory=list)

@@ -13,7 +13,7 @@ from metrocli import units
 from metrocli.errors import Fault
 from metrocli.settings import Placed
 from metrocli.table import Table
-from metrocli.tasks.report_uncertainty.settings import Given
+from metrocli.tasks.report_uncertainty.entries import Given
 from metrocli.tasks.report_uncertainty.values import Measure
 from metrocli.uncertainty.dimensions import Compound, compound, described
 from metrocli.uncertainty.distributions import (

@@ -11,11 +11,12 @@ import numpy as np
 
 from metrocli.result import Estimate, Result
 from metrocli.table import Table
+from metrocli.tasks.report_uncertainty import KIND
 from metrocli.tasks.report_uncertainty.aligned_text import aligned
 from metrocli.tasks.report_uncertainty.decisions import PLAIN as DECIDED
 from metrocli.tasks.report_uncertainty.decisions import Measured, decide, limits_of, lines
+from metrocli.tasks.report_uncertainty.entries import Entries
 from metrocli.tasks.report_uncertainty.problem import Problem
-from metrocli.tasks.report_uncertainty.settings import Settings
 from metrocli.uncertainty.distributions import in_trials
 from metrocli.uncertainty.monte_carlo import Outcome
 from metrocli.uncertainty.propagation import (
@@ -31,7 +32,6 @@ from metrocli.uncertainty.propagation import (
 from metrocli.uncertainty.validation import Judged, Verdict, judge
 from metrocli.units import rounded
 
-KIND = "report-uncertainty"
 PLAIN = ("k", "dof", "probability", "trials", "gum_valid", "capable", *DECIDED)
 
 
@@ -43,7 +43,7 @@ class Found:
     propagated: Propagated
     coverage: Coverage
     outcome: Outcome | None
-    settings: Settings
+    settings: Entries
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ def report(found: Found) -> Result:
         statistics |= {"trials": found.outcome.trials, "seed": found.settings.monte_carlo.seed}
         arrays["monte_carlo_covariance"] = found.outcome.covariance / factors[:, None] / factors
     return Result(
-        kind=KIND,
+        kind=KIND.name,
         title="",
         estimates=tuple(Estimate(m.name, m.value, m.std, m.unit) for m in measurands),
         covariance=covariance,

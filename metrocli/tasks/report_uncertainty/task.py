@@ -1,15 +1,15 @@
-"""report-uncertainty: GUM and Monte Carlo, from quantities and other jobs' results to an uncertainty and a decision."""
+"""What report-uncertainty does with a job."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.result import Result
-from metrocli.table import Table
+from metrocli.tasks.kind import Job, Task
+from metrocli.tasks.report_uncertainty import volume_problem, volume_report
+from metrocli.tasks.report_uncertainty.entries import Files
 from metrocli.tasks.report_uncertainty.problem import Problem, build
-from metrocli.tasks.report_uncertainty.report import KIND, Found, report
-from metrocli.tasks.report_uncertainty.settings import Inputs, Settings
+from metrocli.tasks.report_uncertainty.report import Found, report
+from metrocli.tasks.report_uncertainty.settings import Settings
 from metrocli.tasks.report_uncertainty.values import Model
 from metrocli.uncertainty import monte_carlo
 from metrocli.uncertainty.correlated import UnreachableError
@@ -18,27 +18,19 @@ from metrocli.uncertainty.propagation import Coverage, Propagated, covered, prop
 from metrocli.uncertainty.trials import plan_of
 from metrocli.uncertainty.workers import Workers
 
-SUMMARY = "GUM and Monte Carlo uncertainty, budget, capability"
 
-
-def run(
-    settings: Settings,
-    results: Mapping[str, Result] | None = None,
-    files: Mapping[str, Table] | None = None,
-    workers: Workers | None = None,
-) -> Result:
+def run(job: Job[Settings, Files]) -> Result:
     """Return measurands with their uncertainty; raises InputError, UndeterminedError or NotConvergedError."""
+    settings, workers = job.settings, job.workers or Workers()
     if settings.volume is not None:
-        from metrocli.tasks.report_uncertainty import volume_report
-
-        return volume_report.run(settings, results or {}, workers or Workers())
-    problem = _problem(settings, results or {}, files or {})
+        return volume_report.run(settings, job.files.results, workers)
+    problem = _problem(job)
     wanted = settings.coverage
     coverage = Coverage(wanted.probability or 0.95, wanted.k)
     propagated = _propagated(problem)
     outcome = None
     if settings.monte_carlo.trials != 0:
-        outcome = _trials(settings, problem, covered(coverage), workers or Workers())
+        outcome = _trials(settings, problem, covered(coverage), workers)
     elif any(linear.replaced for linear in propagated.measurands.values()):
         name = next(name for name, linear in propagated.measurands.items() if linear.replaced)
         raise UndeterminedError(
@@ -48,20 +40,16 @@ def run(
     return report(Found(problem, propagated, coverage, outcome, settings))
 
 
-def check(
-    settings: Settings, results: Mapping[str, Result] | None = None, files: Mapping[str, Table] | None = None
-) -> None:
+def check(job: Job[Settings, Files]) -> None:
     """Raise InputError with all that is wrong with a job and its files, without computing."""
-    if settings.volume is not None:
-        from metrocli.tasks.report_uncertainty import volume_problem
-
-        volume_problem.build(settings, results or {})
+    if job.settings.volume is not None:
+        volume_problem.build(job.settings, job.files.results)
     else:
-        _propagated(_problem(settings, results or {}, files or {}))
+        _propagated(_problem(job))
 
 
-def _problem(settings: Settings, results: Mapping[str, Result], files: Mapping[str, Table]) -> Problem:
-    problem = build(settings, results, files)
+def _problem(job: Job[Settings, Files]) -> Problem:
+    problem = build(job.settings, job.files.results, job.files.files)
     if isinstance(problem, list):
         raise InputError(problem)
     return problem
@@ -100,4 +88,4 @@ def _trials(settings: Settings, problem: Problem, probability: float, workers: W
     return monte_carlo.run(plan, workers, wanted.digits, wanted.most)
 
 
-__all__ = ["KIND", "SUMMARY", "Inputs", "Settings", "check", "run"]
+TASK = Task(Files, run, check)

@@ -24,7 +24,7 @@ from metrocli.uncertainty.volume import AXES, Contribution, grid, of_models, of_
 from metrocli.words import suggestion
 
 if TYPE_CHECKING:
-    from metrocli.tasks.report_uncertainty.settings import Contributor, Settings
+    from metrocli.tasks.report_uncertainty.entries import Contributor, Entries
 
 Array = npt.NDArray[np.float64]
 PLACES = ("X", "Y", "Z")
@@ -40,7 +40,7 @@ class VolumeProblem:
     warnings: tuple[str, ...]
 
 
-def faults(settings: Settings) -> Iterable[Fault | tuple[str, ...]]:
+def faults(settings: Entries) -> Iterable[Fault | tuple[str, ...]]:
     """Yield what is wrong with a job as far as it shows without its files."""
     for key in ("volume", "contributors"):
         if not getattr(settings, key):
@@ -58,7 +58,7 @@ def faults(settings: Settings) -> Iterable[Fault | tuple[str, ...]]:
     yield from _of_contributors(settings)
 
 
-def _of_contributors(settings: Settings) -> Iterable[Fault]:
+def _of_contributors(settings: Entries) -> Iterable[Fault]:
     seen: dict[str, Placed] = {}
     for placed in settings.contributors:
         given: Contributor = placed.value
@@ -79,7 +79,7 @@ def _of_contributors(settings: Settings) -> Iterable[Fault]:
                     )
 
 
-def build(settings: Settings, results: Mapping[str, Result]) -> VolumeProblem:
+def build(settings: Entries, results: Mapping[str, Result]) -> VolumeProblem:
     """Return the problem of a job with its files; raises InputError with all faults."""
     wanted = settings.volume
     assert wanted is not None
@@ -192,7 +192,7 @@ def _of_model(placed: Placed, results: Mapping[str, Result], points: Array) -> A
         raise InputError([models[0].fault(error)]) from error
 
 
-def _double(settings: Settings, results: Mapping[str, Result]) -> Iterable[str]:
+def _double(settings: Entries, results: Mapping[str, Result]) -> Iterable[str]:
     """Say what is counted more than once: a source that others include, a source with several contributors."""
     placed = [item.value for item in settings.contributors]
     labels = {label: given.name for given in placed for label in (given.source, given.name) if label}

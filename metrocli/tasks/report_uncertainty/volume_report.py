@@ -12,8 +12,9 @@ import numpy.typing as npt
 
 from metrocli.result import Estimate, Result
 from metrocli.table import Table
+from metrocli.tasks.report_uncertainty import KIND
 from metrocli.tasks.report_uncertainty.aligned_text import aligned
-from metrocli.tasks.report_uncertainty.settings import Settings
+from metrocli.tasks.report_uncertainty.entries import Entries
 from metrocli.tasks.report_uncertainty.volume_problem import VolumeProblem, build
 from metrocli.uncertainty import monte_carlo
 from metrocli.uncertainty.decision import FACTOR_2017, capable
@@ -28,7 +29,6 @@ from metrocli.uncertainty.volume import AXES, Contribution, Extremes, by_source,
 from metrocli.uncertainty.workers import Workers
 
 Array = npt.NDArray[np.float64]
-KIND = "report-uncertainty"
 PLAIN = (
     "k",
     "dof",
@@ -56,7 +56,7 @@ class _Axis:
     mc: monte_carlo.Outcome | None
 
 
-def run(settings: Settings, results: Mapping[str, Result], workers: Workers) -> Result:
+def run(settings: Entries, results: Mapping[str, Result], workers: Workers) -> Result:
     """Return the result of a job with a volume; raises InputError."""
     problem = build(settings, results)
     found = extremes(problem.contributions, problem.points)
@@ -67,7 +67,7 @@ def run(settings: Settings, results: Mapping[str, Result], workers: Workers) -> 
     if axes[0].mc is not None:
         statistics |= {"trials": axes[0].mc.trials, "seed": settings.monte_carlo.seed}
     return Result(
-        kind=KIND,
+        kind=KIND.name,
         title="",
         estimates=tuple(Estimate(axis.name, 0.0, axis.std, "mm") for axis in axes),
         covariance=covariance,
@@ -90,7 +90,7 @@ def _sum(parts: tuple[Contribution, ...], axis: int) -> tuple[Inputs, Expression
     return join(quantities), parse(" + ".join(quantity.name for quantity in quantities))
 
 
-def _axis(axis: int, found: Extremes, parts: tuple[Contribution, ...], settings: Settings, workers: Workers) -> _Axis:
+def _axis(axis: int, found: Extremes, parts: tuple[Contribution, ...], settings: Entries, workers: Workers) -> _Axis:
     inputs, total = _sum(parts, axis)
     coverage = coverage_of(settings)
     dof, _ = effective_dof(inputs, np.ones(len(inputs.quantities)))
@@ -104,12 +104,12 @@ def _axis(axis: int, found: Extremes, parts: tuple[Contribution, ...], settings:
     return _Axis(AXES[axis], float(found.by_contributor[axis]), pointwise, place, k, dof, mc)
 
 
-def coverage_of(settings: Settings) -> Coverage:
+def coverage_of(settings: Entries) -> Coverage:
     """Return what U covers."""
     return Coverage(settings.coverage.probability or 0.95, settings.coverage.k)
 
 
-def _details(axis: _Axis, settings: Settings) -> dict[str, Any]:
+def _details(axis: _Axis, settings: Entries) -> dict[str, Any]:
     coverage = coverage_of(settings)
     U, probability = axis.k * axis.std, covered(coverage)
     said: dict[str, Any] = {
@@ -134,7 +134,7 @@ def _left(width: float, guard: float) -> float:
     return width / 2 - guard if guard <= width / 2 else math.nan
 
 
-def _against_trials(axis: _Axis, mc: monte_carlo.Outcome, U: float, settings: Settings) -> dict[str, Any]:
+def _against_trials(axis: _Axis, mc: monte_carlo.Outcome, U: float, settings: Entries) -> dict[str, Any]:
     """Return what Monte Carlo says of the sum of the maxima, and whether k u holds against it."""
     probability = covered(coverage_of(settings))
     sample, std = mc.samples[0], math.sqrt(mc.covariance[0, 0])
@@ -149,7 +149,7 @@ def _against_trials(axis: _Axis, mc: monte_carlo.Outcome, U: float, settings: Se
     return {"mc": trials | {"covered": covers}, "gum_valid": verdict.valid}
 
 
-def _tables(problem: VolumeProblem, found: Extremes, axes: list[_Axis], settings: Settings) -> dict[str, Table]:
+def _tables(problem: VolumeProblem, found: Extremes, axes: list[_Axis], settings: Entries) -> dict[str, Table]:
     parts = problem.contributions
     rows = []
     for n, axis in enumerate(axes):
@@ -187,7 +187,7 @@ def _tables(problem: VolumeProblem, found: Extremes, axes: list[_Axis], settings
     }
 
 
-def _sources(settings: Settings) -> Table:
+def _sources(settings: Entries) -> Table:
     """Return what each contributor stands for, so that a job that uses this result sees what is in it already."""
     given = [placed.value for placed in settings.contributors]
     rows = [(label, item.name) for item in given for label in (item.name, item.source, *item.includes) if label]

@@ -1,0 +1,18 @@
+"""selfcal-grid: errors of a machine and of an artefact from views of a ball grid that nobody calibrated."""
+
+from metrocli.tasks.kind import Kind, Question
+
+KIND = Kind(
+    "selfcal-grid",
+    "machine and artefact errors from views of an uncalibrated ball grid",
+    measured=("views",),
+    planned=("views",),
+    questions=(
+        Question(
+            "compare", "Adjust as the paper does, views fitted first, and print what that loses, without a result."
+        ),
+    ),
+    result_questions=(
+        Question("at", "Print the machine error at a point, such as '10 mm' '0 mm' '-32.5 mm'.", ("X", "Y", "Z")),
+    ),
+)

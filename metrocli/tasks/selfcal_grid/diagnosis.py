@@ -12,13 +12,13 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.solution import Solution
-from metrocli.diagnosis.adjusted_job import Covariate, Delivered, Subject
-from metrocli.effects import effects_of
+from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate, Delivered
 from metrocli.effects.effect import ELAPSED, WARMING
 from metrocli.effects.model import Model, with_conditions
 from metrocli.instruments import ball_grid as bg
+from metrocli.tasks.selfcal_grid import KIND
+from metrocli.tasks.selfcal_grid.effects import EFFECTS
 from metrocli.tasks.selfcal_grid.problem import READINGS, Problem
-from metrocli.tasks.selfcal_grid.report import KIND
 from metrocli.tasks.selfcal_grid.solve import Solved
 
 FOLDS = 10
@@ -26,7 +26,7 @@ _FEWEST = 4
 """Components that an effect must touch: what touches one reading only is an outlier"""
 
 
-def subject(solved: Solved) -> Subject:
+def subject(solved: Solved) -> AdjustedJob:
     """Return the subject of an adjusted self-calibration."""
     problem = solved.problem.held(solved.design)
     model = with_conditions(replace(problem.model(), blocks=solved.solution.blocks))
@@ -35,10 +35,10 @@ def subject(solved: Solved) -> Subject:
         return adjust_fields(problem.with_model(changed).only(keep[READINGS]).fields).solution
 
     index = problem.readings.observations.index
-    return Subject(
-        KIND,
+    return AdjustedJob(
+        KIND.name,
         model,
-        effects_of(KIND),
+        EFFECTS,
         tuple(_covariates(model)),
         ("view",),
         {READINGS: folds(index[bg.ARTEFACT], index[bg.VIEW])},

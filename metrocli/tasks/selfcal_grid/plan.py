@@ -14,9 +14,9 @@ from metrocli.instruments import ball_grid as bg
 from metrocli.plan import Plan
 from metrocli.result import Estimate
 from metrocli.table import Table
+from metrocli.tasks.selfcal_grid import KIND
 from metrocli.tasks.selfcal_grid.problem import Problem, build
 from metrocli.tasks.selfcal_grid.readings import Readings
-from metrocli.tasks.selfcal_grid.report import KIND
 from metrocli.tasks.selfcal_grid.settings import Settings, turn_in_words
 from metrocli.tasks.selfcal_grid.simulation import balls_on, views_on_the_grid
 from metrocli.tasks.selfcal_grid.solve import design
@@ -81,7 +81,7 @@ def plan(settings: Settings, lengths: Table | None = None) -> Plan:
     )
     figures = (gain, most) if known and not isinstance(settings.noise, str) else ()
     files = {"views_to_measure.csv": _sheet(settings, views)}
-    return Plan(KIND, notes, figures, {"view_sets": table}, files, shown=("view_sets",))
+    return Plan(KIND.name, notes, figures, {"view_sets": table}, files, shown=("view_sets",))
 
 
 def _sets(views: Sequence[bg.View]) -> Iterator[tuple[str, list[bg.View]]]:

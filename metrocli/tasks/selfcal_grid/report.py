@@ -16,6 +16,7 @@ from metrocli.geometry.poses import EULER, euler_form
 from metrocli.instruments import ball_grid as bg
 from metrocli.result import Estimate, Result
 from metrocli.table import Table
+from metrocli.tasks.selfcal_grid import KIND
 from metrocli.tasks.selfcal_grid import warnings as grid_warnings
 from metrocli.tasks.selfcal_grid.error_map import Covariance, SiteErrors, Smooth, error_map, smooth
 from metrocli.tasks.selfcal_grid.lengths import LengthError, largest
@@ -27,7 +28,6 @@ from metrocli.units import find_unit
 if TYPE_CHECKING:
     from metrocli.table import Values
 
-KIND = "selfcal-grid"
 _UNITS = ("mm", "mm", "mm", "rad", "rad", "rad")
 _KEPT = 4_000_000
 """Numbers of a covariance that are written"""
@@ -68,7 +68,7 @@ def report(solved: Solved, found: Open, left_out: Sequence[LeftOut], points: Tab
     }
     statistics, length_note = _statistics(solved, found, machine, length)
     return Result(
-        kind=KIND,
+        kind=KIND.name,
         title="",
         estimates=(*mountings, *estimates(solved.problem.effects, solved.found)),
         covariance=covariance,

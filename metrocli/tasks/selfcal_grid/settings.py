@@ -13,7 +13,8 @@ from metrocli.adjust.model.observations import Index
 from metrocli.geometry.rotations import rotation_from_vector
 from metrocli.instruments.ball_grid import View
 from metrocli.settings import Choice, Either, ListOf, Quantity, Section, TableFile, Text, Whole, setting
-from metrocli.table import TEXT, WHOLE, Column, Columns
+from metrocli.table import TEXT, WHOLE, Column, Columns, Table
+from metrocli.tasks.kind import ABSENT
 from metrocli.units import parse_quantity
 
 _QUARTER = np.pi / 2
@@ -51,6 +52,15 @@ class Inputs:
     views: Path = setting(TableFile(VIEWS), "what the machine reads of each ball in each view")
     lengths: Path | None = setting(TableFile(LENGTHS), "calibrated distances of balls", default=None)
     map: Path | None = setting(TableFile(POINTS), "points at which the machine error is wanted", default=None)
+
+
+@dataclass(frozen=True)
+class Files:
+    """What the inputs hold; views are absent before the measurement."""
+
+    views: Table = ABSENT
+    lengths: Table | None = None
+    map: Table | None = None
 
 
 @dataclass(frozen=True)

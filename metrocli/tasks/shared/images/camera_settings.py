@@ -1,4 +1,4 @@
-"""What job and camera files say of a camera."""
+"""What job and camera files say of a calibrated camera."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from metrocli.settings import Choice, ListOf, Number, Quantity, Section, Whole, 
 
 _PX = Quantity("pixel")
 _FOCAL = Quantity("pixel", minimum=1.0)
-_ESTIMATED = tuple(name for name in PARAMETERS)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,49 +42,6 @@ class LensValues:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Camera(LensValues):
-    """The camera to calibrate: a parameter with a value is known, or a start where it is estimated too."""
-
-    image_size: tuple[int, int] | None = setting(
-        ListOf(Whole(minimum=2, maximum=100_000), length=2),
-        "width and height in pixels; read from the images where there are any",
-        default=None,
-    )
-    pixel_size: float | None = setting(
-        Quantity("length", positive=True), "side of a pixel, for results in mm", default=None
-    )
-    estimate: tuple[str, ...] = setting(
-        ListOf(Choice(*_ESTIMATED), distinct=True),
-        "parameters to estimate",
-        default=("f", "cx", "cy", "k1", "k2", "p1", "p2"),
-    )
-    convention: str = setting(
-        Choice("forward", "backward"),
-        "where distortion is taken: at the ideal or at the measured point",
-        default="forward",
-    )
-    reference_radius: float | None = setting(
-        Quantity("length"),
-        "R0 of the balanced photogrammetric form; 2/3 of the largest radius unless given",
-        default=None,
-    )
-
-    def faults(self) -> Iterable[tuple[str, str]]:
-        """Yield what does not fit together."""
-        chosen = set(self.estimate) | set(self.given())
-        if "f" in chosen and chosen & {"fx", "fy"}:
-            yield "estimate", "f is one focal length for both axes: name either f, or fx and fy"
-        if "aspect" in chosen and chosen & {"fx", "fy"}:
-            yield "estimate", "aspect goes with f; fx and fy have their ratio already"
-        if not chosen & {"f", "fx", "fy"}:
-            yield "estimate", "the focal length is neither estimated nor given: add f to estimate, or give f: ... px"
-        if len(chosen & {"fx", "fy"}) == 1:
-            yield "estimate", "fx and fy come together"
-        if self.reference_radius is not None and self.pixel_size is None:
-            yield "reference_radius", "reference_radius needs pixel_size"
-
-
-@dataclass(frozen=True, kw_only=True)
 class Extrinsics:
     """The camera in the taper: `X_taper = R(alpha, beta, gamma) X_camera + (x, y, z)`."""
 
@@ -95,35 +51,6 @@ class Extrinsics:
     alpha: float = setting(Quantity("angle"), "turn about x, first")
     beta: float = setting(Quantity("angle"), "turn about y, second")
     gamma: float = setting(Quantity("angle"), "turn about z, third")
-
-
-@dataclass(frozen=True, kw_only=True)
-class CameraSimulation:
-    """The truth that `metrocli simulate` starts from."""
-
-    lens: LensValues = setting(Section(LensValues), "true lens parameters")
-    extrinsics: Extrinsics | None = setting(
-        Section(Extrinsics), "rig cmm: the camera in the reference frame", default=None
-    )
-    images: int = setting(Whole(minimum=1, maximum=100_000), "rigs board and network: number of images", default=15)
-    distance: float = setting(
-        Quantity("length", positive=True), "rigs board and network: mean distance of the camera", default=600.0
-    )
-    tilt: float = setting(
-        Quantity("angle", positive=True), "rigs board and network: largest tilt of a view", default=0.6
-    )
-    interval: float | None = setting(
-        Quantity("time", positive=True), "time from image to image; without it no times are written", default=None
-    )
-    warming: float = setting(
-        Quantity("temperature difference"), "how much it warms up from the first image to the last", default=0.0
-    )
-
-    def faults(self) -> Iterable[tuple[str, str]]:
-        """Yield what does not fit together."""
-        given = set(self.lens.given())
-        if not ("f" in given or {"fx", "fy"} <= given):
-            yield "lens", "the focal length is missing: give f, or fx and fy"
 
 
 @dataclass(frozen=True, kw_only=True)

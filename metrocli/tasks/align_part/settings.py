@@ -1,0 +1,98 @@
+"""What a job of align-part says, and the columns of its files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from metrocli.imageset import ImageSet
+from metrocli.result import Result
+from metrocli.settings import Choice, Either, FileOf, ImageFiles, ListOf, Quantity, Section, TableFile, setting
+from metrocli.table import TEXT, Column, Columns, Table
+from metrocli.targets.pattern import Pattern
+from metrocli.tasks.shared.images.camera_settings import CameraFile, Extrinsics
+from metrocli.tasks.shared.images.settings import eccentricity_setting, image_faults
+from metrocli.tasks.shared.images.sightings import OBSERVATIONS
+from metrocli.tasks.shared.images.target_list import TARGETS
+
+POSES = Columns(
+    (
+        Column("image", TEXT),
+        Column("x", "length"),
+        Column("y", "length"),
+        Column("z", "length"),
+        *(Column(name, "angle", required=False) for name in ("a", "b", "c")),
+        Column("t", "time", required=False),
+        Column("temp", "temperature", required=False),
+    ),
+    ("image",),
+    "commanded poses of the spindle",
+)
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """The camera, the spindle's poses, and what was seen."""
+
+    camera: Path = setting(
+        FileOf(("calibrate-camera",), CameraFile),
+        "result of calibrate-camera (rig cmm), or a camera written by hand (.yaml)",
+    )
+    poses: Path = setting(TableFile(POSES), "commanded pose of the spindle for each image")
+    targets: Path = setting(TableFile(TARGETS), "coordinates of targets in the part")
+    observations: Path | None = setting(TableFile(OBSERVATIONS), "image coordinates of targets", default=None)
+    images: tuple[Path, ...] | None = setting(
+        ImageFiles(), "images, such as img/*.png, instead of observations", default=None
+    )
+
+
+@dataclass(frozen=True)
+class Files:
+    """What the inputs hold."""
+
+    camera: Result | CameraFile
+    poses: Table
+    targets: Table
+    observations: Table | None = None
+    images: ImageSet | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class AlignSimulation:
+    """The truth that `metrocli simulate` starts from."""
+
+    part: Extrinsics = setting(Section(Extrinsics), "the part in the machine")
+    clamping_angle: float = setting(
+        Either(Quantity("angle"), Quantity("slope")), "true clamping angle gamma_s", default=0.0
+    )
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Locate a part in the machine from images of a camera in the spindle (6D), with its clamping angle (7D)."""
+
+    inputs: Inputs = setting(Section(Inputs), "the files of the job")
+    noise: float | str = setting(
+        Either(Quantity("pixel", positive=True, minimum=1e-9), Choice("estimated")),
+        "standard deviation of an image coordinate, or 'estimated'",
+    )
+    estimate: tuple[str, ...] = setting(
+        ListOf(Choice("part-pose", "clamping-angle"), distinct=True),
+        "unknowns: the 6D or the 7D job",
+        default=("part-pose", "clamping-angle"),
+    )
+    pattern: Pattern | None = setting(Section(Pattern), "what the images show", default=None)
+    outliers: str = setting(
+        Choice("report", "remove"), "name outliers, or leave them out and list them", default="report"
+    )
+    eccentricity: str = eccentricity_setting()
+    simulation: AlignSimulation | None = setting(
+        Section(AlignSimulation), "the truth for `metrocli simulate`", default=None
+    )
+
+    def faults(self) -> Iterable[tuple[str, str]]:
+        """Yield what does not fit together."""
+        yield from image_faults(self.inputs.observations, self.inputs.images, self.pattern, self.inputs.targets)
+        if "part-pose" not in self.estimate:
+            yield "estimate", "part-pose is missing: write [part-pose] for 6D or [part-pose, clamping-angle] for 7D"

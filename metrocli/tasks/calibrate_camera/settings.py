@@ -1,0 +1,156 @@
+"""What a job of calibrate-camera says, and the columns of its files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from metrocli.imageset import ImageSet
+from metrocli.instruments.lens import PARAMETERS
+from metrocli.settings import Choice, Either, ImageFiles, ListOf, Quantity, Section, TableFile, Whole, setting
+from metrocli.table import TEXT, Column, Columns, Table
+from metrocli.targets.pattern import Pattern
+from metrocli.tasks.shared.images.camera_settings import Extrinsics, LensValues
+from metrocli.tasks.shared.images.settings import eccentricity_setting, image_faults
+from metrocli.tasks.shared.images.sightings import OBSERVATIONS
+from metrocli.tasks.shared.images.target_list import TARGETS
+
+SCALE_BARS = Columns(
+    (Column("from", TEXT), Column("to", TEXT), Column("length", "length"), Column("sigma", "length")),
+    ("from", "to"),
+    "calibrated distances",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Camera(LensValues):
+    """The camera to calibrate: a parameter with a value is known, or a start where it is estimated too."""
+
+    image_size: tuple[int, int] | None = setting(
+        ListOf(Whole(minimum=2, maximum=100_000), length=2),
+        "width and height in pixels; read from the images where there are any",
+        default=None,
+    )
+    pixel_size: float | None = setting(
+        Quantity("length", positive=True), "side of a pixel, for results in mm", default=None
+    )
+    estimate: tuple[str, ...] = setting(
+        ListOf(Choice(*PARAMETERS), distinct=True),
+        "parameters to estimate",
+        default=("f", "cx", "cy", "k1", "k2", "p1", "p2"),
+    )
+    convention: str = setting(
+        Choice("forward", "backward"),
+        "where distortion is taken: at the ideal or at the measured point",
+        default="forward",
+    )
+    reference_radius: float | None = setting(
+        Quantity("length"),
+        "R0 of the balanced photogrammetric form; 2/3 of the largest radius unless given",
+        default=None,
+    )
+
+    def faults(self) -> Iterable[tuple[str, str]]:
+        """Yield what does not fit together."""
+        chosen = set(self.estimate) | set(self.given())
+        if "f" in chosen and chosen & {"fx", "fy"}:
+            yield "estimate", "f is one focal length for both axes: name either f, or fx and fy"
+        if "aspect" in chosen and chosen & {"fx", "fy"}:
+            yield "estimate", "aspect goes with f; fx and fy have their ratio already"
+        if not chosen & {"f", "fx", "fy"}:
+            yield "estimate", "the focal length is neither estimated nor given: add f to estimate, or give f: ... px"
+        if len(chosen & {"fx", "fy"}) == 1:
+            yield "estimate", "fx and fy come together"
+        if self.reference_radius is not None and self.pixel_size is None:
+            yield "reference_radius", "reference_radius needs pixel_size"
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraSimulation:
+    """The truth that `metrocli simulate` starts from."""
+
+    lens: LensValues = setting(Section(LensValues), "true lens parameters")
+    extrinsics: Extrinsics | None = setting(
+        Section(Extrinsics), "rig cmm: the camera in the reference frame", default=None
+    )
+    images: int = setting(Whole(minimum=1, maximum=100_000), "rigs board and network: number of images", default=15)
+    distance: float = setting(
+        Quantity("length", positive=True), "rigs board and network: mean distance of the camera", default=600.0
+    )
+    tilt: float = setting(
+        Quantity("angle", positive=True), "rigs board and network: largest tilt of a view", default=0.6
+    )
+    interval: float | None = setting(
+        Quantity("time", positive=True), "time from image to image; without it no times are written", default=None
+    )
+    warming: float = setting(
+        Quantity("temperature difference"), "how much it warms up from the first image to the last", default=0.0
+    )
+
+    def faults(self) -> Iterable[tuple[str, str]]:
+        """Yield what does not fit together."""
+        given = set(self.lens.given())
+        if not ("f" in given or {"fx", "fy"} <= given):
+            yield "lens", "the focal length is missing: give f, or fx and fy"
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """Image points and targets, or images and a pattern."""
+
+    observations: Path | None = setting(TableFile(OBSERVATIONS), "image coordinates of targets", default=None)
+    targets: Path | None = setting(TableFile(TARGETS), "coordinates of targets", default=None)
+    images: tuple[Path, ...] | None = setting(
+        ImageFiles(), "images, such as img/*.jpg, instead of observations", default=None
+    )
+    scale_bars: Path | None = setting(
+        TableFile(SCALE_BARS), "calibrated distances between targets (rig network)", default=None
+    )
+
+
+@dataclass(frozen=True)
+class Files:
+    """What the inputs hold."""
+
+    observations: Table | None = None
+    targets: Table | None = None
+    images: ImageSet | None = None
+    scale_bars: Table | None = None
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Calibrate a camera: focal length, principal point and distortion, with their covariance."""
+
+    rig: str = setting(
+        Choice("board", "cmm", "network"),
+        "board: a target board in unknown poses; cmm: targets placed by a CMM; network: unknown points and poses",
+    )
+    inputs: Inputs = setting(Section(Inputs), "the files of the job")
+    noise: float | str = setting(
+        Either(Quantity("pixel", positive=True, minimum=1e-9), Choice("estimated")),
+        "standard deviation of an image coordinate, or 'estimated'",
+    )
+    camera: Camera = setting(Section(Camera), "the camera", default=Camera())
+    pattern: Pattern | None = setting(Section(Pattern), "what the images show", default=None)
+    outliers: str = setting(
+        Choice("report", "remove"), "name outliers, or leave them out and list them", default="report"
+    )
+
+    eccentricity: str = eccentricity_setting()
+    simulation: CameraSimulation | None = setting(
+        Section(CameraSimulation), "the truth for `metrocli simulate`", default=None
+    )
+
+    def faults(self) -> Iterable[tuple[str, str]]:
+        """Yield what does not fit together."""
+        yield from image_faults(self.inputs.observations, self.inputs.images, self.pattern, self.inputs.targets)
+        if self.inputs.observations is not None and self.camera.image_size is None:
+            yield (
+                "camera",
+                "image_size is missing: observations do not say how large the images are; "
+                "write e.g. image_size: [2592, 1944]",
+            )
+        if self.inputs.scale_bars is not None and self.rig != "network":
+            yield "inputs.scale_bars", "scale bars belong to rig: network"

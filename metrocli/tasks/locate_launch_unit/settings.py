@@ -1,0 +1,68 @@
+"""What a job of locate-launch-unit says."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from metrocli.settings import Choice, Flag, ListOf, Quantity, Section, TableFile, setting
+from metrocli.table import Table
+from metrocli.tasks.kind import ABSENT
+from metrocli.tasks.locate_launch_unit.plan_settings import Planned
+from metrocli.tasks.locate_launch_unit.readings import PLACES, POSES
+
+METHODS = ("adjustment", "lines", "closed-loop")
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """Aligned poses."""
+
+    poses: Path = setting(TableFile(POSES), "receiver positions and encoder angles of aligned poses")
+    places: Path | None = setting(
+        TableFile(PLACES), "receiver positions to measure at, for simulate and plan", default=None
+    )
+
+
+@dataclass(frozen=True)
+class Files:
+    """What the inputs hold; poses are absent before the measurement."""
+
+    poses: Table = ABSENT
+    places: Table | None = None
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Standard deviations of the readings."""
+
+    encoder: float = setting(Quantity("angle", positive=True), "of each encoder angle")
+    distance: float | None = setting(Quantity("length", positive=True), "of a distance", default=None)
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Where the unit truly is, for `metrocli simulate`."""
+
+    place: tuple[float, ...] = setting(ListOf(Quantity("length"), length=3), "x, y, z of the unit")
+    gamma: float = setting(Quantity("angle"), "set-up angle of the unit about z", default=0.0)
+    distances: bool = setting(Flag(), "whether distances are read", default=False)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Find the launch unit of an interferometer from aligned poses (Kuprin et al.), and plan its measurements."""
+
+    inputs: Inputs = setting(Section(Inputs), "the files of the job")
+    noise: Noise = setting(Section(Noise), "standard deviations of the readings")
+    method: str = setting(Choice(*METHODS), "adjustment, or one of the paper's two", default="adjustment")
+    plan: Planned | None = setting(Section(Planned), "the lines to measure from there", default=None)
+    outliers: str = setting(Choice("report", "remove"), "name outliers, or leave them out", default="report")
+    simulation: Truth | None = setting(Section(Truth), "the truth for `metrocli simulate`", default=None)
+
+    def faults(self) -> Iterable[tuple[str, str]]:
+        """Distances need their standard deviation."""
+        distances = self.simulation is not None and self.simulation.distances
+        if self.noise.distance is None and (distances or self.method == "closed-loop"):
+            yield "noise", "distances need their standard deviation: add `distance: 1 um`"

@@ -1,0 +1,127 @@
+"""What a job of multilaterate says, and the columns of its files."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from metrocli.settings import Choice, Quantity, Section, TableFile, setting
+from metrocli.table import TEXT, Column, Columns, Table
+from metrocli.tasks.kind import ABSENT
+from metrocli.tasks.shared.known_places import SIGMAS
+
+_PLACE = tuple(Column(axis, "length") for axis in "xyz")
+LENGTHS = Columns(
+    (
+        Column("point", TEXT),
+        Column("tracer", TEXT),
+        Column("length", "length"),
+        Column("t", "time", required=False),
+        Column("temp", "temperature", required=False),
+    ),
+    ("point", "tracer"),
+    "lengths read by the tracers",
+)
+POINTS = Columns((Column("point", TEXT), *_PLACE, *SIGMAS), ("point",), "approximate points: the mover's readings")
+TRACERS = Columns(
+    (Column("tracer", TEXT), *_PLACE, Column("dead_path", "length", required=False, may_be_empty=True), *SIGMAS),
+    ("tracer",),
+    "approximate places of the tracers",
+)
+CANDIDATES = Columns(
+    (Column("candidate", TEXT), *_PLACE), ("candidate",), "places where one more tracer could stand, for `plan`"
+)
+PROBING = Columns(
+    (Column("feature", TEXT), Column("point", TEXT, may_be_empty=True), *_PLACE),
+    (),
+    "the mover's readings on the workpiece",
+)
+DISTANCES = Columns(
+    (Column("from", TEXT), Column("to", TEXT), Column("length", "length"), Column("sigma", "length")),
+    ("from", "to"),
+    "calibrated distances between points",
+)
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What the tracers read, and where the mover says the points are."""
+
+    lengths: Path = setting(TableFile(LENGTHS), "lengths read by the tracers")
+    points: Path = setting(TableFile(POINTS), "approximate points: the mover's readings")
+    tracers: Path | None = setting(TableFile(TRACERS), "approximate places of the tracers", default=None)
+    probing: Path | None = setting(TableFile(PROBING), "the mover's readings on the workpiece", default=None)
+    distances: Path | None = setting(TableFile(DISTANCES), "calibrated distances between points", default=None)
+    candidates: Path | None = setting(
+        TableFile(CANDIDATES), "places where one more tracer could stand, for `plan`", default=None
+    )
+
+
+@dataclass(frozen=True)
+class Files:
+    """What the inputs hold; lengths are absent before the measurement."""
+
+    lengths: Table = ABSENT
+    points: Table = ABSENT
+    tracers: Table | None = None
+    probing: Table | None = None
+    distances: Table | None = None
+    candidates: Table | None = None
+
+
+@dataclass(frozen=True)
+class LengthNoise:
+    """Standard deviation of a length, `sqrt(a^2 + b^2 (l + l0)^2)` (Härtig et al., weights of eq. 2)."""
+
+    constant: float = setting(Quantity("length", positive=True), "a: the part that does not depend on the length")
+    proportional: float = setting(Quantity("ratio", minimum=0.0), "b: the part proportional to the path", default=0.0)
+
+
+@dataclass(frozen=True)
+class Scale:
+    """What is known of the tracers' scales."""
+
+    uncertainty: float = setting(
+        Quantity("ratio", positive=True), "standard uncertainty of each tracer's scale about 1 (eq. 4)"
+    )
+
+
+@dataclass(frozen=True)
+class LengthSimulation:
+    """The truth that `metrocli simulate` starts from, with the tracers where their list says."""
+
+    mover_error: float = setting(
+        Quantity("length", minimum=0.0), "standard deviation of the mover's readings", default=0.0
+    )
+    mover_scale: float = setting(Quantity("ratio"), "how much too long the mover reads distances", default=0.0)
+    tracer_error: float = setting(
+        Quantity("length", minimum=0.0), "standard deviation of the places that are written", default=0.0
+    )
+    interval: float | None = setting(
+        Quantity("time", positive=True), "time from point to point; without it no times are written", default=None
+    )
+    warming: float = setting(
+        Quantity("temperature difference"), "how much the air warms up from the first point to the last", default=0.0
+    )
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Find reflector positions from lengths, with the tracers' places, dead paths and scales (multilateration)."""
+
+    inputs: Inputs = setting(Section(Inputs), "the files of the job")
+    noise: LengthNoise = setting(Section(LengthNoise), "standard deviation of a length")
+    measures: str = setting(
+        Choice("changes", "absolute"), "interferometer (dead paths unknown) or absolute distance", default="changes"
+    )
+    scale: Scale | None = setting(Section(Scale), "estimate the tracers' scales; fixed at 1 without it", default=None)
+    datum: str | None = setting(
+        Choice("inner-constraints", "points"), "what fixes the frame; by the points' sigma unless given", default=None
+    )
+    outliers: str = setting(Choice("report", "remove"), "name outliers, or leave them out", default="report")
+    tolerance: float = setting(
+        Quantity("length", positive=True), "how near a probing point must be to its replayed point", default=1.0
+    )
+    simulation: LengthSimulation | None = setting(
+        Section(LengthSimulation), "the truth for `metrocli simulate`", default=None
+    )

@@ -1,0 +1,85 @@
+"""What a job of the tests' kind says."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from metrocli.imageset import ImageSet
+from metrocli.result import Result
+from metrocli.settings import (
+    Choice,
+    Either,
+    FileOf,
+    Flag,
+    ImageFiles,
+    ListOf,
+    MapOf,
+    Number,
+    Quantity,
+    Section,
+    TableFile,
+    Text,
+    Whole,
+    setting,
+)
+from metrocli.table import TEXT, Column, Columns, Table
+from metrocli.tasks.kind import ABSENT
+from straight_line import KIND
+
+READINGS = Columns((Column("point", TEXT), Column("x", "length"), Column("y", "length")), key=("point",))
+
+
+@dataclass(frozen=True)
+class Known:
+    """A slope known from elsewhere."""
+
+    slope: float = setting(Quantity("slope"), "known slope")
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """Files of the job."""
+
+    readings: Path = setting(TableFile(READINGS), "readings")
+    known: Path | None = setting(FileOf(results=(KIND.name,), section=Known), "slope from elsewhere", default=None)
+    images: tuple[Path, ...] = setting(ImageFiles(), "pictures", default=())
+
+
+@dataclass(frozen=True)
+class Files:
+    """What they hold; readings are absent before the measurement."""
+
+    readings: Table = ABSENT
+    known: Result | Known | None = None
+    images: ImageSet | None = None
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Limits of the fit."""
+
+    range: tuple[float, float] = setting(ListOf(Quantity("length"), length=2), "range of x")
+    robust: bool = setting(Flag(), "reweight", default=False)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """A straight line through readings."""
+
+    inputs: Inputs = setting(Section(Inputs), "files")
+    noise: float | str = setting(Either(Quantity("length", positive=True), Choice("estimated")), "noise of y")
+    estimate: tuple[str, ...] = setting(
+        ListOf(Choice("slope", "offset"), distinct=True), "what to estimate", default=("slope", "offset")
+    )
+    limits: Limits | None = setting(Section(Limits), "limits", default=None)
+    iterations: int = setting(Whole(minimum=1, maximum=50), "most iterations", default=10)
+    weight: float = setting(Number(above=0), "a factor", default=1.0)
+    alpha: float = setting(Quantity("expansion"), "expansion", default=0.0)
+    labels: Mapping[str, str] = setting(MapOf(Text()), "labels of points", default={})
+
+    def faults(self) -> Iterable[tuple[str, str]]:
+        """Two keys that do not go together."""
+        if self.iterations == 1 and self.limits is not None and self.limits.robust:
+            yield "limits.robust", "reweighting needs more than one iteration"
