@@ -18,9 +18,10 @@ import numpy.typing as npt
 from metrocli.formats.images import read
 from metrocli.geometry.rotations import rotation_from_euler
 from metrocli.targets import blobs, ellipses
+from metrocli.targets.drawings import board
 from metrocli.targets.find import find
 from metrocli.targets.pattern import Pattern, names, pattern_points
-from metrocli.targets.render import Look, Placed, board, render
+from metrocli.targets.render import Look, Placed, render
 
 Array = npt.NDArray[np.float64]
 Grey = npt.NDArray[np.uint8]

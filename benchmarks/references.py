@@ -16,8 +16,7 @@ from metrocli.formats import csv
 from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera import task as calibrate_camera
-from metrocli.tasks.calibrate_camera.settings import SCALE_BARS, Inputs, Settings
-from metrocli.tasks.shared.images.camera_settings import Camera
+from metrocli.tasks.calibrate_camera.settings import SCALE_BARS, Camera, Inputs, Settings
 from metrocli.tasks.shared.images.sightings import OBSERVATIONS
 from metrocli.tasks.shared.images.target_list import TARGETS
 

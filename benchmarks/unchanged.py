@@ -35,7 +35,8 @@ KINDS = (
 )
 FORMATS = ("csv", "siemens-lec", "siemens-cec", "heidenhain", "fanuc", "linuxcnc", "isg-csv", "etalon")
 SENTENCES = {
-    "reason", "files", "separate_by", "depends_on", "warnings", "notes", "cause", "text", "hint", "mistake", "extended_job",
+    "reason", "files", "separate_by", "depends_on", "warnings", "notes", "cause", "text", "hint",
+    "mistake", "extended_job",
 }  # fmt: skip
 """Keys of JSON whose values are sentences or paths"""
 PROSE = ("warnings", "notes", "job")

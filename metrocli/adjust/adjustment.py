@@ -1,4 +1,4 @@
-"""The adjustment: weighted least squares by Gauss-Newton steps, the only iteration in the program."""
+"""The adjustment: weighted least squares by Gauss-Newton steps."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ from metrocli.adjust.model.groups import Group
 from metrocli.adjust.outcome import Combination, Outcome
 from metrocli.adjust.rank import open_combinations
 from metrocli.adjust.schur.covariance import Covariance, shapes_of
-from metrocli.adjust.schur.layout import Layout, arrange, considered_covariance
+from metrocli.adjust.schur.layout import Layout, arrange
 from metrocli.adjust.schur.member_covariance import Gauge, Members
 from metrocli.adjust.schur.normals import Normals, assemble, cost_of
+from metrocli.adjust.schur.reduced_covariance import in_eliminated_datum, widened, with_considered
 from metrocli.adjust.schur.tiles import Split, split
 from metrocli.adjust.solution import Solution
 
@@ -256,50 +257,14 @@ def _with_covariance(solution: Solution, problem: _Problem, normals: Normals) ->
         return replace(counted, outcome=Outcome.TOO_FEW)
     free = layout.free
     inverse = _cholesky_solve(held[:free, :free], np.eye(free)) if free else np.zeros((0, 0))
-    own, gauge = _widened(inverse, layout), None
+    own, gauge = widened(inverse, layout), None
     if frame is not None and frame.datum.block == layout.eliminated:
-        own = _widened(_in_eliminated_datum(frame, normals, inverse), layout)
+        own = widened(in_eliminated_datum(frame, normals, inverse), layout)
         gauge = Gauge(frame, blocks[frame.datum.block])
     elif frame is not None:
         transform = frame.transform(layout)[:free, :free]
-        own = _widened(transform @ inverse @ transform.T, layout)
+        own = widened(transform @ inverse @ transform.T, layout)
     members = Members(normals.shape, normals.parts, problem.split.portions, own, gauge)
     cofactor = Covariance(layout, shapes_of(blocks), own, members)
-    joint = replace(cofactor, reduced=_considered(blocks, layout, held, cofactor.reduced))
+    joint = replace(cofactor, reduced=with_considered(blocks, layout, held, cofactor.reduced))
     return replace(counted, cofactor=cofactor, covariance=joint)
-
-
-def _widened(inverse: Array, layout: Layout) -> Array:
-    """Return a covariance of the free columns, made symmetric, with zeros for the considered ones."""
-    widened = np.zeros((layout.width, layout.width))
-    widened[: layout.free, : layout.free] = (inverse + inverse.T) / 2
-    return widened
-
-
-def _in_eliminated_datum(frame: Frame, normals: Normals, inverse: Array) -> Array:
-    """Return the reduced covariance in a datum of inner constraints on the eliminated block.
-
-    With `h = H e = -A r + sum H_i n_i`, `A = sum H_i W_i`, n_i the noise of member i of covariance D_i^-1:
-    `r' = (I + E A) r - E sum H_i n_i`.
-    """
-    free = len(inverse)
-    found = [part.moments(frame.constraint(part.members)) for part in normals.parts]
-    e = frame.reduced[:free]
-    coupled, gram = (np.sum([one[i] for one in found], axis=0) for i in (0, 1))
-    transform = np.eye(free) + e @ coupled[:, :free]
-    return np.asarray(transform @ inverse @ transform.T + e @ gram @ e.T)
-
-
-def _considered(blocks: Mapping[str, Block], layout: Layout, matrix: Array, noise_only: Array) -> Array:
-    """Add what the considered blocks bring: `K = S_ff^-1 S_fc`, `Q_ff + K C K'`, `Q_fc = -K C`."""
-    free = layout.free
-    if free == layout.width:
-        return noise_only
-    joint = noise_only.copy()
-    given = considered_covariance(blocks, layout)
-    sensitivity = noise_only[:free, :free] @ matrix[:free, free:]
-    joint[:free, :free] += sensitivity @ given @ sensitivity.T
-    joint[:free, free:] = -sensitivity @ given
-    joint[free:, :free] = joint[:free, free:].T
-    joint[free:, free:] = given
-    return joint

@@ -15,7 +15,6 @@ from metrocli.diagnosis.extended_fit import Size, about, field_of_job, kept, men
 from metrocli.diagnosis.linear.candidates import NotTested
 from metrocli.diagnosis.linear.fitted_columns import nothing
 from metrocli.diagnosis.linear.projection import System
-from metrocli.diagnosis.linear.refined_scan import polished
 from metrocli.diagnosis.linear.score_tests import Field
 from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.mistakes import Mistaken
@@ -30,6 +29,7 @@ from metrocli.diagnosis.residual_structure import (
     pure_error,
 )
 from metrocli.diagnosis.selection.confidence_set import Named, named
+from metrocli.diagnosis.selection.refined_scan import polished
 from metrocli.diagnosis.selection.search import carried_on, carried_over, select
 from metrocli.diagnosis.selection.selection_state import Selection
 from metrocli.diagnosis.selection.thresholds import dominated

@@ -9,8 +9,7 @@ import csv
 import io
 import math
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,45 +17,15 @@ import numpy as np
 
 from metrocli import units
 from metrocli.errors import Fault, InputError
+from metrocli.formats.csv_text import Raw, read_text, shortened, taken_apart
 from metrocli.table import NUMBER, TEXT, WHOLE, Column, Columns, Table
 from metrocli.words import nearest
 
 if TYPE_CHECKING:
     from metrocli.table import Values
 
-MOST_FAULTS = 20
 LONGEST_TEXT = 200
 _WHOLE_LIMIT = 1 << 62
-
-
-@dataclass(frozen=True)
-class _Raw:
-    """A file taken apart: its header and its cells, still text."""
-
-    file: str
-    lines: Sequence[str]
-    """All lines of the file as they stand, for messages."""
-    separator: str
-    header_line: int
-    header: tuple[str, ...]
-    cells: tuple[Sequence[str], ...]
-    """By column, as text."""
-    numbers: Sequence[int]
-    """Line of each row."""
-
-    def fault(self, message: str, line: int, cell: int | None = None, hint: str | None = None) -> Fault:
-        shown = self.lines[line - 1]
-        return Fault(message, self.file, line, 1 if cell is None else self.start(shown, cell), shown, hint)
-
-    def start(self, line: str, cell: int) -> int:
-        """Return the column at which a cell begins, commas in quotes not counted; the end of the line beyond it."""
-        quoted, seen = False, 0
-        for at, character in enumerate(line):
-            if seen == cell and not (character == " " and line[at:].strip()):
-                return at + 1
-            quoted ^= character == '"'
-            seen += character == self.separator and not quoted
-        return len(line) + 1
 
 
 def read(path: Path, columns: Columns, shown: str = "") -> Table:
@@ -64,7 +33,7 @@ def read(path: Path, columns: Columns, shown: str = "") -> Table:
 
     `shown` is the name of the file in messages. Columns that nobody asked for are named in the table's warnings.
     """
-    raw = _take_apart(_read_text(path, shown or str(path)), shown or str(path))
+    raw = taken_apart(read_text(path, shown or str(path)), shown or str(path))
     columns = _every(raw, columns) if columns.every else columns
     places, faults = _find(raw, columns)
     values: dict[str, Values] = {}
@@ -75,92 +44,12 @@ def read(path: Path, columns: Columns, shown: str = "") -> Table:
     if not faults:
         faults = _repeated(raw, columns, values)
     if faults:
-        raise InputError(_shortened(faults))
+        raise InputError(shortened(faults))
     internal = {c.name: units.internal_unit(c.dimension) for c in columns.columns if _has_unit(c) and c.name in values}
     return Table(values, internal, raw.file, tuple(raw.numbers), _unused(raw, columns, places))
 
 
-def _read_text(path: Path, shown: str) -> str:
-    try:
-        if path.is_dir():
-            raise InputError([Fault("this is a folder, not a CSV file", shown)])
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError([Fault(f"cannot be read: {error.strerror}", shown)]) from error
-    if b"\0" in data:
-        line = data[: data.index(b"\0")].count(b"\n") + 1
-        raise InputError([Fault("this is not a text file", shown, line, 1, hint="expected CSV in UTF-8")])
-    try:
-        return data.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
-    except UnicodeDecodeError as error:
-        line = data[: error.start].count(b"\n") + 1
-        column = error.start - data.rfind(b"\n", 0, error.start)
-        hint = "save the file in UTF-8"
-        raise InputError([Fault("the file is not text in UTF-8", shown, line, column, hint=hint)]) from error
-
-
-def _take_apart(text: str, file: str) -> _Raw:
-    """Split the text into header and cells; raise InputError where the rows do not have the cells of the header."""
-    lines = text.split("\n")
-    at = next((n for n, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")), None)
-    if at is None:
-        raise InputError([Fault("the file is empty", file, 1, 1, hint="expected a header that names the columns")])
-    separator = max(",;\t", key=lines[at].count)
-    header = tuple(cell.strip() for cell in next(csv.reader([lines[at]], delimiter=separator)))
-    raw = _Raw(file, lines, separator, at + 1, header, (), ())
-    numbers = [n for n, line in enumerate(lines[at + 1 :], at + 2) if line and (line[0] not in "# \t" or _is_row(line))]
-    if all(re.fullmatch(r"[-+.\deE]+", cell) for cell in header):
-        raise InputError([raw.fault("the columns have no names", at + 1, None, "name them in the first line")])
-    if not numbers:
-        raise InputError([raw.fault("there is a header and no row", at + 1)])
-    if '"' in text:
-        return _quoted(raw)
-    rows = [lines[n - 1] for n in numbers]
-    wrong = [n for n, row in zip(numbers, rows, strict=True) if row.count(separator) != len(header) - 1]
-    _refuse_cells(raw, [(n, lines[n - 1].count(separator) + 1) for n in wrong])
-    flat = separator.join(rows).split(separator)
-    return replace(raw, cells=tuple(flat[k :: len(header)] for k in range(len(header))), numbers=numbers)
-
-
-def _is_row(line: str) -> bool:
-    return line.strip()[:1] not in ("", "#")
-
-
-def _quoted(raw: _Raw) -> _Raw:
-    """Take a file with quotation marks apart, where a cell may hold separators and line ends."""
-    rows, numbers, wrong = [], [], []
-    reader = csv.reader(raw.lines[raw.header_line :], delimiter=raw.separator, strict=True)
-    before = 0
-    try:
-        for row in reader:
-            line, before = raw.header_line + before + 1, reader.line_num
-            if not _is_row(raw.lines[line - 1]):
-                continue
-            rows.append(row)
-            numbers.append(line)
-            wrong += [(line, len(row))] if len(row) != len(raw.header) else []
-    except csv.Error as error:
-        line = min(raw.header_line + before + 1, len(raw.lines))
-        message = "a quotation mark is opened and not closed, or followed by text"
-        raise InputError([raw.fault(message, line)]) from error
-    _refuse_cells(raw, wrong)
-    return replace(raw, cells=tuple(zip(*rows, strict=True)), numbers=numbers)
-
-
-def _refuse_cells(raw: _Raw, wrong: Sequence[tuple[int, int]]) -> None:
-    """Raise InputError for rows with another number of cells than the header has columns."""
-    comma = raw.separator == ","
-    faults = []
-    for line, count in wrong[: MOST_FAULTS + 1]:
-        more = count > len(raw.header)
-        hint = "is there a decimal comma? write 0.1, not 0,1" if more and comma else f"columns: {', '.join(raw.header)}"
-        message = f"{count} cells in this row, {len(raw.header)} columns in the header"
-        faults.append(raw.fault(message, line, min(count, len(raw.header)) if more else count, hint))
-    if faults:
-        raise InputError(_shortened(faults))
-
-
-def _every(raw: _Raw, columns: Columns) -> Columns:
+def _every(raw: Raw, columns: Columns) -> Columns:
     """Return a column for each of the header: of numbers, or of text where a cell is no finite number."""
     kinds = [NUMBER if all(map(_is_number, cells)) else TEXT for cells in raw.cells]
     return replace(columns, columns=tuple(Column(*column) for column in zip(raw.header, kinds, strict=True)))
@@ -177,7 +66,7 @@ def _has_unit(column: Column) -> bool:
     return column.dimension not in (TEXT, WHOLE, NUMBER)
 
 
-def _find(raw: _Raw, columns: Columns) -> tuple[dict[str, tuple[int, units.Unit | None]], list[Fault]]:
+def _find(raw: Raw, columns: Columns) -> tuple[dict[str, tuple[int, units.Unit | None]], list[Fault]]:
     """Return for each column asked for its index in the file and its unit, and what is wrong with the header."""
     faults = [
         raw.fault(f"the column '{name}' is there twice" if name else "a column without a name", raw.header_line, index)
@@ -206,7 +95,7 @@ def _forms(column: Column) -> dict[str, units.Unit | None]:
     return {f"{column.name}_{suffix}": unit for suffix, unit in units.suffixes(column.dimension).items()}
 
 
-def _absent(raw: _Raw, column: Column, forms: tuple[str, ...], columns: Columns) -> list[Fault]:
+def _absent(raw: Raw, column: Column, forms: tuple[str, ...], columns: Columns) -> list[Fault]:
     """Say why a column was not found: without unit, in a unit of something else, misspelt, or not there."""
     accepted = f"accepted: {', '.join(forms)}"
     others = {c.name for c in columns.columns}
@@ -231,7 +120,7 @@ def _is_unit(text: str) -> bool:
     return plain in known or any(plain in dimension.symbols for dimension in units.DIMENSIONS.values())
 
 
-def _unused(raw: _Raw, columns: Columns, places: dict[str, tuple[int, units.Unit | None]]) -> tuple[str, ...]:
+def _unused(raw: Raw, columns: Columns, places: dict[str, tuple[int, units.Unit | None]]) -> tuple[str, ...]:
     used = {index for index, _ in places.values()}
     wanted = [form for column in columns.columns if column.name not in places for form in _forms(column)]
     names = [name for index, name in enumerate(raw.header) if index not in used]
@@ -240,7 +129,7 @@ def _unused(raw: _Raw, columns: Columns, places: dict[str, tuple[int, units.Unit
     return tuple(f"{raw.file}:{raw.header_line}: the column '{name}' is not used{ask[name]}" for name in names)
 
 
-def _convert(raw: _Raw, index: int, column: Column, unit: units.Unit | None, faults: list[Fault]) -> Values:
+def _convert(raw: Raw, index: int, column: Column, unit: units.Unit | None, faults: list[Fault]) -> Values:
     """Return one column in internal units, NaN where a cell may be empty and is."""
     if column.dimension == TEXT:
         return _texts(raw, index, column, faults)
@@ -263,7 +152,7 @@ def _most(column: Column) -> float:
     return _WHOLE_LIMIT if column.dimension == WHOLE else float("inf")
 
 
-def _number(raw: _Raw, row: int, index: int, column: Column, faults: list[Fault]) -> float | int:
+def _number(raw: Raw, row: int, index: int, column: Column, faults: list[Fault]) -> float | int:
     """Return one cell as a number; 0 with a fault where it is none."""
     cell = raw.cells[index][row].strip()
     if not cell and column.may_be_empty:
@@ -282,7 +171,7 @@ def _number(raw: _Raw, row: int, index: int, column: Column, faults: list[Fault]
     return 0
 
 
-def _texts(raw: _Raw, index: int, column: Column, faults: list[Fault]) -> Values:
+def _texts(raw: Raw, index: int, column: Column, faults: list[Fault]) -> Values:
     cells = [cell.strip() for cell in raw.cells[index]]
     name = raw.header[index]
     if not column.may_be_empty and "" in cells:
@@ -296,7 +185,7 @@ def _texts(raw: _Raw, index: int, column: Column, faults: list[Fault]) -> Values
     return np.array(cells, dtype=np.str_)
 
 
-def _repeated(raw: _Raw, columns: Columns, values: dict[str, Values]) -> list[Fault]:
+def _repeated(raw: Raw, columns: Columns, values: dict[str, Values]) -> list[Fault]:
     """Return a fault for each row whose key an earlier row has."""
     names = [name for name in columns.key if name in values]
     if not names:
@@ -313,16 +202,6 @@ def _repeated(raw: _Raw, columns: Columns, values: dict[str, Values]) -> list[Fa
         else:
             first[key] = raw.numbers[row]
     return faults
-
-
-def _shortened(faults: Sequence[Fault]) -> list[Fault]:
-    """Return the first faults in the order of the file, and how many more there are."""
-    faults = sorted(faults, key=lambda fault: (fault.line or 0, fault.column or 0))
-    if len(faults) <= MOST_FAULTS:
-        return list(faults)
-    last = faults[MOST_FAULTS]
-    rest = Fault(f"and {len(faults) - MOST_FAULTS} more faults from here on", last.file, last.line, last.column)
-    return [*faults[:MOST_FAULTS], rest]
 
 
 def write(path: Path, table: Table) -> None:

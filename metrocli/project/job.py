@@ -12,9 +12,10 @@ from metrocli import tasks
 from metrocli.effects import wanted as effects
 from metrocli.effects.wanted import Wanted
 from metrocli.errors import Fault, InputError, UsageError
-from metrocli.nodes import Node, Source
+from metrocli.nodes import Node
 from metrocli.project import yaml_text
-from metrocli.project.requirements import Requirement, Requirements
+from metrocli.project.heading import Heading
+from metrocli.project.overrides import effect_node, overridden
 from metrocli.settings import (
     BAD,
     At,
@@ -26,102 +27,11 @@ from metrocli.settings import (
     Schema,
     Section,
     TableFile,
-    Text,
-    path_beside,
     read_sections,
     sections_schema,
-    setting,
     settings_of,
 )
 from metrocli.words import suggestion
-
-FORMAT_VERSION = "1"
-
-
-class _Version:
-    """The version of the format of job files."""
-
-    expects = FORMAT_VERSION
-
-    def fits(self, node: Node) -> bool:
-        return node.kind == "scalar"
-
-    def read(self, node: Node, faults: list[Fault]) -> Any:
-        if self.fits(node) and node.text == FORMAT_VERSION:
-            return int(node.text)
-        faults.append(node.fault(f"metrocli: this program reads job files of version {FORMAT_VERSION}", "write 1"))
-        return BAD
-
-    def schema(self) -> Schema:
-        return {"const": int(FORMAT_VERSION)}
-
-
-class _KindOfJob:
-    """The kind of a job, one of the table of kinds."""
-
-    @property
-    def expects(self) -> str:
-        return f"one of: {', '.join(tasks.KINDS)}"
-
-    def fits(self, node: Node) -> bool:
-        return node.kind == "scalar"
-
-    def read(self, node: Node, faults: list[Fault]) -> Any:
-        if self.fits(node) and node.text in tasks.KINDS:
-            return node.text
-        faults.append(node.fault(f"unknown kind of job '{node.text}'", suggestion(node.text, tasks.KINDS)))
-        return BAD
-
-    def schema(self) -> Schema:
-        return {"enum": list(tasks.KINDS)}
-
-
-class _Effects:
-    """The value of `effects:`, a list of mappings; what each may hold depends on the kind of job."""
-
-    expects = "a list such as [{name: target-eccentricity}]"
-
-    def fits(self, node: Node) -> bool:
-        return node.kind == "list"
-
-    def read(self, node: Node, faults: list[Fault]) -> Any:
-        if self.fits(node):
-            return node.items
-        faults.append(node.fault("effects: this is not a list", f"expected {self.expects}"))
-        return BAD
-
-    def schema(self) -> Schema:
-        return {"type": "array"}
-
-
-class _Output:
-    """The path of the result file."""
-
-    expects = "the path of a file that ends in .h5"
-
-    def fits(self, node: Node) -> bool:
-        return node.kind == "scalar" and not node.empty
-
-    def read(self, node: Node, faults: list[Fault]) -> Any:
-        if self.fits(node) and node.text.endswith(".h5") and "\0" not in node.text:
-            return path_beside(node)
-        faults.append(node.fault(f"output: '{node.text}' is not the name of a result file", f"expected {self.expects}"))
-        return BAD
-
-    def schema(self) -> Schema:
-        return {"type": "string", "pattern": "\\.h5$"}
-
-
-@dataclass(frozen=True)
-class Heading:
-    """The keys that every kind of job has."""
-
-    metrocli: int = setting(_Version(), "version of the format of job files")
-    job: str = setting(_KindOfJob(), "kind of the job")
-    title: str = setting(Text(), "title, for people", default="")
-    effects: tuple[Node, ...] = setting(_Effects(), "extensions of the model, by name", default=())
-    require: tuple[Requirement, ...] = setting(Requirements(), "acceptance criteria", default=())
-    output: Path | None = setting(_Output(), "result file, relative to the job file", default=None)
 
 
 @dataclass(frozen=True)
@@ -210,21 +120,6 @@ def load(path: Path, wishes: Wishes | None = None) -> JobFile:
     return JobFile(path, heading, settings, inputs, output, text, root, wanted)
 
 
-def effect_node(text: str, folder: Path) -> Node:
-    """Return an effect given on the command line, `NAME:key=value,...`, as if it stood in a job; UsageError if not."""
-    name, _, rest = text.partition(":")
-    pairs = [part.partition("=") for part in rest.split(",") if part.strip()]
-    if not name.strip() or not all(key.strip() and equals for key, equals, _ in pairs):
-        raise UsageError(f"--effect {text}: write it as NAME:key=value,key=value, such as dead-path-drift:tracer=LT2")
-    source = Source(f"--effect {text}", (), folder)
-
-    def word(value: str) -> Node:
-        return Node("scalar", source, text=value.strip())
-
-    entries = tuple((word(key), word(value)) for key, value in (("name", name), *((k, v) for k, _, v in pairs)))
-    return yaml_text.with_paths(Node("mapping", source, entries=entries))
-
-
 def kind_of_job(path: Path) -> str | None:
     """Return the kind of a job file, None where it names none that is known."""
     return _kind(_root(path, (), [])[0], path, None)
@@ -240,40 +135,10 @@ def _root(path: Path, overrides: Sequence[str], faults: list[Fault]) -> tuple[No
     if root.kind != "mapping":
         raise InputError([root.fault("a job file is a mapping of keys", "write 'metrocli: 1', 'job: KIND', ...")])
     for override in overrides:
-        root = _overridden(root, override, path.parent)
+        root = overridden(root, override, path.parent)
     if overrides:
         text = f"# as used, with {', '.join(f'--set {override}' for override in overrides)}\n{yaml_text.emit(root)}"
     return root, text
-
-
-def _overridden(root: Node, override: str, folder: Path) -> Node:
-    key, equals, value = override.partition("=")
-    names = key.strip().split(".")
-    if not equals or not all(names):
-        raise UsageError(f"--set {override}: write it as key.path=value, such as --set camera.estimate='[f, cx, cy]'")
-    new = yaml_text.parse(value or "~", f"--set {override}", folder)
-    return yaml_text.with_paths(_replaced(root, names, yaml_text.without_lines(new)))
-
-
-def _replaced(node: Node, names: Sequence[str], new: Node) -> Node:
-    if not names:
-        return new
-    if node.kind == "list" and names[0].isdigit():
-        items, number = list(node.items), int(names[0])
-        if not 0 < number <= len(items):
-            raise UsageError(f"--set: '{node.path}' has {len(items)} entries, counted from 1; there is no {number}")
-        items[number - 1] = _replaced(items[number - 1], names[1:], new)
-        return replace(node, items=tuple(items))
-    if node.kind != "mapping":
-        node = replace(node, kind="mapping", text="", entries=(), items=())
-    at = next((n for n, (key, _) in enumerate(node.entries) if key.text == names[0]), None)
-    if at is None:
-        key = replace(new, kind="scalar", text=names[0], quoted=False, entries=(), items=())
-        below = replace(new, kind="mapping", text="", quoted=False, entries=(), items=())
-        return replace(node, entries=(*node.entries, (key, _replaced(below, names[1:], new))))
-    key, value = node.entries[at]
-    changed = (key, _replaced(value, names[1:], new))
-    return replace(node, entries=(*node.entries[:at], changed, *node.entries[at + 1 :]))
 
 
 def _kind(root: Node, path: Path, wanted: str | None) -> str | None:

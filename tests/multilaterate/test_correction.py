@@ -153,7 +153,9 @@ def test_the_sample_is_corrected_to_the_truth(ran: Path, tmp_path: Path, metrocl
         for name, spec in (("points.csv", length_job.POINTS), ("true_tracers.csv", length_job.TRACERS))
     )
     true = (
-        multilaterate.simulate(multilaterate.TASK.job(job.settings, points, tracers), SimulationOptions(3))
+        multilaterate.simulate(
+            multilaterate.TASK.job(job.settings, points=points, tracers=tracers), SimulationOptions(3)
+        )
         .files["true_points.csv"]
         .stacked("xyz")[:144]
     )
@@ -172,7 +174,9 @@ def test_the_simulation_makes_the_sample_again(ran: Path) -> None:
         csv.read(ran / "data" / name, spec)
         for name, spec in (("points.csv", length_job.POINTS), ("true_tracers.csv", length_job.TRACERS))
     )
-    made = multilaterate.simulate(multilaterate.TASK.job(job.settings, points, tracers), SimulationOptions(3))
+    made = multilaterate.simulate(
+        multilaterate.TASK.job(job.settings, points=points, tracers=tracers), SimulationOptions(3)
+    )
     there = csv.read(ran / "data" / "lengths.csv", length_job.LENGTHS)
     assert np.abs(made.files["lengths.csv"].numbers("length") - there.numbers("length")).max() < 1e-9
     assert made.files["lengths.csv"].numbers("length")[:4] == pytest.approx(0.0, abs=1e-3)
@@ -183,7 +187,9 @@ def test_simulated_measurements_give_the_truth_back(measures: str) -> None:
     net = network(40, 5, seed=4)
     chosen = replace(settings(5e-7, measures), simulation=LengthSimulation(0.02, 0.0, 5.0))
     tracers = table(net.tracers, "tracer", net.stations)
-    made = multilaterate.simulate(multilaterate.TASK.job(chosen, net.point_table(), tracers), SimulationOptions(1))
+    made = multilaterate.simulate(
+        multilaterate.TASK.job(chosen, points=net.point_table(), tracers=tracers), SimulationOptions(1)
+    )
     result = multilaterate.run(
         multilaterate.TASK.job(chosen, made.files["lengths.csv"], net.point_table(), made.files["tracers.csv"])
     )
@@ -195,7 +201,9 @@ def test_simulated_measurements_give_the_truth_back(measures: str) -> None:
 
 def test_a_simulation_without_truth_is_refused() -> None:
     with pytest.raises(InputError, match="simulate needs the truth"):
-        multilaterate.simulate(multilaterate.TASK.job(settings(), network(9, 4).point_table()), SimulationOptions())
+        multilaterate.simulate(
+            multilaterate.TASK.job(settings(), points=network(9, 4).point_table()), SimulationOptions()
+        )
     with pytest.raises(UndeterminedError):
         net = network(9, 4)
         multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table()))

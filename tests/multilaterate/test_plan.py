@@ -35,7 +35,9 @@ from metrocli.tasks.multilaterate.distance import distance
 def planned(net: Network, scale: float | None = None, **more: Any) -> Plan:
     """The plan of a network with the points where they are meant to be."""
     points = replace(net, nominal=net.points).point_table()
-    return multilaterate.plan(multilaterate.TASK.job(settings(scale), points, net.tracer_table(0.0), **more))
+    return multilaterate.plan(
+        multilaterate.TASK.job(settings(scale), points=points, tracers=net.tracer_table(0.0), **more)
+    )
 
 
 def candidates(at: np.ndarray) -> Table:
@@ -74,7 +76,9 @@ def test_what_is_known_beforehand_counts() -> None:
     net = network(30, 4, seed=1)
     sigma = np.where(np.arange(30) < 4, 1e-4, np.nan)
     plan = multilaterate.plan(
-        multilaterate.TASK.job(settings(datum="points"), net.point_table(sigma=sigma), net.tracer_table(0.0))
+        multilaterate.TASK.job(
+            settings(datum="points"), points=net.point_table(sigma=sigma), tracers=net.tracer_table(0.0)
+        )
     )
     then = multilaterate.run(
         multilaterate.TASK.job(settings(datum="points"), net.lengths(), net.point_table(sigma=sigma))
@@ -168,7 +172,7 @@ def test_many_points_are_compared_by_some_of_them_and_planned_by_all() -> None:
     at = VOLUME * [[1.6, 0.5, 0.5], [0.5, 0.5, 2.5], [-0.6, 0.5, 0.5]]
     points = net.point_table(sigma=sigma)
     plan = multilaterate.plan(
-        multilaterate.TASK.job(settings(), points, net.tracer_table(0.0), candidates=candidates(at))
+        multilaterate.TASK.job(settings(), points=points, tracers=net.tracer_table(0.0), candidates=candidates(at))
     )
     assert len(plan.tables["points"]) == 1000
     names = plan.tables["candidates"].texts("candidate")
@@ -176,7 +180,9 @@ def test_many_points_are_compared_by_some_of_them_and_planned_by_all() -> None:
     for name in names:
         more = replace(net, tracers=np.vstack([net.tracers, at[int(name[1:])]]), dead=np.zeros(5), scale=np.ones(5))
         alone = multilaterate.plan(
-            multilaterate.TASK.job(settings(), points, more.tracer_table(0.0), candidates=candidates(at[:1]))
+            multilaterate.TASK.job(
+                settings(), points=points, tracers=more.tracer_table(0.0), candidates=candidates(at[:1])
+            )
         )
         rms.append(np.sqrt((alone.tables["points"].stacked(["sx", "sy", "sz"]) ** 2).mean()))
     assert rms == sorted(rms)

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from targets.camera_for_tests import Array, Camera, about_z, tilted
 
+from metrocli.targets.drawings import board
 from metrocli.targets.find import MODULES, find
 from metrocli.targets.lattice import order_fault, ordered
 from metrocli.targets.pattern import TYPES, Pattern, lattice, names, pattern_points
-from metrocli.targets.render import Look, Placed, board, render
+from metrocli.targets.render import Look, Placed, render
 
 DATA = Path(__file__).parents[2] / "../shared/data"
 real = pytest.mark.skipif(not DATA.exists(), reason="../shared/data is not there")

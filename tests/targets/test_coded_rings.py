@@ -10,9 +10,10 @@ import pytest
 from targets.camera_for_tests import Camera, about_z, tilted
 
 from metrocli.targets.codes import BITS, arcs, canonical, codes
+from metrocli.targets.drawings import Chessboard, CodedRing, Dot
 from metrocli.targets.find import find
 from metrocli.targets.pattern import Pattern
-from metrocli.targets.render import RETRO_REFLECTIVE, Chessboard, CodedRing, Dot, Look, Placed, render
+from metrocli.targets.render import RETRO_REFLECTIVE, Look, Placed, render
 
 DATA = Path(__file__).parents[2] / "../shared/data"
 CAMERA = Camera((900, 700), 1500.0, -0.1)

@@ -9,8 +9,8 @@ from metrocli.adjust.model.observations import Observations
 from metrocli.geometry import poses
 from metrocli.instruments.lens import image_point
 from metrocli.tasks.calibrate_camera.problem import Problem, build
+from metrocli.tasks.calibrate_camera.settings import Camera
 from metrocli.tasks.shared.images.adjustment import Options, adjust_images
-from metrocli.tasks.shared.images.camera_settings import Camera
 from metrocli.tasks.shared.images.sightings import Sighted
 from metrocli.tasks.shared.images.target_list import Targets
 

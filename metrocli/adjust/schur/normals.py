@@ -18,7 +18,8 @@ from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Index
 from metrocli.adjust.schur.irregular_normals import Sums
 from metrocli.adjust.schur.layout import Layout
-from metrocli.adjust.schur.tiled_elimination import Eliminated, Rows
+from metrocli.adjust.schur.tile_rows import Rows
+from metrocli.adjust.schur.tiled_elimination import Eliminated
 from metrocli.adjust.schur.tiles import Split
 
 

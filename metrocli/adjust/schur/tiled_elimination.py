@@ -7,60 +7,15 @@ last axis, so that each operation is one sweep over numbers that lie side by sid
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Block, Mask
-from metrocli.adjust.model.groups import Linear
+from metrocli.adjust.model.blocks import Array, Mask
 from metrocli.adjust.model.observations import Index
 from metrocli.adjust.schur.batched_cholesky import backward, cholesky, complement, forward
-from metrocli.adjust.schur.layout import Layout
-
-
-@dataclass(frozen=True)
-class Beside:
-    """Derivatives of the readings of a portion by another block."""
-
-    jacobian: Array
-    """(d, size, m, k)"""
-    places: Index
-    """Reduced columns of the member that each slot touches, (m, size), -1 where fixed; (1, size) if it is but one"""
-
-    def along(self, step: Array) -> Array:
-        """Return what the readings see of a step of the reduced unknowns, ending in a zero (width + 1,), (d, m, k)."""
-        if len(self.places) == self.jacobian.shape[2]:
-            return np.asarray(np.einsum("dcmk,mc->dmk", self.jacobian, step[self.places]))
-        return np.asarray(np.einsum("dcmk,c->dmk", self.jacobian, step[self.places[0]]))
-
-
-@dataclass(frozen=True)
-class Rows:
-    """The readings of one group in a portion, linearised and whitened: m readings of d components for k members."""
-
-    own: Array
-    """(d, s, m, k), zero at fixed entries"""
-    residual: Array
-    """(d, m, k)"""
-    beside: tuple[Beside, ...]
-
-    @staticmethod
-    def of(linear: Linear, members: Index | slice, blocks: Mapping[str, Block], layout: Layout) -> Rows:
-        """Return the readings of `members` of the eliminated block in the order of a lattice."""
-        d, k = len(linear.residual), len(blocks[layout.eliminated or ""].free[members])
-        beside: list[Beside] = []
-        own = np.zeros(0)
-        for touch in linear.touches:
-            jacobian = touch.jacobian.reshape(d, touch.jacobian.shape[1], -1, k)
-            if touch.block == layout.eliminated:
-                block = blocks[touch.block]
-                own = jacobian if block.all_free else jacobian * block.free[members].T[:, None, :]
-            else:
-                places = layout.columns[touch.block]
-                beside.append(Beside(jacobian, places[touch.index]))
-        return Rows(own, linear.residual.reshape(d, -1, k), tuple(beside))
+from metrocli.adjust.schur.tile_rows import Rows, add_products, adjusted_variance, flattened, with_zeros
 
 
 class Eliminated:
@@ -144,7 +99,7 @@ class Eliminated:
         if self._few:
             spare = self._spare()
             rows, places = self._combined(len(spare[0]), spare)
-            flat = _flat(rows)
+            flat = flattened(rows)
             residual = sum(
                 np.einsum("qdmk,dmk->qk", z, part.residual) for z, part in zip(spare, self.rows, strict=True)
             )
@@ -152,9 +107,9 @@ class Eliminated:
             np.add.at(right, places, flat @ np.ravel(residual))
         else:
             for part in self.rows:
-                _add(part, matrix, right)
+                add_products(part, matrix, right)
             rows, places = self.coupling()
-            flat = _flat(rows)
+            flat = flattened(rows)
             np.subtract.at(matrix, (places[:, None], places), flat @ flat.T)
             np.subtract.at(right, places, flat @ self.forward(self.right).ravel())
         fall = self.forward(self.right)
@@ -231,16 +186,16 @@ class Eliminated:
         """Return `H' W` and `H' D^-1 H` of fields H (k, s, f): (f, width), (f, f)."""
         through = self.forward(fields.transpose(1, 2, 0))
         rows, places = self.coupling()
-        flat = _flat(np.ascontiguousarray(through.swapaxes(0, 1)))
+        flat = flattened(np.ascontiguousarray(through.swapaxes(0, 1)))
         coupled = np.zeros((self.width + 1, len(flat)))
-        np.add.at(coupled, places, _flat(rows) @ flat.T)
+        np.add.at(coupled, places, flattened(rows) @ flat.T)
         return coupled[:-1].T, flat @ flat.T
 
     @staticmethod
     def _shared(coupled: tuple[Array, Index], reduced: Array) -> tuple[Array, Array]:
         """Return `Y Q` and `Y Q Y'`, of the reduced unknowns' covariance Q: (rows, s, k), (s, s, k)."""
         rows, places = coupled
-        product = (_padded(reduced)[np.ix_(places, places)] @ _flat(rows)).reshape(rows.shape)
+        product = (with_zeros(reduced)[np.ix_(places, places)] @ flattened(rows)).reshape(rows.shape)
         s, k = rows.shape[1:]
         between = np.empty((s, s, k))
         for a in range(s):
@@ -269,7 +224,7 @@ class Eliminated:
         own = [self.whitened(part) for part in self.rows]
         coupled = self._combined(len(self.free), own)
         product, between = self._shared(coupled, reduced)
-        explained = self._left(reduced) if self._few else self._explained(own, product, between, _padded(reduced))
+        explained = self._left(reduced) if self._few else self._explained(own, product, between, with_zeros(reduced))
         return self._covariance(between), tuple(one.reshape(len(one), -1) for one in explained)
 
     def _left(self, reduced: Array) -> list[Array]:
@@ -300,50 +255,6 @@ class Eliminated:
                     total -= 2 * along * beside.jacobian[:, c]
             for first in part.beside:
                 for second in part.beside:
-                    total += _variance(first, second, reduced)
+                    total += adjusted_variance(first, second, reduced)
             found.append(total)
         return found
-
-
-def _flat(rows: Array) -> Array:
-    """Return (rows, s, k) as a matrix (rows, s k)."""
-    return rows.reshape(len(rows), rows.shape[1] * rows.shape[2])
-
-
-def _padded(matrix: Array) -> Array:
-    """Return a matrix with a row and a column of zeros more, the place of fixed unknowns."""
-    return np.pad(matrix, (0, 1))
-
-
-def _slots(jacobian: Array, slots: int) -> Array:
-    """Return derivatives as matrices to multiply, (slots, size, d m k / slots)."""
-    d, size, m, k = jacobian.shape
-    if slots == m:
-        return jacobian.transpose(2, 1, 0, 3).reshape(m, size, d * k)
-    return jacobian.transpose(1, 0, 2, 3).reshape(1, size, d * m * k)
-
-
-def _add(part: Rows, matrix: Array, right: Array) -> None:
-    """Add `K'K` and `K' residual` of one group."""
-    for i, one in enumerate(part.beside):
-        first, residual = (_slots(x, len(one.places)) for x in (one.jacobian, part.residual[:, None]))
-        np.add.at(right, one.places, (first @ residual.swapaxes(1, 2))[:, :, 0])
-        for other in part.beside[: i + 1]:
-            slots = max(len(one.places), len(other.places))
-            left = _slots(one.jacobian, slots)
-            gram = left @ (left if other is one else _slots(other.jacobian, slots)).swapaxes(1, 2)
-            np.add.at(matrix, (one.places[:, :, None], other.places[:, None, :]), gram)
-            if other is not one:
-                np.add.at(matrix, (other.places[:, :, None], one.places[:, None, :]), gram.swapaxes(1, 2))
-
-
-def _variance(first: Beside, second: Beside, reduced: Array) -> Array:
-    """Return `K Q K'` of the derivatives by two blocks, (d, m, k)."""
-    d, _, m, k = first.jacobian.shape
-    total = np.zeros((d, m, k))
-    rows = np.broadcast_to(first.places, (m, first.places.shape[1]))
-    columns = np.broadcast_to(second.places, (m, second.places.shape[1]))
-    q = reduced[rows[:, :, None], columns[:, None, :]]
-    for a in range(q.shape[1]):
-        total += first.jacobian[:, a] * np.einsum("dbmk,mb->dmk", second.jacobian, q[:, a])
-    return total

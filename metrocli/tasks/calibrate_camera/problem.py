@@ -10,19 +10,18 @@ import numpy as np
 from metrocli.adjust.adjustment import Control, adjust
 from metrocli.adjust.datum import Datum
 from metrocli.adjust.model.blocks import Array, Block
-from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group, priors
-from metrocli.adjust.model.observations import Index, Mask, Observations
+from metrocli.adjust.model.observations import Mask
 from metrocli.adjust.robust import robust_start, typical
 from metrocli.effects.model import Added, Model, Place
-from metrocli.errors import InputError, UndeterminedError
+from metrocli.errors import InputError
 from metrocli.geometry import poses
 from metrocli.instruments import camera
 from metrocli.instruments.camera_start import Scene, plane_frame, start
-from metrocli.instruments.frames import DistanceBetween
 from metrocli.instruments.lens import DISTORTION, PRISM, RATIONAL, plane_point, undistort
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera.mirrored_views import better_poses
+from metrocli.tasks.calibrate_camera.readings import check_targets, readings, scale_bars, seen_once
 from metrocli.tasks.calibrate_camera.settings import Camera
 from metrocli.tasks.shared.images.adjustment import IMAGES
 from metrocli.tasks.shared.images.eccentricity import corrected
@@ -110,7 +109,7 @@ def build(rig: str, settings: Camera, sighted: Sighted, bars: Table | None = Non
     if size is None:
         raise InputError("camera: image_size is missing; give the width and height of the images, e.g. [2592, 1944]")
     sighted = check_inside(sighted, size)
-    _check_targets(rig, sighted)
+    check_targets(rig, sighted)
     targets = sighted.targets
     values = _lens_values(settings, size)
     focal, views = _start(rig, sighted, values, size)
@@ -121,7 +120,7 @@ def build(rig: str, settings: Camera, sighted: Sighted, bars: Table | None = Non
     seen = np.bincount(sighted.target, minlength=len(targets.names))
     least = 2 if rig == "network" else 1
     free = (targets.sigma != 0) & (seen >= least)[:, None]
-    sighted = _seen_once(sighted, seen, least)
+    sighted = seen_once(sighted, seen, least)
     distance = float(np.median(np.linalg.norm(views[:, :3], axis=1)))
     images: tuple[str, ...] = sighted.images if rig != "cmm" else ("",)
     blocks = {
@@ -131,8 +130,8 @@ def build(rig: str, settings: Camera, sighted: Sighted, bars: Table | None = Non
         ),
         camera.TARGET: camera.target_block(targets.points, targets.names, free, extent),
     }
-    group = Group(IMAGES, camera.chain(rig, settings.convention), _readings(sighted, seen, least, rig))
-    others = (*priors(blocks[camera.TARGET], targets.sigma, free), *_scale_bars(bars, targets.names, seen))
+    group = Group(IMAGES, camera.chain(rig, settings.convention), readings(sighted, seen, least, rig))
+    others = (*priors(blocks[camera.TARGET], targets.sigma, free), *scale_bars(bars, targets.names, seen))
     datum = (
         camera.network_datum(blocks[camera.TARGET], free.all(axis=1).astype(float))
         if rig == "network" and free.any()
@@ -144,21 +143,6 @@ def build(rig: str, settings: Camera, sighted: Sighted, bars: Table | None = Non
         return started
     group, found = corrected(started.images, started.blocks, started.others, datum, targets.radius)
     return replace(started, images=group, blocks=found)
-
-
-def _check_targets(rig: str, sighted: Sighted) -> None:
-    """Raise UndeterminedError where the targets that are seen cannot give the pose of a camera."""
-    points = sighted.targets.points[np.unique(sighted.target)]
-    if rig == "cmm" and sighted.observations.count < _FEWEST_READINGS:
-        raise UndeterminedError(
-            f"{sighted.observations.count} readings in all: the place of a camera needs at least {_FEWEST_READINGS}"
-        )
-    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    if spread[1] <= _ON_A_LINE * max(spread[0], 1.0):
-        raise UndeterminedError(
-            f"all {len(points)} targets that are seen lie on one line or at one place: they give no pose of a camera\n"
-            "  what would determine it: targets spread over a plane or in space; check the columns of the targets file"
-        )
 
 
 def _lens_values(settings: Camera, size: tuple[int, int]) -> dict[str, float]:
@@ -184,54 +168,6 @@ def _start(rig: str, sighted: Sighted, values: Mapping[str, float], size: Sequen
     scene = Scene(sighted.targets.points, uv, sighted.target, view, 1 if rig == "cmm" else len(sighted.images))
     focal, found = start(scene, centre, known, float(max(size)))
     return focal, found if rig == "board" else poses.inverse(found)
-
-
-def _seen_once(sighted: Sighted, seen: Index, least: int) -> Sighted:
-    """Return the sightings with a warning of targets that too few images show."""
-    once = [name for name, n in zip(sighted.targets.names, seen, strict=True) if 0 < n < least]
-    if not once:
-        return sighted
-    line = f"{len(once)} targets are seen in one image only, which does not place them: left out: {listed(once)}"
-    return replace(sighted, warnings=(*sighted.warnings, line))
-
-
-def _readings(sighted: Sighted, seen: Index, least: int, rig: str) -> Observations:
-    observations = sighted.observations.selected(seen[sighted.target] >= least)
-    index = dict(observations.index)
-    if rig == "cmm":
-        index[camera.TAPER] = np.zeros(observations.count, dtype=np.intp)
-    return replace(observations, index=index)
-
-
-def _scale_bars(bars: Table | None, names: tuple[str, ...], seen: Index) -> list[Group]:
-    if bars is None:
-        return []
-    place = {name: i for i, name in enumerate(names)}
-    ends = [bars.texts("from"), bars.texts("to")]
-    wrong = [
-        (row, f"scale bar end '{name}' is {'seen in fewer than two images' if name in place else _STRANGE}")
-        for column in ends
-        for row, name in enumerate(column)
-        if name not in place or seen[place[name]] < 2
-    ]
-    for name in ("length", "sigma"):
-        wrong += [
-            (int(row), f"the {name} of the scale bar is not above zero")
-            for row in np.flatnonzero(bars.numbers(name) <= 0)
-        ]
-    faults = [bars.fault_at(row, text) for row, text in wrong]
-    if faults:
-        raise InputError(faults)
-    index = np.array([[place[name] for name in column] for column in ends], dtype=np.intp)
-    observations = Observations(
-        bars.numbers("length")[None],
-        bars.numbers("sigma")[None],
-        {camera.TARGET: index},
-        keys={"from": tuple(ends[0]), "to": tuple(ends[1])},
-        components=("length",),
-        unit="mm",
-    )
-    return [Group("scale bars", Chain((DistanceBetween(camera.TARGET),)), observations)]
 
 
 def _better_start(problem: Problem, settings: Camera) -> Problem:

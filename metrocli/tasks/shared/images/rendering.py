@@ -12,7 +12,7 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.errors import InputError
 from metrocli.geometry import poses
 from metrocli.instruments.lens import ideal_point
-from metrocli.targets import render
+from metrocli.targets import drawings, render
 from metrocli.targets.codes import codes
 from metrocli.targets.pattern import Pattern
 from metrocli.tasks.shared.images.simulation import Shown
@@ -54,12 +54,12 @@ def _rays(shown: Shown, uv: Array) -> Array:
 def _scene(shown: Shown, pattern: Pattern, image: int, chosen: list[int]) -> list[render.Placed]:
     rotation = poses.rotation_of(shown.to_camera[image])
     if pattern.type not in ("dot", "coded-rings"):
-        return [render.Placed(render.board(pattern), rotation, shown.to_camera[image, :3])]
+        return [render.Placed(drawings.board(pattern), rotation, shown.to_camera[image, :3])]
     points = poses.apply(shown.to_camera[image], shown.targets.points)
     return [render.Placed(_drawing(shown, pattern, i), rotation, points[i]) for i in chosen if points[i, 2] > 0]
 
 
-def _drawing(shown: Shown, pattern: Pattern, target: int) -> render.Drawing:
+def _drawing(shown: Shown, pattern: Pattern, target: int) -> drawings.Drawing:
     radius = float(shown.targets.radius[target])
     if not np.isfinite(radius):
         raise InputError(
@@ -67,8 +67,8 @@ def _drawing(shown: Shown, pattern: Pattern, target: int) -> render.Drawing:
         )
     name = shown.targets.names[target]
     if pattern.type == "dot":
-        return render.Dot(radius)
+        return drawings.Dot(radius)
     if not name.isdigit() or int(name) not in codes():
         known = ", ".join(str(code) for code in codes()[:6])
         raise InputError(f"target '{name}' is not a 12-bit code; coded targets are named by their code: {known}, ...")
-    return render.CodedRing(int(name), radius)
+    return drawings.CodedRing(int(name), radius)

@@ -1,0 +1,100 @@
+"""The readings of a tile in order: derivatives by its members and by the other blocks, and products of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.groups import Linear
+from metrocli.adjust.model.observations import Index
+from metrocli.adjust.schur.layout import Layout
+
+
+@dataclass(frozen=True)
+class Beside:
+    """Derivatives of the readings of a portion by another block."""
+
+    jacobian: Array
+    """(d, size, m, k)"""
+    places: Index
+    """Reduced columns of the member that each slot touches, (m, size), -1 where fixed; (1, size) if it is but one"""
+
+    def along(self, step: Array) -> Array:
+        """Return what the readings see of a step of the reduced unknowns, ending in a zero (width + 1,), (d, m, k)."""
+        if len(self.places) == self.jacobian.shape[2]:
+            return np.asarray(np.einsum("dcmk,mc->dmk", self.jacobian, step[self.places]))
+        return np.asarray(np.einsum("dcmk,c->dmk", self.jacobian, step[self.places[0]]))
+
+
+@dataclass(frozen=True)
+class Rows:
+    """The readings of one group in a portion, linearised and whitened: m readings of d components for k members."""
+
+    own: Array
+    """(d, s, m, k), zero at fixed entries"""
+    residual: Array
+    """(d, m, k)"""
+    beside: tuple[Beside, ...]
+
+    @staticmethod
+    def of(linear: Linear, members: Index | slice, blocks: Mapping[str, Block], layout: Layout) -> Rows:
+        """Return the readings of `members` of the eliminated block in the order of a lattice."""
+        d, k = len(linear.residual), len(blocks[layout.eliminated or ""].free[members])
+        beside: list[Beside] = []
+        own = np.zeros(0)
+        for touch in linear.touches:
+            jacobian = touch.jacobian.reshape(d, touch.jacobian.shape[1], -1, k)
+            if touch.block == layout.eliminated:
+                block = blocks[touch.block]
+                own = jacobian if block.all_free else jacobian * block.free[members].T[:, None, :]
+            else:
+                places = layout.columns[touch.block]
+                beside.append(Beside(jacobian, places[touch.index]))
+        return Rows(own, linear.residual.reshape(d, -1, k), tuple(beside))
+
+
+def flattened(rows: Array) -> Array:
+    """Return (rows, s, k) as a matrix (rows, s k)."""
+    return rows.reshape(len(rows), rows.shape[1] * rows.shape[2])
+
+
+def with_zeros(matrix: Array) -> Array:
+    """Return a matrix with a row and a column of zeros more, the place of fixed unknowns."""
+    return np.pad(matrix, (0, 1))
+
+
+def by_slot(jacobian: Array, slots: int) -> Array:
+    """Return derivatives as matrices to multiply, (slots, size, d m k / slots)."""
+    d, size, m, k = jacobian.shape
+    if slots == m:
+        return jacobian.transpose(2, 1, 0, 3).reshape(m, size, d * k)
+    return jacobian.transpose(1, 0, 2, 3).reshape(1, size, d * m * k)
+
+
+def add_products(part: Rows, matrix: Array, right: Array) -> None:
+    """Add `K'K` and `K' residual` of one group."""
+    for i, one in enumerate(part.beside):
+        first, residual = (by_slot(x, len(one.places)) for x in (one.jacobian, part.residual[:, None]))
+        np.add.at(right, one.places, (first @ residual.swapaxes(1, 2))[:, :, 0])
+        for other in part.beside[: i + 1]:
+            slots = max(len(one.places), len(other.places))
+            left = by_slot(one.jacobian, slots)
+            gram = left @ (left if other is one else by_slot(other.jacobian, slots)).swapaxes(1, 2)
+            np.add.at(matrix, (one.places[:, :, None], other.places[:, None, :]), gram)
+            if other is not one:
+                np.add.at(matrix, (other.places[:, :, None], one.places[:, None, :]), gram.swapaxes(1, 2))
+
+
+def adjusted_variance(first: Beside, second: Beside, reduced: Array) -> Array:
+    """Return `K Q K'` of the derivatives by two blocks, (d, m, k)."""
+    d, _, m, k = first.jacobian.shape
+    total = np.zeros((d, m, k))
+    rows = np.broadcast_to(first.places, (m, first.places.shape[1]))
+    columns = np.broadcast_to(second.places, (m, second.places.shape[1]))
+    q = reduced[rows[:, :, None], columns[:, None, :]]
+    for a in range(q.shape[1]):
+        total += first.jacobian[:, a] * np.einsum("dbmk,mb->dmk", second.jacobian, q[:, a])
+    return total

@@ -1,0 +1,139 @@
+"""A CSV file taken apart into its header and cells, still text."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from metrocli.errors import Fault, InputError
+
+if TYPE_CHECKING:
+    pass
+
+MOST_FAULTS = 20
+LONGEST_TEXT = 200
+_WHOLE_LIMIT = 1 << 62
+
+
+@dataclass(frozen=True)
+class Raw:
+    """A file taken apart: its header and its cells, still text."""
+
+    file: str
+    lines: Sequence[str]
+    """All lines of the file as they stand, for messages."""
+    separator: str
+    header_line: int
+    header: tuple[str, ...]
+    cells: tuple[Sequence[str], ...]
+    """By column, as text."""
+    numbers: Sequence[int]
+    """Line of each row."""
+
+    def fault(self, message: str, line: int, cell: int | None = None, hint: str | None = None) -> Fault:
+        shown = self.lines[line - 1]
+        return Fault(message, self.file, line, 1 if cell is None else self.start(shown, cell), shown, hint)
+
+    def start(self, line: str, cell: int) -> int:
+        """Return the column at which a cell begins, commas in quotes not counted; the end of the line beyond it."""
+        quoted, seen = False, 0
+        for at, character in enumerate(line):
+            if seen == cell and not (character == " " and line[at:].strip()):
+                return at + 1
+            quoted ^= character == '"'
+            seen += character == self.separator and not quoted
+        return len(line) + 1
+
+
+def read_text(path: Path, shown: str) -> str:
+    try:
+        if path.is_dir():
+            raise InputError([Fault("this is a folder, not a CSV file", shown)])
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError([Fault(f"cannot be read: {error.strerror}", shown)]) from error
+    if b"\0" in data:
+        line = data[: data.index(b"\0")].count(b"\n") + 1
+        raise InputError([Fault("this is not a text file", shown, line, 1, hint="expected CSV in UTF-8")])
+    try:
+        return data.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
+    except UnicodeDecodeError as error:
+        line = data[: error.start].count(b"\n") + 1
+        column = error.start - data.rfind(b"\n", 0, error.start)
+        hint = "save the file in UTF-8"
+        raise InputError([Fault("the file is not text in UTF-8", shown, line, column, hint=hint)]) from error
+
+
+def taken_apart(text: str, file: str) -> Raw:
+    """Split the text into header and cells; raise InputError where the rows do not have the cells of the header."""
+    lines = text.split("\n")
+    at = next((n for n, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")), None)
+    if at is None:
+        raise InputError([Fault("the file is empty", file, 1, 1, hint="expected a header that names the columns")])
+    separator = max(",;\t", key=lines[at].count)
+    header = tuple(cell.strip() for cell in next(csv.reader([lines[at]], delimiter=separator)))
+    raw = Raw(file, lines, separator, at + 1, header, (), ())
+    numbers = [n for n, line in enumerate(lines[at + 1 :], at + 2) if line and (line[0] not in "# \t" or _is_row(line))]
+    if all(re.fullmatch(r"[-+.\deE]+", cell) for cell in header):
+        raise InputError([raw.fault("the columns have no names", at + 1, None, "name them in the first line")])
+    if not numbers:
+        raise InputError([raw.fault("there is a header and no row", at + 1)])
+    if '"' in text:
+        return _quoted(raw)
+    rows = [lines[n - 1] for n in numbers]
+    wrong = [n for n, row in zip(numbers, rows, strict=True) if row.count(separator) != len(header) - 1]
+    refuse_cells(raw, [(n, lines[n - 1].count(separator) + 1) for n in wrong])
+    flat = separator.join(rows).split(separator)
+    return replace(raw, cells=tuple(flat[k :: len(header)] for k in range(len(header))), numbers=numbers)
+
+
+def _is_row(line: str) -> bool:
+    return line.strip()[:1] not in ("", "#")
+
+
+def _quoted(raw: Raw) -> Raw:
+    """Take a file with quotation marks apart, where a cell may hold separators and line ends."""
+    rows, numbers, wrong = [], [], []
+    reader = csv.reader(raw.lines[raw.header_line :], delimiter=raw.separator, strict=True)
+    before = 0
+    try:
+        for row in reader:
+            line, before = raw.header_line + before + 1, reader.line_num
+            if not _is_row(raw.lines[line - 1]):
+                continue
+            rows.append(row)
+            numbers.append(line)
+            wrong += [(line, len(row))] if len(row) != len(raw.header) else []
+    except csv.Error as error:
+        line = min(raw.header_line + before + 1, len(raw.lines))
+        message = "a quotation mark is opened and not closed, or followed by text"
+        raise InputError([raw.fault(message, line)]) from error
+    refuse_cells(raw, wrong)
+    return replace(raw, cells=tuple(zip(*rows, strict=True)), numbers=numbers)
+
+
+def refuse_cells(raw: Raw, wrong: Sequence[tuple[int, int]]) -> None:
+    """Raise InputError for rows with another number of cells than the header has columns."""
+    comma = raw.separator == ","
+    faults = []
+    for line, count in wrong[: MOST_FAULTS + 1]:
+        more = count > len(raw.header)
+        hint = "is there a decimal comma? write 0.1, not 0,1" if more and comma else f"columns: {', '.join(raw.header)}"
+        message = f"{count} cells in this row, {len(raw.header)} columns in the header"
+        faults.append(raw.fault(message, line, min(count, len(raw.header)) if more else count, hint))
+    if faults:
+        raise InputError(shortened(faults))
+
+
+def shortened(faults: Sequence[Fault]) -> list[Fault]:
+    """Return the first faults in the order of the file, and how many more there are."""
+    faults = sorted(faults, key=lambda fault: (fault.line or 0, fault.column or 0))
+    if len(faults) <= MOST_FAULTS:
+        return list(faults)
+    last = faults[MOST_FAULTS]
+    rest = Fault(f"and {len(faults) - MOST_FAULTS} more faults from here on", last.file, last.line, last.column)
+    return [*faults[:MOST_FAULTS], rest]

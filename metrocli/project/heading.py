@@ -1,0 +1,102 @@
+"""The keys that every kind of job has."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from metrocli import tasks
+from metrocli.errors import Fault
+from metrocli.nodes import Node
+from metrocli.project.requirements import Requirement, Requirements
+from metrocli.settings import BAD, Schema, Text, path_beside, setting
+from metrocli.words import suggestion
+
+FORMAT_VERSION = "1"
+
+
+class _Version:
+    """The version of the format of job files."""
+
+    expects = FORMAT_VERSION
+
+    def fits(self, node: Node) -> bool:
+        return node.kind == "scalar"
+
+    def read(self, node: Node, faults: list[Fault]) -> Any:
+        if self.fits(node) and node.text == FORMAT_VERSION:
+            return int(node.text)
+        faults.append(node.fault(f"metrocli: this program reads job files of version {FORMAT_VERSION}", "write 1"))
+        return BAD
+
+    def schema(self) -> Schema:
+        return {"const": int(FORMAT_VERSION)}
+
+
+class _KindOfJob:
+    """The kind of a job, one of the table of kinds."""
+
+    @property
+    def expects(self) -> str:
+        return f"one of: {', '.join(tasks.KINDS)}"
+
+    def fits(self, node: Node) -> bool:
+        return node.kind == "scalar"
+
+    def read(self, node: Node, faults: list[Fault]) -> Any:
+        if self.fits(node) and node.text in tasks.KINDS:
+            return node.text
+        faults.append(node.fault(f"unknown kind of job '{node.text}'", suggestion(node.text, tasks.KINDS)))
+        return BAD
+
+    def schema(self) -> Schema:
+        return {"enum": list(tasks.KINDS)}
+
+
+class _Effects:
+    """The value of `effects:`, a list of mappings; what each may hold depends on the kind of job."""
+
+    expects = "a list such as [{name: target-eccentricity}]"
+
+    def fits(self, node: Node) -> bool:
+        return node.kind == "list"
+
+    def read(self, node: Node, faults: list[Fault]) -> Any:
+        if self.fits(node):
+            return node.items
+        faults.append(node.fault("effects: this is not a list", f"expected {self.expects}"))
+        return BAD
+
+    def schema(self) -> Schema:
+        return {"type": "array"}
+
+
+class _Output:
+    """The path of the result file."""
+
+    expects = "the path of a file that ends in .h5"
+
+    def fits(self, node: Node) -> bool:
+        return node.kind == "scalar" and not node.empty
+
+    def read(self, node: Node, faults: list[Fault]) -> Any:
+        if self.fits(node) and node.text.endswith(".h5") and "\0" not in node.text:
+            return path_beside(node)
+        faults.append(node.fault(f"output: '{node.text}' is not the name of a result file", f"expected {self.expects}"))
+        return BAD
+
+    def schema(self) -> Schema:
+        return {"type": "string", "pattern": "\\.h5$"}
+
+
+@dataclass(frozen=True)
+class Heading:
+    """The keys that every kind of job has."""
+
+    metrocli: int = setting(_Version(), "version of the format of job files")
+    job: str = setting(_KindOfJob(), "kind of the job")
+    title: str = setting(Text(), "title, for people", default="")
+    effects: tuple[Node, ...] = setting(_Effects(), "extensions of the model, by name", default=())
+    require: tuple[Requirement, ...] = setting(Requirements(), "acceptance criteria", default=())
+    output: Path | None = setting(_Output(), "result file, relative to the job file", default=None)

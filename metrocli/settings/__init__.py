@@ -1,0 +1,34 @@
+"""What a job file may say: specifications that read nodes into frozen dataclasses, and a JSON schema of them."""
+
+from metrocli.settings.composites import At, Either, ListOf, MapOf, Placed
+from metrocli.settings.files import ANY_KIND, FileOf, ImageFiles, TableFile, path_beside
+from metrocli.settings.sections import Section, Setting, read_sections, sections_schema, setting, settings_of
+from metrocli.settings.values import BAD, Choice, Flag, Number, Quantity, Schema, Spec, Text, Whole
+
+__all__ = [
+    "ANY_KIND",
+    "BAD",
+    "At",
+    "Choice",
+    "Either",
+    "FileOf",
+    "Flag",
+    "ImageFiles",
+    "ListOf",
+    "MapOf",
+    "Number",
+    "Placed",
+    "Quantity",
+    "Schema",
+    "Section",
+    "Setting",
+    "Spec",
+    "TableFile",
+    "Text",
+    "Whole",
+    "path_beside",
+    "read_sections",
+    "sections_schema",
+    "setting",
+    "settings_of",
+]

@@ -1,0 +1,132 @@
+"""Values made of values: lists, mappings, alternatives, and values that keep their place."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from metrocli.errors import Fault
+from metrocli.nodes import Node
+from metrocli.settings.values import BAD, Number, Quantity, Schema, Spec, Whole, described, refuse
+
+
+@dataclass(frozen=True)
+class ListOf:
+    """A list of values of one kind, read as a tuple."""
+
+    item: Spec
+    length: int | None = None
+    distinct: bool = False
+    """Refuse a value that stands in the list twice."""
+
+    @property
+    def expects(self) -> str:
+        return f"a list [...] of {self.length or 'values'}, each {self.item.expects}"
+
+    def fits(self, node: Node) -> bool:
+        return node.kind == "list"
+
+    def read(self, node: Node, faults: list[Fault]) -> Any:
+        if not self.fits(node):
+            return refuse(self, node, faults)
+        if self.length is not None and len(node.items) != self.length:
+            return refuse(self, node, faults, f"the list has {len(node.items)} values instead of {self.length}")
+        values = tuple(self.item.read(item, faults) for item in node.items)
+        repeated = [item for n, item in enumerate(node.items) if self.distinct and values[n] in values[:n]]
+        faults.extend(item.fault(f"{node.path}: '{item.text}' is in the list twice") for item in repeated)
+        return BAD if repeated or BAD in values else values
+
+    def schema(self) -> Schema:
+        sizes = {} if self.length is None else {"minItems": self.length, "maxItems": self.length}
+        return {"type": "array", "items": self.item.schema()} | sizes | ({"uniqueItems": True} if self.distinct else {})
+
+
+@dataclass(frozen=True)
+class MapOf:
+    """A mapping from names that the user chooses to values of one kind, read as a dict."""
+
+    value: Spec
+
+    @property
+    def expects(self) -> str:
+        return f"names with values, each {self.value.expects}"
+
+    def fits(self, node: Node) -> bool:
+        return node.kind == "mapping"
+
+    def read(self, node: Node, faults: list[Fault]) -> Any:
+        if not self.fits(node):
+            return refuse(self, node, faults)
+        values = {key.text: self.value.read(value, faults) for key, value in node.entries}
+        return BAD if BAD in values.values() else values
+
+    def schema(self) -> Schema:
+        return {"type": "object", "additionalProperties": self.value.schema()}
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A value with the node it was read from, for faults that only show beside others."""
+
+    value: Any
+    node: Node
+
+
+@dataclass(frozen=True)
+class At:
+    """A value of which the task wants the place too: read as `Placed`."""
+
+    spec: Any
+
+    @property
+    def expects(self) -> str:
+        return str(self.spec.expects)
+
+    def fits(self, node: Node) -> bool:
+        return bool(self.spec.fits(node))
+
+    def read(self, node: Node, faults: list[Fault]) -> Any:
+        value = self.spec.read(node, faults)
+        return BAD if value is BAD else Placed(value, node)
+
+    def schema(self) -> Schema:
+        schema: Schema = self.spec.schema()
+        return schema
+
+
+class Either:
+    """One of several kinds of value; the first that reads without a fault."""
+
+    def __init__(self, *specs: Spec) -> None:
+        self.specs = specs
+
+    @property
+    def expects(self) -> str:
+        return ", or ".join(spec.expects for spec in self.specs)
+
+    def fits(self, node: Node) -> bool:
+        return any(spec.fits(node) for spec in self.specs)
+
+    def read(self, node: Node, faults: list[Fault]) -> Any:
+        shaped = [spec for spec in self.specs if spec.fits(node)]
+        attempts = []
+        for spec in shaped:
+            found: list[Fault] = []
+            value = spec.read(node, found)
+            if value is not BAD and not found:
+                return value
+            attempts.append(found)
+        faults.extend(self._telling(node, shaped, attempts))
+        return BAD
+
+    def _telling(self, node: Node, shaped: Sequence[Spec], attempts: Sequence[list[Fault]]) -> list[Fault]:
+        """Choose the faults of the alternative that was meant: a text that begins like a number is a quantity."""
+        numeric = node.kind == "scalar" and node.text[:1] in set("+-.0123456789")
+        for spec, found in zip(shaped, attempts, strict=True):
+            if len(shaped) == 1 or (numeric and isinstance(spec, Quantity | Number | Whole)):
+                return found
+        return [node.fault(f"{node.path}: {described(node)}", f"expected {self.expects}")]
+
+    def schema(self) -> Schema:
+        return {"anyOf": [spec.schema() for spec in self.specs]}

@@ -1,0 +1,110 @@
+"""Files that a job names: tables, images, and results of other jobs; they are read later, by content."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from metrocli.errors import Fault
+from metrocli.nodes import Node
+from metrocli.settings.values import BAD, OfText, Schema, Spec, refuse
+
+
+@dataclass(frozen=True)
+class TableFile(OfText):
+    """A CSV file beside the job; `columns` (`table.Columns`) says what is read from it."""
+
+    columns: Any
+    expects = "the path of a CSV file"
+
+    def read(self, node: Node, faults: list[Fault]) -> Any:
+        path = _path(self, node, faults)
+        if path is not BAD and path.suffix.lower() in (".h5", ".hdf5", ".yaml", ".yml"):
+            return refuse(self, node, faults, f"'{node.text}' is not a CSV file")
+        return path
+
+    def schema(self) -> Schema:
+        return {"type": "string", "minLength": 1}
+
+
+@dataclass(frozen=True)
+class ImageFiles:
+    """Images beside the job: a path, a pattern such as img/*.jpg, or a list of them; read as sorted paths."""
+
+    expects = "the path of an image, or a pattern such as img/*.jpg"
+
+    def fits(self, node: Node) -> bool:
+        return node.kind == "list" or (node.kind == "scalar" and not node.empty)
+
+    def read(self, node: Node, faults: list[Fault]) -> Any:
+        if not self.fits(node) or (node.kind == "list" and not node.items):
+            return refuse(self, node, faults)
+        each = [_path(self, part, faults) for part in (node.items or (node,))]
+        if BAD in each:
+            return BAD
+        return tuple(sorted({path for part in (node.items or (node,)) for path in _matches(part)}))
+
+    def unmatched(self, node: Node) -> list[Node]:
+        """Return the patterns that no file matches."""
+        return [part for part in (node.items or (node,)) if not _matches(part)]
+
+    def schema(self) -> Schema:
+        one = {"type": "string", "minLength": 1}
+        return {"anyOf": [one, {"type": "array", "items": one, "minItems": 1}]}
+
+
+def _matches(node: Node) -> list[Path]:
+    """Return the files of a pattern; a plain path as it is, whether it exists or not."""
+    if not set(node.text) & set("*?["):
+        return [path_beside(node)]
+    return [Path(os.path.normpath(path)) for path in _glob(node) if path.is_file()]
+
+
+def _glob(node: Node) -> Iterable[Path]:
+    pattern = Path(node.text)
+    if pattern.is_absolute():
+        return Path(pattern.anchor).glob(str(pattern.relative_to(pattern.anchor)))
+    return node.source.folder.glob(node.text)
+
+
+ANY_KIND = ("any kind of job",)
+"""For `FileOf`: results of all kinds are taken"""
+
+
+@dataclass(frozen=True)
+class FileOf(OfText):
+    """The result of another job (.h5), or a YAML file with the same facts written by hand."""
+
+    results: tuple[str, ...] = ()
+    """Kinds of job whose result is taken."""
+    section: type | None = None
+    """The dataclass that a YAML file is read into."""
+
+    @property
+    def expects(self) -> str:
+        kinds = [f"the .h5 result of {' or '.join(self.results)}"] if self.results else []
+        return ", or ".join(kinds + (["a .yaml file"] if self.section else []))
+
+    def read(self, node: Node, faults: list[Fault]) -> Any:
+        path = _path(self, node, faults)
+        endings = ((".h5", ".hdf5") if self.results else ()) + ((".yaml", ".yml") if self.section else ())
+        if path is not BAD and path.suffix.lower() not in endings:
+            return refuse(self, node, faults, f"'{node.text}' does not end in {' or '.join(endings)}")
+        return path
+
+    def schema(self) -> Schema:
+        return {"type": "string", "minLength": 1}
+
+
+def _path(spec: Spec, node: Node, faults: list[Fault]) -> Any:
+    if node.kind != "scalar" or node.empty or not node.text.strip() or "\0" in node.text:
+        return refuse(spec, node, faults)
+    return path_beside(node)
+
+
+def path_beside(node: Node) -> Path:
+    """Return the path that a node names, without `..` in the middle, so that two jobs name a file alike."""
+    return Path(os.path.normpath(node.source.folder / node.text))

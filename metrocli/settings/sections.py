@@ -1,0 +1,121 @@
+"""Sections: mappings with known keys, read into frozen dataclasses; every fault is collected with its place."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from metrocli.errors import Fault
+from metrocli.nodes import Node
+from metrocli.settings.values import BAD, Schema, Spec, refuse
+from metrocli.words import suggestion
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What the metadata of a dataclass field says about one key of a job."""
+
+    spec: Spec
+    description: str
+    key: str
+
+
+def setting(spec: Spec, description: str, default: Any = dataclasses.MISSING, key: str = "") -> Any:
+    """Return the field of one key, required without a default; `key` is its name where Python reserves it."""
+    metadata = {"setting": (spec, description, key)}
+    if isinstance(default, Mapping | list):
+        return field(default_factory=lambda: default, metadata=metadata)
+    return field(default=default, metadata=metadata)
+
+
+def settings_of(section: type) -> dict[str, tuple[Setting, bool]]:
+    """Return by field name each setting of a dataclass, and whether it is required."""
+    found = {}
+    for item in dataclasses.fields(section):
+        spec, description, key = item.metadata["setting"]
+        required = item.default is dataclasses.MISSING and item.default_factory is dataclasses.MISSING
+        found[item.name] = (Setting(spec, description, key or item.name), required)
+    return found
+
+
+@dataclass(frozen=True)
+class Section:
+    """A mapping with known keys, read into a frozen dataclass whose fields are settings."""
+
+    section: type
+
+    @property
+    def expects(self) -> str:
+        keys = (wanted.key for wanted, _ in settings_of(self.section).values())
+        return f"a mapping with the keys {', '.join(keys)}"
+
+    def fits(self, node: Node) -> bool:
+        return node.kind == "mapping"
+
+    def read(self, node: Node, faults: list[Fault]) -> Any:
+        return read_sections(node, (self.section,), faults)[0]
+
+    def schema(self) -> Schema:
+        return sections_schema((self.section,))
+
+
+def read_sections(node: Node, sections: Sequence[type], faults: list[Fault]) -> list[Any]:
+    """Read one mapping into several dataclasses that share its keys; BAD for each that has a fault."""
+    if node.kind != "mapping":
+        return [refuse(Section(section), node, faults) for section in sections]
+    known = [wanted.key for section in sections for wanted, _ in settings_of(section).values()]
+    place = f" in '{node.path}'" if node.path else ""
+    unknown = [key for key, _ in node.entries if key.text not in known]
+    faults.extend(key.fault(f"unknown key '{key.text}'{place}", _hint_for_key(key.text, known)) for key in unknown)
+    return [_read_section(node, section, faults) for section in sections]
+
+
+def _hint_for_key(key: str, known: Sequence[str]) -> str:
+    """Return the nearest key, or the reason where a comma in {...} cut a value in two."""
+    if re.fullmatch(r"[0-9]+\s*[^\W\d_]*", key):
+        return "a comma ends a value here; write a decimal point, and the value in quotes if it must hold a comma"
+    return suggestion(key, known)
+
+
+def _read_section(node: Node, section: type, faults: list[Fault]) -> Any:
+    values: dict[str, Any] = {}
+    missing = []
+    for name, (wanted, required) in settings_of(section).items():
+        below = node.get(wanted.key)
+        if below is not None:
+            values[name] = wanted.spec.read(below, faults)
+        elif required:
+            missing.append(wanted)
+    place = f" in '{node.path}'" if node.path else ""
+    for wanted in missing:
+        hint = f"{wanted.description}: {wanted.spec.expects}"
+        faults.append(node.fault(f"the key '{wanted.key}' is missing{place}", hint))
+    if missing or BAD in values.values():
+        return BAD
+    return _checked(section(**values), node, faults)
+
+
+def _checked(value: Any, node: Node, faults: list[Fault]) -> Any:
+    """Add the faults that a section finds across its keys: `(key path, message[, hint])`, or a Fault with its place."""
+    check = getattr(value, "faults", None)
+    said = list(check()) if check else []
+    found = [item if isinstance(item, Fault) else node.at(item[0]).fault(*item[1:]) for item in said]
+    faults.extend(found)
+    return BAD if found else value
+
+
+def sections_schema(sections: Sequence[type]) -> Schema:
+    """Return the JSON schema of a mapping whose keys belong to several dataclasses."""
+    properties: dict[str, Schema] = {}
+    required = []
+    for section in sections:
+        for wanted, needed in settings_of(section).values():
+            properties[wanted.key] = wanted.spec.schema() | {"description": wanted.description}
+            required += [wanted.key] if needed else []
+    schema = {"type": "object", "properties": properties, "required": required, "additionalProperties": False}
+    described = (sections[-1].__doc__ or "").split("\n\n")[0].strip()
+    generated = described.startswith(f"{sections[-1].__name__}(")
+    return schema | ({"description": described} if described and not generated else {})

@@ -1,0 +1,90 @@
+"""Readings of a calibration: which targets and scale bars can be used, and those that cannot, with the reason."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from metrocli.adjust.model.chain import Chain
+from metrocli.adjust.model.groups import Group
+from metrocli.adjust.model.observations import Index, Observations
+from metrocli.errors import InputError, UndeterminedError
+from metrocli.instruments import camera
+from metrocli.instruments.frames import DistanceBetween
+from metrocli.table import Table
+from metrocli.tasks.shared.images.sightings import Sighted
+from metrocli.words import listed
+
+_STRANGE = "not in the list of targets"
+_FEWEST_READINGS = 4
+"""Readings that the pose of one camera needs"""
+_ON_A_LINE = 1e-9
+"""Extent across a line of targets, as a share of the extent along it, that is rounding"""
+_GUESSES = (1.0, 0.5, 2.0, 4.0, 8.0)
+"""Focal lengths to try, in widths of the image, where the views do not give one"""
+_LOST = 0.02
+"""An RMS above this share of the image size means that the start failed"""
+
+
+def check_targets(rig: str, sighted: Sighted) -> None:
+    """Raise UndeterminedError where the targets that are seen cannot give the pose of a camera."""
+    points = sighted.targets.points[np.unique(sighted.target)]
+    if rig == "cmm" and sighted.observations.count < _FEWEST_READINGS:
+        raise UndeterminedError(
+            f"{sighted.observations.count} readings in all: the place of a camera needs at least {_FEWEST_READINGS}"
+        )
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    if spread[1] <= _ON_A_LINE * max(spread[0], 1.0):
+        raise UndeterminedError(
+            f"all {len(points)} targets that are seen lie on one line or at one place: they give no pose of a camera\n"
+            "  what would determine it: targets spread over a plane or in space; check the columns of the targets file"
+        )
+
+
+def seen_once(sighted: Sighted, seen: Index, least: int) -> Sighted:
+    """Return the sightings with a warning of targets that too few images show."""
+    once = [name for name, n in zip(sighted.targets.names, seen, strict=True) if 0 < n < least]
+    if not once:
+        return sighted
+    line = f"{len(once)} targets are seen in one image only, which does not place them: left out: {listed(once)}"
+    return replace(sighted, warnings=(*sighted.warnings, line))
+
+
+def readings(sighted: Sighted, seen: Index, least: int, rig: str) -> Observations:
+    observations = sighted.observations.selected(seen[sighted.target] >= least)
+    index = dict(observations.index)
+    if rig == "cmm":
+        index[camera.TAPER] = np.zeros(observations.count, dtype=np.intp)
+    return replace(observations, index=index)
+
+
+def scale_bars(bars: Table | None, names: tuple[str, ...], seen: Index) -> list[Group]:
+    if bars is None:
+        return []
+    place = {name: i for i, name in enumerate(names)}
+    ends = [bars.texts("from"), bars.texts("to")]
+    wrong = [
+        (row, f"scale bar end '{name}' is {'seen in fewer than two images' if name in place else _STRANGE}")
+        for column in ends
+        for row, name in enumerate(column)
+        if name not in place or seen[place[name]] < 2
+    ]
+    for name in ("length", "sigma"):
+        wrong += [
+            (int(row), f"the {name} of the scale bar is not above zero")
+            for row in np.flatnonzero(bars.numbers(name) <= 0)
+        ]
+    faults = [bars.fault_at(row, text) for row, text in wrong]
+    if faults:
+        raise InputError(faults)
+    index = np.array([[place[name] for name in column] for column in ends], dtype=np.intp)
+    observations = Observations(
+        bars.numbers("length")[None],
+        bars.numbers("sigma")[None],
+        {camera.TARGET: index},
+        keys={"from": tuple(ends[0]), "to": tuple(ends[1])},
+        components=("length",),
+        unit="mm",
+    )
+    return [Group("scale bars", Chain((DistanceBetween(camera.TARGET),)), observations)]

@@ -1,0 +1,131 @@
+"""The machine of a simulation: random errors, and what is read of it where it is sent."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.chain import Chain
+from metrocli.adjust.model.groups import Group
+from metrocli.adjust.model.observations import Index, Observations
+from metrocli.adjust.model.quantities import Quantity
+from metrocli.effects.model import Model, Place
+from metrocli.instruments.machine import (
+    POSITION,
+    SQUARENESS_NAMES,
+    TOOL,
+    Axis,
+    Machine,
+    errors_of,
+    is_angle,
+    squareness_block,
+)
+from metrocli.tasks.calibrate_machine.problem import (
+    PAIRS,
+    conditions,
+    error_blocks,
+    machine_of,
+)
+from metrocli.tasks.calibrate_machine.settings import (
+    MachineSimulation,
+    Settings,
+)
+from metrocli.tasks.calibrate_machine.volume import grid_group, grid_of, without_rigid_motion
+
+if TYPE_CHECKING:
+    pass
+
+_FINE = 401
+_HARMONICS = 4
+_ACCELERATION = 1000.0
+"""Of the simulated machine [mm/s^2]"""
+_REST = 0.5
+"""The machine stands so long at each vertex [s]"""
+_MISALIGNED = np.array([0.01] * 3 + [1e-4] * 5)
+"""Standard deviations of the simulated misalignment of a line [mm, rad]"""
+
+
+@dataclass(frozen=True)
+class Truth:
+    """A machine with its errors."""
+
+    machine: Machine
+    """With as many knots as its errors need"""
+    blocks: Mapping[str, Block]
+
+    def error(self, position: Array, tool: Index) -> Array:
+        """Return displacement and rotation of tools at commanded positions (3, n), (6, n)."""
+        group = grid_group(self.machine, position, tool)
+        return group.chain.predict(self.blocks, group.observations)
+
+    def model(self, chain: Chain, more: Mapping[str, Block], flow: Flow) -> Model:
+        """Return the forward model of readings where the machine is sent."""
+        n = flow.position.shape[1]
+        index = self.machine.index(flow.position) | {TOOL: flow.tool} | dict(flow.index)
+        sizes = np.zeros((6 if chain.quantities[-1] is Quantity.ERROR_MOTION else 3, n))
+        observations = Observations(
+            sizes, np.ones(1), index, conditions=conditions(flow.position) | dict(flow.conditions)
+        )
+        places = {"axis": Place(POSITION), "pair": Place(PAIRS)}
+        group = Group("readings", chain, observations)
+        return Model({**self.blocks, **more}, (group,), None, ("readings",), places)
+
+
+@dataclass(frozen=True)
+class Flow:
+    """Where the machine is sent, with which tool, when and from which side."""
+
+    position: Array
+    """(3, n)"""
+    tool: Index
+    conditions: Mapping[str, Array]
+    index: Mapping[str, Index] = field(default_factory=dict)
+
+
+def truth_of(settings: Settings, simulation: MachineSimulation, rng: np.random.Generator) -> Truth:
+    """Return a machine with random errors of the mean size asked for (after the best shift and turn of the volume)."""
+    machine = machine_of(settings)
+    if simulation.smooth:
+        axes = tuple(Axis(axis.letter, np.linspace(axis.knots[0], axis.knots[-1], _FINE)) for axis in machine.axes)
+        machine = Machine(machine.order, (axes[0], axes[1], axes[2]))
+    lever = float(np.max(machine.high - machine.low)) / 2
+    tables = {
+        name: _drawn(axis, name, simulation.smooth, rng) for axis in machine.axes for name in errors_of(axis.letter)
+    }
+    tables = {name: table / (lever if is_angle(name) else 1.0) for name, table in tables.items()}
+    square = {name: float(rng.normal()) / lever for name in SQUARENESS_NAMES}
+    unit = Truth(machine, blocks_of(settings, machine, tables, square))
+    grid = grid_of(machine, (6, 6, 6))
+    error = without_rigid_motion(unit.error(grid, np.zeros(grid.shape[1], dtype=np.intp)), grid)
+    size = simulation.error / float(np.linalg.norm(error, axis=0).mean())
+    scaled = {name: table * size for name, table in tables.items()}
+    return Truth(machine, blocks_of(settings, machine, scaled, {name: value * size for name, value in square.items()}))
+
+
+def blocks_of(
+    settings: Settings, machine: Machine, tables: Mapping[str, Array], square: Mapping[str, float]
+) -> dict[str, Block]:
+    """Return a machine with these tables (at its knots, in the gauge) and squareness; errors not estimated are zero."""
+    wanted = settings.estimated
+    kept = {name: table for name, table in tables.items() if name in wanted}
+    axes = {axis.block: axis.block_of(kept, wanted) for axis in machine.axes}
+    squareness = squareness_block({name: value for name, value in square.items() if name in wanted}, wanted)
+    return {**error_blocks(machine, settings), **axes, squareness.name: squareness}
+
+
+def _drawn(axis: Axis, name: str, smooth: bool, rng: np.random.Generator) -> Array:
+    """Return a random table in the gauge: harmonics, or independent steps between knots."""
+    u = (axis.knots - axis.knots[0]) / (axis.knots[-1] - axis.knots[0])
+    if smooth:
+        order = np.arange(1, _HARMONICS + 1)[:, None]
+        phase = rng.uniform(0, 2 * np.pi, (_HARMONICS, 1))
+        raw = (rng.normal(size=(_HARMONICS, 1)) / order * np.sin(np.pi * order * u + phase)).sum(axis=0)
+    else:
+        raw = rng.normal(size=len(u)).cumsum() / np.sqrt(len(u))
+    if axis.straightness[errors_of(axis.letter).index(name)]:
+        return np.asarray(raw - raw[0] - (raw[-1] - raw[0]) * u)
+    return np.asarray(raw - np.interp(axis.reference, axis.knots, raw))

@@ -1,0 +1,36 @@
+"""Units: the closed table, text to quantities, and quantities to text. The only place that converts them."""
+
+from metrocli.units.parsing import (
+    find_unit,
+    internal_unit,
+    nearest,
+    parse_quantity,
+    plain_symbol,
+    quantity_pattern,
+    suffix_of,
+    suffixes,
+)
+from metrocli.units.people import as_slope, format_quantity, readable, roughly, rounded, two_digits
+from metrocli.units.table import DIMENSIONS, INCH, Dimension, QuantityError, Unit
+
+__all__ = [
+    "DIMENSIONS",
+    "INCH",
+    "Dimension",
+    "QuantityError",
+    "Unit",
+    "as_slope",
+    "find_unit",
+    "format_quantity",
+    "internal_unit",
+    "nearest",
+    "parse_quantity",
+    "plain_symbol",
+    "quantity_pattern",
+    "readable",
+    "roughly",
+    "rounded",
+    "suffix_of",
+    "suffixes",
+    "two_digits",
+]

@@ -1,0 +1,111 @@
+"""Text to quantities: "20 arcsec" becomes a number in the internal unit, and what is no unit is refused with a hint."""
+
+from __future__ import annotations
+
+import math
+import re
+
+from metrocli.units.table import DIMENSIONS, Dimension, QuantityError, Unit
+
+_INTERNAL = {"slope": "1", "ratio": "1"}
+_SPELLINGS = {"\u00b5": "u", "\u03bc": "u", "°C": "degC", "°": "deg", "%": "percent", "\u03a9": "ohm", "\u2126": "ohm"}
+"""Both micro signs and both ohm signs of Unicode."""
+_WORDS = {
+    "micron": "um", "microns": "um", "micrometer": "um", "micrometre": "um", "millimeter": "mm", "millimetre": "mm",
+    "meter": "m", "metre": "m", "degree": "deg", "degrees": "deg", "pixel": "px", "pixels": "px", "sec": "s",
+    "second": "s", "seconds": "s", "minute": "min", "minutes": "min", "hour": "h", "as": "arcsec", "Mm": "mm",
+    "MM": "mm", "C": "degC", "celsius": "degC", "in": "mm", "inch": "mm", "'": "arcmin", "''": "arcsec", '"': "arcsec",
+}  # fmt: skip
+_NUMBER = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
+_QUANTITY = re.compile(rf"({_NUMBER})\s*(.*)", re.DOTALL)
+_COMMA = re.compile(r"([+-]?[0-9]*),([0-9]+)(.*)", re.DOTALL)
+
+
+def internal_unit(dimension: str) -> str:
+    """Return the unit that values of a dimension have inside the program ("1" for slopes and ratios)."""
+    return _INTERNAL.get(dimension, DIMENSIONS[dimension].unit)
+
+
+def parse_quantity(text: str, dimension: str) -> float:
+    """Return a text such as "20 arcsec" in the internal unit of its dimension; QuantityError says what is wrong."""
+    wanted = DIMENSIONS[dimension]
+    text = text.strip()
+    match = _QUANTITY.fullmatch(text)
+    comma = _COMMA.fullmatch(text)
+    if comma and "." not in comma[3]:
+        raise QuantityError(f"'{text}' has a decimal comma", f"write '{comma[1] or '0'}.{comma[2]}{comma[3]}'")
+    if match is None:
+        raise QuantityError(f"'{text}' is not a number with a unit", f"write e.g. '{wanted.example}'")
+    number = float(match[1])
+    if not math.isfinite(number):
+        raise QuantityError(f"'{text}' is too large for a number", f"write e.g. '{wanted.example}'")
+    if not match[2]:
+        raise QuantityError(f"{text} has no unit", f"write e.g. '{match[1]} {_example_unit(wanted)}'")
+    return find_unit(match[2], dimension, match[1]).inside(number)
+
+
+def find_unit(symbol: str, dimension: str, number: str = "1") -> Unit:
+    """Return the unit with this symbol (micro signs, degree signs and % as people type them), or QuantityError."""
+    wanted = DIMENSIONS[dimension]
+    plain = plain_symbol(symbol)
+    for unit in wanted.units:
+        if unit.symbol == plain:
+            return unit
+    accepted = f"allowed: {', '.join(wanted.symbols)}"
+    if plain in ("degC", "K") and dimension.startswith("temperature"):
+        raise QuantityError(f"'{symbol}' cannot be the unit of {wanted.phrase}", f"write '{number} {wanted.unit}'")
+    others = [other.phrase for other in DIMENSIONS.values() if plain in other.symbols]
+    if others:
+        raise QuantityError(f"'{symbol}' is the unit of {others[0]}, not of {wanted.phrase}", accepted)
+    if not re.fullmatch(r"[^\W\d_]+(/[^\W\d_]+)*|1/[^\W\d_]+", plain):
+        raise QuantityError(f"'{symbol}' after {number} is not one unit", f"write e.g. '{wanted.example}'")
+    near = nearest(plain, wanted.symbols)
+    raise QuantityError(f"unknown unit '{symbol}'", f"did you mean '{near}'? {accepted}" if near else accepted)
+
+
+def plain_symbol(symbol: str) -> str:
+    """Return a unit as the table spells it: "\u00b5m" is "um", "\u00b0C" is "degC", "%" is "percent"."""
+    for typed, plain in _SPELLINGS.items():
+        symbol = symbol.replace(typed, plain)
+    return symbol.strip()
+
+
+def nearest(word: str, known: tuple[str, ...]) -> str | None:
+    """Return the unit that was probably meant."""
+    from difflib import get_close_matches
+
+    meant = _WORDS.get(word)
+    if meant in known:
+        return meant
+    return next(iter(get_close_matches(word, known, 1, 0.5)), None)
+
+
+def _example_unit(dimension: Dimension) -> str:
+    return dimension.example.split(" ", 1)[1]
+
+
+def quantity_pattern(dimension: str) -> str:
+    """Return the regular expression (ECMA 262) of a quantity, for the schema of a job."""
+    symbols = "|".join(sorted(_typed_forms(DIMENSIONS[dimension]), key=len, reverse=True))
+    return rf"^\s*{_NUMBER}\s*({symbols})\s*$"
+
+
+def _typed_forms(dimension: Dimension) -> set[str]:
+    forms = set(dimension.symbols)
+    for typed, plain in _SPELLINGS.items():
+        forms |= {symbol.replace(plain, typed) for symbol in dimension.symbols if plain in symbol}
+    return {form for form in forms if plain_symbol(form) in dimension.symbols}
+
+
+def suffixes(dimension: str) -> dict[str, Unit]:
+    """Return the endings of a CSV column that holds this dimension: {"mm": ..., "um_per_m": ...}."""
+    return {_suffix(unit.symbol): unit for unit in DIMENSIONS[dimension].units}
+
+
+def _suffix(symbol: str) -> str:
+    return symbol.replace("1/", "per_").replace("/", "_per_")
+
+
+def suffix_of(unit: str) -> str:
+    """Return the ending of a CSV column with this internal unit, "" for a plain number."""
+    return "" if unit in ("", "1") else _suffix(unit)
