@@ -26,7 +26,8 @@ from metrocli.geometry import poses
 from metrocli.result import Estimate, Result
 from metrocli.settings import Placed
 from metrocli.tasks.report_uncertainty import volume_problem
-from metrocli.tasks.report_uncertainty.settings import Contributor, Expansion, MonteCarlo, Settings, Volume
+from metrocli.tasks.report_uncertainty.entries import Contributor, Expansion, MonteCarlo, Volume
+from metrocli.tasks.report_uncertainty.settings import Settings
 from metrocli.uncertainty import monte_carlo
 from metrocli.uncertainty.distributions import Arcsine, CurvilinearTrapezoid, Normal, Uniform
 from metrocli.uncertainty.expression import parse

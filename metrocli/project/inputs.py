@@ -12,7 +12,7 @@ from typing import Any
 from metrocli.errors import Fault, InputError
 from metrocli.project.job import Input, JobFile
 from metrocli.record import InputFile
-from metrocli.settings import FileOf, ImageFiles, TableFile
+from metrocli.settings import ANY_KIND, FileOf, ImageFiles, TableFile
 
 
 def read_inputs(job: JobFile, absent: Collection[str] = ()) -> dict[str, Any]:
@@ -58,7 +58,7 @@ def _read_one(spec: Any, path: Path, item: Input) -> Any:
         from metrocli.formats import hdf5
 
         result, record = hdf5.read(path)
-        if result.kind not in spec.results:
+        if spec.results != ANY_KIND and result.kind not in spec.results:
             message = f"{item.node.path}: {path} is a result of {result.kind}"
             raise InputError([item.node.fault(message, f"expected {spec.expects}")])
         return replace(result, made_from=(_hashed(path, path.parent), *record.inputs))

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from metrocli.errors import InputError
-from metrocli.formats import csv
+from metrocli.formats import csv, csv_text
 from metrocli.table import NUMBER, TEXT, WHOLE, Column, Columns, Table
 
 COLUMNS = Columns(
@@ -144,7 +144,7 @@ def test_all_faults_are_told_in_the_order_of_the_file(tmp_path: Path) -> None:
 
 def test_very_many_faults_are_counted(tmp_path: Path) -> None:
     told = faults(tmp_path, HEAD + "".join(f"a,{n},x\n" for n in range(100)))
-    assert told.count("error:") == csv.MOST_FAULTS + 1
+    assert told.count("error:") == csv_text.MOST_FAULTS + 1
     assert "and 80 more faults from here on" in told
 
 

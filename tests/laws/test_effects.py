@@ -18,7 +18,7 @@ from metrocli.tasks import KINDS
 from metrocli.units import DIMENSIONS
 
 PAGES = Path(__file__).parents[2] / "docs" / "effects"
-TABLES = {kind.name: kind.task().effects for kind in KINDS.values()}
+TABLES = {kind.name: effects for kind in KINDS.values() if (effects := kind.task().effects)}
 ENTRIES = [(kind, at) for kind, effects in TABLES.items() for at in range(len(effects))]
 NAMES = [
     f"{kind}: {TABLES[kind][at].name}{TABLES[kind][at].by and ' by '}{TABLES[kind][at].by}" for kind, at in ENTRIES
