@@ -19,7 +19,8 @@ from effects_of_images import alignment, calibration
 from metrocli.adjust.adjustment import adjust
 from metrocli.adjust.dense_jacobian import unit_noise
 from metrocli.effects.effect import Effect
-from metrocli.effects.model import Model, with_conditions
+from metrocli.effects.extension import with_conditions
+from metrocli.effects.model import Model
 from metrocli.geometry.poses import pose_from_euler
 from metrocli.tasks.calibrate_machine.methods.standstill import standstill
 from metrocli.tasks.locate_launch_unit import problem as launch_problem
@@ -54,7 +55,7 @@ def multilaterate(effect: Effect) -> Model:
     measures = "absolute" if effect.name == "length-offset" else "changes"
     tracers = net.tracer_table(0.0, sigma=np.full(5, 0.001))
     network = build(simulated_lengths.settings(measures=measures), table, points, tracers, None)
-    model = network.model()
+    model = network.model
     true = np.column_stack([net.tracers, net.dead, net.scale])
     return with_conditions(model.with_blocks({**model.blocks, "tracer": model.blocks["tracer"].with_values(true)}))
 
@@ -64,7 +65,7 @@ def locate_launch_unit(effect: Effect) -> Model:
     exact = simulated_launch.anywhere(25, 7, distances=True)
     rng = np.random.default_rng(5)
     table = exact.table(t=rng.uniform(100.0, 2000.0, 25), temp=20 + rng.uniform(0, 1, 25))
-    model = launch_problem.build(launch_readings.read(table), simulated_launch.NOISE).model()
+    model = launch_problem.build(launch_readings.read(table), simulated_launch.NOISE).model
     true = model.blocks["launch unit"].with_values(exact.truth[None])
     return with_conditions(model.with_blocks({**model.blocks, "launch unit": true}))
 
@@ -79,7 +80,7 @@ def selfcal_grid(effect: Effect) -> Model:
     )
     settings = one.settings()
     readings = grid_readings.read(views_of(settings), settings.grid.half, table)
-    model = grid_problem.build(readings, (settings.grid.half, settings.grid.pitch), settings.noise).model()
+    model = grid_problem.build(readings, (settings.grid.half, settings.grid.pitch), settings.noise).model_with_datum
     values = {"machine_error": one.machine, "artefact_error": one.artefact}
     mountings = np.array([np.concatenate(one.mountings[name]) for name in one.views])
     values["view"] = pose_from_euler(mountings[:, :3], mountings[:, 3:])
@@ -98,9 +99,9 @@ def calibrate_machine(effect: Effect) -> Model:
     table = replace(table, columns={**table.columns, **more})
     settings = simulated_machine.settings(tools=tools, tool_uncertainty=0.001)
     problem = standstill(settings, table)
-    problem = replace(problem, readings=unit_noise(problem.readings, 0.002))
+    problem = problem.with_model(problem.model.with_group(unit_noise(problem.readings, 0.002)))
     solved = adjust(problem.blocks.values(), problem.groups)
-    return with_conditions(problem.model().with_blocks(solved.blocks))
+    return with_conditions(problem.model.with_blocks(solved.blocks))
 
 
 MEASURED: dict[str, Measured] = {

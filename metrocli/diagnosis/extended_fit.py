@@ -20,7 +20,8 @@ from metrocli.diagnosis.noise import Unit, weighted
 from metrocli.diagnosis.selection.confidence_set import Named
 from metrocli.diagnosis.selection.selection_state import Selection
 from metrocli.effects.effect import Parameter
-from metrocli.effects.model import Added, Model, with_effect
+from metrocli.effects.extension import with_effect
+from metrocli.effects.model import Added, Model
 
 
 def field_of_job(

@@ -12,7 +12,7 @@ from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.linear import signatures
 from metrocli.diagnosis.linear.candidates import instances
 from metrocli.diagnosis.linear.projection import linearised
-from metrocli.effects.model import can_act
+from metrocli.effects.extension import can_act
 
 ALL: dict[str, Callable[[], AdjustedJob]] = {kind: campaign.case(0).subject for kind, campaign in KINDS.items()}
 

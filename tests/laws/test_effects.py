@@ -13,7 +13,8 @@ from effects_of_kinds import MEASURED, instance_of, size
 from metrocli.adjust.adjustment import adjust
 from metrocli.adjust.model.blocks import Array
 from metrocli.effects.effect import DRIVERS, Effect
-from metrocli.effects.model import Model, with_effect
+from metrocli.effects.extension import with_effect
+from metrocli.effects.model import Model
 from metrocli.tasks import KINDS
 from metrocli.units import DIMENSIONS
 

@@ -172,7 +172,7 @@ def test_the_ratio_is_that_of_the_worst_machine_that_can_be_thought_of() -> None
     )
     assert len(table) == 60
     found = identify(problem)
-    held = replace(problem, blocks=found.blocks)
+    held = problem.with_blocks(found.blocks)
     unknowns = unknowns_of(found.blocks, [name for name, block in found.blocks.items() if block.free.any()])
     seen = rows(unit_noise(problem.readings), found.blocks, unknowns)
     volume = volume_matrix(held, unknowns)

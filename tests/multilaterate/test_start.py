@@ -166,5 +166,5 @@ def test_the_mirror_image_is_no_result() -> None:
     with pytest.raises(
         NotConvergedError, match="mm from where their list says .median.: the adjustment ended in a wrong"
     ):
-        solve(replace(built, blocks=turned, datum=datum), remove=False)
+        solve(built.with_model(replace(built.model, blocks=turned, datum=datum)), remove=False)
     assert solve(built, remove=False).solution.outcome.good

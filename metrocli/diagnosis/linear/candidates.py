@@ -13,7 +13,8 @@ from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.linear.projection import System
 from metrocli.diagnosis.linear.signatures import scan
 from metrocli.effects.effect import Effect
-from metrocli.effects.model import Model, can_act, lacking, names_for
+from metrocli.effects.extension import can_act, lacking, names_for
+from metrocli.effects.model import Model
 
 _MOST_PLACES = 3000
 

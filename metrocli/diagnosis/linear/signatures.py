@@ -13,7 +13,8 @@ from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.linear.projection import System, scatter
 from metrocli.effects.effect import Effect
-from metrocli.effects.model import Model, with_effect
+from metrocli.effects.extension import with_effect
+from metrocli.effects.model import Model
 
 
 def signature(

@@ -17,7 +17,7 @@ from metrocli.tasks.shared.images.covariates import at_solution, covariate, cova
 
 def subject(problem: Problem, adjusted: Adjusted) -> AdjustedJob:
     """Return the subject of an adjusted alignment; images are held out."""
-    model = at_solution(problem.model(), adjusted)
+    model = at_solution(problem.model, adjusted)
     index, blocks = model.readings[0].observations.index, model.blocks
     points = blocks[TARGET].values[index[TARGET]]
     held = blocks[spindle.SPINDLE].values

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group, priors
 from metrocli.adjust.model.observations import Index
-from metrocli.effects.model import Added, Model, Place
+from metrocli.effects.model import Model, Place
+from metrocli.effects.modelled import Modelled
 from metrocli.errors import Fault, InputError
 from metrocli.geometry import poses
 from metrocli.instruments import spindle_camera as spindle
@@ -30,27 +31,17 @@ _GOOD = 0.01
 
 
 @dataclass(frozen=True)
-class Problem:
+class Problem(Modelled):
     """An alignment ready to adjust."""
 
     camera: CameraModel
     sighted: Sighted
-    blocks: Mapping[str, Block]
-    images: Group
-    others: tuple[Group, ...]
     warnings: tuple[str, ...] = ()
-    effects: tuple[Added, ...] = ()
 
-    def model(self) -> Model:
-        """Return the alignment as a model that effects can be added to."""
-        places = places_of(self.sighted.images, self.sighted.targets.names)
-        return Model(self.blocks, (self.images, *self.others), None, (IMAGES,), places, added=self.effects)
-
-    def with_model(self, model: Model) -> Problem:
-        """Return the alignment with the blocks, groups and effects of a model made from it."""
-        images = next(group for group in model.groups if group.name == IMAGES)
-        others = tuple(group for group in model.groups if group.name != IMAGES)
-        return replace(self, blocks=model.blocks, images=images, others=others, effects=model.added)
+    @property
+    def images(self) -> Group:
+        """The image points."""
+        return self.model.group(IMAGES)
 
     @property
     def free_angle(self) -> bool:
@@ -99,7 +90,8 @@ def build(camera: CameraModel, sighted: Sighted, table: Table, free_angle: bool)
     others: tuple[Group, ...] = (*camera.prior(), *priors(blocks[TARGET], targets.sigma, free))
     if sighted.eccentric:
         group, blocks = corrected(group, blocks, others, None, targets.radius)
-    return Problem(camera, sighted, blocks, group, others, warnings)
+    places = places_of(sighted.images, targets.names)
+    return Problem(Model(blocks, (group, *others), None, (IMAGES,), places), camera, sighted, warnings)
 
 
 def _spindle_poses(sighted: Sighted, table: Table) -> tuple[Array, tuple[str, ...], Sighted]:

@@ -9,7 +9,6 @@ import numpy as np
 
 from metrocli.adjust.outcome import Outcome
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.effects.model import extended
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.geometry.poses import EULER, pose_from_euler
 from metrocli.instruments.spindle_camera import part_in_camera
@@ -52,7 +51,7 @@ def prepared(job: Job[Settings, Files]) -> Problem:
         model.must_fit(files.images)
     sighted = sightings(settings, files.observations, files.targets, files.images, Needs(fewest=1))
     problem = build(model, sighted, files.poses, free_angle="clamping-angle" in settings.estimate)
-    return problem.with_model(extended(problem.model(), job.effects)) if job.effects else problem
+    return problem.with_effects(job.effects)
 
 
 def solved(settings: Settings, problem: Problem) -> Adjusted:

@@ -18,7 +18,7 @@ from metrocli.tasks.shared.images.covariates import at_solution, covariate, cova
 
 def subject(problem: Problem, adjusted: Adjusted) -> AdjustedJob:
     """Return the subject of an adjusted calibration; views are held out, with rig cmm the targets."""
-    model = at_solution(problem.model(), adjusted)
+    model = at_solution(problem.model, adjusted)
     index = model.readings[0].observations.index
     points = model.blocks[camera.TARGET].values[index[camera.TARGET]]
     found = [*covariates(model, _in_camera(problem.rig, model, points)), covariate("place of the target", points.T, 3)]

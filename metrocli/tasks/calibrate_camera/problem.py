@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from metrocli.adjust.adjustment import Control, adjust
-from metrocli.adjust.datum import Datum
-from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.groups import Group, priors
 from metrocli.adjust.model.observations import Mask
 from metrocli.adjust.robust import robust_start, typical
-from metrocli.effects.model import Added, Model, Place
+from metrocli.effects.model import Model, Place
+from metrocli.effects.modelled import Modelled
 from metrocli.errors import InputError
 from metrocli.geometry import poses
 from metrocli.instruments import camera
@@ -40,37 +40,24 @@ _LOST = 0.02
 
 
 @dataclass(frozen=True)
-class Problem:
+class Problem(Modelled):
     """A camera calibration ready to adjust."""
 
     rig: str
     convention: str
     image_size: tuple[int, int]
     sighted: Sighted
-    blocks: Mapping[str, Block]
-    images: Group
-    others: tuple[Group, ...]
-    datum: Datum | None
-    effects: tuple[Added, ...] = ()
 
-    def model(self) -> Model:
-        """Return the calibration as a model that effects can be added to."""
-        targets = Place(self.sighted.targets.names, camera.TARGET)
-        places = {"image": Place(self.sighted.images, "view"), "target": targets}
-        return Model(self.blocks, (self.images, *self.others), self.datum, (IMAGES,), places, added=self.effects)
-
-    def with_model(self, model: Model) -> Problem:
-        """Return the calibration with the blocks, groups and effects of a model made from it."""
-        images = next(group for group in model.groups if group.name == IMAGES)
-        others = tuple(group for group in model.groups if group.name != IMAGES)
-        return replace(self, blocks=model.blocks, images=images, others=others, effects=model.added)
+    @property
+    def images(self) -> Group:
+        """The image points."""
+        return self.model.group(IMAGES)
 
     def with_estimate(self, estimate: Sequence[str]) -> Problem:
         """Return the problem with other lens parameters free; distortion that is not estimated keeps its value."""
         lens = self.blocks[camera.LENS]
-        return replace(
-            self, blocks={**self.blocks, camera.LENS: replace(lens, free=np.isin(lens.columns, list(estimate)))}
-        )
+        free = replace(lens, free=np.isin(lens.columns, list(estimate)))
+        return self.with_blocks({**self.blocks, camera.LENS: free})
 
     def with_lens(self, values: Mapping[str, float]) -> Problem:
         """Return the problem with these lens parameters at these values; others keep theirs.
@@ -80,11 +67,7 @@ class Problem:
         lens = self.blocks[camera.LENS]
         known = {**lens.named(), **values}
         free = [name for name, is_free in zip(lens.columns, lens.free[0], strict=True) if is_free]
-        return replace(self, blocks={**self.blocks, camera.LENS: camera.lens_block(known, free, self.image_size)})
-
-    def with_blocks(self, blocks: Mapping[str, Block]) -> Problem:
-        """Return the problem at other values."""
-        return replace(self, blocks=blocks)
+        return self.with_blocks({**self.blocks, camera.LENS: camera.lens_block(known, free, self.image_size)})
 
     def of_images(self, chosen: Mask) -> Problem:
         """Return the problem of some of its images (a mask over them), with their readings and poses only."""
@@ -92,15 +75,16 @@ class Problem:
         numbers = np.cumsum(chosen) - 1
         observations = self.images.observations.selected(keep)
         observations = replace(observations, index={**observations.index, "view": numbers[observations.index["view"]]})
+        model = self.model.with_group(self.images.with_observations(observations))
         if self.rig == "cmm":
-            return replace(self, images=self.images.with_observations(observations))
+            return self.with_model(model)
         views = self.blocks[camera.VIEW]
         members = tuple(name for name, c in zip(views.members, chosen, strict=True) if c)
         blocks = {
             **self.blocks,
             camera.VIEW: replace(views, values=views.values[chosen], members=members, free=views.free[chosen]),
         }
-        return replace(self, blocks=blocks, images=self.images.with_observations(observations))
+        return self.with_model(model.with_blocks(blocks))
 
 
 def build(rig: str, settings: Camera, sighted: Sighted, bars: Table | None = None) -> Problem:
@@ -137,12 +121,14 @@ def build(rig: str, settings: Camera, sighted: Sighted, bars: Table | None = Non
         if rig == "network" and free.any()
         else None
     )
-    problem = Problem(rig, settings.convention, size, sighted, blocks, group, others, datum)
+    places = {"image": Place(sighted.images, "view"), "target": Place(targets.names, camera.TARGET)}
+    model = Model(blocks, (group, *others), datum, (IMAGES,), places)
+    problem = Problem(model, rig, settings.convention, size, sighted)
     started = _better_start(problem, settings)
     if not sighted.eccentric:
         return started
     group, found = corrected(started.images, started.blocks, started.others, datum, targets.radius)
-    return replace(started, images=group, blocks=found)
+    return started.with_model(started.model.with_group(group).with_blocks(found))
 
 
 def _lens_values(settings: Camera, size: tuple[int, int]) -> dict[str, float]:
@@ -203,7 +189,8 @@ def _unmirrored(problem: Problem) -> Problem:
         f"away): {listed(turned.undecided)}",
     )
     sighted = replace(problem.sighted, warnings=problem.sighted.warnings + (told if turned.undecided else ()))
-    return replace(problem, sighted=sighted, blocks={**problem.blocks, camera.VIEW: turned.views})
+    turned_back = problem.with_blocks({**problem.blocks, camera.VIEW: turned.views})
+    return replace(turned_back, sighted=sighted)
 
 
 def _roughly(problem: Problem, steps: int = 15) -> Problem:

@@ -9,7 +9,6 @@ import numpy as np
 
 from metrocli.adjust.outcome import Outcome
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.effects.model import extended
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.geometry import poses
 from metrocli.result import Result
@@ -66,7 +65,7 @@ def prepared(job: Job[Settings, Files]) -> tuple[Settings, Problem]:
     needs = Needs(_FEWEST[settings.rig], float("nan") if settings.rig == "network" else 0.0)
     sighted = sightings(settings, files.observations, files.targets, images, needs)
     problem = build(settings.rig, settings.camera, sighted, files.scale_bars)
-    return settings, problem.with_model(extended(problem.model(), job.effects)) if job.effects else problem
+    return settings, problem.with_effects(job.effects)
 
 
 def solved(settings: Settings, problem: Problem) -> Adjusted:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 
 import numpy as np
 
@@ -14,7 +13,8 @@ from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.solution import Solution
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate, Delivered
 from metrocli.effects.effect import ELAPSED
-from metrocli.effects.model import Model, with_conditions
+from metrocli.effects.extension import with_conditions
+from metrocli.effects.model import Model
 from metrocli.geometry import poses
 from metrocli.instruments.machine import POSITION
 from metrocli.instruments.tracker import TRACKER
@@ -28,8 +28,8 @@ _PIECES = "readings stand for pieces of the path longer than a pitch; a job may 
 
 def subject(solved: Solved) -> AdjustedJob:
     """Return the subject of a solved calibration."""
-    problem = replace(solved.problem, blocks=solved.solution.blocks)
-    model = with_conditions(problem.model())
+    problem = solved.problem.with_blocks(solved.solution.blocks)
+    model = with_conditions(problem.model)
     group = model.readings[0]
 
     def refit(changed: Model, keep: Mapping[str, Mask]) -> Solution:

@@ -102,7 +102,7 @@ def identify(problem: Problem) -> Identifiability:
         int((values >= 1.0).sum()),
         status,
         partners,
-        worst_ratio(replace(problem, blocks=held)),
+        worst_ratio(problem.with_blocks(held)),
         held,
         tuple(tool for tool, grid in grids.items() if np.abs(opened.moved(grid)).max(initial=0.0) > _HARMLESS),
     )

@@ -7,7 +7,7 @@ chords from the present vertex the one is taken that sees them best for its leng
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -142,7 +142,7 @@ def _begin(machine: Machine, planned: Planned, wanted: Wanted, rng: np.random.Ge
     problem = planned(dense)
     held = identify(problem).blocks
     unknowns = unknowns_of(held, [name for name, block in held.items() if block.free.any() and name != TOOL])
-    volume = _Volume(planned, held, unknowns, volume_matrix(replace(problem, blocks=held), unknowns))
+    volume = _Volume(planned, held, unknowns, volume_matrix(problem.with_blocks(held), unknowns))
     design, _ = volume.seen(dense)
     return volume, np.diag((design**2).sum(axis=(0, 1)) / dense.length * _FLOOR)
 

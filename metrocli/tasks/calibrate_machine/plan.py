@@ -27,7 +27,7 @@ from metrocli.tasks.calibrate_machine.identifiability import NOT_ESTIMATED, UNDE
 from metrocli.tasks.calibrate_machine.methods.on_the_fly import READINGS, path_of
 from metrocli.tasks.calibrate_machine.methods.standstill import tracker_noise
 from metrocli.tasks.calibrate_machine.path_search import Found, Wanted, edges_and_diagonals, search
-from metrocli.tasks.calibrate_machine.problem import Problem, conditions, error_blocks, machine_of, tool_prior
+from metrocli.tasks.calibrate_machine.problem import Problem, conditions, error_blocks, machine_of, model_of, tool_prior
 from metrocli.tasks.calibrate_machine.report import identifiability_notes
 from metrocli.tasks.calibrate_machine.settings import PathPlan, Settings
 from metrocli.tasks.calibrate_machine.tables import Tables, tables_of, unit_of
@@ -73,7 +73,7 @@ def planned_problem(settings: Settings, plan: PathPlan, path: Path) -> Problem:
     names = list(settings.tools)
     used = tuple(names[i] for i in np.unique(path.tool))
     group = Group(READINGS, path_chain(machine), observations)
-    return Problem(machine, blocks, group, tool_prior(blocks, settings), length, used)
+    return Problem(model_of(blocks, group, tool_prior(blocks, settings)), machine, length, used)
 
 
 def tracker_pose(machine: Machine, plan: PathPlan) -> Array:

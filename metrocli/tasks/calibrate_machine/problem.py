@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Self
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array, Block, Mask
 from metrocli.adjust.model.groups import Group, prior
 from metrocli.adjust.model.observations import Index
-from metrocli.effects.model import Added, Model, Place, extended
+from metrocli.effects.extension import extended
+from metrocli.effects.model import Model, Place
+from metrocli.effects.modelled import Modelled
 from metrocli.effects.wanted import Wanted
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.instruments.machine import (
@@ -40,13 +43,10 @@ _SUPPORT = 0.02
 
 
 @dataclass(frozen=True)
-class Problem:
+class Problem(Modelled):
     """An adjustment of the machine's errors."""
 
     machine: Machine
-    blocks: Mapping[str, Block]
-    readings: Group
-    others: tuple[Group, ...]
     per_reading: Array
     """How much of the measurement each reading stands for, such as the length of path or the points in it (n,)"""
     tools_used: tuple[str, ...]
@@ -55,38 +55,38 @@ class Problem:
     """Statistics of the method"""
     tables: Mapping[str, Table] = field(default_factory=dict)
     """What the readings say without the model, such as figures of ISO 230-2"""
-    effects: tuple[Added, ...] = ()
+
+    @property
+    def readings(self) -> Group:
+        """The readings."""
+        return self.model.readings[0]
 
     @property
     def groups(self) -> tuple[Group, ...]:
         """All groups."""
-        return (self.readings, *self.others)
+        return self.model.groups
 
     @property
     def names(self) -> tuple[str, ...]:
         """What people call each reading: point, leg, or line and place on it."""
         return tuple(" at ".join(parts) for parts in zip(*self.readings.observations.keys.values(), strict=True))
 
-    def model(self) -> Model:
-        """Return the problem as a model that effects can be added to."""
-        places = {"axis": Place(POSITION), "pair": Place(PAIRS)}
-        return Model(self.blocks, self.groups, None, (self.readings.name,), places, {}, self.effects)
-
-    def with_model(self, model: Model) -> Problem:
-        """Return the problem with the blocks, groups and effects of a model made from it."""
-        readings = next(group for group in model.groups if group.name == self.readings.name)
-        others = tuple(group for group in model.groups if group is not readings)
-        return replace(self, blocks=model.blocks, readings=readings, others=others, effects=model.added)
-
-    def with_effects(self, wanted: Sequence[Wanted]) -> Problem:
+    def with_effects(self, wanted: Iterable[Wanted]) -> Self:
         """Return the problem with the effects of a job, where `blocks` have them already at the values there."""
+        wanted = tuple(wanted)
         if not wanted:
             return self
         bare = {name: block for name, block in self.blocks.items() if name in BLOCKS}
-        found = extended(replace(self, blocks=bare).model(), wanted)
+        found = extended(self.model.with_blocks(bare), wanted)
         return self.with_model(
             found.with_blocks({name: self.blocks.get(name, found.blocks[name]) for name in found.blocks})
         )
+
+
+def model_of(blocks: Mapping[str, Block], readings: Group, others: Sequence[Group]) -> Model:
+    """Return the model of a machine with its readings and priors."""
+    places = {"axis": Place(POSITION), "pair": Place(PAIRS)}
+    return Model(blocks, (readings, *others), measured=(readings.name,), places=places)
 
 
 def machine_of(settings: Settings) -> Machine:

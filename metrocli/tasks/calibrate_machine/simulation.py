@@ -10,7 +10,8 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
 from metrocli.effects.estimates import true_values
-from metrocli.effects.model import Model, extended
+from metrocli.effects.extension import extended
+from metrocli.effects.model import Model
 from metrocli.effects.wanted import Wanted
 from metrocli.errors import InputError
 from metrocli.geometry import poses
@@ -88,7 +89,7 @@ class _Measurement:
 
     def read(self, model: Model) -> tuple[Array, Model]:
         """Return what is read of a model with the effects in it, without noise."""
-        model = extended(model, self.effects) if self.effects else model
+        model = extended(model, self.effects)
         return model.groups[0].chain.predict(model.blocks, model.groups[0].observations), model
 
 

@@ -93,4 +93,5 @@ def _worst(doubtful: Suspects) -> Index:
 def _without(problem: Problem, rows: Index) -> Problem:
     keep = np.ones(problem.readings.observations.count, dtype=bool)
     keep[rows] = False
-    return replace(problem, readings=problem.readings.selected(keep), per_reading=problem.per_reading[keep])
+    model = problem.model.with_group(problem.readings.selected(keep))
+    return replace(problem, model=model, per_reading=problem.per_reading[keep])

@@ -14,7 +14,8 @@ from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.solution import Solution
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate, Delivered, PerReading
 from metrocli.effects.effect import ELAPSED, WARMING
-from metrocli.effects.model import Model, with_conditions
+from metrocli.effects.extension import with_conditions
+from metrocli.effects.model import Model
 from metrocli.errors import InputError
 from metrocli.instruments import launch_unit as lu
 from metrocli.tasks.locate_launch_unit import KIND
@@ -31,7 +32,7 @@ def subject(located: Located) -> AdjustedJob:
     if located.problem is None or located.solution is None:
         raise InputError("only `method: adjustment` leaves residuals that can be diagnosed")
     groups = located.solution.groups
-    model = with_conditions(replace(located.problem.model(), blocks=located.solution.blocks, groups=groups))
+    model = with_conditions(replace(located.problem.model, blocks=located.solution.blocks, groups=groups))
 
     def refit(changed: Model, keep: Mapping[str, Mask]) -> Solution:
         kept = [group.selected(keep[group.name]) if group.name in keep else group for group in changed.groups]

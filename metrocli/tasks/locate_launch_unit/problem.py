@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.groups import Group, priors
 from metrocli.adjust.model.observations import Index, Observations
 from metrocli.adjust.model.quantities import Quantity
-from metrocli.effects.model import Added, Model, Place
+from metrocli.effects.model import Model, Place
+from metrocli.effects.modelled import Modelled
 from metrocli.instruments import launch_unit as lu
 from metrocli.instruments.launch_start import nearest, set_up_angle, spread
 from metrocli.tasks.locate_launch_unit.effects import AXES, PAIRS, UNITS
@@ -24,38 +24,21 @@ WEAK = 0.01
 
 
 @dataclass(frozen=True)
-class Problem:
+class Problem(Modelled):
     """A location ready to adjust."""
 
     readings: Readings
-    blocks: Mapping[str, Block]
-    groups: tuple[Group, ...]
-    """One for each encoder, and one of the distances; none without readings"""
-    others: tuple[Group, ...]
     warnings: tuple[str, ...] = ()
-    effects: tuple[Added, ...] = ()
+
+    @property
+    def groups(self) -> tuple[Group, ...]:
+        """One for each encoder, and one of the distances; none without readings."""
+        return self.model.readings
 
     @property
     def all_groups(self) -> tuple[Group, ...]:
         """The readings, and what is known beforehand."""
-        return (*self.groups, *self.others)
-
-    def model(self) -> Model:
-        """Return the location as a model that effects can be added to."""
-        places = {
-            "encoder": Place(tuple(lu.ENCODERS)),
-            "unit": Place(UNITS),
-            "axis": Place(AXES),
-            "pair": Place(PAIRS),
-            "pose": Place(self.readings.names, lu.RECEIVER),
-        }
-        measured = tuple(group.name for group in self.groups)
-        return Model(self.blocks, self.all_groups, None, measured, places, added=self.effects)
-
-    def with_model(self, model: Model) -> Problem:
-        """Return the location with the blocks, groups and effects of a model made from it."""
-        others = tuple(group for group in model.groups if group.name not in model.measured)
-        return replace(self, blocks=model.blocks, groups=model.readings, others=others, effects=model.added)
+        return self.model.groups
 
 
 def build(readings: Readings, noise: Noise) -> Problem:
@@ -75,13 +58,21 @@ def build(readings: Readings, noise: Noise) -> Problem:
         groups.append(_distances(readings, measured, noise.distance))
     steep = [name for name, used in zip(readings.names, readings.level, strict=True) if not used]
     text = f"the beam is vertical in {len(steep)} poses, so that their angles say nothing and are left out: "
-    return Problem(
-        readings,
+    read = tuple(group for group in groups if group.observations.count)
+    places = {
+        "encoder": Place(tuple(lu.ENCODERS)),
+        "unit": Place(UNITS),
+        "axis": Place(AXES),
+        "pair": Place(PAIRS),
+        "pose": Place(readings.names, lu.RECEIVER),
+    }
+    model = Model(
         {block.name: block for block in blocks},
-        tuple(group for group in groups if group.observations.count),
-        tuple(priors(receiver, readings.sigma, free)),
-        (text + listed(steep),) if steep else (),
+        (*read, *priors(receiver, readings.sigma, free)),
+        measured=tuple(group.name for group in read),
+        places=places,
     )
+    return Problem(model, readings, (text + listed(steep),) if steep else ())
 
 
 def uncertainty_along(readings: Readings, noise: Noise) -> float:

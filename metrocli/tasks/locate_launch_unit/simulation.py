@@ -9,7 +9,7 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.effects.estimates import true_values
-from metrocli.effects.model import extended
+from metrocli.effects.extension import extended
 from metrocli.effects.wanted import Wanted
 from metrocli.geometry.angles import wrapped
 from metrocli.instruments import launch_unit as lu
@@ -60,7 +60,7 @@ def _exact(truth: Truth, noise: Noise, places: Table, effects: Sequence[Wanted])
         return readings, {}
     problem = build(readings, noise)
     unit = problem.blocks[lu.UNIT].with_values(np.array([[*truth.place, truth.gamma]]))
-    model = extended(problem.model().with_blocks({**problem.blocks, lu.UNIT: unit}), effects)
+    model = extended(problem.model.with_blocks({**problem.blocks, lu.UNIT: unit}), effects)
     for group in model.readings:
         read = has if group.name == lu.DISTANCE else angles[ANGLES.index(group.name)]
         read[group.observations.index[lu.RECEIVER]] = group.chain.predict(model.blocks, group.observations)[0]

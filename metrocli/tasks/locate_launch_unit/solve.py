@@ -12,7 +12,6 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.solution import Solution
 from metrocli.effects.estimates import absorbed
-from metrocli.effects.model import extended
 from metrocli.effects.wanted import Wanted
 from metrocli.errors import InputError, MetrocliError, NotConvergedError, UndeterminedError
 from metrocli.geometry.angles import wrapped
@@ -92,7 +91,7 @@ def _located(readings: Readings, noise: Noise, how: How) -> Located:
         return _as_printed(readings, noise, how.method)
     problem = build(readings, noise)
     if how.effects:
-        problem = problem.with_model(extended(problem.model(), how.effects))
+        problem = problem.with_effects(how.effects)
     solution = adjust(problem.blocks.values(), problem.all_groups)
     if solution.undetermined or solution.outcome is Outcome.TOO_FEW:
         raise UndeterminedError(_undetermined(problem, solution))

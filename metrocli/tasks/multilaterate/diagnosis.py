@@ -14,7 +14,8 @@ from metrocli.adjust.model.observations import Index, Mask, Observations
 from metrocli.adjust.solution import Solution
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate, Delivered
 from metrocli.effects.effect import ELAPSED, WARMING
-from metrocli.effects.model import Model, Place, with_conditions
+from metrocli.effects.extension import with_conditions
+from metrocli.effects.model import Model, Place
 from metrocli.instruments import tracer as t
 from metrocli.instruments.frames import DistanceBetween
 from metrocli.tasks.multilaterate import KIND
@@ -33,9 +34,7 @@ _BAR = parse_quantity("1 um", "length")
 def subject(solved: Solved) -> AdjustedJob:
     """Return the subject of an adjusted network."""
     network = solved.network
-    model = with_conditions(
-        replace(network.model(), blocks=solved.solution.blocks, groups=solved.solution.groups, aspects=t.ASPECTS)
-    )
+    model = with_conditions(replace(network.model, blocks=solved.solution.blocks, groups=solved.solution.groups))
 
     def refit(changed: Model, keep: Mapping[str, Mask]) -> Solution:
         return refitted(network.with_model(changed), keep[LENGTHS])

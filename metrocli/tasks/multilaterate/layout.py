@@ -13,7 +13,6 @@ from metrocli.adjust.adjustment import covariance_at
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
 from metrocli.adjust.solution import Solution
-from metrocli.effects.model import extended
 from metrocli.effects.wanted import Wanted
 from metrocli.errors import InputError
 from metrocli.instruments import tracer as t
@@ -99,7 +98,7 @@ class Layout:
         readings = join(lengths, points, bare, self.settings.measures == "absolute")
         places = np.column_stack([readings.said, np.zeros(len(readings.said)), np.ones(len(readings.said))])
         network = network_of(self.settings, readings, places, lengths, self.distances)
-        return network.with_model(extended(network.model(), self.effects)) if self.effects else network
+        return network.with_effects(self.effects)
 
     @cached_property
     def solution(self) -> Solution:

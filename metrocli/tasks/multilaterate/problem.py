@@ -8,13 +8,13 @@ from functools import partial
 
 import numpy as np
 
-from metrocli.adjust.datum import Datum
 from metrocli.adjust.iterated_weights import Aspect, Noise
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group, prior, priors
 from metrocli.adjust.model.observations import Index, Mask, Observations
-from metrocli.effects.model import Added, Model, Place
+from metrocli.effects.model import Model, Place
+from metrocli.effects.modelled import Modelled
 from metrocli.errors import InputError, together
 from metrocli.instruments import tracer as t
 from metrocli.instruments.frames import DistanceBetween
@@ -29,13 +29,9 @@ LENGTHS, DISTANCES = "lengths", "distances"
 
 
 @dataclass(frozen=True)
-class Network:
+class Network(Modelled):
     """A network of lengths ready to adjust."""
 
-    blocks: Mapping[str, Block]
-    lengths: Group
-    others: tuple[Group, ...]
-    datum: Datum | None
     noise: Noise
     nominal: Array
     """The mover's readings of the points (points, 3)"""
@@ -43,21 +39,11 @@ class Network:
     said: Array = field(default_factory=lambda: np.zeros((0, 3)))
     """Where the tracers are said to be (tracers, 3), nan where nothing is said"""
     warnings: tuple[str, ...] = ()
-    effects: tuple[Added, ...] = ()
 
-    def model(self) -> Model:
-        """Return the network as a model that effects can be added to."""
-        places = {"tracer": Place(self.blocks[t.TRACER].members, t.TRACER)}
-        places["point"] = Place(self.blocks[t.POINT].members, t.POINT)
-        groups = (self.lengths, *self.others)
-        return Model(self.blocks, groups, self.datum, (LENGTHS,), places, t.ASPECTS, self.effects)
-
-    def with_model(self, model: Model) -> Network:
-        """Return the network with the blocks, groups and effects of a model made from it."""
-        lengths = next(group for group in model.groups if group.name == LENGTHS)
-        others = tuple(group for group in model.groups if group.name != LENGTHS)
-        added = model.added
-        return replace(self, blocks=model.blocks, lengths=lengths, others=others, datum=model.datum, effects=added)
+    @property
+    def lengths(self) -> Group:
+        """The lengths from tracers."""
+        return self.model.group(LENGTHS)
 
     @property
     def aspects(self) -> Mapping[str, Aspect]:
@@ -86,7 +72,8 @@ class Network:
         fewer = replace(points, free=points.free & left[:, None])
         others = tuple(_without(group, left) for group in self.others)
         datum = None if self.datum is None else replace(self.datum, members=self.datum.members * left)
-        return replace(self, lengths=lengths, blocks={**self.blocks, t.POINT: fewer}, others=others, datum=datum)
+        blocks = {**self.blocks, t.POINT: fewer}
+        return self.with_model(replace(self.model, blocks=blocks, groups=(lengths, *others), datum=datum))
 
 
 def _without(group: Group, left: Mask) -> Group:
@@ -131,7 +118,12 @@ def network_of(
     inner = settings.datum != "points" and bool(tracer_block.free[:, :3].any()) and bool(free.any())
     datum = t.datum(point_block, free.all(axis=1).astype(float)) if inner else None
     absolute = settings.measures == "absolute"
-    return Network(blocks, group, others, datum, noise, readings.nominal, absolute, readings.said, _unused(readings))
+    acting = {
+        "tracer": Place(tracer_block.members, t.TRACER),
+        "point": Place(point_block.members, t.POINT),
+    }
+    model = Model(blocks, (group, *others), datum, (LENGTHS,), acting, t.ASPECTS)
+    return Network(model, noise, readings.nominal, absolute, readings.said, _unused(readings))
 
 
 def _unused(readings: Readings) -> tuple[str, ...]:

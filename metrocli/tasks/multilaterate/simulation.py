@@ -11,7 +11,8 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Observations
 from metrocli.effects.estimates import true_values
-from metrocli.effects.model import Model, Place, extended
+from metrocli.effects.extension import extended
+from metrocli.effects.model import Model, Place
 from metrocli.effects.wanted import Wanted
 from metrocli.errors import InputError
 from metrocli.instruments import tracer as t
@@ -47,7 +48,7 @@ def simulated(
     stations = np.column_stack([places, dead, scale])
     design = planned.design(truth)
     model = _model(design, planned, actual, stations)
-    model = extended(model, effects) if effects else model
+    model = extended(model, effects)
     observations = model.groups[0].observations
     path = distance[observations.index[t.POINT], observations.index[t.TRACER]]
     sigma = np.sqrt(settings.noise.constant**2 + (settings.noise.proportional * path) ** 2)

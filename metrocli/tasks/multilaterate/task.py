@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.effects.model import extended
-from metrocli.effects.wanted import Wanted
 from metrocli.errors import InputError, together
 from metrocli.plan import Plan
 from metrocli.result import Result
@@ -38,11 +34,8 @@ def run(job: Job[Settings, Files]) -> Result:
 
 def _network(job: Job[Settings, Files]) -> Network:
     files = job.files
-    return _with(build(job.settings, files.lengths, files.points, files.tracers, files.distances), job.effects)
-
-
-def _with(network: Network, effects: Sequence[Wanted]) -> Network:
-    return network.with_model(extended(network.model(), effects)) if effects else network
+    network = build(job.settings, files.lengths, files.points, files.tracers, files.distances)
+    return network.with_effects(job.effects)
 
 
 def check(job: Job[Settings, Files]) -> None:
@@ -53,7 +46,7 @@ def check(job: Job[Settings, Files]) -> None:
     bare = network_of(settings, readings, places, files.lengths, None)
     together(
         lambda: network_of(settings, readings, places, files.lengths, files.distances),
-        lambda: _with(bare, job.effects),
+        lambda: bare.with_effects(job.effects),
         lambda: None if files.probing is None else refuse_lost(bare, files.probing, settings.tolerance),
     )
 

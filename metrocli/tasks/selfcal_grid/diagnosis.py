@@ -14,7 +14,8 @@ from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.solution import Solution
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate, Delivered
 from metrocli.effects.effect import ELAPSED, WARMING
-from metrocli.effects.model import Model, with_conditions
+from metrocli.effects.extension import with_conditions
+from metrocli.effects.model import Model
 from metrocli.instruments import ball_grid as bg
 from metrocli.tasks.selfcal_grid import KIND
 from metrocli.tasks.selfcal_grid.effects import EFFECTS
@@ -29,7 +30,7 @@ _FEWEST = 4
 def subject(solved: Solved) -> AdjustedJob:
     """Return the subject of an adjusted self-calibration."""
     problem = solved.problem.held(solved.design)
-    model = with_conditions(replace(problem.model(), blocks=solved.solution.blocks))
+    model = with_conditions(replace(problem.model_with_datum, blocks=solved.solution.blocks))
 
     def refit(changed: Model, keep: Mapping[str, Mask]) -> Solution:
         return adjust_fields(problem.with_model(changed).only(keep[READINGS]).fields).solution

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Self
 
 import numpy as np
 
@@ -12,7 +14,8 @@ from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Index, Mask, Observations
-from metrocli.effects.model import Added, Model, Place
+from metrocli.effects.model import Model, Place
+from metrocli.effects.modelled import Modelled
 from metrocli.errors import InputError
 from metrocli.geometry.poses import fit_pose
 from metrocli.instruments import ball_grid as bg
@@ -29,20 +32,26 @@ READINGS, LENGTHS = "views", "lengths"
 
 
 @dataclass(frozen=True)
-class Problem:
+class Problem(Modelled):
     """A self-calibration ready to adjust."""
 
     grid: bg.Grid
     views: tuple[bg.View, ...]
-    fields: Fields
+    conditions: Mapping[str, Array]
+    """The datum of the fields, see `Fields`"""
     warnings: tuple[str, ...] = ()
-    effects: tuple[Added, ...] = ()
+
+    @cached_property
+    def fields(self) -> Fields:
+        """What is adjusted."""
+        fields = bg.fields(self.grid, self.blocks, self.model.groups, self.scale_given)
+        return replace(fields, conditions=self.conditions)
 
     def with_noise(self, noise: float) -> Problem:
         """Return the problem with another standard deviation of its readings."""
         observations = self.readings.observations
         readings = self.readings.with_observations(replace(observations, sigma=np.array(noise)))
-        return replace(self, fields=replace(self.fields, groups=(readings, *self.fields.groups[1:])))
+        return self.with_model(self.model.with_group(readings))
 
     def held(self, design: Design) -> Problem:
         """Return the problem with a condition on the fields for everything that the design leaves open in them."""
@@ -54,22 +63,18 @@ class Problem:
         rows = rows[sizes > _DEPENDENT * sizes.max()]
         split = np.split(rows, [parts[0][0].size], axis=1)
         conditions = {name: part.reshape(-1, *at.shape) for (name, at), part in zip(places.items(), split, strict=True)}
-        return replace(self, fields=replace(self.fields, conditions=conditions))
+        return replace(self, conditions=conditions)
 
-    def model(self) -> Model:
-        """Return the problem as a model that effects can be added to, its datum as readings."""
-        groups = (*self.fields.groups, bg.as_readings(self.fields.conditions, _EXACT * self.noise))
-        places = {
-            "view": Place(tuple(view.name for view in self.views), bg.VIEW),
-            "ball": Place(self.fields.blocks[bg.ARTEFACT].members, bg.ARTEFACT),
-            "axis": Place(AXES),
-        }
-        return Model(self.fields.blocks, groups, None, (READINGS,), places, added=self.effects)
+    @property
+    def model_with_datum(self) -> Model:
+        """The model with its datum as readings, for those who know nothing of fields."""
+        datum = bg.as_readings(self.conditions, _EXACT * self.noise)
+        return replace(self.model, groups=(*self.model.groups, datum))
 
-    def with_model(self, model: Model) -> Problem:
-        """Return the problem with the blocks, readings and effects of a model made from it."""
+    def with_model(self, model: Model) -> Self:
+        """Return the problem with a model made from its own, with or without the datum as readings."""
         groups = tuple(group for group in model.groups if group.name in (READINGS, LENGTHS))
-        return replace(self, fields=replace(self.fields, blocks=model.blocks, groups=groups), effects=model.added)
+        return replace(self, model=replace(model, groups=groups))
 
     @property
     def noise(self) -> float:
@@ -79,12 +84,12 @@ class Problem:
     @property
     def readings(self) -> Group:
         """The readings of the views."""
-        return self.fields.groups[0]
+        return self.model.groups[0]
 
     @property
     def scale_given(self) -> bool:
         """Whether a length fixes the common scale."""
-        return len(self.fields.groups) > 1
+        return len(self.model.groups) > 1
 
     def warned(self, warnings: Sequence[str]) -> Problem:
         """Return the problem with what is to be told of its readings."""
@@ -93,26 +98,30 @@ class Problem:
     def only(self, keep: Mask) -> Problem:
         """Return the problem with some of its readings; what they do not touch is no unknown any more."""
         readings = self.readings.selected(keep)
-        blocks = dict(self.fields.blocks)
+        blocks = dict(self.blocks)
         for name in (bg.MACHINE, bg.ARTEFACT, bg.VIEW):
             seen = np.zeros(len(blocks[name].members), dtype=bool)
             seen[readings.observations.index[name]] = True
             blocks[name] = replace(blocks[name], free=blocks[name].free & seen[:, None])
         known = np.asarray(blocks[bg.ARTEFACT].free.all(axis=1))
-        others = [_touching(group, known) for group in self.fields.groups[1:]]
-        return replace(self, fields=_fields(self.grid, blocks, [readings, *others]))
+        others = [_touching(group, known) for group in self.model.groups[1:]]
+        groups = _present([readings, *others])
+        conditions = _conditions_on(self.grid, blocks, scale_given=len(groups) > 1)
+        return replace(self, model=replace(self.model, blocks=blocks, groups=groups), conditions=conditions)
 
 
 def _touching(group: Group, known: Mask) -> Group:
     return group.selected(np.asarray(known[group.observations.index[bg.ARTEFACT]].all(axis=0)))
 
 
-def _fields(grid: bg.Grid, blocks: dict[str, Block], groups: Sequence[Group]) -> Fields:
-    present = [group for group in groups if group.observations.count]
-    fields = bg.fields(grid, blocks, present, len(present) > 1)
+def _present(groups: Sequence[Group]) -> tuple[Group, ...]:
+    return tuple(group for group in groups if group.observations.count)
+
+
+def _conditions_on(grid: bg.Grid, blocks: Mapping[str, Block], scale_given: bool) -> dict[str, Array]:
+    """Return the datum of the fields on the sites and balls that are read."""
     seen = {name: np.asarray(blocks[name].free.all(axis=1)) for name in (bg.MACHINE, bg.ARTEFACT)}
-    conditions = {name: given * seen[name][None, :, None] for name, given in fields.conditions.items()}
-    return replace(fields, conditions=conditions)
+    return {name: given * seen[name][None, :, None] for name, given in bg.datum(grid, scale_given).items()}
 
 
 def build(readings: Readings, size: tuple[Index, float], noise: float, lengths: Table | None = None) -> Problem:
@@ -144,7 +153,14 @@ def build(readings: Readings, size: tuple[Index, float], noise: float, lengths: 
     groups = [Group(READINGS, bg.chain(readings.views, all_balls, pitch), observations)]
     if lengths is not None:
         groups.append(_lengths(lengths, readings.views, all_balls, pitch))
-    return Problem(grid, readings.views, _fields(grid, blocks, groups))
+    present = _present(groups)
+    places = {
+        "view": Place(tuple(view.name for view in readings.views), bg.VIEW),
+        "ball": Place(blocks[bg.ARTEFACT].members, bg.ARTEFACT),
+        "axis": Place(AXES),
+    }
+    model = Model(blocks, present, measured=(READINGS,), places=places)
+    return Problem(model, grid, readings.views, _conditions_on(grid, blocks, scale_given=len(present) > 1))
 
 
 def _conditions(readings: Readings, pitch: float) -> dict[str, Array]:

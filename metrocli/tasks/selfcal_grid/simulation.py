@@ -10,7 +10,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
 from metrocli.effects.estimates import true_values
-from metrocli.effects.model import extended
+from metrocli.effects.extension import extended
 from metrocli.effects.wanted import Wanted
 from metrocli.errors import Fault, InputError
 from metrocli.geometry.poses import EULER, pose_from_euler
@@ -70,15 +70,15 @@ def simulated(
     fields = ((MACHINE, problem.grid.sites, machine), (ARTEFACT, problem.grid.balls, artefact))
     values = {VIEW: pose_from_euler(mountings[:, :3], mountings[:, 3:])}
     values |= {name: _at(balls, indices, field) for name, indices, field in fields}
-    model = problem.model()
+    model = problem.model
     model = model.with_blocks({name: block.with_values(values[name]) for name, block in model.blocks.items()})
-    model = extended(model, effects) if effects else model
+    model = extended(model, effects)
     group = model.readings[0]
     exact = group.chain.predict(model.blocks, group.observations).T
     files = {"views.csv": _read(readings.table, exact + rng.normal(0.0, 1.0, exact.shape) * settings.declared)}
     files |= {"true_machine_error.csv": _errors(balls, machine), "true_artefact_error.csv": _errors(balls, artefact)}
     if lengths is not None:
-        known = next(group for group in model.groups if group.name == LENGTHS)
+        known = model.group(LENGTHS)
         exact = known.chain.predict(model.blocks, known.observations)[0]
         length = exact + rng.normal(0.0, 1.0, len(lengths)) * lengths.numbers("sigma")
         files["lengths.csv"] = Table(dict(lengths.columns) | {"length": length}, {"length": "mm", "sigma": "mm"})

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.effects.model import extended
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.plan import Plan
 from metrocli.result import Result
@@ -74,7 +73,7 @@ def _problem(job: Job[Settings, Files]) -> Problem:
     used = {view.name for view in read.views}
     warnings += [f"view '{view.name}' has no readings" for view in settings.views if view.name not in used]
     problem = build(read, (settings.grid.half, settings.grid.pitch), settings.declared, files.lengths).warned(warnings)
-    return problem.with_model(extended(problem.model(), job.effects)) if job.effects else problem
+    return problem.with_effects(job.effects)
 
 
 def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulation:

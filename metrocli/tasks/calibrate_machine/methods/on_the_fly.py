@@ -33,6 +33,7 @@ from metrocli.tasks.calibrate_machine.problem import (
     conditions,
     error_blocks,
     machine_of,
+    model_of,
     must_support,
     tool_prior,
     tools_of,
@@ -122,11 +123,10 @@ def problem_at(whole: Measurement, state: Mapping[str, Block]) -> Problem:
     observations = _observations(whole, few, leg, position, blocks)
     names = list(whole.settings.tools)
     facts = {"condensed_points": len(few.x), "noise_in_cells": _noise_in_cells(few, observations)}
+    readings = Group(READINGS, path_chain(whole.machine), observations)
     problem = Problem(
+        model_of(blocks, readings, tool_prior(blocks, whole.settings)),
         whole.machine,
-        blocks,
-        Group(READINGS, path_chain(whole.machine), observations),
-        tool_prior(blocks, whole.settings),
         few.weight,
         tuple(names[i] for i in np.unique(path.tool[leg])),
         track.warnings,

@@ -25,6 +25,7 @@ from metrocli.tasks.calibrate_machine.problem import (
     conditions,
     error_blocks,
     machine_of,
+    model_of,
     must_support,
     tool_prior,
 )
@@ -163,11 +164,10 @@ def six_dof(settings: Settings, table: Table) -> Problem:
         components=CHANNELS,
         unit="mm",
     )
+    readings = Group(READINGS, line_chain(machine), observations)
     return Problem(
+        model_of({**blocks, LINE: line_block(lines.names)}, readings, tool_prior(blocks, settings)),
         machine,
-        {**blocks, LINE: line_block(lines.names)},
-        Group(READINGS, line_chain(machine), observations),
-        tool_prior(blocks, settings),
         np.ones(len(table)),
         tuple(settings.tools),
         facts={"lines": len(lines.names)},

@@ -17,6 +17,7 @@ from metrocli.tasks.calibrate_machine.problem import (
     conditions,
     error_blocks,
     machine_of,
+    model_of,
     must_support,
     tool_prior,
     tools_of,
@@ -55,11 +56,10 @@ def standstill(settings: Settings, points: Table) -> Problem:
     )
     readings = Group(READINGS, point_chain(machine), observations)
     names = list(settings.tools)
+    tracked = {**blocks, "tracker": tracker_block(pose, settings.machine.tool_uncertainty)}
     return Problem(
+        model_of(tracked, readings, tool_prior(blocks, settings)),
         machine,
-        {**blocks, "tracker": tracker_block(pose, settings.machine.tool_uncertainty)},
-        readings,
-        tool_prior(blocks, settings),
         np.ones(position.shape[1]),
         tuple(names[i] for i in np.unique(tool)),
     )

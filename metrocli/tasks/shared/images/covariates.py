@@ -14,7 +14,8 @@ from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.solution import Solution
 from metrocli.diagnosis.adjusted_job import Covariate
 from metrocli.effects.effect import ELAPSED, WARMING
-from metrocli.effects.model import Model, with_conditions
+from metrocli.effects.extension import with_conditions
+from metrocli.effects.model import Model
 from metrocli.instruments.camera import LENS, TARGET
 from metrocli.tasks.shared.images.adjustment import IMAGES, Adjusted
 

@@ -12,7 +12,8 @@ from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Observations
 from metrocli.effects.estimates import true_values
-from metrocli.effects.model import Model, extended
+from metrocli.effects.extension import extended
+from metrocli.effects.model import Model
 from metrocli.effects.wanted import Wanted
 from metrocli.errors import InputError, UsageError
 from metrocli.instruments.camera import TARGET

@@ -1,0 +1,234 @@
+"""A model with effects in it: the same adjustment with links spliced into its chains, or columns of a block freed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from itertools import chain, count
+
+import numpy as np
+
+from metrocli.adjust.datum import turning
+from metrocli.adjust.iterated_weights import with_aspects
+from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.chain import Chain, Link
+from metrocli.adjust.model.groups import Group
+from metrocli.adjust.model.observations import Index
+from metrocli.effects.effect import COLUMN, ELAPSED, WARMING, Effect
+from metrocli.effects.model import Added, Model
+from metrocli.effects.wanted import Wanted
+from metrocli.errors import Fault, InputError
+from metrocli.words import suggestion
+
+ELSEWHERE = "elsewhere"
+"""The member of an effect's block that readings touch on which it does not act; it stays at 0"""
+_UNTOUCHED = "changes nothing that was measured"
+_REACH = 1000.0
+"""An effect that is uncertain by more than this many times its plausible size is undetermined"""
+
+
+def extended(model: Model, wanted: Iterable[Wanted]) -> Model:
+    """Return the model with the effects that a job names; InputError with every reason why one cannot be added."""
+    wanted = tuple(wanted)
+    if not wanted:
+        return model
+    faults: list[Fault] = []
+    model = with_conditions(model)
+    for one in wanted:
+        own = _misplaced(model, one)
+        effect = None if own else _form(model, one)
+        if effect is not None:
+            values = {key: _number(model, effect, key, value) for key, value in one.values.items()}
+            model = with_effect(model, effect, [tuple(one.where[key] for key in effect.keys)], values)
+        elif not own:
+            reasons = dict.fromkeys(lacking(model, form, one.where) for form in one.forms)
+            hint = "" if _UNTOUCHED in reasons else "measure it with each reading"
+            own.append(one.node.fault(f"{one.name} {', or '.join(reasons)}", hint))
+        faults.extend(own)
+    if faults:
+        raise InputError(faults)
+    return model
+
+
+def with_conditions(model: Model) -> Model:
+    """Return the model with the aspects of its readings, and `elapsed` and `warming` where it has time and temperature.
+
+    These count from the earliest reading of all, and stay what they are when readings are left out later.
+    """
+    readings = model.readings
+    with_time = [group.observations.conditions for group in readings if "t" in group.observations.conditions]
+    start = min((float(c["t"].min()) for c in with_time if c["t"].size), default=0.0)
+    first = next((float(c["temp"][np.argmin(c["t"])]) for c in with_time if "temp" in c and start in c["t"]), None)
+    groups = []
+    for group in model.groups:
+        conditions = dict(group.observations.conditions)
+        if group.name in model.measured and "t" in conditions and ELAPSED not in conditions:
+            conditions[ELAPSED] = conditions["t"] - start
+        if group.name in model.measured and "temp" in conditions and WARMING not in conditions:
+            conditions[WARMING] = conditions["temp"] - (conditions["temp"][0] if first is None else first)
+        timed = replace(group, observations=replace(group.observations, conditions=conditions))
+        aspects = model.aspects if group.name in model.measured else {}
+        groups.append(with_aspects(timed, aspects, model.blocks)[0])
+    return replace(model, groups=tuple(groups))
+
+
+def can_act(model: Model, effect: Effect, where: Mapping[str, str]) -> bool:
+    """Whether the readings have the conditions that an effect needs at a place, and their chains what it changes."""
+    return any(_has(group, effect.needed(where)) and _reaches(group, effect, where) for group in model.readings)
+
+
+def _has(group: Group, needs: Sequence[str]) -> bool:
+    conditions = group.observations.conditions
+    return all(name in conditions and np.isfinite(conditions[name]).any() for name in needs)
+
+
+def lacking(model: Model, effect: Effect, where: Mapping[str, str]) -> str:
+    """Return why an effect cannot act at a place, in words."""
+    missing = [name for name in effect.needed(where) if not any(_has(group, [name]) for group in model.readings)]
+    return f"needs a column {' and '.join(COLUMN.get(name, name) for name in missing)}" if missing else _UNTOUCHED
+
+
+def _reaches(group: Group, effect: Effect, where: Mapping[str, str]) -> bool:
+    if effect.link is None:
+        return effect.columns_of in group.chain.blocks
+    return group.chain.takes(effect.link("", where))
+
+
+def with_effect(
+    model: Model, effect: Effect, instances: Sequence[tuple[str, ...]], values: Mapping[str, float]
+) -> Model:
+    """Return the model with an effect at some places; parameters with a value have it, the others are estimated from 0.
+
+    Several places at once are allowed where readings tell them apart (`Place.index`).
+    """
+    columns = tuple(p.name for p in effect.parameters if p.name not in values)
+    if effect.link is None:
+        return _freed(model, effect, tuple(instances), values)
+    name = _unused(" ".join([effect.name, *(instances[0] if len(instances) == 1 else ())]), model.blocks)
+    apart = any(model.places[key].index for key in effect.keys)
+    link = effect.link(name, dict(zip(effect.keys, instances[0], strict=True)))
+    block = _block(effect, name, instances, values, apart)
+    groups = tuple(
+        _spliced(model, group, effect, instances, link, apart) if _passes(group, link, model) else group
+        for group in model.groups
+    )
+    added = Added(effect, tuple(instances), name, columns)
+    datum = turning(model.datum, block) if effect.turns and model.datum else model.datum
+    blocks = {**model.blocks, name: block}
+    return replace(model, blocks=blocks, groups=groups, datum=datum, added=(*model.added, added))
+
+
+def _form(model: Model, wanted: Wanted) -> Effect | None:
+    return next((effect for effect in wanted.forms if can_act(model, effect, wanted.where)), None)
+
+
+def _misplaced(model: Model, wanted: Wanted) -> list[Fault]:
+    """Return a fault for each place that the measurement does not have."""
+    named = dict(wanted.where)
+    for parameter in wanted.forms[0].scanned:
+        if parameter.place and parameter.name in wanted.values:
+            named[parameter.place] = str(wanted.values[parameter.name])
+    return [
+        (wanted.node.get(key) or wanted.node).fault(
+            f"{wanted.name}: {_no_place(model, key, name)}", suggestion(name, allowed)
+        )
+        for key, name in named.items()
+        if name not in (allowed := names_for(model, wanted.forms[0], key))
+    ]
+
+
+def _no_place(model: Model, key: str, name: str) -> str:
+    known = name in model.places[key].names
+    return f"{key} '{name}' is the one that the others are compared with" if known else f"there is no {key} '{name}'"
+
+
+def names_for(model: Model, effect: Effect, key: str) -> tuple[str, ...]:
+    """Return the names of one kind of place at which an effect can act."""
+    names = model.places[key].names
+    return names[1:] if key in effect.not_first else names
+
+
+def _number(model: Model, effect: Effect, key: str, value: float | str) -> float:
+    parameter = next(parameter for parameter in effect.all_parameters if parameter.name == key)
+    return float(model.places[parameter.place].names.index(str(value))) if parameter.place else float(value)
+
+
+def _unused(name: str, taken: Iterable[str]) -> str:
+    names = chain([name], (f"{name} {number}" for number in count(2)))
+    return next(candidate for candidate in names if candidate not in taken)
+
+
+def _block(
+    effect: Effect, name: str, instances: Sequence[tuple[str, ...]], values: Mapping[str, float], apart: bool
+) -> Block:
+    """Return the block of an effect: a row of zeros for readings elsewhere, then a row for each place."""
+    row = np.array([values.get(p.name, 0.0) for p in effect.all_parameters])
+    free = np.array([p.name not in values for p in effect.parameters] + [False] * len(effect.scanned))
+    members = (ELSEWHERE, *("/".join(instance) for instance in instances)) if apart else ("",)
+    rows, frees = np.tile(row, (len(members), 1)), np.tile(free, (len(members), 1))
+    if apart:
+        rows[0], frees[0] = 0.0, False
+    reach = np.array([_REACH * p.plausible for p in effect.all_parameters])
+    return Block(
+        name, rows, tuple(p.name for p in effect.all_parameters), members, frees, reach=reach, space=effect.space
+    )
+
+
+def _passes(group: Group, link: Link, model: Model) -> bool:
+    return group.name in model.measured and group.chain.takes(link)
+
+
+def _spliced(
+    model: Model, group: Group, effect: Effect, instances: Sequence[tuple[str, ...]], link: Link, apart: bool
+) -> Group:
+    observations = group.observations
+    chain: Chain = group.chain.spliced([link])
+    if apart:
+        touched = _touched(model, group, effect, instances)
+        observations = replace(observations, index={**observations.index, link.blocks[-1]: touched})
+    return replace(group, chain=chain, observations=observations)
+
+
+def _touched(model: Model, group: Group, effect: Effect, instances: Sequence[tuple[str, ...]]) -> Index:
+    """Return for each reading 0, or the number of the place (from 1) that it concerns, (n,)."""
+    touched = np.zeros(group.observations.count, dtype=np.intp)
+    for number, instance in enumerate(instances, 1):
+        here = np.ones(len(touched), dtype=bool)
+        for key, name in zip(effect.keys, instance, strict=True):
+            place = model.places[key]
+            if place.index:
+                here &= group.observations.index[place.index] == place.names.index(name)
+        touched[here] = number
+    return touched
+
+
+def _freed(model: Model, effect: Effect, instances: tuple[tuple[str, ...], ...], values: Mapping[str, float]) -> Model:
+    """Return the model with columns of one of its own blocks freed, or moved by what is known of them."""
+    block = model.blocks[effect.columns_of]
+    missing = [p for p in effect.parameters if p.name not in block.columns]
+    block = with_columns(block, tuple(p.name for p in missing), _REACH * np.array([p.plausible for p in missing]))
+    rows = [block.members.index(instance[0]) for instance in instances] if effect.keys else slice(None)
+    moved, free, columns = block.values.copy(), block.free.copy(), []
+    for parameter in effect.parameters:
+        column = block.column(parameter.name)
+        moved[rows, column] += values.get(parameter.name, 0.0)
+        if parameter.name not in values and not free[rows, column].any():
+            free[rows, column] = True
+            columns.append(parameter.name)
+    changed = replace(block, values=moved, free=free)
+    added = Added(effect, instances, block.name, tuple(columns))
+    return replace(model, blocks={**model.blocks, block.name: changed}, added=(*model.added, added))
+
+
+def with_columns(block: Block, names: tuple[str, ...], reach: Array) -> Block:
+    """Return a block with more unknowns, fixed at 0."""
+    if not names:
+        return block
+    shape = (len(block.members), len(names))
+    return replace(
+        block,
+        values=np.concatenate([block.values, np.zeros(shape)], axis=1),
+        columns=(*block.columns, *names),
+        free=np.concatenate([block.free, np.zeros(shape, dtype=bool)], axis=1),
+        reach=np.concatenate([block.reach, reach]),
+    )
