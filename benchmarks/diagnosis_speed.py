@@ -26,14 +26,14 @@ def measurements() -> Iterator[tuple[str, Callable[[], AdjustedJob], float]]:
     """Yield what is diagnosed, in words, with the seconds allowed."""
     rng = np.random.default_rng(7)
     plain = lengths.measurement(rng, 100)
-    yield "100 points, 6 tracers: nothing hidden", plain.subject, LENGTHS
+    yield "100 points, 6 tracers: nothing hidden", plain.adjusted, LENGTHS
     drift, _ = lengths.planted(plain, rng, "tracer-drift", 3.0)
-    yield "  an effect of 3x, 2 % wrong lengths", lengths.spoilt(drift, rng, 0.02)[0].subject, LENGTHS
+    yield "  an effect of 3x, 2 % wrong lengths", lengths.spoilt(drift, rng, 0.02)[0].adjusted, LENGTHS
     read = images.read(board_scene(rng, 29, (10, 8)).without(("k2",)), rng)
-    yield f"{read.uv.size} image coordinates of a board: nothing hidden", read.subject, COORDINATES
-    yield "  an effect of 3x", _planted(read, rng, "axis-skew", 3.0).subject, COORDINATES
+    yield f"{read.uv.size} image coordinates of a board: nothing hidden", read.adjusted, COORDINATES
+    yield "  an effect of 3x", _planted(read, rng, "axis-skew", 3.0).adjusted, COORDINATES
     much, _ = images.unknown(_planted(read, rng, "radial-distortion", 100.0), rng, "_six-lobe", 10.0)
-    yield "  much structure", images.spoilt(much, rng, 0.01)[0].subject, COORDINATES
+    yield "  much structure", images.spoilt(much, rng, 0.01)[0].adjusted, COORDINATES
 
 
 def _planted(read: Images, rng: np.random.Generator, name: str, times: float) -> Images:
@@ -48,12 +48,12 @@ def main() -> int:
     met = True
     for what, job, allowed in measurements():
         start = time.process_time()
-        subject = job()
+        adjusted = job()
         adjusted = time.process_time()
-        found = diagnose(subject)
+        found = diagnose(adjusted)
         seconds = time.process_time() - adjusted
         met &= seconds <= allowed
-        names = ", ".join(str(finding.named.alternative) for finding in found.findings) or "no name"
+        names = ", ".join(str(finding.effect.alternative) for finding in found.findings) or "no name"
         told = f"{found.verdict}: {names}; {len(found.outliers)} wrong"
         print(f"{what:52} {seconds:6.2f} s (adjusted in {adjusted - start:.2f} s)  allowed {allowed:.0f} s  {told}")
     return 0 if met else 1

@@ -34,7 +34,7 @@ class Case:
     """A measurement and its truth."""
 
     scenario: str
-    subject: Callable[[], AdjustedJob]
+    adjusted: Callable[[], AdjustedJob]
     hidden: tuple[Hidden, ...] = ()
     outliers: frozenset[tuple[str, ...]] = frozenset()
     """Keys of the readings that are wrong"""

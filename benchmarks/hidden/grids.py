@@ -13,7 +13,7 @@ import numpy.typing as npt
 from benchmarks.hidden.case import Case, Hidden
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.detectability import needed
-from metrocli.diagnosis.diagnose import field_of_job
+from metrocli.diagnosis.extended_fit import score_tests_of_job
 from metrocli.table import Table
 from metrocli.tasks.selfcal_grid import task as selfcal_grid
 from metrocli.tasks.selfcal_grid.settings import GridSettings, Inputs, Rotate, Settings, ViewSettings
@@ -129,7 +129,7 @@ class Measurement:
     noise: float = 1.0
     """By which the true noise is divided in the job's declaration"""
 
-    def subject(self) -> AdjustedJob:
+    def adjusted(self) -> AdjustedJob:
         """Return it as the job that a user would give."""
         v = self.views
         balls = v.balls[v.ball]
@@ -235,8 +235,8 @@ def _where(m: Measurement, name: str, places: Values) -> dict[str, str]:
 @cache
 def stated(names: str, name: str) -> float:
     """Return the size, in standard deviations, at which `diagnose` says that it finds an effect with 80 % power."""
-    subject = measurement(np.random.default_rng(5), names).subject()
-    field, _ = field_of_job(subject, {}, np.random.default_rng(1))
+    adjusted = measurement(np.random.default_rng(5), names).adjusted()
+    field, _ = score_tests_of_job(adjusted, {}, np.random.default_rng(1))
     wanted = name if name in PARAMETERS else "drift-in-view"
     number = next(i for i, family in enumerate(field.families) if family.name == wanted)
     return float(np.sqrt(needed(field, number, len(PARAMETERS[wanted]))))
@@ -329,7 +329,7 @@ def case(number: int) -> Case:
         m = noisier(m, rng)
     if "half" in scenario or "double" in scenario:
         m = replace(m, noise=2.0 if "half" in scenario else 0.5)
-    return Case(scenario, m.subject, tuple(hidden), wrong, m.noise)
+    return Case(scenario, m.adjusted, tuple(hidden), wrong, m.noise)
 
 
 SCENARIOS = (

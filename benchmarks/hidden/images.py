@@ -36,7 +36,7 @@ class Images:
     declared: float = 1.0
     """Declared noise over the true one"""
 
-    def subject(self) -> AdjustedJob:
+    def adjusted(self) -> AdjustedJob:
         """Return it as the job that a user would give."""
         scene = self.scene
         names, images = _names("T", len(scene.targets)), _names("I", len(scene.time))
@@ -183,7 +183,7 @@ def planted(images: Images, rng: np.random.Generator, name: str, times: float) -
     shows = float(np.linalg.norm(left)) / scene.noise
     if shows < 1e-3:
         return None
-    factor = times * np.sqrt(stated(images.subject(), effect, len(plant.parameters))) / shows
+    factor = times * np.sqrt(stated(images.adjusted(), effect, len(plant.parameters))) / shows
     values = {key: value * factor for key, value in values.items()}
     noise = images.uv - scene.predicted(scene.start(), {})
     uv = scene.predicted(scene.start(), _effects(plant, values, place)) + noise
@@ -225,7 +225,7 @@ def unknown(images: Images, rng: np.random.Generator, name: str, times: float) -
     like = "part-expansion" if scene.kind == "align-part" else "aspect-ratio"
     seen = sight(scene)
     shows = seen.strength({"outside": change, "size": 1.0})
-    size = times * np.sqrt(stated(images.subject(), like, 2)) / max(shows, 1e-3)
+    size = times * np.sqrt(stated(images.adjusted(), like, 2)) / max(shows, 1e-3)
     uv = (
         images.uv
         + scene.predicted(scene.start(), {"outside": change, "size": size})
@@ -310,7 +310,7 @@ def _tried(kind: str, scenario: str, rng: np.random.Generator, at: tuple[int, st
     if "noisier" in scenario:
         images = noisier(images, rng)
     ratio = 2.0 if "half" in scenario else 0.5 if "double" in scenario else 1.0
-    return Case(scenario, replace(images, declared=1 / ratio).subject, tuple(hidden), wrong, ratio)
+    return Case(scenario, replace(images, declared=1 / ratio).adjusted, tuple(hidden), wrong, ratio)
 
 
 def _without(scene: Scene, plants: list[Plant], names: list[str]) -> Scene:

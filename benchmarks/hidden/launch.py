@@ -77,7 +77,7 @@ class Measurement:
         ]
         return np.array([*rows, np.linalg.norm(beam, axis=1)][: 4 + self.distances])
 
-    def subject(self) -> AdjustedJob:
+    def adjusted(self) -> AdjustedJob:
         """Return it as the job that a user would give."""
         angles = (self.read[:4] + np.pi) % (2 * np.pi) - np.pi
         columns = {"pose": poses(self), **dict(zip("xyz", self.receivers.T, strict=True)), "spindle": self.psi}
@@ -236,7 +236,7 @@ def planted(m: Measurement, rng: np.random.Generator, name: str, times: float) -
         values |= dict(zip(("vx", "vy", "vz"), rng.normal(size=3).tolist(), strict=True))
         values |= dict(zip(names, (rng.normal(size=len(names)) * 1e-6).tolist(), strict=True))
         seen = visible(m, change(m, name, where, values))
-    wanted = times * np.sqrt(stated(m.subject(), name if name in PARAMETERS else "base-tilt", len(names)))
+    wanted = times * np.sqrt(stated(m.adjusted(), name if name in PARAMETERS else "base-tilt", len(names)))
     values |= {key: values[key] * wanted / np.linalg.norm(seen) for key in names}
     hidden = Hidden(name, where, values, nearest(m, seen, name, where))
     moved = replace(m, read=m.read + change(m, name, where, values))
@@ -277,7 +277,7 @@ def case(number: int) -> Case:
         m, wrong = spoilt(m, rng, 0.02)
     if "half" in scenario or "double" in scenario:
         m = replace(m, noise=2.0 if "half" in scenario else 0.5)
-    return Case(scenario, m.subject, hidden, wrong, m.noise)
+    return Case(scenario, m.adjusted, hidden, wrong, m.noise)
 
 
 SCENARIOS = (

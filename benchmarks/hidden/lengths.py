@@ -60,7 +60,7 @@ class Measurement:
         """True standard deviation of readings, (n,)."""
         return np.sqrt(NOISE[0] ** 2 + (NOISE[1] * self.distance) ** 2)
 
-    def subject(self) -> AdjustedJob:
+    def adjusted(self) -> AdjustedJob:
         """Return it as the job that a user would give."""
         names, stations = _names("P", len(self.points)), _names("T", len(self.tracers))
         lengths = {"point": names[self.point], "tracer": stations[self.tracer], "length": self.length}
@@ -216,7 +216,7 @@ def planted(m: Measurement, rng: np.random.Generator, name: str, times: float) -
     names = _PARAMETERS.get(name, ("c",))
     direction = rng.normal(size=len(names))
     values |= dict(zip(names, (direction / np.linalg.norm(direction) * 1e-6).tolist(), strict=True))
-    wanted = times * np.sqrt(stated(m.subject(), name, len(names)))
+    wanted = times * np.sqrt(stated(m.adjusted(), name, len(names)))
     taken, unit = absorbed_by(m), signature(name, at, values)(m)
     factor = wanted / float(np.linalg.norm(visible(m, taken, unit[:, None])))
     values |= {key: values[key] * factor for key in names}
@@ -267,7 +267,7 @@ def case(number: int) -> Case:
         m = noisier(m, rng)
     if "half" in scenario or "double" in scenario:
         m = replace(m, noise=2.0 if "half" in scenario else 0.5)
-    return Case(scenario, m.subject, hidden, wrong, m.noise)
+    return Case(scenario, m.adjusted, hidden, wrong, m.noise)
 
 
 SCENARIOS = (

@@ -97,7 +97,7 @@ class Measurement:
         white = self.whitened(change)
         return np.asarray(white - self.absorbed @ (self.absorbed.T @ white))
 
-    def subject(self) -> AdjustedJob:
+    def adjusted(self) -> AdjustedJob:
         """Return it as the job that a user would give."""
         columns = {"point": names(self), "tool": np.array(list(TOOLS))[self.tool], "t": self.t}
         columns |= dict(zip("xyz", self.at.T, strict=True)) | dict(zip(("mx", "my", "mz"), self.read.T, strict=True))
@@ -241,7 +241,7 @@ def planted(m: Measurement, rng: np.random.Generator, name: str, times: float) -
     sizes = ("amplitude",) if name == "screw-pitch-error" else count
     v |= dict(zip(sizes, (rng.normal(size=len(sizes)) * 1e-6).tolist(), strict=True))
     seen = m.visible(change(m, name, where, v))
-    wanted = times * np.sqrt(stated(m.subject(), name if name in PARAMETERS else "machine-drift", len(count)))
+    wanted = times * np.sqrt(stated(m.adjusted(), name if name in PARAMETERS else "machine-drift", len(count)))
     v |= {key: v[key] * wanted / np.linalg.norm(seen) for key in sizes}
     # a phase and the sign of an amplitude say the same thing, and the period is scanned: their region is not tested
     known = {} if name == "screw-pitch-error" else {key: v[key] for key in count}
@@ -280,7 +280,7 @@ def case(number: int) -> Case:
         m, wrong = spoilt(m, rng, 0.02)
     if "half" in scenario or "double" in scenario:
         m = replace(m, noise=2.0 if "half" in scenario else 0.5)
-    return Case(scenario, m.subject, hidden, wrong, m.noise)
+    return Case(scenario, m.adjusted, hidden, wrong, m.noise)
 
 
 SCENARIOS = (

@@ -16,34 +16,34 @@ from metrocli.diagnosis.verdict import spots
 def found(case: Case) -> Found:
     """Return the diagnosis of a case."""
     before = time.process_time()
-    diagnosis = diagnose(case.subject())
+    diagnosis = diagnose(case.adjusted())
     seconds = time.process_time() - before
     covered = tuple(
         _covers(finding, hidden, diagnosis)
         for hidden in case.hidden
         for finding in diagnosis.findings
         if _is(finding, hidden)
-        and finding.named.apart.all()
-        and set(finding.named.alternative.parameters) <= set(hidden.values)
+        and finding.effect.apart.all()
+        and set(finding.effect.alternative.parameters) <= set(hidden.values)
     )
     return Found(case, diagnosis, seconds, covered)
 
 
 def _is(finding: Finding, hidden: Hidden) -> bool:
-    alternative = finding.named.alternative
+    alternative = finding.effect.alternative
     return (alternative.effect.name, alternative.where) == (hidden.name, dict(hidden.where))
 
 
 def _in_set(finding: Finding, hidden: Hidden) -> bool:
     place = tuple(name for key, name in hidden.where.items() if key != "by")
-    return (hidden.name, place) in spots(finding.named)
+    return (hidden.name, place) in spots(finding.effect)
 
 
 def _covers(finding: Finding, hidden: Hidden, diagnosis: Diagnosis) -> bool:
     """Whether the 95 % region of the parameters holds the truth, at the level of the F distribution."""
     from scipy.special import fdtri
 
-    name = finding.named
+    name = finding.effect
     off = name.values - np.array([hidden.values[key] for key in name.alternative.parameters])
     size = np.sqrt(np.diag(name.covariance))
     scaled = name.covariance / size / size[:, None]
@@ -115,7 +115,7 @@ def _each_in_sets(one: Found) -> bool:
 
 def _sole(one: Found) -> bool:
     findings = one.diagnosis.findings
-    return len(findings) == 1 and _is(findings[0], one.case.hidden[0]) and not findings[0].named.rivals
+    return len(findings) == 1 and _is(findings[0], one.case.hidden[0]) and not findings[0].effect.rivals
 
 
 def _told_apart(one: Found) -> bool:

@@ -6,15 +6,15 @@ import numpy as np
 
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.detectability import needed
-from metrocli.diagnosis.diagnose import field_of_job
+from metrocli.diagnosis.extended_fit import score_tests_of_job
 
 
-def stated(subject: AdjustedJob, name: str, parameters: int) -> float:
+def stated(adjusted: AdjustedJob, name: str, parameters: int) -> float:
     """Return the squared norm, in standard deviations, at which an effect is said to be found with 80 % power.
 
     For an effect that is in no table it is that of a family of as many parameters tried for each tracer.
     """
-    field, _ = field_of_job(subject, {}, np.random.default_rng(1))
+    field, _ = score_tests_of_job(adjusted, {}, np.random.default_rng(1))
     known = [i for i, family in enumerate(field.families) if family.name == name]
     number = known[0] if known else next(i for i, f in enumerate(field.families) if f.name == "dead-path-drift")
     return needed(field, number, parameters)

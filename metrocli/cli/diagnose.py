@@ -34,10 +34,10 @@ def command(job: Path, design: bool, output: Path | None, as_json: bool, **wante
     if design:
         kind = kind_of_job(job)
         not_needed = KINDS[kind].measured if kind else ()
-        subject, found = diagnosed.design_of(load(job, Wishes(overrides, not_needed=not_needed)))
+        adjusted, found = diagnosed.design_of(load(job, Wishes(overrides, not_needed=not_needed)))
         if as_json:
-            click.echo(summary.as_json(verdict.design_data(subject, found)))
-        voice.line(diagnosis_text.of_design(subject, found))
+            click.echo(summary.as_json(verdict.design_data(adjusted, found)))
+        voice.line(diagnosis_text.of_design(adjusted, found))
         return 0
     loaded = load(job, Wishes(overrides))
     diagnosis = diagnosed.carry_out(loaded, voice.waiting)

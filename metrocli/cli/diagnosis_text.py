@@ -14,8 +14,8 @@ from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.cross_validation import Gain
 from metrocli.diagnosis.detectability import Candidate, Design
 from metrocli.diagnosis.diagnose import Diagnosis, Finding
-from metrocli.diagnosis.noise import GIVEN
-from metrocli.diagnosis.selection.confidence_set import Named
+from metrocli.diagnosis.noise import DECLARED_SIGMA
+from metrocli.diagnosis.selection.confidence_set import NamedEffect
 
 _WIDTH = 110
 _SHOWN = 5
@@ -33,17 +33,17 @@ def of_diagnosis(diagnosis: Diagnosis, extended: Path | None) -> str:
     paragraph = " ".join(_sentences(diagnosis, extended))
     lines = [f"verdict: {diagnosis.verdict}", "", fill(paragraph, _WIDTH)]
     if diagnosis.findings:
-        lines += ["", *_table(_HEAD, [_row(finding, diagnosis.subject) for finding in diagnosis.findings])]
+        lines += ["", *_table(_HEAD, [_row(finding, diagnosis.job) for finding in diagnosis.findings])]
     if diagnosis.separate_by:
         lines += ["", "to tell them apart, measure:", *(f"  {words}" for words in diagnosis.separate_by)]
-    names = [finding.named for finding in diagnosis.findings]
-    return "\n".join([*lines, "", *_candidates(diagnosis.subject, diagnosis.design, names)])
+    names = [finding.effect for finding in diagnosis.findings]
+    return "\n".join([*lines, "", *_candidates(diagnosis.job, diagnosis.design, names)])
 
 
-def of_design(subject: AdjustedJob, design: Design) -> str:
+def of_design(adjusted: AdjustedJob, design: Design) -> str:
     """Return what a measurement can see."""
     lines = ["what this measurement can see, in 80 of 100 cases, counting all that is tried:", ""]
-    lines += _candidates(subject, design, [])
+    lines += _candidates(adjusted, design, [])
     alike = [
         f"  {pair.one} and {pair.other}: "
         + ("the same" if pair.alias else f"told apart from {_size(pair.separable, pair.dimension)} on")
@@ -62,7 +62,7 @@ def _sentences(diagnosis: Diagnosis, extended: Path | None) -> Iterator[str]:
         strongest = f"{_chance(diagnosis.after)} for the strongest structure"
         yield f"The residuals are what noise makes of this model ({strongest})."
     for finding in diagnosis.findings[:_TOLD]:
-        yield from _about(finding, diagnosis.subject)
+        yield from _about(finding, diagnosis.job)
     if len(diagnosis.findings) > _TOLD:
         yield f"{len(diagnosis.findings) - _TOLD} more are in the table."
     yield from _together(diagnosis)
@@ -86,15 +86,15 @@ def _left(diagnosis: Diagnosis) -> Iterator[str]:
     if left is None:
         return
     on, where = " and ".join(left.depends_on), f" in the readings of {', '.join(left.where)}" if left.where else ""
-    size, unit = units.readable(left.size, diagnosis.subject.reading[1])
+    size, unit = units.readable(left.size, diagnosis.job.reading[1])
     yield f"Structure is left that no known effect explains ({_chance(left.p_value)}); it varies with {on}{where}."
     if left.size:
         yield f"What shows of it is {units.two_digits(size)} {unit} (root mean square)."
     yield "Standard uncertainties of the result do not count it."
 
 
-def _about(finding: Finding, subject: AdjustedJob) -> Iterator[str]:
-    name, gain = finding.named, finding.gain
+def _about(finding: Finding, adjusted: AdjustedJob) -> Iterator[str]:
+    name, gain = finding.effect, finding.gain
     cause, reveal = name.alternative.effect.cause, name.alternative.effect.reveal
     yield f"{name.alternative} explains it: {cause}; {', '.join(_parameters(finding))}."
     if name.held:
@@ -108,8 +108,8 @@ def _about(finding: Finding, subject: AdjustedJob) -> Iterator[str]:
         yield f"A cause of another shape would show from a difference of {share} on."
     else:
         yield "It is too small for its shape to be checked."
-    shift, unit = units.readable(finding.shift, subject.delivered.dimension)
-    yield f"It changes the {subject.delivered.what} by up to {units.two_digits(shift)} {unit}."
+    shift, unit = units.readable(finding.shift, adjusted.delivered.dimension)
+    yield f"It changes the {adjusted.delivered.what} by up to {units.two_digits(shift)} {unit}."
     if gain.shown and gain.reduction >= _LEAST_TOLD:
         yield f"Readings that were held out are predicted {100 * gain.reduction:.0f} % better ({_score(gain)})."
     elif gain.shown:
@@ -122,14 +122,14 @@ def _together(diagnosis: Diagnosis) -> Iterator[str]:
     gain = diagnosis.together
     if gain is None:
         return
-    before, after = (_error(size, diagnosis.subject) for size in (gain.before, gain.after))
+    before, after = (_error(size, diagnosis.job) for size in (gain.before, gain.after))
     what = f"the error of readings that were held out goes from {before} to {after}"
     shown = "" if gain.shown else "; that this is a gain is not shown"
     yield f"With all of it {what} (root mean square; {_score(gain)}){shown}."
 
 
-def _error(size: float, subject: AdjustedJob) -> str:
-    value, unit = units.readable(size, subject.reading[1])
+def _error(size: float, adjusted: AdjustedJob) -> str:
+    value, unit = units.readable(size, adjusted.reading[1])
     return f"{value:.3g} {unit}"
 
 
@@ -150,7 +150,7 @@ def _parameters(finding: Finding) -> Iterator[str]:
 
 
 def _noise(diagnosis: Diagnosis) -> Iterator[str]:
-    noise, declared = diagnosis.noise, diagnosis.subject.declared
+    noise, declared = diagnosis.noise, diagnosis.job.declared
     interval = f"{noise.ratio:.2f} [{noise.low:.2f}, {noise.high:.2f}]"
     if declared == "estimated":
         yield f"The noise is {interval} times what the job estimates."
@@ -160,8 +160,8 @@ def _noise(diagnosis: Diagnosis) -> Iterator[str]:
             yield f"So few readings to spare ({noise.dof:.0f}) do not tell several wrong ones from noise: measure more."
     else:
         yield f"The noise is as declared ({interval} times {declared})."
-    for unit in diagnosis.apart:
-        if unit.key == GIVEN:
+    for unit in diagnosis.noisier_units:
+        if unit.key == DECLARED_SIGMA:
             found = unit.ratio * noise.ratio
             what = unit.name.removeprefix("prior of ")
             yield f"What the job gives of each {what} is off by {found:.2g} times its stated sigma; correct the sigma."
@@ -176,9 +176,9 @@ def _chance(p: float) -> str:
 _HEAD = ("effect", "size", "chance", "or", "held out", "changes")
 
 
-def _row(finding: Finding, subject: AdjustedJob) -> tuple[str, ...]:
-    name, gain = finding.named, finding.gain
-    shift, unit = units.readable(finding.shift, subject.delivered.dimension)
+def _row(finding: Finding, adjusted: AdjustedJob) -> tuple[str, ...]:
+    name, gain = finding.effect, finding.gain
+    shift, unit = units.readable(finding.shift, adjusted.delivered.dimension)
     return (
         str(name.alternative),
         ", ".join(_parameters(finding)),
@@ -189,19 +189,19 @@ def _row(finding: Finding, subject: AdjustedJob) -> tuple[str, ...]:
     )
 
 
-def _candidates(subject: AdjustedJob, design: Design, named: Sequence[Named]) -> list[str]:
+def _candidates(adjusted: AdjustedJob, design: Design, named: Sequence[NamedEffect]) -> list[str]:
     """Return the table of candidates, those of one cause and one state in one line."""
     rows: dict[tuple[str, str], list[Candidate]] = {}
     for candidate in design.candidates:
         word = verdict.status(candidate, named)
         rows.setdefault((candidate.alternative.effect.name, word), []).append(candidate)
-    lines = [_line(subject, name, word, found) for (name, word), found in rows.items()]
+    lines = [_line(adjusted, name, word, found) for (name, word), found in rows.items()]
     for wrong in design.readings:
         if not wrong.testable:
             lines.append((wrong.effect.name, "one reading", verdict.NOT_TESTABLE, "-", "-", verdict.UNCHECKED))
             continue
         size, unit = units.readable(wrong.detectable, wrong.effect.parameters[0].dimension)
-        hides, at = units.readable(wrong.hides, subject.delivered.dimension)
+        hides, at = units.readable(wrong.hides, adjusted.delivered.dimension)
         cells = ("one reading", verdict.EXCLUDED, f"{units.two_digits(size)} {unit}", f"{units.two_digits(hides)} {at}")
         lines.append((wrong.effect.name, *cells, "else an outlier"))
     lines += [
@@ -211,13 +211,13 @@ def _candidates(subject: AdjustedJob, design: Design, named: Sequence[Named]) ->
     return _table(("effect", "where", "", "seen from", "hides up to", ""), lines)
 
 
-def _line(subject: AdjustedJob, name: str, word: str, found: Sequence[Candidate]) -> tuple[str, ...]:
+def _line(adjusted: AdjustedJob, name: str, word: str, found: Sequence[Candidate]) -> tuple[str, ...]:
     places = ["/".join(one.alternative.instance) for one in found if one.alternative.instance]
     where = ", ".join(places[:_SHOWN]) + (f" and {len(places) - _SHOWN} more" if len(places) > _SHOWN else "")
     dimension = found[0].alternative.effect.parameters[0].dimension
     sizes = [one.detectable for one in found if one.testable]
     most = max(one.hides for one in found)
-    hides, unit = units.readable(most, subject.delivered.dimension)
+    hides, unit = units.readable(most, adjusted.delivered.dimension)
     why = ""
     if word == verdict.NOT_TESTABLE:
         plausible, at = units.readable(found[0].plausible, dimension)

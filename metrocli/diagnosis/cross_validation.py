@@ -14,10 +14,10 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.diagnosis.linear.fitted_columns import Given, nothing
-from metrocli.diagnosis.linear.score_tests import Field
-from metrocli.diagnosis.selection.confidence_set import Named
-from metrocli.diagnosis.selection.search import select
+from metrocli.diagnosis.linear.fitted_columns import FittedColumns, nothing_fitted
+from metrocli.diagnosis.linear.score_tests import ScoreTests
+from metrocli.diagnosis.selection.confidence_set import NamedEffect
+from metrocli.diagnosis.selection.search import search
 from metrocli.diagnosis.selection.selection_state import Chosen, Selection
 
 _DETERMINED = 1e-6
@@ -58,68 +58,70 @@ class _Held:
     """As how many errors they count"""
 
 
-def gains(subject: AdjustedJob, selection: Selection, names: Sequence[Named]) -> list[Gain]:
+def cross_validated(job: AdjustedJob, selection: Selection, names: Sequence[NamedEffect]) -> list[Gain]:
     """Return the gain of each named effect, then of all: with what each fold's own selection names of it, and without.
 
     Smooth terms are in neither, as the extended job has none.
     """
-    field = selection.field
-    rows = _rows_of_folds(subject, field)
-    spared = np.zeros(field.system.rows, dtype=bool)
+    test_set = selection.test_set
+    rows = _rows_of_folds(job, test_set)
+    spared = np.zeros(test_set.system.rows, dtype=bool)
     for one in selection.outliers:
-        spared[field.places[one.number][field.places[one.number] >= 0]] = True
-    groups: list[Sequence[Named]] = [*([name] for name in names), names]
+        spared[test_set.places[one.number][test_set.places[one.number] >= 0]] = True
+    groups: list[Sequence[NamedEffect]] = [*([name] for name in names), names]
     found: list[list[tuple[_Held, _Held]]] = [[] for _ in groups]
     for fold in range(int(rows.max()) + 1):
         out = np.flatnonzero((rows == fold) & ~spared)
         if out.size:
-            trained = select(field, _without(field, np.flatnonzero(rows == fold)))
-            start = _without(field, np.flatnonzero((rows == fold) & spared))
+            trained = search(test_set, _without(test_set, np.flatnonzero(rows == fold)))
+            start = _without(test_set, np.flatnonzero((rows == fold) & spared))
             for number, group in enumerate(groups):
                 found[number].append(_compared(start, trained, group, out))
     return [_gain(pairs) for pairs in found]
 
 
-def _rows_of_folds(subject: AdjustedJob, field: Field) -> Index:
-    rows = np.full(field.system.rows, -1, dtype=np.intp)
-    for group in subject.model.readings:
-        fold = field.system.spread(group, subject.folds[group.name].astype(float) + 1)
+def _rows_of_folds(job: AdjustedJob, test_set: ScoreTests) -> Index:
+    rows = np.full(test_set.system.rows, -1, dtype=np.intp)
+    for group in job.model.readings:
+        fold = test_set.system.spread(group, job.folds[group.name].astype(float) + 1)
         rows = np.where(fold > 0, fold.astype(np.intp) - 1, rows)
     return rows
 
 
-def _without(field: Field, out: Index) -> Given:
-    unit = np.zeros((field.system.rows, len(out)))
+def _without(test_set: ScoreTests, out: Index) -> FittedColumns:
+    unit = np.zeros((test_set.system.rows, len(out)))
     unit[out, np.arange(len(out))] = 1.0
-    return nothing(field.system).with_columns(field.system.seen(unit))
+    return nothing_fitted(test_set.system).with_columns(test_set.system.seen(unit))
 
 
-def _compared(start: Given, trained: Selection, names: Sequence[Named], out: Index) -> tuple[_Held, _Held]:
+def _compared(
+    start: FittedColumns, trained: Selection, names: Sequence[NamedEffect], out: Index
+) -> tuple[_Held, _Held]:
     """Return how well a fold is predicted without and with effects, as the selection without the fold has them.
 
     In `start` the wrong readings of the fold are unknowns of their own, so that they count for neither.
     """
-    field = trained.field
+    test_set = trained.test_set
     spots = {spot for name in names for spot in _spots(name)}
 
     def is_it(one: Chosen) -> bool:
-        return field.families[one.family].alternatives[one.number].spot in spots
+        return test_set.families[one.family].alternatives[one.number].spot in spots
 
     own = [one for one in trained.named if is_it(one)]
     others = [one for one in trained.chosen if one not in own and one not in trained.unknown]
     before = _with_all(start, others)
-    return _held(field, before, out), _held(field, _with_all(before, own), out)
+    return _held(test_set, before, out), _held(test_set, _with_all(before, own), out)
 
 
-def _with_all(given: Given, chosen: Sequence[Chosen]) -> Given:
+def _with_all(given: FittedColumns, chosen: Sequence[Chosen]) -> FittedColumns:
     return given.with_columns(np.concatenate([one.columns for one in chosen], axis=1)) if chosen else given
 
 
-def _held(field: Field, given: Given, out: Index) -> _Held:
+def _held(test_set: ScoreTests, given: FittedColumns, out: Index) -> _Held:
     """Return the log density of the held-out readings (multivariate t) and their errors of prediction."""
     from scipy.special import gammaln
 
-    taken = np.concatenate([field.system.basis[out], given.basis[out]], axis=1)
+    taken = np.concatenate([test_set.system.basis[out], given.basis[out]], axis=1)
     values, vectors = np.linalg.eigh(np.eye(len(out)) - taken @ taken.T)
     kept = values > _DETERMINED
     along = vectors[:, kept].T @ given.residual[out]
@@ -134,9 +136,9 @@ def _held(field: Field, given: Given, out: Index) -> _Held:
         + np.log(values[kept]).sum() / 2
         - (rest + k) / 2 * np.log1p(own / (rest * variance))
     )
-    alike = field.system.alike[out]
+    alike = test_set.system.alike[out]
     shown = vectors[alike][:, kept]
-    errors = (shown @ (along / values[kept])) * field.system.scale[out][alike]
+    errors = (shown @ (along / values[kept])) * test_set.system.scale[out][alike]
     return _Held(score, errors, float((shown**2).sum()))
 
 
@@ -153,5 +155,5 @@ def _gain(pairs: Sequence[tuple[_Held, _Held]]) -> Gain:
     return Gain(rms[0], rms[1], medians[0], medians[1], total, spread * float(np.sqrt(len(differences))))
 
 
-def _spots(name: Named) -> list[tuple[str, tuple[str, ...]]]:
+def _spots(name: NamedEffect) -> list[tuple[str, tuple[str, ...]]]:
     return [name.alternative.spot, *(rival.alternative.spot for rival in name.rivals)]

@@ -12,7 +12,7 @@ from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.linear.candidates import Alternative, NotTested
 from metrocli.diagnosis.linear.distributions import noncentrality, single_level
 from metrocli.diagnosis.linear.projection import System, linearised
-from metrocli.diagnosis.linear.score_tests import Field, quadratic
+from metrocli.diagnosis.linear.score_tests import ScoreTests, quadratic
 from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.selection.thresholds import FIRST, WRONG_READING
 from metrocli.effects.effect import Effect
@@ -115,32 +115,32 @@ class Design:
     readings: tuple[WrongReading, ...] = ()
 
 
-def design(subject: AdjustedJob, field: Field, not_tested: Sequence[NotTested], noise: float = 1.0) -> Design:
+def design(job: AdjustedJob, test_set: ScoreTests, not_tested: Sequence[NotTested], noise: float = 1.0) -> Design:
     """Return what a measurement can see, for a noise in units of the declared one."""
-    candidates = tuple(_candidate(subject, field, *spot, noise) for spot in _spots(field))
-    readings = tuple(_wrong_reading(subject, field, e, noise) for e in subject.effects if e.of_one_reading)
-    return Design(candidates, tuple(not_tested), tuple(_pairs(field, candidates, noise)), readings)
+    candidates = tuple(_candidate(job, test_set, *spot, noise) for spot in _spots(test_set))
+    readings = tuple(_wrong_reading(job, test_set, e, noise) for e in job.effects if e.of_one_reading)
+    return Design(candidates, tuple(not_tested), tuple(_pairs(test_set, candidates, noise)), readings)
 
 
-def _wrong_reading(subject: AdjustedJob, field: Field, effect: Effect, noise: float) -> WrongReading:
+def _wrong_reading(job: AdjustedJob, test_set: ScoreTests, effect: Effect, noise: float) -> WrongReading:
     """Return the least detectable error of a reading, `sqrt(lambda / r) sigma` (Baarda 1968)."""
-    system = field.system
-    level = single_level(single_level(WRONG_READING, field.causes), field.tests[-1])
+    system = test_set.system
+    level = single_level(single_level(WRONG_READING, test_set.causes), test_set.tests[-1])
     power = noncentrality(level, 1, max(system.dof - 1, 1), _POWER)
-    rows = field.places[~field.excluded]
+    rows = test_set.places[~test_set.excluded]
     rows = rows[rows >= 0]
     redundancy = 1 - (system.basis[rows] ** 2).sum(axis=1)
     least = np.sqrt(power / np.maximum(redundancy, 1e-12)) * noise
-    places = system.entries(subject.delivered.block)[:, list(subject.delivered.columns)]
+    places = system.entries(job.delivered.block)[:, list(job.delivered.columns)]
     moved = system.solver[np.maximum(places, 0)] @ system.basis[rows].T
     shift = np.sqrt((np.where((places >= 0)[:, :, None], moved, 0.0) ** 2).sum(axis=1)).max(axis=0, initial=0.0)
     detectable = float(np.median(least * system.scale[rows])) if len(rows) else float("inf")
-    return WrongReading(effect, detectable, float((shift * least).max(initial=0.0)), int(field.excluded.sum()))
+    return WrongReading(effect, detectable, float((shift * least).max(initial=0.0)), int(test_set.excluded.sum()))
 
 
-def _spots(field: Field) -> Iterable[tuple[int, Sequence[int]]]:
+def _spots(test_set: ScoreTests) -> Iterable[tuple[int, Sequence[int]]]:
     """Yield for each cause and place its family and alternatives."""
-    for number, family in enumerate(field.families):
+    for number, family in enumerate(test_set.families):
         if family.unknown:
             continue
         places: dict[tuple[str, ...], list[int]] = {}
@@ -150,24 +150,24 @@ def _spots(field: Field) -> Iterable[tuple[int, Sequence[int]]]:
             yield number, chosen
 
 
-def _candidate(subject: AdjustedJob, field: Field, family: int, chosen: Sequence[int], noise: float) -> Candidate:
-    columns, gram = field.families[family].columns, field.grams[family]
+def _candidate(job: AdjustedJob, test_set: ScoreTests, family: int, chosen: Sequence[int], noise: float) -> Candidate:
+    columns, gram = test_set.families[family].columns, test_set.grams[family]
     _, ranks = quadratic(
-        gram[list(chosen)], np.zeros((len(chosen), columns.shape[2])), field.scales[family][list(chosen)]
+        gram[list(chosen)], np.zeros((len(chosen), columns.shape[2])), test_set.scales[family][list(chosen)]
     )
     traces = np.where(ranks > 0, np.einsum("kqq->k", gram[list(chosen)]), 0.0)
     order = np.argsort(traces, kind="stable")
     at = chosen[int(order[len(order) // 2])]
     rank = int(ranks[order[len(order) // 2]])
-    alternative = field.families[family].alternatives[at]
+    alternative = test_set.families[family].alternatives[at]
     plausible = _plausible(alternative.effect)
-    raw = field.scales[family][at]
+    raw = test_set.scales[family][at]
     visible = float(np.sqrt(np.mean(np.diag(gram[at]) / np.where(raw > 0, raw, 1.0) ** 2)))
-    size = detectable_size(field, family, at, noise) if rank else float("inf")
-    full = signature(subject.model, field.system, alternative.effect, alternative.instance, dict(alternative.scanned))
-    shift = field.system.shifts(full, subject.delivered.blocks, subject.delivered.columns)
+    size = detectable_size(test_set, family, at, noise) if rank else float("inf")
+    full = signature(job.model, test_set.system, alternative.effect, alternative.instance, dict(alternative.scanned))
+    shift = test_set.system.shifts(full, job.delivered.blocks, job.delivered.columns)
     hides = float(np.sqrt((shift**2).sum(axis=(1, 2)).max(initial=0.0) / full.shape[1]))
-    if hides < _NOTHING * np.linalg.norm(full) / np.sqrt(full.shape[1]) * _typical(field.system):
+    if hides < _NOTHING * np.linalg.norm(full) / np.sqrt(full.shape[1]) * _typical(test_set.system):
         hides = 0.0
     reached = size if rank else plausible
     return Candidate(
@@ -178,7 +178,7 @@ def _candidate(subject: AdjustedJob, field: Field, family: int, chosen: Sequence
         size,
         plausible,
         hides * reached,
-        () if rank else _absorbers(field.system, full),
+        () if rank else _absorbers(test_set.system, full),
     )
 
 
@@ -193,18 +193,18 @@ def _typical(system: System) -> float:
     return float(np.median(system.scale[system.measured]))
 
 
-def detectable_size(field: Field, family: int, at: int, noise: float = 1.0) -> float:
+def detectable_size(test_set: ScoreTests, family: int, at: int, noise: float = 1.0) -> float:
     """Return the size that is found with 80 % power: `sqrt(lambda q / tr G'MG)`, lambda the non-centrality."""
-    gram = field.grams[family][at]
-    _, rank = quadratic(gram[None], np.zeros((1, len(gram))), field.scales[family][at][None])
-    power = needed(field, family, int(rank[0]))
+    gram = test_set.grams[family][at]
+    _, rank = quadratic(gram[None], np.zeros((1, len(gram))), test_set.scales[family][at][None])
+    power = needed(test_set, family, int(rank[0]))
     return float(np.sqrt(power * len(gram) / np.trace(gram)) * noise)
 
 
-def needed(field: Field, family: int, rank: int) -> float:
+def needed(test_set: ScoreTests, family: int, rank: int) -> float:
     """Return the non-centrality at which an alternative of a family is found with 80 % power as a first name."""
-    level = single_level(single_level(FIRST, field.causes), field.tests[family])
-    return noncentrality(level, rank, max(field.system.dof - rank, 1), _POWER)
+    level = single_level(single_level(FIRST, test_set.causes), test_set.tests[family])
+    return noncentrality(level, rank, max(test_set.system.dof - rank, 1), _POWER)
 
 
 def _absorbers(system: System, full: Array) -> tuple[str, ...]:
@@ -222,10 +222,10 @@ def _absorbers(system: System, full: Array) -> tuple[str, ...]:
     return tuple(words for words in ranked[:_NAMED_ABSORBERS] if taken[words] > _PART * most)
 
 
-def _pairs(field: Field, candidates: Sequence[Candidate], noise: float) -> Iterable[Pair]:
+def _pairs(test_set: ScoreTests, candidates: Sequence[Candidate], noise: float) -> Iterable[Pair]:
     """Yield pairs of testable candidates of different causes or places that correlate by more than 0.9."""
     testable = [one for one in candidates if one.testable]
-    bases = [_unit(field.families[one.family].columns[:, one.number]) for one in testable]
+    bases = [_unit(test_set.families[one.family].columns[:, one.number]) for one in testable]
     ends = np.cumsum([basis.shape[1] for basis in bases])
     whole = np.concatenate(bases, axis=1) if bases else np.zeros((0, 0))
     products = whole.T @ whole
@@ -236,7 +236,9 @@ def _pairs(field: Field, candidates: Sequence[Candidate], noise: float) -> Itera
             rho = float(np.linalg.norm(product, 2)) if (product**2).sum() > _ALIKE**2 else 0.0
             if rho > _ALIKE:
                 least = _SEPARATED * noise * np.sqrt(2 / max(1 - rho, 1e-12))
-                size = least / np.sqrt(np.trace(field.grams[one.family][one.number]) / len(one.alternative.parameters))
+                size = least / np.sqrt(
+                    np.trace(test_set.grams[one.family][one.number]) / len(one.alternative.parameters)
+                )
                 yield Pair(one.name, testable[j].name, min(rho, 1.0), float(size), one.unit, one.dimension)
 
 
@@ -246,13 +248,13 @@ def _unit(columns: Array) -> Array:
     return basis
 
 
-def separations(subject: AdjustedJob, one: Alternative, other: Alternative) -> list[str]:
+def separations(job: AdjustedJob, one: Alternative, other: Alternative) -> list[str]:
     """Return what to measure so that two names are told apart: the first offers that bring their cosine below 0.9.
 
-    Where none does, the one that brings it lowest; where the subject has no offers, what the effects say.
+    Where none does, the one that brings it lowest; where the job has no offers, what the effects say.
     """
     found = []
-    for words, model in subject.offers(subject.model):
+    for words, model in job.offers(job.model):
         system = linearised(model)
         bases = [
             _unit(system.seen(signature(model, system, a.effect, a.instance, dict(a.scanned)))) for a in (one, other)

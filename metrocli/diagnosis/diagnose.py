@@ -9,37 +9,46 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.diagnosis.cross_validation import Gain, gains
+from metrocli.diagnosis.cross_validation import Gain, cross_validated
 from metrocli.diagnosis.detectability import Design, design, separations
-from metrocli.diagnosis.extended_fit import Size, about, field_of_job, kept, mended, recentred, sizes, weights_of
+from metrocli.diagnosis.extended_fit import (
+    Size,
+    extended_fit,
+    readings_kept,
+    relinearised,
+    score_tests_after,
+    score_tests_of_job,
+    sizes,
+    weights_of,
+)
 from metrocli.diagnosis.linear.candidates import NotTested
-from metrocli.diagnosis.linear.fitted_columns import nothing
+from metrocli.diagnosis.linear.fitted_columns import nothing_fitted
 from metrocli.diagnosis.linear.projection import System
-from metrocli.diagnosis.linear.score_tests import Field
+from metrocli.diagnosis.linear.score_tests import ScoreTests
 from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.mistakes import Mistaken
-from metrocli.diagnosis.noise import GIVEN, Noise, Unit, apart, noise_of, weighted
+from metrocli.diagnosis.noise import DECLARED_SIGMA, Noise, Unit, noise_of, noisiest_unit, reweighted
 from metrocli.diagnosis.residual_structure import (
     REPEATS,
-    Left,
     PureError,
-    left_over,
-    log_strongest,
+    RemainingStructure,
+    log_level_of_strongest,
     other_shape_from,
     pure_error,
+    remaining_structure,
 )
-from metrocli.diagnosis.selection.confidence_set import Named, named
-from metrocli.diagnosis.selection.refined_scan import polished
-from metrocli.diagnosis.selection.search import carried_on, carried_over, select
+from metrocli.diagnosis.selection.confidence_set import NamedEffect, confidence_sets
+from metrocli.diagnosis.selection.refined_scan import refined_scans
+from metrocli.diagnosis.selection.search import continued, search, transferred
 from metrocli.diagnosis.selection.selection_state import Selection
-from metrocli.diagnosis.selection.thresholds import dominated
+from metrocli.diagnosis.selection.thresholds import has_dominant_effect
 from metrocli.errors import UndeterminedError
 
 Say = Callable[[str], None]
 _LACK_OF_FIT = 0.005
 _ROUNDS = 3
-_RACES = 5
-"""How often the race is held at most"""
+_SEARCHES = 5
+"""Searches at most, each about the job adjusted with what dominated the one before"""
 _SEED = 20
 
 
@@ -56,7 +65,7 @@ class Outlier:
 class Finding:
     """One effect that was named."""
 
-    named: Named
+    effect: NamedEffect
     sizes: tuple[Size, ...]
     gain: Gain
     shift: float
@@ -69,12 +78,12 @@ class Finding:
 class Diagnosis:
     """What the model of a job gets wrong."""
 
-    subject: AdjustedJob
+    job: AdjustedJob
     noise: Noise
-    apart: tuple[Unit, ...]
+    noisier_units: tuple[Unit, ...]
     outliers: tuple[Outlier, ...]
     findings: tuple[Finding, ...]
-    left: Left | None
+    left: RemainingStructure | None
     before: float
     """Level of the strongest structure before anything was named, counted over all that was tried"""
     after: float
@@ -95,7 +104,7 @@ class Diagnosis:
         """clean, explained, indistinct or unexplained."""
         if self.left is not None:
             return "unexplained"
-        sets: list[tuple[object, ...]] = [finding.named.rivals for finding in self.findings]
+        sets: list[tuple[object, ...]] = [finding.effect.rivals for finding in self.findings]
         if self.mistaken is not None:
             sets.append(self.mistaken.mistakes[1:])
         if not sets:
@@ -103,119 +112,129 @@ class Diagnosis:
         return "indistinct" if any(sets) else "explained"
 
 
-def diagnose(subject: AdjustedJob, say: Say = lambda line: None) -> Diagnosis:
+def diagnose(job: AdjustedJob, say: Say = lambda line: None) -> Diagnosis:
     """Return what the readings of an adjusted job say of its model.
 
-    Raises UndeterminedError where no reading is to spare.
+    Raises UndeterminedError where the unknowns take up all readings.
     """
     say("looking for structure")
-    point, (field, not_tested, units, selection) = _raced(subject, say)
-    names = named(selection)
+    searched = _search_about_solution(job, say)
+    names = confidence_sets(searched.selection)
     say("holding parts of the readings out")
-    gained = gains(point, selection, names) if names else []
-    changed = mended(subject, names, kept(selection)) if names else None
-    field_after, given = recentred(changed, selection, units, np.random.default_rng(_SEED))
-    left, after = left_over(selection, names, field_after, given)
-    repeats = pure_error(subject, field_after.system, given)
-    if left is None and repeats is not None and repeats.lack_of_fit < _LACK_OF_FIT:
-        left = Left(repeats.lack_of_fit, (REPEATS,))
-    found = noise_of(given)
+    gains = cross_validated(searched.job, searched.selection, names) if names else []
+    fit = extended_fit(job, names, readings_kept(searched.selection)) if names else None
+    tests, given = score_tests_after(fit, searched.selection, searched.units, np.random.default_rng(_SEED))
+    structure, level = remaining_structure(searched.selection, names, tests, given)
+    repeats = pure_error(job, tests.system, given)
+    if structure is None and repeats is not None and repeats.lack_of_fit < _LACK_OF_FIT:
+        structure = RemainingStructure(repeats.lack_of_fit, (REPEATS,))
+    noise = noise_of(given)
     say("finding what the measurement could not see")
-    findings = tuple(
-        Finding(
-            name,
-            sizes(subject, name),
-            gain,
-            _shift(point, field.system, name),
-            other_shape_from(name, field_after, found.ratio),
-        )
-        for name, gain in zip(names, gained, strict=False)
-    )
     return Diagnosis(
-        subject,
-        found,
-        units,
-        _outliers(subject, selection),
-        findings,
-        left,
-        float(np.exp(log_strongest(field, nothing(field.system)))),
-        after,
-        design(point, field, not_tested, found.ratio),
-        _separate(subject, names),
-        changed is not None or not names,
-        gained[-1] if len(names) > 1 else None,
-        repeats,
+        job=job,
+        noise=noise,
+        noisier_units=searched.units,
+        outliers=_outliers(searched.selection),
+        findings=tuple(
+            Finding(
+                name,
+                sizes(job, name),
+                gain,
+                _shift(searched.job, searched.tests.system, name),
+                other_shape_from(name, tests, noise.ratio),
+            )
+            for name, gain in zip(names, gains, strict=False)
+        ),
+        left=structure,
+        before=float(np.exp(log_level_of_strongest(searched.tests, nothing_fitted(searched.tests.system)))),
+        after=level,
+        design=design(searched.job, searched.tests, searched.not_tested, noise.ratio),
+        separate_by=_separate(job, names),
+        adjusts=fit is not None or not names,
+        together=gains[-1] if len(names) > 1 else None,
+        repeats=repeats,
     )
 
 
-Race = tuple[Field, list[NotTested], tuple[Unit, ...], Selection]
+@dataclass(frozen=True)
+class _Searched:
+    """A selection, with the job about whose solution everything was linear."""
+
+    job: AdjustedJob
+    tests: ScoreTests
+    not_tested: list[NotTested]
+    units: tuple[Unit, ...]
+    """Units noisier than the others, whose readings were given less weight"""
+    selection: Selection
 
 
-def _raced(subject: AdjustedJob, say: Say) -> tuple[AdjustedJob, Race]:
-    """Return the race, and the subject with its unknowns where the named effects do not bend them.
+def _search_about_solution(job: AdjustedJob, say: Say) -> _Searched:
+    """Return the selection, linear about the job with its dominant effects adjusted (decision 051).
 
-    Where effects stop it, it is held again about the job adjusted with them, with these among all others; in the end it
-    is carried on about the job adjusted with all that was named.
+    Where effects dominate, the job is adjusted with them and the search repeated about that solution, with them among
+    all other candidates; at the end the search continues about the job adjusted with all effects that were named.
     """
-    point = subject
-    for left in reversed(range(_RACES)):
+    point = job
+    for left in reversed(range(_SEARCHES)):
         point = point if left else replace(point, patient=True)
-        field, not_tested, units, selection = _selected(point, np.random.default_rng(_SEED))
-        selection = polished(point, selection)
-        if not dominated(selection):
+        found = _search_with_weights(point, np.random.default_rng(_SEED))
+        selection = refined_scans(point, found.selection)
+        if not has_dominant_effect(selection):
             break
         say("adjusting with what was found")
-        names = named(selection)
-        changed = mended(subject, names, kept(selection))
-        point = replace(point, patient=True) if changed is None else about(subject, names, changed)
-    names = named(selection)
-    changed = mended(subject, names, kept(selection)) if names else None
-    if changed is not None:
-        point = replace(about(subject, names, changed), patient=True)
-        field, not_tested = field_of_job(point, weights_of(subject, units), np.random.default_rng(_SEED))
-        selection = polished(point, carried_on(carried_over(selection, field)))
-    return point, (field, not_tested, units, selection)
+        names = confidence_sets(selection)
+        fit = extended_fit(job, names, readings_kept(selection))
+        point = replace(point, patient=True) if fit is None else relinearised(job, names, fit)
+    names = confidence_sets(selection)
+    fit = extended_fit(job, names, readings_kept(selection)) if names else None
+    if fit is None:
+        return replace(found, job=point, selection=selection)
+    point = replace(relinearised(job, names, fit), patient=True)
+    tests, not_tested = score_tests_of_job(point, weights_of(job, found.units), np.random.default_rng(_SEED))
+    selection = refined_scans(point, continued(transferred(selection, tests)))
+    return _Searched(point, tests, not_tested, found.units, selection)
 
 
-def planned(subject: AdjustedJob) -> Design:
+def what_can_be_seen(job: AdjustedJob) -> Design:
     """Return what a measurement can see, before or without looking at its residuals."""
-    field, not_tested = field_of_job(subject, {}, np.random.default_rng(_SEED))
-    return design(subject, field, not_tested)
+    test_set, not_tested = score_tests_of_job(job, {}, np.random.default_rng(_SEED))
+    return design(job, test_set, not_tested)
 
 
-def _selected(subject: AdjustedJob, rng: np.random.Generator) -> Race:
+def _search_with_weights(job: AdjustedJob, rng: np.random.Generator) -> _Searched:
     """Return the selection with the readings of each unit weighted by the noise that was found in it."""
     weights: Mapping[str, Array] = {}
     units: tuple[Unit, ...] = ()
     for _ in range(_ROUNDS + 1):
-        field, not_tested = field_of_job(subject, weights, rng)
-        if field.system.dof < 1:
+        tests, not_tested = score_tests_of_job(job, weights, rng)
+        if tests.system.dof < 1:
             raise UndeterminedError(
                 "no reading is to spare: the unknowns take them all up, whatever is wrong\n"
                 "measure more; `metrocli diagnose --design` says what a measurement shows"
             )
         last = len(units) == _ROUNDS
-        unit = None if last else _sigma_first(subject, field)
+        unit = None if last else _sigma_first(job, tests)
         if unit is None:
-            selection = select(field, nothing(field.system))
-            # beside a large effect other structure is not searched for yet, and would count as noise
-            unit = None if last or dominated(selection) else apart(subject, field.system, selection.given(), rng)
+            selection = search(tests, nothing_fitted(tests.system))
+            # beside a dominant effect other structure is not searched for yet, and would count as noise
+            searching_on = last or has_dominant_effect(selection)
+            unit = None if searching_on else noisiest_unit(job, tests.system, selection.given(), rng)
         if unit is None:
             break
-        weights, units = weighted(subject, weights, unit), (*units, unit)
-    return field, not_tested, _joined(units), selection
+        weights, units = reweighted(job, weights, unit), (*units, unit)
+    return _Searched(job, tests, not_tested, _joined(units), selection)
 
 
-def _sigma_first(subject: AdjustedJob, field: Field) -> Unit | None:
+def _sigma_first(job: AdjustedJob, test_set: ScoreTests) -> Unit | None:
     """Return what the job gives with a wrong sigma, where that says more of the residuals than any cause.
 
     With draws of its own: the levels of a job that gives nothing are those without this test.
     """
-    given = nothing(field.system)
-    unit = apart(subject, field.system, given, np.random.default_rng(_SEED))
-    if unit is None or unit.key != GIVEN or unit.ratio < 1:
+    given = nothing_fitted(test_set.system)
+    unit = noisiest_unit(job, test_set.system, given, np.random.default_rng(_SEED))
+    if unit is None or unit.key != DECLARED_SIGMA or unit.ratio < 1:
         return None
-    return unit if unit.log_level < log_strongest(field, given) else None
+    return unit if unit.log_level < log_level_of_strongest(test_set, given) else None
 
 
 def _joined(units: Sequence[Unit]) -> tuple[Unit, ...]:
@@ -227,7 +246,7 @@ def _joined(units: Sequence[Unit]) -> tuple[Unit, ...]:
     return tuple(found.values())
 
 
-def _outliers(subject: AdjustedJob, selection: Selection) -> tuple[Outlier, ...]:
+def _outliers(selection: Selection) -> tuple[Outlier, ...]:
     if not selection.outliers:
         return ()
     given = selection.given()
@@ -237,36 +256,36 @@ def _outliers(subject: AdjustedJob, selection: Selection) -> tuple[Outlier, ...]
         without = selection.given(without=[one])
         found.append(
             Outlier(
-                _keys(selection.field, one.number), float(np.sqrt(max(without.squares - given.squares, 0.0)) / sigma)
+                _keys(selection.test_set, one.number), float(np.sqrt(max(without.squares - given.squares, 0.0)) / sigma)
             )
         )
     return tuple(sorted(found, key=lambda one: -one.test))
 
 
-def _keys(field: Field, number: int) -> dict[str, str]:
+def _keys(test_set: ScoreTests, number: int) -> dict[str, str]:
     """Return what identifies a reading, with its component where these go wrong one by one."""
-    row = int(field.places[number][0])
-    groups = field.system.model.readings
-    group = next(g for g in groups if 0 <= row - field.system.first[g.name] < g.observations.readings.size)
+    row = int(test_set.places[number][0])
+    groups = test_set.system.model.readings
+    group = next(g for g in groups if 0 <= row - test_set.system.first[g.name] < g.observations.readings.size)
     observations = group.observations
-    reading, component = divmod(row - field.system.first[group.name], len(observations.readings))
+    reading, component = divmod(row - test_set.system.first[group.name], len(observations.readings))
     keys = {key: values[reading] for key, values in observations.keys.items()}
-    single = len(observations.readings) > 1 and field.places.shape[1] == 1
+    single = len(observations.readings) > 1 and test_set.places.shape[1] == 1
     return keys | ({"component": observations.components[component]} if single else {})
 
 
-def _shift(subject: AdjustedJob, system: System, name: Named) -> float:
+def _shift(job: AdjustedJob, system: System, name: NamedEffect) -> float:
     """Return by how much what is delivered changes at most when an effect is taken into the model."""
     alternative = name.alternative
-    full = signature(subject.model, system, alternative.effect, alternative.instance, dict(alternative.scanned))
-    shift = system.shifts((full @ name.values)[:, None], subject.delivered.blocks, subject.delivered.columns)
+    full = signature(job.model, system, alternative.effect, alternative.instance, dict(alternative.scanned))
+    shift = system.shifts((full @ name.values)[:, None], job.delivered.blocks, job.delivered.columns)
     return float(np.sqrt((shift**2).sum(axis=(1, 2)).max(initial=0.0)))
 
 
-def _separate(subject: AdjustedJob, names: Sequence[Named]) -> tuple[str, ...]:
+def _separate(job: AdjustedJob, names: Sequence[NamedEffect]) -> tuple[str, ...]:
     found: dict[str, None] = {}
     for name in names:
         for rival in name.rivals[:2]:
-            for words in separations(subject, name.alternative, rival.alternative):
+            for words in separations(job, name.alternative, rival.alternative):
                 found[words] = None
     return tuple(found)

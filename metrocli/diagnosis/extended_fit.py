@@ -11,53 +11,53 @@ from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Standing
 from metrocli.diagnosis.linear.candidates import NotTested, families_of
-from metrocli.diagnosis.linear.fitted_columns import Given, nothing
+from metrocli.diagnosis.linear.fitted_columns import FittedColumns, nothing_fitted
 from metrocli.diagnosis.linear.projection import System, linearised
-from metrocli.diagnosis.linear.score_tests import Field, field_of
+from metrocli.diagnosis.linear.score_tests import ScoreTests, score_tests_of
 from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.linear.smooth_terms import smooth_families
-from metrocli.diagnosis.noise import Unit, weighted
-from metrocli.diagnosis.selection.confidence_set import Named
+from metrocli.diagnosis.noise import Unit, reweighted
+from metrocli.diagnosis.selection.confidence_set import NamedEffect
 from metrocli.diagnosis.selection.selection_state import Selection
 from metrocli.effects.effect import Parameter
 from metrocli.effects.extension import with_effect
 from metrocli.effects.model import Added, Model
 
 
-def field_of_job(
-    subject: AdjustedJob, weights: Mapping[str, Array], rng: np.random.Generator
-) -> tuple[Field, list[NotTested]]:
+def score_tests_of_job(
+    job: AdjustedJob, weights: Mapping[str, Array], rng: np.random.Generator
+) -> tuple[ScoreTests, list[NotTested]]:
     """Return the race of everything that could be in a job, and the effects that its data do not allow to test."""
-    system = _with_standing(subject, linearised(subject.model, weights))
-    families, not_tested = families_of(subject, system)
-    everything = [*families, *smooth_families(subject, system)]
-    field = field_of(system, everything, rng, subject.single_components)
-    spots = {one.spot for family in families for one in family.alternatives} if subject.patient else set()
-    return replace(field, adjusted=subject.adjusted | spots), not_tested
+    system = _with_standing(job, linearised(job.model, weights))
+    families, not_tested = families_of(job, system)
+    everything = [*families, *smooth_families(job, system)]
+    test_set = score_tests_of(system, everything, rng, job.single_components)
+    spots = {one.spot for family in families for one in family.alternatives} if job.patient else set()
+    return replace(test_set, adjusted=job.adjusted | spots), not_tested
 
 
-def _with_standing(subject: AdjustedJob, system: System) -> System:
+def _with_standing(job: AdjustedJob, system: System) -> System:
     """Return a system with the residuals that it would have without the effects that stand in its model.
 
     What they add is linear about their sizes: `r + G theta`.
     """
     residual = system.residual
-    for one in subject.standing:
-        residual = residual + signature(subject.model, system, one.effect, one.instance, {}) @ np.array(one.sizes)
-    return replace(system, residual=system.seen(residual)) if subject.standing else system
+    for one in job.standing:
+        residual = residual + signature(job.model, system, one.effect, one.instance, {}) @ np.array(one.sizes)
+    return replace(system, residual=system.seen(residual)) if job.standing else system
 
 
-def weights_of(subject: AdjustedJob, units: Sequence[Unit]) -> Mapping[str, Array]:
+def weights_of(job: AdjustedJob, units: Sequence[Unit]) -> Mapping[str, Array]:
     """Return the factors on whitened readings that bring units to the noise of the others."""
     weights: Mapping[str, Array] = {}
     for unit in units:
-        weights = weighted(subject, weights, unit)
+        weights = reweighted(job, weights, unit)
     return weights
 
 
-def extended_model(subject: AdjustedJob, names: Sequence[Named]) -> Model:
+def extended_model(job: AdjustedJob, names: Sequence[NamedEffect]) -> Model:
     """Return the model with the named effects in it, at what was found of them."""
-    model = subject.model
+    model = job.model
     for name in names:
         alternative = name.alternative
         model = with_effect(model, alternative.effect, [alternative.instance], name.known)
@@ -69,12 +69,12 @@ def extended_model(subject: AdjustedJob, names: Sequence[Named]) -> Model:
     return model
 
 
-def _own_row(model: Model, name: Named) -> tuple[Block, int]:
+def _own_row(model: Model, name: NamedEffect) -> tuple[Block, int]:
     """Return the block of the effect that was added last, and the member that it acts on."""
     return _row(model, model.added[-1], name)
 
 
-def _row(model: Model, added: Added, name: Named) -> tuple[Block, int]:
+def _row(model: Model, added: Added, name: NamedEffect) -> tuple[Block, int]:
     block = model.blocks[added.block]
     place = name.alternative.instance
     return block, block.members.index(place[0]) if place and added.effect.link is None else -1
@@ -93,11 +93,11 @@ class Size:
     """Whether the readings say what it is, apart from the others; else `value` holds with others taken as 0"""
 
 
-def sizes(subject: AdjustedJob, name: Named) -> tuple[Size, ...]:
+def sizes(job: AdjustedJob, name: NamedEffect) -> tuple[Size, ...]:
     """Return the parameters of a named effect, for the noise that was found."""
     alternative = name.alternative
-    block, row = _own_row(extended_model(subject, [name]), name)
-    before = subject.model.blocks.get(block.name)
+    block, row = _own_row(extended_model(job, [name]), name)
+    before = job.model.blocks.get(block.name)
     by_step = block.space.by_step(block.values)[row]
     std = np.sqrt(np.maximum(np.diag(name.covariance), 0.0))
     known = {p.name: p for p in alternative.effect.all_parameters}
@@ -111,36 +111,36 @@ def sizes(subject: AdjustedJob, name: Named) -> tuple[Size, ...]:
     return (*found, *(Size(known[key], value, None) for key, value in alternative.scanned if not known[key].place))
 
 
-def mended(subject: AdjustedJob, names: Sequence[Named], kept: Mapping[str, Mask]) -> AdjustedJob | None:
-    """Return the subject with the named effects in its model, adjusted to the kept readings; None where that fails."""
-    model = extended_model(subject, names)
-    solution = subject.refit(model, kept)
+def extended_fit(job: AdjustedJob, names: Sequence[NamedEffect], kept: Mapping[str, Mask]) -> AdjustedJob | None:
+    """Return the job with the named effects in its model, adjusted to the kept readings; None where that fails."""
+    model = extended_model(job, names)
+    solution = job.refit(model, kept)
     if not solution.outcome.good:
         return None
     blocks = {name: block.with_values(solution.blocks[name].values) for name, block in model.blocks.items()}
-    return replace(subject, model=model.with_blocks(blocks))
+    return replace(job, model=model.with_blocks(blocks))
 
 
-def about(subject: AdjustedJob, names: Sequence[Named], adjusted: AdjustedJob) -> AdjustedJob:
-    """Return the subject with its unknowns where an adjustment with the named effects brought them.
+def relinearised(job: AdjustedJob, names: Sequence[NamedEffect], adjusted: AdjustedJob) -> AdjustedJob:
+    """Return the job with its unknowns where an adjustment with the named effects brought them.
 
     What a large effect did to them is undone there. Those that are columns of the job's own blocks, such as terms of a
     lens, stand at their sizes, about which all else is linear; the others at 0, as they are linear themselves: at their
     sizes what a job absorbs, a scale or a turn of all, would not be absorbed.
     """
-    model, added = subject.model, adjusted.model.added[len(subject.model.added) :]
+    model, added = job.model, adjusted.model.added[len(job.model.added) :]
     moved = {key: _without(block, adjusted.model.blocks[key], added) for key, block in model.blocks.items()}
     model, standing = model.with_blocks(moved), []
     for name, one in zip(names, added, strict=True):
         if one.effect.link is not None:
             continue
         block, row = _row(adjusted.model, one, name)
-        before, parameters = subject.model.blocks[block.name], name.alternative.parameters
+        before, parameters = job.model.blocks[block.name], name.alternative.parameters
         sizes = {key: float(block.values[row, block.column(key)]) - _value(before, row, key) for key in parameters}
         model = with_effect(model, one.effect, [name.alternative.instance], sizes)
         standing.append(Standing(one.effect, name.alternative.instance, tuple(sizes.values())))
     spots = frozenset(name.alternative.spot for name in names)
-    return replace(subject, model=model, adjusted=spots, standing=tuple(standing))
+    return replace(job, model=model, adjusted=spots, standing=tuple(standing))
 
 
 def _without(block: Block, adjusted: Block, added: Sequence[Added]) -> Block:
@@ -157,31 +157,31 @@ def _value(block: Block, row: int, key: str) -> float:
     return float(block.values[row, block.column(key)]) if key in block.columns else 0.0
 
 
-def recentred(
+def score_tests_after(
     changed: AdjustedJob | None, selection: Selection, units: Sequence[Unit], rng: np.random.Generator
-) -> tuple[Field, Given]:
+) -> tuple[ScoreTests, FittedColumns]:
     """Return the smooth functions' race about the solution with the named effects adjusted, outliers left out of it.
 
     Where there is none the linear solution serves.
     """
     if changed is None:
-        return selection.field, selection.given()
+        return selection.test_set, selection.given()
     system = linearised(changed.model, weights_of(changed, units))
-    field = field_of(system, smooth_families(changed, system), rng, changed.single_components)
-    wrong = [field.of_reading(one.number) for one in selection.outliers]
-    given = nothing(system)
-    return field, given.with_columns(np.concatenate(wrong, axis=1)) if wrong else given
+    test_set = score_tests_of(system, smooth_families(changed, system), rng, changed.single_components)
+    wrong = [test_set.of_reading(one.number) for one in selection.outliers]
+    given = nothing_fitted(system)
+    return test_set, given.with_columns(np.concatenate(wrong, axis=1)) if wrong else given
 
 
-def kept(selection: Selection) -> dict[str, Mask]:
+def readings_kept(selection: Selection) -> dict[str, Mask]:
     """Return for each group the readings that are not outliers, in any component."""
-    field = selection.field
-    wrong = np.zeros(field.system.rows)
+    test_set = selection.test_set
+    wrong = np.zeros(test_set.system.rows)
     for one in selection.outliers:
-        wrong[field.places[one.number][field.places[one.number] >= 0]] = 1.0
+        wrong[test_set.places[one.number][test_set.places[one.number] >= 0]] = 1.0
     found = {}
-    for group in field.system.model.readings:
+    for group in test_set.system.model.readings:
         d, n = group.observations.readings.shape
-        start = field.system.first[group.name]
+        start = test_set.system.first[group.name]
         found[group.name] = wrong[start : start + n * d].reshape(n, d).max(axis=1) == 0
     return found

@@ -48,7 +48,7 @@ class Mistaken:
     """The mistakes that explain a job as it is, the best first, and the job without that one."""
 
     mistakes: tuple[Mistake, ...]
-    subject: AdjustedJob
+    job: AdjustedJob
     before: float
     """How far beyond the plausible the job is with the mistake, inf where it failed"""
     after: float
@@ -60,41 +60,41 @@ def without_mistakes(inputs: Inputs, adjust: Adjust) -> tuple[AdjustedJob, Mista
     Raises what the adjustment of the job as it is raised where no mistake explains it.
     """
     failure: Exception | None = None
-    subject, before = None, float("inf")
+    job, before = None, float("inf")
     try:
-        subject = adjust(inputs)
-        before = strangeness(subject)
+        job = adjust(inputs)
+        before = strangeness(job)
     except (UndeterminedError, NotConvergedError, InputError) as error:
         failure = error
-    if subject is not None and before <= 1:
-        return subject, None
+    if job is not None and before <= 1:
+        return job, None
     found = _explaining(inputs, adjust, before)
     if found is not None:
-        return found.subject, found
-    if subject is None:
+        return found.job, found
+    if job is None:
         raise failure or RuntimeError("a job that gave nothing")
-    return subject, None
+    return job, None
 
 
-def strangeness(subject: AdjustedJob) -> float:
+def strangeness(job: AdjustedJob) -> float:
     """Return how many times a job is beyond the plausible: its median residual, or what its files say of places."""
     medians = []
-    for group in subject.model.readings:
-        residual = group.observations.whitened(group.residuals(subject.model.blocks))
+    for group in job.model.readings:
+        residual = group.observations.whitened(group.residuals(job.model.blocks))
         medians.append(float(np.median(np.abs(residual))))
-    return max(max(medians, default=0.0) / _ABSURD, subject.astray)
+    return max(max(medians, default=0.0) / _ABSURD, job.astray)
 
 
 def _explaining(inputs: Inputs, adjust: Adjust, before: float) -> Mistaken | None:
     tried: list[tuple[float, Mistake, AdjustedJob]] = []
     for mistake, changed in altered(inputs):
         try:
-            subject = adjust(changed)
+            job = adjust(changed)
         except (UndeterminedError, NotConvergedError, InputError):
             continue
-        value = strangeness(subject)
+        value = strangeness(job)
         if value <= 1 and value * _BETTER <= before * mistake.shrinks:
-            tried.append((value, mistake, subject))
+            tried.append((value, mistake, job))
     if not tried:
         return None
     tried.sort(key=lambda one: one[0])

@@ -11,14 +11,14 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.linear.distributions import chi_interval, log_tail
-from metrocli.diagnosis.linear.fitted_columns import PRIOR, Given
+from metrocli.diagnosis.linear.fitted_columns import PRIOR, FittedColumns
 from metrocli.diagnosis.linear.projection import System
 
 _LEVEL = 1e-3
 _DRAWS = 400
 _APART = 1.4
 """Ratio of standard deviations below which a unit is left as it is"""
-GIVEN = "given"
+DECLARED_SIGMA = "given"
 """Key of a unit that is no reading: values that the job gives with their sigma, such as known points"""
 _LEAST = 0.1
 """By how much what is given may gain in weight at once"""
@@ -50,21 +50,21 @@ class Unit:
     """ln of the level of the test, counted over all units"""
 
 
-def noise_of(given: Given) -> Noise:
+def noise_of(given: FittedColumns) -> Noise:
     """Return the noise that is left, with its 95 % interval (chi-squared)."""
     squares, dof = given.squares - given.prior, max(given.dof - PRIOR, 1.0)
     low, high = chi_interval(squares, dof)
     return Noise(float(np.sqrt(squares / dof)), low, high, dof)
 
 
-def apart(subject: AdjustedJob, system: System, given: Given, rng: np.random.Generator) -> Unit | None:
+def noisiest_unit(job: AdjustedJob, system: System, given: FittedColumns, rng: np.random.Generator) -> Unit | None:
     """Return the unit whose noise differs most from that of the others, None where that is chance.
 
     Score test of its variance, `|r_u|^2 / |r|^2` against its null distribution, a scaled chi-squared of the moments
     that projected white noise has, and for what is given also an F test without it; the ratio by equating sums of
     squares to their expectations (MINQUE, Rao 1971).
     """
-    units = list(_units(subject, system))
+    units = list(_units(job, system))
     if len(units) < 2:
         return None
     noise = system.seen(rng.normal(size=(system.rows, _DRAWS)))
@@ -77,7 +77,7 @@ def apart(subject: AdjustedJob, system: System, given: Given, rng: np.random.Gen
         shares = (noise[rows] ** 2).sum(axis=0) / whole
         share = float((given.residual[rows] ** 2).sum() / max(given.residual @ given.residual, 1e-300))
         log_p = _log_tail(share, shares)
-        if key == GIVEN:
+        if key == DECLARED_SIGMA:
             log_p = min(log_p, _log_without(system, given, rows))
         found.append((log_p, key, name, rows))
     if not found:
@@ -85,28 +85,28 @@ def apart(subject: AdjustedJob, system: System, given: Given, rng: np.random.Gen
     log_p, key, name, rows = min(found, key=lambda one: one[0])
     if log_p > np.log(_LEVEL / len(units)):
         return None
-    ratio = max(_ratio(system, given, rows), _LEAST if key == GIVEN else 0.0)
+    ratio = max(_ratio(system, given, rows), _LEAST if key == DECLARED_SIGMA else 0.0)
     return None if 1 / _APART < ratio < _APART else Unit(key, name, ratio, log_p + float(np.log(len(units))))
 
 
-def _units(subject: AdjustedJob, system: System) -> Iterator[tuple[str, str, Mask]]:
-    for key in subject.units:
-        place = subject.model.places[key]
+def _units(job: AdjustedJob, system: System) -> Iterator[tuple[str, str, Mask]]:
+    for key in job.units:
+        place = job.model.places[key]
         for number, name in enumerate(place.names):
             rows = np.zeros(system.rows, dtype=bool)
-            for group in subject.model.readings:
+            for group in job.model.readings:
                 index = group.observations.index.get(place.index)
                 if index is not None:
                     rows |= system.spread(group, (index == number).astype(float)) > 0
             if rows.any():
                 yield key, name, rows
-    for group in subject.model.groups:
-        if group.name in subject.model.measured or group.observations.count < _FEWEST:
+    for group in job.model.groups:
+        if group.name in job.model.measured or group.observations.count < _FEWEST:
             continue
         start = system.first[group.name]
         rows = np.zeros(system.rows, dtype=bool)
         rows[start : start + group.observations.readings.size] = True
-        yield GIVEN, group.name, rows
+        yield DECLARED_SIGMA, group.name, rows
 
 
 def _log_tail(share: float, shares: Array) -> float:
@@ -119,7 +119,7 @@ def _log_tail(share: float, shares: Array) -> float:
     return float(np.log(max(2 * tail, 1e-300)))
 
 
-def _log_without(system: System, given: Given, rows: Mask) -> float:
+def _log_without(system: System, given: FittedColumns, rows: Mask) -> float:
     """Return ln of the level of the F test of all that is given in some rows, `F = ((S - S_0)/q) / (S_0/nu_0)`.
 
     S_0 is the sum of squares where they say nothing: readings that disagree with what is given show it in both.
@@ -134,7 +134,7 @@ def _log_without(system: System, given: Given, rows: Mask) -> float:
     return float(log_tail(share, q, without.dof))
 
 
-def _ratio(system: System, given: Given, rows: Mask) -> float:
+def _ratio(system: System, given: FittedColumns, rows: Mask) -> float:
     """Return the standard deviation of some readings over that of the rest, from the expectations of their squares."""
     taken = np.concatenate([system.basis, given.basis], axis=1)
     parts = (rows, ~rows)
@@ -148,14 +148,14 @@ def _ratio(system: System, given: Given, rows: Mask) -> float:
     return float(np.sqrt(max(variance[0], floor) / max(variance[1], floor)))
 
 
-def weighted(subject: AdjustedJob, weights: Mapping[str, Array], unit: Unit) -> dict[str, Array]:
+def reweighted(job: AdjustedJob, weights: Mapping[str, Array], unit: Unit) -> dict[str, Array]:
     """Return factors on the whitened readings of each group that bring those of a unit to the noise of the others."""
-    if unit.key == GIVEN:
-        return {**weights, unit.name: weights.get(unit.name, np.ones(1)) / unit.ratio * _ones(subject, unit.name)}
-    place = subject.model.places[unit.key]
+    if unit.key == DECLARED_SIGMA:
+        return {**weights, unit.name: weights.get(unit.name, np.ones(1)) / unit.ratio * _ones(job, unit.name)}
+    place = job.model.places[unit.key]
     number = place.names.index(unit.name)
     found = dict(weights)
-    for group in subject.model.readings:
+    for group in job.model.readings:
         factor = weights.get(group.name, np.ones(group.observations.count)).copy()
         index = group.observations.index.get(place.index)
         if index is not None:
@@ -164,5 +164,5 @@ def weighted(subject: AdjustedJob, weights: Mapping[str, Array], unit: Unit) -> 
     return found
 
 
-def _ones(subject: AdjustedJob, group: str) -> Array:
-    return np.ones(next(one.observations.count for one in subject.model.groups if one.name == group))
+def _ones(job: AdjustedJob, group: str) -> Array:
+    return np.ones(next(one.observations.count for one in job.model.groups if one.name == group))

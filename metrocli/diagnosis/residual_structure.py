@@ -11,10 +11,10 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.linear.distributions import log_family, log_tail, noncentrality, single_level
-from metrocli.diagnosis.linear.fitted_columns import PRIOR, Given, nothing
+from metrocli.diagnosis.linear.fitted_columns import PRIOR, FittedColumns, nothing_fitted
 from metrocli.diagnosis.linear.projection import System
-from metrocli.diagnosis.linear.score_tests import Field
-from metrocli.diagnosis.selection.confidence_set import Named
+from metrocli.diagnosis.linear.score_tests import ScoreTests
+from metrocli.diagnosis.selection.confidence_set import NamedEffect
 from metrocli.diagnosis.selection.forward_steps import carried_by_few
 from metrocli.diagnosis.selection.selection_state import Selection, levels_of
 
@@ -28,7 +28,7 @@ REPEATS = "what repeated readings have in common"
 
 
 @dataclass(frozen=True)
-class Left:
+class RemainingStructure:
     """Structure that no known effect explains."""
 
     p_value: float
@@ -50,14 +50,14 @@ class PureError:
     """Level of what the residuals hold beside that scatter"""
 
 
-def pure_error(subject: AdjustedJob, system: System, given: Given) -> PureError | None:
+def pure_error(job: AdjustedJob, system: System, given: FittedColumns) -> PureError | None:
     """Return the scatter of repeated readings, and the F test of what is left beside it; None without repetitions.
 
     `F = ((S - S_pe) / (nu - nu_pe)) / (S_pe / nu_pe)` (Fisher 1922; NIST e-Handbook 4.4.4.6).
     """
     squares, dof = 0.0, 0.0
-    for group in subject.model.readings:
-        label = subject.replicates.get(group.name)
+    for group in job.model.readings:
+        label = job.replicates.get(group.name)
         if label is not None:
             d, n = group.observations.readings.shape
             start = system.first[group.name]
@@ -79,54 +79,60 @@ def _within(values: Array, label: Index) -> tuple[float, float]:
     return float(((values - means[number]) ** 2).sum()), float((len(values) - len(counts)) * values.shape[1])
 
 
-def log_strongest(field: Field, given: Given) -> float:
+def log_level_of_strongest(test_set: ScoreTests, given: FittedColumns) -> float:
     """Return ln of the level of the strongest candidate beside a model, counted over all."""
-    levels = [field.level(i, score.log_p[score.best]) for i, score in enumerate(field.scores(given)) if len(score.gain)]
-    wrong = field.outliers(given)
-    return field.overall(min([*levels, field.level(-1, wrong.log_p[wrong.best])]))
+    levels = [
+        test_set.level(i, score.log_p[score.best]) for i, score in enumerate(test_set.scores(given)) if len(score.gain)
+    ]
+    wrong = test_set.outliers(given)
+    return test_set.overall(min([*levels, test_set.level(-1, wrong.log_p[wrong.best])]))
 
 
-def left_over(selection: Selection, names: Sequence[Named], field: Field, given: Given) -> tuple[Left | None, float]:
+def remaining_structure(
+    selection: Selection, names: Sequence[NamedEffect], test_set: ScoreTests, given: FittedColumns
+) -> tuple[RemainingStructure | None, float]:
     """Return the structure that no effect explains, and the level of the strongest smooth function left."""
-    unknown = [selection.field.families[one.family].unknown for one in selection.unknown]
+    unknown = [selection.test_set.families[one.family].unknown for one in selection.unknown]
     units = {place for name in names for place in name.alternative.instance}
     found = []
-    for number, family in enumerate(field.families):
+    for number, family in enumerate(test_set.families):
         if not family.unknown:
             continue
-        score = field.score(number, given)
-        found.append((field.level(number, score.log_p[score.best]), number, score.best))
+        score = test_set.score(number, given)
+        found.append((test_set.level(number, score.log_p[score.best]), number, score.best))
         own = [i for i, a in enumerate(family.alternatives) if not a.instance or a.instance[0] in units]
         if units and own:
             best = own[int(np.argmin(score.log_p[own]))]
             found.append((float(np.minimum(score.log_p[best] + np.log(len(own)), 0.0)), number, best))
     log_level, number, best = min(found, default=(0.0, -1, 0))
-    level = float(np.exp(log_family(log_level, field.unknowns)))
+    level = float(np.exp(log_family(log_level, test_set.unknowns)))
     stays = number >= 0 and level < (_AFTER if names else _NOTHING_NAMED)
     if stays and selection.outliers:
-        stays = carried_by_few(field, given, number, best) < np.log(_CARRIED)
-    after = [field.families[number].unknown] if stays else []
+        stays = carried_by_few(test_set, given, number, best) < np.log(_CARRIED)
+    after = [test_set.families[number].unknown] if stays else []
     if unknown:
         levels = dict(zip(map(id, selection.chosen), levels_of(selection), strict=True))
         p = float(np.exp(min(levels[id(one)] for one in selection.unknown)))
-        places = [selection.field.families[one.family].alternatives[one.number].instance for one in selection.unknown]
-        size = _size(selection.field, selection.given(without=selection.unknown), selection.given())
-        where = tuple(dict.fromkeys(name for place in places for name in _units(field, place)))
-        return Left(p, tuple(dict.fromkeys([*unknown, *after])), where, size), level
+        places = [
+            selection.test_set.families[one.family].alternatives[one.number].instance for one in selection.unknown
+        ]
+        size = _size(selection.test_set, selection.given(without=selection.unknown), selection.given())
+        where = tuple(dict.fromkeys(name for place in places for name in _units(test_set, place)))
+        return RemainingStructure(p, tuple(dict.fromkeys([*unknown, *after])), where, size), level
     if not after:
         return None, level
-    family = field.families[number]
-    size = _size(field, given, given.with_columns(family.columns[:, best]))
-    return Left(level, tuple(after), _units(field, family.alternatives[best].instance), size), level
+    family = test_set.families[number]
+    size = _size(test_set, given, given.with_columns(family.columns[:, best]))
+    return RemainingStructure(level, tuple(after), _units(test_set, family.alternatives[best].instance), size), level
 
 
-def _units(field: Field, instance: Iterable[str]) -> tuple[str, ...]:
+def _units(test_set: ScoreTests, instance: Iterable[str]) -> tuple[str, ...]:
     """Return what of an alternative's place are tracers, images and the like; waves have a component and a period."""
-    names = {name for place in field.system.model.places.values() for name in place.names}
+    names = {name for place in test_set.system.model.places.values() for name in place.names}
     return tuple(name for name in instance if name in names)
 
 
-def other_shape_from(name: Named, field: Field, noise: float) -> float:
+def other_shape_from(name: NamedEffect, test_set: ScoreTests, noise: float) -> float:
     """Return from which share of its size on an effect of another shape would show as structure beside a name.
 
     `sqrt(lambda s^2 / |G theta|^2)`, lambda the non-centrality at which a smooth function, as wide as the median of
@@ -134,18 +140,18 @@ def other_shape_from(name: Named, field: Field, noise: float) -> float:
     differs from it by the share sin phi. The noise s is in units of the declared one.
     """
     needed = []
-    for number, family in enumerate(field.families):
-        ranks = field.score(number, nothing(field.system)).rank
+    for number, family in enumerate(test_set.families):
+        ranks = test_set.score(number, nothing_fitted(test_set.system)).rank
         if family.unknown and ranks.any():
-            level = single_level(single_level(_AFTER, field.unknowns), field.tests[number])
+            level = single_level(single_level(_AFTER, test_set.unknowns), test_set.tests[number])
             terms = int(np.median(ranks[ranks > 0]))
-            needed.append(noncentrality(level, terms, max(field.system.dof - terms, 1.0)))
+            needed.append(noncentrality(level, terms, max(test_set.system.dof - terms, 1.0)))
     least = float(np.median(needed)) if needed else float("inf")
     return float(np.sqrt(least) * noise / max(name.shows, 1e-300))
 
 
-def _size(field: Field, without: Given, beside: Given) -> float:
+def _size(test_set: ScoreTests, without: FittedColumns, beside: FittedColumns) -> float:
     """Return what shows of terms in the readings that they touch, root mean square, in the unit of these."""
-    shown = ((without.residual - beside.residual) * field.system.scale)[field.system.alike]
+    shown = ((without.residual - beside.residual) * test_set.system.scale)[test_set.system.alike]
     heavy = np.abs(shown) > _NEGLIGIBLE * np.abs(shown).max(initial=0.0)
     return float(np.sqrt((shown[heavy] ** 2).mean())) if heavy.any() else 0.0

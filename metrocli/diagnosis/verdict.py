@@ -14,8 +14,8 @@ from metrocli.diagnosis.detectability import Candidate, Design, WrongReading
 from metrocli.diagnosis.diagnose import Diagnosis, Finding
 from metrocli.diagnosis.linear.candidates import Alternative
 from metrocli.diagnosis.mistakes import Mistaken
-from metrocli.diagnosis.residual_structure import Left
-from metrocli.diagnosis.selection.confidence_set import Named, Rival
+from metrocli.diagnosis.residual_structure import RemainingStructure
+from metrocli.diagnosis.selection.confidence_set import NamedEffect, Rival
 from metrocli.effects.effect import Effect
 
 NAMED, EXCLUDED, CANNOT_SEE = "named", "excluded", "cannot-see"
@@ -29,29 +29,29 @@ def as_data(diagnosis: Diagnosis) -> dict[str, Any]:
     return {
         "verdict": diagnosis.verdict,
         "noise": {
-            "declared": diagnosis.subject.declared,
+            "declared": diagnosis.job.declared,
             "ratio": noise.ratio,
             "interval": [noise.low, noise.high],
-            "apart": [{unit.key: unit.name, "ratio": unit.ratio} for unit in diagnosis.apart],
+            "apart": [{unit.key: unit.name, "ratio": unit.ratio} for unit in diagnosis.noisier_units],
             "repeats": None if repeats is None else {"ratio": repeats.ratio, "lack_of_fit": repeats.lack_of_fit},
         },
         "outliers": [{"observation": dict(one.keys), "w": one.test} for one in diagnosis.outliers],
         "effects": [
             *([] if diagnosis.mistaken is None else [_mistake(diagnosis.mistaken)]),
-            *(_effect(diagnosis.subject, finding) for finding in diagnosis.findings),
+            *(_effect(diagnosis.job, finding) for finding in diagnosis.findings),
         ],
-        "together": None if diagnosis.together is None else _gain(diagnosis.together, diagnosis.subject),
+        "together": None if diagnosis.together is None else _gain(diagnosis.together, diagnosis.job),
         "structure": {"before": diagnosis.before, "after": diagnosis.after},
-        "unexplained": None if left is None else _left(diagnosis.subject, left),
-        "candidates": candidates(diagnosis.subject, diagnosis.design, [f.named for f in diagnosis.findings]),
+        "unexplained": None if left is None else _left(diagnosis.job, left),
+        "candidates": candidates(diagnosis.job, diagnosis.design, [f.effect for f in diagnosis.findings]),
         "alike": alike(diagnosis.design),
         "separate_by": list(diagnosis.separate_by),
     }
 
 
-def design_data(subject: AdjustedJob, design: Design) -> dict[str, Any]:
+def design_data(job: AdjustedJob, design: Design) -> dict[str, Any]:
     """Return what a measurement can see, before it is looked at."""
-    return {"candidates": candidates(subject, design, []), "alike": alike(design)}
+    return {"candidates": candidates(job, design, []), "alike": alike(design)}
 
 
 MISTAKE = "mistake-in-file"
@@ -71,8 +71,8 @@ def _mistake(mistaken: Mistaken) -> dict[str, Any]:
     }
 
 
-def _effect(subject: AdjustedJob, finding: Finding) -> dict[str, Any]:
-    name, gain = finding.named, finding.gain
+def _effect(job: AdjustedJob, finding: Finding) -> dict[str, Any]:
+    name, gain = finding.effect, finding.gain
     return {
         "name": name.alternative.effect.name,
         "where": _where(name.alternative),
@@ -80,7 +80,7 @@ def _effect(subject: AdjustedJob, finding: Finding) -> dict[str, Any]:
         "p_value": float(np.exp(name.log_level)),
         "alternatives": [_rival(rival) for rival in name.rivals],
         "other_shape_from": finding.other_shape_from,
-        "gain": _gain(gain, subject) | {"result_shift": _delivered(subject, finding.shift)},
+        "gain": _gain(gain, job) | {"result_shift": _delivered(job, finding.shift)},
     }
 
 
@@ -88,8 +88,8 @@ def _where(alternative: Alternative) -> dict[str, str]:
     return alternative.where | dict(alternative.named)
 
 
-def _gain(gain: Gain, subject: AdjustedJob) -> dict[str, Any]:
-    unit = units.find_unit(*subject.reading)
+def _gain(gain: Gain, job: AdjustedJob) -> dict[str, Any]:
+    unit = units.find_unit(*job.reading)
     return {
         "holdout_before": unit.outside(gain.before),
         "holdout_after": unit.outside(gain.after),
@@ -103,8 +103,8 @@ def _gain(gain: Gain, subject: AdjustedJob) -> dict[str, Any]:
     }
 
 
-def _left(subject: AdjustedJob, left: Left) -> dict[str, Any]:
-    unit = units.find_unit(*subject.reading)
+def _left(job: AdjustedJob, left: RemainingStructure) -> dict[str, Any]:
+    unit = units.find_unit(*job.reading)
     return {
         "p_value": left.p_value,
         "depends_on": list(left.depends_on),
@@ -130,12 +130,12 @@ def _rival(rival: Rival) -> dict[str, Any]:
     }
 
 
-def _delivered(subject: AdjustedJob, value: float) -> dict[str, Any]:
-    unit = units.find_unit(subject.delivered.unit, subject.delivered.dimension)
-    return {"what": subject.delivered.what, "value": unit.outside(value), "unit": unit.symbol}
+def _delivered(job: AdjustedJob, value: float) -> dict[str, Any]:
+    unit = units.find_unit(job.delivered.unit, job.delivered.dimension)
+    return {"what": job.delivered.what, "value": unit.outside(value), "unit": unit.symbol}
 
 
-def status(candidate: Candidate, named: Iterable[Named]) -> str:
+def status(candidate: Candidate, named: Iterable[NamedEffect]) -> str:
     """Return what can be said of a candidate; one that stands in the set of a named one counts as named."""
     if any(candidate.alternative.spot in spots(name) for name in named):
         return NAMED
@@ -144,21 +144,21 @@ def status(candidate: Candidate, named: Iterable[Named]) -> str:
     return EXCLUDED if candidate.detectable <= candidate.plausible else CANNOT_SEE
 
 
-def spots(name: Named) -> set[tuple[str, tuple[str, ...]]]:
+def spots(name: NamedEffect) -> set[tuple[str, tuple[str, ...]]]:
     """Return cause and place of a named effect and of all that explain the readings as well."""
     return {name.alternative.spot, *(rival.alternative.spot for rival in name.rivals)}
 
 
-def candidates(subject: AdjustedJob, design: Design, named: Iterable[Named]) -> list[dict[str, Any]]:
+def candidates(job: AdjustedJob, design: Design, named: Iterable[NamedEffect]) -> list[dict[str, Any]]:
     """Return all candidates, tested or not."""
     names = list(named)
-    tested = [_candidate(subject, candidate, status(candidate, names)) for candidate in design.candidates]
-    readings = [_wrong_reading(subject, one) for one in design.readings]
+    tested = [_candidate(job, candidate, status(candidate, names)) for candidate in design.candidates]
+    readings = [_wrong_reading(job, one) for one in design.readings]
     missing = [_open(one.effect, one.where, NOT_TESTED, one.reason) for one in design.not_tested]
     return tested + readings + missing
 
 
-def _wrong_reading(subject: AdjustedJob, one: WrongReading) -> dict[str, Any]:
+def _wrong_reading(job: AdjustedJob, one: WrongReading) -> dict[str, Any]:
     unchecked = f"; {one.unchecked} readings cannot be checked" if one.unchecked else ""
     if not one.testable:
         return _open(one.effect, {}, NOT_TESTABLE, UNCHECKED)
@@ -167,19 +167,19 @@ def _wrong_reading(subject: AdjustedJob, one: WrongReading) -> dict[str, Any]:
         "where": {},
         "status": EXCLUDED,
         "minimal_detectable": {"value": one.detectable, "unit": one.effect.parameters[0].unit},
-        "hides": _delivered(subject, one.hides),
+        "hides": _delivered(job, one.hides),
         "reason": f"wrong readings are listed as outliers; the size is that of the median reading{unchecked}",
     }
 
 
-def _candidate(subject: AdjustedJob, candidate: Candidate, word: str) -> dict[str, Any]:
+def _candidate(job: AdjustedJob, candidate: Candidate, word: str) -> dict[str, Any]:
     return {
         "name": candidate.alternative.effect.name,
         "where": candidate.alternative.where,
         "status": word,
         "visible_share": candidate.visible,
         "minimal_detectable": {"value": candidate.detectable, "unit": candidate.unit} if candidate.testable else None,
-        "hides": _delivered(subject, candidate.hides),
+        "hides": _delivered(job, candidate.hides),
         "reason": reason(candidate, word),
     }
 
@@ -219,7 +219,7 @@ def alike(design: Design) -> list[dict[str, Any]]:
     ]
 
 
-def as_job(name: Named) -> Mapping[str, str]:
+def as_job(name: NamedEffect) -> Mapping[str, str]:
     """Return an effect as a job names it: to be estimated, with what was scanned and what is taken as 0."""
     alternative = name.alternative
     effect = alternative.effect

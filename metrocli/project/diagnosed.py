@@ -10,7 +10,7 @@ from pathlib import Path
 from metrocli import tasks
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.detectability import Design
-from metrocli.diagnosis.diagnose import Diagnosis, diagnose, planned
+from metrocli.diagnosis.diagnose import Diagnosis, diagnose, what_can_be_seen
 from metrocli.diagnosis.mistakes import without_mistakes
 from metrocli.diagnosis.verdict import as_job
 from metrocli.errors import Fault, InputError, UsageError
@@ -26,7 +26,7 @@ _NAMED = " with the effects that metrocli diagnose named"
 """The end of the first line of an extended job"""
 
 
-def subject_of(job: JobFile) -> AdjustedJob:
+def adjusted_job_of(job: JobFile) -> AdjustedJob:
     """Return what is diagnosed of a job; UsageError for a kind that has no diagnosis."""
     return _adjuster(job)(read_inputs(job))
 
@@ -35,8 +35,8 @@ def carry_out(job: JobFile, say: Say = lambda line: None) -> Diagnosis:
     """Adjust a job, without a mistake in its files where there is one, and diagnose it."""
     adjust = _adjuster(job)
     say(f"{job.file}: adjusting")
-    subject, mistaken = without_mistakes(read_inputs(job), adjust)
-    return replace(diagnose(subject, lambda line: say(f"{job.file}: {line}")), mistaken=mistaken)
+    adjusted, mistaken = without_mistakes(read_inputs(job), adjust)
+    return replace(diagnose(adjusted, lambda line: say(f"{job.file}: {line}")), mistaken=mistaken)
 
 
 def design_of(job: JobFile) -> tuple[AdjustedJob, Design]:
@@ -47,8 +47,8 @@ def design_of(job: JobFile) -> tuple[AdjustedJob, Design]:
         files = simulate(job, SimulationOptions()).files
         made = {Path(name).stem: table for name, table in files.items()}
         held |= {item.key: made[item.key] for item in job.inputs if item.key in wanted and item.key in made}
-    subject = _adjuster(job)(held)
-    return subject, planned(subject)
+    adjusted = _adjuster(job)(held)
+    return adjusted, what_can_be_seen(adjusted)
 
 
 def _adjuster(job: JobFile) -> Callable[[Mapping[str, object]], AdjustedJob]:
@@ -79,7 +79,7 @@ def write_extended(job: JobFile, diagnosis: Diagnosis, path: Path | None = None)
     if not diagnosis.findings:
         return None
     path = path or job.file.with_name(f"{job.file.stem}.extended.yaml")
-    new = [_node(job, as_job(finding.named)) for finding in diagnosis.findings]
+    new = [_node(job, as_job(finding.effect)) for finding in diagnosis.findings]
     _refuse_foreign(path)
     text = f"# {job.file.name}{_NAMED}\n" + yaml_text.emit(_extended(job, new, path.parent))
     with written_aside(path) as aside:

@@ -10,7 +10,7 @@ import pytest
 
 from metrocli.diagnosis.diagnose import Diagnosis, diagnose
 from metrocli.diagnosis.linear.candidates import Alternative
-from metrocli.project.diagnosed import subject_of
+from metrocli.project.diagnosed import adjusted_job_of
 from metrocli.project.job import load
 
 CASES = Path(__file__).parents[2] / ".." / "shared" / "cases"
@@ -28,8 +28,8 @@ pytestmark = pytest.mark.skipif(not FOLDERS, reason=f"no cases at {CASES}")
 
 def right(diagnosis: Diagnosis, truth: dict[str, Any]) -> bool:
     """Whether the verdict is what the truth asks for."""
-    told = {_spot(finding.named.alternative) for finding in diagnosis.findings}
-    sets = told | {_spot(rival.alternative) for finding in diagnosis.findings for rival in finding.named.rivals}
+    told = {_spot(finding.effect.alternative) for finding in diagnosis.findings}
+    sets = told | {_spot(rival.alternative) for finding in diagnosis.findings for rival in finding.effect.rivals}
     planted = [effect for effect in truth["effects"] if effect.get("identifiable", True)]
     if not planted:
         return diagnosis.verdict == "clean"
@@ -65,11 +65,11 @@ def _marked(folder: Path) -> Any:
 @pytest.mark.parametrize("folder", [_marked(folder) for folder in FOLDERS])
 def test_the_verdict_is_right(folder: Path) -> None:
     truth = json.loads((folder / "truth.json").read_text())
-    diagnosis = diagnose(subject_of(load(folder / "job.yaml")))
+    diagnosis = diagnose(adjusted_job_of(load(folder / "job.yaml")))
     if (reason := SEEN_ONCE.get(f"{folder.parent.name}/{folder.name}")) and not diagnosis.findings:
         assert {outlier.keys["pose"] for outlier in diagnosis.outliers} == {truth["effects"][0]["where"]["pose"]}
         pytest.xfail(reason)
-    assert right(diagnosis, truth), (diagnosis.verdict, [str(f.named.alternative) for f in diagnosis.findings])
+    assert right(diagnosis, truth), (diagnosis.verdict, [str(f.effect.alternative) for f in diagnosis.findings])
     if truth["kind"] == "multilaterate":
         wrong = {(one["point"], one["tracer"]) for one in truth["outliers"]}
         assert {(one.keys["point"], one.keys["tracer"]) for one in diagnosis.outliers} == wrong

@@ -253,7 +253,7 @@ def test_of_two_large_effects_that_are_alike_neither_takes_the_place_of_the_othe
 
 def test_a_report_says_how_far_the_shape_of_an_effect_was_checked() -> None:
     rng = np.random.default_rng(8)
-    found = diagnose(lengths.planted(lengths.measurement(rng, 60), rng, "sphere-form", 30.0)[0].subject())
+    found = diagnose(lengths.planted(lengths.measurement(rng, 60), rng, "sphere-form", 30.0)[0].adjusted())
     # a smooth function has more terms than the effect, so that it must be somewhat larger to be seen
     assert 0.8 / 30 < found.findings[0].other_shape_from < 2.5 / 30
     for share, words in ((0.034, "would show from a difference of 3.4 % on"), (1.2, "too small for its shape")):
@@ -271,14 +271,14 @@ def test_an_extended_job_takes_the_place_of_an_older_one_and_of_no_other_file(fo
 
 
 def test_a_noise_that_the_job_estimates_is_not_called_declared() -> None:
-    found = diagnose(replace(lengths.measurement(np.random.default_rng(4), 20).subject(), declared="estimated"))
+    found = diagnose(replace(lengths.measurement(np.random.default_rng(4), 20).adjusted(), declared="estimated"))
     text = " ".join(diagnosis_text.of_diagnosis(found, None).split())
     assert ("times what the job estimates" in text, "declared" in text) == (True, False)
 
 
 @pytest.mark.parametrize(("dof", "told"), [(9.0, True), (200.0, False)])
 def test_noise_far_beyond_the_declared_is_doubted_where_few_readings_say_so(dof: float, told: bool) -> None:
-    found = diagnose(lengths.measurement(np.random.default_rng(4), 20).subject())
+    found = diagnose(lengths.measurement(np.random.default_rng(4), 20).adjusted())
     text = diagnosis_text.of_diagnosis(replace(found, noise=Noise(9.6, 6.6, 17.5, dof)), None)
     assert ("do not tell several wrong ones from noise" in " ".join(text.split())) is told
 
@@ -297,7 +297,7 @@ def test_where_no_reading_is_to_spare_nothing_is_called_clean(folder: Path, metr
 def test_the_size_from_which_scales_are_told_apart_has_a_unit() -> None:
     pair = Pair("machine-scale x", "distance-scale", 0.95, 4.1e-6, "1", "ratio")
     told = diagnosis_text.of_design(
-        lengths.measurement(np.random.default_rng(1), 20).subject(), Design((), (), (pair,))
+        lengths.measurement(np.random.default_rng(1), 20).adjusted(), Design((), (), (pair,))
     )
     assert "machine-scale x and distance-scale: told apart from 4.1 um/m on" in told
 

@@ -67,7 +67,7 @@ def test_an_effect_of_no_table_is_called_unknown(cases: tuple[Found, ...]) -> No
     outside = [one for one in hidden(cases, known=False) if one.case.hidden[0].distinct]
     assert len(outside) >= len(cases) // 20
     unexplained = [one for one in outside if one.diagnosis.verdict == "unexplained"]
-    few = cases[0].diagnosis.subject.kind in ("align-part", "calibrate-camera")
+    few = cases[0].diagnosis.job.kind in ("align-part", "calibrate-camera")
     few |= "outside the table, few poses" in {one.case.scenario for one in outside}
     assert len(unexplained) >= (0.4 if few else 1.0) * len(outside)
     assert sum(bool(one.diagnosis.findings) and one not in unexplained for one in outside) <= (1 if few else 0)
@@ -90,5 +90,5 @@ def test_the_noise_is_found(cases: tuple[Found, ...]) -> None:
 
 def test_it_does_not_take_long(cases: tuple[Found, ...]) -> None:
     """CPU time, since the machine may be busy."""
-    images = cases[0].diagnosis.subject.kind in ONE_ROUND
+    images = cases[0].diagnosis.job.kind in ONE_ROUND
     assert max(one.seconds for one in cases) < (20 if images else 5)

@@ -64,10 +64,10 @@ WRONG = {
 def test_the_mistake_is_told(name: str) -> None:
     key, spoil, words = WRONG[name]
     inputs = files()
-    subject, mistaken = without_mistakes({**inputs, key: spoil(inputs[key])}, adjust)
+    adjusted, mistaken = without_mistakes({**inputs, key: spoil(inputs[key])}, adjust)
     assert mistaken is not None
     assert any(str(mistake).startswith(words) for mistake in mistaken.mistakes), [str(m) for m in mistaken.mistakes]
-    assert strangeness(subject) < 1
+    assert strangeness(adjusted) < 1
     assert mistaken.after < mistaken.before / 10
 
 

@@ -14,19 +14,19 @@ from metrocli.diagnosis.linear.candidates import instances
 from metrocli.diagnosis.linear.projection import linearised
 from metrocli.effects.extension import can_act
 
-ALL: dict[str, Callable[[], AdjustedJob]] = {kind: campaign.case(0).subject for kind, campaign in KINDS.items()}
+ALL: dict[str, Callable[[], AdjustedJob]] = {kind: campaign.case(0).adjusted for kind, campaign in KINDS.items()}
 
 
 @pytest.mark.parametrize("kind", ALL)
 def test_columns_are_those_of_the_whole_chain(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    subject = ALL[kind]()
-    system = linearised(subject.model)
+    adjusted = ALL[kind]()
+    system = linearised(adjusted.model)
     places = {
         (effect.name, effect.by): (effect, place)
-        for effect in subject.effects
+        for effect in adjusted.effects
         if not effect.of_one_reading
-        for place in instances(subject.model, effect)[-1:]
-        if can_act(subject.model, effect, dict(zip(effect.keys, place, strict=True)))
+        for place in instances(adjusted.model, effect)[-1:]
+        if can_act(adjusted.model, effect, dict(zip(effect.keys, place, strict=True)))
     }
     assert len(places) >= 5
     fast = {}
@@ -35,7 +35,7 @@ def test_columns_are_those_of_the_whole_chain(kind: str, monkeypatch: pytest.Mon
             monkeypatch.setattr(signatures, "_spliced", lambda *_: None)
         for key, (effect, place) in places.items():
             scanned = {parameter.name: 3.0 for parameter in effect.scanned}
-            columns = signatures.signature(subject.model, system, effect, place, scanned)
+            columns = signatures.signature(adjusted.model, system, effect, place, scanned)
             if not anew:
                 fast[key] = columns
             else:

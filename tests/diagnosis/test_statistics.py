@@ -19,18 +19,18 @@ from metrocli.adjust.model.quantities import Quantity
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.cross_validation import _held, _without
 from metrocli.diagnosis.diagnose import diagnose
-from metrocli.diagnosis.extended_fit import field_of_job
+from metrocli.diagnosis.extended_fit import score_tests_of_job
 from metrocli.diagnosis.linear.candidates import families_of
 from metrocli.diagnosis.linear.distributions import chi_interval, log_family, log_tail, noncentrality
-from metrocli.diagnosis.linear.fitted_columns import PRIOR, nothing
+from metrocli.diagnosis.linear.fitted_columns import PRIOR, nothing_fitted
 from metrocli.diagnosis.linear.projection import System, linearised
-from metrocli.diagnosis.linear.score_tests import Field, independent, quadratic
+from metrocli.diagnosis.linear.score_tests import ScoreTests, effective_number_of_tests, quadratic
 from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.linear.smooth_terms import _shown, polynomials
-from metrocli.diagnosis.noise import apart
+from metrocli.diagnosis.noise import noisiest_unit
 from metrocli.diagnosis.residual_structure import pure_error
 from metrocli.diagnosis.selection.confidence_set import _seen
-from metrocli.diagnosis.selection.search import select
+from metrocli.diagnosis.selection.search import search
 from metrocli.diagnosis.selection.selection_state import Chosen, Selection
 from metrocli.effects.model import Model
 
@@ -38,19 +38,19 @@ Array = np.typing.NDArray[np.float64]
 
 
 @cache
-def subject() -> AdjustedJob:
-    return lengths.measurement(np.random.default_rng(2), 30).subject()
+def adjusted() -> AdjustedJob:
+    return lengths.measurement(np.random.default_rng(2), 30).adjusted()
 
 
 @cache
-def field() -> Field:
-    return field_of_job(subject(), {}, np.random.default_rng(3))[0]
+def field() -> ScoreTests:
+    return score_tests_of_job(adjusted(), {}, np.random.default_rng(3))[0]
 
 
 @cache
 def plain() -> tuple[Array, Array, Array]:
     """Derivatives by differences of the chain's predictions, residuals and standard deviations, one reading a row."""
-    model = subject().model
+    model = adjusted().model
     group = model.readings[0]
     columns = []
     for name, block in model.blocks.items():
@@ -77,7 +77,7 @@ def test_what_is_seen_is_what_least_squares_leaves() -> None:
 
 def test_absorbed_changes_are_those_of_the_adjustment_in_its_datum() -> None:
     system = field().system
-    model = subject().model
+    model = adjusted().model
     values = np.random.default_rng(1).normal(size=system.rows)
     shift = system.shift(values[:, None], "point", (0, 1, 2))[:, :, 0]
     tracer = system.shift(values[:, None], "tracer", (0, 1, 2, 3))[:, :, 0]
@@ -99,7 +99,7 @@ def test_absorbed_changes_are_those_of_the_adjustment_in_its_datum() -> None:
 
 def test_a_score_is_the_fall_of_the_sum_of_squares() -> None:
     system, chosen = field().system, field()
-    start = nothing(system)
+    start = nothing_fitted(system)
     for number, family in enumerate(chosen.families):
         score = chosen.score(number, start)
         for at in {0, len(family.alternatives) - 1, score.best}:
@@ -116,7 +116,7 @@ def test_scores_given_a_column_are_those_of_both_together() -> None:
     chosen = field()
     number = next(i for i, f in enumerate(chosen.families) if f.name == "dead-path-drift")
     columns = chosen.families[number].columns
-    start = nothing(chosen.system)
+    start = nothing_fitted(chosen.system)
     given = start.with_columns(columns[:, 0])
     both = start.with_columns(np.concatenate([columns[:, 0], columns[:, 1]], axis=1))
     assert np.isclose(chosen.score(number, given).gain[1], given.squares - both.squares, rtol=1e-6)
@@ -124,7 +124,7 @@ def test_scores_given_a_column_are_those_of_both_together() -> None:
 
 
 def test_what_the_unknowns_absorb_but_for_rounding_takes_no_freedom() -> None:
-    chosen, start = field(), nothing(field().system)
+    chosen, start = field(), nothing_fitted(field().system)
     absorbed = 0
     for number, family in enumerate(chosen.families):
         score = chosen.score(number, start)
@@ -137,14 +137,14 @@ def test_what_the_unknowns_absorb_but_for_rounding_takes_no_freedom() -> None:
 def test_where_no_effect_can_be_tried_structure_is_still_told() -> None:
     m = lengths.measurement(np.random.default_rng(2), 40)
     wave = 1e-3 * np.sin(2 * np.pi * (m.t - m.t.min()) / np.ptp(m.t)) * (m.tracer == 1)
-    found = diagnose(replace(replace(m, length=m.length + wave).subject(), effects=()))
+    found = diagnose(replace(replace(m, length=m.length + wave).adjusted(), effects=()))
     assert (found.verdict, found.left and found.left.where) == ("unexplained", ("T1",))
 
 
 def test_outliers_have_their_studentised_residuals() -> None:
     system, chosen = field().system, field()
     redundancy = 1 - (system.basis**2).sum(axis=1)
-    score = chosen.outliers(nothing(system))
+    score = chosen.outliers(nothing_fitted(system))
     good = score.rank > 0
     assert good.mean() > 0.9
     assert np.allclose(score.gain[good], (system.residual**2 / redundancy)[good], rtol=1e-8)
@@ -172,7 +172,7 @@ def test_levels_of_many_tests() -> None:
     expected = [np.log(1e-300) + np.log(50), *np.log(-np.expm1(50 * np.log1p(-p[1:])))]
     assert np.allclose(log_family(np.log(p), 50.0), expected, rtol=1e-6)
     draws = np.random.default_rng(5).uniform(size=(4000, 37)).min(axis=1)
-    assert 30 < independent(np.log(draws)) < 45
+    assert 30 < effective_number_of_tests(np.log(draws)) < 45
 
 
 def test_the_interval_of_the_noise() -> None:
@@ -194,7 +194,7 @@ def test_held_out_errors_are_those_of_an_adjustment_without_them() -> None:
     system = field().system
     size = np.linalg.norm(jacobian, axis=0)
     for row in (3, 77):
-        held = _held(field(), nothing(system), np.array([row]))
+        held = _held(field(), nothing_fitted(system), np.array([row]))
         rest = np.arange(len(residual)) != row
         step = np.linalg.lstsq((jacobian / size)[rest], residual[rest], rcond=1e-9)[0]
         expected = residual[row] - (jacobian / size)[row] @ step
@@ -205,7 +205,7 @@ def test_held_out_errors_are_those_of_an_adjustment_without_them() -> None:
 def test_held_out_errors_are_of_angles_where_distances_are_read_too() -> None:
     rng = np.random.default_rng(21)
     m, _ = launch.planted(launch.measurement(rng, True), rng, "machine-scale", 30.0)
-    gain = diagnose(m.subject()).findings[0].gain
+    gain = diagnose(m.adjusted()).findings[0].gain
     arcsec = np.pi / 648_000
     assert gain.before > 20 * arcsec
     assert 3.5 * arcsec < gain.after < 8 * arcsec  # encoders of 5 arcsec
@@ -218,8 +218,8 @@ def test_in_noise_the_levels_are_what_they_say() -> None:
     named = 0
     for _ in range(200):
         r = chosen.system.seen(rng.normal(size=chosen.system.rows))
-        start = nothing(chosen.system)
-        named += bool(select(chosen, replace(start, residual=r, squares=float(r @ r) + PRIOR)).chosen)
+        start = nothing_fitted(chosen.system)
+        named += bool(search(chosen, replace(start, residual=r, squares=float(r @ r) + PRIOR)).chosen)
     assert named <= 14
 
 
@@ -241,16 +241,16 @@ def test_where_a_step_leads_back_the_next_one_is_taken(monkeypatch: pytest.Monke
     def settled(selection: Selection) -> Selection:
         left = next((one for one in selection.chosen if one.family == 0), None)
         selection = selection if left is None else selection.without(left)
-        return Selection(selection.field, selection.fit, selection.chosen[:1])
+        return Selection(selection.test_set, selection.fit, selection.chosen[:1])
 
-    monkeypatch.setattr("metrocli.diagnosis.selection.search.steps", steps)
-    monkeypatch.setattr("metrocli.diagnosis.selection.search.settled", settled)
-    assert select(chosen, nothing(chosen.system)).members == {(1, 0)}
+    monkeypatch.setattr("metrocli.diagnosis.selection.search.forward_steps", steps)
+    monkeypatch.setattr("metrocli.diagnosis.selection.search.backward_steps", settled)
+    assert search(chosen, nothing_fitted(chosen.system)).members == {(1, 0)}
 
 
 def test_a_signature_is_the_difference_of_predictions() -> None:
-    model, system = subject().model, field().system
-    for family in families_of(subject(), system)[0]:
+    model, system = adjusted().model, field().system
+    for family in families_of(adjusted(), system)[0]:
         alternative = family.alternatives[-1]
         full = signature(model, system, alternative.effect, alternative.instance, dict(alternative.scanned))
         assert np.allclose(np.linalg.norm(full, axis=0), family.raw[-1])
@@ -264,9 +264,9 @@ def test_a_noisier_tracer_is_found(noisier: bool) -> None:
         rng = np.random.default_rng([4, seed])
         m = lengths.measurement(rng, 60)
         m = lengths.noisier(m, rng) if noisier else m
-        one = m.subject()
+        one = m.adjusted()
         system: System = linearised(one.model)
-        found.append(apart(one, system, nothing(system), rng))
+        found.append(noisiest_unit(one, system, nothing_fitted(system), rng))
     assert sum(unit is not None for unit in found) == (6 if noisier else 0)
     assert all(2 < unit.ratio < 4.5 for unit in found if unit is not None)
 
@@ -282,8 +282,8 @@ def test_repeated_readings_tell_noise_from_a_wrong_model() -> None:
         group = Group("readings", Chain((Straight(),)), observations)
         model = Model({"line": block}, (group,), None, ("readings",))
         system = linearised(model)
-        one = replace(subject(), model=model, replicates={"readings": np.repeat(np.arange(20), 2)})
-        found = pure_error(one, system, nothing(system))
+        one = replace(adjusted(), model=model, replicates={"readings": np.repeat(np.arange(20), 2)})
+        found = pure_error(one, system, nothing_fitted(system))
         pairs = y.reshape(20, 2)
         squares = float(((pairs[:, 0] - pairs[:, 1]) ** 2).sum() / 2)
         assert found is not None

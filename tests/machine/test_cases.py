@@ -91,7 +91,7 @@ def test_the_verdict_is_right(case: Path) -> None:
         if effect["name"][0] == "_":
             assert found.verdict == "unexplained"
             continue
-        told = [finding.named for finding in found.findings]
+        told = [finding.effect for finding in found.findings]
         names = [(one.alternative, [rival.alternative for rival in one.rivals]) for one in told]
         assert any(
             (one.effect.name, dict(one.where)) == (effect["name"], effect["where"])
@@ -114,8 +114,8 @@ def test_a_wave_shorter_than_the_pieces_of_a_path_is_not_called_excluded() -> No
     machine = sim.random_machine(rng)
     flight = sim.flight(machine, sim.walls(rng, 31), rng, spacing=3.0)
     settings = sim.settings("on-the-fly", noise=Noise(beam=1e-3, lateral=5e-3))
-    subject = calibrate_machine.diagnosed(calibrate_machine.TASK.job(settings, path=flight.path, track=flight.track))
-    found = diagnose(subject).design
+    adjusted = calibrate_machine.diagnosed(calibrate_machine.TASK.job(settings, path=flight.path, track=flight.track))
+    found = diagnose(adjusted).design
     assert "screw-pitch-error" not in {one.alternative.effect.name for one in found.candidates}
     assert "backlash" in {one.alternative.effect.name for one in found.candidates}
     reasons = {one.effect.name: one.reason for one in found.not_tested}

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from metrocli.diagnosis.diagnose import diagnose
-from metrocli.project.diagnosed import subject_of
+from metrocli.project.diagnosed import adjusted_job_of
 from metrocli.project.job import load
 from metrocli.units import parse_quantity
 
@@ -31,11 +31,11 @@ output: result.h5
 def test_the_scale_of_the_ranges_is_named_first(run: str, before: str, after: str, tmp_path: Path) -> None:
     path = tmp_path / "job.yaml"
     path.write_text(JOB.format(run=DATA.resolve() / run))
-    diagnosis = diagnose(subject_of(load(path)))
+    diagnosis = diagnose(adjusted_job_of(load(path)))
     first = diagnosis.findings[0]
-    assert first.named.alternative.effect.name == "length-scale"
-    assert not first.named.rivals
+    assert first.effect.alternative.effect.name == "length-scale"
+    assert not first.effect.rivals
     assert first.gain.shown
     assert abs(first.gain.median_before - parse_quantity(before, "length")) < parse_quantity("60 mm", "length")
     assert abs(first.gain.median_after - parse_quantity(after, "length")) < parse_quantity("20 mm", "length")
-    assert 0.06 < first.named.values[0] < 0.08
+    assert 0.06 < first.effect.values[0] < 0.08

@@ -17,7 +17,7 @@ def test_the_cases_share_nothing_with_the_solver() -> None:
     for names in ("1234", "123456"):
         m = grids.measurement(np.random.default_rng(1), names)
         settings, v = grids.job(names, grids.NOISE), grids.views(names)
-        table = m.subject().model.readings[0]
+        table = m.adjusted().model.readings[0]
         assert table.observations.count == len(v.view)
         from metrocli.table import Table
 

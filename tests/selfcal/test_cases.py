@@ -13,7 +13,7 @@ import pytest
 
 from metrocli.diagnosis.diagnose import Diagnosis, diagnose
 from metrocli.diagnosis.linear.candidates import Alternative
-from metrocli.project.diagnosed import subject_of
+from metrocli.project.diagnosed import adjusted_job_of
 from metrocli.project.job import load
 
 CASES = Path(__file__).parents[2] / ".." / "shared" / "cases" / "selfcal-grid"
@@ -35,8 +35,8 @@ def spot(alternative: Alternative) -> tuple[str, frozenset[tuple[str, str]]]:
 
 def right(diagnosis: Diagnosis, truth: dict[str, Any]) -> bool:
     """Whether the verdict is the expected one, and every planted effect stands in a set of names."""
-    sets = {spot(finding.named.alternative) for finding in diagnosis.findings}
-    sets |= {spot(rival.alternative) for finding in diagnosis.findings for rival in finding.named.rivals}
+    sets = {spot(finding.effect.alternative) for finding in diagnosis.findings}
+    sets |= {spot(rival.alternative) for finding in diagnosis.findings for rival in finding.effect.rivals}
     known = [one for one in truth["effects"] if not one["name"].startswith("_")]
     named = all((one["name"], place(one["where"])) in sets for one in known)
     return diagnosis.verdict == truth["expected_verdict"] and named and len(diagnosis.findings) == len(known)
@@ -45,8 +45,8 @@ def right(diagnosis: Diagnosis, truth: dict[str, Any]) -> bool:
 @pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
 def test_the_verdict_is_right(folder: Path) -> None:
     truth = json.loads((folder / "truth.json").read_text())
-    diagnosis = diagnose(subject_of(load(folder / "job.yaml")))
-    assert right(diagnosis, truth), (diagnosis.verdict, [str(f.named.alternative) for f in diagnosis.findings])
+    diagnosis = diagnose(adjusted_job_of(load(folder / "job.yaml")))
+    assert right(diagnosis, truth), (diagnosis.verdict, [str(f.effect.alternative) for f in diagnosis.findings])
     wrong = {(one["view"], *map(str, one["ball"]), one["axis"]) for one in truth["outliers"]}
     assert {tuple(one.keys[key] for key in ("view", "i", "j", "k", "component")) for one in diagnosis.outliers} == wrong
     assert diagnosis.noise.low * 0.97 <= truth["noise_ratio"] <= diagnosis.noise.high * 1.03

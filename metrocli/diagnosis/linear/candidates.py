@@ -84,18 +84,18 @@ class NotTested:
     where: Mapping[str, str] = field(default_factory=dict)
 
 
-def families_of(subject: AdjustedJob, system: System) -> tuple[list[Family], list[NotTested]]:
+def families_of(job: AdjustedJob, system: System) -> tuple[list[Family], list[NotTested]]:
     """Return the candidates of all effects that the data allow to test, and those that they do not."""
     families: dict[tuple[str, int], list[Family]] = {}
     missing: list[NotTested] = []
-    for effect in subject.effects:
+    for effect in job.effects:
         if effect.of_one_reading:
             continue
-        if effect.name in subject.not_sought:
-            missing.append(NotTested(effect, subject.not_sought[effect.name]))
+        if effect.name in job.not_sought:
+            missing.append(NotTested(effect, job.not_sought[effect.name]))
             continue
-        missing += _blind(subject.model, effect)
-        for family in _of_effect(subject, system, effect):
+        missing += _blind(job.model, effect)
+        for family in _of_effect(job, system, effect):
             families.setdefault((family.name, family.columns.shape[2]), []).append(family)
     tested = {name for name, _ in families}
     seen = [one for one in missing if one.where or one.effect.name not in tested]
@@ -133,13 +133,13 @@ def _places(model: Model, effect: Effect) -> list[tuple[str, ...]]:
     return list(product(*(names_for(model, effect, key) for key in effect.keys)))[:_MOST_PLACES]
 
 
-def _of_effect(subject: AdjustedJob, system: System, effect: Effect) -> Iterator[Family]:
-    places = _absent(subject.model, effect)
-    together = bool(effect.keys) and all(subject.model.places[key].index for key in effect.keys)
+def _of_effect(job: AdjustedJob, system: System, effect: Effect) -> Iterator[Family]:
+    places = _absent(job.model, effect)
+    together = bool(effect.keys) and all(job.model.places[key].index for key in effect.keys)
     for chosen in [places] if together else [[place] for place in places]:
         if not chosen:
             continue
-        kept = _telling(list(_columns(subject, system, effect, chosen)))
+        kept = _telling(list(_columns(job, system, effect, chosen)))
         by_size: dict[int, list[tuple[Alternative, Array, Array]]] = {}
         for item in kept:
             by_size.setdefault(item[1].shape[1], []).append(item)
@@ -190,25 +190,25 @@ def thinned(values: Array, most: int) -> Array:
 
 
 def _columns(
-    subject: AdjustedJob, system: System, effect: Effect, places: Sequence[tuple[str, ...]]
+    job: AdjustedJob, system: System, effect: Effect, places: Sequence[tuple[str, ...]]
 ) -> Iterator[tuple[Alternative, Array, Array]]:
     """Yield for each place and scan the visible columns of its parameters (rows, parameters) and their norms before."""
-    scans = [dict(one) for one in _scans(subject.model, effect)]
+    scans = [dict(one) for one in _scans(job.model, effect)]
     for scanned, (full, block, chosen) in zip(
-        scans, scan(subject.model, system, effect, places, scans) if scans else (), strict=True
+        scans, scan(job.model, system, effect, places, scans) if scans else (), strict=True
     ):
         if not chosen.any():
             continue
         member, column = np.nonzero(chosen)
-        before, seen = subject.model.blocks.get(block.name), system.seen(full)
+        before, seen = job.model.blocks.get(block.name), system.seen(full)
         for number, place in enumerate(places):
             own = member == (number + 1 if len(block.members) > 1 and before is None else _row(block.members, place))
             if not own.any():
                 own = np.ones(len(member), dtype=bool) if len(places) == 1 else own
             touched = np.flatnonzero(np.abs(full[:, own]).max(axis=1) > 0) if own.any() else np.zeros(0)
-            if len(touched) >= subject.fewest:
+            if len(touched) >= job.fewest:
                 names = tuple(block.columns[i] for i in column[own])
-                named = _named(subject.model, effect, scanned)
+                named = _named(job.model, effect, scanned)
                 alternative = Alternative(effect, place, tuple(scanned.items()), names, named)
                 yield alternative, seen[:, own], np.linalg.norm(full[:, own], axis=0)
 

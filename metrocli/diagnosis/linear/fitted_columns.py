@@ -16,7 +16,7 @@ PRIOR = 2.0
 
 
 @dataclass(frozen=True)
-class Given:
+class FittedColumns:
     """What is in the model beside its own unknowns: an orthonormal basis of visible columns, and the residual left."""
 
     basis: Array
@@ -27,16 +27,16 @@ class Given:
     dof: float
     prior: float = PRIOR
     """The part of the squares that the declared noise adds"""
-    larger: Given | None = None
+    larger: FittedColumns | None = None
     """A model with more in it that this one was taken from, if it was"""
     freed: Array | None = None
     """What the larger model has more, orthonormal, (rows, p)"""
     remembered: dict[tuple[int, int], Array] = field(default_factory=dict, compare=False, repr=False)
     """What it leaves of the candidates' Gram matrices"""
 
-    def with_columns(self, columns: Array) -> Given:
+    def with_columns(self, columns: Array) -> FittedColumns:
         """Return it with more columns (rows, q) in the model; what is not visible beside the others adds nothing."""
-        return Fit(self).with_part(columns).given
+        return FittedParts(self).with_part(columns).given
 
     def beside(self, columns: Array) -> Array:
         """Return what the model leaves of columns (rows, q)."""
@@ -44,21 +44,21 @@ class Given:
 
 
 @dataclass(frozen=True)
-class Fit:
+class FittedParts:
     """Parts of several columns each, fitted together beside a model.
 
     Each part is held by its coordinates in one orthonormal basis of all, so that the basis without some of them is a
     rotation of it.
     """
 
-    start: Given
+    start: FittedColumns
     basis: Array = field(default_factory=lambda: np.zeros((0, 0)))
     """Of what all parts add to the start, (rows, k)"""
     parts: tuple[Array, ...] = ()
     """Coordinates of each part's unit columns, (k, q)"""
 
     @cached_property
-    def given(self) -> Given:
+    def given(self) -> FittedColumns:
         """The model with all parts in it."""
         if not self.parts:
             return self.start
@@ -66,9 +66,9 @@ class Fit:
         residual = start.residual - self.basis @ (self.basis.T @ start.residual)
         squares = float(residual @ residual) + start.prior
         basis = np.concatenate([start.basis, self.basis], axis=1)
-        return Given(basis, residual, squares, start.dof - self.basis.shape[1], start.prior)
+        return FittedColumns(basis, residual, squares, start.dof - self.basis.shape[1], start.prior)
 
-    def with_part(self, columns: Array) -> Fit:
+    def with_part(self, columns: Array) -> FittedParts:
         """Return the fit with one more part (rows, q); what is not visible beside the others adds nothing."""
         basis = self.basis if self.parts else np.zeros((len(columns), 0))
         unit = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
@@ -80,15 +80,15 @@ class Fit:
         new = orthonormal(left, VISIBLE)
         grown = [np.pad(part, ((0, new.shape[1]), (0, 0))) for part in self.parts]
         part = np.concatenate([inside, new.T @ left])
-        return Fit(self.start, np.concatenate([basis, new], axis=1), (*grown, part))
+        return FittedParts(self.start, np.concatenate([basis, new], axis=1), (*grown, part))
 
-    def without(self, numbers: Collection[int]) -> Given:
+    def without(self, numbers: Collection[int]) -> FittedColumns:
         """Return the model without some parts."""
         kept, freed = self._turned(numbers)
         larger, start = self.given, self.start
         directions = self.basis @ freed
         along = directions.T @ start.residual
-        return Given(
+        return FittedColumns(
             np.concatenate([start.basis, self.basis @ kept], axis=1),
             larger.residual + directions @ along,
             larger.squares + float(along @ along),
@@ -98,12 +98,12 @@ class Fit:
             directions,
         )
 
-    def only(self, numbers: Collection[int]) -> Fit:
+    def only(self, numbers: Collection[int]) -> FittedParts:
         """Return the fit of some of the parts."""
         gone = set(range(len(self.parts))) - set(numbers)
         kept, _ = self._turned(gone)
         parts = tuple(kept.T @ part for number, part in enumerate(self.parts) if number not in gone)
-        return Fit(self.start, self.basis @ kept, parts) if parts else Fit(self.start)
+        return FittedParts(self.start, self.basis @ kept, parts) if parts else FittedParts(self.start)
 
     def _turned(self, gone: Collection[int]) -> tuple[Array, Array]:
         """Return orthonormal directions of the basis that the parts have without some, and those that they have not."""
@@ -129,9 +129,9 @@ def orthonormal(columns: Array, least: float) -> Array:
     return columns
 
 
-def nothing(system: System) -> Given:
+def nothing_fitted(system: System) -> FittedColumns:
     """Return the model as it is; a noise declared larger than it is counts as large as it is."""
     r = system.residual
     squares = float(r @ r)
     prior = PRIOR * min(1.0, squares / max(system.dof, 1))
-    return Given(np.zeros((system.rows, 0)), r, squares + prior, system.dof + PRIOR, prior)
+    return FittedColumns(np.zeros((system.rows, 0)), r, squares + prior, system.dof + PRIOR, prior)

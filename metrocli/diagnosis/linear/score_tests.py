@@ -15,7 +15,7 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.linear.candidates import Alternative, Family
 from metrocli.diagnosis.linear.distributions import log_family, log_tail
-from metrocli.diagnosis.linear.fitted_columns import PRIOR, Given, orthonormal
+from metrocli.diagnosis.linear.fitted_columns import PRIOR, FittedColumns, orthonormal
 from metrocli.diagnosis.linear.projection import VISIBLE, System
 
 FLAT = 1e-8
@@ -44,7 +44,7 @@ class Score:
 
 
 @dataclass(frozen=True)
-class Field:
+class ScoreTests:
     """All that races, with the number of independent tests that each family and all families together count as."""
 
     system: System
@@ -85,11 +85,11 @@ class Field:
         ]
         return min(found)[1:] if found else None
 
-    def scores(self, given: Given) -> list[Score]:
+    def scores(self, given: FittedColumns) -> list[Score]:
         """Return the tests of all families, given what is in the model."""
         return [self.score(number, given) for number in range(len(self.families))]
 
-    def score(self, number: int, given: Given, chosen: Sequence[int] | None = None) -> Score:
+    def score(self, number: int, given: FittedColumns, chosen: Sequence[int] | None = None) -> Score:
         """Return the tests of one family."""
         columns, scale = self.families[number].columns, self.scales[number]
         if chosen is None:
@@ -102,7 +102,7 @@ class Field:
         gain, rank = quadratic(gram, right, scale)
         return self._scored(gain, rank, given)
 
-    def _left(self, number: int, given: Given) -> Array:
+    def _left(self, number: int, given: FittedColumns) -> Array:
         """Return what a model leaves of the Gram matrices of a family, (alternatives, q, q)."""
         columns = self.families[number].columns
         key = number, columns.shape[1]
@@ -114,7 +114,7 @@ class Field:
             given.remembered[key] = left
         return given.remembered[key]
 
-    def _scored(self, gain: Array, rank: Array, given: Given) -> Score:
+    def _scored(self, gain: Array, rank: Array, given: FittedColumns) -> Score:
         share = np.clip(gain / max(given.squares, 1e-300), 0.0, 1.0)
         log_p = np.zeros(len(gain))
         for q in np.unique(rank[rank > 0]):
@@ -123,7 +123,7 @@ class Field:
                 log_p[own] = log_tail(share[own], float(q), given.dof - q)
         return Score(gain, rank, np.minimum(log_p, 0.0))
 
-    def outliers(self, given: Given) -> Score:
+    def outliers(self, given: FittedColumns) -> Score:
         """Return the tests of single readings, each with all its components."""
         rows = self.places
         u = np.where((rows >= 0)[:, :, None], given.basis[rows], 0.0)
@@ -210,7 +210,9 @@ def quadratic(gram: Array, right: Array, scale: Array) -> tuple[Array, Array]:
     return (np.where(good, along**2 / np.where(good, values, 1.0), 0.0)).sum(axis=1), good.sum(axis=1)
 
 
-def field_of(system: System, families: Sequence[Family], rng: np.random.Generator, apart: bool = False) -> Field:
+def score_tests_of(
+    system: System, families: Sequence[Family], rng: np.random.Generator, apart: bool = False
+) -> ScoreTests:
     """Return the race of families and outliers, with its counts of independent tests found from white noise.
 
     With `apart` the components of a reading go wrong one by one.
@@ -222,8 +224,8 @@ def field_of(system: System, families: Sequence[Family], rng: np.random.Generato
     there = (places >= 0).astype(float)
     blocks = np.eye(places.shape[1]) * there[:, :, None] - np.einsum("iak,ibk->iab", u, u)
     weak = np.einsum("iaa->ia", blocks).sum(axis=1) < _REDUNDANT
-    field_ = Field(system, tuple(families), tuple(f.raw for f in families), grams, blocks, places, excluded=weak)
-    return _calibrated(field_, rng)
+    test_set = ScoreTests(system, tuple(families), tuple(f.raw for f in families), grams, blocks, places, excluded=weak)
+    return _calibrated(test_set, rng)
 
 
 def _places(system: System) -> Array:
@@ -239,24 +241,28 @@ def _places(system: System) -> Array:
     return np.concatenate(parts)
 
 
-def _calibrated(field_: Field, rng: np.random.Generator) -> Field:
-    system = field_.system
-    columns = sum(f.columns.shape[1] * f.columns.shape[2] for f in field_.families)
+def _calibrated(test_set: ScoreTests, rng: np.random.Generator) -> ScoreTests:
+    system = test_set.system
+    columns = sum(f.columns.shape[1] * f.columns.shape[2] for f in test_set.families)
     draws = int(np.clip(_MOST_WORK / (system.rows * max(columns, 1)), 300, _DRAWS))
     noise = system.seen(rng.normal(size=(system.rows, draws)))
     squares = (noise**2).sum(axis=0) + rng.chisquare(PRIOR, draws)
     dof = system.dof + PRIOR
     least, tests = [], []
-    for number, family in enumerate(field_.families):
-        least.append(_least_in_noise(family.columns, field_.grams[number], field_.scales[number], noise, squares, dof))
-    rows = field_.places
-    gram, right = field_.blocks, np.where((rows >= 0)[:, :, None], noise[rows], 0.0)
-    least.append(_least(gram, right, np.ones(rows.shape), squares, dof, ~field_.excluded))
-    tests = [independent(one) for one in least]
+    for number, family in enumerate(test_set.families):
+        least.append(
+            _least_in_noise(family.columns, test_set.grams[number], test_set.scales[number], noise, squares, dof)
+        )
+    rows = test_set.places
+    gram, right = test_set.blocks, np.where((rows >= 0)[:, :, None], noise[rows], 0.0)
+    least.append(_least(gram, right, np.ones(rows.shape), squares, dof, ~test_set.excluded))
+    tests = [effective_number_of_tests(one) for one in least]
     levels = [log_family(one, count) for one, count in zip(least, tests, strict=True)]
-    smooth = [level for level, family in zip(levels, field_.families, strict=False) if family.unknown]
-    unknowns = independent(np.min(smooth, axis=0)) if smooth else 1.0
-    return replace(field_, tests=tuple(tests), causes=independent(np.min(levels, axis=0)), unknowns=unknowns)
+    smooth = [level for level, family in zip(levels, test_set.families, strict=False) if family.unknown]
+    unknowns = effective_number_of_tests(np.min(smooth, axis=0)) if smooth else 1.0
+    return replace(
+        test_set, tests=tuple(tests), causes=effective_number_of_tests(np.min(levels, axis=0)), unknowns=unknowns
+    )
 
 
 def _least_in_noise(columns: Array, gram: Array, scale: Array, noise: Array, squares: Array, dof: float) -> Array:
@@ -282,7 +288,7 @@ def _least(gram: Array, right: Array, scale: Array, squares: Array, dof: float, 
     return best
 
 
-def independent(log_p: Array) -> float:
+def effective_number_of_tests(log_p: Array) -> float:
     """Return as how many independent tests the least level (ln) of dependent ones counts: at 5, 10, 20 and 30 %."""
     p = np.exp(log_p)
     counts = [np.log1p(-u) / np.log1p(-min(float(np.quantile(p, u)), 1 - 1e-12)) for u in (0.05, 0.1, 0.2, 0.3)]

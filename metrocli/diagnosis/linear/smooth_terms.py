@@ -25,25 +25,25 @@ _FEWEST_FOR = 4
 """Readings for each term that a unit must have to get terms of its own"""
 
 
-def smooth_families(subject: AdjustedJob, system: System) -> list[Family]:
+def smooth_families(job: AdjustedJob, system: System) -> list[Family]:
     """Return for each covariate polynomials of it: one for all readings, and one for each unit (tracer, image).
 
     And sines where it asks for them, a scan over their periods; for those that are terms themselves, these.
     """
-    apart = [covariate for covariate in subject.covariates if not covariate.together]
-    smooth = [family for covariate in apart for family in _of(subject, system, covariate)]
-    smooth += [_together(subject, system, covariate) for covariate in subject.covariates if covariate.together]
-    waves = [family for one in subject.covariates if one.periodic for family in _waves(subject, system, one)]
+    apart = [covariate for covariate in job.covariates if not covariate.together]
+    smooth = [family for covariate in apart for family in _of(job, system, covariate)]
+    smooth += [_together(job, system, covariate) for covariate in job.covariates if covariate.together]
+    waves = [family for one in job.covariates if one.periodic for family in _waves(job, system, one)]
     return smooth + waves
 
 
-def _of(subject: AdjustedJob, system: System, covariate: Covariate) -> Iterator[Family]:
+def _of(job: AdjustedJob, system: System, covariate: Covariate) -> Iterator[Family]:
     found: list[tuple[Alternative, Array]] = []
-    for group in subject.model.readings:
+    for group in job.model.readings:
         values = covariate.values.get(group.name)
         if values is None:
             continue
-        for where, mask in _parts(subject, group):
+        for where, mask in _parts(job, group):
             if not mask.any():
                 continue
             terms = (harmonics if covariate.angle else polynomials)(np.atleast_2d(values)[:, mask], covariate.degree)
@@ -72,10 +72,10 @@ def _shown(system: System, columns: Array) -> Array:
     return np.asarray(u * np.where(s > _SHOWS, s, 0.0))
 
 
-def _together(subject: AdjustedJob, system: System, covariate: Covariate) -> Family:
+def _together(job: AdjustedJob, system: System, covariate: Covariate) -> Family:
     """Return the family whose terms are the coordinates of a covariate, for readings of one component each."""
     full = np.zeros((system.rows, len(np.atleast_2d(next(iter(covariate.values.values()))))))
-    for group in subject.model.readings:
+    for group in job.model.readings:
         rows = system.first[group.name] + np.arange(group.observations.count)
         full[rows] = np.atleast_2d(covariate.values[group.name]).T / system.scale[rows, None]
     seen = _shown(system, full)[:, None]
@@ -83,12 +83,12 @@ def _together(subject: AdjustedJob, system: System, covariate: Covariate) -> Fam
     return Family(f"moving with {covariate.name}", alternatives, seen, raw, covariate.name)
 
 
-def _waves(subject: AdjustedJob, system: System, covariate: Covariate) -> Iterator[Family]:
+def _waves(job: AdjustedJob, system: System, covariate: Covariate) -> Iterator[Family]:
     """Yield cosine and sine of a covariate for each component, from one period over the measurement on.
 
     Up to one in two of the steps that the covariate takes (Nyquist); half a period apart, so that none falls between.
     """
-    for group in subject.model.readings:
+    for group in job.model.readings:
         values = covariate.values.get(group.name)
         steps = np.unique(np.zeros(0) if values is None else values)
         if values is None or len(steps) < _FEWEST_STEPS:
@@ -107,12 +107,12 @@ def _waves(subject: AdjustedJob, system: System, covariate: Covariate) -> Iterat
         yield Family(f"waves in {covariate.name}", tuple(names), seen, raw, unknown=covariate.name)
 
 
-def _parts(subject: AdjustedJob, group: Group) -> Iterator[tuple[tuple[str, ...], Array]]:
+def _parts(job: AdjustedJob, group: Group) -> Iterator[tuple[tuple[str, ...], Array]]:
     """Yield all readings, then those of each unit."""
     count = group.observations.count
     yield (), np.ones(count, dtype=bool)
-    for key in subject.units:
-        place = subject.model.places[key]
+    for key in job.units:
+        place = job.model.places[key]
         index = group.observations.index.get(place.index)
         if index is not None:
             for number, name in enumerate(place.names):

@@ -7,27 +7,27 @@ from collections.abc import Sequence
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
-from metrocli.diagnosis.linear.fitted_columns import Given
-from metrocli.diagnosis.linear.score_tests import Field, Score
+from metrocli.diagnosis.linear.fitted_columns import FittedColumns
+from metrocli.diagnosis.linear.score_tests import Score, ScoreTests
 from metrocli.diagnosis.selection.selection_state import Chosen, Selection, levels_of
-from metrocli.diagnosis.selection.thresholds import bound
+from metrocli.diagnosis.selection.thresholds import exit_level
 
 _CLEARLY = 1.0
 """By how much the evidence (ln) of a name must be larger for it to count as a better one"""
 
 
-def settled(selection: Selection) -> Selection:
+def backward_steps(selection: Selection) -> Selection:
     """Return the selection after swaps, and without what is not worth it beside the others."""
     if len(selection.chosen) > 1:
-        selection = _swapped(selection)
-    return _dropped(selection)
+        selection = _with_swaps(selection)
+    return _without_idle(selection)
 
 
-def _dropped(selection: Selection) -> Selection:
+def _without_idle(selection: Selection) -> Selection:
     """Return the selection without those that are not beyond chance given the others, the least worth first."""
     while selection.chosen:
         levels = levels_of(selection)
-        over = [level - np.log(bound(selection, one)) for level, one in zip(levels, selection.chosen, strict=True)]
+        over = [level - np.log(exit_level(selection, one)) for level, one in zip(levels, selection.chosen, strict=True)]
         worst = int(np.argmax(over))
         if over[worst] <= 0:
             break
@@ -35,15 +35,15 @@ def _dropped(selection: Selection) -> Selection:
     return selection
 
 
-def evidence(field: Field, given: Given, family: int, score: Score) -> Array:
+def evidence(test_set: ScoreTests, given: FittedColumns, family: int, score: Score) -> Array:
     """Return ln of the evidence for each alternative, `-(nu ln RSS + q ln nu)/2 - ln m` (Schwarz 1978)."""
     left = np.maximum(given.squares - score.gain, 1e-300)
     terms = given.dof * np.log(left) + score.rank * np.log(max(given.dof, 2.0))
-    value = -terms / 2 - np.log(field.tests[family])
+    value = -terms / 2 - np.log(test_set.tests[family])
     return np.asarray(np.where(score.rank > 0, value, -np.inf))
 
 
-def _swapped(selection: Selection) -> Selection:
+def _with_swaps(selection: Selection) -> Selection:
     """Return the selection with names replaced by ones that the others leave more evidence for, if there are such.
 
     Only by one beside which it is not needed: what says more of something else has its own turn in the race.
@@ -61,27 +61,27 @@ def _swapped(selection: Selection) -> Selection:
 
 def _better(selection: Selection, one: Chosen) -> Chosen | None:
     """Return what takes the place of one that was chosen, None where it stays."""
-    field, given = selection.field, selection.beside(one)
-    scores = field.scores(given)
-    best = [evidence(field, given, i, score) for i, score in enumerate(scores)]
-    for family, number in field.around(one.family, one.number) if one in selection.named else ():
+    test_set, given = selection.test_set, selection.beside(one)
+    scores = test_set.scores(given)
+    best = [evidence(test_set, given, i, score) for i, score in enumerate(scores)]
+    for family, number in test_set.around(one.family, one.number) if one in selection.named else ():
         # smooth terms in which it lies win or lose in the race; beside them it is tested again
         best[family][number] = -np.inf
-    family = _preferred(field, best, one)
+    family = _preferred(test_set, best, one)
     number = int(np.argmax(best[family]))
     differs = family != one.family
     if not differs and best[family][number] <= best[family][one.number] + 1e-6:
         return None
     old, its = scores[one.family].log_p[one.number], scores[family].log_p[number]
-    if family > one.family and field.level(family, its) > field.level(one.family, old):
+    if family > one.family and test_set.level(family, its) > test_set.level(one.family, old):
         return None
-    new = Chosen(family, number, field.families[family].columns[:, number])
-    left = field.score(one.family, given.with_columns(new.columns), [one.number]).log_p[0]
-    needed = field.overall(field.level(one.family, float(left))) < np.log(bound(selection, one))
+    new = Chosen(family, number, test_set.families[family].columns[:, number])
+    left = test_set.score(one.family, given.with_columns(new.columns), [one.number]).log_p[0]
+    needed = test_set.overall(test_set.level(one.family, float(left))) < np.log(exit_level(selection, one))
     return None if differs and needed else new
 
 
-def _preferred(field: Field, best: Sequence[Array], one: Chosen) -> int:
+def _preferred(test_set: ScoreTests, best: Sequence[Array], one: Chosen) -> int:
     """Return the family with clearly the most evidence; else, of effects as good, the first in the table of its kind.
 
     The tables list what is usual first.
@@ -90,6 +90,6 @@ def _preferred(field: Field, best: Sequence[Array], one: Chosen) -> int:
     own = best[one.family][one.number]
     if most.max() > own + _CLEARLY and int(most.argmax()) != one.family:
         return int(most.argmax())
-    if field.families[one.family].unknown:
+    if test_set.families[one.family].unknown:
         return one.family
     return int(np.flatnonzero(most[: one.family + 1] >= own - _CLEARLY)[0])

@@ -9,7 +9,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.linear.candidates import Alternative
-from metrocli.diagnosis.linear.fitted_columns import Given
+from metrocli.diagnosis.linear.fitted_columns import FittedColumns
 from metrocli.diagnosis.linear.projection import VISIBLE
 from metrocli.diagnosis.linear.score_tests import FLAT
 from metrocli.diagnosis.selection.backward_steps import evidence
@@ -42,7 +42,7 @@ class Rival:
 
 
 @dataclass(frozen=True)
-class Named:
+class NamedEffect:
     """An effect that the readings ask for, with all that explain it as well."""
 
     chosen: Chosen
@@ -71,17 +71,17 @@ class Named:
         return {**dict(self.alternative.scanned), **dict.fromkeys(self.held, 0.0)}
 
 
-def named(selection: Selection) -> tuple[Named, ...]:
+def confidence_sets(selection: Selection) -> tuple[NamedEffect, ...]:
     """Return the effects of a selection with their sets of names."""
     levels = dict(zip(map(id, selection.chosen), levels_of(selection), strict=True))
     return tuple(_named(selection, one, levels[id(one)]) for one in selection.named)
 
 
-def _named(selection: Selection, one: Chosen, level: float) -> Named:
+def _named(selection: Selection, one: Chosen, level: float) -> NamedEffect:
     given, full = selection.beside(one), selection.given(without=selection.around(one))
-    alternative = selection.field.families[one.family].alternatives[one.number]
+    alternative = selection.test_set.families[one.family].alternatives[one.number]
     left = one.columns - given.basis @ (given.basis.T @ one.columns)
-    whole = selection.field.scales[one.family][one.number]
+    whole = selection.test_set.scales[one.family][one.number]
     seen, apart = _seen(left, whole), _apart(left, whole)
     left = np.where(seen, left, 0.0)
     norm = np.linalg.norm(left, axis=0)
@@ -91,7 +91,7 @@ def _named(selection: Selection, one: Chosen, level: float) -> Named:
     covariance = inverse * full.squares / max(full.dof, 1)
     rivals = _rivals(selection, one, given, left @ values)
     shows = float(np.linalg.norm(left @ values))
-    return Named(one, alternative, level, values, covariance, seen, apart, rivals, shows)
+    return NamedEffect(one, alternative, level, values, covariance, seen, apart, rivals, shows)
 
 
 def _seen(left: Array, whole: Array) -> Mask:
@@ -118,20 +118,20 @@ def _apart(left: Array, whole: Array) -> Mask:
     return np.asarray(np.linalg.norm(vectors[:, open_ones], axis=1) < _BLIND)
 
 
-def _rivals(selection: Selection, one: Chosen, given: Given, fitted: Array) -> tuple[Rival, ...]:
+def _rivals(selection: Selection, one: Chosen, given: FittedColumns, fitted: Array) -> tuple[Rival, ...]:
     """Return the best form of each other cause and place that belongs into the set."""
-    field = selection.field
-    own = field.families[one.family].alternatives[one.number]
-    score = field.score(one.family, given, [one.number])
-    mine, my_rank = float(evidence(field, given, one.family, score)[0]), int(score.rank[0])
+    test_set = selection.test_set
+    own = test_set.families[one.family].alternatives[one.number]
+    score = test_set.score(one.family, given, [one.number])
+    mine, my_rank = float(evidence(test_set, given, one.family, score)[0]), int(score.rank[0])
     best: dict[tuple[str, tuple[str, ...]], Rival] = {}
     there = [other for other in selection.named if other is not one]
-    others = {field.families[other.family].alternatives[other.number].spot for other in there}
-    for number, family in enumerate(field.families):
+    others = {test_set.families[other.family].alternatives[other.number].spot for other in there}
+    for number, family in enumerate(test_set.families):
         if family.unknown:
             continue
-        scores = field.score(number, given)
-        weights = evidence(field, given, number, scores)
+        scores = test_set.score(number, given)
+        weights = evidence(test_set, given, number, scores)
         for at in np.flatnonzero(scores.rank):
             rival = family.alternatives[at]
             if rival.spot == own.spot or rival.spot in others:
@@ -140,7 +140,7 @@ def _rivals(selection: Selection, one: Chosen, given: Given, fitted: Array) -> t
             known = best.get(rival.spot)
             if known is not None and known.odds >= odds:
                 continue
-            if field.overall(field.level(number, scores.log_p[at])) > np.log(_SIGNIFICANT):
+            if test_set.overall(test_set.level(number, scores.log_p[at])) > np.log(_SIGNIFICANT):
                 continue
             cosine = _cosine(given, family.columns[:, at], fitted)
             if odds > _ODDS or (
@@ -150,22 +150,24 @@ def _rivals(selection: Selection, one: Chosen, given: Given, fitted: Array) -> t
     return tuple(sorted(best.values(), key=lambda rival: -rival.odds))
 
 
-def _explains(selection: Selection, one: Chosen, given: Given, family: int, at: int, cosine: float, rank: int) -> bool:
+def _explains(
+    selection: Selection, one: Chosen, given: FittedColumns, family: int, at: int, cosine: float, rank: int
+) -> bool:
     """Whether with the rival in the model the named effect is not needed any more, or could not be."""
-    field = selection.field
-    gain = field.score(one.family, given, [one.number]).gain[0]
+    test_set = selection.test_set
+    gain = test_set.score(one.family, given, [one.number]).gain[0]
     full = selection.given(without=selection.around(one))
     noise = full.squares / max(full.dof, 1)
     if (1 - cosine**2) * gain < _TOLD * noise:
         return True
-    columns = field.families[family].columns[:, at]
+    columns = test_set.families[family].columns[:, at]
     beside = given.with_columns(columns)
-    score = field.score(one.family, beside, [one.number])
+    score = test_set.score(one.family, beside, [one.number])
     fewer = beside.basis.shape[1] - given.basis.shape[1] <= rank
     return bool(score.log_p[0] > np.log(_NEEDED)) and (fewer or cosine > _NEAR)
 
 
-def _cosine(given: Given, columns: Array, fitted: Array) -> float:
+def _cosine(given: FittedColumns, columns: Array, fitted: Array) -> float:
     left = columns - given.basis @ (given.basis.T @ columns)
     u, s, _ = np.linalg.svd(left / np.maximum(np.linalg.norm(left, axis=0), 1e-300), full_matrices=False)
     u = u[:, s > _DISTINCT]

@@ -8,10 +8,17 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.linear.distributions import log_tail
-from metrocli.diagnosis.linear.fitted_columns import Given
-from metrocli.diagnosis.linear.score_tests import Field, Score
+from metrocli.diagnosis.linear.fitted_columns import FittedColumns
+from metrocli.diagnosis.linear.score_tests import Score, ScoreTests
 from metrocli.diagnosis.selection.selection_state import Chosen, Drop, Selection, levels_of, special
-from metrocli.diagnosis.selection.thresholds import LATER, STANDING_OUT, UNKNOWN, WRONG_READING, allowed, dominated
+from metrocli.diagnosis.selection.thresholds import (
+    LATER,
+    STANDING_OUT,
+    UNKNOWN,
+    WRONG_READING,
+    entry_level,
+    has_dominant_effect,
+)
 
 _SHARE = 0.1
 """Readings that may be called outliers at most"""
@@ -24,22 +31,22 @@ _ALIKE = 0.3
 _FEW = 3
 
 
-def steps(selection: Selection) -> Iterator[Selection]:
+def forward_steps(selection: Selection) -> Iterator[Selection]:
     """Yield the selection with each that is beyond chance, the winner of the race first."""
-    field, given = selection.field, selection.given()
+    test_set, given = selection.test_set, selection.given()
     if given.dof < 3:
         return
-    scores = field.scores(given)
-    found = [(field.level(i, score.log_p[score.best]), i) for i, score in enumerate(scores) if len(score.gain)]
-    wrong = field.outliers(given)
+    scores = test_set.scores(given)
+    found = [(test_set.level(i, score.log_p[score.best]), i) for i, score in enumerate(scores) if len(score.gain)]
+    wrong = test_set.outliers(given)
     if len(selection.outliers) < _SHARE * len(wrong.gain):
-        found.append((field.level(-1, wrong.log_p[wrong.best]), -1))
+        found.append((test_set.level(-1, wrong.log_p[wrong.best]), -1))
     for level, family in sorted(found):
-        if field.overall(level) > np.log(allowed(selection, family)):
+        if test_set.overall(level) > np.log(entry_level(selection, family)):
             continue
         if family < 0:
             yield _with_outliers(selection, wrong, given)
-        elif field.families[family].unknown:
+        elif test_set.families[family].unknown:
             yield from _with_smooth(selection, scores, family)
         else:
             yield _with_best(selection, family, scores[family])
@@ -48,13 +55,13 @@ def steps(selection: Selection) -> Iterator[Selection]:
 
 def _with_smooth(selection: Selection, scores: Sequence[Score], family: int) -> Iterator[Selection]:
     """Yield the selection with the effects that make up a smooth term or stand out of it, if any; then with itself."""
-    field, given, score = selection.field, selection.given(), scores[family]
-    if carried_by_few(field, given, family, score.best) > np.log(UNKNOWN):
+    test_set, given, score = selection.test_set, selection.given(), scores[family]
+    if carried_by_few(test_set, given, family, score.best) > np.log(UNKNOWN):
         return
     known = _with_effects(selection)
-    best = field.score(family, known.given())
-    left = field.overall(field.level(family, best.log_p[best.best]))
-    level = field.level(family, score.log_p[score.best])
+    best = test_set.score(family, known.given())
+    left = test_set.overall(test_set.level(family, best.log_p[best.best]))
+    level = test_set.level(family, score.log_p[score.best])
     if (left > np.log(UNKNOWN) and _together(selection, known) <= level) or (
         given.squares - known.given().squares > _AS_MUCH * score.gain[score.best]
     ):
@@ -66,24 +73,28 @@ def _with_smooth(selection: Selection, scores: Sequence[Score], family: int) -> 
 
 
 def _with_best(selection: Selection, family: int, score: Score) -> Selection:
-    columns = selection.field.families[family].columns[:, score.best]
+    columns = selection.test_set.families[family].columns[:, score.best]
     return selection.with_one(Chosen(family, score.best, columns))
 
 
 def _with_effects(selection: Selection) -> Selection:
     """Return the selection with the effects that win a race without smooth terms: several may make up one of them."""
-    field = selection.field
+    test_set = selection.test_set
     for _ in range(_TOGETHER):
         given = selection.given()
         found = [
-            (field.level(i, score.log_p[score.best]), i, score)
-            for i, score in enumerate(field.scores(given))
-            if len(score.gain) and not field.families[i].unknown
+            (test_set.level(i, score.log_p[score.best]), i, score)
+            for i, score in enumerate(test_set.scores(given))
+            if len(score.gain) and not test_set.families[i].unknown
         ]
         if not found:
             break
         level, family, score = min(found, key=lambda one: one[0])
-        if given.dof < 3 or field.overall(level) > np.log(allowed(selection, family)) or dominated(selection):
+        if (
+            given.dof < 3
+            or test_set.overall(level) > np.log(entry_level(selection, family))
+            or has_dominant_effect(selection)
+        ):
             break
         selection = _with_best(selection, family, score)
     return selection
@@ -94,22 +105,24 @@ def _standing_out(selection: Selection, scores: Sequence[Score]) -> Selection | 
 
     Smooth terms that are many win against one effect among several that they contain; named are causes first.
     """
-    field = selection.field
-    effects = [i for i, family in enumerate(field.families) if not family.unknown and len(scores[i].gain)]
-    levels = {i: field.overall(field.level(i, scores[i].log_p[scores[i].best])) for i in effects}
+    test_set = selection.test_set
+    effects = [i for i, family in enumerate(test_set.families) if not family.unknown and len(scores[i].gain)]
+    levels = {i: test_set.overall(test_set.level(i, scores[i].log_p[scores[i].best])) for i in effects}
     for family in sorted(effects, key=lambda i: levels[i]):
         best = scores[family].best
         if levels[family] < np.log(LATER) and all(
-            _stands_out(field, scores, (family, best), smooth) for smooth in field.around(family, best)
+            _stands_out(test_set, scores, (family, best), smooth) for smooth in test_set.around(family, best)
         ):
             return _with_best(selection, family, scores[family])
     return None
 
 
-def _stands_out(field: Field, scores: Sequence[Score], effect: tuple[int, int], smooth: tuple[int, int]) -> bool:
+def _stands_out(
+    test_set: ScoreTests, scores: Sequence[Score], effect: tuple[int, int], smooth: tuple[int, int]
+) -> bool:
     own, whole = (Drop(float(scores[i].gain[at]), float(scores[i].rank[at])) for i, at in (effect, smooth))
     rest = Drop(whole.squares - own.squares, whole.dof - own.dof)
-    return bool(special(field, effect[0], [smooth], own, rest) <= np.log(STANDING_OUT))
+    return bool(special(test_set, effect[0], [smooth], own, rest) <= np.log(STANDING_OUT))
 
 
 def _beside_smooth(selection: Selection) -> Iterator[Selection]:
@@ -117,17 +130,17 @@ def _beside_smooth(selection: Selection) -> Iterator[Selection]:
 
     What they took with them when they were chosen is seen only when all else is in the model.
     """
-    field, unknown = selection.field, selection.unknown
+    test_set, unknown = selection.test_set, selection.unknown
     found = []
-    for number, family in enumerate(field.families):
+    for number, family in enumerate(test_set.families):
         if family.unknown or not unknown:
             continue
-        lying = np.array([field.lying_in(one.family, one.number)[number] for one in unknown])
+        lying = np.array([test_set.lying_in(one.family, one.number)[number] for one in unknown])
         for inside in np.unique(lying[:, lying.any(axis=0)], axis=1).T:
             places = np.flatnonzero((lying == inside[:, None]).all(axis=0))
             given = selection.given(without=[one for one, there in zip(unknown, inside, strict=True) if there])
-            score = field.score(number, given, places.tolist())
-            if field.overall(field.level(number, score.log_p[score.best])) > np.log(LATER):
+            score = test_set.score(number, given, places.tolist())
+            if test_set.overall(test_set.level(number, score.log_p[score.best])) > np.log(LATER):
                 continue
             place = int(places[score.best])
             grown = selection.with_one(Chosen(number, place, family.columns[:, place]))
@@ -145,51 +158,51 @@ def _together(selection: Selection, known: Selection) -> float:
     if q < 1:
         return 0.0
     new = known.chosen[len(selection.chosen) :]
-    tries = sum(float(np.log(selection.field.tests[one.family])) for one in new)
+    tries = sum(float(np.log(selection.test_set.tests[one.family])) for one in new)
     return float(log_tail(np.array(gain / max(before.squares, 1e-300)), q, max(after.dof, 1.0))) + tries
 
 
-def carried_by_few(field: Field, given: Given, family: int, number: int) -> float:
+def carried_by_few(test_set: ScoreTests, given: FittedColumns, family: int, number: int) -> float:
     """Return ln of the level of smooth terms without the few readings that speak for them most.
 
     A polynomial of many terms follows two or three wrong readings; structure is what stays without them.
     """
-    columns = field.families[family].columns[:, number]
+    columns = test_set.families[family].columns[:, number]
     left = columns - given.basis @ (given.basis.T @ columns)
     size = np.maximum(np.linalg.norm(left, axis=0), 1e-300)
     fitted = (left / size) @ np.linalg.lstsq(left / size, given.residual, rcond=1e-6)[0]
-    speaks = np.where(field.places >= 0, (fitted * given.residual)[field.places], 0.0).sum(axis=1)
+    speaks = np.where(test_set.places >= 0, (fitted * given.residual)[test_set.places], 0.0).sum(axis=1)
     few = np.argsort(-speaks)[:_FEW]
-    beside = given.with_columns(np.concatenate([field.of_reading(int(reading)) for reading in few], axis=1))
-    score = field.score(family, beside, [number])
-    return field.overall(field.level(family, float(score.log_p[0])))
+    beside = given.with_columns(np.concatenate([test_set.of_reading(int(reading)) for reading in few], axis=1))
+    score = test_set.score(family, beside, [number])
+    return test_set.overall(test_set.level(family, float(score.log_p[0])))
 
 
-def _with_outliers(selection: Selection, wrong: Score, given: Given) -> Selection:
+def _with_outliers(selection: Selection, wrong: Score, given: FittedColumns) -> Selection:
     """Return the selection with the worst reading, and others as bad that do not share its error."""
-    field = selection.field
+    test_set = selection.test_set
     there = {one.number for one in selection.outliers}
     batch: list[int] = []
     for reading in np.argsort(wrong.log_p, kind="stable").tolist():
-        level = field.overall(field.level(-1, wrong.log_p[reading]))
+        level = test_set.overall(test_set.level(-1, wrong.log_p[reading]))
         if level > np.log(WRONG_READING) or wrong.gain[reading] < wrong.gain[wrong.best] / 2:
             break
-        if reading not in there and all(_alike(field, reading, other) < _ALIKE for other in batch):
+        if reading not in there and all(_alike(test_set, reading, other) < _ALIKE for other in batch):
             batch.append(reading)
     for reading in batch:
-        selection = selection.with_one(Chosen(-1, reading, field.of_reading(reading)))
+        selection = selection.with_one(Chosen(-1, reading, test_set.of_reading(reading)))
     return selection
 
 
-def _alike(field: Field, reading: int, other: int) -> float:
+def _alike(test_set: ScoreTests, reading: int, other: int) -> float:
     """Return the largest correlation of the tests of two readings."""
-    basis = field.system.basis
-    rows, others = field.places[reading], field.places[other]
+    basis = test_set.system.basis
+    rows, others = test_set.places[reading], test_set.places[other]
     product = basis[rows[rows >= 0]] @ basis[others[others >= 0]].T
-    sizes = np.sqrt(np.outer(_diagonal(field, reading), _diagonal(field, other)))
+    sizes = np.sqrt(np.outer(_diagonal(test_set, reading), _diagonal(test_set, other)))
     return float(np.abs(product / np.maximum(sizes, 1e-12)).max())
 
 
-def _diagonal(field: Field, reading: int) -> Array:
-    kept = field.places[reading] >= 0
-    return np.asarray(np.diag(field.blocks[reading])[kept])
+def _diagonal(test_set: ScoreTests, reading: int) -> Array:
+    kept = test_set.places[reading] >= 0
+    return np.asarray(np.diag(test_set.blocks[reading])[kept])

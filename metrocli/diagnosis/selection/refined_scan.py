@@ -9,7 +9,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.linear.candidates import Alternative, Family, thinned
-from metrocli.diagnosis.linear.score_tests import Field
+from metrocli.diagnosis.linear.score_tests import ScoreTests
 from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.selection.selection_state import Chosen, Selection
 
@@ -17,17 +17,17 @@ _TRIED = 40
 _ROUNDS = 2
 
 
-def polished(subject: AdjustedJob, selection: Selection) -> Selection:
+def refined_scans(job: AdjustedJob, selection: Selection) -> Selection:
     """Return the selection with the scanned parameters of its names where they explain the readings best.
 
     The levels stay those of the coarse scan, which counted what was tried.
     """
     for _ in range(_ROUNDS):
         for one in selection.named:
-            alternative = selection.field.families[one.family].alternatives[one.number]
+            alternative = selection.test_set.families[one.family].alternatives[one.number]
             for parameter in alternative.effect.scanned:
                 if parameter.grid is not None:
-                    selection = _closer(subject, selection, _same(selection, one), parameter.name)
+                    selection = _closer(job, selection, _same(selection, one), parameter.name)
     return selection
 
 
@@ -35,38 +35,39 @@ def _same(selection: Selection, one: Chosen) -> Chosen:
     """Return what is now in the selection for a cause that was in it before."""
     if any(other is one for other in selection.named):
         return one
-    spot = selection.field.families[one.family].alternatives[one.number].spot
+    spot = selection.test_set.families[one.family].alternatives[one.number].spot
     return next(
         other
         for other in selection.named
-        if other.family == one.family and selection.field.families[other.family].alternatives[other.number].spot == spot
+        if other.family == one.family
+        and selection.test_set.families[other.family].alternatives[other.number].spot == spot
     )
 
 
-def _closer(subject: AdjustedJob, selection: Selection, one: Chosen, name: str) -> Selection:
-    field = selection.field
-    family = field.families[one.family]
+def _closer(job: AdjustedJob, selection: Selection, one: Chosen, name: str) -> Selection:
+    test_set = selection.test_set
+    family = test_set.families[one.family]
     alternative = family.alternatives[one.number]
-    values = _between(subject, family, alternative, name)
+    values = _between(job, family, alternative, name)
     if not len(values):
         return selection
     given = selection.beside(one)
-    best, most, columns = alternative, field.score(one.family, given, [one.number]).gain[0], one.columns
+    best, most, columns = alternative, test_set.score(one.family, given, [one.number]).gain[0], one.columns
     for value in values.tolist():
         scanned = tuple((key, value if key == name else old) for key, old in alternative.scanned)
         tried = replace(alternative, scanned=scanned)
-        seen = field.system.seen(signature(subject.model, field.system, tried.effect, tried.instance, dict(scanned)))
+        seen = test_set.system.seen(signature(job.model, test_set.system, tried.effect, tried.instance, dict(scanned)))
         gain = given.squares - given.with_columns(seen).squares
         if gain > most * (1 + 1e-9):
             best, most, columns = tried, gain, seen
     if best is alternative:
         return selection
-    grown = _with_alternative(field, one.family, best, columns)
+    grown = _with_alternative(test_set, one.family, best, columns)
     new = Chosen(one.family, len(family.alternatives), columns)
-    return replace(selection, field=grown).with_one(new, instead=one)
+    return replace(selection, test_set=grown).with_one(new, instead=one)
 
 
-def _between(subject: AdjustedJob, family: Family, alternative: Alternative, name: str) -> Array:
+def _between(job: AdjustedJob, family: Family, alternative: Alternative, name: str) -> Array:
     """Return values of a scanned parameter between those next to the best one that were tried."""
     parameter = next(p for p in alternative.effect.scanned if p.name == name)
     if parameter.grid is None:
@@ -74,24 +75,24 @@ def _between(subject: AdjustedJob, family: Family, alternative: Alternative, nam
     tried = np.unique([dict(one.scanned)[name] for one in family.alternatives if one.instance == alternative.instance])
     own = dict(alternative.scanned)[name]
     low, high = tried[tried < own].max(initial=-np.inf), tried[tried > own].min(initial=np.inf)
-    values = parameter.grid(subject.model.readings[0].observations.conditions)
+    values = parameter.grid(job.model.readings[0].observations.conditions)
     return thinned(values[(values > low) & (values < high) & (values != own)], _TRIED)
 
 
-def _with_alternative(field: Field, number: int, alternative: Alternative, columns: Array) -> Field:
+def _with_alternative(test_set: ScoreTests, number: int, alternative: Alternative, columns: Array) -> ScoreTests:
     """Return the race with one more alternative of a family."""
-    family = field.families[number]
+    family = test_set.families[number]
     grown = replace(
         family,
         alternatives=(*family.alternatives, alternative),
         columns=np.concatenate([family.columns, columns[:, None]], axis=1),
         raw=np.concatenate([family.raw, np.linalg.norm(columns, axis=0)[None]]),
     )
-    gram = np.concatenate([field.grams[number], (columns.T @ columns)[None]])
+    gram = np.concatenate([test_set.grams[number], (columns.T @ columns)[None]])
 
     def changed(parts: tuple[Array, ...], part: Array) -> tuple[Array, ...]:
         return (*parts[:number], part, *parts[number + 1 :])
 
-    families = (*field.families[:number], grown, *field.families[number + 1 :])
-    scales, grams = changed(field.scales, grown.raw), changed(field.grams, gram)
-    return replace(field, families=families, scales=scales, grams=grams, remembered={})
+    families = (*test_set.families[:number], grown, *test_set.families[number + 1 :])
+    scales, grams = changed(test_set.scales, grown.raw), changed(test_set.grams, gram)
+    return replace(test_set, families=families, scales=scales, grams=grams, remembered={})

@@ -9,8 +9,8 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.linear.distributions import log_tail
-from metrocli.diagnosis.linear.fitted_columns import Fit, Given
-from metrocli.diagnosis.linear.score_tests import Field
+from metrocli.diagnosis.linear.fitted_columns import FittedColumns, FittedParts
+from metrocli.diagnosis.linear.score_tests import ScoreTests
 
 
 @dataclass(frozen=True)
@@ -31,20 +31,20 @@ class Chosen:
 class Selection:
     """What the readings ask for beside the model of the job."""
 
-    field: Field
-    fit: Fit
+    test_set: ScoreTests
+    fit: FittedParts
     chosen: tuple[Chosen, ...] = ()
     """What the parts of the fit are, one by one"""
 
     @property
     def named(self) -> tuple[Chosen, ...]:
         """The effects, without smooth terms and outliers."""
-        return tuple(one for one in self.chosen if not one.outlier and not self.field.families[one.family].unknown)
+        return tuple(one for one in self.chosen if not one.outlier and not self.test_set.families[one.family].unknown)
 
     @property
     def unknown(self) -> tuple[Chosen, ...]:
         """The smooth terms."""
-        return tuple(one for one in self.chosen if not one.outlier and self.field.families[one.family].unknown)
+        return tuple(one for one in self.chosen if not one.outlier and self.test_set.families[one.family].unknown)
 
     @property
     def outliers(self) -> tuple[Chosen, ...]:
@@ -56,7 +56,7 @@ class Selection:
         """Family and number of all that was chosen."""
         return frozenset((one.family, one.number) for one in self.chosen)
 
-    def given(self, without: Sequence[Chosen] = ()) -> Given:
+    def given(self, without: Sequence[Chosen] = ()) -> FittedColumns:
         """Return the model with what was chosen, but for some."""
         gone = [number for number, one in enumerate(self.chosen) if any(one is other for other in without)]
         return self.fit.without(gone) if gone else self.fit.given
@@ -76,10 +76,10 @@ class Selection:
         return tuple(
             other
             for other in self.unknown
-            if one.family >= 0 and self.field.lying_in(other.family, other.number)[one.family][one.number]
+            if one.family >= 0 and self.test_set.lying_in(other.family, other.number)[one.family][one.number]
         )
 
-    def beside(self, one: Chosen) -> Given:
+    def beside(self, one: Chosen) -> FittedColumns:
         """Return the model without one of the chosen, and without the smooth terms in which it lies (marginality)."""
         return self.given(without=[one, *self.around(one)])
 
@@ -92,7 +92,7 @@ class Drop:
     dof: float
 
 
-def drop(without: Given, beside: Given) -> Drop:
+def drop(without: FittedColumns, beside: FittedColumns) -> Drop:
     """Return what one model drops against another that has less in it."""
     return Drop(without.squares - beside.squares, without.dof - beside.dof)
 
@@ -104,20 +104,20 @@ def levels_of(selection: Selection) -> list[float]:
 
 
 def _level(selection: Selection, one: Chosen, own: Drop | None) -> float:
-    field, around = selection.field, selection.around(one)
+    test_set, around = selection.test_set, selection.around(one)
     full = selection.given(without=around)
     own = drop(selection.beside(one), full) if own is None else own
     if own.dof < 1:
         return 0.0
     share = np.array(own.squares / max(full.squares + own.squares, 1e-300))
-    level = field.overall(field.level(one.family, float(log_tail(share, own.dof, max(full.dof, 1)))))
+    level = test_set.overall(test_set.level(one.family, float(log_tail(share, own.dof, max(full.dof, 1)))))
     if not around:
         return level
     smooth = [(other.family, other.number) for other in around]
-    return max(level, special(field, one.family, smooth, own, drop(full, selection.given())))
+    return max(level, special(test_set, one.family, smooth, own, drop(full, selection.given())))
 
 
-def special(field: Field, family: int, smooth: Sequence[tuple[int, int]], own: Drop, rest: Drop) -> float:
+def special(test_set: ScoreTests, family: int, smooth: Sequence[tuple[int, int]], own: Drop, rest: Drop) -> float:
     """Return ln of the level at which an effect stands out of smooth terms in which it lies, counted over all that do.
 
     The terms are families and numbers of them. `own` is what the effect drops, `rest` what the terms drop beside it:
@@ -126,7 +126,7 @@ def special(field: Field, family: int, smooth: Sequence[tuple[int, int]], own: D
     if rest.dof < 1:
         return 0.0
     share = np.array(np.clip(own.squares / max(own.squares + rest.squares, 1e-300), 0.0, 1.0))
-    return field.level(family, float(log_tail(share, own.dof, rest.dof))) + float(np.log(field.causes_in(smooth)))
+    return test_set.level(family, float(log_tail(share, own.dof, rest.dof))) + float(np.log(test_set.causes_in(smooth)))
 
 
 def _outlier_gains(selection: Selection) -> dict[int, Drop]:

@@ -18,16 +18,16 @@ _DOMINANT, _MANY = 4.0, 50
 """By how much effects lower the mean square, and degrees of freedom, for all else to wait until they are adjusted"""
 
 
-def allowed(selection: Selection, family: int) -> float:
+def entry_level(selection: Selection, family: int) -> float:
     """Return the level that a family needs to go into the model."""
     if family < 0:
         return WRONG_READING
-    if selection.field.families[family].unknown:
+    if selection.test_set.families[family].unknown:
         return UNKNOWN
     return LATER if selection.chosen else FIRST
 
 
-def bound(selection: Selection, one: Chosen) -> float:
+def exit_level(selection: Selection, one: Chosen) -> float:
     """Return the level beyond which what was chosen has to leave."""
     if one.outlier:
         return WRONG_READING
@@ -36,14 +36,14 @@ def bound(selection: Selection, one: Chosen) -> float:
     return FIRST if len(selection.chosen) == 1 else 2 * LATER
 
 
-def dominated(selection: Selection) -> bool:
+def has_dominant_effect(selection: Selection) -> bool:
     """Whether effects with which the unknowns were not adjusted make up most of what is left without them.
 
     Signatures are derivatives: what those of a large effect leave beyond first order would look like other effects.
     """
-    field, given = selection.field, selection.given()
+    test_set, given = selection.test_set, selection.given()
     if selection.unknown or given.dof <= _MANY:
         return False
-    new = [one for one in selection.named if field.alternative(one.family, one.number).spot not in field.adjusted]
+    new = [one for one in selection.named if test_set.alternative(one.family, one.number).spot not in test_set.adjusted]
     without = selection.given(without=new)
     return bool(new) and without.squares / without.dof > _DOMINANT * given.squares / given.dof

@@ -15,8 +15,8 @@ from metrocli.tasks.shared.images.adjustment import Adjusted
 from metrocli.tasks.shared.images.covariates import at_solution, covariate, covariates, folds, named, refit
 
 
-def subject(problem: Problem, adjusted: Adjusted) -> AdjustedJob:
-    """Return the subject of an adjusted alignment; images are held out."""
+def adjusted_job(problem: Problem, adjusted: Adjusted) -> AdjustedJob:
+    """Return the job of an adjusted alignment; images are held out."""
     model = at_solution(problem.model, adjusted)
     index, blocks = model.readings[0].observations.index, model.blocks
     points = blocks[TARGET].values[index[TARGET]]

@@ -15,7 +15,7 @@ from metrocli.instruments.spindle_camera import part_in_camera
 from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.tasks.align_part.camera import camera_of
-from metrocli.tasks.align_part.diagnosis import subject
+from metrocli.tasks.align_part.diagnosis import adjusted_job
 from metrocli.tasks.align_part.effects import EFFECTS
 from metrocli.tasks.align_part.problem import Problem, build, spindle_poses
 from metrocli.tasks.align_part.report import explained, predicted, report
@@ -40,7 +40,7 @@ def run(job: Job[Settings, Files]) -> Result:
 def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
     """Return the job as diagnosis sees it, with all its readings; raises as `run` does."""
     problem = prepared(job)
-    return subject(problem, solved(replace(job.settings, outliers="report"), problem))
+    return adjusted_job(problem, solved(replace(job.settings, outliers="report"), problem))
 
 
 def prepared(job: Job[Settings, Files]) -> Problem:

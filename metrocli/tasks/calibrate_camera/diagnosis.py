@@ -16,8 +16,8 @@ from metrocli.tasks.shared.images.adjustment import Adjusted
 from metrocli.tasks.shared.images.covariates import at_solution, covariate, covariates, folds, named, refit
 
 
-def subject(problem: Problem, adjusted: Adjusted) -> AdjustedJob:
-    """Return the subject of an adjusted calibration; views are held out, with rig cmm the targets."""
+def adjusted_job(problem: Problem, adjusted: Adjusted) -> AdjustedJob:
+    """Return the job of an adjusted calibration; views are held out, with rig cmm the targets."""
     model = at_solution(problem.model, adjusted)
     index = model.readings[0].observations.index
     points = model.blocks[camera.TARGET].values[index[camera.TARGET]]

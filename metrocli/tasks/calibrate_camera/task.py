@@ -16,7 +16,7 @@ from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera.advice import explained, ran_out
 from metrocli.tasks.calibrate_camera.compare import compare_models
-from metrocli.tasks.calibrate_camera.diagnosis import subject
+from metrocli.tasks.calibrate_camera.diagnosis import adjusted_job
 from metrocli.tasks.calibrate_camera.effects import EFFECTS
 from metrocli.tasks.calibrate_camera.problem import Problem, build
 from metrocli.tasks.calibrate_camera.report import report
@@ -43,7 +43,7 @@ def run(job: Job[Settings, Files]) -> Result:
 def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
     """Return the job as diagnosis sees it, with all its readings; raises as `run` does."""
     settings, problem = prepared(job)
-    return subject(problem, solved(replace(settings, outliers="report"), problem))
+    return adjusted_job(problem, solved(replace(settings, outliers="report"), problem))
 
 
 def compare(job: Job[Settings, Files]) -> Table:

@@ -26,8 +26,8 @@ _FOLDS = 10
 _PIECES = "readings stand for pieces of the path longer than a pitch; a job may name it with its period"
 
 
-def subject(solved: Solved) -> AdjustedJob:
-    """Return the subject of a solved calibration."""
+def adjusted_job(solved: Solved) -> AdjustedJob:
+    """Return the job of a solved calibration."""
     problem = solved.problem.with_blocks(solved.solution.blocks)
     model = with_conditions(problem.model)
     group = model.readings[0]

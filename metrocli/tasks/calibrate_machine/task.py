@@ -9,7 +9,7 @@ from metrocli.errors import InputError
 from metrocli.plan import Plan
 from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions
-from metrocli.tasks.calibrate_machine.diagnosis import subject
+from metrocli.tasks.calibrate_machine.diagnosis import adjusted_job
 from metrocli.tasks.calibrate_machine.effects import EFFECTS
 from metrocli.tasks.calibrate_machine.methods.on_the_fly import on_the_fly
 from metrocli.tasks.calibrate_machine.methods.six_dof import six_dof
@@ -33,7 +33,7 @@ def run(job: Job[Settings, Files]) -> Result:
 
 def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
     """Return the adjusted calibration as diagnosis sees it."""
-    return subject(_solved(job))
+    return adjusted_job(_solved(job))
 
 
 def _solved(job: Job[Settings, Files]) -> Solved:

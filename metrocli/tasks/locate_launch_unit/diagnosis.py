@@ -27,8 +27,8 @@ _DEGREE, _FEWEST_FOR = 6, 4
 """Degree of polynomials in time, as far as there are four poses for each term"""
 
 
-def subject(located: Located) -> AdjustedJob:
-    """Return the subject of an adjusted location; InputError for the methods of the paper, which adjust nothing."""
+def adjusted_job(located: Located) -> AdjustedJob:
+    """Return the job of an adjusted location; InputError for the methods of the paper, which adjust nothing."""
     if located.problem is None or located.solution is None:
         raise InputError("only `method: adjustment` leaves residuals that can be diagnosed")
     groups = located.solution.groups

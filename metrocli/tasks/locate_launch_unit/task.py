@@ -14,7 +14,7 @@ from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import Table
 from metrocli.tasks.kind import Job, Task
 from metrocli.tasks.locate_launch_unit import KIND
-from metrocli.tasks.locate_launch_unit.diagnosis import subject
+from metrocli.tasks.locate_launch_unit.diagnosis import adjusted_job
 from metrocli.tasks.locate_launch_unit.effects import EFFECTS
 from metrocli.tasks.locate_launch_unit.plan import figures, planned_measurement
 from metrocli.tasks.locate_launch_unit.readings import read
@@ -31,7 +31,7 @@ def run(job: Job[Settings, Files]) -> Result:
 
 def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
     """Return the job as diagnosis sees it, with all its readings; raises as `run` does."""
-    return subject(locate(read(job.files.poses), job.settings.noise, replace(_how(job), remove=False)))
+    return adjusted_job(locate(read(job.files.poses), job.settings.noise, replace(_how(job), remove=False)))
 
 
 def _how(job: Job[Settings, Files]) -> How:

@@ -31,8 +31,8 @@ _BEYOND = 0.2
 _BAR = parse_quantity("1 um", "length")
 
 
-def subject(solved: Solved) -> AdjustedJob:
-    """Return the subject of an adjusted network."""
+def adjusted_job(solved: Solved) -> AdjustedJob:
+    """Return the job of an adjusted network."""
     network = solved.network
     model = with_conditions(replace(network.model, blocks=solved.solution.blocks, groups=solved.solution.groups))
 

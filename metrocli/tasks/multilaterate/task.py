@@ -11,7 +11,7 @@ from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.tasks.kind import Job, Task
 from metrocli.tasks.multilaterate.correction import refuse_lost
-from metrocli.tasks.multilaterate.diagnosis import subject
+from metrocli.tasks.multilaterate.diagnosis import adjusted_job
 from metrocli.tasks.multilaterate.distance import distance
 from metrocli.tasks.multilaterate.effects import EFFECTS
 from metrocli.tasks.multilaterate.layout import Layout, Planned
@@ -53,7 +53,7 @@ def check(job: Job[Settings, Files]) -> None:
 
 def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
     """Return the job as diagnosis sees it; raises as `run` does."""
-    return subject(solve(_network(job), remove=False))
+    return adjusted_job(solve(_network(job), remove=False))
 
 
 def plan(job: Job[Settings, Files]) -> Plan:

@@ -27,8 +27,8 @@ _FEWEST = 4
 """Components that an effect must touch: what touches one reading only is an outlier"""
 
 
-def subject(solved: Solved) -> AdjustedJob:
-    """Return the subject of an adjusted self-calibration."""
+def adjusted_job(solved: Solved) -> AdjustedJob:
+    """Return the job of an adjusted self-calibration."""
     problem = solved.problem.held(solved.design)
     model = with_conditions(replace(problem.model_with_datum, blocks=solved.solution.blocks))
 

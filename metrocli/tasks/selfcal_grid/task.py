@@ -15,7 +15,7 @@ from metrocli.table import Table
 from metrocli.tasks.kind import Job, Task
 from metrocli.tasks.selfcal_grid import mountings, readings
 from metrocli.tasks.selfcal_grid import plan as planned_views
-from metrocli.tasks.selfcal_grid.diagnosis import subject
+from metrocli.tasks.selfcal_grid.diagnosis import adjusted_job
 from metrocli.tasks.selfcal_grid.effects import EFFECTS
 from metrocli.tasks.selfcal_grid.point import error_at
 from metrocli.tasks.selfcal_grid.problem import Problem, build
@@ -50,7 +50,7 @@ def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
     solved = solve(_problem(job), remove=False)
     if solved.solution.dof <= 0:
         raise UndeterminedError("there are no more readings than unknowns: no residual shows what the model gets wrong")
-    return subject(solved)
+    return adjusted_job(solved)
 
 
 def _with_noise_found(solved: Solved, remove: bool) -> Solved:
