@@ -17,7 +17,6 @@ from metrocli.adjust.schur.covariance import Covariance, shapes_of
 from metrocli.adjust.schur.layout import Layout, arrange
 from metrocli.adjust.schur.member_covariance import Gauge, Members
 from metrocli.adjust.schur.normals import Normals, assemble, cost_of
-from metrocli.adjust.schur.reduced_covariance import in_eliminated_datum, widened, with_considered
 from metrocli.adjust.schur.tiles import Split, split
 from metrocli.adjust.solution import Solution
 
@@ -80,7 +79,7 @@ def adjust(
     """
     control = control or Control()
     state = {block.name: block for block in blocks}
-    layout = arrange(state, groups, _kept(state, datum))
+    layout = arrange(state, groups)
     problem = _Problem(groups, layout, datum, split(groups, state, layout.eliminated))
     unknowns = sum(int(block.free.sum()) for block in state.values())
     descent = _Descent(problem, state, control.covariance)
@@ -95,12 +94,6 @@ def adjust(
         outcome = descent.step(control.tolerance**2 * max(unknowns, 1))
     solution = replace(lost, outcome=outcome, blocks=descent.state, cost=descent.cost, iterations=iterations)
     return _with_covariance(solution, problem, descent.here()) if control.covariance else solution
-
-
-def _kept(blocks: Mapping[str, Block], datum: Datum | None) -> tuple[str, ...]:
-    """Return the blocks that must stay in the reduced system: that of the datum where considered blocks act on it."""
-    considered = any(block.considered is not None for block in blocks.values())
-    return (datum.block,) if datum is not None and considered else ()
 
 
 def covariance_at(blocks: Iterable[Block], groups: Sequence[Group], datum: Datum | None = None) -> Solution:
@@ -182,12 +175,11 @@ def _relaxed(damping: float) -> float:
 
 def _solve(problem: _Problem, state: Mapping[str, Block], normals: Normals) -> tuple[Array, float, Frame | None]:
     """Return the step of the reduced unknowns, the fall that all promise, `g' H^-1 g`, and the open movements."""
-    free = problem.layout.free
     matrix, right, alone = normals.reduced()
     frame = problem.frame(state, matrix)
     step = np.zeros(problem.layout.width)
-    if free:
-        step[:free] = _cholesky_solve(_held(matrix, frame)[:free, :free], right[:free])
+    if len(step):
+        step[:] = _cholesky_solve(_held(matrix, frame), right)
     return step, alone + float(right @ step), frame
 
 
@@ -255,16 +247,27 @@ def _with_covariance(solution: Solution, problem: _Problem, normals: Normals) ->
         return replace(counted, outcome=Outcome.TOO_FEW if few else Outcome.UNDETERMINED, undetermined=combinations)
     if counted.dof < 0:
         return replace(counted, outcome=Outcome.TOO_FEW)
-    free = layout.free
-    inverse = _cholesky_solve(held[:free, :free], np.eye(free)) if free else np.zeros((0, 0))
-    own, gauge = widened(inverse, layout), None
+    inverse = _cholesky_solve(held, np.eye(layout.width)) if layout.width else np.zeros((0, 0))
+    gauge = None
     if frame is not None and frame.datum.block == layout.eliminated:
-        own = widened(in_eliminated_datum(frame, normals, inverse), layout)
+        inverse = _in_eliminated_datum(frame, normals, inverse)
         gauge = Gauge(frame, blocks[frame.datum.block])
     elif frame is not None:
-        transform = frame.transform(layout)[:free, :free]
-        own = widened(transform @ inverse @ transform.T, layout)
-    members = Members(normals.shape, normals.parts, problem.split.portions, own, gauge)
-    cofactor = Covariance(layout, shapes_of(blocks), own, members)
-    joint = replace(cofactor, reduced=with_considered(blocks, layout, held, cofactor.reduced))
-    return replace(counted, cofactor=cofactor, covariance=joint)
+        transform = frame.transform(layout)
+        inverse = transform @ inverse @ transform.T
+    symmetric = (inverse + inverse.T) / 2
+    members = Members(normals.shape, normals.parts, problem.split.portions, symmetric, gauge)
+    return replace(counted, covariance=Covariance(layout, shapes_of(blocks), symmetric, members))
+
+
+def _in_eliminated_datum(frame: Frame, normals: Normals, inverse: Array) -> Array:
+    """Return the reduced covariance in a datum of inner constraints on the eliminated block.
+
+    With `h = H e = -A r + sum H_i n_i`, `A = sum H_i W_i`, n_i the noise of member i of covariance D_i^-1:
+    `r' = (I + E A) r - E sum H_i n_i`.
+    """
+    found = [part.moments(frame.constraint(part.members)) for part in normals.parts]
+    e = frame.reduced
+    coupled, gram = (np.sum([one[i] for one in found], axis=0) for i in (0, 1))
+    transform = np.eye(len(inverse)) + e @ coupled
+    return np.asarray(transform @ inverse @ transform.T + e @ gram @ e.T)

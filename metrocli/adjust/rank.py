@@ -29,19 +29,17 @@ def open_combinations(
 ) -> tuple[Combination, ...]:
     """Return the undetermined combinations at the present values; none where everything is determined."""
     single = _open_members(blocks, layout, normals)
-    if single or not layout.free:
+    if single or not layout.width:
         return single
-    reach = _reach(blocks, layout, normals.diagonal)[: layout.free]
-    scaled = matrix[: layout.free, : layout.free] * reach[:, None] * reach
+    reach = _reach(blocks, layout, normals.diagonal)
+    scaled = matrix * reach[:, None] * reach
     if _surely_determined(scaled):
         return ()
     values, vectors = np.linalg.eigh(np.nan_to_num(scaled))
     found = []
     for value, vector in zip(values, vectors.T, strict=True):
         if value < max(1.0, _ROUNDING * values[-1]):
-            step = np.zeros(layout.width)
-            step[: layout.free] = vector * reach
-            found.append(_combination(blocks, layout, step, normals, value))
+            found.append(_combination(blocks, layout, vector * reach, normals, value))
     return tuple(found)
 
 

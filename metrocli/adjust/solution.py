@@ -27,10 +27,8 @@ class Solution:
     conditions: int = 0
     """Inner constraints that the datum added"""
     undetermined: tuple[Combination, ...] = ()
-    cofactor: Covariance | None = None
-    """Covariance from the noise of the readings alone"""
     covariance: Covariance | None = None
-    """The same with the considered blocks' uncertainty"""
+    """Of the unknowns, for the noise of the readings"""
 
     @property
     def observations(self) -> int:
@@ -110,23 +108,23 @@ def residuals_of(solution: Solution, group: Group) -> Residuals:
 
 def _adjusted(solution: Solution, group: Group) -> tuple[Array, Array]:
     """Return the residuals of a group and diag(J Q J'), both (d, n)."""
-    cofactor = solution.cofactor
-    if cofactor is None:
+    covariance = solution.covariance
+    if covariance is None:
         raise RuntimeError(solution.outcome.value)
-    members, shape = cofactor.eliminated, group.observations.readings.shape
+    members, shape = covariance.eliminated, group.observations.readings.shape
     for place, one in enumerate(solution.groups):
         if one is group and members.reads(place):
-            return members.residuals(place, solution.blocks, shape), cofactor.factor * members.explained(place, shape)
-    return group.residuals(solution.blocks), _explained(solution, group, cofactor)
+            return members.residuals(place, solution.blocks, shape), covariance.factor * members.explained(place, shape)
+    return group.residuals(solution.blocks), _explained(solution, group, covariance)
 
 
-def _explained(solution: Solution, group: Group, cofactor: Covariance) -> Array:
+def _explained(solution: Solution, group: Group, covariance: Covariance) -> Array:
     """Return diag(J Q J') of a group, (d, n), block by block of what each reading touches."""
-    touches = group.linear(solution.blocks, cofactor.layout.wanted).touches
+    touches = group.linear(solution.blocks, covariance.layout.wanted).touches
     total = np.zeros(group.observations.readings.shape)
     for i, first in enumerate(touches):
         for j, second in enumerate(touches[: i + 1]):
-            pair = cofactor.pairs(first.block, first.index, second.block, second.index)
+            pair = covariance.pairs(first.block, first.index, second.block, second.index)
             weight = 1.0 if i == j else 2.0
             for a in range(pair.shape[0]):
                 for b in range(pair.shape[1]):

@@ -162,7 +162,7 @@ def _parameters(local: Local, name: str) -> dict[str, Any]:
 def _wanted(local: Local, name: str) -> tuple[str, ...]:
     """Return the lens parameters whose derivatives are used."""
     block = local.blocks[name]
-    used = block.free.any(axis=0) | (block.considered is not None)
+    used = block.free.any(axis=0)
     return tuple(np.array(block.columns)[used].tolist()) if name in local.wanted else ()
 
 

@@ -29,14 +29,9 @@ def whitened(group: Group, blocks: Mapping[str, Block]) -> Array:
     return (residual * np.sqrt(weights)[:, None]).ravel()
 
 
-def entries(blocks: Mapping[str, Block], *, considered: bool = False) -> list[tuple[str, int, int]]:
-    """Every free (or considered) entry as (block, member, column)."""
-    return [
-        (block.name, int(i), int(j))
-        for block in blocks.values()
-        for i, j in np.argwhere(np.ones_like(block.free) if considered else block.free)
-        if (block.considered is not None) is considered
-    ]
+def entries(blocks: Mapping[str, Block]) -> list[tuple[str, int, int]]:
+    """Every free entry as (block, member, column)."""
+    return [(block.name, int(i), int(j)) for block in blocks.values() for i, j in np.argwhere(block.free)]
 
 
 def moved(blocks: Mapping[str, Block], places: Sequence[tuple[str, int, int]], step: Array) -> dict[str, Block]:
@@ -84,26 +79,15 @@ class Dense:
     places: list[tuple[str, int, int]]
     residual: Array
     jacobian: Array
-    considered: Array
-    given: Array
-    """Covariance of the considered entries"""
 
     @property
     def noise(self) -> Array:
         """Covariance from the readings alone."""
         return inverse(self.jacobian.T @ self.jacobian)
 
-    @property
-    def gain(self) -> Array:
-        """`K = Q J' J_c`, minus the change of the unknowns by the considered entries."""
-        return self.noise @ self.jacobian.T @ self.considered
-
     def covariance(self, blocks: Mapping[str, Block]) -> Array:
         """Covariance of all entries of all blocks in their order, zero where fixed."""
-        free = self.noise + self.gain @ self.given @ self.gain.T
-        cross = -self.gain @ self.given
-        joint = np.block([[free, cross], [cross.T, self.given]])
-        return spread(joint, self.places + entries(blocks, considered=True), blocks)
+        return spread(self.noise, self.places, blocks)
 
     @property
     def redundancy(self) -> Array:
@@ -150,21 +134,9 @@ def solve(
 def at_solution(at: Mapping[str, Block], groups: Sequence[Group]) -> Dense:
     """Matrices at the blocks' values."""
     places = entries(at)
-    outside = entries(at, considered=True)
-    given = [block.considered for block in at.values() if block.considered is not None]
     residual = np.concatenate([whitened(group, at) for group in groups])
     matrix = jacobian(at, groups, places)
-    by_considered = jacobian(at, groups, outside) if outside else np.zeros((len(residual), 0))
-    return Dense(dict(at), places, residual, matrix, by_considered, _diagonal(given))
-
-
-def _diagonal(matrices: Sequence[Array]) -> Array:
-    size = sum(len(matrix) for matrix in matrices)
-    full, at = np.zeros((size, size)), 0
-    for matrix in matrices:
-        full[at : at + len(matrix), at : at + len(matrix)] = matrix
-        at += len(matrix)
-    return full
+    return Dense(dict(at), places, residual, matrix)
 
 
 def lowest(blocks: Mapping[str, Block], groups: Sequence[Group]) -> float:

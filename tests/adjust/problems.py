@@ -178,15 +178,8 @@ def taper(seed: int = 51) -> Problem:
     return Problem({b.name: b for b in blocks}, (group, measured, joint))
 
 
-def considered_lens() -> Problem:
-    """Poses of boards with a lens whose uncertainty counts but which is not solved for."""
-    problem = board_camera(seed=61)
-    doubtful = replace(lens(), considered=a_covariance(np.array([3.0, 2, 2, 3e-3, 5e-3, 1e-4, 1e-4]), 4))
-    return problem.with_blocks(doubtful)
-
-
 def part_in_machine() -> Problem:
-    """The part's pose and the clamping angle; lens and camera pose considered, a target in part of the reading."""
+    """The part's pose and the clamping angle; lens and camera pose are known."""
     rng = np.random.default_rng(71)
     held = np.array([[5.0, -3.0, 120.0, 0.02, -0.01, 0.03]])
     turn = poses.pose_from_euler(np.zeros(3), np.array([0.0, 0.0, -0.002]))
@@ -204,11 +197,11 @@ def part_in_machine() -> Problem:
             "camera",
             held,
             poses.COLUMNS,
-            considered=a_covariance(np.array([0.05] * 3 + [1e-4] * 3), 5),
+            free=np.array(False),
             reach=np.array([300.0] * 3 + [0.5] * 3),
             space=camera.Space.POSE,
         ),
-        "lens": replace(lens(), considered=a_covariance(np.array([3.0, 2, 2, 3e-3, 5e-3, 1e-4, 1e-4]), 6)),
+        "lens": lens().fixed(),
     }
     m = len(points)
     seen = Seen(points, spindle, spindle, np.zeros((2, 9 * m)), np.tile(np.arange(m), 9), np.repeat(np.arange(9), m))
@@ -217,14 +210,6 @@ def part_in_machine() -> Problem:
     noisy = group.with_observations(group.observations.with_readings(exact + NOISE * rng.normal(size=exact.shape)))
     blocks = {**blocks, "part": off(blocks["part"], 1), "coupling": off(blocks["coupling"], 2)}
     return Problem(blocks, (noisy,))
-
-
-def considered_targets() -> Problem:
-    """Targets considered: a block of many members that is not solved for; views eliminated, the lens solved for."""
-    problem = board_camera(seed=81)
-    block = problem.blocks[camera.TARGET]
-    sigma = np.full(block.values.size, 0.05)
-    return problem.with_blocks(replace(block, considered=a_covariance(sigma, 7)))
 
 
 def one_frame_of_points() -> Problem:
@@ -264,7 +249,5 @@ PROBLEMS = {
     "joint prior": taper,
     "scale bars": with_scale_bars,
     "nothing eliminated": one_frame_of_points,
-    "lens considered": considered_lens,
-    "lens and pose considered": part_in_machine,
-    "targets considered": considered_targets,
+    "part in the machine": part_in_machine,
 }

@@ -145,26 +145,6 @@ def test_statistics(make: str) -> None:
     assert solution.conditions == 0
 
 
-def test_cofactor_leaves_out_what_is_considered() -> None:
-    problem, solution, plain = both("lens considered")
-    assert solution.cofactor is not None
-    noise = dense.spread(plain.noise, plain.places, problem.blocks)
-    assert apart(whole(solution.cofactor, list(problem.blocks)), noise) < CLOSE
-    assert (solution.std("view") > 1.2 * np.sqrt(np.einsum("mii->mi", solution.cofactor.members("view")))).any()
-
-
-def test_a_considered_block_moves_the_unknowns_as_its_covariance_says() -> None:
-    """Solved again with the lens elsewhere, the poses move by what the cross-covariance predicts."""
-    problem, solution, _ = both("lens considered")
-    lens = problem.blocks["lens"]
-    assert lens.considered is not None
-    step = np.linalg.cholesky(lens.considered)[:, 0] * 0.01
-    moved = adjust(problem.with_blocks(lens.moved(step[None])).blocks.values(), problem.groups)
-    change = lens.space.difference(moved.blocks["view"].values, solution.blocks["view"].values).ravel()
-    gain = solution.known().between("view", "lens") @ np.linalg.inv(lens.considered)
-    assert np.allclose(change, gain @ step, rtol=0.02, atol=2e-3 * np.abs(gain @ step).max())
-
-
 def test_scatter_of_repeated_measurements_is_the_covariance() -> None:
     """Chi-square of the errors of 60 repeats against the claimed covariance, lens and one view together."""
     from simulated_camera import LENS

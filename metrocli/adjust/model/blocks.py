@@ -1,4 +1,4 @@
-"""Blocks: named arrays of unknowns, each free, fixed or considered."""
+"""Blocks: named arrays of unknowns, each free or fixed."""
 
 from __future__ import annotations
 
@@ -80,8 +80,6 @@ class Block:
     members: tuple[str, ...] = ("",)
     free: Mask = field(default_factory=lambda: np.array(True))
     """Which entries the adjustment solves for, broadcast to (members, size)."""
-    considered: Array | None = None
-    """Covariance (members*size, members*size) of a block that is not solved for but whose uncertainty counts."""
     reach: Array = field(default_factory=lambda: np.array(np.inf))
     """How far each unknown could plausibly be off, broadcast to (size,); undetermined if its uncertainty exceeds it."""
     space: Space = Space.FLAT
@@ -95,8 +93,7 @@ class Block:
                 f"block {self.name}: {values.shape} values for {len(self.members)} members x {len(self.columns)}"
             )
         object.__setattr__(self, "values", values)
-        free = np.zeros(values.shape, dtype=bool) if self.considered is not None else self.free
-        free = np.asarray(free, dtype=bool)
+        free = np.asarray(self.free, dtype=bool)
         object.__setattr__(self, "free", free if free.shape == values.shape else np.broadcast_to(free, values.shape))
         object.__setattr__(self, "reach", np.broadcast_to(np.asarray(self.reach, dtype=float), values.shape[1:]))
 

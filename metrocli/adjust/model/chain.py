@@ -232,12 +232,12 @@ class Varied:
     def _seen(self, values: Array, local: Local) -> Local:
         """Return what the link sees: a member of the block for each reading, all of it wanted if the effect is."""
         block, observations, wanted = local.blocks[self.block], local.observations, local.wanted
-        used = block.free.any(axis=0) | (block.considered is not None)
+        used = block.free.any(axis=0)
         if wanted.intersection(self.effect.blocks):
             used, wanted = np.array(True), wanted | {self.block}
         n = observations.count
         members = tuple(map(str, range(n)))
-        each = replace(block, values=values.T, members=members, free=np.asarray(used), considered=None)
+        each = replace(block, values=values.T, members=members, free=np.asarray(used))
         index = {**observations.index, self.block: np.arange(n)}
         # each reading has a member of its own; in a lattice the other blocks stay as they are
         return Local({**local.blocks, self.block: each}, replace(observations, index=index), wanted)

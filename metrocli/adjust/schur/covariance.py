@@ -1,6 +1,6 @@
 """Covariance of any block from the factors of the normal equations, without the inverse of the whole matrix.
 
-With W = D^-1 B and Q_r the covariance of the reduced unknowns (considered ones included): `Q_er = -W Q_r`,
+With W = D^-1 B and Q_r the covariance of the reduced unknowns : `Q_er = -W Q_r`,
 `Q_ee = D^-1 + W Q_r W'`. These hold in any datum once Q_r is in it, as long as the datum does not depend on the
 eliminated members; where it does (inner constraints on them) the terms of `Gauge` are added.
 """
@@ -63,8 +63,7 @@ class Covariance:
         """Return the covariance of each member of a block, (members, size, size)."""
         m, s = self.shapes[name]
         if name == self.layout.eliminated:
-            plain = self.layout.free == self.layout.width
-            return self.factor * (self.eliminated.covariance if plain else self.eliminated.given(self.reduced))
+            return self.factor * self.eliminated.covariance
         columns = self.layout.columns.get(name)
         if columns is None:
             return np.zeros((m, s, s))

@@ -3,25 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.blocks import Block
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Index
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Places of unknowns: one block eliminated, the free entries of the others, then the considered ones."""
+    """Places of unknowns: one block eliminated, then the free entries of the others."""
 
     eliminated: str | None
     columns: Mapping[str, Index]
     """For each block of the reduced system the column of every entry, (members, size); -1 where it is fixed."""
-    free: int
-    """Number of free columns of the reduced system; considered ones follow."""
     width: int
+    """Number of columns of the reduced system"""
 
     @property
     def wanted(self) -> frozenset[str]:
@@ -29,44 +28,30 @@ class Layout:
         return frozenset(self.columns) | ({self.eliminated} if self.eliminated else frozenset())
 
 
-def arrange(blocks: Mapping[str, Block], groups: Sequence[Group], keep: Sequence[str] = ()) -> Layout:
+def arrange(blocks: Mapping[str, Block], groups: Sequence[Group]) -> Layout:
     """Choose the block to eliminate and place the rest.
 
-    It is the one of most unknowns of which no reading touches two members, and that is not in `keep`.
+    It is the one of most unknowns of which no reading touches two members.
     """
-    candidates = [
-        b
-        for b in blocks.values()
-        if b.free.any() and len(b.members) > 1 and b.name not in keep and _single_touch(b, groups)
-    ]
+    candidates = [b for b in blocks.values() if b.free.any() and len(b.members) > 1 and _single_touch(b, groups)]
     eliminated = max(candidates, key=lambda block: int(block.free.sum()), default=None)
-    rest = [block for block in blocks.values() if block is not eliminated]
+    rest = {name: block for name, block in blocks.items() if block is not eliminated}
+    return replace(without_elimination(rest), eliminated=eliminated.name if eliminated else None)
+
+
+def without_elimination(blocks: Mapping[str, Block]) -> Layout:
+    """Place the free entries of all blocks one after the other."""
     columns: dict[str, Index] = {}
     place = 0
-    for considered in (False, True):
-        for block in rest:
-            mask = np.ones_like(block.free) if considered else block.free
-            if (block.considered is not None) is not considered or not mask.any():
-                continue
+    for block in blocks.values():
+        if block.free.any():
             numbers = np.full(block.values.shape, -1, dtype=np.intp)
-            numbers[mask] = place + np.arange(mask.sum())
+            numbers[block.free] = place + np.arange(block.free.sum())
             columns[block.name] = numbers
-            place += int(mask.sum())
-    free = sum(int(block.free.sum()) for block in rest)
-    return Layout(eliminated.name if eliminated else None, columns, free, place)
+            place += int(block.free.sum())
+    return Layout(None, columns, place)
 
 
 def _single_touch(block: Block, groups: Sequence[Group]) -> bool:
     indices = (group.observations.index.get(block.name) for group in groups if block.name in group.chain.blocks)
     return all(index is not None and (index.ndim == 1 or len(index) == 1) for index in indices)
-
-
-def considered_covariance(blocks: Mapping[str, Block], layout: Layout) -> Array:
-    """Return the covariance of the considered columns, block-diagonal, (width - free, width - free)."""
-    covariance = np.zeros((layout.width - layout.free,) * 2)
-    for name, columns in layout.columns.items():
-        given = blocks[name].considered
-        if given is not None:
-            places = columns.ravel() - layout.free
-            covariance[np.ix_(places, places)] = given
-    return covariance

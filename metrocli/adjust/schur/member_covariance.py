@@ -87,10 +87,6 @@ class Members:
         """The covariance of each member, (members, s, s)."""
         return self._adjusted[0]
 
-    def given(self, reduced: Array) -> Array:
-        """Return the covariance of each member with another covariance of the reduced unknowns, (members, s, s)."""
-        return self._collected([part.covariance(reduced) for part in self.parts])
-
     def residuals(self, place: int, blocks: Mapping[str, Block], shape: tuple[int, int]) -> Array:
         """Return `reading - predicted` of the group at `place`, whose readings are in portions, (d, n)."""
         return self._read(place, shape, lambda i, j: self.portions[i].pieces[j].group.residuals(blocks))

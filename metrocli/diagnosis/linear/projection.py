@@ -18,7 +18,7 @@ from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.chain import Link, through
 from metrocli.adjust.model.groups import Group, Linear
 from metrocli.adjust.model.observations import Index, Mask
-from metrocli.adjust.schur.layout import Layout, arrange
+from metrocli.adjust.schur.layout import Layout, without_elimination
 from metrocli.effects.model import Model
 from metrocli.errors import InputError
 
@@ -151,7 +151,7 @@ def linearised(model: Model, weights: Mapping[str, Array] | None = None) -> Syst
 
     Raises InputError where it is too large to be held as one dense matrix.
     """
-    layout = arrange(model.blocks, model.groups, keep=tuple(model.blocks))
+    layout = without_elimination(model.blocks)
     _must_fit(model, layout)
     residuals, jacobians, scales, first, place = [], [], [], {}, 0
     for group in model.groups:

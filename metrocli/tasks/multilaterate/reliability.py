@@ -34,15 +34,15 @@ def reliability(solution: Solution, group: Group, found: Residuals) -> dict[str,
 
 def _point_shift(solution: Solution, group: Group) -> Array:
     """Return how far a point moves for a unit error of one of its lengths, |Q_x. J' / sigma^2|, (n,)."""
-    cofactor = solution.cofactor
-    if cofactor is None:
+    covariance = solution.covariance
+    if covariance is None:
         raise RuntimeError(solution.outcome.value)
     index = group.observations.index[t.POINT]
     shift = np.zeros((3, len(index)))
     if not solution.blocks[t.POINT].free.any():
         return np.zeros(len(index))
-    touches = group.linear(solution.blocks, cofactor.layout.wanted).touches
+    touches = group.linear(solution.blocks, covariance.layout.wanted).touches
     for touch in touches:
-        pair = cofactor.pairs(t.POINT, index, touch.block, touch.index)
+        pair = covariance.pairs(t.POINT, index, touch.block, touch.index)
         shift += np.einsum("abn,bn->an", pair, touch.jacobian[0])
     return np.asarray(np.linalg.norm(shift / group.observations.sigma[0], axis=0))
