@@ -199,7 +199,9 @@ def _same(name: str, first: dict[str, Any], second: dict[str, Any], found: Findi
             one_sided = f"{place}: only {'before' if key in first else 'after'}"
             (found.sentences if sentence else found.different).append(one_sided)
             continue
-        one, two = np.asarray(first[key]), np.asarray(second[key])
+        one, two = (np.asarray(side[key]) for side in (first, second))
+        if key == "inputs":
+            one, two = one["path"], two["path"]
         found.numbers += one.size
         if one.dtype == two.dtype and one.shape == two.shape and _bits(one) == _bits(two):
             continue

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from metrocli.result import Estimate
+from metrocli.result import Estimate, ShownTable
 from metrocli.table import Table
 
 
@@ -23,5 +23,4 @@ class Plan:
     files: Mapping[str, Table | str] = field(default_factory=dict)
     """Paths, poses and NC programs by file name: a table, to be written as CSV, or the text of the file."""
     warnings: tuple[str, ...] = ()
-    shown: tuple[str, ...] = ()
-    """Tables that the terminal shows: `name`, or `name: column, column` for a part of one."""
+    shown: tuple[ShownTable, ...] = ()

@@ -29,6 +29,15 @@ class Estimate:
 
 
 @dataclass(frozen=True)
+class ShownTable:
+    """A table that the terminal shows after the estimates."""
+
+    name: str
+    columns: tuple[str, ...] = ()
+    """Those that are shown; all of them unless given"""
+
+
+@dataclass(frozen=True)
 class Result:
     """The outcome of one job."""
 
@@ -44,8 +53,7 @@ class Result:
     arrays: Mapping[str, Array] = field(default_factory=dict)
     """By name: points_covariance, ..."""
     warnings: tuple[str, ...] = ()
-    shown: tuple[str, ...] = ()
-    """Tables that the terminal shows after the estimates: `name`, or `name: column, column` for a part of one."""
+    shown: tuple[ShownTable, ...] = ()
     notes: tuple[str, ...] = ()
     """Lines of plain text for the reader of the result, such as a rotation matrix or what was rejected."""
     details: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)

@@ -15,9 +15,9 @@ from metrocli.adjust.outcome import Combination, Outcome
 from metrocli.adjust.rank import open_combinations
 from metrocli.adjust.schur.covariance import Covariance, shapes_of
 from metrocli.adjust.schur.layout import Layout, arrange
-from metrocli.adjust.schur.member_covariance import Gauge, Members
+from metrocli.adjust.schur.member_covariance import Gauge, MemberCovariance
 from metrocli.adjust.schur.normals import Normals, assemble, cost_of
-from metrocli.adjust.schur.tiles import Split, split
+from metrocli.adjust.schur.tiles import Tiling, tiling_of
 from metrocli.adjust.solution import Solution
 
 _ROUNDING = 1e-13
@@ -46,7 +46,7 @@ class _Problem:
     groups: Sequence[Group]
     layout: Layout
     datum: Datum | None
-    split: Split
+    tiling: Tiling
 
     @cached_property
     def size(self) -> float:
@@ -56,11 +56,11 @@ class _Problem:
 
     def normals(self, blocks: Mapping[str, Block]) -> Normals:
         with np.errstate(all="ignore"):
-            return assemble(self.groups, self.split, blocks, self.layout)
+            return assemble(self.groups, self.tiling, blocks, self.layout)
 
     def cost(self, blocks: Mapping[str, Block]) -> float:
         with np.errstate(all="ignore"):
-            return cost_of(self.groups, self.split, blocks)
+            return cost_of(self.groups, self.tiling, blocks)
 
     def frame(self, blocks: Mapping[str, Block], matrix: Array) -> Frame | None:
         with np.errstate(all="ignore"):
@@ -80,7 +80,7 @@ def adjust(
     control = control or Control()
     state = {block.name: block for block in blocks}
     layout = arrange(state, groups)
-    problem = _Problem(groups, layout, datum, split(groups, state, layout.eliminated))
+    problem = _Problem(groups, layout, datum, tiling_of(groups, state, layout.eliminated))
     unknowns = sum(int(block.free.sum()) for block in state.values())
     descent = _Descent(problem, state, control.covariance)
     lost = Solution(Outcome.NO_START, state, tuple(groups), float("inf"), 0, unknowns)
@@ -256,7 +256,7 @@ def _with_covariance(solution: Solution, problem: _Problem, normals: Normals) ->
         transform = frame.transform(layout)
         inverse = transform @ inverse @ transform.T
     symmetric = (inverse + inverse.T) / 2
-    members = Members(normals.shape, normals.parts, problem.split.portions, symmetric, gauge)
+    members = MemberCovariance(normals.shape, normals.parts, problem.tiling.tiles, symmetric, gauge)
     return replace(counted, covariance=Covariance(layout, shapes_of(blocks), symmetric, members))
 
 

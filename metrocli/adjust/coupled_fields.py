@@ -22,7 +22,7 @@ from metrocli.adjust.model.groups import Group, Linear
 from metrocli.adjust.model.observations import Index
 from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.solution import Residuals, Solution
-from metrocli.adjust.sparse.bordered_factor import Reduction, reduce
+from metrocli.adjust.sparse.bordered_factor import BorderedFactor, bordered_factor
 from metrocli.adjust.sparse.nested_dissection import Sparse
 from metrocli.adjust.sparse.partition import Partition, partition
 
@@ -53,7 +53,7 @@ class Design:
     partition: Partition
     jacobian: Sparse
     """Of all whitened readings by all unknowns, group after group, (d*n, unknowns)"""
-    reduction: Reduction
+    reduction: BorderedFactor
     constraint: Array
     """H, (k, unknowns): what restores the conditions is `-Z H x`"""
 
@@ -163,7 +163,7 @@ def design_of(fields: Fields) -> Design:
     parts = partition(fields.blocks, fields.groups, fields.net, fields.local)
     at = fields.design(fields.blocks)
     jacobian = _jacobian([group.linear(at, frozenset(fields.blocks)) for group in fields.groups], parts)
-    reduction = reduce(jacobian, parts, _places(fields, parts))
+    reduction = bordered_factor(jacobian, parts, _places(fields, parts))
     return Design(parts, jacobian, reduction, _constraint(_conditions(fields, parts), reduction.null))
 
 

@@ -27,7 +27,7 @@ _STILL = 1e-7
 """Aspects, which are numbers of the order of 1, are found when another round would change none by more than this"""
 
 
-def adjust_with_noise(
+def adjust_with_iterated_weights(
     blocks: Iterable[Block],
     groups: Sequence[Group],
     noise: tuple[str, Noise],

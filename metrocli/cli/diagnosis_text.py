@@ -198,14 +198,19 @@ def _candidates(adjusted: AdjustedJob, design: Design, named: Sequence[NamedEffe
     lines = [_line(adjusted, name, word, found) for (name, word), found in rows.items()]
     for wrong in design.readings:
         if not wrong.testable:
-            lines.append((wrong.effect.name, "one reading", verdict.NOT_TESTABLE, "-", "-", verdict.UNCHECKED))
+            lines.append((wrong.effect.name, "one reading", verdict.Status.NOT_TESTABLE, "-", "-", verdict.UNCHECKED))
             continue
         size, unit = units.readable(wrong.detectable, wrong.effect.parameters[0].dimension)
         hides, at = units.readable(wrong.hides, adjusted.delivered.dimension)
-        cells = ("one reading", verdict.EXCLUDED, f"{units.two_digits(size)} {unit}", f"{units.two_digits(hides)} {at}")
+        cells = (
+            "one reading",
+            verdict.Status.EXCLUDED,
+            f"{units.two_digits(size)} {unit}",
+            f"{units.two_digits(hides)} {at}",
+        )
         lines.append((wrong.effect.name, *cells, "else an outlier"))
     lines += [
-        (one.effect.name, " ".join(one.where.values()), verdict.NOT_TESTED, "-", "-", one.reason)
+        (one.effect.name, " ".join(one.where.values()), verdict.Status.NOT_TESTED, "-", "-", one.reason)
         for one in design.not_tested
     ]
     return _table(("effect", "where", "", "seen from", "hides up to", ""), lines)
@@ -219,7 +224,7 @@ def _line(adjusted: AdjustedJob, name: str, word: str, found: Sequence[Candidate
     most = max(one.hides for one in found)
     hides, unit = units.readable(most, adjusted.delivered.dimension)
     why = ""
-    if word == verdict.NOT_TESTABLE:
+    if word == verdict.Status.NOT_TESTABLE:
         plausible, at = units.readable(found[0].plausible, dimension)
         size = f"{units.two_digits(plausible)} {at}".rstrip()
         why = f"absorbed by {', '.join(found[0].absorbed_by)}; hides were it {size}"

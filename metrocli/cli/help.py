@@ -14,7 +14,7 @@ COMMANDS = {
     "simulate": "the measurement that a job's model predicts",
     "plan": "what a planned measurement will determine, and a better one",
     "show": "a result on the terminal",
-    "export": "a result in another format: CSV",
+    "export": "a result in another format: CSV, compensation tables",
     "schema": "JSON schema of a job, for editors",
 }
 """The commands that are not kinds of job; each is the module of its name in this package."""

@@ -14,7 +14,7 @@ from metrocli import units
 from metrocli.plan import Plan
 from metrocli.project.pipeline import NOT_MET
 from metrocli.record import Record, Verdict
-from metrocli.result import Estimate, Result
+from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 
 MOST_ROWS = 40
@@ -27,7 +27,7 @@ def result_text(result: Result, record: Record, path: Path) -> str:
     parts += [estimates_text(result.estimates)] if result.estimates else []
     parts += [_statistics_line(result.statistics)]
     parts += result.notes
-    parts += [_shown(result.tables, entry) for entry in result.shown if entry.partition(":")[0] in result.tables]
+    parts += [_shown(result.tables, shown) for shown in result.shown if shown.name in result.tables]
     parts += [_verdict_line(verdict) for verdict in record.verdicts]
     return "\n".join([*parts, f"result: {path}"])
 
@@ -36,7 +36,7 @@ def plan_text(plan: Plan) -> str:
     """Return what people read of a plan."""
     parts = [f"{plan.kind}: planned", *plan.notes]
     parts += [estimates_text(plan.figures)] if plan.figures else []
-    return "\n".join([*parts, *(_shown(plan.tables, entry) for entry in plan.shown)])
+    return "\n".join([*parts, *(_shown(plan.tables, shown) for shown in plan.shown)])
 
 
 def tell_misses(record: Record, told: bool = False) -> int:
@@ -79,13 +79,11 @@ def _statistics_line(statistics: Mapping[str, Any]) -> str:
     return ", ".join(parts)
 
 
-def _shown(tables: Mapping[str, Table], entry: str) -> str:
-    """Return a table, or the columns of it that `name: column, column` names."""
-    name, _, chosen = entry.partition(":")
-    table = tables[name]
-    wanted = [column.strip() for column in chosen.split(",")] if chosen else list(table)
-    part = replace(table, columns={column: table.columns[column] for column in wanted if column in table})
-    return f"\n{name}\n{table_text(part)}"
+def _shown(tables: Mapping[str, Table], shown: ShownTable) -> str:
+    """Return a table, or the columns of it that are shown."""
+    table = tables[shown.name]
+    columns = {name: table.columns[name] for name in shown.columns or table if name in table}
+    return f"\n{shown.name}\n{table_text(replace(table, columns=columns))}"
 
 
 def table_text(table: Table) -> str:

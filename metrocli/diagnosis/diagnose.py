@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from enum import StrEnum
 
 import numpy as np
 
@@ -50,6 +51,19 @@ _ROUNDS = 3
 _SEARCHES = 5
 """Searches at most, each about the job adjusted with what dominated the one before"""
 _SEED = 20
+
+
+class Verdict(StrEnum):
+    """What a diagnosis comes to."""
+
+    CLEAN = "clean"
+    """The residuals are what the noise predicts."""
+    EXPLAINED = "explained"
+    """The named effects leave nothing structured."""
+    INDISTINCT = "indistinct"
+    """An effect is there, and others explain the readings as well."""
+    UNEXPLAINED = "unexplained"
+    """Structure remains that no known effect explains."""
 
 
 @dataclass(frozen=True)
@@ -100,16 +114,16 @@ class Diagnosis:
     """A mistake in the files, without which all else was found"""
 
     @property
-    def verdict(self) -> str:
-        """clean, explained, indistinct or unexplained."""
+    def verdict(self) -> Verdict:
+        """What the report says first."""
         if self.left is not None:
-            return "unexplained"
+            return Verdict.UNEXPLAINED
         sets: list[tuple[object, ...]] = [finding.effect.rivals for finding in self.findings]
         if self.mistaken is not None:
             sets.append(self.mistaken.mistakes[1:])
         if not sets:
-            return "clean"
-        return "indistinct" if any(sets) else "explained"
+            return Verdict.CLEAN
+        return Verdict.INDISTINCT if any(sets) else Verdict.EXPLAINED
 
 
 def diagnose(job: AdjustedJob, say: Say = lambda line: None) -> Diagnosis:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from enum import StrEnum
 from typing import Any
 
 import numpy as np
@@ -18,8 +19,21 @@ from metrocli.diagnosis.residual_structure import RemainingStructure
 from metrocli.diagnosis.selection.confidence_set import NamedEffect, Rival
 from metrocli.effects.effect import Effect
 
-NAMED, EXCLUDED, CANNOT_SEE = "named", "excluded", "cannot-see"
-NOT_TESTABLE, NOT_TESTED = "not-testable", "not-tested"
+
+class Status(StrEnum):
+    """What is known of a candidate."""
+
+    NAMED = "named"
+    EXCLUDED = "excluded"
+    """It would have been seen at its least detectable size."""
+    CANNOT_SEE = "cannot-see"
+    """Its least detectable size is beyond what is plausible."""
+    NOT_TESTABLE = "not-testable"
+    """The unknowns of the job absorb it."""
+    NOT_TESTED = "not-tested"
+    """A column is missing."""
+
+
 UNCHECKED = "no reading is checked by the others"
 
 
@@ -138,10 +152,10 @@ def _delivered(job: AdjustedJob, value: float) -> dict[str, Any]:
 def status(candidate: Candidate, named: Iterable[NamedEffect]) -> str:
     """Return what can be said of a candidate; one that stands in the set of a named one counts as named."""
     if any(candidate.alternative.spot in spots(name) for name in named):
-        return NAMED
+        return Status.NAMED
     if not candidate.testable:
-        return NOT_TESTABLE
-    return EXCLUDED if candidate.detectable <= candidate.plausible else CANNOT_SEE
+        return Status.NOT_TESTABLE
+    return Status.EXCLUDED if candidate.detectable <= candidate.plausible else Status.CANNOT_SEE
 
 
 def spots(name: NamedEffect) -> set[tuple[str, tuple[str, ...]]]:
@@ -154,18 +168,18 @@ def candidates(job: AdjustedJob, design: Design, named: Iterable[NamedEffect]) -
     names = list(named)
     tested = [_candidate(job, candidate, status(candidate, names)) for candidate in design.candidates]
     readings = [_wrong_reading(job, one) for one in design.readings]
-    missing = [_open(one.effect, one.where, NOT_TESTED, one.reason) for one in design.not_tested]
+    missing = [_open(one.effect, one.where, Status.NOT_TESTED, one.reason) for one in design.not_tested]
     return tested + readings + missing
 
 
 def _wrong_reading(job: AdjustedJob, one: WrongReading) -> dict[str, Any]:
     unchecked = f"; {one.unchecked} readings cannot be checked" if one.unchecked else ""
     if not one.testable:
-        return _open(one.effect, {}, NOT_TESTABLE, UNCHECKED)
+        return _open(one.effect, {}, Status.NOT_TESTABLE, UNCHECKED)
     return {
         "name": one.effect.name,
         "where": {},
-        "status": EXCLUDED,
+        "status": Status.EXCLUDED,
         "minimal_detectable": {"value": one.detectable, "unit": one.effect.parameters[0].unit},
         "hides": _delivered(job, one.hides),
         "reason": f"wrong readings are listed as outliers; the size is that of the median reading{unchecked}",
@@ -188,12 +202,12 @@ def reason(candidate: Candidate, word: str) -> str:
     """Return why a candidate has its status, in words."""
     dimension = candidate.alternative.effect.parameters[0].dimension
     plausible, at = units.readable(candidate.plausible, dimension)
-    if word == NOT_TESTABLE:
+    if word == Status.NOT_TESTABLE:
         return f"the unknowns absorb it: {', '.join(candidate.absorbed_by)}; `hides` is for {plausible:.3g} {at}"
     size, unit = units.readable(candidate.detectable, dimension)
-    if word == CANNOT_SEE:
+    if word == Status.CANNOT_SEE:
         return f"{size:.3g} {unit} would be needed to see it; more than {plausible:.3g} {at} is not plausible"
-    return "" if word == NAMED else f"it would have been seen from {size:.3g} {unit} on"
+    return "" if word == Status.NAMED else f"it would have been seen from {size:.3g} {unit} on"
 
 
 def _open(effect: Effect, where: Mapping[str, str], word: str, reason: str) -> dict[str, Any]:

@@ -16,7 +16,7 @@ import numpy as np
 from metrocli.errors import Fault, InputError
 from metrocli.formats.aside import written_aside
 from metrocli.record import InputFile, Record, Verdict
-from metrocli.result import Estimate, Result
+from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 
 FORMAT = "metrocli-result"
@@ -64,7 +64,7 @@ def _write_all(file: h5py.File, result: Result, record: Record) -> None:
     _write_table(file, "requirements", _table_of([asdict(verdict) for verdict in record.verdicts], verdicts))
     for name, lines in (("warnings", result.warnings), ("notes", result.notes)):
         _write_texts(file, name, lines)
-    file.attrs["shown"] = _texts(result.shown)
+    file.attrs["shown"] = _texts([_shown_text(shown) for shown in result.shown])
     _write_plot(file, result)
 
 
@@ -198,10 +198,20 @@ def _read_result(file: h5py.File) -> Result:
         tables=tables,
         arrays=arrays,
         warnings=_read_texts(file["warnings"]),
-        shown=tuple(str(name) for name in file.attrs["shown"]),
+        shown=tuple(_shown_of(str(text)) for text in file.attrs["shown"]),
         notes=_read_texts(file["notes"]),
         details=_read_values(file["details"]) if "details" in file else {},
     )
+
+
+def _shown_text(shown: ShownTable) -> str:
+    """Return a shown table as the file has it: `name`, or `name: column, column`."""
+    return f"{shown.name}: {', '.join(shown.columns)}" if shown.columns else shown.name
+
+
+def _shown_of(text: str) -> ShownTable:
+    name, _, columns = text.partition(":")
+    return ShownTable(name, tuple(column.strip() for column in columns.split(",")) if columns else ())
 
 
 def _sort_in(name: str, item: Any, tables: dict[str, Table], arrays: dict[str, Any]) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -107,10 +106,3 @@ def _fill_forward(values: Array) -> None:
     known = np.where(np.isfinite(values), np.arange(len(values)), -1)
     last = np.maximum.accumulate(known)
     values[last >= 0] = values[last[last >= 0]]
-
-
-def polyline(corners: Sequence[Array]) -> Array:
-    """Return the vertices of pieces (n, 3) one after the other, without repeated ones."""
-    vertices = np.concatenate([np.atleast_2d(part) for part in corners])
-    moved = np.linalg.norm(np.diff(vertices, axis=0), axis=1) > _SAME
-    return np.asarray(vertices[np.append(True, moved)])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
@@ -48,13 +49,21 @@ class State:
     record: Record | None = None
 
 
+class Action(StrEnum):
+    """What `run` did about a job."""
+
+    UP_TO_DATE = "up to date"
+    RAN = "ran"
+    FAILED = "failed"
+    NOT_RUN = "not run"
+
+
 @dataclass(frozen=True)
 class Report:
     """What `run` did about a step."""
 
     step: Step
-    action: str
-    """up to date | ran | failed | not run"""
+    action: Action
     reason: str
     exit_code: int = 0
     done: Done | None = None
@@ -234,24 +243,24 @@ def run(steps: Sequence[Step], force: bool, say: Say, tell: Callable[[Report], A
     for step in steps:
         report = _run_step(step, reports, ran, force, say)
         reports[step.name] = report
-        if report.action == "ran":
+        if report.action is Action.RAN:
             ran.add(step.name)
         tell(report)
     return list(reports.values())
 
 
 def _run_step(step: Step, reports: Mapping[str, Report], ran: set[str], force: bool, say: Say) -> Report:
-    broken = next((name for name in step.needs if reports[name].action in ("failed", "not run")), None)
+    broken = next((name for name in step.needs if reports[name].action in (Action.FAILED, Action.NOT_RUN)), None)
     if broken is not None:
-        return Report(step, "not run", f"{broken} failed", reports[broken].exit_code)
+        return Report(step, Action.NOT_RUN, f"{broken} failed", reports[broken].exit_code)
     state = _state(step, ran)
     if not state.reason and not force and state.record is not None:
-        return Report(step, "up to date", "", _judgement(state.record))
+        return Report(step, Action.UP_TO_DATE, "", _judgement(state.record))
     try:
         done = carry_out(step.job, force, say)
     except MetrocliError as error:
-        return Report(step, "failed", state.reason or "forced", error.exit_code, error=str(error))
-    return Report(step, "ran", state.reason or "forced", _judgement(done.record), done)
+        return Report(step, Action.FAILED, state.reason or "forced", error.exit_code, error=str(error))
+    return Report(step, Action.RAN, state.reason or "forced", _judgement(done.record), done)
 
 
 def _judgement(record: Record) -> int:

@@ -40,5 +40,5 @@ def test_time_is_linear_in_views() -> None:
 
 
 def test_memory_is_linear_in_views() -> None:
-    # Below 4, since the working memory of a portion does not grow at all; a square law would give 16.
+    # Below 4, since the working memory of a tile does not grow at all; a square law would give 16.
     assert 1 < peak_of(MANY) / peak_of(FEW) < 5

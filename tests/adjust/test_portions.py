@@ -1,4 +1,4 @@
-"""Readings in portions: the same answer however the readings lie and however they are split."""
+"""Readings in tiles: the same answer however the readings lie and however they are split."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from metrocli.adjust.model.groups import Group, prior
 from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.movements import Affine, Listed, of_members, of_points
 from metrocli.adjust.outcome import Outcome
-from metrocli.adjust.schur import tiles as portions
+from metrocli.adjust.schur import tiles as tiles
 from metrocli.adjust.schur.batched_cholesky import backward, cholesky, complement, forward
-from metrocli.adjust.schur.tiles import split
+from metrocli.adjust.schur.tiles import tiling_of
 from metrocli.adjust.solution import Solution, residuals_of
 from metrocli.instruments import tracer
 
@@ -103,24 +103,24 @@ CASES = {
 EACH = pytest.mark.parametrize("case", CASES)
 
 
-@pytest.fixture(params=["whole", "in lots of five", "in no portions"])
+@pytest.fixture(params=["whole", "in lots of five", "in no tiles"])
 def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """How the readings are taken."""
-    if request.param == "in no portions":
-        monkeypatch.setattr(portions, "_MOST", 0)
+    if request.param == "in no tiles":
+        monkeypatch.setattr(tiles, "_MOST", 0)
     else:
-        monkeypatch.setattr(portions, "_WORTH", 0)
-        monkeypatch.setattr(portions, "_READINGS", 25 if request.param == "in lots of five" else 10**9)
+        monkeypatch.setattr(tiles, "_WORTH", 0)
+        monkeypatch.setattr(tiles, "_READINGS", 25 if request.param == "in lots of five" else 10**9)
     return str(request.param)
 
 
 @EACH
 def test_each_way_is_the_dense_inverse(case: str, way: str) -> None:
     made = CASES[case]()
-    found = split(made.groups, made.named(), "point")
-    assert bool(found.portions) is (way != "in no portions")
+    found = tiling_of(made.groups, made.named(), "point")
+    assert bool(found.tiles) is (way != "in no tiles")
     if way == "in lots of five":
-        assert len(found.portions) >= 10
+        assert len(found.tiles) >= 10
     solution = made.solved()
     assert solution.outcome is Outcome.CONVERGED
     assert solution.known().layout.eliminated == "point"
@@ -146,7 +146,7 @@ def test_each_way_is_the_dense_inverse(case: str, way: str) -> None:
 def test_all_ways_agree(case: str, way: str) -> None:
     solution = CASES[case]().solved()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(portions, "_MOST", 0)
+        patch.setattr(tiles, "_MOST", 0)
         other = CASES[case]().solved()
     assert solution.cost == pytest.approx(other.cost, rel=1e-10)
     assert solution.iterations == other.iterations
@@ -165,9 +165,9 @@ def test_points_of_like_tracers_stand_together() -> None:
     seen = np.ones((600, 6))
     seen[::3, 0], seen[1::3, 4:] = 0, 0
     made = lengths(n=600, m=6, seen=seen, shuffled=True)
-    found = split(made.groups, made.named(), "point")
-    assert len(found.portions) == 3
-    assert sorted(piece.group.observations.lattice.shape[0] for p in found.portions for piece in p.pieces) == [4, 5, 6]  # type: ignore[union-attr]
+    found = tiling_of(made.groups, made.named(), "point")
+    assert len(found.tiles) == 3
+    assert sorted(piece.group.observations.lattice.shape[0] for p in found.tiles for piece in p.pieces) == [4, 5, 6]  # type: ignore[union-attr]
 
 
 def test_a_point_without_a_length_is_named() -> None:

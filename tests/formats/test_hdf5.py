@@ -17,7 +17,7 @@ import pytest
 from metrocli.errors import InputError
 from metrocli.formats import hdf5
 from metrocli.record import InputFile, Record, Verdict
-from metrocli.result import Estimate, Result
+from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 
 RESULT = Result(
@@ -43,7 +43,7 @@ RESULT = Result(
     },
     arrays={"points_covariance": np.arange(18.0).reshape(2, 3, 3)},
     warnings=("one", "zwölf"),
-    shown=("residuals",),
+    shown=(ShownTable("residuals"),),
     notes=("R = [[1, 0], …]",),
 )
 RECORD = Record(

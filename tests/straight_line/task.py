@@ -8,7 +8,7 @@ import numpy as np
 
 from metrocli.errors import NotConvergedError, UndeterminedError
 from metrocli.plan import Plan
-from metrocli.result import Estimate, Result
+from metrocli.result import Estimate, Result, ShownTable
 from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import Table
 from metrocli.tasks.kind import Job, Task
@@ -54,7 +54,7 @@ def run(job: Job[Settings, Files]) -> Result:
             "rms": {"mm": float(residual.std())},
         },
         {"residuals": table},
-        shown=("residuals",),
+        shown=(ShownTable("residuals"),),
         notes=("the line is taken as straight",),
     )
 
@@ -87,7 +87,7 @@ def plan(job: Job[Settings, Files]) -> Plan:
         {"places": Table({"x": x}, {"x": "mm"})},
         {"program.nc": "G1 X0\n"},
         ("the stylus is not in the plan",),
-        shown=("places",),
+        shown=(ShownTable("places"),),
     )
 
 

@@ -79,7 +79,7 @@ IDENTITY = np.eye(3)[:, :, None]
 class Link(Protocol):
     """One differentiable step from a quantity to a quantity.
 
-    Readings come in portions and in any order: what differs from reading to reading is asked of `local`, never kept.
+    Readings come in tiles and in any order: what differs from reading to reading is asked of `local`, never kept.
     """
 
     @property

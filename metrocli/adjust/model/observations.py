@@ -66,7 +66,7 @@ class Observations:
     """Name of each of the d components: u, v."""
     unit: str = ""
     lattice: Lattice | None = None
-    """Where readings are in regular order, those of a portion of the normal equations: for blocks not in `index`"""
+    """Where readings are in regular order, those of a tile of the normal equations: for blocks not in `index`"""
     _whitening: Array | None = field(default=None, init=False, repr=False)
     """Inverse Cholesky factor of `covariance`, (n, d, d)"""
 

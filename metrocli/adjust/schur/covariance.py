@@ -16,7 +16,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.schur.layout import Layout
-from metrocli.adjust.schur.member_covariance import Members
+from metrocli.adjust.schur.member_covariance import MemberCovariance
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Covariance:
     shapes: Mapping[str, tuple[int, int]]
     reduced: Array
     """(width, width)"""
-    eliminated: Members
+    eliminated: MemberCovariance
     """The eliminated block"""
     factor: float = 1.0
     """sigma0^2 where the noise is estimated, else 1"""

@@ -15,7 +15,7 @@ from metrocli.adjust.schur.layout import Layout
 
 
 @dataclass(frozen=True)
-class Gathered:
+class IrregularNormals:
     """All members of the eliminated block, none where nothing is eliminated, with the sums of their readings."""
 
     members: Index
@@ -36,7 +36,7 @@ class Gathered:
     def _weights(self) -> Array:
         return np.asarray(np.linalg.solve(self.d, self.b), dtype=float) if self.d.size else self.b
 
-    def damped(self, factor: float) -> Gathered:
+    def damped(self, factor: float) -> IrregularNormals:
         """Return the same with the diagonal of D enlarged by `1 + factor`."""
         return replace(self, d=self.d + factor * _diagonal(self.d))
 
@@ -102,7 +102,7 @@ def _diagonal(matrix: Array) -> Array:
 
 
 @dataclass
-class Sums:
+class NormalSums:
     """The sums of readings: what `Gathered` holds, and the part of the reduced unknowns."""
 
     d: Array
@@ -112,20 +112,20 @@ class Sums:
     right_r: Array
 
     @staticmethod
-    def empty(members: int, size: int, width: int) -> Sums:
+    def empty(members: int, size: int, width: int) -> NormalSums:
         """Return sums of no readings."""
         shapes = ((members, size, size), (members, size, width), (members, size), (width, width), (width,))
-        return Sums(*(np.zeros(shape) for shape in shapes))
+        return NormalSums(*(np.zeros(shape) for shape in shapes))
 
     def add(self, linear: Linear, blocks: Mapping[str, Block], layout: Layout) -> None:
         """Add the readings of a group."""
         _add(self, _Parts.of(linear, blocks, layout))
 
-    def gathered(self, free: Mask) -> Gathered:
+    def gathered(self, free: Mask) -> IrregularNormals:
         """Return the members, with 1 on the diagonal of fixed entries."""
         fixed = np.nonzero(~free)
         self.d[fixed[0], fixed[1], fixed[1]] = 1.0
-        return Gathered(np.arange(len(free)), free, self.d, self.b, self.right_e, self.n, self.right_r)
+        return IrregularNormals(np.arange(len(free)), free, self.d, self.b, self.right_e, self.n, self.right_r)
 
 
 @dataclass(frozen=True)
@@ -162,7 +162,7 @@ class _Parts:
         return _Parts(index_e, stacked, size_e, np.concatenate([*places, np.zeros(0, dtype=np.intp)]), tuple(several))
 
 
-def _add(sums: Sums, parts: _Parts) -> None:
+def _add(sums: NormalSums, parts: _Parts) -> None:
     s, places = parts.size_e, parts.places
     d, c, n = parts.dense.shape
     rows = np.ascontiguousarray(parts.dense.reshape(d * c, n).T).reshape(n, d, c)
@@ -206,7 +206,7 @@ def grams(rows: Array, index: Index, members: int) -> Array:
     return sums
 
 
-def _add_several(sums: Sums, parts: _Parts, rows: Array) -> None:
+def _add_several(sums: NormalSums, parts: _Parts, rows: Array) -> None:
     from scipy.sparse import csr_matrix
 
     n, d, _ = rows.shape

@@ -17,7 +17,7 @@ from metrocli.adjust.datum import Frame
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.observations import Index
 from metrocli.adjust.schur.normals import Part
-from metrocli.adjust.schur.tiles import Portion
+from metrocli.adjust.schur.tiles import Tile
 
 
 @dataclass(frozen=True)
@@ -55,14 +55,14 @@ class Gauge:
 
 
 @dataclass(frozen=True)
-class Members:
+class MemberCovariance:
     """The eliminated members at the solution, without an estimated factor of the noise."""
 
     shape: tuple[int, int]
     """(members, s)"""
     parts: tuple[Part, ...]
-    portions: tuple[Portion, ...]
-    """The readings of each part, where they are in portions"""
+    tiles: tuple[Tile, ...]
+    """The readings of each part, where they are in tiles"""
     reduced: Array
     """The covariance of the reduced unknowns, (width, width)"""
     gauge: Gauge | None = None
@@ -88,25 +88,25 @@ class Members:
         return self._adjusted[0]
 
     def residuals(self, place: int, blocks: Mapping[str, Block], shape: tuple[int, int]) -> Array:
-        """Return `reading - predicted` of the group at `place`, whose readings are in portions, (d, n)."""
-        return self._read(place, shape, lambda i, j: self.portions[i].pieces[j].group.residuals(blocks))
+        """Return `reading - predicted` of the group at `place`, whose readings are in tiles, (d, n)."""
+        return self._read(place, shape, lambda i, j: self.tiles[i].pieces[j].group.residuals(blocks))
 
     def explained(self, place: int, shape: tuple[int, int]) -> Array:
         """Return the variance of the adjusted, whitened readings (d, n) of the group at `place`, `diag(J Q J')`.
 
-        Its readings are in portions.
+        Its readings are in tiles.
         """
         return self._read(place, shape, lambda i, j: self._adjusted[1][i][j])
 
     def reads(self, place: int) -> bool:
-        """Whether the readings of the group at `place` are in portions."""
-        return any(piece.place == place for portion in self.portions for piece in portion.pieces)
+        """Whether the readings of the group at `place` are in tiles."""
+        return any(piece.place == place for tile in self.tiles for piece in tile.pieces)
 
     def _read(self, place: int, shape: tuple[int, int], values: Callable[[int, int], Array]) -> Array:
         """Return what is found for each piece in the order of the group's readings, (d, n)."""
         full = np.empty(shape)
-        for i, portion in enumerate(self.portions):
-            for j, piece in enumerate(portion.pieces):
+        for i, tile in enumerate(self.tiles):
+            for j, piece in enumerate(tile.pieces):
                 if piece.place == place:
                     full[:, piece.rows] = values(i, j)
         return full

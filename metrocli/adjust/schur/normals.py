@@ -16,11 +16,11 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Index
-from metrocli.adjust.schur.irregular_normals import Sums
+from metrocli.adjust.schur.irregular_normals import NormalSums
 from metrocli.adjust.schur.layout import Layout
 from metrocli.adjust.schur.tile_rows import Rows
-from metrocli.adjust.schur.tiled_elimination import Eliminated
-from metrocli.adjust.schur.tiles import Split
+from metrocli.adjust.schur.tiled_elimination import EliminatedTile
+from metrocli.adjust.schur.tiles import Tiling
 
 
 class Part(Protocol):
@@ -60,7 +60,7 @@ class Part(Protocol):
         """Return `D^-1 + W Q W'` of each member, (k, s, s)."""
 
     def adjusted(self, reduced: Array) -> tuple[Array, tuple[Array, ...]]:
-        """Return what `covariance` does, and for each group of a portion the variance of its readings as adjusted."""
+        """Return what `covariance` does, and for each group of a tile the variance of its readings as adjusted."""
 
     def solved(self, fields: Array) -> Array:
         """Return `D^-1 H` of fields H (k, s, f), (k, s, f)."""
@@ -74,7 +74,7 @@ class Normals:
     """The parts of the normal matrix and of the right side `J' r`, all in whitened readings."""
 
     parts: tuple[Part, ...]
-    """Those of the portions, then that of the other readings"""
+    """Those of the tiles, then that of the other readings"""
     shape: tuple[int, int]
     """Of the eliminated block, (members, s)"""
     cost: float
@@ -116,34 +116,34 @@ class Normals:
         return steps
 
 
-def assemble(groups: Sequence[Group], split: Split, blocks: Mapping[str, Block], layout: Layout) -> Normals:
+def assemble(groups: Sequence[Group], tiling: Tiling, blocks: Mapping[str, Block], layout: Layout) -> Normals:
     """Linearise all groups and sum their normal equations; a cost that is no number ends it before the sums."""
     name = layout.eliminated
     shape = blocks[name].values.shape if name else (0, 0)
-    sums = Sums.empty(0 if split.portions else shape[0], shape[1], layout.width)
+    sums = NormalSums.empty(0 if tiling.tiles else shape[0], shape[1], layout.width)
     cost = 0.0
-    for place in split.whole:
+    for place in tiling.whole:
         linear = groups[place].linear(blocks, layout.wanted)
         cost += linear.cost
         sums.add(linear, blocks, layout)
     parts: list[Part] = []
-    for portion in split.portions:
-        linears = [piece.group.linear(blocks, layout.wanted) for piece in portion.pieces]
+    for tile in tiling.tiles:
+        linears = [piece.group.linear(blocks, layout.wanted) for piece in tile.pieces]
         cost += sum(linear.cost for linear in linears)
         if not np.isfinite(cost):
             break
-        rows = [Rows.of(linear, portion.members, blocks, layout) for linear in linears]
-        part = Eliminated(portion.members, blocks[name or ""].free[portion.members], rows, layout.width)
+        rows = [Rows.of(linear, tile.members, blocks, layout) for linear in linears]
+        part = EliminatedTile(tile.members, blocks[name or ""].free[tile.members], rows, layout.width)
         with suppress(np.linalg.LinAlgError):  # told when it is asked for; found here, while the rows are in the cache
             _ = part.reduced
         parts.append(part)
     free = blocks[name].free if name else np.zeros((0, 0), dtype=bool)
-    rest = sums.gathered(free[:0] if split.portions else free)
+    rest = sums.gathered(free[:0] if tiling.tiles else free)
     return Normals((*parts, rest), shape, float(cost))
 
 
-def cost_of(groups: Sequence[Group], split: Split, blocks: Mapping[str, Block]) -> float:
+def cost_of(groups: Sequence[Group], tiling: Tiling, blocks: Mapping[str, Block]) -> float:
     """Return the sum of squares of the whitened residuals of all groups."""
-    chosen = [groups[place] for place in split.whole]
-    chosen += [piece.group for portion in split.portions for piece in portion.pieces]
+    chosen = [groups[place] for place in tiling.whole]
+    chosen += [piece.group for tile in tiling.tiles for piece in tile.pieces]
     return float(sum(group.linear(blocks, frozenset()).cost for group in chosen))

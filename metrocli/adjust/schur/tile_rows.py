@@ -14,8 +14,8 @@ from metrocli.adjust.schur.layout import Layout
 
 
 @dataclass(frozen=True)
-class Beside:
-    """Derivatives of the readings of a portion by another block."""
+class OtherBlock:
+    """Derivatives of the readings of a tile by another block."""
 
     jacobian: Array
     """(d, size, m, k)"""
@@ -31,19 +31,19 @@ class Beside:
 
 @dataclass(frozen=True)
 class Rows:
-    """The readings of one group in a portion, linearised and whitened: m readings of d components for k members."""
+    """The readings of one group in a tile, linearised and whitened: m readings of d components for k members."""
 
     own: Array
     """(d, s, m, k), zero at fixed entries"""
     residual: Array
     """(d, m, k)"""
-    beside: tuple[Beside, ...]
+    beside: tuple[OtherBlock, ...]
 
     @staticmethod
     def of(linear: Linear, members: Index | slice, blocks: Mapping[str, Block], layout: Layout) -> Rows:
         """Return the readings of `members` of the eliminated block in the order of a lattice."""
         d, k = len(linear.residual), len(blocks[layout.eliminated or ""].free[members])
-        beside: list[Beside] = []
+        beside: list[OtherBlock] = []
         own = np.zeros(0)
         for touch in linear.touches:
             jacobian = touch.jacobian.reshape(d, touch.jacobian.shape[1], -1, k)
@@ -52,7 +52,7 @@ class Rows:
                 own = jacobian if block.all_free else jacobian * block.free[members].T[:, None, :]
             else:
                 places = layout.columns[touch.block]
-                beside.append(Beside(jacobian, places[touch.index]))
+                beside.append(OtherBlock(jacobian, places[touch.index]))
         return Rows(own, linear.residual.reshape(d, -1, k), tuple(beside))
 
 
@@ -88,7 +88,7 @@ def add_products(part: Rows, matrix: Array, right: Array) -> None:
                 np.add.at(matrix, (other.places[:, :, None], one.places[:, None, :]), gram.swapaxes(1, 2))
 
 
-def adjusted_variance(first: Beside, second: Beside, reduced: Array) -> Array:
+def adjusted_variance(first: OtherBlock, second: OtherBlock, reduced: Array) -> Array:
     """Return `K Q K'` of the derivatives by two blocks, (d, m, k)."""
     d, _, m, k = first.jacobian.shape
     total = np.zeros((d, m, k))

@@ -1,4 +1,4 @@
-"""The unknowns of a portion's members eliminated: Cholesky factors and products in arrays that run along the members.
+"""The unknowns of a tile's members eliminated: Cholesky factors and products in arrays that run along the members.
 
 With `D = L L'` the normal matrix of a member, J its derivatives by its own unknowns and K those by the others, both in
 whitened readings: `U = L^-1 J'`, `Y = U K = L^-1 B`, and the reduced system loses `Y'Y`. All arrays have the members as
@@ -18,8 +18,8 @@ from metrocli.adjust.schur.batched_cholesky import backward, cholesky, complemen
 from metrocli.adjust.schur.tile_rows import Rows, add_products, adjusted_variance, flattened, with_zeros
 
 
-class Eliminated:
-    """A portion whose members are eliminated."""
+class EliminatedTile:
+    """A tile whose members are eliminated."""
 
     def __init__(
         self, members: Index | slice, free: Mask, rows: Sequence[Rows], width: int, damping: float = 0
@@ -30,9 +30,9 @@ class Eliminated:
         for part in self.rows:
             self.right += np.einsum("damk,dmk->ak", part.own, part.residual)
 
-    def damped(self, factor: float) -> Eliminated:
+    def damped(self, factor: float) -> EliminatedTile:
         """Return the same with the diagonal of D enlarged by `1 + factor`."""
-        return Eliminated(self.members, self.free.T, self.rows, self.width, factor)
+        return EliminatedTile(self.members, self.free.T, self.rows, self.width, factor)
 
     def _normal(self) -> Array:
         """Return D with 1 on the diagonal of fixed entries, (s, s, k)."""

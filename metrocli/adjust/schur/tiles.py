@@ -1,4 +1,4 @@
-"""Portions: the members of the eliminated block in lots that fit the processor's cache, with their readings in order.
+"""Tiles: the members of the eliminated block in lots that fit the processor's cache, with their readings in order.
 
 Members that are read alike (points seen by the same tracers) stand together. Their readings, taken in the same order,
 are a lattice: to gather a value for each reading is then to repeat it, and to sum over the readings of a member is to
@@ -17,16 +17,16 @@ from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Index, Lattice
 
 _READINGS = 32768
-"""Readings of a portion, about: less costs calls, more leaves the cache"""
+"""Readings of a tile, about: less costs calls, more leaves the cache"""
 _MOST = 64
 """Scalar readings that a member of a lattice may have; beyond it matrix products member by member are faster"""
 _WORTH = 200
-"""Readings that a portion needs on average to be worth its overhead"""
+"""Readings that a tile needs on average to be worth its overhead"""
 
 
 @dataclass(frozen=True)
 class Piece:
-    """The readings of a portion that belong to one group."""
+    """The readings of a tile that belong to one group."""
 
     group: Group
     """With the observations in regular order"""
@@ -37,7 +37,7 @@ class Piece:
 
 
 @dataclass(frozen=True)
-class Portion:
+class Tile:
     """Some members of the eliminated block with all their readings."""
 
     members: Index | slice
@@ -46,17 +46,17 @@ class Portion:
 
 
 @dataclass(frozen=True)
-class Split:
-    """The readings of an adjustment: those in portions, and groups that are taken whole."""
+class Tiling:
+    """The readings of an adjustment: those in tiles, and groups that are taken whole."""
 
-    portions: tuple[Portion, ...]
+    tiles: tuple[Tile, ...]
     whole: tuple[int, ...]
-    """Which groups are in no portion"""
+    """Which groups are in no tile"""
 
 
-def split(groups: Sequence[Group], blocks: Mapping[str, Block], eliminated: str | None) -> Split:
-    """Return the portions, none of them where readings are in no regular order."""
-    everything = Split((), tuple(range(len(groups))))
+def tiling_of(groups: Sequence[Group], blocks: Mapping[str, Block], eliminated: str | None) -> Tiling:
+    """Return the tiles, none of them where readings are in no regular order."""
+    everything = Tiling((), tuple(range(len(groups))))
     if eliminated is None:
         return everything
     touching = [i for i, group in enumerate(groups) if eliminated in group.chain.blocks]
@@ -67,8 +67,8 @@ def split(groups: Sequence[Group], blocks: Mapping[str, Block], eliminated: str 
     alike = _alike(found)
     if len(alike) > 2 and sum(len(order.rows) for order in found) < _WORTH * len(alike):
         return everything
-    portions = [portion for members in alike for portion in _portions(found, groups, members, eliminated)]
-    return Split(tuple(portions), tuple(i for i in range(len(groups)) if i not in touching))
+    tiles = [tile for members in alike for tile in _tiles(found, groups, members, eliminated)]
+    return Tiling(tuple(tiles), tuple(i for i in range(len(groups)) if i not in touching))
 
 
 @dataclass(frozen=True)
@@ -138,19 +138,19 @@ def _one_pattern(order: _Order) -> bool:
     return m == 0 or bool((order.code.reshape(-1, m) == order.code[:m]).all())
 
 
-def _portions(orders: Sequence[_Order], groups: Sequence[Group], members: Index, eliminated: str) -> list[Portion]:
+def _tiles(orders: Sequence[_Order], groups: Sequence[Group], members: Index, eliminated: str) -> list[Tile]:
     readings = sum(int(order.counts[members[0]]) * len(groups[order.place].observations.readings) for order in orders)
     number = max(1, round(len(members) * readings / _READINGS))
     return [
-        Portion(
-            _side_by_side(some),
+        Tile(
+            _as_slice(some),
             tuple(_piece(order, groups[order.place], some, eliminated) for order in orders if order.counts[some[0]]),
         )
         for some in np.array_split(members, number)
     ]
 
 
-def _side_by_side(members: Index) -> Index | slice:
+def _as_slice(members: Index) -> Index | slice:
     first, last = int(members[0]), int(members[-1])
     return slice(first, last + 1) if last - first + 1 == len(members) else members
 
@@ -159,7 +159,7 @@ def _piece(order: _Order, group: Group, members: Index, eliminated: str) -> Piec
     rows = order.rows[order.at(members)]
     slots = {name: index[rows[:, 0]] for name, index in order.others.items()}
     flat = rows.ravel()
-    lattice = Lattice(eliminated, _side_by_side(members), slots, rows.shape)
+    lattice = Lattice(eliminated, _as_slice(members), slots, rows.shape)
     weights: Array | None = None if group.weights is None else group.weights[flat]
     observations = group.observations.in_lattice(flat, lattice)
     return Piece(replace(group, observations=observations, weights=weights), order.place, flat)

@@ -31,7 +31,7 @@ class OpenDesignError(Exception):
 
 
 @dataclass(frozen=True)
-class Reduction:
+class BorderedFactor:
     """Factors of the reduced normal matrix."""
 
     sizes: Partition
@@ -106,7 +106,7 @@ class Reduction:
         return total
 
 
-def reduce(jacobian: Sparse, sizes: Partition, places: Array) -> Reduction:
+def bordered_factor(jacobian: Sparse, sizes: Partition, places: Array) -> BorderedFactor:
     """Return the factors of J'J; OpenDesignError where the net is open in more than `_MOST` directions."""
     g, rest = sizes.net, sizes.net + sizes.local
     by_net, by_local, by_border = jacobian[:, :g], jacobian[:, g:rest], jacobian[:, rest:]
@@ -126,7 +126,7 @@ def reduce(jacobian: Sparse, sizes: Partition, places: Array) -> Reduction:
     null_border = np.concatenate([np.zeros((len(corner), open_net.shape[1])), open_border], axis=1)
     null_local = -(towards_net @ null_net + towards_border @ null_border) / diagonal[:, None]
     null = np.concatenate([null_net, null_local, null_border])
-    return Reduction(sizes, diagonal, towards_net, towards_border, matrix, net, weights, border, null)
+    return BorderedFactor(sizes, diagonal, towards_net, towards_border, matrix, net, weights, border, null)
 
 
 def _sum(*matrices: Sparse) -> Sparse:

@@ -18,7 +18,7 @@ from metrocli.effects.model import Added
 from metrocli.geometry import poses
 from metrocli.instruments import spindle_camera as spindle
 from metrocli.instruments.camera import TARGET
-from metrocli.result import Estimate, Result
+from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.align_part import KIND
 from metrocli.tasks.align_part.problem import Problem
@@ -126,7 +126,7 @@ def report(problem: Problem, adjusted: Adjusted, prediction: Prediction | None) 
         tables=tables,
         arrays=arrays,
         warnings=tuple(_warnings(problem, adjusted, views, prediction)),
-        shown=("views: image, readings, rms, largest, largest_target",),
+        shown=(ShownTable("views", ("image", "readings", "rms", "largest", "largest_target")),),
         notes=tuple(_notes(solution, adjusted, prediction)),
     )
 

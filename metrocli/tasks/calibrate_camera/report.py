@@ -15,7 +15,7 @@ from metrocli.effects.estimates import tables as effect_results
 from metrocli.geometry import poses
 from metrocli.instruments import camera
 from metrocli.instruments.conventions import projection_range
-from metrocli.result import Estimate, Result
+from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera import KIND
 from metrocli.tasks.calibrate_camera.coverage import coverage
@@ -109,7 +109,9 @@ def report(problem: Problem, settings: Camera, adjusted: Adjusted) -> Result:
         tables=tables,
         arrays=arrays,
         warnings=tuple(_warnings(solved, views)),
-        shown=("views: image, readings, rms, largest, largest_target",) if problem.rig == "board" else (),
+        shown=(ShownTable("views", ("image", "readings", "rms", "largest", "largest_target")),)
+        if problem.rig == "board"
+        else (),
         notes=tuple(adjustment_notes(adjusted)),
     )
 

@@ -20,7 +20,7 @@ from metrocli.instruments.tracker import LEG, TRACKER, leg_block, path_chain, tr
 from metrocli.nc_program import Block as NcBlock
 from metrocli.nc_program import Dwell, Feed, Rapid, Stop, program
 from metrocli.plan import Plan
-from metrocli.result import Estimate
+from metrocli.result import Estimate, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import KIND
 from metrocli.tasks.calibrate_machine.identifiability import NOT_ESTIMATED, UNDETERMINED, Identifiability, identify
@@ -159,7 +159,7 @@ def planned(
         {"errors": worth.errors, "volumetric": worth.volumetric},
         files,
         tuple(warnings),
-        ("errors", "volumetric: tool, uncertainty"),
+        (ShownTable("errors"), ShownTable("volumetric", ("tool", "uncertainty"))),
     )
 
 

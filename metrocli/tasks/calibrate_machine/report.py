@@ -14,7 +14,7 @@ from metrocli.effects.estimates import tables as effect_results
 from metrocli.instruments.machine import AXES, ERRORS, SQUARENESS, SQUARENESS_NAMES, TOOL
 from metrocli.instruments.six_dof import LINE
 from metrocli.instruments.tracker import TRACKER
-from metrocli.result import Estimate, Result
+from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import KIND
 from metrocli.tasks.calibrate_machine.identifiability import NOT_ESTIMATED, UNDETERMINED, Identifiability
@@ -66,10 +66,10 @@ def report(solved: Solved, settings: Settings) -> Result:
         arrays={"tables_covariance": tables.covariance, **effect_arrays},
         warnings=tuple(_warnings(solved, settings)),
         shown=(
-            "errors: error, status, with, largest, largest_std, unit",
-            "volumetric",
-            *solved.problem.tables,
-            *(["suspects"] if len(solved.suspects.rows) else []),
+            ShownTable("errors", ("error", "status", "with", "largest", "largest_std", "unit")),
+            ShownTable("volumetric"),
+            *map(ShownTable, solved.problem.tables),
+            *([ShownTable("suspects")] if len(solved.suspects.rows) else []),
         ),
         notes=tuple(identifiability_notes(identified)),
     )

@@ -11,7 +11,7 @@ import numpy as np
 from metrocli.errors import UndeterminedError
 from metrocli.instruments.launch_unit import COLUMNS
 from metrocli.plan import Plan
-from metrocli.result import Estimate
+from metrocli.result import Estimate, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.locate_launch_unit import KIND
 from metrocli.tasks.locate_launch_unit.further import Further, Wanted, candidates, further, information
@@ -26,6 +26,9 @@ from metrocli.units import find_unit
 
 if TYPE_CHECKING:
     from metrocli.table import Values
+_SHOWN_OF_LINES = (
+    "line", "points", "near", "far", "probability", "probability_at_range", "safe_distance", "probability_aligned",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -73,8 +76,8 @@ def planned_measurement(located: Located, planned: Planned, noise: Noise) -> Pla
         files=files,
         warnings=(*reasons, *blocked),
         shown=(
-            "lines: line, points, near, far, probability, probability_at_range, safe_distance, probability_aligned",
-            *(("further_poses",) if more else ()),
+            ShownTable("lines", _SHOWN_OF_LINES),
+            *((ShownTable("further_poses"),) if more else ()),
         ),
     )
 

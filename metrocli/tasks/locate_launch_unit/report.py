@@ -12,7 +12,7 @@ from metrocli.adjust.solution import Residuals, residuals_of
 from metrocli.effects.estimates import estimates, free_blocks
 from metrocli.effects.estimates import tables as effect_results
 from metrocli.instruments import launch_unit as lu
-from metrocli.result import Estimate, Result, Scalar
+from metrocli.result import Estimate, Result, Scalar, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.locate_launch_unit import KIND
 from metrocli.tasks.locate_launch_unit.readings import Readings
@@ -46,7 +46,7 @@ def report(located: Located, method: str) -> Result:
             covariance=located.covariance,
             statistics=_statistics_as_printed(located, method, beams),
             tables={"beams": beams},
-            shown=("beams",),
+            shown=(ShownTable("beams"),),
             warnings=_warning_as_printed(method),
         )
     groups = {group.name: group for group in solution.groups}
@@ -75,7 +75,7 @@ def report(located: Located, method: str) -> Result:
         statistics=statistics,
         tables={"beams": beams, **residuals, "outliers": outliers, **effects},
         arrays=arrays,
-        shown=("beams", *(("outliers",) if len(outliers) else ())),
+        shown=(ShownTable("beams"), *((ShownTable("outliers"),) if len(outliers) else ())),
         warnings=(
             *problem.warnings,
             *noise_warnings(solution, cures=(REMOVE,)),

@@ -12,7 +12,7 @@ from metrocli.adjust.solution import Solution
 from metrocli.effects.estimates import estimates, free_blocks
 from metrocli.effects.estimates import tables as effect_results
 from metrocli.instruments import tracer as t
-from metrocli.result import Estimate, Result
+from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.multilaterate import KIND, layout_faults
 from metrocli.tasks.multilaterate.correction import corrected, distant, wrong_entries
@@ -80,11 +80,11 @@ def report(solved: Solved, probing: Table | None, tolerance: float) -> Result:
     )
 
 
-def _shown(solved: Solved) -> Iterator[str]:
+def _shown(solved: Solved) -> Iterator[ShownTable]:
     if solved.network.blocks[t.POINT].free.any():
-        yield "points: point, x, y, z, sx, sy, sz"
+        yield ShownTable("points", ("point", "x", "y", "z", "sx", "sy", "sz"))
     if solved.suspects:
-        yield "suspects"
+        yield ShownTable("suspects")
 
 
 def _tracer_estimates(solution: Solution) -> tuple[Estimate, ...]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from metrocli.adjust.adjustment import covariance_at
-from metrocli.adjust.iterated_weights import adjust_with_noise
+from metrocli.adjust.iterated_weights import adjust_with_iterated_weights
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Mask
@@ -114,7 +114,7 @@ def refitted(network: Network, keep: Mask) -> Solution:
     used = network.only(keep)
     groups = [used.lengths, *used.others]
     noise = (LENGTHS, network.noise)
-    return adjust_with_noise(used.blocks.values(), groups, noise, used.datum, network.aspects)
+    return adjust_with_iterated_weights(used.blocks.values(), groups, noise, used.datum, network.aspects)
 
 
 def _adjusted(network: Network, state: Mapping[str, Block], out: dict[int, Rejected]) -> Solved:
@@ -124,7 +124,9 @@ def _adjusted(network: Network, state: Mapping[str, Block], out: dict[int, Rejec
     used = network.only(keep)
     blocks = {name: replace(block, free=used.blocks[name].free) for name, block in state.items()}
     groups = [used.lengths, *used.others]
-    solution = adjust_with_noise(blocks.values(), groups, (LENGTHS, network.noise), used.datum, network.aspects)
+    solution = adjust_with_iterated_weights(
+        blocks.values(), groups, (LENGTHS, network.noise), used.datum, network.aspects
+    )
     _must_carry(used, solution)
     if not solution.outcome.good:
         raise NotConvergedError(f"{solution.outcome.value} ({solution.iterations} steps)")

@@ -12,7 +12,7 @@ from metrocli.adjust.model.observations import Index
 from metrocli.errors import UndeterminedError
 from metrocli.instruments import ball_grid as bg
 from metrocli.plan import Plan
-from metrocli.result import Estimate
+from metrocli.result import Estimate, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.selfcal_grid import KIND
 from metrocli.tasks.selfcal_grid.problem import Problem, build
@@ -81,7 +81,7 @@ def plan(settings: Settings, lengths: Table | None = None) -> Plan:
     )
     figures = (gain, most) if known and not isinstance(settings.noise, str) else ()
     files = {"views_to_measure.csv": _sheet(settings, views)}
-    return Plan(KIND.name, notes, figures, {"view_sets": table}, files, shown=("view_sets",))
+    return Plan(KIND.name, notes, figures, {"view_sets": table}, files, shown=(ShownTable("view_sets"),))
 
 
 def _sets(views: Sequence[bg.View]) -> Iterator[tuple[str, list[bg.View]]]:

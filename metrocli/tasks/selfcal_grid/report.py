@@ -14,7 +14,7 @@ from metrocli.effects.estimates import estimates
 from metrocli.effects.estimates import tables as effect_results
 from metrocli.geometry.poses import EULER, euler_form
 from metrocli.instruments import ball_grid as bg
-from metrocli.result import Estimate, Result
+from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.selfcal_grid import KIND
 from metrocli.tasks.selfcal_grid import warnings as grid_warnings
@@ -76,7 +76,7 @@ def report(solved: Solved, found: Open, left_out: Sequence[LeftOut], points: Tab
         tables=tables,
         arrays=_arrays(solved, machine, form) | effect_arrays,
         warnings=(*solved.problem.warnings, *grid_warnings.warnings(solved, found, machine.std, left_out)),
-        shown=("views", *(("suspects",) if len(solved.suspects.rows) else ())),
+        shown=(ShownTable("views"), *((ShownTable("suspects"),) if len(solved.suspects.rows) else ())),
         notes=(*found.sentences(), *length_note, *_smooth_note(form)),
     )
 

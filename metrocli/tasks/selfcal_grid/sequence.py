@@ -16,7 +16,7 @@ import numpy as np
 from metrocli.adjust.coupled_fields import Design, adjust_fields, design_of
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
-from metrocli.adjust.sparse.bordered_factor import Reduction, reduce
+from metrocli.adjust.sparse.bordered_factor import BorderedFactor, bordered_factor
 from metrocli.adjust.sparse.nested_dissection import Sparse
 from metrocli.adjust.sparse.partition import Partition
 from metrocli.errors import InputError, UndeterminedError
@@ -39,7 +39,7 @@ class _Sequence:
     """From whitened readings to differences"""
     jacobian: Sparse
     """Of the differences by machine error and mountings of shifted views"""
-    reduction: Reduction
+    reduction: BorderedFactor
 
     def machine(self, readings: Array) -> Array:
         """Return the machine error from whitened readings with the unshifted views fitted, (net,) or (net, k)."""
@@ -129,7 +129,7 @@ def _sequence(problem: Problem, design: Design) -> _Sequence:
     seats = np.zeros((parts.net, 3))
     columns = parts.columns[bg.MACHINE]
     seats[columns[columns >= 0]] = bg.folded(problem.grid.sites)[columns >= 0]
-    return _Sequence(differences, wanted, reduce(wanted, sizes, seats))
+    return _Sequence(differences, wanted, bordered_factor(wanted, sizes, seats))
 
 
 def _shape(problem: Problem, machine: Array) -> Array:
