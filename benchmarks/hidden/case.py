@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.diagnosis.diagnose import Diagnosis
+from metrocli.diagnosis.findings import Diagnosis
 
 ALIKE = 0.9
 """Cosine of what is visible of two effects from which they are near aliases"""

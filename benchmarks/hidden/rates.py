@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.hidden.case import Case, Found, Hidden
-from metrocli.diagnosis.diagnose import Diagnosis, Finding, diagnose
+from metrocli.diagnosis.diagnose import diagnose
+from metrocli.diagnosis.findings import Diagnosis, Finding
 from metrocli.diagnosis.verdict import spots
 
 

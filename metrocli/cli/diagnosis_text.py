@@ -13,7 +13,7 @@ from metrocli.diagnosis import verdict
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.cross_validation import Gain
 from metrocli.diagnosis.detectability import Candidate, Design
-from metrocli.diagnosis.diagnose import Diagnosis, Finding
+from metrocli.diagnosis.findings import Diagnosis, Finding
 from metrocli.diagnosis.noise import DECLARED_SIGMA
 from metrocli.diagnosis.selection.confidence_set import NamedEffect
 

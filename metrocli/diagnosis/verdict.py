@@ -12,7 +12,7 @@ from metrocli import units
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.cross_validation import Gain
 from metrocli.diagnosis.detectability import Candidate, Design, WrongReading
-from metrocli.diagnosis.diagnose import Diagnosis, Finding
+from metrocli.diagnosis.findings import Diagnosis, Finding
 from metrocli.diagnosis.linear.candidates import Alternative
 from metrocli.diagnosis.mistakes import Mistaken
 from metrocli.diagnosis.residual_structure import RemainingStructure

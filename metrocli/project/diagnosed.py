@@ -10,7 +10,8 @@ from pathlib import Path
 from metrocli import tasks
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.detectability import Design
-from metrocli.diagnosis.diagnose import Diagnosis, diagnose, what_can_be_seen
+from metrocli.diagnosis.diagnose import diagnose, what_can_be_seen
+from metrocli.diagnosis.findings import Diagnosis
 from metrocli.diagnosis.mistakes import without_mistakes
 from metrocli.diagnosis.verdict import as_job
 from metrocli.errors import Fault, InputError, UsageError

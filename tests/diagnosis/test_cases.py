@@ -8,7 +8,8 @@ from typing import Any
 
 import pytest
 
-from metrocli.diagnosis.diagnose import Diagnosis, diagnose
+from metrocli.diagnosis.diagnose import diagnose
+from metrocli.diagnosis.findings import Diagnosis
 from metrocli.diagnosis.linear.candidates import Alternative
 from metrocli.project.diagnosed import adjusted_job_of
 from metrocli.project.job import load

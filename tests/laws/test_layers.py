@@ -38,7 +38,7 @@ NOT_KINDS = {"__init__", "kind", "shared"}
 INSIDE = {
     "adjust": [{"coupled_fields", "iterated_weights", "robust", "dense_jacobian"}, {"adjustment"}, {"*"}, {"model"}],
     "effects": [{"links"}, {"*"}],
-    "diagnosis": [{"verdict"}, {"diagnose"}, {"*"}, {"linear"}, {"adjusted_job"}],
+    "diagnosis": [{"verdict"}, {"diagnose"}, {"findings"}, {"*"}, {"selection"}, {"linear"}, {"adjusted_job"}],
 }
 """Layers inside packages, from the top down; * is all that is not named"""
 MOST_MODULES, MOST_LINES = 20, 300
