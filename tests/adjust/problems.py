@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from simulated_camera import LENS, SIZE, Seen, board, look
+from simulated.camera import LENS, SIZE, Seen, board, look
 
 from metrocli.adjust.datum import Datum
 from metrocli.adjust.model.blocks import Block

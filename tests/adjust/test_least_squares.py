@@ -147,7 +147,7 @@ def test_statistics(make: str) -> None:
 
 def test_scatter_of_repeated_measurements_is_the_covariance() -> None:
     """Chi-square of the errors of 60 repeats against the claimed covariance, lens and one view together."""
-    from simulated_camera import LENS
+    from simulated.camera import LENS
 
     total, count = 0.0, 0
     for seed in range(60):

@@ -21,7 +21,7 @@ from adjust.problems import (
     targets,
     with_control,
 )
-from simulated_camera import LENS, SIZE, board, look
+from simulated.camera import LENS, SIZE, board, look
 
 from metrocli.adjust.adjustment import Control, adjust, covariance_at
 from metrocli.adjust.outcome import Outcome

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import scipy.special
 from adjust.problems import NOISE, PARAMETERS, Array, Problem, images, lens, names, targets
-from simulated_camera import LENS, SIZE, Seen, board, look
+from simulated.camera import LENS, SIZE, Seen, board, look
 
 from metrocli.adjust.adjustment import adjust
 from metrocli.adjust.outcome import Outcome

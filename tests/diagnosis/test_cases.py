@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from places import SHARED
 
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.findings import Diagnosis
@@ -14,7 +15,7 @@ from metrocli.diagnosis.linear.candidates import Alternative
 from metrocli.project.diagnosed import adjusted_job_of
 from metrocli.project.job import load
 
-CASES = Path(__file__).parents[2] / ".." / "shared" / "cases"
+CASES = SHARED / "cases"
 KINDS = ("multilaterate", "locate-launch-unit", "align-part", "calibrate-camera")
 MISSED = "align-part/034"
 """Three of its 16 coordinates are wrong: nine degrees of freedom do not tell them from an effect"""

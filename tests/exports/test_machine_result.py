@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-import simulated_machine as sim
+from simulated import machine as sim
 
 from metrocli.errors import InputError
 from metrocli.exports import FORMATS, error_tables, etalon, export, isg_csv, linuxcnc, siemens_cec, siemens_lec

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulated_camera import LENS, SIZE, Array, Seen, board, look
+from simulated.camera import LENS, SIZE, Array, Seen, board, look
 
 from metrocli.adjust.adjustment import Control, adjust
 from metrocli.adjust.model.chain import Chain

@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from places import DOCS
 
 from metrocli import errors, settings, units
 from metrocli.tasks import KINDS
 
-DOCS = Path(__file__).parents[2] / "docs"
 README = (DOCS.parent / "README.md").read_text(encoding="utf-8")
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
-from effects_of_kinds import MEASURED, instance_of, size
+from laws.effects_of_kinds import MEASURED, instance_of, size
+from places import DOCS
 
 from metrocli.adjust.adjustment import adjust
 from metrocli.adjust.model.blocks import Array
@@ -18,7 +18,7 @@ from metrocli.effects.model import Model
 from metrocli.tasks import KINDS
 from metrocli.units import DIMENSIONS
 
-PAGES = Path(__file__).parents[2] / "docs" / "effects"
+PAGES = DOCS / "effects"
 TABLES = {kind.name: effects for kind in KINDS.values() if (effects := kind.task().effects)}
 ENTRIES = [(kind, at) for kind, effects in TABLES.items() for at in range(len(effects))]
 NAMES = [

@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from places import SHARED
 
-DATA = Path(__file__).parents[2] / ".." / "shared" / "data"
+DATA = SHARED / "data"
 BOARDS = DATA / "opencv-chessboards"
 Metrocli = Callable[..., Any]
 pytestmark = pytest.mark.skipif(not BOARDS.is_dir(), reason=f"no measured data at {DATA}")

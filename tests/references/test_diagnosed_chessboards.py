@@ -13,8 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from places import SHARED
 
-DATA = Path(__file__).parents[2] / ".." / "shared" / "data" / "opencv-chessboards"
+DATA = SHARED / "data" / "opencv-chessboards"
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"no measured data at {DATA}")
 JOB = """metrocli: 1
 job: calibrate-camera

@@ -11,13 +11,13 @@ import json
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from places import SHARED
 
-DATA = Path(__file__).parents[2] / ".." / "shared" / "data" / "aicon-network"
+DATA = SHARED / "data" / "aicon-network"
 Metrocli = Callable[..., Any]
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"no measured data at {DATA}")
 

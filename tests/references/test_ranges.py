@@ -9,13 +9,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from places import SHARED
 
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.project.diagnosed import adjusted_job_of
 from metrocli.project.job import load
 from metrocli.units import parse_quantity
 
-DATA = Path(__file__).parents[2] / ".." / "shared" / "data" / "plaza-ranges"
+DATA = SHARED / "data" / "plaza-ranges"
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"no measured data at {DATA}")
 JOB = """metrocli: 1
 job: multilaterate

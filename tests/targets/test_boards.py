@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from places import SHARED
 from targets.camera_for_tests import Array, Camera, about_z, tilted
 
 from metrocli.targets.drawings import board
@@ -15,7 +16,7 @@ from metrocli.targets.lattice import order_fault, ordered
 from metrocli.targets.pattern import TYPES, Pattern, lattice, names, pattern_points
 from metrocli.targets.render import Look, Placed, render
 
-DATA = Path(__file__).parents[2] / "../shared/data"
+DATA = SHARED / "data"
 real = pytest.mark.skipif(not DATA.exists(), reason="../shared/data is not there")
 CAMERA = Camera((640, 480), 533.0, -0.28)
 CHESS = Pattern("chessboard", 9, 6, 25.0)

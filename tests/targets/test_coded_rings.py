@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
+from places import SHARED
 from targets.camera_for_tests import Camera, about_z, tilted
 
 from metrocli.targets.codes import BITS, arcs, canonical, codes
@@ -15,7 +14,7 @@ from metrocli.targets.find import find
 from metrocli.targets.pattern import Pattern
 from metrocli.targets.render import RETRO_REFLECTIVE, Look, Placed, render
 
-DATA = Path(__file__).parents[2] / "../shared/data"
+DATA = SHARED / "data"
 CAMERA = Camera((900, 700), 1500.0, -0.1)
 RINGS = Pattern("coded-rings")
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from uncertainty.jobs import carry_out
+from tasks.report_uncertainty.jobs import carry_out
 
 from metrocli.errors import NotConvergedError
 from metrocli.project.chunks import ChunkFolder
@@ -229,7 +229,7 @@ def test_ten_million_trials_in_bounded_memory(tmp_path: Path) -> None:
         # the peak of this program alone: ru_maxrss begins at what the process that started it had
         "print(int(re.search(r'VmHWM:\\s*(\\d+)', open('/proc/self/status').read())[1]) / 1024)\n"
     )
-    from uncertainty.jobs import write
+    from tasks.report_uncertainty.jobs import write
 
     write(tmp_path, {
         "quantities": {"a": {"value": 1, "std": 0.1}, "b": {"value": 2, "half_width": 0.3}},

@@ -1,0 +1,124 @@
+"""A small measurement of each kind of job with effects, for the laws that every effect obeys.
+
+To bring a kind under the laws, add a function that returns its model at the truth, with conditions in it and its places
+named, to `MEASURED`. It is asked for each effect, since some are seen only in a measurement of their own sort.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from laws.effects_of_images import alignment, calibration
+from simulated import grid as simulated_grid
+from simulated import launch as simulated_launch
+from simulated import lengths as simulated_lengths
+from simulated import machine as simulated_machine
+
+from metrocli.adjust.adjustment import adjust
+from metrocli.adjust.dense_jacobian import unit_noise
+from metrocli.effects.effect import Effect
+from metrocli.effects.extension import with_conditions
+from metrocli.effects.model import Model
+from metrocli.geometry.poses import pose_from_euler
+from metrocli.tasks.calibrate_machine.methods.standstill import standstill
+from metrocli.tasks.locate_launch_unit import problem as launch_problem
+from metrocli.tasks.locate_launch_unit import readings as launch_readings
+from metrocli.tasks.multilaterate.problem import build
+from metrocli.tasks.selfcal_grid import problem as grid_problem
+from metrocli.tasks.selfcal_grid import readings as grid_readings
+from metrocli.tasks.selfcal_grid.settings import views_of
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A small measurement of one kind."""
+
+    model: Callable[[Effect], Model]
+    """At the truth, without noise; one in which this effect can be seen"""
+    scanned: Mapping[str, float]
+    """Values for scanned parameters, by name"""
+
+
+def multilaterate(effect: Effect) -> Model:
+    """25 points and five tracers, all known to 1 um; times and temperatures at random; absolute for a length offset."""
+    net = simulated_lengths.network(25, 5, noise=0.0)
+    rng = np.random.default_rng(4)
+    if effect.name == "length-offset":
+        net = replace(net, dead=np.zeros(5), readings=net.readings + net.dead)
+    lengths = net.lengths()
+    t = rng.uniform(100.0, 2000.0, len(lengths))
+    temp = 20 + rng.uniform(0, 1, len(lengths))
+    table = replace(lengths, columns={**lengths.columns, "t": t, "temp": temp})
+    points = replace(net, nominal=net.points).point_table(sigma=np.full(25, 0.001))
+    measures = "absolute" if effect.name == "length-offset" else "changes"
+    tracers = net.tracer_table(0.0, sigma=np.full(5, 0.001))
+    network = build(simulated_lengths.settings(measures=measures), table, points, tracers, None)
+    model = network.model
+    true = np.column_stack([net.tracers, net.dead, net.scale])
+    return with_conditions(model.with_blocks({**model.blocks, "tracer": model.blocks["tracer"].with_values(true)}))
+
+
+def locate_launch_unit(effect: Effect) -> Model:
+    """25 poses with distances around a unit; times and temperatures at random."""
+    exact = simulated_launch.anywhere(25, 7, distances=True)
+    rng = np.random.default_rng(5)
+    table = exact.table(t=rng.uniform(100.0, 2000.0, 25), temp=20 + rng.uniform(0, 1, 25))
+    model = launch_problem.build(launch_readings.read(table), simulated_launch.NOISE).model
+    true = model.blocks["launch unit"].with_values(exact.truth[None])
+    return with_conditions(model.with_blocks({**model.blocks, "launch unit": true}))
+
+
+def selfcal_grid(effect: Effect) -> Model:
+    """A grid of 3 x 3 x 3 in six views, each ball measured forth and back; temperatures at random."""
+    one = simulated_grid.grid(3, "123456", seed=3)
+    rng = np.random.default_rng(6)
+    table = simulated_grid.repeated(one.read(rng, noise=0.0))
+    table = replace(
+        table, columns={**table.columns, "t": 20.0 * np.arange(len(table)), "temp": 20 + rng.uniform(0, 1, len(table))}
+    )
+    settings = one.settings()
+    readings = grid_readings.read(views_of(settings), settings.grid.half, table)
+    model = grid_problem.build(readings, (settings.grid.half, settings.grid.pitch), settings.noise).model_with_datum
+    values = {"machine_error": one.machine, "artefact_error": one.artefact}
+    mountings = np.array([np.concatenate(one.mountings[name]) for name in one.views])
+    values["view"] = pose_from_euler(mountings[:, :3], mountings[:, 3:])
+    return with_conditions(
+        model.with_blocks({name: block.with_values(values[name]) for name, block in model.blocks.items()})
+    )
+
+
+def calibrate_machine(effect: Effect) -> Model:
+    """120 points with three tools that are known to 1 um, from all sides; times at random."""
+    rng = np.random.default_rng(6)
+    tools = simulated_machine.THREE
+    machine = simulated_machine.random_machine(rng)
+    table = simulated_machine.points(machine, rng, 120, tools, noise=0.0)
+    more = {f"from_{axis}": rng.choice([-1.0, 1.0], 120) for axis in "xyz"} | {"t": rng.uniform(100.0, 2000.0, 120)}
+    table = replace(table, columns={**table.columns, **more})
+    settings = simulated_machine.settings(tools=tools, tool_uncertainty=0.001)
+    problem = standstill(settings, table)
+    problem = problem.with_model(problem.model.with_group(unit_noise(problem.readings, 0.002)))
+    solved = adjust(problem.blocks.values(), problem.groups)
+    return with_conditions(problem.model.with_blocks(solved.blocks))
+
+
+MEASURED: dict[str, Measured] = {
+    "calibrate-camera": Measured(lambda effect: with_conditions(calibration(effect)), {}),
+    "align-part": Measured(lambda effect: with_conditions(alignment(effect)), {}),
+    "calibrate-machine": Measured(calibrate_machine, {"period": 37.0}),
+    "multilaterate": Measured(multilaterate, {"at": 900.0}),
+    "locate-launch-unit": Measured(locate_launch_unit, {}),
+    "selfcal-grid": Measured(selfcal_grid, {"at": 1600.0, "from_view": 2.0}),
+}
+
+
+def instance_of(model: Model, effect: Effect) -> tuple[str, ...]:
+    """A place where the effect can act: the second of each kind."""
+    return tuple(model.places[key].names[1] for key in effect.where if key != "by")
+
+
+def size(effect: Effect) -> dict[str, float]:
+    """A plausible size of each parameter, different for each."""
+    return {p.name: p.plausible * (0.7 - 0.4 * at) for at, p in enumerate(effect.parameters)}

@@ -1,0 +1,244 @@
+"""Lines of a laser with six degrees of freedom, and the figures of ISO 230-2."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from simulated import machine as sim
+from simulated.machine import line, line_table
+
+from metrocli.errors import InputError, UndeterminedError
+from metrocli.table import Table
+from metrocli.tasks.calibrate_machine import task as calibrate_machine
+from metrocli.tasks.calibrate_machine.iso230 import Run, figures, positioning
+from metrocli.tasks.calibrate_machine.settings import Noise, Settings
+
+KNOTS = (5, 6, 5)
+SPAN = sim.HIGH - sim.LOW
+
+
+def job(**more: object) -> Settings:
+    return sim.settings(
+        "six-dof",
+        tools={"": (0.0, 0.0, 0.0)},
+        knots=KNOTS,
+        noise=Noise(displacement=5e-4, straightness=1e-3, angle=1e-6),
+        **more,
+    )
+
+
+AXES, DIAGONALS = ("x", "y", "z"), ("xy", "yz", "xz")
+
+
+@pytest.fixture(scope="module")
+def machine() -> sim.Machine:
+    return sim.random_machine(np.random.default_rng(51), knots=KNOTS, size=0.02)
+
+
+def test_without_noise_misalignment_goes_and_the_machine_stays(machine: sim.Machine) -> None:
+    rng = np.random.default_rng(52)
+    result = calibrate_machine.run(
+        calibrate_machine.TASK.job(
+            job(), lines=line_table([line(machine, axis, rng, 0.0) for axis in (*AXES, *DIAGONALS)])
+        )
+    )
+    assert result.statistics["undetermined"] == ""
+    for name in sim.NAMES:
+        angle = name[1] in "ABC"
+        assert np.abs(result.tables[f"tables/{name}"].numbers("value") - machine.tables[name]).max() < (
+            1e-12 if angle else 1e-9
+        )
+    values = np.array([estimate.value for estimate in result.estimates])
+    assert np.abs(values - machine.squareness).max() < 1e-12
+    assert result.tables["lines"].texts("line") == [f"L{i}" for i in range(6)]
+
+
+def test_squareness_from_diagonals_alone_would_be_wrong(machine: sim.Machine) -> None:
+    """What the plain formula of two diagonals takes for squareness holds yaw and straightness too."""
+    ends = np.array([[0.0, -260.0, 0.0], [600.0, 260.0, 0.0], [600.0, -260.0, 0.0], [0.0, 260.0, 0.0]])
+    reached = ends + sim.displacements(machine, ends, np.zeros(3))
+    first, second = np.linalg.norm(reached[1] - reached[0]), np.linalg.norm(reached[3] - reached[2])
+    plain = (second**2 - first**2) / (4 * SPAN[0] * SPAN[1])
+    # the solution with all lines knows it to 1.5 urad
+    assert abs(plain - machine.squareness[2]) > 5 * 1.5e-6
+    square = sim.Machine(
+        "XYZ", KNOTS, {name: 0 * values for name, values in machine.tables.items()}, machine.squareness
+    )
+    reached = ends + sim.displacements(square, ends, np.zeros(3))
+    first, second = np.linalg.norm(reached[1] - reached[0]), np.linalg.norm(reached[3] - reached[2])
+    assert (second**2 - first**2) / (4 * SPAN[0] * SPAN[1]) == pytest.approx(machine.squareness[2], rel=1e-3)
+
+
+def test_uncertainties_are_honest(machine: sim.Machine) -> None:
+    scores, sigma0 = [], []
+    for seed in range(20):
+        rng = np.random.default_rng(200 + seed)
+        result = calibrate_machine.run(
+            calibrate_machine.TASK.job(
+                job(), lines=line_table([line(machine, axis, rng) for axis in (*AXES, *DIAGONALS)])
+            )
+        )
+        sigma0.append(result.statistics["sigma0"])
+        for name in sim.NAMES:
+            found = result.tables[f"tables/{name}"]
+            std = found.numbers("std")
+            scores.append((found.numbers("value") - machine.tables[name])[std > 1e-15] / std[std > 1e-15])
+        scores.append(
+            np.array([(e.value - true) / e.std for e, true in zip(result.estimates, machine.squareness, strict=True)])
+        )
+    z = np.concatenate(scores)
+    assert 0.9 < np.sqrt((z**2).mean()) < 1.1
+    assert 0.93 < (np.abs(z) < 1.96).mean() < 0.97
+    assert np.mean(sigma0) == pytest.approx(1.0, abs=0.02)
+
+
+def test_lines_may_stand_elsewhere(machine: sim.Machine) -> None:
+    """The columns x, y, z say where the other axes are; the tables are the same."""
+    rng = np.random.default_rng(53)
+    lines = [
+        line(machine, "x", rng, 0.0, y=100.0, z=-200.0),
+        line(machine, "y", rng, 0.0, x=300.0),
+        line(machine, "z", rng, 0.0),
+    ]
+    lines += [line(machine, axis, rng, 0.0) for axis in DIAGONALS]
+    result = calibrate_machine.run(calibrate_machine.TASK.job(job(), lines=line_table(lines, ("x", "y", "z"))))
+    assert np.abs(result.tables["tables/EYX"].numbers("value") - machine.tables["EYX"]).max() < 1e-9
+    without = calibrate_machine.run(calibrate_machine.TASK.job(job(), lines=line_table(lines)))
+    assert np.abs(without.tables["tables/EYX"].numbers("value") - machine.tables["EYX"]).max() > 1e-4
+
+
+def test_without_diagonals_squareness_is_not_determined(machine: sim.Machine) -> None:
+    rng = np.random.default_rng(54)
+    lines = line_table([line(machine, axis, rng) for axis in AXES])
+    with pytest.raises(UndeterminedError, match="3 combinations of errors open") as told:
+        calibrate_machine.run(calibrate_machine.TASK.job(job(), lines=lines))
+    assert all(name in str(told.value) for name in ("A0Z", "B0Z", "C0Y"))
+    result = calibrate_machine.run(calibrate_machine.TASK.job(job(estimate=sim.NAMES), lines=lines))
+    assert np.abs(result.tables["tables/EAX"].numbers("value") - machine.tables["EAX"]).max() < 5e-6
+
+
+def test_one_missing_axis_is_told(machine: sim.Machine) -> None:
+    rng = np.random.default_rng(55)
+    with pytest.raises(UndeterminedError, match="no reading is near 4 of the 5 knots of Z"):
+        calibrate_machine.run(
+            calibrate_machine.TASK.job(job(), lines=line_table([line(machine, axis, rng) for axis in ("x", "y", "xy")]))
+        )
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (
+            lambda t: {"axis": np.where(np.arange(len(t)) == 3, "u", t.columns["axis"])},
+            "lines.csv:5: error: 'u' is no direction of a line",
+        ),
+        (
+            lambda t: {"axis": np.where(np.arange(len(t)) == 3, "y", t.columns["axis"])},
+            "line 'L0' has rows along x and y",
+        ),
+        (
+            lambda t: {"line": np.where(np.arange(len(t)) == 3, "alone", t.columns["line"])},
+            "line 'alone' has fewer than 3 positions",
+        ),
+        (
+            lambda t: {"position": np.where(np.arange(len(t)) == 3, 601.0, t.columns["position"])},
+            "lines.csv:5: error: x = 601 mm is outside",
+        ),
+    ],
+)
+def test_wrong_rows_are_told(machine: sim.Machine, change, said: str) -> None:  # type: ignore[no-untyped-def]
+    whole = line_table([line(machine, axis, np.random.default_rng(56)) for axis in AXES])
+    bad = Table({**whole.columns, **change(whole)}, whole.units, whole.file, whole.lines)
+    with pytest.raises(InputError) as told:
+        calibrate_machine.run(calibrate_machine.TASK.job(job(), lines=bad))
+    assert said in str(told.value)
+
+
+def test_figures_of_iso_230_2_by_hand() -> None:
+    """Two targets, three runs each way, worked out with pencil and paper [um]."""
+    up = np.array([[0.0, 4.0], [2.0, 5.0], [1.0, 6.0]])
+    down = np.array([[3.0, 9.0], [5.0, 9.0], [4.0, 9.0]])
+    found = figures(up, down)
+    # means up 1, 5 with s = 1, 1; down 4, 9 with s = 1, 0; reversal -3, -4
+    assert found.reversal == 4
+    assert found.mean_range == 7.0 - 2.5
+    assert found.systematic == 9 - 1
+    assert found.repeatability == max(2 * 1 + 2 * 1 + 3, 2 * 1 + 0 + 4, 4)
+    assert found.accuracy == 9 - (1 - 2)
+    assert found.runs == (3, 3)
+
+
+def test_one_run_each_way_has_no_repeatability() -> None:
+    runs = [
+        Run("X", np.array([0.0, 1.0, 2.0]), np.array([0.0, 1.0, 3.0])),
+        Run("X", np.array([2.0, 1.0, 0.0]), np.array([5.0, 2.0, 1.0])),
+    ]
+    found = positioning(runs)
+    assert found is not None
+    assert found.texts("axis") == ["X"]
+    assert found.numbers("B")[0] == 2.0 and found.numbers("E")[0] == 5.0 and found.numbers("M")[0] == 3.5
+    assert np.isnan(found.numbers("R")[0]) and np.isnan(found.numbers("A")[0])
+    assert positioning(runs[:1]) is None
+    assert positioning([runs[0], Run("X", np.array([2.0, 1.1, 0.0]), np.zeros(3))]) is None
+
+
+def test_backlash_shows_in_the_figures(machine: sim.Machine) -> None:
+    rng = np.random.default_rng(57)
+    up, down = line(machine, "x", rng, 0.1), line(machine, "x", rng, 0.1)
+    down = {name: values[::-1] for name, values in down.items()}
+    down["ex"] = down["ex"] - down["ex"][-1] + up["ex"][0] - 0.004
+    lines = [up, down, *(line(machine, axis, rng) for axis in (*AXES[1:], *DIAGONALS))]
+    result = calibrate_machine.run(calibrate_machine.TASK.job(job(), lines=line_table(lines)))
+    found = result.tables["positioning"]
+    assert found.texts("axis") == ["X"]
+    assert found.numbers("B")[0] == pytest.approx(0.004, abs=0.0005)
+
+
+def with_width(one: dict[str, sim.Array], width: float) -> dict[str, sim.Array]:
+    """A line there and back under one alignment, with a reversal error."""
+    there, back = dict(one), {name: values[::-1] for name, values in one.items()}
+    there["ex"], back["ex"] = there["ex"] + width / 2, back["ex"] - width / 2
+    return {name: np.concatenate([there[name], back[name]]) for name in one}
+
+
+def test_a_line_may_go_to_and_fro(machine: sim.Machine) -> None:
+    """The runs of a laser that is set up once: their figures of ISO 230-2."""
+    rng = np.random.default_rng(58)
+    lines = [line(machine, axis, rng) for axis in (*AXES, *DIAGONALS)]
+    table = line_table([with_width(lines[0], 0.004), *lines[1:]])
+    found = calibrate_machine.run(calibrate_machine.TASK.job(job(), lines=table)).tables["positioning"]
+    assert found.texts("axis") == ["X"] and found.texts("at") == ["Y = 0 mm, Z = 0 mm"]
+    assert (found.numbers("runs_up")[0], found.numbers("runs_down")[0]) == (1, 1)
+    assert found.numbers("B")[0] == pytest.approx(0.004, abs=1e-9)
+
+
+def test_runs_in_different_places_are_not_mixed() -> None:
+    """Pitch and yaw make positioning another one elsewhere: each place has its own figures."""
+    targets = np.array([0.0, 1.0, 2.0])
+    runs = [
+        Run("X", targets, np.zeros(3), (0.0, 0.0)),
+        Run("X", targets[::-1], np.full(3, 1.0), (0.0, 0.0)),
+        Run("X", targets, np.full(3, 50.0), (100.0, 0.0)),
+    ]
+    found = positioning(runs)
+    assert found is not None and found.texts("at") == ["Y = 0 mm, Z = 0 mm"]
+    assert found.numbers("B").tolist() == [1.0] and found.numbers("E").tolist() == [1.0]
+    both = positioning([*runs, Run("X", targets[::-1], np.full(3, 47.0), (100.0, 0.0))])
+    assert both is not None and both.numbers("B").tolist() == [1.0, 3.0]
+
+
+def test_the_one_tool_may_have_a_name(machine: sim.Machine) -> None:
+    rng = np.random.default_rng(59)
+    lines = line_table([line(machine, axis, rng) for axis in (*AXES, *DIAGONALS)])
+    named = sim.settings("six-dof", tools={"T1": (0.0, 0.0, 0.0)}, knots=KNOTS, noise=job().noise)
+    result = calibrate_machine.run(calibrate_machine.TASK.job(named, lines=lines))
+    assert result.tables["tools"].texts("tool") == ["T1"]
+
+
+def test_a_wrong_reading_is_named_with_its_place(machine: sim.Machine) -> None:
+    rng = np.random.default_rng(60)
+    lines = line_table([line(machine, axis, rng) for axis in (*AXES, *DIAGONALS)])
+    lines.columns["ex"][3] += 0.02
+    result = calibrate_machine.run(calibrate_machine.TASK.job(job(), lines=lines))
+    assert result.tables["suspects"].texts("line")[0] == "L0 at 75 mm"
+    assert any("line L0 at 75 mm (w = " in warning for warning in result.warnings)

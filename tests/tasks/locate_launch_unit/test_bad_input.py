@@ -1,0 +1,162 @@
+"""Poses that cannot locate a unit, and files that do not hold what they say."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simulated.launch import NOISE, Poses, anywhere, poses, settings
+
+from metrocli.errors import InputError, UndeterminedError
+from metrocli.tasks.locate_launch_unit import task as locate_launch_unit
+from metrocli.tasks.locate_launch_unit.settings import Noise
+
+RNG = np.random.default_rng(32)
+UNIT = np.array([300.0, 400.0, -250.0])
+
+
+def on_one_beam(n: int, distances: bool = False) -> Poses:
+    along = np.linspace(500, 1500, n)[:, None] * np.array([0.6, 0.64, 0.48])
+    return poses(UNIT, 0.7, UNIT + along, 0.1, distances).noisy(RNG)
+
+
+@pytest.mark.parametrize("n", [1, 2, 5])
+def test_poses_on_one_beam_are_refused_with_the_reason(n: int) -> None:
+    with pytest.raises(
+        UndeterminedError, match="what would determine it: a pose whose beam comes from another"
+    ) as told:
+        locate_launch_unit.run(locate_launch_unit.TASK.job(settings(), on_one_beam(n).table()))
+    assert told.value.exit_code == 4
+    assert ("there is one pose" if n == 1 else f"all {n} poses lie on nearly one beam") in str(told.value)
+
+
+@pytest.mark.parametrize("n", [1, 2, 5])
+def test_distances_save_them(n: int) -> None:
+    result = locate_launch_unit.run(locate_launch_unit.TASK.job(settings(), on_one_beam(n, distances=True).table()))
+    error = [e.value - t for e, t in zip(result.estimates, [*UNIT, 0.7], strict=True)]
+    assert np.all(np.abs(error) < 4.5 * np.array([e.std for e in result.estimates]))
+
+
+def test_two_poses_in_different_directions_are_enough() -> None:
+    result = locate_launch_unit.run(locate_launch_unit.TASK.job(settings(), anywhere(2, 1).table()))
+    assert (result.statistics["observations"], result.statistics["unknowns"], result.statistics["dof"]) == (8, 4, 4)
+
+
+def test_a_receiver_of_unknown_place_is_refused() -> None:
+    with pytest.raises(UndeterminedError, match="undetermined"):
+        locate_launch_unit.run(locate_launch_unit.TASK.job(settings(), anywhere(4, 1).table(sigma=np.full(4, np.nan))))
+
+
+def test_closed_loop_needs_distances() -> None:
+    with pytest.raises(UndeterminedError, match="needs a distance in every pose; without one: P0, P1, P2, P3"):
+        locate_launch_unit.run(locate_launch_unit.TASK.job(settings("closed-loop"), anywhere(4, 1).table()))
+
+
+def test_distances_need_their_standard_deviation() -> None:
+    with pytest.raises(InputError, match="add `distance: 1 um`"):
+        locate_launch_unit.run(
+            locate_launch_unit.TASK.job(settings(noise=Noise(NOISE.encoder)), anywhere(4, 1, True).table())
+        )
+
+
+def rows(change: Callable[[np.ndarray], object]) -> Callable[[Poses], Poses]:
+    def edit(given: Poses) -> Poses:
+        angles = given.angles.copy()
+        change(angles)
+        return replace(given, angles=angles)
+
+    return edit
+
+
+def factor(value: float) -> Callable[[Poses], Poses]:
+    return lambda given: replace(given, angles=given.angles * value)
+
+
+def swap(i: int, j: int) -> Callable[[np.ndarray], object]:
+    return lambda angles: angles.__setitem__([i, j], angles[[j, i]])
+
+
+def mirrored(angles: np.ndarray) -> None:
+    angles[2] *= -1
+    angles[3] += np.pi
+
+
+MISREAD: dict[str, tuple[Callable[[Poses], Poses], str]] = {
+    "radians called degrees": (factor(np.pi / 180), "the encoder columns hold radians, not degrees"),
+    "degrees called radians": (factor(180 / np.pi), "the encoder columns hold degrees, not radians"),
+    "all angles in radians": (
+        lambda given: replace(given, angles=given.angles * np.pi / 180, psi=given.psi * np.pi / 180),
+        "the encoder columns and the spindle's hold radians, not degrees",
+    ),
+    "phi1 and phi4 swapped": (rows(swap(0, 3)), "the columns phi1 and phi4 are swapped"),
+    "phi3 and phi4 swapped": (rows(swap(2, 3)), "the columns phi3 and phi4 are swapped"),
+    "phi1 the other way round": (rows(lambda a: a.__setitem__(0, -a[0])), "phi1 count the other way round"),
+    "phi4 the other way round": (rows(lambda a: a.__setitem__(3, -a[3])), "phi4 count the other way round"),
+    "the mirrored unit": (rows(mirrored), r"phi3 and phi4 describe the beam as it travels.*\(the mirror solution\)"),
+    "the spindle in radians": (lambda given: replace(given, psi=given.psi * np.pi / 180), "the spindle's column holds radians"),
+    "the spindle the other way round": (lambda given: replace(given, psi=-given.psi), "the spindle's angle counts the other way"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("distances", [False, True])
+@pytest.mark.parametrize("name", MISREAD)
+def test_columns_that_hold_something_else_are_named(name: str, distances: bool) -> None:
+    spoil, words = MISREAD[name]
+    given = spoil(anywhere(8, 17, distances).noisy(RNG))
+    with pytest.raises(InputError, match=f"fit no place of the unit as they stand.*{words}"):
+        locate_launch_unit.run(locate_launch_unit.TASK.job(settings(), given.table()))
+
+
+@pytest.mark.parametrize("name", ["radians called degrees", "phi1 and phi4 swapped", "the mirrored unit"])
+@pytest.mark.parametrize("seed", [3, 4])
+def test_two_poses_tell_as_much(name: str, seed: int) -> None:
+    """Eight angles for four unknowns: four are left to tell that the columns hold something else."""
+    spoil, words = MISREAD[name]
+    with pytest.raises(InputError, match=f"fit no place of the unit as they stand.*{words}"):
+        locate_launch_unit.run(locate_launch_unit.TASK.job(settings(), spoil(anywhere(2, seed).noisy(RNG)).table()))
+
+
+def test_one_pose_of_the_mirrored_unit_is_named() -> None:
+    given = rows(lambda angles: mirrored(angles[:, 3:4]))(anywhere(8, 17).noisy(RNG))
+    with pytest.raises(InputError, match=r"looks away from the unit in 1 of 8 poses: P3; the beams meet behind it"):
+        locate_launch_unit.run(locate_launch_unit.TASK.job(settings(), given.table()))
+
+
+def test_a_wrong_pose_is_told_and_the_result_not_recommended() -> None:
+    given = anywhere(8, 17).noisy(RNG)
+    receivers = given.receivers.copy()
+    receivers[2] += [0.0, 30.0, 0.0]
+    result = locate_launch_unit.run(
+        locate_launch_unit.TASK.job(settings(), replace(given, receivers=receivers).table())
+    )
+    assert any("do not use this result" in line for line in result.warnings)
+    assert set(result.tables["outliers"].texts("pose")) >= {"P2"}
+
+
+def test_repeated_rows_are_told() -> None:
+    given = anywhere(5, 17).noisy(RNG)
+    twice = replace(
+        given,
+        receivers=np.vstack([given.receivers, given.receivers[1:2]]),
+        psi=np.append(given.psi, given.psi[1]),
+        angles=np.hstack([given.angles, given.angles[:, 1:2]]),
+    )
+    result = locate_launch_unit.run(locate_launch_unit.TASK.job(settings(), twice.table()))
+    assert any("count as if measured twice: P1, P5" in line for line in result.warnings)
+
+
+def test_no_poses_and_distances_that_are_none() -> None:
+    with pytest.raises(InputError, match="there are no poses"):
+        locate_launch_unit.run(
+            locate_launch_unit.TASK.job(
+                settings(),
+                replace(anywhere(3, 1), receivers=np.zeros((0, 3)), psi=np.zeros(0), angles=np.zeros((4, 0))).table(),
+            )
+        )
+    given = anywhere(3, 1, True)
+    assert given.distance is not None
+    given.distance[1] = -5.0
+    with pytest.raises(InputError, match=r"poses.csv:3: error: pose P1: the distance is not above zero"):
+        locate_launch_unit.run(locate_launch_unit.TASK.job(settings(), given.table()))

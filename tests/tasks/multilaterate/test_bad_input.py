@@ -1,0 +1,216 @@
+"""Bad input is refused in words, with the line where there is one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from simulated.lengths import network
+
+from metrocli.formats import csv
+from metrocli.table import Table
+
+JOB = """metrocli: 1
+job: multilaterate
+inputs: {lengths: lengths.csv, points: points.csv, tracers: tracers.csv}
+noise: {constant: 0.1 um, proportional: 0.1 um/m}
+output: o.h5
+"""
+Metrocli = Callable[..., Any]
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    net = network(25, 5, seed=1)
+    csv.write(tmp_path / "lengths.csv", net.lengths())
+    csv.write(tmp_path / "points.csv", net.point_table())
+    csv.write(tmp_path / "tracers.csv", net.tracer_table())
+    (tmp_path / "job.yaml").write_text(JOB)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def lines(path: Path) -> list[str]:
+    return path.read_text().splitlines()
+
+
+def change(path: Path, edit: Callable[[list[str]], list[str]]) -> None:
+    path.write_text("\n".join(edit(lines(path))) + "\n")
+
+
+def of_tracer(rows: list[str], name: str, edit: Callable[[list[float]], Any]) -> list[str]:
+    """Rows with the lengths of one tracer changed."""
+    mine = [i for i, row in enumerate(rows) if f",{name}," in row]
+    values = edit([float(rows[i].split(",")[2]) for i in mine])
+    for i, value in zip(mine, values, strict=True):
+        rows[i] = ",".join([*rows[i].split(",")[:2], repr(float(value))])
+    return rows
+
+
+def shuffled(values: list[float]) -> Any:
+    return np.random.default_rng(0).permutation(values)
+
+
+CASES: dict[str, tuple[str, Callable[[list[str]], list[str]], str]] = {
+    "a length repeated": ("lengths.csv", lambda rows: [*rows, rows[7]], "point P1, tracer T1: a second row"),
+    "a point without nominal": (
+        "lengths.csv",
+        lambda rows: [*rows, "P99,T0,500.0"],
+        "lengths.csv:127: error: point 'P99' is not in points.csv",
+    ),
+    "a tracer unknown": (
+        "lengths.csv",
+        lambda rows: [*rows, "P3,T9,500.0"],
+        "lengths.csv:127: error: tracer 'T9' is not in tracers.csv",
+    ),
+    "a negative path": (
+        "tracers.csv",
+        lambda rows: [f"{rows[0]},dead_path_mm", *(f"{row},-2000" for row in rows[1:])],
+        "lengths.csv:2: error: length and dead path together make a path of",
+    ),
+    "all lengths equal": (
+        "lengths.csv",
+        lambda rows: [rows[0], *(",".join([*row.split(",")[:2], "500.0"]) for row in rows[1:])],
+        "all lengths are equal",
+    ),
+    "one tracer's lengths shuffled": (
+        "lengths.csv",
+        lambda rows: of_tracer(rows, "T2", shuffled),
+        "the lengths of tracer T2 do not belong to these points",
+    ),
+    "lengths in another unit": (
+        "lengths.csv",
+        lambda rows: [rows[0].replace("_mm", "_um"), *rows[1:]],
+        "check the units of both files",
+    ),
+    "points in another unit": (
+        "points.csv",
+        lambda rows: [rows[0].replace("_mm", "_m"), *rows[1:]],
+        "check the units of both files",
+    ),
+    "the other sign": (
+        "lengths.csv",
+        lambda rows: [rows[0], *(",".join([*row.split(",")[:2], repr(-float(row.split(",")[2]))]) for row in rows[1:])],
+        "they fit with the other sign",
+    ),
+    "a negative sigma": (
+        "points.csv",
+        lambda rows: [f"{rows[0]},sigma_mm", *(f"{row},-1" for row in rows[1:])],
+        "a standard deviation is negative",
+    ),
+    "no lengths": ("lengths.csv", lambda rows: rows[:1], "lengths.csv"),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_it_is_refused_and_told(name: str, folder: Path, metrocli: Metrocli) -> None:
+    file, edit, words = CASES[name]
+    change(folder / file, edit)
+    ran = metrocli("multilaterate", "job.yaml")
+    assert ran.code == 3, ran.err
+    assert words in ran.err
+    assert not (folder / "o.h5").exists()
+
+
+@pytest.mark.parametrize("command", [("check",), ("multilaterate", "--dry-run")])
+def test_all_faults_are_told_at_once_without_computing(
+    command: tuple[str, ...], folder: Path, metrocli: Metrocli
+) -> None:
+    change(folder / "lengths.csv", lambda rows: [*rows, "P99,T0,500.0", "P3,T9,500.0"])
+    change(folder / "points.csv", lambda rows: [f"{rows[0]},sigma_mm", *(f"{row},-1" for row in rows[1:])])
+    ran = metrocli(*command, "job.yaml")
+    assert ran.code == 3
+    for words in ("point 'P99' is not in", "tracer 'T9' is not in", "points.csv:2: error: a standard deviation is"):
+        assert words in ran.err
+
+
+def test_check_looks_at_distances_effects_and_probing(folder: Path, metrocli: Metrocli) -> None:
+    (folder / "bars.csv").write_text("from,to,length_mm,sigma_mm\nP1,P1,10,1e-3\nP2,P3,-5,1e-3\nP4,P5,5,0\n")
+    (folder / "probing.csv").write_text("feature,point,x_mm,y_mm,z_mm\nplane,Q1,1,2,-3000\n")
+    more = "effects: [{name: tracer-scale, tracer: T9}]\n"
+    (folder / "job.yaml").write_text(
+        JOB.replace("tracers.csv}", "tracers.csv, distances: bars.csv, probing: probing.csv}") + more
+    )
+    ran = metrocli("check", "job.yaml")
+    assert ran.code == 3
+    assert "bars.csv:2: error: a distance of a point to itself" in ran.err
+    assert "bars.csv:3: error: a distance is not above zero" in ran.err
+    assert "bars.csv:4: error: the standard deviation of a distance is not above zero" in ran.err
+    assert "there is no tracer 'T9'" in ran.err
+    assert "probing.csv:2: error: probing point 'Q1' has no replayed point" in ran.err
+
+
+def test_the_good_input_is_good(folder: Path, metrocli: Metrocli) -> None:
+    """Or the tests above would pass whatever is refused."""
+    ran = metrocli("multilaterate", "job.yaml")
+    assert ran.code == 0, ran.err
+    assert ran.err == ""
+
+
+def test_the_shuffled_tracer_alone_is_named(folder: Path, metrocli: Metrocli) -> None:
+    change(folder / "lengths.csv", CASES["one tracer's lengths shuffled"][1])
+    said = metrocli("multilaterate", "job.yaml").err
+    assert said.count("do not belong") == 1
+    assert "are its rows in another order?" in said
+
+
+def test_files_in_different_units_that_say_so_are_one(folder: Path, metrocli: Metrocli) -> None:
+    """Lengths in m and points in mm, each in its header, are no fault."""
+    change(
+        folder / "lengths.csv",
+        lambda rows: [
+            rows[0].replace("_mm", "_m"),
+            *(",".join([*row.split(",")[:2], repr(float(row.split(",")[2]) / 1000)]) for row in rows[1:]),
+        ],
+    )
+    assert metrocli("multilaterate", "job.yaml").code == 0
+
+
+def test_a_mirrored_list_of_points_is_told_by_the_tracers(folder: Path, metrocli: Metrocli) -> None:
+    """Lengths fit the mirror image as well: the list of tracers alone shows it."""
+    assert "far from where their list says" not in metrocli("multilaterate", "job.yaml").err
+    change(folder / "points.csv", lambda rows: [rows[0].replace("x_mm,y_mm", "y_mm,x_mm"), *rows[1:]])
+    ran = metrocli("multilaterate", "job.yaml")
+    assert "tracers are far from where their list says: T1" in ran.err
+
+
+def test_one_gross_error_is_not_taken_for_a_shuffle(folder: Path, metrocli: Metrocli) -> None:
+    def spoil(values: list[float]) -> list[float]:
+        return [values[0] + 300.0, *values[1:]]
+
+    change(folder / "lengths.csv", lambda rows: of_tracer(rows, "T2", spoil))
+    ran = metrocli("multilaterate", "job.yaml", "--set", "outliers=remove")
+    assert ran.code == 0, ran.err
+    from metrocli.formats import hdf5
+
+    rejected: Table = hdf5.read(folder / "o.h5")[0].tables["rejected"]
+    assert (rejected.texts("point"), rejected.texts("tracer")) == (["P0"], ["T2"])
+    assert "1 lengths are left out as wrong: P0/T2" in ran.err
+
+
+def test_several_gross_errors_of_one_tracer_are_named(folder: Path, metrocli: Metrocli) -> None:
+    """Three of 25 lengths of one tracer, too many for least squares to start from."""
+
+    def spoil(values: list[float]) -> list[float]:
+        return [values[0] + 300.0, values[1] - 1000.0, *values[2:9], values[9] + 1000.0, *values[10:]]
+
+    change(folder / "lengths.csv", lambda rows: of_tracer(rows, "T2", spoil))
+    ran = metrocli("multilaterate", "job.yaml", "--set", "outliers=remove")
+    assert ran.code == 0, ran.err
+    assert "3 lengths are left out as wrong: P0/T2, P1/T2, P9/T2" in ran.err
+
+
+def test_a_wrong_entry_among_the_points_is_named(folder: Path, metrocli: Metrocli) -> None:
+    """A typing error of 1 mm: the frame follows it by 1/25 of that, so it must not pass in silence."""
+
+    def edit(rows: list[str]) -> list[str]:
+        name, x, *rest = rows[9].split(",")
+        return [*rows[:9], ",".join([name, repr(float(x) + 1.0), *rest]), *rows[10:]]
+
+    change(folder / "points.csv", edit)
+    ran = metrocli("multilaterate", "job.yaml")
+    assert ran.code == 0, ran.err
+    assert "the entries of 1 points may be wrong: P8 lie up to 0.969 mm" in ran.err

@@ -1,0 +1,136 @@
+"""Wrong lengths are named; where nobody can tell whose length it is, the program says so."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from simulated.lengths import network, places, settings
+
+from benchmarks import blunders
+from metrocli.adjust.solution import residuals_of
+from metrocli.tasks.multilaterate import task as multilaterate
+from metrocli.tasks.multilaterate.problem import build
+from metrocli.tasks.multilaterate.solve import solve
+
+
+def test_with_five_tracers_a_coin_is_not_tossed() -> None:
+    """Where two lengths explain a point as well as each other, both are told and neither is named."""
+    net = network(40, 5, seed=3)
+    shares = {}
+    for size in np.linspace(2e-3, 6e-3, 15):
+        drawn = net.read(np.random.default_rng(int(size * 1e6)))
+        drawn.readings[7, 2] += size
+        result = multilaterate.run(multilaterate.TASK.job(settings(), drawn.lengths(), drawn.point_table()))
+        for point, tracer, others in zip(
+            *(result.tables["suspects"].texts(k) for k in ("point", "tracer", "or")), strict=True
+        ):
+            if point == "P7":
+                rows = [i for i, name in enumerate(result.tables["residuals"].texts("point")) if name == "P7"]
+                w = np.sort(np.abs(result.tables["residuals"].numbers("normalised")[rows]))
+                shares[tracer == "cannot be told"] = shares.get(tracer == "cannot be told", 0) + 1
+                assert (tracer == "cannot be told") == (w[-1] ** 2 - w[-2] ** 2 < 0.5)
+                assert tracer != "cannot be told" or len(others.split()) >= 2
+    assert shares[False] >= 3
+
+
+@pytest.mark.parametrize(("m", "least"), [(6, 0.88), (8, 0.95)])
+def test_errors_of_2_um_are_put_on_the_right_length(m: int, least: float) -> None:
+    """The rates of 500 cases are those of `python -m benchmarks.blunders`; of 60 a binomial spread is allowed for."""
+    found = blunders.rates(m, 2e-3, 60)
+    assert found.located >= least - 2 * np.sqrt(least * (1 - least) / 60)
+    assert found.false <= 0.1 + 0.1
+
+
+def test_nothing_is_found_where_nothing_is() -> None:
+    """One network in twenty has a suspect by chance."""
+    found = blunders.rates(6, 0.0, 60)
+    assert found.false <= 0.15
+
+
+def test_with_four_tracers_the_point_is_named_and_no_tracer() -> None:
+    net = network(40, 4, seed=3)
+    net.readings[7, 2] += 20e-3
+    result = multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table()))
+    suspects = result.tables["suspects"]
+    assert suspects.texts("point") == ["P7"]
+    assert suspects.texts("tracer") == ["cannot be told"]
+    (line,) = [line for line in result.warnings if "P7" in line]
+    assert "whose it is cannot be told" in line and "one more tracer would tell" in line
+    assert suspects.texts("or") == ["T0 T1 T2 T3"]
+    of_point = [i for i, name in enumerate(result.tables["residuals"].texts("point")) if name == "P7"]
+    w = np.abs(result.tables["residuals"].numbers("normalised")[of_point])
+    assert np.ptp(w) < 1e-5 * w.max()
+
+
+def test_with_five_tracers_the_tracer_is_named() -> None:
+    net = network(40, 5, seed=3)
+    net.readings[7, 2] += 20e-3
+    suspects = multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table())).tables[
+        "suspects"
+    ]
+    assert (suspects.texts("point")[0], suspects.texts("tracer")[0]) == ("P7", "T2")
+
+
+def test_what_is_left_out_with_four_tracers_is_the_whole_point() -> None:
+    net = network(40, 4, seed=3)
+    net.readings[7, 2] += 20e-3
+    result = multilaterate.run(multilaterate.TASK.job(settings(outliers="remove"), net.lengths(), net.point_table()))
+    assert "P7" not in result.tables["points"].texts("point")
+    assert len(result.tables["points"]) == 39
+    rejected = result.tables["rejected"]
+    assert set(rejected.texts("point")) == {"P7"} and len(rejected) == 4
+    assert all("cannot be told" in reason for reason in rejected.texts("reason"))
+    assert any("P7" in line and "left out" in line for line in result.warnings)
+
+
+@pytest.mark.parametrize("m", [6, 8])
+def test_gross_errors_do_not_move_the_points(m: int) -> None:
+    """5 % of the lengths off by 100 sigma; what a point without its wrong length moves by is its own lack of a length."""
+    shifts = np.array(list(blunders.moved(m, 0.05, 6)))
+    assert shifts[:, 0].max() < 1.0
+    assert np.median(shifts[:, 1]) < 0.3
+    assert shifts[:, 2].mean() < 6
+
+
+def test_nothing_is_left_out_of_a_good_measurement_whose_noise_is_understated() -> None:
+    """Noise of five times the declared size is one warning, not a hundred outliers."""
+    net = network(40, 6, seed=5, noise=5.0)
+    result = multilaterate.run(multilaterate.TASK.job(settings(outliers="remove"), net.lengths(), net.point_table()))
+    assert len(result.tables["rejected"]) <= 1
+    assert any("larger than the declared noise" in line for line in result.warnings)
+
+
+def test_the_least_detectable_error_is_detected_in_80_of_100() -> None:
+    """An error of the size given in /residuals gives |w| beyond 3.29 with 80 %, and moves its point as stated."""
+    net = network(30, 6, seed=6, noise=0.0)
+    table = multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table())).tables["residuals"]
+    rng = np.random.default_rng(0)
+    row = int(np.argmin(np.abs(table.numbers("redundancy") - np.median(table.numbers("redundancy")))))
+    i, j = divmod(row, 6)
+    size, moves = table.numbers("detectable")[row], table.numbers("moves_point")[row]
+    hits, shifts = [], []
+    clean = places(
+        multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table())).tables["points"]
+    )
+    net.readings[i, j] += size
+    shifted = places(
+        multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table())).tables["points"]
+    )
+    shifts = np.linalg.norm(shifted[i] - clean[i])
+    for _ in range(100):
+        drawn = net.read(rng)
+        drawn.readings[i, j] += size
+        found = multilaterate.run(multilaterate.TASK.job(settings(), drawn.lengths(), drawn.point_table())).tables[
+            "residuals"
+        ]
+        hits.append(abs(found.numbers("normalised")[row]) > 3.29)
+    assert shifts == pytest.approx(moves, rel=1e-3)
+    assert np.mean(hits) == pytest.approx(0.8, abs=3 * np.sqrt(0.8 * 0.2 / 100))
+
+
+def test_redundancy_sums_to_the_degrees_of_freedom() -> None:
+    net = network(30, 5, seed=2)
+    solved = solve(build(settings(5e-7), net.lengths(), net.point_table(), None, None), remove=False)
+    total = sum(residuals_of(solved.solution, group).redundancy.sum() for group in solved.solution.groups)
+    assert total == pytest.approx(solved.solution.dof, rel=1e-7)
+    assert solved.solution.dof == (5 - 3) * 30 - 5 * 5 + 6 + 5

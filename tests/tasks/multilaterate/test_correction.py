@@ -1,0 +1,224 @@
+"""Probing points corrected by the mover's error at their replayed places, simulated and written as they came."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from places import SAMPLES
+from simulated.lengths import Array, network, settings
+
+from metrocli.errors import InputError, UndeterminedError
+from metrocli.formats import csv
+from metrocli.project.job import load
+from metrocli.simulation import SimulationOptions
+from metrocli.table import Table
+from metrocli.tasks.multilaterate import settings as length_job
+from metrocli.tasks.multilaterate import task as multilaterate
+from metrocli.tasks.multilaterate.distance import distance
+from metrocli.tasks.multilaterate.settings import PROBING, LengthSimulation
+
+SAMPLE = SAMPLES / "gear-m3d3"
+CENTRES = np.array([[200.0, 200.0, 150.0], [340.0, 270.0, 205.0], [680.0, 440.0, 340.0]])
+"""Spheres of a ball bar, about 166, 400 and 566 mm apart"""
+
+
+def table(points: Array, key: str, names: list[str]) -> Table:
+    return Table(
+        {key: np.array(names), **dict(zip("xyz", points.T, strict=True))},
+        dict.fromkeys("xyz", "mm"),
+        f"{key}s.csv",
+        tuple(range(2, len(points) + 2)),
+    )
+
+
+def sphere(points: Array) -> Array:
+    """Centre of the sphere through points, least squares."""
+    matrix = np.column_stack([2 * points, np.ones(len(points))])
+    centre: Array = np.linalg.lstsq(matrix, (points**2).sum(axis=1), rcond=None)[0][:3]
+    return centre
+
+
+def test_a_ball_bar_is_corrected_to_its_calibrated_lengths() -> None:
+    """Härtig et al. table 1: a mover of -25 um/m, wrong by 5 to 14 um, is corrected to about 1 um."""
+    rng = np.random.default_rng(5)
+    unit = rng.normal(size=(3, 25, 3))
+    unit /= np.linalg.norm(unit, axis=2)[:, :, None]
+    true = (CENTRES[:, None] + 15 * unit).reshape(-1, 3)
+    more = rng.uniform(0, 1, (25, 3)) * [900, 700, 500]
+    both = np.concatenate([true, more])
+    # the mover reads the sphere where its scale puts it; replayed, it goes where it went
+    said = both * (1 - 25e-6)
+    net = network(100, 4, seed=3)
+    net = replace(net, points=both, nominal=said).read(rng)
+    names = net.names[:75]
+    probing = table(said[:75], "point", names)
+    probing = replace(probing, columns={"feature": np.repeat(["S1", "S2", "S3"], 25), **probing.columns})
+    result = multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table(), probing=probing))
+    corrected = result.tables["corrected"]
+    assert list(corrected) == ["feature", "point", "x", "y", "z"]
+    assert corrected.texts("point") == names
+    before = np.array([sphere(said[25 * k : 25 * k + 25]) for k in range(3)])
+    after = np.array([sphere(corrected.stacked("xyz")[25 * k : 25 * k + 25]) for k in range(3)])
+    for i, j in ((0, 1), (1, 2), (0, 2)):
+        calibrated = np.linalg.norm(CENTRES[i] - CENTRES[j])
+        wrong = np.linalg.norm(before[i] - before[j]) - calibrated
+        assert wrong == pytest.approx(-25e-6 * calibrated, abs=1e-5)
+        left = np.linalg.norm(after[i] - after[j]) - calibrated
+        assert abs(left) < 1e-3
+        # a centre of 25 points is not less certain than one point
+        assert abs(left) < 3 * distance(result, f"P{25 * i}", f"P{25 * j}").std
+
+
+def test_points_are_found_by_name_else_by_place() -> None:
+    net = network(30, 5, seed=1)
+    by_name = replace(
+        table(net.nominal[:3], "point", net.names[:3]),
+        columns={"feature": np.array(["a", "b", "c"]), **table(net.nominal[:3], "point", net.names[:3]).columns},
+    )
+    by_place = replace(
+        by_name, columns={**by_name.columns, "point": np.array(["", "17", "x"]), "x": by_name.columns["x"] + 0.4}
+    )
+    run = [
+        multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table(), probing=probing))
+        for probing in (by_name, by_place)
+    ]
+    named, placed = (result.tables["corrected"].stacked("xyz") for result in run)
+    assert np.abs(placed - named - [0.4, 0, 0]).max() < 1e-12
+    points = run[0].tables["points"]
+    assert np.abs(named - points.stacked("xyz")[:3]).max() < 1e-12
+    error = points.stacked(["error_x", "error_y", "error_z"])[:3]
+    assert np.abs(net.nominal[:3] - error - named).max() < 1e-12
+
+
+def test_probing_points_without_their_replay_are_all_listed() -> None:
+    net = network(30, 5, seed=1)
+    net.readings[2] = np.nan
+    at = np.concatenate([net.nominal[:3], [[5000.0, 0, 0], [0, 5000.0, 0]]])
+    probing = table(at, "point", ["P0", "P1", "P2", "Q1", "Q2"])
+    probing = replace(probing, columns={"feature": np.repeat("f", 5), **probing.columns})
+    with pytest.raises(InputError) as told:
+        multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table(), probing=probing))
+    assert [fault.line for fault in told.value.faults] == [4, 5, 6]
+    assert all("has no replayed point of its name or within 1 mm" in fault.message for fault in told.value.faults)
+
+
+def test_a_probing_point_whose_replay_was_left_out_is_told_so() -> None:
+    """With four tracers a point with a wrong length is left out, and its correction with it."""
+    net = network(30, 4, seed=1)
+    net.readings[2, 1] += 0.05
+    probing = table(net.nominal[:3], "point", ["P0", "P1", "P2"])
+    probing = replace(probing, columns={"feature": np.repeat("f", 3), **probing.columns})
+    wanted = replace(settings(), outliers="remove")
+    with pytest.raises(InputError, match="the replayed point of probing point 'P2' was left out") as told:
+        multilaterate.run(multilaterate.TASK.job(wanted, net.lengths(), net.point_table(), probing=probing))
+    assert [fault.line for fault in told.value.faults] == [4]
+
+
+def test_replays_that_were_elsewhere_are_told() -> None:
+    net = network(30, 5, seed=1)
+    probing = table(net.nominal[:2] + [0, 0, 50.0], "point", ["P0", "P1"])
+    probing = replace(probing, columns={"feature": np.repeat("f", 2), **probing.columns})
+    result = multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table(), probing=probing))
+    assert any("up to 50 mm away from where they were probed" in line for line in result.warnings)
+
+
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The sample, run."""
+    from metrocli.cli.commands import run
+
+    folder = tmp_path_factory.mktemp("gear") / "gear"
+    assert run(["init", str(folder), "--sample", "gear-m3d3"]) == 0
+    assert run(["run", str(folder), "--quiet"]) == 0
+    return folder
+
+
+def test_the_sample_is_corrected_to_the_truth(ran: Path, tmp_path: Path, metrocli) -> None:  # type: ignore[no-untyped-def]
+    """The machine's 25 um/m and 2 um are gone from distances across the gear."""
+    done = metrocli("export", ran / "results" / "tip3.h5", "--to", "csv", "--out", tmp_path)
+    assert done.code == 0
+    assert str(tmp_path / "corrected.csv") in done.out
+    corrected, probing = (
+        csv.read(path, PROBING) for path in (tmp_path / "corrected.csv", ran / "data" / "probing.csv")
+    )
+    header = next(line for line in (ran / "data" / "probing.csv").read_text().splitlines() if line[0] != "#")
+    assert (tmp_path / "corrected.csv").read_text().splitlines()[0] == header
+    assert corrected.texts("point") == probing.texts("point")
+    job = load(ran / "jobs" / "tip3.yaml")
+    points, tracers = (
+        csv.read(ran / "data" / name, spec)
+        for name, spec in (("points.csv", length_job.POINTS), ("true_tracers.csv", length_job.TRACERS))
+    )
+    true = (
+        multilaterate.simulate(
+            multilaterate.TASK.job(job.settings, points=points, tracers=tracers), SimulationOptions(3)
+        )
+        .files["true_points.csv"]
+        .stacked("xyz")[:144]
+    )
+    across = [(0, 72), (5, 80), (20, 100), (30, 100)]
+    for a, b in across:
+        right = np.linalg.norm(true[a] - true[b])
+        before, after = (
+            np.linalg.norm(t.stacked("xyz")[a] - t.stacked("xyz")[b]) - right for t in (probing, corrected)
+        )
+        assert abs(after) < 1.2e-3 < 5e-3 < abs(before)
+
+
+def test_the_simulation_makes_the_sample_again(ran: Path) -> None:
+    job = load(ran / "jobs" / "tip3.yaml")
+    points, tracers = (
+        csv.read(ran / "data" / name, spec)
+        for name, spec in (("points.csv", length_job.POINTS), ("true_tracers.csv", length_job.TRACERS))
+    )
+    made = multilaterate.simulate(
+        multilaterate.TASK.job(job.settings, points=points, tracers=tracers), SimulationOptions(3)
+    )
+    there = csv.read(ran / "data" / "lengths.csv", length_job.LENGTHS)
+    assert np.abs(made.files["lengths.csv"].numbers("length") - there.numbers("length")).max() < 1e-9
+    assert made.files["lengths.csv"].numbers("length")[:4] == pytest.approx(0.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("measures", ["changes", "absolute"])
+def test_simulated_measurements_give_the_truth_back(measures: str) -> None:
+    net = network(40, 5, seed=4)
+    chosen = replace(settings(5e-7, measures), simulation=LengthSimulation(0.02, 0.0, 5.0))
+    tracers = table(net.tracers, "tracer", net.stations)
+    made = multilaterate.simulate(
+        multilaterate.TASK.job(chosen, points=net.point_table(), tracers=tracers), SimulationOptions(1)
+    )
+    result = multilaterate.run(
+        multilaterate.TASK.job(chosen, made.files["lengths.csv"], net.point_table(), made.files["tracers.csv"])
+    )
+    for estimate in result.estimates:
+        # the frame is that of the mover's readings: 20 um / sqrt(40) from that of the truth
+        assert estimate.value == pytest.approx(made.truth[estimate.name], abs=0.05)
+    assert all(made.truth[f"T{j}.dead_path"] == 0 for j in range(5)) is (measures == "absolute")
+
+
+def test_a_simulation_without_truth_is_refused() -> None:
+    with pytest.raises(InputError, match="simulate needs the truth"):
+        multilaterate.simulate(
+            multilaterate.TASK.job(settings(), points=network(9, 4).point_table()), SimulationOptions()
+        )
+    with pytest.raises(UndeterminedError):
+        net = network(9, 4)
+        multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table()))
+
+
+def test_export_beside_the_result_and_of_nothing(tmp_path: Path, ran: Path, metrocli) -> None:  # type: ignore[no-untyped-def]
+    from metrocli.formats import hdf5
+    from metrocli.record import Record
+    from metrocli.result import Result
+
+    assert metrocli("export", ran / "results" / "tip3.h5", "--to", "csv").code == 0
+    assert (ran / "results" / "tip3.corrected.csv").is_file()
+    hdf5.write(tmp_path / "empty.h5", Result("x", "", (), np.zeros((0, 0)), {}), Record("", (), "", ""))
+    done = metrocli("export", tmp_path / "empty.h5", "--to", "csv", "--out", tmp_path)
+    assert done.code == 3 and "no tables" in done.err
+    assert metrocli("export", ran / "results" / "tip3.h5", "--to", "word").code == 2
+    assert json.loads(metrocli("show", ran / "results" / "tip3.h5", "--json").out)["kind"] == "multilaterate"

@@ -1,0 +1,269 @@
+"""What a plan predicts is what the measurement then states; what cannot be determined is said before it is made."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from simulated.lengths import (
+    CORNERS,
+    VOLUME,
+    Network,
+    all_in_one_plane,
+    close_together,
+    network,
+    on_line,
+    on_plane,
+    places,
+    settings,
+    without_motion,
+)
+
+from metrocli.errors import InputError, UndeterminedError
+from metrocli.formats import csv
+from metrocli.plan import Plan
+from metrocli.table import Table
+from metrocli.tasks.multilaterate import task as multilaterate
+from metrocli.tasks.multilaterate.distance import distance
+
+
+def planned(net: Network, scale: float | None = None, **more: Any) -> Plan:
+    """The plan of a network with the points where they are meant to be."""
+    points = replace(net, nominal=net.points).point_table()
+    return multilaterate.plan(
+        multilaterate.TASK.job(settings(scale), points=points, tracers=net.tracer_table(0.0), **more)
+    )
+
+
+def candidates(at: np.ndarray) -> Table:
+    names = np.array([f"K{i}" for i in range(len(at))])
+    return Table({"candidate": names, **dict(zip("xyz", at.T, strict=True))}, dict.fromkeys("xyz", "mm"))
+
+
+@pytest.mark.parametrize(("m", "scale"), [(4, None), (5, 5e-7), (8, None)])
+def test_the_measurement_states_what_was_planned(m: int, scale: float | None) -> None:
+    net = network(40, m, seed=m, scale=scale or 0.0)
+    plan = planned(net, scale)
+    result = multilaterate.run(
+        multilaterate.TASK.job(settings(scale), net.lengths(), net.point_table(), net.tracer_table())
+    )
+    said, then = plan.tables["points"], result.tables["points"]
+    assert said.stacked(["sx", "sy", "sz"]) == pytest.approx(then.stacked(["sx", "sy", "sz"]), rel=2e-3)
+    worst = np.sqrt(np.linalg.eigvalsh(result.arrays["points_covariance"])[:, -1])
+    assert said.numbers("worst") == pytest.approx(worst, rel=2e-3)
+    for name in ("redundancy", "detectable", "moves_point"):
+        told, found = plan.tables["reliability"].numbers(name), result.tables["residuals"].numbers(name)
+        sound = plan.tables["reliability"].numbers("redundancy") > 1e-3
+        assert sound.mean() > 0.8
+        assert told[sound] == pytest.approx(found[sound], rel=5e-2)
+    stated = {e.name: e.std for e in result.estimates}
+    lines = 0
+    for figure in plan.figures:
+        if " - " in figure.name:
+            lines += 1
+            assert figure.std == pytest.approx(distance(result, *figure.name.split(" - ")).std, rel=5e-3)
+        else:
+            assert figure.std == pytest.approx(stated[figure.name], rel=5e-3)
+    assert lines >= 5
+
+
+def test_what_is_known_beforehand_counts() -> None:
+    net = network(30, 4, seed=1)
+    sigma = np.where(np.arange(30) < 4, 1e-4, np.nan)
+    plan = multilaterate.plan(
+        multilaterate.TASK.job(
+            settings(datum="points"), points=net.point_table(sigma=sigma), tracers=net.tracer_table(0.0)
+        )
+    )
+    then = multilaterate.run(
+        multilaterate.TASK.job(settings(datum="points"), net.lengths(), net.point_table(sigma=sigma))
+    )
+    stated = then.tables["points"].stacked(["sx", "sy", "sz"])
+    assert plan.tables["points"].stacked(["sx", "sy", "sz"]) == pytest.approx(stated, rel=1e-2)
+
+
+def test_what_is_read_may_be_listed() -> None:
+    """Points that a tracer does not see, and some that nobody reads: those of the job's lengths, whatever their values."""
+    net = network(40, 6, seed=9)
+    net.readings[:15, 2] = net.readings[30:, 4] = np.nan
+    net.readings[[7, 20]] = np.nan
+    zero = net.lengths()
+    zero.columns["length"][:] = 0.0  # type: ignore[index]
+    plan = planned(net, lengths=zero, candidates=candidates(CORNERS[6:7] * VOLUME))
+    result = multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table()))
+    said, then = plan.tables["points"], result.tables["points"]
+    assert said.texts("point") == then.texts("point") and len(said) == 38
+    assert said.stacked(["sx", "sy", "sz"]) == pytest.approx(then.stacked(["sx", "sy", "sz"]), rel=2e-3)
+    assert any("2 points have no length: P7, P20" in line for line in plan.warnings)
+    readings = np.column_stack([net.readings, np.where(np.isnan(net.readings).all(axis=1), np.nan, 1.0)])
+    more = replace(net, tracers=np.vstack([net.tracers, CORNERS[6] * VOLUME]), readings=readings)
+    with_it = planned(more, lengths=more.lengths()).tables["points"].stacked(["sx", "sy", "sz"])
+    assert plan.tables["candidates"].numbers("rms")[0] == pytest.approx(np.sqrt((with_it**2).mean()), rel=1e-6)
+
+
+BEYOND: dict[str, tuple[Callable[[], Network], str]] = {
+    "three tracers": (lambda: network(30, 3), "there are 3 tracers; positions from length changes need 4 or more"),
+    "four in a plane": (lambda: on_plane(4), "the 4 tracers stand in one plane"),
+    "five in a plane": (lambda: on_plane(5), "the 5 tracers stand in one plane"),
+    "points on a line": (lambda: on_line(5), "the points lie on a line: add points away from it"),
+    "everything in a plane": (all_in_one_plane, "the points lie in one plane: add points out of it"),
+    "few points": (lambda: network(9, 4, seed=1), "too few points: 9, where 4 tracers need 10"),
+    "at one place": (close_together, "tracers T0 and T1 stand nearly at one place"),
+}
+
+
+@pytest.mark.parametrize("name", BEYOND)
+def test_a_layout_that_cannot_carry_the_answer_is_refused_before_it_is_measured(name: str) -> None:
+    make, words = BEYOND[name]
+    with pytest.raises(UndeterminedError, match=words) as told:
+        planned(make())
+    assert "one more tracer" in str(told.value)
+
+
+def test_one_more_tracer_mends_a_plane_of_four_and_nothing_mends_a_line_of_points() -> None:
+    with pytest.raises(UndeterminedError, match="would serve best of 98 places tried at\n  C"):
+        planned(on_plane(4))
+    with pytest.raises(UndeterminedError, match="one more tracer alone would not help: none of 98 places tried"):
+        planned(on_line(5))
+
+
+def test_the_best_place_for_one_more_tracer_is_as_good_as_told() -> None:
+    """Measured with the tracer at the best and at the worst of 40 places at random: the errors made are those told."""
+    rng = np.random.default_rng(5)
+    net = network(60, 4, seed=5)
+    around = VOLUME * (
+        0.5 + rng.uniform(0.7, 1.5, (40, 1)) * (lambda v: v / np.abs(v).max(axis=1)[:, None])(rng.normal(size=(40, 3)))
+    )
+    plan = planned(net, candidates=candidates(around))
+    table = plan.tables["candidates"]
+    assert len(table) == 40
+    assert (np.diff(table.numbers("rms")) >= 0).all()
+    before = plan.tables["points"].stacked(["sx", "sy", "sz"])
+    assert table.numbers("gain_rms") == pytest.approx(1 - table.numbers("rms") / np.sqrt((before**2).mean()), rel=1e-9)
+    made = []
+    for row in (0, -1):
+        tracers = np.vstack([net.tracers, table.stacked("xyz")[row]])
+        errors = []
+        for _ in range(12):
+            more = replace(net, tracers=tracers, dead=np.append(net.dead, 300.0), scale=np.ones(5)).read(rng)
+            result = multilaterate.run(multilaterate.TASK.job(settings(), more.lengths(), more.point_table()))
+            errors.append(without_motion(places(result.tables["points"]), net.points) - net.points)
+        made.append(np.sqrt(np.mean(np.square(errors))))
+        assert made[-1] == pytest.approx(table.numbers("rms")[row], rel=0.12)
+    assert made[0] < made[1]
+
+
+def test_a_candidate_beside_a_tracer_is_the_last_choice() -> None:
+    net = network(40, 4, seed=2)
+    at = np.vstack([net.tracers[1] + [3.0, 0.0, 0.0], CORNERS[5] * VOLUME])
+    assert planned(net, candidates=candidates(at)).tables["candidates"].texts("candidate") == ["K1", "K0"]
+
+
+def test_many_points_are_compared_by_some_of_them_and_planned_by_all() -> None:
+    """1000 points: the ranking by 300 of them is that by all; the one known point stays among them."""
+    net = network(1000, 4, seed=3)
+    sigma = np.full(1000, np.nan)
+    sigma[[1, 501, 777, 998]] = 1e-5
+    at = VOLUME * [[1.6, 0.5, 0.5], [0.5, 0.5, 2.5], [-0.6, 0.5, 0.5]]
+    points = net.point_table(sigma=sigma)
+    plan = multilaterate.plan(
+        multilaterate.TASK.job(settings(), points=points, tracers=net.tracer_table(0.0), candidates=candidates(at))
+    )
+    assert len(plan.tables["points"]) == 1000
+    names = plan.tables["candidates"].texts("candidate")
+    rms = []
+    for name in names:
+        more = replace(net, tracers=np.vstack([net.tracers, at[int(name[1:])]]), dead=np.zeros(5), scale=np.ones(5))
+        alone = multilaterate.plan(
+            multilaterate.TASK.job(
+                settings(), points=points, tracers=more.tracer_table(0.0), candidates=candidates(at[:1])
+            )
+        )
+        rms.append(np.sqrt((alone.tables["points"].stacked(["sx", "sy", "sz"]) ** 2).mean()))
+    assert rms == sorted(rms)
+    assert plan.tables["candidates"].numbers("rms") == pytest.approx(rms, rel=0.1)
+
+
+def test_what_a_test_will_not_find_is_told() -> None:
+    four, eight = planned(network(30, 4, seed=1)), planned(network(30, 8, seed=1))
+    assert any("nobody can tell whose it is: a fifth would" in line for line in four.notes)
+    assert not any("nobody can tell" in line for line in eight.notes)
+    for plan in (four, eight):
+        assert any("common error of the refractive index" in line for line in plan.notes)
+        moves = plan.tables["reliability"].numbers("moves_point")
+        assert np.isfinite(moves).any() and (moves > 0).all()
+    assert np.median(eight.tables["reliability"].numbers("moves_point")) < np.median(
+        four.tables["reliability"].numbers("moves_point")
+    )
+
+
+def test_a_tracer_on_a_point_is_refused() -> None:
+    net = network(30, 4, seed=1)
+    on = replace(net, tracers=np.vstack([net.tracers[:3], net.points[4]]))
+    with pytest.raises(InputError, match="tracer T3 stands where point P4 is"):
+        planned(on)
+
+
+JOB = """metrocli: 1
+job: multilaterate
+inputs: {lengths: not-yet.csv, points: points.csv, tracers: tracers.csv}
+noise: {constant: 0.1 um, proportional: 0.1 um/m}
+output: o.h5
+"""
+
+
+@pytest.fixture
+def job(tmp_path: Path) -> Path:
+    net = network(30, 5, seed=1)
+    csv.write(tmp_path / "points.csv", net.point_table())
+    csv.write(tmp_path / "tracers.csv", net.tracer_table(0.0))
+    (tmp_path / "job.yaml").write_text(JOB)
+    return tmp_path / "job.yaml"
+
+
+def test_the_command_plans_without_lengths(job: Path, metrocli: Callable[..., Any]) -> None:
+    ran = metrocli("plan", job, "--json")
+    assert ran.code == 0, ran.err
+    said = json.loads(ran.out)
+    assert {Path(name).name for name in said["files"]} >= {"points.csv", "reliability.csv", "candidates.csv"}
+    assert all(Path(name).is_file() for name in said["files"])
+    assert "T0.x" in said["figures"] and len(said["tables"]["points"]["rows"]) == 30
+
+
+def test_the_command_needs_the_tracers(job: Path, metrocli: Callable[..., Any]) -> None:
+    job.write_text(JOB.replace(", tracers: tracers.csv", ""))
+    ran = metrocli("plan", job)
+    assert ran.code == 3 and "where the tracers will stand" in ran.err
+
+
+def test_the_command_tells_a_layout_that_will_not_do(job: Path, metrocli: Callable[..., Any]) -> None:
+    kept = (job.parent / "tracers.csv").read_text().splitlines()[:4]
+    (job.parent / "tracers.csv").write_text("\n".join(kept) + "\n")
+    ran = metrocli("plan", job)
+    assert ran.code == 4 and "there are 3 tracers" in ran.err and "one more tracer would serve best" in ran.err
+    assert not job.with_name("job.plan").exists()
+
+
+def test_candidates_may_be_listed_in_any_unit(job: Path, metrocli: Callable[..., Any]) -> None:
+    (job.parent / "candidates.csv").write_text("candidate,x_m,y_m,z_m\ndoor,2,0.3,0.2\nwindow,0.5,-0.5,1.5\n")
+    job.write_text(JOB.replace("tracers.csv}", "tracers.csv, candidates: candidates.csv}"))
+    ran = metrocli("plan", job)
+    assert ran.code == 0, ran.err
+    assert "of 2 places tried" in ran.out and "door (2000, 300, 200) mm" in ran.out
+
+
+def test_an_effect_is_planned_with_the_rest(job: Path, metrocli: Callable[..., Any]) -> None:
+    """What it costs the points, and how well it will be known: as the measurement then states."""
+    job.write_text(JOB + "effects: [{name: dead-path-drift, tracer: T2}]\nsimulation: {interval: 10 s}\n")
+    ran = metrocli("plan", job, "--json")
+    assert ran.code == 0, ran.err
+    drift = json.loads(ran.out)["figures"]["dead-path-drift.T2.rate"]
+    assert metrocli("simulate", job, "--out", job.parent / "made").code == 0
+    made = metrocli("multilaterate", job, "--json", "--set", "inputs.lengths=made/lengths.csv")
+    assert made.code == 0, made.err
+    assert json.loads(made.out)["estimates"]["dead-path-drift.T2.rate"]["std"] == pytest.approx(drift["std"], rel=1e-2)

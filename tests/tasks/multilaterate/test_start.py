@@ -1,0 +1,170 @@
+"""Places of tracers and dead paths are found from nothing but lengths and nominal points."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from simulated.lengths import CORNERS, VOLUME, Network, network, places, settings, without_motion
+
+from metrocli.errors import NotConvergedError, UndeterminedError
+from metrocli.formats import csv
+from metrocli.instruments.tracer_start import start
+from metrocli.tasks.multilaterate import task as multilaterate
+from metrocli.tasks.multilaterate.problem import build
+from metrocli.tasks.multilaterate.solve import solve
+
+LAYOUTS = 500
+
+
+def test_of_random_layouts() -> None:
+    """Points in a volume of any shape, one tracer anywhere in or around it, the mover off by 20 um."""
+    rng = np.random.default_rng(0)
+    lost = []
+    for layout in range(LAYOUTS):
+        size = 10 ** rng.uniform(2, 3.7, 3)
+        n = int(rng.integers(8, 60))
+        points = rng.uniform(0, 1, (n, 3)) * size + rng.normal(0, 5000, 3)
+        while True:
+            place = points.mean(axis=0) + rng.uniform(-1.5, 1.5, 3) * size.max()
+            if np.linalg.norm(points - place, axis=1).min() > 20:
+                break
+        dead = rng.normal(0, 2000)
+        length = np.linalg.norm(points - place, axis=1) - dead
+        found = start(points + rng.normal(0, 0.02, points.shape), length)
+        predicted = np.linalg.norm(points - found[:3], axis=1) - found[3]
+        # what the mover's errors make of a length, and no more: a wrong place cannot do that
+        if np.sqrt(((predicted - length) ** 2).mean()) > 0.06:
+            lost.append(layout)
+    assert lost == []
+
+
+def test_of_points_in_one_plane() -> None:
+    """The two places mirrored at the plane predict the same: either is right, and nothing else."""
+    rng = np.random.default_rng(1)
+    for _ in range(100):
+        points = np.column_stack([rng.uniform(0, 1000, (20, 2)), np.zeros(20)])
+        place = np.array([*rng.uniform(-800, 1800, 2), rng.uniform(200, 1500) * rng.choice([-1, 1])])
+        dead = rng.normal(0, 500)
+        found = start(points, np.linalg.norm(points - place, axis=1) - dead)
+        assert np.abs(np.abs(found) - np.abs([*place, dead])).max() < 1e-4
+
+
+def test_of_absolute_distances() -> None:
+    rng = np.random.default_rng(2)
+    for _ in range(50):
+        points = rng.uniform(0, 1000, (8, 3))
+        place = rng.uniform(-2000, 3000, 3)
+        found = start(points, np.linalg.norm(points - place, axis=1), absolute=True)
+        assert np.abs(found[:3] - place).max() < 1e-6
+        assert found[3] == 0
+
+
+@pytest.mark.parametrize("share", [0.05, 0.2, 0.3])
+def test_lengths_that_are_far_off_do_not_spoil_it(share: float) -> None:
+    """Errors of 0.1 mm to 2 m; the place is as near as the mover's errors of 20 um and so many lost lengths allow."""
+    rng = np.random.default_rng(3)
+    for _ in range(40):
+        points = rng.uniform(0, 1, (40, 3)) * [800, 600, 500]
+        place = points.mean(axis=0) + rng.choice([-1, 1], 3) * rng.uniform(500, 2000, 3)
+        length = np.linalg.norm(points - place, axis=1) - 1000
+        wrong = rng.choice(40, round(40 * share), replace=False)
+        length[wrong] += rng.choice([-1, 1], len(wrong)) * 10 ** rng.uniform(-1, 3.3, len(wrong))
+        found = start(points + rng.normal(0, 0.02, points.shape), length)
+        missed = np.abs(np.linalg.norm(points - found[:3], axis=1) - found[3] - length)
+        assert np.median(missed) < 0.1
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_job_without_a_list_of_tracers(seed: int, tmp_path: Path, metrocli) -> None:  # type: ignore[no-untyped-def]
+    net = network(40, 4 + seed % 3, seed=100 + seed)
+    csv.write(tmp_path / "lengths.csv", net.lengths())
+    csv.write(tmp_path / "points.csv", net.point_table())
+    job = tmp_path / "job.yaml"
+    job.write_text(
+        "metrocli: 1\njob: multilaterate\ninputs: {lengths: lengths.csv, points: points.csv}\n"
+        "noise: {constant: 0.1 um, proportional: 0.1 um/m}\noutput: o.h5\n"
+    )
+    ran = metrocli("multilaterate", job)
+    assert ran.code == 0, ran.err
+    from metrocli.formats import hdf5
+
+    result, _ = hdf5.read(tmp_path / "o.h5")
+    found = {e.name: e.value for e in result.estimates}
+    for j in range(len(net.tracers)):
+        assert [found[f"T{j}.{axis}"] for axis in "xyz"] == pytest.approx(net.tracers[j], abs=0.2)
+        assert found[f"T{j}.dead_path"] == pytest.approx(net.dead[j], abs=0.2)
+
+
+def test_a_rough_list_of_tracers_gives_the_same() -> None:
+    """Half a metre off, and with dead paths that the list does not have."""
+    net = network(40, 5, seed=8)
+    found = multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table()))
+    rough = multilaterate.run(
+        multilaterate.TASK.job(settings(), net.lengths(), net.point_table(), net.tracer_table(500.0))
+    )
+    for a, b in zip(found.estimates, rough.estimates, strict=True):
+        assert a.value == pytest.approx(b.value, abs=1e-6)
+
+
+@pytest.mark.parametrize("m", [5, 6])
+def test_points_in_one_plane_with_tracers_around(m: int) -> None:
+    net = network(30, m, seed=7)
+    flat = net.points * [1, 1, 0]
+    tracers = CORNERS[:m] * VOLUME + [0, 0, 600.0]
+    net = replace(net, nominal=flat + np.random.default_rng(1).normal(0, 0.02, flat.shape)).at(flat, tracers)
+    result = multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table(), net.tracer_table()))
+    assert result.statistics["chi2"] < 1e-6
+
+
+def poor(net: Network, fewest: int) -> Network:
+    """The network with two tracers that read only a few points."""
+    rng = np.random.default_rng(len(net.points))
+    for j in (0, 1):
+        net.readings[rng.permutation(len(net.points))[fewest:], j] = np.nan
+    return net
+
+
+def test_a_tracer_with_four_points_and_no_list_is_refused_at_once() -> None:
+    """Four lengths tell no start; from anywhere the adjustment may end in the mirror image of the layout."""
+    net = poor(network(22, 7, seed=402415), 4)
+    began = time.process_time()
+    with pytest.raises(UndeterminedError, match="tracer T0 reads 4 points, too few to find where it stands"):
+        multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table()))
+    assert time.process_time() - began < 2
+
+
+@pytest.mark.parametrize(("n", "m", "seed", "scale"), [(29, 6, 794068, 1e-5), (77, 5, 456383, 5e-7), (24, 7, 1, 1e-6)])
+def test_a_tracer_with_four_points_that_is_listed(n: int, m: int, seed: int, scale: float) -> None:
+    """It is located or refused, and neither takes long; nothing is given out that is far from the list."""
+    net = poor(network(n, m, seed=seed), 4)
+    began = time.process_time()
+    try:
+        result = multilaterate.run(
+            multilaterate.TASK.job(settings(scale), net.lengths(), net.point_table(), net.tracer_table())
+        )
+        error = without_motion(places(result.tables["points"]), net.points) - net.points
+        assert np.sqrt((error**2).mean() / (result.tables["points"].stacked(["sx", "sy", "sz"]) ** 2).mean()) < 2
+    except UndeterminedError as error:
+        assert "T0" in str(error)
+    assert time.process_time() - began < 2
+
+
+def test_the_mirror_image_is_no_result() -> None:
+    """It fits the lengths as well as the truth does; started there the adjustment stays there, and says so."""
+    net = network(30, 5, seed=3)
+    built = build(settings(), net.lengths(), net.point_table(), None, None)
+    turned = {}
+    for name, block in built.blocks.items():
+        values = block.values.copy()
+        values[:, 0] *= -1
+        turned[name] = block.with_values(values)
+    datum = replace(built.datum, reference=turned["point"].values) if built.datum else None
+    with pytest.raises(
+        NotConvergedError, match="mm from where their list says .median.: the adjustment ended in a wrong"
+    ):
+        solve(built.with_model(replace(built.model, blocks=turned, datum=datum)), remove=False)
+    assert solve(built, remove=False).solution.outcome.good

@@ -1,0 +1,144 @@
+"""Chunks on a Dask cluster of real processes: same bits, also when a worker dies; no cluster, a clear error."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from places import ROOT
+from tasks.report_uncertainty.jobs import carry_out, write
+
+from metrocli.formats import hdf5
+from metrocli.uncertainty import workers
+
+JOB: dict[str, Any] = {
+    "quantities": {
+        "a": {"value": 1, "std": 0.1, "dof": 7}, "b": {"value": 2, "half_width": 0.3}, "c": {"value": 3, "std": 0.2},
+    },
+    "correlations": [{"between": ["b", "c"], "value": 0.4}],
+    "measurands": {"y": {"model": "a*b + exp(c)"}, "z": {"model": "a - c"}},
+}  # fmt: skip
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+
+
+def test_no_scheduler_at_the_address_is_told_soon(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = time.monotonic()
+    ran = carry_out(tmp_path, JOB, "job", "--scheduler", "tcp://127.0.0.1:1")
+    assert time.monotonic() - before < 5
+    assert ran.code == 3
+    assert "no Dask scheduler answers there" in capsys.readouterr().err
+    assert not ran.path.exists()
+
+
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:port", "tcp://127.0.0.1:99999", "tcp://"])
+def test_an_address_that_is_none_is_told(address: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert carry_out(tmp_path, JOB, "job", "--scheduler", address).code == 3
+    assert f"--scheduler {address}" in capsys.readouterr().err
+
+
+def test_no_scheduler_file_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert carry_out(tmp_path, JOB, "job", "--scheduler", str(tmp_path / "none.json")).code == 3
+    assert "--scheduler" in capsys.readouterr().err
+
+
+SCHEDULER = ["-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard"]
+
+
+def test_a_scheduler_without_workers_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
+    monkeypatch.setattr(workers, "PATIENCE_WITH_WORKERS_S", 0.5)
+    file = tmp_path / "scheduler.json"
+    with (tmp_path / "log.txt").open("wb") as log:
+        alone = _start([sys.executable, *SCHEDULER, "--scheduler-file", str(file)], log, tmp_path)
+        try:
+            _wait(file.is_file)
+            ran = carry_out(tmp_path, JOB, "job", "--scheduler", str(file))
+        finally:
+            alone.kill()
+            alone.wait(20)
+    assert ran.code == 3
+    assert "the scheduler has no workers" in capsys.readouterr().err
+    assert not ran.path.exists()
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, list[subprocess.Popen[bytes]]]]:
+    """A scheduler and two worker processes, as a user starts them."""
+    pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
+    folder = tmp_path_factory.mktemp("cluster")
+    file = folder / "scheduler.json"
+    log = (folder / "log.txt").open("wb")
+    started = [_start([sys.executable, *SCHEDULER, "--scheduler-file", str(file)], log, folder)]
+    try:
+        _wait(file.is_file)
+        worker = [
+            sys.executable,
+            "-m",
+            "distributed.cli.dask_worker",
+            "--scheduler-file",
+            str(file),
+            "--nthreads",
+            "1",
+            "--no-nanny",
+            "--no-dashboard",
+        ]
+        started += [_start([*worker, "--local-directory", str(folder / f"w{n}")], log, folder) for n in range(2)]
+        yield file, started[1:]
+    finally:
+        for process in reversed(started):
+            process.kill()
+        for process in started:
+            process.wait(20)
+        log.close()
+
+
+def _start(command: list[str], log: Any, folder: Path) -> subprocess.Popen[bytes]:
+    return subprocess.Popen(command, stdout=log, stderr=log, cwd=folder, env=ENVIRONMENT)
+
+
+def _wait(ready: Any) -> None:
+    for _ in range(600):
+        if ready():
+            return
+        time.sleep(0.1)
+    raise TimeoutError
+
+
+def bits(path: Path) -> tuple[Any, ...]:
+    """Everything of a result that trials decide."""
+    result, _ = hdf5.read(path)
+    details = {name: detail["mc"] for name, detail in result.details.items()}
+    return np.asarray(result.arrays["monte_carlo_covariance"]).tobytes(), repr(details)
+
+
+@pytest.mark.parametrize("trials", ["adaptive", 400_000, 3_000_000])
+def test_a_cluster_gives_the_same_bits(cluster: tuple[Path, Any], trials: Any, tmp_path: Path) -> None:
+    job = {**JOB, "monte_carlo": {"trials": trials, "seed": 5}}
+    here = carry_out(tmp_path, job, "here", "--workers", "1")
+    there = carry_out(tmp_path, job, "there", "--scheduler", str(cluster[0]))
+    assert (here.code, there.code) == (0, 0)
+    assert bits(here.path) == bits(there.path)
+
+
+def test_a_worker_killed_in_the_middle_changes_no_bit(
+    cluster: tuple[Path, list[subprocess.Popen[bytes]]], tmp_path: Path
+) -> None:
+    job = {**JOB, "monte_carlo": {"trials": 8_000_000, "seed": 5}}
+    here = carry_out(tmp_path, job, "here", "--workers", "1")
+    command = [sys.executable, "-m", "metrocli", "report-uncertainty", str(write(tmp_path, job, "there")), "--quiet"]
+    running = subprocess.Popen([*command, "--scheduler", str(cluster[0])], cwd=tmp_path, env=ENVIRONMENT)
+    _wait(lambda: list((tmp_path / "there.chunks").glob("*.npz")) or running.poll() is not None)
+    assert running.poll() is None, "the run was over before a worker could be killed"
+    cluster[1][1].kill()
+    assert running.wait(120) == 0
+    assert bits(here.path) == bits(tmp_path / "there.h5")
+    assert not (tmp_path / "there.chunks").exists()
