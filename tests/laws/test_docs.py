@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from places import DOCS
+from places import DOCS, SAMPLES
 
 from metrocli import errors, settings, units
 from metrocli.tasks import KINDS
@@ -43,27 +43,35 @@ def test_each_specification_of_settings_is_explained(spec: str) -> None:
     assert f"{spec}(" in (DOCS / "adding.md").read_text(encoding="utf-8")
 
 
-def test_the_first_job_of_the_readme_is_one(tmp_path: Path) -> None:
-    from metrocli.project.job import load
+CAMERA = """\
+metrocli: 1
+job: calibrate-camera
+rig: board
+inputs: {images: "img/*.jpg"}
+pattern: {type: chessboard, columns: 9, rows: 6, pitch: 25 mm}
+camera:
+  image_size: [640, 480]
+  pixel_size: 2.2 um
+  estimate: [f, cx, cy, k1, k2, p1, p2]
+title: Camera 12, wide lens
+noise: 0,1 px
+"""
+"""With a decimal comma in line 11"""
 
-    block = README.split("## A first job")[1].split("\n\n")[1]
-    path = tmp_path / "camera.yaml"
-    path.write_text("\n".join(line[4:] for line in block.splitlines()), encoding="utf-8")
-    (tmp_path / "img").mkdir()
-    (tmp_path / "img" / "a.jpg").write_bytes(b"x")
-    assert load(path).kind == "calibrate-camera"
-    assert len(block.splitlines()) <= 15
 
-
-def test_the_fault_of_the_readme_is_told_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_fault_of_the_readme_is_reported_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from metrocli.errors import InputError
     from metrocli.project.job import load
 
-    block = README.split("## A first job")[1].split("\n\n")[1].replace("0.1 px", "0,1 px")
     monkeypatch.chdir(tmp_path)
-    Path("camera.yaml").write_text("\n".join(line[4:] for line in block.splitlines()), encoding="utf-8")
+    Path("camera.yaml").write_text(CAMERA, encoding="utf-8")
     Path("img").mkdir()
     Path("img/a.jpg").write_bytes(b"x")
     with pytest.raises(InputError) as caught:
         load(Path("camera.yaml"))
     assert all(line.strip() in README for line in str(caught.value).splitlines())
+
+
+def test_the_job_of_the_readme_is_that_of_the_sample() -> None:
+    block = README.split("$ cat jobs/tip4.yaml\n")[1].split("...")[0]
+    assert block in (SAMPLES / "gear-m3d3" / "jobs" / "tip4.yaml").read_text(encoding="utf-8")

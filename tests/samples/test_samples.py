@@ -174,3 +174,19 @@ def test_the_gauge_block_is_that_of_the_guides(gauge: Path) -> None:
     assert (trials["mean"], trials["std"]) == pytest.approx((838, 36), abs=0.5)
     assert trials["shortest"] == pytest.approx([745, 932], abs=2.5)
     assert second.details["deviation"]["gum_valid"] is False
+
+
+def test_what_happened_to_the_gear_is_found(tmp_path: Path, metrocli: Metrocli) -> None:
+    """The lengths of tip 4 were simulated with a jump of LT2 of 1.5 um at 3000 s."""
+    home = tmp_path / "gear"
+    metrocli("init", home, "--sample", "gear-m3d3")
+    found = json.loads(metrocli("diagnose", home / "jobs" / "tip4.yaml", "--json").out)
+    assert found["verdict"] == "explained"
+    (effect,) = found["effects"]
+    assert (effect["name"], effect["where"]) == ("dead-path-jump", {"tracer": "LT2"})
+    step = effect["parameters"]["step"]
+    assert abs(step["value"] - 1.5e-3) < 2 * step["std"]
+    assert effect["gain"]["shown"]
+    assert metrocli("multilaterate", home / "jobs" / "tip4.extended.yaml", "--quiet").code == 0
+    again = json.loads(metrocli("diagnose", home / "jobs" / "tip4.extended.yaml", "--json").out)
+    assert again["verdict"] == "clean"
