@@ -1,4 +1,8 @@
-"""The adjustment: weighted least squares by Gauss-Newton steps."""
+"""The adjustment: weighted least squares by Gauss-Newton steps.
+
+Method: docs/algorithms/tiled-elimination.md (normal equations), docs/algorithms/free-networks.md (datum) and
+docs/algorithms/rank.md (what is undetermined).
+"""
 
 from __future__ import annotations
 
@@ -21,28 +25,30 @@ from metrocli.adjust.schur.tiles import Tiling, tiling_of
 from metrocli.adjust.solution import Solution
 
 _ROUNDING = 1e-13
-"""A fall of the sum of squares below this share of it is rounding."""
+"""A decrease of the sum of squares below this fraction of it is rounding"""
 _LAST_DIGITS = 4 * float(np.finfo(float).eps)
-"""What rounding leaves unsure of a predicted reading, as a share of it"""
+"""Relative rounding error of a predicted reading"""
 _NEAR, _FAR_BELOW = 1e3, 1e-2
-"""A step within so many tolerances may be the last if the next is foreseen to be below that share of the tolerance"""
+"""The last step is one shorter than `_NEAR` tolerances after which a step below `_FAR_BELOW` tolerances is expected"""
 _DAMPING_START, _DAMPING_END, _DAMPING_LIMIT = 1e-9, 1e-11, 1e8
 
 
 @dataclass(frozen=True)
 class Control:
-    """When to stop."""
+    """When an adjustment stops, and whether it computes a covariance."""
 
     limit: int = 1000
-    """Steps at most"""
+    """Largest number of steps"""
     tolerance: float = 1e-6
-    """Stop when a step is shorter than this, in standard deviations of the unknowns (root mean square)"""
+    """The last step is shorter than this, in standard deviations of the unknowns (root mean square)"""
     covariance: bool = True
-    """Whether covariance and rank are wanted at the end"""
+    """Whether rank and covariance are computed at the end"""
 
 
 @dataclass(frozen=True)
 class _Problem:
+    """What stays the same while an adjustment iterates."""
+
     groups: Sequence[Group]
     layout: Layout
     datum: Datum | None
@@ -50,7 +56,7 @@ class _Problem:
 
     @cached_property
     def size(self) -> float:
-        """Root of the sum of squares of the readings in their standard deviations."""
+        """Length of the vector of whitened readings (each divided by its standard deviation)."""
         whitened = (group.observations.whitened(group.observations.readings) for group in self.groups)
         return float(np.sqrt(sum(np.vdot(values, values) for values in whitened)))
 
@@ -72,10 +78,11 @@ def adjust(
 ) -> Solution:
     """Minimise the sum of squares of the whitened residuals over the free entries of the blocks.
 
-    Gauss-Newton; a step that would raise the sum is shortened by damping (Marquardt 1963), so the sum never rises.
-    It stops when a step is short against the standard deviations, whatever the units, or when the steps shrink so fast
-    that the next would be (the contraction of Deuflhard: Newton Methods for Nonlinear Problems, 2004). Singular
-    problems end with an outcome, not with an exception; ValueError only where blocks and groups do not fit together.
+    The method is Gauss-Newton; a step that would raise the sum is shortened by damping (Marquardt 1963), so the sum
+    never rises. It stops when a step is short compared with the standard deviations, so the units of the unknowns do
+    not matter. It also stops when the steps shrink so fast that the next one would be short (contraction of Newton
+    steps, Deuflhard: Newton Methods for Nonlinear Problems, 2004). A singular problem ends with an outcome, not with
+    an exception. Raises ValueError only if blocks and groups do not fit together.
     """
     control = control or Control()
     state = {block.name: block for block in blocks}
@@ -97,31 +104,31 @@ def adjust(
 
 
 def covariance_at(blocks: Iterable[Block], groups: Sequence[Group], datum: Datum | None = None) -> Solution:
-    """Return the covariance that an adjustment would have at these values, without moving them: for planning."""
+    """Return the covariance that an adjustment would have at these values, without changing them (for planning)."""
     return adjust(blocks, groups, datum, Control(limit=0))
 
 
 class _Descent:
-    """The way down: where it stands, with the normal equations there."""
+    """The iteration: the present values, the normal equations there, and the damping."""
 
     def __init__(self, problem: _Problem, state: Mapping[str, Block], wanted: bool) -> None:
-        """Stand at `state`; `wanted` says whether the normal equations of the last place are needed."""
+        """Start at `state`; `wanted` is True if the normal equations are needed after the last step."""
         self.problem, self.state, self.damping, self.wanted = problem, dict(state), 0.0, wanted
-        self.fall = 0.0  # that the last step promised, 0 before the first and after a damped one
+        self.fall = 0.0  # decrease that the last step predicted; 0 before the first step and after a damped one
         self.normals: Normals | None = problem.normals(self.state)
         self.cost = self.normals.cost
 
     def here(self) -> Normals:
-        """Return the normal equations at the present state."""
+        """Return the normal equations at the present values."""
         if self.normals is None:
             self.normals = self.problem.normals(self.state)
         return self.normals
 
     def step(self, small: float) -> Outcome:
-        """Take one step that does not raise the cost; CONVERGED after the last, DIVERGED where none is found.
+        """Take one step that does not raise the cost; CONVERGED after the last step, DIVERGED if no such step is found.
 
-        The normal equations of the old place are let go before those of the new one are made: they are most of the
-        memory. They are made again where the step is not taken.
+        Normal equations take most of the memory. So those of the old values are released before those of the new ones
+        are made, and are made again if the step is rejected.
         """
         while self.damping <= _DAMPING_LIMIT:
             try:
@@ -145,25 +152,26 @@ class _Descent:
         return Outcome.DIVERGED
 
     def _contracts(self, fall: float, small: float) -> bool:
-        """Return whether the step after this one would be far below the tolerance, shrinking as this one has.
+        """Return whether the next step would be far below the tolerance, if the steps go on shrinking as now.
 
-        Falls are squares of lengths. The contraction of Gauss-Newton steps, `a + b length`, itself shrinks with them.
+        `fall` is the square of a step's length. The contraction of Gauss-Newton steps, `a + b length`, decreases with
+        the length, so the prediction is on the safe side.
         """
         if self.damping or not self.fall:
             return False
         return fall <= _NEAR**2 * small and fall**2 <= _FAR_BELOW**2 * small * self.fall
 
     def _rounding(self) -> float:
-        """Return how much of a sum of squares may be rounding (Cauchy, Schwarz): `2 |residual| |readings| eps`."""
+        """Return the possible rounding error of the sum of squares, `2 |residual| |readings| eps` (Cauchy-Schwarz)."""
         return 2 * float(np.sqrt(self.cost)) * _LAST_DIGITS * self.problem.size + _ROUNDING * self.cost
 
     def _damp(self) -> None:
         self.damping = max(self.damping * 10, _DAMPING_START)
 
     def _moved(self) -> tuple[dict[str, Block], float]:
-        """Return the blocks after the damped step, and the fall of the sum of squares that the model promises."""
+        """Return the blocks after the damped step, and the decrease of the sum of squares that it predicts."""
         normals = self.here()
-        with np.errstate(all="ignore"):  # what is absurd ends as LinAlgError or as a step that is not taken
+        with np.errstate(all="ignore"):  # an overflow ends as a LinAlgError or as a rejected step
             damped = normals.damped(self.damping) if self.damping else normals
             step, fall, frame = _solve(self.problem, self.state, damped)
             return _moved(self.problem, self.state, step, damped.back(step), frame), fall
@@ -174,7 +182,7 @@ def _relaxed(damping: float) -> float:
 
 
 def _solve(problem: _Problem, state: Mapping[str, Block], normals: Normals) -> tuple[Array, float, Frame | None]:
-    """Return the step of the reduced unknowns, the fall that all promise, `g' H^-1 g`, and the open movements."""
+    """Return the step of the reduced unknowns, the decrease `g' H^-1 g` that all predict, and the open movements."""
     matrix, right, alone = normals.reduced()
     frame = problem.frame(state, matrix)
     step = np.zeros(problem.layout.width)
@@ -186,7 +194,8 @@ def _solve(problem: _Problem, state: Mapping[str, Block], normals: Normals) -> t
 def _held(matrix: Array, frame: Frame | None) -> Array:
     """Add stiffness along the open movements of the frame, so that the matrix can be factored.
 
-    In units in which every unknown has stiffness 1, since those of the blocks may be as far apart as mm and 1/s.
+    The stiffness is scaled so that it counts 1 for every unknown, because the units of the blocks may be as different
+    as mm and 1/s. Its size does not affect the result: the datum removes what it adds.
     """
     if frame is None or not len(matrix):
         return matrix
@@ -263,8 +272,9 @@ def _with_covariance(solution: Solution, problem: _Problem, normals: Normals) ->
 def _in_eliminated_datum(frame: Frame, normals: Normals, inverse: Array) -> Array:
     """Return the reduced covariance in a datum of inner constraints on the eliminated block.
 
-    With `h = H e = -A r + sum H_i n_i`, `A = sum H_i W_i`, n_i the noise of member i of covariance D_i^-1:
-    `r' = (I + E A) r - E sum H_i n_i`.
+    Let n_i be the noise of member i alone, of covariance D_i^-1, and `A = sum H_i W_i`. The movement that restores the
+    datum is `h = H e = -A r + sum H_i n_i`, so `r' = r - E h = (I + E A) r - E sum H_i n_i`. The reduced unknowns r and
+    the n_i are uncorrelated.
     """
     found = [part.moments(frame.constraint(part.members)) for part in normals.parts]
     e = frame.reduced

@@ -1,12 +1,13 @@
-"""Adjustment of two fields that stay coupled, such as the errors of a machine and of an artefact in many views.
+"""Adjustment of two fields that stay coupled, e.g. the errors of a machine and of an artefact in many views.
 
-The unknowns are of three sorts: `local` ones, of which no reading of the design touches two (eliminated one by one),
-those of the `net` (sparse Cholesky), and the few of the border (dense). With D, S and T the matrices left for each,
-`S = N_gg - N_gl D^-1 N_lg`, `T = N_bb - (N_bg, N_bl) (...)^-1 (N_gb, N_lb)`, the cost is that of the factor of S.
+There are three sorts of unknowns: `local` ones l, of which no reading uses two (eliminated one by one), those of the
+`net` g (sparse Cholesky), and the few others of the border b (dense). With D the diagonal block of l, the net is left
+with `S = N_gg - N_gl D^-1 N_lg`; eliminating l and g leaves a small dense matrix T for the border. The factor of S
+takes nearly all the time.
 
-The normal matrix is taken once, at a stated design; the gradient is exact, so the iteration ends at the minimum under
-the conditions of the datum. What the design leaves open is found before anything else, and fixed by those conditions
-only.
+The normal matrix is computed once, at a stated design; the gradient is exact, so the iteration ends at the minimum
+under the conditions of the datum. What the design leaves undetermined is found first, and only the conditions fix it.
+Method: docs/algorithms/nested-dissection.md and docs/algorithms/free-networks.md.
 """
 
 from __future__ import annotations
@@ -39,32 +40,32 @@ class Fields:
     net: str
     local: str
     places: Array
-    """Whole numbers (members, size, k) for the unknowns of the net: near where readings couple them"""
+    """Integer coordinates of the members, (members, size, k): readings couple unknowns with close coordinates"""
     design: Callable[[Mapping[str, Block]], Mapping[str, Block]]
-    """The values at which rank, datum and covariance are taken"""
+    """Function from the blocks to the values at which rank, datum and covariance are computed"""
     conditions: Mapping[str, Array]
-    """The datum: for some blocks (conditions, members, size), whose sums over the values are to be zero"""
+    """The datum: for some blocks the coefficients (conditions, members, size) of sums that are to be zero"""
 
 
 @dataclass(frozen=True)
 class Design:
-    """Rank, null space and covariance of a design, before any reading is looked at."""
+    """Rank, null space and covariance of a design; they do not depend on the readings."""
 
     partition: Partition
     jacobian: Sparse
-    """Of all whitened readings by all unknowns, group after group, (d*n, unknowns)"""
+    """Derivatives of all whitened readings by all unknowns, group after group, (d*n, unknowns)"""
     reduction: BorderedFactor
     constraint: Array
-    """H, (k, unknowns): what restores the conditions is `-Z H x`"""
+    """H, (k, unknowns), with `H Z = I`: the step `-Z H x` restores the conditions"""
 
     @property
     def null(self) -> Array:
-        """What no reading sees, Z (unknowns, k)."""
+        """Z, the directions that no reading determines, (unknowns, k)."""
         return self.reduction.null
 
     @cached_property
     def _gauge(self) -> tuple[Array, Array]:
-        """P = Q H' and H P, with Q the inverse before the datum."""
+        """`P = Q H'` and `H P`, with Q the inverse before the datum is applied."""
         shared = self.reduction.solve(self.constraint.T)
         return shared, self.constraint @ shared
 
@@ -75,7 +76,10 @@ class Design:
         return found - self.null @ (self.constraint @ found)
 
     def variances(self, rows: Sparse) -> Array:
-        """Return the variances of sparse combinations of the unknowns, each of entries that readings couple, (n,)."""
+        """Return the variances of sparse linear combinations of unknowns, (n,).
+
+        Each may only combine unknowns that a reading couples, because only these entries of the inverse are known.
+        """
         moved, shared, own = self._in_datum(rows)
         variances = self.reduction.variances(rows)
         variances -= 2 * np.einsum("nk,nk->n", moved, shared)
@@ -83,18 +87,18 @@ class Design:
         return np.maximum(variances, 0.0)
 
     def covariance(self, rows: Sparse) -> Array:
-        """Return the covariance of any combinations of the unknowns, (n, n), for half the cost of their solutions."""
+        """Return the covariance of any linear combinations of unknowns, (n, n), with forward solutions only."""
         moved, shared, own = self._in_datum(rows)
         across = moved @ shared.T
         return self.reduction.covariance(rows) - across - across.T + moved @ own @ moved.T
 
     def _in_datum(self, rows: Sparse) -> tuple[Array, Array, Array]:
-        """Return what the datum adds to the covariance of rows R: R Z, R P and H P."""
+        """Return R Z, R P and H P: what the datum's part of the covariance of rows R consists of."""
         shared, own = self._gauge
         return np.asarray(rows @ self.null), np.asarray(rows @ shared), own
 
     def std(self, block: str) -> Array:
-        """Return the standard uncertainties of a block, (members, size), nan where it is not solved for."""
+        """Return the standard uncertainties of a block, (members, size), nan for fixed entries."""
         from scipy.sparse import eye_array
 
         columns = self.partition.columns[block]
@@ -105,13 +109,13 @@ class Design:
         return std
 
     def redundancy(self) -> Array:
-        """Return `1 - diag(J Q J')`, in the order of the rows of the jacobian."""
+        """Return the redundancy numbers `1 - diag(J Q J')`, in the order of the rows of the Jacobian."""
         return np.clip(1.0 - self.reduction.variances(self.jacobian), 0.0, 1.0)
 
 
 @dataclass(frozen=True)
 class FieldSolution:
-    """An adjustment of fields."""
+    """The result of an adjustment of fields, with the same methods for covariances as `Solution`."""
 
     solution: Solution
     design: Design
@@ -122,15 +126,15 @@ class FieldSolution:
         return self.solution.blocks
 
     def std(self, block: str) -> Array:
-        """Return the standard uncertainties of a block, (members, size), 0 where it is not solved for."""
+        """Return the standard uncertainties of a block, (members, size), 0 for fixed entries."""
         return np.nan_to_num(self.design.std(block))
 
     def known(self) -> FieldSolution:
-        """Return what knows the covariances."""
+        """Return the covariance, which is computed on demand."""
         return self
 
     def of(self, name: str) -> Array:
-        """Return the covariance of a block, (members*size, members*size), zero where it is fixed."""
+        """Return the covariance of a block, (members*size, members*size), zero for fixed entries."""
         columns = self.design.partition.columns[name].ravel()
         free = columns >= 0
         full = np.zeros((len(columns), len(columns)))
@@ -138,7 +142,7 @@ class FieldSolution:
         return full
 
     def between(self, places: Index) -> Array:
-        """Return the covariance of unknowns by their places, (n, n)."""
+        """Return the covariance of the unknowns with the given numbers, (n, n)."""
         from scipy.sparse import eye_array
 
         return self.design.covariance(eye_array(self.design.partition.width, format="csr")[places])
@@ -159,7 +163,10 @@ class FieldSolution:
 
 
 def design_of(fields: Fields) -> Design:
-    """Return rank and covariance of the design; OpenDesignError where too much is open to be listed."""
+    """Return the design of fields.
+
+    Raises OpenDesignError if more directions are undetermined than can be listed.
+    """
     parts = partition(fields.blocks, fields.groups, fields.net, fields.local)
     at = fields.design(fields.blocks)
     jacobian = _jacobian([group.linear(at, frozenset(fields.blocks)) for group in fields.groups], parts)
@@ -168,12 +175,15 @@ def design_of(fields: Fields) -> Design:
 
 
 def in_datum(fields: Fields, design: Design) -> Design:
-    """Return the design in the datum of these fields, which differ from its own in their conditions only."""
+    """Return the design with the datum of these fields, which may differ from its own in their conditions only."""
     return replace(design, constraint=_constraint(_conditions(fields, design.partition), design.null))
 
 
 def adjust_fields(fields: Fields, design: Design | None = None) -> FieldSolution:
-    """Minimise the sum of squares of the whitened residuals under the conditions of the datum."""
+    """Minimise the sum of squares of the whitened residuals under the conditions of the datum.
+
+    The steps use the normal matrix of the design throughout (a fixed-matrix Newton iteration).
+    """
     design = design or design_of(fields)
     state = dict(fields.blocks)
     linears = _linears(fields, state)
@@ -184,7 +194,7 @@ def adjust_fields(fields: Fields, design: Design | None = None) -> FieldSolution
         iterations += 1
         gradient = _gradient(linears, design.partition)
         step = design.solve(gradient)
-        restoring = design.null @ (design.constraint @ design.partition.gathered(state))
+        restoring = design.null @ (design.constraint @ design.partition.values_of(state))
         fall = float(gradient @ step)
         trial = _tried(fields, state, (step - restoring, design), cost)
         if trial is None:
@@ -204,13 +214,13 @@ def adjust_fields(fields: Fields, design: Design | None = None) -> FieldSolution
 def _tried(
     fields: Fields, state: Mapping[str, Block], move: tuple[Array, Design], cost: float
 ) -> tuple[dict[str, Block], list[Linear], float] | None:
-    """Take the step, or a part of it that does not raise the cost; None where none is found."""
+    """Return the state after the step, or after a part of it that does not raise the cost; None if none is found."""
     step, design = move
     for _ in range(12):
         moved = design.partition.moved(state, step)
         linears = _linears(fields, moved)
         found = sum(linear.cost for linear in linears)
-        # the datum's own movement is of second order and may raise the cost by rounding
+        # the step that restores the datum is exact to first order only, so it may raise the cost by rounding
         if found <= cost * (1 + 1e-9) + 1e-9 * design.partition.width:
             return moved, linears, found
         step = step / 2
@@ -222,7 +232,7 @@ def _linears(fields: Fields, state: Mapping[str, Block]) -> list[Linear]:
 
 
 def _gradient(linears: Sequence[Linear], parts: Partition) -> Array:
-    """Return J' r at the present values."""
+    """Return the gradient `J' residual` at the present values."""
     total = np.zeros(parts.width)
     for linear in linears:
         for touch in linear.touches:
@@ -234,6 +244,7 @@ def _gradient(linears: Sequence[Linear], parts: Partition) -> Array:
 
 
 def _jacobian(linears: Sequence[Linear], parts: Partition) -> Sparse:
+    """Return the sparse Jacobian of all groups, one below the other."""
     from scipy.sparse import csr_array, vstack
 
     stacked = []
@@ -256,6 +267,7 @@ def _jacobian(linears: Sequence[Linear], parts: Partition) -> Sparse:
 
 
 def _places(fields: Fields, parts: Partition) -> Array:
+    """Return the coordinates of the unknowns of the net, (net, k)."""
     columns = parts.columns[fields.net]
     places = np.zeros((parts.net, fields.places.shape[-1]))
     places[columns[columns >= 0]] = fields.places[columns >= 0]
@@ -263,16 +275,20 @@ def _places(fields: Fields, parts: Partition) -> Array:
 
 
 def _conditions(fields: Fields, parts: Partition) -> Array:
+    """Return the conditions of the datum as rows of unit length, (conditions, unknowns)."""
     count = len(next(iter(fields.conditions.values())))
     rows = np.zeros((count, parts.width))
-    for name, given in fields.conditions.items():
+    for name, factors in fields.conditions.items():
         columns = parts.columns[name]
-        rows[:, columns[columns >= 0]] = given[:, columns >= 0]
+        rows[:, columns[columns >= 0]] = factors[:, columns >= 0]
     return np.asarray(rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-300))
 
 
 def _constraint(conditions: Array, null: Array) -> Array:
-    """Return H with `H Z = I`: the conditions as far as they fix something, the shortest fields for the rest."""
+    """Return H with `H Z = I`.
+
+    The conditions fix as many directions as they can. The others are fixed by the least sum of squares of all unknowns.
+    """
     if not null.shape[1]:
         return np.zeros((0, len(null)))
     seen = conditions @ null

@@ -1,7 +1,8 @@
-"""Datum of a free network: the movements no reading sees, and the inner constraints that fix them.
+"""Datum of a free network: the movements that no reading determines, and the inner constraints that fix them.
 
 With E the movements and G those of the datum block at its reference values, the condition is
-`G' (x - reference) = 0` (Härtig et al. eq. 8); covariances follow by the S-transformation (Baarda 1973).
+`G' (x - reference) = 0` (Härtig et al. eq. 8). Covariances follow by the S-transformation (Baarda 1973).
+Method: docs/algorithms/free-networks.md.
 """
 
 from __future__ import annotations
@@ -17,29 +18,29 @@ from metrocli.adjust.movements import Affine, Listed, Movement
 from metrocli.adjust.schur.layout import Layout
 
 _OPEN = 1e-11
-"""A movement is open where its share of the normal matrix is rounding"""
+"""Relative contribution to the normal matrix below which a movement is open, because the rest is rounding"""
 _LOOSE = 1e-12
-"""The members of a datum do not hold a movement that moves them by less than this against the others"""
+"""Singular value, relative to the members' size, below which the datum's members do not fix a movement"""
 
 Movements = Mapping[str, Affine] | Callable[[Mapping[str, Block]], Mapping[str, Array]]
 
 
 @dataclass(frozen=True)
 class Datum:
-    """Inner constraints on the members of one block that define the frame."""
+    """Inner constraints on the members of one block; they define the frame."""
 
     block: str
     reference: Array
-    """Values that the frame is fitted to, (members, size)"""
+    """Values to which the frame is fitted, (members, size)"""
     members: Array
-    """(members,) 1 for a member that takes part, else 0"""
+    """(members,) 1 for a member that defines the datum, else 0"""
     movements: Movements
-    """The change of each block by each freedom, affine in its values; or found from the blocks, (members, size, f)"""
+    """How each freedom changes each block: affine in its values, or a function of the blocks with (members, size, f)"""
     names: tuple[str, ...]
-    """The freedoms in words: 'shift along x', 'rotation about z', 'scale'"""
+    """The freedoms in words, e.g. 'shift along x', 'rotation about z', 'scale'"""
 
     def of(self, blocks: Mapping[str, Block]) -> Mapping[str, Movement]:
-        """Return the movements of the blocks."""
+        """Return the movements of each block."""
         if not callable(self.movements):
             return self.movements
         return {name: Listed(moves) for name, moves in self.movements(blocks).items()}
@@ -50,7 +51,7 @@ class Datum:
 
 
 def turning(datum: Datum, block: Block) -> Datum:
-    """Return the datum with a block whose first three values are a vector, which turns with the frame."""
+    """Return the datum with one more block, whose first three values are a vector that turns with the frame."""
     if callable(datum.movements):
         return datum
     own = datum.movements[datum.block]
@@ -61,7 +62,7 @@ def turning(datum: Datum, block: Block) -> Datum:
 
 @dataclass(frozen=True)
 class Frame:
-    """The part of a datum that the data leave open, at the present values."""
+    """The freedoms of a datum that the data leave open, at the present values."""
 
     datum: Datum
     reduced: Array
@@ -74,7 +75,7 @@ class Frame:
     """`(G' E)^-1`, (k, k)"""
 
     def steps(self, blocks: Mapping[str, Block], values: Array) -> dict[str, Array]:
-        """Return the step (members, size) of each block that restores the condition at `values` of the datum block."""
+        """Return for each block the step (members, size) that restores the condition at `values` of the datum block."""
         datum = self.datum
         off = values - datum.reference
         if not (datum.members == 1).all():
@@ -84,26 +85,26 @@ class Frame:
         return {name: step if blocks[name].all_free else step * blocks[name].free for name, step in steps.items()}
 
     def constraint(self, members: Index | slice) -> Array:
-        """Return `(G' E)^-1 G'` of some members of the datum block, (members, size, k)."""
+        """Return `((G' E)^-1 G')'` for some members of the datum block, (members, size, k)."""
         g = self.reference.mixed(self.amounts.T).at(self.datum.reference, members)
         weights = self.datum.members[members]
         return g if (weights == 1).all() else np.asarray(g * weights[:, None, None])
 
     def conditions(self, layout: Layout) -> Array:
-        """Return the conditions `(G' E)^-1 G'` on a reduced system that holds the datum block, (k, width)."""
+        """Return the conditions `H = (G' E)^-1 G'` on a reduced system that contains the datum block, (k, width)."""
         columns = layout.columns[self.datum.block]
         conditions = np.zeros((layout.width, self.reduced.shape[1]))
         conditions[columns[columns >= 0]] = self.constraint(np.arange(len(columns)))[columns >= 0]
         return conditions.T
 
     def transform(self, layout: Layout) -> Array:
-        """Return the S-transformation `I - E H` of the reduced system that holds the datum block, (width, width)."""
+        """Return the S-transformation `I - E H` of a reduced system that contains the datum block, (width, width)."""
         transform: Array = np.eye(layout.width) - self.reduced @ self.conditions(layout)
         return transform
 
 
 def open_frame(datum: Datum, blocks: Mapping[str, Block], layout: Layout, matrix: Array) -> Frame | None:
-    """Return the movements of the datum that the reduced normal matrix does not see; None if it sees them all."""
+    """Return the movements of the datum that the reduced normal matrix leaves open; None if it determines all."""
     moves = datum.of(blocks)
     full = np.zeros((layout.width, len(datum.names)))
     for name, move in moves.items():
@@ -120,12 +121,13 @@ def open_frame(datum: Datum, blocks: Mapping[str, Block], layout: Layout, matrix
 
 
 def _open(full: Array, matrix: Array) -> Array:
-    """Return the combinations of the movements (width, f) that the matrix does not see, (f, k).
+    """Return the combinations of the movements (width, f) that the matrix does not determine, (f, k).
 
-    A movement without a part in the reduced system is seen: the readings of each eliminated member determine it.
+    A movement without a part in the reduced system counts as determined: the readings of each eliminated member fix it.
     """
     moving = np.flatnonzero((full != 0).any(axis=0))
     size = np.abs(full[:, moving])
+    # largest value that the quadratic form could have without cancellation: what is far below it is rounding
     lengths = np.sqrt(np.maximum(np.einsum("ik,ij,jk->k", size, np.abs(matrix), size, optimize=True), 1e-300))
     unit = full[:, moving] / lengths
     seen, basis = np.linalg.eigh(unit.T @ matrix @ unit)
@@ -135,7 +137,10 @@ def _open(full: Array, matrix: Array) -> Array:
 
 
 def _amounts(datum: Datum, block: Block, reference: Movement, moves: Movement) -> Array:
-    """Return `(G' E)^-1`; LinAlgError where the members of the datum do not hold every open movement."""
+    """Return `(G' E)^-1`.
+
+    Raises LinAlgError if the members of the datum do not fix every open movement.
+    """
     seen = datum.members if block.all_free else datum.members[:, None] * block.free
     product = reference.gram(datum.reference, moves, block.values, seen)
     own = np.diag(reference.gram(datum.reference, reference, datum.reference, datum.members**2))

@@ -1,4 +1,4 @@
-"""The design of a measurement as plain matrices: derivatives of readings by the free unknowns, in rows and summed."""
+"""The Jacobian of a measurement as a dense matrix: derivatives of readings by the free unknowns, and `J'J`."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from metrocli.adjust.model.observations import Index
 from metrocli.adjust.solution import Solution
 
 _CHUNK = 4000
-"""Readings whose rows are held at a time"""
+"""Number of readings whose rows are held in memory at a time"""
 
 
 @dataclass(frozen=True)
 class Unknowns:
-    """The free entries of blocks, in order."""
+    """The free entries of blocks, numbered in order."""
 
     columns: Mapping[str, Index]
-    """Place of each entry of a block, (members, size); -1 where it is not free"""
+    """Number of each entry of a block, (members, size); -1 if it is fixed"""
     size: int
 
     def names(self, blocks: Mapping[str, Block]) -> list[tuple[str, str, str]]:
@@ -34,7 +34,7 @@ class Unknowns:
         return found
 
     def spread(self, name: str, values: Array) -> Array:
-        """Return unknowns (size, ...) as the entries of a block (members, size, ...), 0 where it is not free."""
+        """Return values of the unknowns (size, ...) as entries of a block (members, size, ...), 0 where it is fixed."""
         columns = self.columns[name]
         mask = (columns >= 0).reshape(*columns.shape, *(1,) * (values.ndim - 1))
         return np.where(mask, values[np.maximum(columns, 0)], 0.0)
@@ -60,19 +60,19 @@ def unknowns_of(blocks: Mapping[str, Block], names: Sequence[str]) -> Unknowns:
 
 
 def rows(group: Group, blocks: Mapping[str, Block], unknowns: Unknowns) -> Array:
-    """Return the derivatives of the whitened prediction by the unknowns, (d, n, size)."""
+    """Return the derivatives of the whitened predictions by the unknowns, (d, n, size)."""
     d, n = group.observations.readings.shape
     design = np.zeros((d, n, unknowns.size + 1))
     for touch in group.linear(blocks, frozenset(unknowns.columns)).touches:
         places = unknowns.columns[touch.block][touch.index]
         for column in range(touch.jacobian.shape[1]):
-            # what is not free falls into a last column that is cut off
+            # fixed entries have place -1: they fall into a last column that is dropped
             design[:, np.arange(n), places[:, column]] += touch.jacobian[:, column]
     return design[:, :, :-1]
 
 
 def normal_matrix(groups: Sequence[Group], blocks: Mapping[str, Block], unknowns: Unknowns) -> Array:
-    """Return `sum of J'J` over all readings, whitened, (size, size)."""
+    """Return `J'J` of the whitened readings of all groups, (size, size)."""
     total = np.zeros((unknowns.size,) * 2)
     for group in groups:
         n = group.observations.count
@@ -84,7 +84,7 @@ def normal_matrix(groups: Sequence[Group], blocks: Mapping[str, Block], unknowns
 
 
 def unit_noise(group: Group, sigma: Array | float = 1.0) -> Group:
-    """Return the group with uncorrelated noise of the same size in every component."""
+    """Return the group with uncorrelated noise of one standard deviation `sigma` in every component."""
     observations = replace(group.observations, covariance=None, sigma=np.asarray(sigma, dtype=float))
     return group.with_observations(observations)
 

@@ -1,4 +1,7 @@
-"""What depends on the solution itself, standard deviations and directions of view: found again from each solution."""
+"""Standard deviations and directions of view that depend on the solution: computed again after each adjustment.
+
+Method: docs/algorithms/iterated-weights.md.
+"""
 
 from __future__ import annotations
 
@@ -15,16 +18,16 @@ from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.solution import Solution
 
 Noise = Callable[[Group, Mapping[str, Block]], Array]
-"""Standard deviations (d, n) of a group's readings at the blocks' values"""
+"""Function that returns standard deviations (d, n) of a group's readings at the blocks' values"""
 
 Aspect = Callable[[Mapping[str, Block], Observations], Array]
-"""A condition of the readings (n,) that follows from where things are, such as the azimuth of a beam"""
+"""Function that returns a condition of the readings (n,) at the present values, e.g. the azimuth of a beam"""
 
 _ROUNDS, _STEPS = 20, 200
 _SETTLED = 1e-9
-"""Standard deviations are found when another round would change none of them by more than this share"""
+"""The standard deviations have converged when a round changes none of them by more than this fraction"""
 _STILL = 1e-7
-"""Aspects, which are numbers of the order of 1, are found when another round would change none by more than this"""
+"""The aspects, numbers of the order of 1, have converged when a round changes none of them by more than this"""
 
 
 def adjust_with_iterated_weights(
@@ -34,10 +37,11 @@ def adjust_with_iterated_weights(
     datum: Datum | None = None,
     aspects: Mapping[str, Aspect] | None = None,
 ) -> Solution:
-    """Adjust, with the standard deviations of the group `noise[0]` taken from the solution itself, to convergence.
+    """Adjust with standard deviations of group `noise[0]` that are computed from the solution, until they converge.
 
-    The weights are constants of each adjustment, so the sum of squares that is least is that of the last weights.
-    So are the aspects among the conditions of the group: an effect that depends on them then fixes no frame.
+    Within each adjustment the weights are constants, so the result is the least-squares solution for the last weights.
+    The aspects among the conditions of the group are constants too: otherwise an effect that depends on a direction
+    would fix the orientation of a free network.
     """
     name, sigma_of = noise
     state = {block.name: block for block in blocks}
@@ -55,7 +59,7 @@ def adjust_with_iterated_weights(
 
 
 def with_aspects(group: Group, aspects: Mapping[str, Aspect], blocks: Mapping[str, Block]) -> tuple[Group, float]:
-    """Return the group with its aspects as the blocks' values say, and the largest change of one it had before."""
+    """Return the group with its aspects at the blocks' values, and the largest change of those it had before."""
     observations = group.observations
     found = {name: aspect(blocks, observations) for name, aspect in aspects.items()}
     before = observations.conditions

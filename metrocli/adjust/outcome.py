@@ -1,4 +1,4 @@
-"""How an adjustment can end."""
+"""How an adjustment ends."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from enum import Enum
 
 
 class Outcome(Enum):
-    """Each outcome as the sentence that is told."""
+    """The outcome of an adjustment; its value is the sentence that is reported."""
 
     CONVERGED = "the adjustment converged"
     UNDETERMINED = "the data cannot determine the unknowns"
@@ -24,12 +24,12 @@ class Outcome(Enum):
 
 @dataclass(frozen=True)
 class Combination:
-    """A direction of the unknowns that the readings leave open, or that is uncertain beyond all plausible values."""
+    """A combination of unknowns that the readings leave undetermined, or less certain than is plausible."""
 
     parts: tuple[tuple[str, str, str, float], ...]
-    """What moves together: (block, column, members, share); members is '' for all, share is relative to the largest"""
+    """What changes together: (block, column, members, share); members '' means all, share is relative to the largest"""
     spread: float
-    """Standard uncertainty along it in units of the unknowns' plausible reach; inf where it is open"""
+    """Standard uncertainty of the combination in units of the unknowns' plausible reach; inf if it is undetermined"""
 
     def __str__(self) -> str:
         words = []

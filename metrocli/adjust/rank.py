@@ -1,7 +1,7 @@
-"""What the data leave undetermined, found before any number is given out.
+"""Undetermined combinations of unknowns, found before any result is given out.
 
-Unknowns are measured in units of their plausible reach, so that an uncertainty of more than 1 in any direction says
-that the linearised result means nothing there, whether the matrix is singular or only nearly so.
+Unknowns are scaled by their plausible reach. An uncertainty above 1 in any direction then means that the linearised
+result is useless there, whether the matrix is exactly singular or only nearly so. Method: docs/algorithms/rank.md.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ from metrocli.adjust.schur.layout import Layout
 from metrocli.adjust.schur.normals import Normals, Part
 
 _INFLATION = 1e6
-"""An unknown whose uncertainty grows by more than this because others are unknown too is undetermined."""
+"""Reach of an unknown without a stated one, in standard deviations that it would have with all other unknowns known"""
 _ROUNDING = 1e-14
-"""Eigenvalues below this share of the largest are rounding"""
+"""Eigenvalues below this fraction of the largest are rounding"""
 _SHARE = 0.25
-"""Parts of a combination smaller than this against its largest are not named."""
+"""Parts of a combination smaller than this fraction of its largest part are not named"""
 _NAMED = 3
 
 
 def open_combinations(
     blocks: Mapping[str, Block], layout: Layout, normals: Normals, matrix: Array
 ) -> tuple[Combination, ...]:
-    """Return the undetermined combinations at the present values; none where everything is determined."""
+    """Return the undetermined combinations at the present values; empty if everything is determined."""
     single = _open_members(blocks, layout, normals)
     if single or not layout.width:
         return single
@@ -44,7 +44,10 @@ def open_combinations(
 
 
 def _surely_determined(scaled: Array) -> bool:
-    """Whether the trace of the inverse is below 1 and no rounding error, so that no direction can be open."""
+    """Return whether the trace of the inverse is below 1 beyond rounding, so that no direction can be open.
+
+    A Cholesky factor costs far less than the eigenvalues, and most jobs are determined.
+    """
     try:
         root = np.linalg.inv(np.linalg.cholesky(scaled))
     except np.linalg.LinAlgError:
@@ -64,14 +67,14 @@ def _reach(blocks: Mapping[str, Block], layout: Layout, diagonal: Array) -> Arra
 
 
 def _limited(reach: Array, diagonal: Array) -> Array:
-    """Return the reach, at most `_INFLATION` standard deviations of the unknown with all others known."""
+    """Return the reach, limited to `_INFLATION` standard deviations of the unknown with all others known."""
     alone = np.where(diagonal > 0, _INFLATION / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)), np.inf)
     limited = np.minimum(reach, alone)
     return np.where(np.isfinite(limited), limited, 1.0)
 
 
 def _open_members(blocks: Mapping[str, Block], layout: Layout, normals: Normals) -> tuple[Combination, ...]:
-    """Return members of the eliminated block that their own readings do not determine."""
+    """Return the members of the eliminated block that their own readings do not determine."""
     if layout.eliminated is None:
         return ()
     return tuple(found for part in normals.parts for found in _open_in(blocks[layout.eliminated], part))
@@ -84,6 +87,7 @@ def _open_in(block: Block, part: Part) -> list[Combination]:
     if _all_determined(part, reach):
         return []
     names = np.arange(len(block.members))[part.members]
+    # 2 on the diagonal of fixed entries: above the bound of 1, so they are never called open
     scaled = matrices * reach[:, :, None] * reach[:, None, :] + np.eye(block.size) * ~free[:, None, :] * 2
     values, vectors = np.linalg.eigh(scaled)
     bad = np.flatnonzero(values[:, 0] < 1)
@@ -100,7 +104,7 @@ def _open_in(block: Block, part: Part) -> list[Combination]:
 
 
 def _all_determined(part: Part, reach: Array) -> bool:
-    """Whether the trace of the inverse of every member is below 1, so that none can be open."""
+    """Return whether the trace of the inverse is below 1 for every member, so that none can be open."""
     try:
         inverse = part.inverse()
     except np.linalg.LinAlgError:
@@ -124,10 +128,12 @@ def _combination(
 
 
 def _unit(block: Block, move: Array) -> Array:
+    """Return the scale of each column: its reach or, without one, its own largest change."""
     return np.where(np.isfinite(block.reach), block.reach, np.maximum(np.abs(move).max(axis=0), 1e-300))
 
 
 def _named(block: Block, shares: Array) -> list[tuple[str, str, str, float]]:
+    """Return the parts of a combination that are worth naming, column by column."""
     parts = []
     for column, share in zip(block.columns, shares.T, strict=True):
         taking = np.flatnonzero(share > _SHARE)
@@ -147,4 +153,5 @@ def _named(block: Block, shares: Array) -> list[tuple[str, str, str, float]]:
 
 
 def _spread(value: float) -> float:
+    """Return the standard uncertainty along an eigenvector, from its eigenvalue."""
     return float(1 / np.sqrt(value)) if value > 1e-9 else float("inf")

@@ -1,4 +1,7 @@
-"""Gross errors: a start that they do not spoil, and the readings that the tests reject."""
+"""Gross errors: a start that they do not spoil, and tests that reject single readings.
+
+Method: docs/algorithms/robust-start.md.
+"""
 
 from __future__ import annotations
 
@@ -15,25 +18,25 @@ from metrocli.adjust.model.observations import Index
 from metrocli.adjust.solution import Residuals
 
 _MAD = 1.4826
-"""Standard deviation of a normal sample over its median absolute deviation."""
+"""Standard deviation of a normal sample divided by its median absolute deviation"""
 _GROSS = 8.0
-"""Residuals beyond this many robust standard deviations call for a robust start."""
+"""Residuals beyond this many robust standard deviations call for a robust start"""
 _TUKEY = 4.685
-"""Tuning constant of the biweight: 95 % efficiency for normal errors."""
+"""Tuning constant of Tukey's biweight: 95 % efficiency for normal errors"""
 _ROUNDS = 12
 _ENOUGH = 8
-"""Readings that give a member a scale of its own"""
+"""A member with at least so many readings has a scale of its own"""
 
 
 def robust_start(
     blocks: Iterable[Block], groups: Sequence[Group], name: str, datum: Datum | None = None, within: str = ""
 ) -> dict[str, Block]:
-    """Return blocks near the solution, with gross errors among the readings of group `name` held off.
+    """Return blocks near the solution, undisturbed by gross errors among the readings of group `name`.
 
-    A few steps with weights 1/|v| for readings that are far off at the start; then, where residuals beyond 8 robust
-    standard deviations are left, rounds of reweighting: first 1/|v| (least absolute deviations), then Tukey's
-    biweight, each with the scale of the median. `within` names an index of the readings, such as the image, whose
-    members have a scale of their own: an image still astray is not thrown out as a whole.
+    A few steps are taken first, with weights 1/|v| if some readings are far off at the start. If residuals beyond 8
+    robust standard deviations remain, the group is reweighted in rounds: first with 1/|v| (least absolute deviations),
+    then with Tukey's biweight. The scale of each round is the median of the residuals. `within` names an index of the
+    readings, such as the image, whose members have their own scale: an image still far off is not rejected as a whole.
     """
     state: Mapping[str, Block] = {block.name: block for block in blocks}
     group = next(group for group in groups if group.name == name)
@@ -51,7 +54,7 @@ def robust_start(
 
 
 def _least_absolute(share: Array) -> Array | None:
-    """Return weights 1/|v|, at most 1; None where no reading is far off."""
+    """Return weights 1/|v|, at most 1; None if no reading is far off."""
     return None if share.max(initial=0.0) <= _GROSS else 1 / np.maximum(share, 1.0)
 
 
@@ -61,7 +64,7 @@ def _reweighted(groups: Sequence[Group], name: str, weights: Array | None) -> li
 
 
 def _share(group: Group, blocks: Mapping[str, Block], within: str = "") -> Array:
-    """Return the length of each residual in robust standard deviations, of its own member where that is larger."""
+    """Return each residual's length in robust standard deviations: those of its member, if they are larger."""
     distance = _distances(group, blocks)
     scale = max(_scale(distance), 1e-12)
     index = group.observations.index.get(within)
@@ -76,18 +79,19 @@ def _member_scales(distance: Array, index: Index) -> Array:
     enough = counts >= _ENOUGH
     middle = np.cumsum(counts) - counts + counts // 2
     scales = np.zeros(len(counts))
+    # sorted by member, then by length: the middle one of each member is its median
     scales[enough] = _MAD * distance[np.lexsort((distance, index))][middle[enough]]
     return scales
 
 
 def gross(group: Group, blocks: Mapping[str, Block]) -> Array:
-    """Return the distance of each reading in robust standard deviations where it is beyond 8 of them, else 0, (n,)."""
+    """Return the length of each residual in robust standard deviations if it is above 8, else 0, (n,)."""
     share = _share(group, blocks)
     return np.where(share > _GROSS, share, 0.0)
 
 
 def typical(group: Group, blocks: Mapping[str, Block]) -> float:
-    """Return the median length of the residuals of a group, in the unit of its readings."""
+    """Return the median length of a group's residuals, in the unit of its readings."""
     residual = group.residuals(blocks)
     return float(np.median(np.nan_to_num(np.sqrt((residual**2).sum(axis=0)), nan=np.inf)))
 
@@ -99,7 +103,7 @@ def _distances(group: Group, blocks: Mapping[str, Block]) -> Array:
 
 
 def _scale(distance: Array) -> float:
-    """Return a robust standard deviation of the lengths of residuals."""
+    """Return a robust standard deviation from lengths of residuals."""
     return float(_MAD * np.median(distance)) if distance.size else 0.0
 
 
@@ -112,30 +116,30 @@ def critical_value(tests: int, level: float = 0.05) -> float:
 
 @dataclass(frozen=True)
 class Suspects:
-    """Readings of a group whose residuals are too large for chance."""
+    """Readings of a group whose residuals are too large to be due to chance."""
 
     rows: Index
     """Indices (k,) into the group"""
     tests: Array
-    """The larger |w| of each over the noise of the others, scaled so that `critical` is its bound (k,)"""
+    """Largest |w| of each, relative to the noise of the other readings, scaled so that `critical` is its bound (k,)"""
     critical: float
 
 
 @dataclass(frozen=True)
 class Fit:
-    """How well an adjustment fits: what the tests of single readings are held against."""
+    """How well an adjustment fits: the reference for the tests of single readings."""
 
     cost: float
     dof: int
     noise_known: bool
-    """Whether sigma0 may not be below 1: the noise is declared, not estimated"""
+    """Whether the noise is declared, not estimated: then sigma0 counts as at least 1"""
 
 
 def suspects(found: Residuals, fit: Fit) -> Suspects:
-    """Return the readings whose largest |w| is too large for chance, at 5 % over all readings.
+    """Return the readings whose largest |w| is too large to be due to chance, at 5 % over all readings.
 
-    Each reading is judged by the noise of the others, `s_i^2 = (v'Pv - w_i'w_i) / (dof - d)` (external studentisation),
-    so that one gross error cannot hide in the sigma0 that it makes; with declared noise s_i is at least 1.
+    Each reading is compared with the noise of the others, `s_i^2 = (v'Pv - w_i'w_i) / (dof - d)` (external
+    studentisation), so a gross error cannot hide in the sigma0 that it causes. With declared noise s_i is at least 1.
     """
     w = np.abs(found.normalised).max(axis=0)
     rest = fit.dof - found.values.shape[0]
@@ -152,7 +156,7 @@ def suspects(found: Residuals, fit: Fit) -> Suspects:
 
 
 def _student_bound(tests: int, dof: int, level: float = 0.05) -> float:
-    """Return the bound of the largest of `tests` values of Student's t (Bonferroni)."""
+    """Return the bound that the largest of `tests` |t| of Student exceeds with probability `level` (Bonferroni)."""
     from scipy.special import stdtrit
 
     return float(stdtrit(dof, 1 - level / (2 * max(tests, 1))))

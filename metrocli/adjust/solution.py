@@ -1,4 +1,4 @@
-"""What an adjustment returns: values, covariance, statistics, and what its residuals say of each reading."""
+"""What an adjustment returns: values, covariance, statistics, and tests of each reading."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from metrocli.adjust.schur.covariance import Covariance
 
 @dataclass(frozen=True)
 class Solution:
-    """The outcome of an adjustment."""
+    """The result of an adjustment."""
 
     outcome: Outcome
     blocks: Mapping[str, Block]
@@ -28,11 +28,11 @@ class Solution:
     """Inner constraints that the datum added"""
     undetermined: tuple[Combination, ...] = ()
     covariance: Covariance | None = None
-    """Of the unknowns, for the noise of the readings"""
+    """Covariance of the unknowns for the stated noise of the readings; None unless the outcome is good"""
 
     @property
     def observations(self) -> int:
-        """Number of scalar readings, priors included."""
+        """Number of scalar readings, including priors."""
         return sum(int(group.observations.readings.size) for group in self.groups)
 
     @property
@@ -42,7 +42,7 @@ class Solution:
 
     @property
     def sigma0(self) -> float:
-        """Standard deviation of unit weight from the residuals, 1 if the noise is right; nan without redundancy."""
+        """Standard deviation of unit weight: about 1 if the stated noise is right, nan without redundancy."""
         return float(np.sqrt(self.cost / self.dof)) if self.dof > 0 else float("nan")
 
     @property
@@ -53,13 +53,16 @@ class Solution:
         return float(chdtrc(self.dof, self.cost)) if self.dof > 0 else float("nan")
 
     def known(self) -> Covariance:
-        """Return the covariance; RuntimeError where the outcome gave none (ask `outcome` first)."""
+        """Return the covariance.
+
+        Raises RuntimeError if the outcome has none; check `outcome` first.
+        """
         if self.covariance is None:
             raise RuntimeError(self.outcome.value)
         return self.covariance
 
     def joint(self, names: Sequence[str]) -> Array:
-        """Return the covariance of the free entries of several blocks, one block after the other, row by row."""
+        """Return the covariance of the free entries of several blocks, in the order of the blocks, row by row."""
         free = [np.flatnonzero(self.blocks[name].free.ravel()) for name in names]
         scale = np.concatenate([self.by_step(name).ravel()[i] for name, i in zip(names, free, strict=True)])
         known = self.known()
@@ -70,7 +73,7 @@ class Solution:
         return np.asarray(np.concatenate(rows, axis=0) * scale[:, None] * scale)
 
     def by_step(self, block: str) -> Array:
-        """Return how much each value of a block changes by a unit step of its own, (members, size)."""
+        """Return how much each value of a block changes by a unit step, (members, size): 1 except for phases."""
         return self.blocks[block].space.by_step(self.blocks[block].values)
 
     def std(self, block: str) -> Array:
@@ -81,14 +84,14 @@ class Solution:
 
 @dataclass(frozen=True)
 class Residuals:
-    """Residuals of one group and what they are worth."""
+    """Residuals of one group with their redundancy and test values."""
 
     values: Array
     """`reading - predicted` in the unit of the reading, (d, n)"""
     sigma: Array
     """Standard deviation of the readings, (d, n)"""
     redundancy: Array
-    """Share of an error of the reading that shows in its own residual, 0..1, (d, n)"""
+    """Fraction of an error of the reading that shows in its own residual, 0..1, (d, n)"""
     normalised: Array
     """Baarda's w = v / (sigma sqrt(redundancy)), 0 where the reading is uncontrolled, (d, n)"""
 

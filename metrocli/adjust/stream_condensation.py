@@ -1,7 +1,8 @@
-"""Dense readings condensed to few, without loss for a model that is a quadratic in each cell.
+"""Dense readings condensed to few, without loss for a model that is quadratic in each cell.
 
-Least-squares parabolas of a cell, taken at the three Gauss nodes of its own points, are uncorrelated, and each has the
-weight of the Gauss quadrature (Golub and Welsch 1969): so the three values with these weights stand for all points.
+A parabola fitted to the points of a cell by least squares is evaluated at the three Gauss nodes of these points. The
+three values are uncorrelated, and the weight of each is its weight in Gauss quadrature (Golub and Welsch 1969). So
+they give the same normal equations as all points. Method: docs/algorithms/stream-condensation.md.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from metrocli.adjust.model.observations import Index
 
 _NODES = 3
 _SPREAD = 1e-6
-"""Cells whose points are too clumped for a parabola (smallest pivot of the moments) are condensed to their mean"""
+"""Cells whose points are too clumped for a parabola (smallest pivot of the moment matrix below this) give their mean"""
 
 
 @dataclass(frozen=True)
@@ -27,11 +28,11 @@ class Condensed:
     values: Array
     """(channels, m)"""
     weight: Array
-    """Number of readings that each stands for (m,)"""
+    """Number of original readings that each one represents (m,)"""
     misfit: Array
-    """Sum of squares of the readings about the parabolas of their cells, by channel"""
+    """Sum of squares of the original readings about the parabolas of their cells, for each channel"""
     dof: int
-    """Degrees of freedom of that sum, for each channel"""
+    """Degrees of freedom of that sum, the same for each channel"""
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class _Cells:
 
     cell: Index
     starts: Index
-    """First reading of each cell that has any"""
+    """Index of the first reading of each cell that has readings"""
     x: Array
     values: Array
 
@@ -53,7 +54,10 @@ class _Cells:
 
 
 def condense(x: Array, values: Array, cell: Index) -> Condensed:
-    """Condense readings `values` (channels, n) at x (n,) in cells (n,) to at most three for each cell."""
+    """Condense readings `values` (channels, n) at positions x (n,) in cells (n,) to at most three for each cell.
+
+    Cells of up to three points stay as they are; cells whose points are too clumped give their mean.
+    """
     order = np.argsort(cell, kind="stable")
     ordered = cell[order]
     starts = np.flatnonzero(np.diff(ordered, prepend=-1))
@@ -74,7 +78,7 @@ def condense(x: Array, values: Array, cell: Index) -> Condensed:
 
 @dataclass(frozen=True)
 class _Parts:
-    """Scaling of each cell, `u = (x - centre) / half`, and sums of the readings' products with powers of u."""
+    """Scaling of each cell to -1..1, `u = (x - centre) / half`, with moments of its readings."""
 
     centre: Array
     half: Array
@@ -85,7 +89,7 @@ class _Parts:
 
 
 def _moments(cells: _Cells) -> tuple[_Parts, Array]:
-    """Return the scaling, and the mean of u^0 ... u^5 in each cell, (cells, 6)."""
+    """Return the scaling, and the means of u^0 ... u^5 in each cell, (cells, 6)."""
     counts = cells.counts
     low, high = (function.reduceat(cells.x, cells.starts) for function in (np.minimum, np.maximum))
     centre, half = (low + high) / 2, np.maximum((high - low) / 2, 1e-300)
@@ -94,6 +98,7 @@ def _moments(cells: _Cells) -> tuple[_Parts, Array]:
     left = cells.values - np.repeat(mean, counts, axis=1)
     power, moments, right = np.ones_like(u), [], []
     for k in range(2 * _NODES):
+        # the Jacobi matrix of Golub and Welsch for three nodes needs moments up to u^5
         moments.append(cells.sums(power) / counts)
         if k < _NODES:
             right.append(cells.sums(left * power) / counts)
@@ -102,11 +107,12 @@ def _moments(cells: _Cells) -> tuple[_Parts, Array]:
 
 
 def _hankel(moments: Array, first: int) -> Array:
+    """Return the matrices of the moments of `u^(first + i + j)`, (cells, 3, 3)."""
     return np.stack([moments[:, first + i : first + i + _NODES] for i in range(_NODES)], axis=1)
 
 
 def _smallest_pivot(moments: Array) -> Array:
-    """Return the smallest of the pivots of each moment matrix, 0 where it is singular."""
+    """Return the smallest pivot of each moment matrix, 0 if it is singular."""
     a = _hankel(moments, 0)
     variance = a[:, 1, 1] - a[:, 0, 1] ** 2
     safe = np.maximum(variance, 1e-300)
@@ -118,6 +124,10 @@ _Piece = tuple[Index, Array, Array, Array]
 
 
 def _parabolas(cells: _Cells, parts: _Parts, moments: Array, chosen: Mask) -> _Piece:
+    """Return the fitted parabolas of the chosen cells at their Gauss nodes, with the Gauss weights.
+
+    With M = R R' the moment matrix, the nodes are the eigenvalues of `R^-1 M1 R^-T`, M1 the moments one power up.
+    """
     numbers = np.flatnonzero(chosen)
     root = np.linalg.cholesky(_hankel(moments[numbers], 0))
     back = np.linalg.inv(root)
@@ -132,11 +142,13 @@ def _parabolas(cells: _Cells, parts: _Parts, moments: Array, chosen: Mask) -> _P
 
 
 def _as_they_are(cells: _Cells, chosen: Mask) -> _Piece:
+    """Return all readings of the chosen cells, each with weight 1."""
     rows = np.flatnonzero(np.repeat(chosen, cells.counts))
     return cells.cell[rows], cells.x[rows], cells.values[:, rows], np.ones(len(rows))
 
 
 def _means(cells: _Cells, parts: _Parts, chosen: Mask) -> _Piece:
+    """Return one reading for each chosen cell: the means of position and values."""
     numbers = np.flatnonzero(chosen)
     where = cells.sums(cells.x)[numbers] / cells.counts[numbers]
     return cells.cell[cells.starts[numbers]], where, parts.mean[:, numbers], cells.counts[numbers].astype(float)

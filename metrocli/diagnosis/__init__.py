@@ -1,1 +1,1 @@
-"""Diagnosis: what the model of a job gets wrong, why, and the gain of mending it; it knows no instrument."""
+"""Diagnosis: what the model of a job gets wrong, why, and what a correction gains. It knows no instrument."""

@@ -1,4 +1,4 @@
-"""What is diagnosed: an adjusted job, its readings' covariates, and the effects that could be in it."""
+"""What is diagnosed: an adjusted job, the covariates of its readings, and the effects that its model could lack."""
 
 from __future__ import annotations
 
@@ -12,92 +12,92 @@ from metrocli.effects.effect import Effect
 from metrocli.effects.model import Model
 
 PerReading = Mapping[str, Array]
-"""By the name of a group of readings, values (n,) or (k, n)"""
+"""Values (n,) or (k, n) for each group of readings, by its name"""
 
 
 @dataclass(frozen=True)
 class Covariate:
-    """Something that an unknown effect could vary with; smooth functions of it are tried."""
+    """A quantity that an unknown effect could vary with; smooth functions of it are tried."""
 
     name: str
-    """As the file has it: t_s, temp_degC, or in words: beam direction"""
+    """Its name in the file (t_s, temp_degC), or in words (beam direction)"""
     values: PerReading
-    """(n,), or (k, n) where it has several coordinates, such as a direction"""
+    """Values (n,), or (k, n) if it has several coordinates, such as a direction"""
     degree: int = 5
-    """Of the polynomials that are tried, or the highest harmonic"""
+    """Degree of the polynomials that are tried, or the highest harmonic"""
     angle: bool = False
-    """It comes round: harmonics of it are tried"""
+    """Whether it is an angle, so that harmonics of it are tried"""
     periodic: bool = False
-    """Sines of it are tried, over a scan of periods"""
+    """Whether sines of it are tried, over a scan of periods"""
     together: bool = False
-    """Its coordinates (k, n) are the terms themselves, of readings of all groups at once: an unknown that moves"""
+    """Whether its coordinates (k, n) are the terms themselves, for all groups at once (e.g. an unknown rigid motion)"""
 
 
 @dataclass(frozen=True)
 class Delivered:
-    """What the job is run for: a block whose members are points or the like."""
+    """The result for which the job is run: a block whose members are points or the like."""
 
     what: str
-    """In words: point coordinates"""
+    """In words, e.g. point coordinates"""
     block: str
     columns: tuple[int, ...]
     unit: str
-    """Unit for people, such as um"""
+    """Unit in which it is shown, such as um"""
     dimension: str
     also: tuple[str, ...] = ()
-    """More blocks of the same kind, with the same columns"""
+    """Further blocks of the same kind, with the same columns"""
 
     @property
     def blocks(self) -> tuple[str, ...]:
-        """All blocks."""
+        """Names of all its blocks."""
         return (self.block, *self.also)
 
 
 @dataclass(frozen=True)
 class Standing:
-    """An effect on a job's own block at a size that is not estimated, about which all is linear."""
+    """An effect on one of the job's own blocks that is in the model at a fixed size, about which all is linearised."""
 
     effect: Effect
     instance: tuple[str, ...]
     sizes: tuple[float, ...]
-    """Of its parameters"""
+    """Values of its parameters"""
 
 
 @dataclass(frozen=True)
 class AdjustedJob:
-    """An adjusted job as diagnosis sees it."""
+    """An adjusted job, as diagnosis uses it."""
 
     kind: str
     model: Model
-    """At its solution, with the weights it was given"""
+    """The model at its solution, with the weights that the job was given"""
     effects: tuple[Effect, ...]
     covariates: tuple[Covariate, ...]
     units: tuple[str, ...]
-    """Kinds of place that may have a noise and smooth functions of their own: the tracers, the images"""
+    """Kinds of place that may have their own noise and their own smooth functions: the tracers, the images"""
     folds: Mapping[str, Index]
-    """For each group of readings the part (n,) that is held out together"""
+    """For each group of readings the number of the part (n,) in which it is held out for cross-validation"""
     delivered: Delivered
     refit: Callable[[Model, Mapping[str, Mask]], Solution]
-    """Adjusts a model made from this one to some of the readings of each group"""
+    """Adjusts a model derived from this one to some of the readings of each group"""
     reading: tuple[str, str] = ("um", "length")
-    """Unit and dimension in which held-out errors of readings are told"""
+    """Unit and dimension in which errors of held-out readings are reported"""
     replicates: Mapping[str, Index] = field(default_factory=dict)
-    """For each group a number (n,) that readings have in common which were repeated under the same conditions"""
+    """For each group a label (n,) that is shared by readings repeated under the same conditions"""
     astray: float = 0.0
-    """How far places are from where the files say, over what is plausible; beyond 1 a file is wrong"""
+    """Distance of places from where the files list them, relative to what is plausible; above 1 a file is wrong"""
     fewest: int = 3
-    """Components of readings that an effect must touch; what touches fewer is an outlier"""
+    """Fewest components of readings that an effect must change; what changes fewer is an outlier"""
     single_components: bool = False
-    """Whether the components of a reading (u, v) go wrong one by one"""
+    """Whether the components of a reading (u, v) are tested as outliers one by one"""
     declared: str = ""
-    """The noise as the job declares it, in words"""
+    """The noise that the job declares, in words"""
     adjusted: frozenset[tuple[str, tuple[str, ...]]] = frozenset()
-    """Cause and place of effects with which its unknowns were adjusted"""
+    """Cause and place of the effects that were adjusted to reach the present values of its unknowns"""
     standing: tuple[Standing, ...] = ()
-    """Those of them that stand in its model at the size found; what is looked for is in the residuals without them"""
+    """Those of them that are in its model at a fixed size; the search treats the residuals as if they were not"""
     patient: bool = False
-    """Whether all is looked for at once, also beside large effects with which it was not adjusted"""
+    """Whether the search goes on beside dominant effects that were not adjusted"""
     not_sought: Mapping[str, str] = field(default_factory=dict)
-    """Names of effects that these readings cannot be searched for, each with the reason"""
+    """Names of effects that cannot be searched for in these readings, each with the reason"""
     offers: Callable[[Model], Iterable[tuple[str, Model]]] = field(default=lambda model: ())
-    """What could be measured in addition, in words, with the model of that measurement"""
+    """Further measurements that the kind of job proposes: in words, with the model of that measurement"""

@@ -1,7 +1,8 @@
-"""Gain: how much better parts of the readings are predicted that were held out, the selection repeated without them.
+"""Cross-validation: how much better held-out readings are predicted with an effect, the selection repeated without them.
 
-Leaving rows g out of a linear adjustment needs no new one: the error of their prediction is `e = M_gg^- r_g` with the
-covariance `s^2 M_gg^-`, and the rest is what remains when their unit vectors are columns of the model.
+Leaving readings g out of a linear adjustment needs no new adjustment. The error of their prediction is
+`e = M_gg^- r_g` with covariance `s^2 M_gg^-`, and the model of the others is the one in which the unit vectors of g
+are fitted columns. Method: docs/algorithms/selection.md.
 """
 
 from __future__ import annotations
@@ -21,12 +22,12 @@ from metrocli.diagnosis.selection.search import search
 from metrocli.diagnosis.selection.selection_state import Chosen, Selection
 
 _DETERMINED = 1e-6
-"""Eigenvalue of M_gg below which a direction is not predicted by the others"""
+"""Eigenvalue of M_gg below which a direction of the held-out readings is not predicted by the others"""
 
 
 @dataclass(frozen=True)
 class Gain:
-    """What an effect gains on held-out readings."""
+    """Gain of an effect: how much better held-out readings are predicted with it."""
 
     before: float
     """Root mean square error of prediction, in the internal unit of the readings"""
@@ -38,30 +39,31 @@ class Gain:
 
     @property
     def shown(self) -> bool:
-        """Whether the gain is beyond twice its standard error."""
+        """Whether the gain exceeds twice its standard error."""
         return self.log_score > 2 * self.log_score_std
 
     @property
     def reduction(self) -> float:
-        """Share by which the error falls."""
+        """Fraction by which the error decreases."""
         return 1 - self.after / self.before if self.before > 0 else 0.0
 
 
 @dataclass(frozen=True)
 class _Held:
-    """How well one fold is predicted."""
+    """Prediction of one fold."""
 
     score: float
     errors: Array
-    """Of the readings in the unit in which they are told"""
+    """Errors of prediction of the readings, in the unit in which they are reported"""
     directions: float
-    """As how many errors they count"""
+    """Number of independent errors that they amount to"""
 
 
 def cross_validated(job: AdjustedJob, selection: Selection, names: Sequence[NamedEffect]) -> list[Gain]:
-    """Return the gain of each named effect, then of all: with what each fold's own selection names of it, and without.
+    """Return the gain of each named effect, then of all together.
 
-    Smooth terms are in neither, as the extended job has none.
+    Each fold is predicted with what its own selection names of the effect, and without it. Smooth terms are in neither
+    model, as the extended job has none.
     """
     test_set = selection.test_set
     rows = _rows_of_folds(job, test_set)
@@ -97,9 +99,9 @@ def _without(test_set: ScoreTests, out: Index) -> FittedColumns:
 def _compared(
     start: FittedColumns, trained: Selection, names: Sequence[NamedEffect], out: Index
 ) -> tuple[_Held, _Held]:
-    """Return how well a fold is predicted without and with effects, as the selection without the fold has them.
+    """Return the prediction of a fold without and with effects, as the selection without the fold has them.
 
-    In `start` the wrong readings of the fold are unknowns of their own, so that they count for neither.
+    In `start` the outliers of the fold are unknowns of their own, so they count for neither.
     """
     test_set = trained.test_set
     spots = {spot for name in names for spot in _spots(name)}
@@ -113,22 +115,22 @@ def _compared(
     return _held(test_set, before, out), _held(test_set, _with_all(before, own), out)
 
 
-def _with_all(given: FittedColumns, chosen: Sequence[Chosen]) -> FittedColumns:
-    return given.with_columns(np.concatenate([one.columns for one in chosen], axis=1)) if chosen else given
+def _with_all(fitted: FittedColumns, chosen: Sequence[Chosen]) -> FittedColumns:
+    return fitted.with_columns(np.concatenate([one.columns for one in chosen], axis=1)) if chosen else fitted
 
 
-def _held(test_set: ScoreTests, given: FittedColumns, out: Index) -> _Held:
+def _held(test_set: ScoreTests, fitted: FittedColumns, out: Index) -> _Held:
     """Return the log density of the held-out readings (multivariate t) and their errors of prediction."""
     from scipy.special import gammaln
 
-    taken = np.concatenate([test_set.system.basis[out], given.basis[out]], axis=1)
+    taken = np.concatenate([test_set.system.basis[out], fitted.basis[out]], axis=1)
     values, vectors = np.linalg.eigh(np.eye(len(out)) - taken @ taken.T)
     kept = values > _DETERMINED
-    along = vectors[:, kept].T @ given.residual[out]
+    along = vectors[:, kept].T @ fitted.residual[out]
     own = float((along**2 / values[kept]).sum())
     k = int(kept.sum())
-    rest = max(given.dof - k, 1.0)
-    variance = max(given.squares - own, 1e-300) / rest
+    rest = max(fitted.dof - k, 1.0)
+    variance = max(fitted.squares - own, 1e-300) / rest
     score = float(
         gammaln((rest + k) / 2)
         - gammaln(rest / 2)

@@ -18,39 +18,42 @@ from metrocli.diagnosis.selection.thresholds import FIRST, WRONG_READING
 from metrocli.effects.effect import Effect
 
 _POWER = 0.8
+"""Probability with which an effect of the least detectable size is found"""
 _ALIKE = 0.9
+"""Correlation above which two candidates are reported as alike"""
 _SAME = 0.999
+"""Correlation above which two candidates cannot be distinguished at all"""
 _HELPS = 0.98
-"""Correlation above which an offer is not worth telling"""
+"""Correlation above which a further measurement does not help enough to be reported"""
 _NAMED_ABSORBERS = 3
 _PART = 0.1
-"""Share of the largest below which an unknown is not named among those that absorb"""
+"""Fraction of the largest absorbed change below which an unknown is not named among those that absorb"""
 _NOTHING = 1e-9
-"""Change of the result, as a share of the change of all readings, that is rounding"""
+"""Change of the result, relative to the change of all readings, that is rounding"""
 _SEPARATED = 1.645
-"""One-sided 5 % of a normal: risk of the wrong one of two names"""
+"""One-sided 5 % quantile of the normal distribution: risk of choosing the wrong one of two names"""
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """What the measurement can say of one cause at one place."""
+    """What the measurement can detect of one cause at one place."""
 
     alternative: Alternative
     family: int
     number: int
-    """The alternative of median visibility, where it was scanned"""
+    """Number of its alternative of median visibility, if it was scanned"""
     visible: float
-    """Share of the signature that the unknowns leave"""
+    """Fraction of the signature that the unknowns do not absorb"""
     detectable: float
-    """Least size found with 80 % power, after counting all that is tried; inf where nothing is visible"""
+    """Smallest size that is found with 80 % power, counted over all that is tried; inf if nothing is visible"""
     plausible: float
     hides: float
-    """Largest change of what is delivered by an effect of that size, or of plausible size where nothing is visible"""
+    """Largest change of the delivered result by an effect of that size, or of plausible size if nothing is visible"""
     absorbed_by: tuple[str, ...]
 
     @property
     def testable(self) -> bool:
-        """Whether anything of it is visible."""
+        """Whether any part of it is visible."""
         return bool(np.isfinite(self.detectable))
 
     @property
@@ -71,33 +74,33 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Pair:
-    """Two candidates that look alike."""
+    """Two candidates with similar signatures."""
 
     one: str
     other: str
     correlation: float
     separable: float
-    """Size of the first from which it is told from the other in 95 of 100 cases"""
+    """Size of the first from which it is distinguished from the other in 95 of 100 cases"""
     unit: str
     dimension: str
 
     @property
     def alias(self) -> bool:
-        """Whether nothing tells them apart."""
+        """Whether no measurement of this design can distinguish them."""
         return self.correlation > _SAME
 
 
 @dataclass(frozen=True)
 class WrongReading:
-    """What an error of a single reading must be to be found."""
+    """What error of a single reading is detected."""
 
     effect: Effect
     detectable: float
-    """The median of all readings, in their unit; inf where none of them shows its own error"""
+    """Median over all readings of the smallest error that is found, in their unit; inf if none shows its own error"""
     hides: float
-    """Largest change of what is delivered by an error of one reading that just escapes"""
+    """Largest change of the delivered result by an error of one reading that is just not found"""
     unchecked: int
-    """Readings whose errors no other reading shows"""
+    """Number of readings whose errors no other reading shows"""
 
     @property
     def testable(self) -> bool:
@@ -107,7 +110,7 @@ class WrongReading:
 
 @dataclass(frozen=True)
 class Design:
-    """What a measurement can see."""
+    """What a measurement can detect."""
 
     candidates: tuple[Candidate, ...]
     not_tested: tuple[NotTested, ...]
@@ -116,14 +119,14 @@ class Design:
 
 
 def design(job: AdjustedJob, test_set: ScoreTests, not_tested: Sequence[NotTested], noise: float = 1.0) -> Design:
-    """Return what a measurement can see, for a noise in units of the declared one."""
+    """Return what a measurement can detect, for a noise in units of the declared one."""
     candidates = tuple(_candidate(job, test_set, *spot, noise) for spot in _spots(test_set))
     readings = tuple(_wrong_reading(job, test_set, e, noise) for e in job.effects if e.of_one_reading)
     return Design(candidates, tuple(not_tested), tuple(_pairs(test_set, candidates, noise)), readings)
 
 
 def _wrong_reading(job: AdjustedJob, test_set: ScoreTests, effect: Effect, noise: float) -> WrongReading:
-    """Return the least detectable error of a reading, `sqrt(lambda / r) sigma` (Baarda 1968)."""
+    """Return the smallest detectable error of a reading, `sqrt(lambda / r) sigma` (Baarda 1968)."""
     system = test_set.system
     level = single_level(single_level(WRONG_READING, test_set.causes), test_set.tests[-1])
     power = noncentrality(level, 1, max(system.dof - 1, 1), _POWER)
@@ -139,7 +142,7 @@ def _wrong_reading(job: AdjustedJob, test_set: ScoreTests, effect: Effect, noise
 
 
 def _spots(test_set: ScoreTests) -> Iterable[tuple[int, Sequence[int]]]:
-    """Yield for each cause and place its family and alternatives."""
+    """Yield for each cause and place the number of its family and those of its alternatives."""
     for number, family in enumerate(test_set.families):
         if family.unknown:
             continue
@@ -183,7 +186,7 @@ def _candidate(job: AdjustedJob, test_set: ScoreTests, family: int, chosen: Sequ
 
 
 def _plausible(effect: Effect) -> float:
-    """Return the plausible size of an effect's parameters of the same dimension as the first, root mean square."""
+    """Return the plausible size of an effect: root mean square over parameters of the dimension of the first."""
     alike = [p.plausible for p in effect.parameters if p.dimension == effect.parameters[0].dimension]
     return float(np.sqrt(np.mean(np.square(alike))))
 
@@ -202,13 +205,13 @@ def detectable_size(test_set: ScoreTests, family: int, at: int, noise: float = 1
 
 
 def needed(test_set: ScoreTests, family: int, rank: int) -> float:
-    """Return the non-centrality at which an alternative of a family is found with 80 % power as a first name."""
+    """Return the non-centrality at which an alternative of a family is found with 80 % power as a first effect."""
     level = single_level(single_level(FIRST, test_set.causes), test_set.tests[family])
     return noncentrality(level, rank, max(test_set.system.dof - rank, 1), _POWER)
 
 
 def _absorbers(system: System, full: Array) -> tuple[str, ...]:
-    """Return the unknowns that take up most of a signature, in words."""
+    """Return, in words, the unknowns that absorb most of a signature."""
     change = np.abs(system.absorbed(full / np.maximum(np.linalg.norm(full, axis=0), 1e-300))) * system.sizes[:, None]
     taken: dict[str, float] = {}
     for name, places in system.layout.columns.items():
@@ -223,7 +226,7 @@ def _absorbers(system: System, full: Array) -> tuple[str, ...]:
 
 
 def _pairs(test_set: ScoreTests, candidates: Sequence[Candidate], noise: float) -> Iterable[Pair]:
-    """Yield pairs of testable candidates of different causes or places that correlate by more than 0.9."""
+    """Yield the pairs of testable candidates of different causes or places that correlate by more than 0.9."""
     testable = [one for one in candidates if one.testable]
     bases = [_unit(test_set.families[one.family].columns[:, one.number]) for one in testable]
     ends = np.cumsum([basis.shape[1] for basis in bases])
@@ -232,7 +235,7 @@ def _pairs(test_set: ScoreTests, candidates: Sequence[Candidate], noise: float) 
     for i, one in enumerate(testable):
         for j in range(i):
             product = products[ends[i] - bases[i].shape[1] : ends[i], ends[j] - bases[j].shape[1] : ends[j]]
-            # no singular value is above the root of the sum of squares
+            # the largest singular value cannot exceed the root of the sum of squares, so most pairs need no SVD
             rho = float(np.linalg.norm(product, 2)) if (product**2).sum() > _ALIKE**2 else 0.0
             if rho > _ALIKE:
                 least = _SEPARATED * noise * np.sqrt(2 / max(1 - rho, 1e-12))
@@ -249,9 +252,9 @@ def _unit(columns: Array) -> Array:
 
 
 def separations(job: AdjustedJob, one: Alternative, other: Alternative) -> list[str]:
-    """Return what to measure so that two names are told apart: the first offers that bring their cosine below 0.9.
+    """Return, in words, what to measure to distinguish two names: the first offers that bring their cosine below 0.9.
 
-    Where none does, the one that brings it lowest; where the job has no offers, what the effects say.
+    If none does, the offer with the lowest cosine; if the job has no offers, the advice of the effects themselves.
     """
     found = []
     for words, model in job.offers(job.model):

@@ -1,4 +1,7 @@
-"""The whole diagnosis of one adjusted job, from its linearised system to the verdict."""
+"""The whole diagnosis of one adjusted job, from its linearised system to the verdict.
+
+Method: docs/algorithms/selection.md.
+"""
 
 from __future__ import annotations
 
@@ -44,30 +47,32 @@ from metrocli.errors import UndeterminedError
 
 Say = Callable[[str], None]
 _LACK_OF_FIT = 0.005
+"""Level of the lack-of-fit test of repeated readings below which structure is reported"""
 _ROUNDS = 3
+"""Largest number of noisier units that are reweighted, one after the other"""
 _SEARCHES = 5
-"""Searches at most, each about the job adjusted with what dominated the one before"""
+"""Largest number of searches; each follows an adjustment with the effects that dominated the previous one"""
 _SEED = 20
 
 
 def diagnose(job: AdjustedJob, say: Say = lambda line: None) -> Diagnosis:
-    """Return what the readings of an adjusted job say of its model.
+    """Return the diagnosis of an adjusted job.
 
-    Raises UndeterminedError where the unknowns take up all readings.
+    Raises UndeterminedError if the unknowns use up all readings.
     """
     say("looking for structure")
     searched = _search_about_solution(job, say)
     names = confidence_sets(searched.selection)
-    say("holding parts of the readings out")
+    say("cross-validating: predicting parts of the readings from the others")
     gains = cross_validated(searched.job, searched.selection, names) if names else []
     fit = extended_fit(job, names, readings_kept(searched.selection)) if names else None
-    tests, given = score_tests_after(fit, searched.selection, searched.units, np.random.default_rng(_SEED))
-    structure, level = remaining_structure(searched.selection, names, tests, given)
-    repeats = pure_error(job, tests.system, given)
+    tests, fitted = score_tests_after(fit, searched.selection, searched.units, np.random.default_rng(_SEED))
+    structure, level = remaining_structure(searched.selection, names, tests, fitted)
+    repeats = pure_error(job, tests.system, fitted)
     if structure is None and repeats is not None and repeats.lack_of_fit < _LACK_OF_FIT:
         structure = RemainingStructure(repeats.lack_of_fit, (REPEATS,))
-    noise = noise_of(given)
-    say("finding what the measurement could not see")
+    noise = noise_of(fitted)
+    say("computing what the measurement could not detect")
     return Diagnosis(
         job=job,
         noise=noise,
@@ -96,21 +101,21 @@ def diagnose(job: AdjustedJob, say: Say = lambda line: None) -> Diagnosis:
 
 @dataclass(frozen=True)
 class _Searched:
-    """A selection, with the job about whose solution everything was linear."""
+    """A selection, and the job about whose solution it was linearised."""
 
     job: AdjustedJob
     tests: ScoreTests
     not_tested: list[NotTested]
     units: tuple[Unit, ...]
-    """Units noisier than the others, whose readings were given less weight"""
+    """Units that are noisier than the others and whose readings were given less weight"""
     selection: Selection
 
 
 def _search_about_solution(job: AdjustedJob, say: Say) -> _Searched:
-    """Return the selection, linear about the job with its dominant effects adjusted (decision 051).
+    """Return the selection, linearised about the job with its dominant effects adjusted (decision 051).
 
-    Where effects dominate, the job is adjusted with them and the search repeated about that solution, with them among
-    all other candidates; at the end the search continues about the job adjusted with all effects that were named.
+    If effects dominate, the job is adjusted with them, and the search is repeated about that solution with them among
+    all other candidates. At the end the search continues about the job adjusted with all effects that were named.
     """
     point = job
     for left in reversed(range(_SEARCHES)):
@@ -134,29 +139,29 @@ def _search_about_solution(job: AdjustedJob, say: Say) -> _Searched:
 
 
 def what_can_be_seen(job: AdjustedJob) -> Design:
-    """Return what a measurement can see, before or without looking at its residuals."""
+    """Return what a measurement can detect; it does not depend on the residuals."""
     test_set, not_tested = score_tests_of_job(job, {}, np.random.default_rng(_SEED))
     return design(job, test_set, not_tested)
 
 
 def _search_with_weights(job: AdjustedJob, rng: np.random.Generator) -> _Searched:
-    """Return the selection with the readings of each unit weighted by the noise that was found in it."""
+    """Return the selection after the readings of each noisier unit were weighted by the noise found in it."""
     weights: Mapping[str, Array] = {}
     units: tuple[Unit, ...] = ()
     for _ in range(_ROUNDS + 1):
         tests, not_tested = score_tests_of_job(job, weights, rng)
         if tests.system.dof < 1:
             raise UndeterminedError(
-                "no reading is to spare: the unknowns take them all up, whatever is wrong\n"
-                "measure more; `metrocli diagnose --design` says what a measurement shows"
+                "no reading is to spare: the unknowns use them all up, whatever is wrong\n"
+                "measure more; `metrocli diagnose --design` shows what a measurement can detect"
             )
         last = len(units) == _ROUNDS
         unit = None if last else _sigma_first(job, tests)
         if unit is None:
             selection = search(tests, nothing_fitted(tests.system))
-            # beside a dominant effect other structure is not searched for yet, and would count as noise
+            # next to a dominant effect other structure is not searched for yet, and would count as noise
             searching_on = last or has_dominant_effect(selection)
-            unit = None if searching_on else noisiest_unit(job, tests.system, selection.given(), rng)
+            unit = None if searching_on else noisiest_unit(job, tests.system, selection.fitted(), rng)
         if unit is None:
             break
         weights, units = reweighted(job, weights, unit), (*units, unit)
@@ -164,19 +169,19 @@ def _search_with_weights(job: AdjustedJob, rng: np.random.Generator) -> _Searche
 
 
 def _sigma_first(job: AdjustedJob, test_set: ScoreTests) -> Unit | None:
-    """Return what the job gives with a wrong sigma, where that says more of the residuals than any cause.
+    """Return the prior values whose stated sigma is wrong, if that explains the residuals better than any cause.
 
-    With draws of its own: the levels of a job that gives nothing are those without this test.
+    The test uses random draws of its own, so that the levels of a job without prior values do not depend on it.
     """
-    given = nothing_fitted(test_set.system)
-    unit = noisiest_unit(job, test_set.system, given, np.random.default_rng(_SEED))
+    fitted = nothing_fitted(test_set.system)
+    unit = noisiest_unit(job, test_set.system, fitted, np.random.default_rng(_SEED))
     if unit is None or unit.key != DECLARED_SIGMA or unit.ratio < 1:
         return None
-    return unit if unit.log_level < log_level_of_strongest(test_set, given) else None
+    return unit if unit.log_level < log_level_of_strongest(test_set, fitted) else None
 
 
 def _joined(units: Sequence[Unit]) -> tuple[Unit, ...]:
-    """Return units with one ratio each, the product of those that were found one after the other."""
+    """Return the units with one ratio each: the product of the ratios that were found one after the other."""
     found: dict[tuple[str, str], Unit] = {}
     for unit in units:
         before = found.get((unit.key, unit.name))
@@ -185,23 +190,25 @@ def _joined(units: Sequence[Unit]) -> tuple[Unit, ...]:
 
 
 def _outliers(selection: Selection) -> tuple[Outlier, ...]:
+    """Return the outliers, the largest first, each with the test of it beside all else in the model."""
     if not selection.outliers:
         return ()
-    given = selection.given()
-    sigma = np.sqrt(given.squares / max(given.dof, 1))
+    fitted = selection.fitted()
+    sigma = np.sqrt(fitted.squares / max(fitted.dof, 1))
     found = []
     for one in selection.outliers:
-        without = selection.given(without=[one])
+        without = selection.fitted(without=[one])
         found.append(
             Outlier(
-                _keys(selection.test_set, one.number), float(np.sqrt(max(without.squares - given.squares, 0.0)) / sigma)
+                _keys(selection.test_set, one.number),
+                float(np.sqrt(max(without.squares - fitted.squares, 0.0)) / sigma),
             )
         )
     return tuple(sorted(found, key=lambda one: -one.test))
 
 
 def _keys(test_set: ScoreTests, number: int) -> dict[str, str]:
-    """Return what identifies a reading, with its component where these go wrong one by one."""
+    """Return the keys that identify a reading, with its component if the components are tested one by one."""
     row = int(test_set.places[number][0])
     groups = test_set.system.model.readings
     group = next(g for g in groups if 0 <= row - test_set.system.first[g.name] < g.observations.readings.size)
@@ -213,7 +220,7 @@ def _keys(test_set: ScoreTests, number: int) -> dict[str, str]:
 
 
 def _shift(job: AdjustedJob, system: System, name: NamedEffect) -> float:
-    """Return by how much what is delivered changes at most when an effect is taken into the model."""
+    """Return the largest change of the delivered result when an effect is taken into the model."""
     alternative = name.alternative
     full = signature(job.model, system, alternative.effect, alternative.instance, dict(alternative.scanned))
     shift = system.shifts((full @ name.values)[:, None], job.delivered.blocks, job.delivered.columns)
@@ -221,6 +228,7 @@ def _shift(job: AdjustedJob, system: System, name: NamedEffect) -> float:
 
 
 def _separate(job: AdjustedJob, names: Sequence[NamedEffect]) -> tuple[str, ...]:
+    """Return, in words, what to measure to distinguish the named effects from their best rivals."""
     found: dict[str, None] = {}
     for name in names:
         for rival in name.rivals[:2]:

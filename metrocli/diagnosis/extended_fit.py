@@ -1,4 +1,7 @@
-"""The job with the named effects in its model, adjusted again."""
+"""The extended fit: the job adjusted again with the named effects in its model.
+
+Method: docs/algorithms/selection.md (dominant effects).
+"""
 
 from __future__ import annotations
 
@@ -27,7 +30,7 @@ from metrocli.effects.model import Added, Model
 def score_tests_of_job(
     job: AdjustedJob, weights: Mapping[str, Array], rng: np.random.Generator
 ) -> tuple[ScoreTests, list[NotTested]]:
-    """Return the race of everything that could be in a job, and the effects that its data do not allow to test."""
+    """Return the score tests of all candidates of a job, and the effects that its data do not allow to test."""
     system = _with_standing(job, linearised(job.model, weights))
     families, not_tested = families_of(job, system)
     everything = [*families, *smooth_families(job, system)]
@@ -37,9 +40,9 @@ def score_tests_of_job(
 
 
 def _with_standing(job: AdjustedJob, system: System) -> System:
-    """Return a system with the residuals that it would have without the effects that stand in its model.
+    """Return a system with the residuals that it would have without the effects at fixed sizes in its model.
 
-    What they add is linear about their sizes: `r + G theta`.
+    Their contribution is linear about their sizes theta: `r + G theta`.
     """
     residual = system.residual
     for one in job.standing:
@@ -48,7 +51,7 @@ def _with_standing(job: AdjustedJob, system: System) -> System:
 
 
 def weights_of(job: AdjustedJob, units: Sequence[Unit]) -> Mapping[str, Array]:
-    """Return the factors on whitened readings that bring units to the noise of the others."""
+    """Return factors on the whitened readings of noisier units that bring their noise to that of the others."""
     weights: Mapping[str, Array] = {}
     for unit in units:
         weights = reweighted(job, weights, unit)
@@ -56,7 +59,7 @@ def weights_of(job: AdjustedJob, units: Sequence[Unit]) -> Mapping[str, Array]:
 
 
 def extended_model(job: AdjustedJob, names: Sequence[NamedEffect]) -> Model:
-    """Return the model with the named effects in it, at what was found of them."""
+    """Return the model with the named effects in it, at the sizes that were found."""
     model = job.model
     for name in names:
         alternative = name.alternative
@@ -70,7 +73,7 @@ def extended_model(job: AdjustedJob, names: Sequence[NamedEffect]) -> Model:
 
 
 def _own_row(model: Model, name: NamedEffect) -> tuple[Block, int]:
-    """Return the block of the effect that was added last, and the member that it acts on."""
+    """Return the block of the effect that was added last, and the row of the member on which it acts."""
     return _row(model, model.added[-1], name)
 
 
@@ -82,19 +85,19 @@ def _row(model: Model, added: Added, name: NamedEffect) -> tuple[Block, int]:
 
 @dataclass(frozen=True)
 class Size:
-    """What was found of one parameter of an effect."""
+    """The estimate of one parameter of an effect."""
 
     parameter: Parameter
     value: float
-    """Of a column that the model has, the change against the job"""
+    """Its value; for a column that the model already has, the change relative to the job"""
     std: float | None
-    """None where it was scanned, or is not seen"""
+    """Standard uncertainty; None if the parameter was scanned or is not determined"""
     seen: bool = True
-    """Whether the readings say what it is, apart from the others; else `value` holds with others taken as 0"""
+    """Whether the readings determine it apart from the others; if not, `value` holds with the others taken as 0"""
 
 
 def sizes(job: AdjustedJob, name: NamedEffect) -> tuple[Size, ...]:
-    """Return the parameters of a named effect, for the noise that was found."""
+    """Return the estimated parameters of a named effect, with standard uncertainties for the noise that was found."""
     alternative = name.alternative
     block, row = _own_row(extended_model(job, [name]), name)
     before = job.model.blocks.get(block.name)
@@ -112,7 +115,7 @@ def sizes(job: AdjustedJob, name: NamedEffect) -> tuple[Size, ...]:
 
 
 def extended_fit(job: AdjustedJob, names: Sequence[NamedEffect], kept: Mapping[str, Mask]) -> AdjustedJob | None:
-    """Return the job with the named effects in its model, adjusted to the kept readings; None where that fails."""
+    """Return the job with the named effects in its model, adjusted to the kept readings; None if that fails."""
     model = extended_model(job, names)
     solution = job.refit(model, kept)
     if not solution.outcome.good:
@@ -122,11 +125,12 @@ def extended_fit(job: AdjustedJob, names: Sequence[NamedEffect], kept: Mapping[s
 
 
 def relinearised(job: AdjustedJob, names: Sequence[NamedEffect], adjusted: AdjustedJob) -> AdjustedJob:
-    """Return the job with its unknowns where an adjustment with the named effects brought them.
+    """Return the job with its unknowns at the values of an adjustment with the named effects.
 
-    What a large effect did to them is undone there. Those that are columns of the job's own blocks, such as terms of a
-    lens, stand at their sizes, about which all else is linear; the others at 0, as they are linear themselves: at their
-    sizes what a job absorbs, a scale or a turn of all, would not be absorbed.
+    This undoes what a large effect did to the unknowns. Effects that are columns of the job's own blocks, such as terms
+    of a lens, stay in the model at their sizes, and all else is linearised about them. The others are set to 0, as they
+    are linear themselves. At their sizes a scale or a rotation of everything, which the job's unknowns absorb, would
+    not be absorbed.
     """
     model, added = job.model, adjusted.model.added[len(job.model.added) :]
     moved = {key: _without(block, adjusted.model.blocks[key], added) for key, block in model.blocks.items()}
@@ -144,7 +148,7 @@ def relinearised(job: AdjustedJob, names: Sequence[NamedEffect], adjusted: Adjus
 
 
 def _without(block: Block, adjusted: Block, added: Sequence[Added]) -> Block:
-    """Return a block at adjusted values, but for columns that were freed in it."""
+    """Return a block at adjusted values, except for columns that were freed in it."""
     values = adjusted.values[:, : block.size].copy()
     for one in added:
         if one.block == block.name:
@@ -160,21 +164,21 @@ def _value(block: Block, row: int, key: str) -> float:
 def score_tests_after(
     changed: AdjustedJob | None, selection: Selection, units: Sequence[Unit], rng: np.random.Generator
 ) -> tuple[ScoreTests, FittedColumns]:
-    """Return the smooth functions' race about the solution with the named effects adjusted, outliers left out of it.
+    """Return the score tests of smooth functions about the extended fit, and the fit of the outliers there.
 
-    Where there is none the linear solution serves.
+    Without an extended fit the linearised solution is used.
     """
     if changed is None:
-        return selection.test_set, selection.given()
+        return selection.test_set, selection.fitted()
     system = linearised(changed.model, weights_of(changed, units))
     test_set = score_tests_of(system, smooth_families(changed, system), rng, changed.single_components)
     wrong = [test_set.of_reading(one.number) for one in selection.outliers]
-    given = nothing_fitted(system)
-    return test_set, given.with_columns(np.concatenate(wrong, axis=1)) if wrong else given
+    fitted = nothing_fitted(system)
+    return test_set, fitted.with_columns(np.concatenate(wrong, axis=1)) if wrong else fitted
 
 
 def readings_kept(selection: Selection) -> dict[str, Mask]:
-    """Return for each group the readings that are not outliers, in any component."""
+    """Return for each group a mask of the readings that are not outliers in any component."""
     test_set = selection.test_set
     wrong = np.zeros(test_set.system.rows)
     for one in selection.outliers:

@@ -22,25 +22,25 @@ from metrocli.diagnosis.selection.confidence_set import NamedEffect
 
 
 class Verdict(StrEnum):
-    """What a diagnosis comes to."""
+    """The verdict of a diagnosis."""
 
     CLEAN = "clean"
-    """The residuals are what the noise predicts."""
+    """The residuals are what the noise predicts"""
     EXPLAINED = "explained"
-    """The named effects leave nothing structured."""
+    """The named effects leave no structure"""
     INDISTINCT = "indistinct"
-    """An effect is there, and others explain the readings as well."""
+    """An effect is present, but others explain the readings as well"""
     UNEXPLAINED = "unexplained"
-    """Structure remains that no known effect explains."""
+    """Structure remains that no known effect explains"""
 
 
 @dataclass(frozen=True)
 class Outlier:
-    """A reading that is wrong."""
+    """A reading that is wrong (gross error)."""
 
     keys: Mapping[str, str]
     test: float
-    """By how many standard deviations it is off, given all else that was found"""
+    """Its error in standard deviations, with all other findings in the model"""
 
 
 @dataclass(frozen=True)
@@ -51,14 +51,14 @@ class Finding:
     sizes: tuple[Size, ...]
     gain: Gain
     shift: float
-    """By how much what is delivered changes with it, at most"""
+    """Largest change of the delivered result by it"""
     other_shape_from: float
-    """Share of its size from which on a cause of another shape would have shown beside it (80 % power)"""
+    """Relative difference in shape from which another cause would have been detected beside it (80 % power)"""
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What the model of a job gets wrong."""
+    """The findings about the model of a job."""
 
     job: AdjustedJob
     noise: Noise
@@ -67,23 +67,23 @@ class Diagnosis:
     findings: tuple[Finding, ...]
     left: RemainingStructure | None
     before: float
-    """Level of the strongest structure before anything was named, counted over all that was tried"""
+    """Significance level of the strongest structure before anything was named, counted over all that was tried"""
     after: float
-    """Level of the strongest smooth structure left"""
+    """Significance level of the strongest smooth structure left"""
     design: Design
     separate_by: tuple[str, ...]
     adjusts: bool = True
-    """Whether the job can be adjusted with what was named"""
+    """Whether the job can be adjusted with the named effects"""
     together: Gain | None = None
-    """What all that was named gains, where it is more than one"""
+    """Gain of all named effects together, if there are several"""
     repeats: PureError | None = None
-    """What repeated readings say of the noise, where there are any"""
+    """The noise found from repeated readings, if there are any"""
     mistaken: Mistaken | None = None
-    """A mistake in the files, without which all else was found"""
+    """A mistake in the files; all other findings are those of the job without it"""
 
     @property
     def verdict(self) -> Verdict:
-        """What the report says first."""
+        """The verdict, which the report states first."""
         if self.left is not None:
             return Verdict.UNEXPLAINED
         sets: list[tuple[object, ...]] = [finding.effect.rivals for finding in self.findings]

@@ -1,6 +1,7 @@
-"""Mistakes in the files of a job: a wrong unit, swapped or mirrored axes. Each is tried by an adjustment without it.
+"""Mistakes in the files of a job: a wrong unit, swapped or mirrored axes.
 
-They are looked for only where a job fails, or where its result is beyond anything that an effect does.
+Each correction is tried by an adjustment with it. They are tried only if a job fails, or if its result is beyond
+anything that an effect causes (decision 019).
 """
 
 from __future__ import annotations
@@ -21,10 +22,11 @@ if TYPE_CHECKING:
     from metrocli.table import Values
 
 _ABSURD = 10.0
-"""Median residual, in declared standard deviations, beyond which the files are looked at"""
+"""Median residual, in declared standard deviations, above which mistakes in the files are tried"""
 _BETTER = 10.0
-"""How many times nearer to what is plausible a job without the mistake must be"""
+"""How many times closer to the plausible a job must be after a correction"""
 _AS_GOOD = 2.0
+"""Corrections up to so many times as far from the plausible as the best one are reported with it"""
 
 Inputs = Mapping[str, object]
 Adjust = Callable[[Inputs], AdjustedJob]
@@ -32,12 +34,12 @@ Adjust = Callable[[Inputs], AdjustedJob]
 
 @dataclass(frozen=True)
 class Mistake:
-    """A mistake in one input, with what it does."""
+    """A possible mistake in one input."""
 
     input: str
     words: str
     shrinks: float = 1.0
-    """The factor by which correcting it makes numbers smaller, and so their residuals whatever is wrong"""
+    """Factor by which its correction makes numbers smaller, and with them their residuals whatever is wrong"""
 
     def __str__(self) -> str:
         return f"{self.input}: {self.words}"
@@ -45,19 +47,20 @@ class Mistake:
 
 @dataclass(frozen=True)
 class Mistaken:
-    """The mistakes that explain a job as it is, the best first, and the job without that one."""
+    """The mistakes that explain the state of a job, the best first, and the job after the correction of that one."""
 
     mistakes: tuple[Mistake, ...]
     job: AdjustedJob
     before: float
-    """How far beyond the plausible the job is with the mistake, inf where it failed"""
+    """`strangeness` of the job with the mistake, inf if it failed"""
     after: float
 
 
 def without_mistakes(inputs: Inputs, adjust: Adjust) -> tuple[AdjustedJob, Mistaken | None]:
-    """Return the adjusted job; where it is absurd or fails, and a mistake in a file explains that, without the mistake.
+    """Return the adjusted job, and the mistake in a file without which it was adjusted, if there is one.
 
-    Raises what the adjustment of the job as it is raised where no mistake explains it.
+    Corrections are tried if the job fails or is absurd. If none explains that, the exception of the job as it is is
+    raised.
     """
     failure: Exception | None = None
     job, before = None, float("inf")
@@ -77,7 +80,10 @@ def without_mistakes(inputs: Inputs, adjust: Adjust) -> tuple[AdjustedJob, Mista
 
 
 def strangeness(job: AdjustedJob) -> float:
-    """Return how many times a job is beyond the plausible: its median residual, or what its files say of places."""
+    """Return how far a job is beyond the plausible: by its median residual, or by its places compared with the files.
+
+    Above 1 it is absurd.
+    """
     medians = []
     for group in job.model.readings:
         residual = group.observations.whitened(group.residuals(job.model.blocks))
@@ -104,7 +110,7 @@ def _explaining(inputs: Inputs, adjust: Adjust, before: float) -> Mistaken | Non
 
 
 def altered(inputs: Inputs) -> Iterator[tuple[Mistake, Inputs]]:
-    """Yield each mistake that could be in the files, with the inputs as they would be without it."""
+    """Yield each possible mistake in the files, with the corrected inputs."""
     for key, table in inputs.items():
         if isinstance(table, Table):
             for words, factor, changed in _of_table(table):

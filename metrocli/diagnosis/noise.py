@@ -1,4 +1,7 @@
-"""The noise found: its level against the declared one, and units (a tracer, an image) noisier than the others."""
+"""The noise that was found: its level relative to the declared one, and units (a tracer, an image) that are noisier.
+
+Method: docs/algorithms/selection.md (noise).
+"""
 
 from __future__ import annotations
 
@@ -15,77 +18,79 @@ from metrocli.diagnosis.linear.fitted_columns import PRIOR, FittedColumns
 from metrocli.diagnosis.linear.projection import System
 
 _LEVEL = 1e-3
+"""Level at which a unit counts as noisier or quieter, divided by the number of units"""
 _DRAWS = 400
+"""Draws of white noise for the null distribution of a unit's share of the squares"""
 _APART = 1.4
-"""Ratio of standard deviations below which a unit is left as it is"""
+"""Ratio of standard deviations below which a unit's weight is not changed"""
 DECLARED_SIGMA = "given"
-"""Key of a unit that is no reading: values that the job gives with their sigma, such as known points"""
+"""Key of a unit of prior values that the job states with a sigma, such as known points"""
 _LEAST = 0.1
-"""By how much what is given may gain in weight at once"""
+"""Smallest factor on the standard deviation of prior values in one step"""
 _FEWEST = 10
-"""Values that are given, below which their spread says little of their sigma"""
+"""Fewest prior values of a group whose sigma is tested: fewer show too little of their spread"""
 
 
 @dataclass(frozen=True)
 class Noise:
-    """The noise of the readings over the declared one."""
+    """The noise of the readings relative to the declared one, with its 95 % interval."""
 
     ratio: float
     low: float
     high: float
     dof: float
-    """Readings to spare from which it was found"""
+    """Degrees of freedom from which it was found"""
 
 
 @dataclass(frozen=True)
 class Unit:
-    """A part of the readings, or of what is given beside them, with a noise of its own."""
+    """A part of the readings, or of the prior values, that has a noise of its own."""
 
     key: str
-    """The kind of place, or `GIVEN`"""
+    """The kind of place, or `DECLARED_SIGMA`"""
     name: str
     ratio: float
-    """Of its standard deviation to that of the others"""
+    """Ratio of its standard deviation to that of the others"""
     log_level: float = 0.0
-    """ln of the level of the test, counted over all units"""
+    """ln of the significance level of its test, counted over all units"""
 
 
-def noise_of(given: FittedColumns) -> Noise:
-    """Return the noise that is left, with its 95 % interval (chi-squared)."""
-    squares, dof = given.squares - given.prior, max(given.dof - PRIOR, 1.0)
+def noise_of(fitted: FittedColumns) -> Noise:
+    """Return the noise that remains, with its 95 % interval (chi-squared)."""
+    squares, dof = fitted.squares - fitted.prior, max(fitted.dof - PRIOR, 1.0)
     low, high = chi_interval(squares, dof)
     return Noise(float(np.sqrt(squares / dof)), low, high, dof)
 
 
-def noisiest_unit(job: AdjustedJob, system: System, given: FittedColumns, rng: np.random.Generator) -> Unit | None:
-    """Return the unit whose noise differs most from that of the others, None where that is chance.
+def noisiest_unit(job: AdjustedJob, system: System, fitted: FittedColumns, rng: np.random.Generator) -> Unit | None:
+    """Return the unit whose noise differs most from that of the others, None if the difference may be chance.
 
-    Score test of its variance, `|r_u|^2 / |r|^2` against its null distribution, a scaled chi-squared of the moments
-    that projected white noise has, and for what is given also an F test without it; the ratio by equating sums of
-    squares to their expectations (MINQUE, Rao 1971).
+    The score test of its variance compares `|r_u|^2 / |r|^2` with its null distribution: a scaled chi-squared that has
+    the moments found from projected white noise. For prior values there is also an F test with and without them. The
+    ratio follows by equating sums of squares to their expectations (MINQUE, Rao 1971).
     """
     units = list(_units(job, system))
     if len(units) < 2:
         return None
     noise = system.seen(rng.normal(size=(system.rows, _DRAWS)))
-    noise -= given.basis @ (given.basis.T @ noise)
+    noise -= fitted.basis @ (fitted.basis.T @ noise)
     whole = (noise**2).sum(axis=0)
     found = []
     for key, name, rows in units:
-        if rows.sum() - (system.basis[rows] ** 2).sum() - (given.basis[rows] ** 2).sum() < 1:
+        if rows.sum() - (system.basis[rows] ** 2).sum() - (fitted.basis[rows] ** 2).sum() < 1:
             continue
         shares = (noise[rows] ** 2).sum(axis=0) / whole
-        share = float((given.residual[rows] ** 2).sum() / max(given.residual @ given.residual, 1e-300))
+        share = float((fitted.residual[rows] ** 2).sum() / max(fitted.residual @ fitted.residual, 1e-300))
         log_p = _log_tail(share, shares)
         if key == DECLARED_SIGMA:
-            log_p = min(log_p, _log_without(system, given, rows))
+            log_p = min(log_p, _log_without(system, fitted, rows))
         found.append((log_p, key, name, rows))
     if not found:
         return None
     log_p, key, name, rows = min(found, key=lambda one: one[0])
     if log_p > np.log(_LEVEL / len(units)):
         return None
-    ratio = max(_ratio(system, given, rows), _LEAST if key == DECLARED_SIGMA else 0.0)
+    ratio = max(_ratio(system, fitted, rows), _LEAST if key == DECLARED_SIGMA else 0.0)
     return None if 1 / _APART < ratio < _APART else Unit(key, name, ratio, log_p + float(np.log(len(units))))
 
 
@@ -110,7 +115,7 @@ def _units(job: AdjustedJob, system: System) -> Iterator[tuple[str, str, Mask]]:
 
 
 def _log_tail(share: float, shares: Array) -> float:
-    """Return ln of twice the smaller tail of a share, whose null distribution is a scaled chi-squared."""
+    """Return ln of twice the smaller tail of a share whose null distribution is a scaled chi-squared."""
     from scipy.special import chdtr, chdtrc
 
     mean, variance = float(shares.mean()), max(float(shares.var()), 1e-300)
@@ -119,37 +124,39 @@ def _log_tail(share: float, shares: Array) -> float:
     return float(np.log(max(2 * tail, 1e-300)))
 
 
-def _log_without(system: System, given: FittedColumns, rows: Mask) -> float:
-    """Return ln of the level of the F test of all that is given in some rows, `F = ((S - S_0)/q) / (S_0/nu_0)`.
+def _log_without(system: System, fitted: FittedColumns, rows: Mask) -> float:
+    """Return ln of the level of the F test of the prior values in some rows, `F = ((S - S_0)/q) / (S_0/nu_0)`.
 
-    S_0 is the sum of squares where they say nothing: readings that disagree with what is given show it in both.
+    S_0 is the sum of squares without these values. Readings that contradict them increase the residuals of both, so the
+    score test alone would miss it.
     """
     unit = np.zeros((system.rows, int(rows.sum())))
     unit[rows, np.arange(unit.shape[1])] = 1.0
-    without = given.with_columns(system.seen(unit))
-    q = given.dof - without.dof
+    without = fitted.with_columns(system.seen(unit))
+    q = fitted.dof - without.dof
     if q < 1 or without.dof < 1:
         return 0.0
-    share = np.array(np.clip(1 - without.squares / max(given.squares, 1e-300), 0.0, 1.0))
+    share = np.array(np.clip(1 - without.squares / max(fitted.squares, 1e-300), 0.0, 1.0))
     return float(log_tail(share, q, without.dof))
 
 
-def _ratio(system: System, given: FittedColumns, rows: Mask) -> float:
-    """Return the standard deviation of some readings over that of the rest, from the expectations of their squares."""
-    taken = np.concatenate([system.basis, given.basis], axis=1)
+def _ratio(system: System, fitted: FittedColumns, rows: Mask) -> float:
+    """Return the standard deviation of some readings relative to the others, from the expected values of their squares."""
+    taken = np.concatenate([system.basis, fitted.basis], axis=1)
     parts = (rows, ~rows)
     grams = [taken[part].T @ taken[part] for part in parts]
     h = np.array([[float((a * b).sum()) for b in grams] for a in grams])
     for i, part in enumerate(parts):
         h[i, i] += part.sum() - 2 * np.trace(grams[i])
-    squares = np.array([float((given.residual[part] ** 2).sum()) for part in parts])
+    squares = np.array([float((fitted.residual[part] ** 2).sum()) for part in parts])
     variance = np.linalg.lstsq(h, squares, rcond=None)[0]
+    # a variance may come out negative: it is held above a fraction of the larger one
     floor = 1e-4 * max(float(variance.max()), 1e-300)
     return float(np.sqrt(max(variance[0], floor) / max(variance[1], floor)))
 
 
 def reweighted(job: AdjustedJob, weights: Mapping[str, Array], unit: Unit) -> dict[str, Array]:
-    """Return factors on the whitened readings of each group that bring those of a unit to the noise of the others."""
+    """Return factors on the whitened readings of each group that bring the noise of a unit to that of the others."""
     if unit.key == DECLARED_SIGMA:
         return {**weights, unit.name: weights.get(unit.name, np.ones(1)) / unit.ratio * _ones(job, unit.name)}
     place = job.model.places[unit.key]

@@ -1,4 +1,4 @@
-"""The verdict as plain data: what `metrocli diagnose --json` prints, and the effects of the extended job."""
+"""The verdict as plain data: the output of `metrocli diagnose --json`, and the effects of the extended job."""
 
 from __future__ import annotations
 
@@ -21,24 +21,24 @@ from metrocli.effects.effect import Effect
 
 
 class Status(StrEnum):
-    """What is known of a candidate."""
+    """The status of a candidate."""
 
     NAMED = "named"
     EXCLUDED = "excluded"
-    """It would have been seen at its least detectable size."""
+    """It would have been detected at its smallest detectable size"""
     CANNOT_SEE = "cannot-see"
-    """Its least detectable size is beyond what is plausible."""
+    """Its smallest detectable size is larger than plausible"""
     NOT_TESTABLE = "not-testable"
-    """The unknowns of the job absorb it."""
+    """The unknowns of the job absorb it"""
     NOT_TESTED = "not-tested"
-    """A column is missing."""
+    """A column is missing"""
 
 
 UNCHECKED = "no reading is checked by the others"
 
 
 def as_data(diagnosis: Diagnosis) -> dict[str, Any]:
-    """Return a diagnosis by the keys of the contract; units are internal ones unless a `unit` says otherwise."""
+    """Return a diagnosis under the keys of the contract; numbers are in internal units unless a `unit` stands beside them."""
     noise, left, repeats = diagnosis.noise, diagnosis.left, diagnosis.repeats
     return {
         "verdict": diagnosis.verdict,
@@ -64,12 +64,12 @@ def as_data(diagnosis: Diagnosis) -> dict[str, Any]:
 
 
 def design_data(job: AdjustedJob, design: Design) -> dict[str, Any]:
-    """Return what a measurement can see, before it is looked at."""
+    """Return what a measurement can detect, as plain data."""
     return {"candidates": candidates(job, design, []), "alike": alike(design)}
 
 
 MISTAKE = "mistake-in-file"
-"""The name under which a mistake in the files stands among the effects"""
+"""The name of a mistake in the files among the effects"""
 
 
 def _mistake(mistaken: Mistaken) -> dict[str, Any]:
@@ -150,7 +150,7 @@ def _delivered(job: AdjustedJob, value: float) -> dict[str, Any]:
 
 
 def status(candidate: Candidate, named: Iterable[NamedEffect]) -> str:
-    """Return what can be said of a candidate; one that stands in the set of a named one counts as named."""
+    """Return the status of a candidate; one in the confidence set of a named effect counts as named."""
     if any(candidate.alternative.spot in spots(name) for name in named):
         return Status.NAMED
     if not candidate.testable:
@@ -159,12 +159,12 @@ def status(candidate: Candidate, named: Iterable[NamedEffect]) -> str:
 
 
 def spots(name: NamedEffect) -> set[tuple[str, tuple[str, ...]]]:
-    """Return cause and place of a named effect and of all that explain the readings as well."""
+    """Return cause and place of a named effect and of all its rivals."""
     return {name.alternative.spot, *(rival.alternative.spot for rival in name.rivals)}
 
 
 def candidates(job: AdjustedJob, design: Design, named: Iterable[NamedEffect]) -> list[dict[str, Any]]:
-    """Return all candidates, tested or not."""
+    """Return all candidates as plain data, tested or not."""
     names = list(named)
     tested = [_candidate(job, candidate, status(candidate, names)) for candidate in design.candidates]
     readings = [_wrong_reading(job, one) for one in design.readings]
@@ -199,15 +199,15 @@ def _candidate(job: AdjustedJob, candidate: Candidate, word: str) -> dict[str, A
 
 
 def reason(candidate: Candidate, word: str) -> str:
-    """Return why a candidate has its status, in words."""
+    """Return the reason for a candidate's status, in words."""
     dimension = candidate.alternative.effect.parameters[0].dimension
     plausible, at = units.readable(candidate.plausible, dimension)
     if word == Status.NOT_TESTABLE:
         return f"the unknowns absorb it: {', '.join(candidate.absorbed_by)}; `hides` is for {plausible:.3g} {at}"
     size, unit = units.readable(candidate.detectable, dimension)
     if word == Status.CANNOT_SEE:
-        return f"{size:.3g} {unit} would be needed to see it; more than {plausible:.3g} {at} is not plausible"
-    return "" if word == Status.NAMED else f"it would have been seen from {size:.3g} {unit} on"
+        return f"{size:.3g} {unit} would be needed to detect it; more than {plausible:.3g} {at} is not plausible"
+    return "" if word == Status.NAMED else f"it would have been detected from {size:.3g} {unit} on"
 
 
 def _open(effect: Effect, where: Mapping[str, str], word: str, reason: str) -> dict[str, Any]:
@@ -222,7 +222,7 @@ def _open(effect: Effect, where: Mapping[str, str], word: str, reason: str) -> d
 
 
 def alike(design: Design) -> list[dict[str, Any]]:
-    """Return the pairs of candidates that are hard to tell apart."""
+    """Return the pairs of candidates that are hard to distinguish."""
     return [
         {
             "names": [pair.one, pair.other],
@@ -234,7 +234,7 @@ def alike(design: Design) -> list[dict[str, Any]]:
 
 
 def as_job(name: NamedEffect) -> Mapping[str, str]:
-    """Return an effect as a job names it: to be estimated, with what was scanned and what is taken as 0."""
+    """Return the entry of an effect in a job: to be estimated, with scanned parameters and those taken as 0."""
     alternative = name.alternative
     effect = alternative.effect
     known = {p.name: p for p in effect.all_parameters}

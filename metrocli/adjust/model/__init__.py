@@ -1,1 +1,1 @@
-"""What is adjusted: quantities, blocks, chains of links, observations, and groups of these."""
+"""The model of an adjustment: quantities, blocks, chains of links, observations, and groups of these."""

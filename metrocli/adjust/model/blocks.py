@@ -17,11 +17,11 @@ Mask = npt.NDArray[np.bool_]
 
 
 _LEAST_WAVE = 1e-9
-"""Below this amplitude a phase means nothing"""
+"""Amplitude below which a phase is meaningless"""
 
 
 class Space(Enum):
-    """How values of a block change by a step, and what separates two of them."""
+    """How the values of a block change by a step, and how two values differ."""
 
     FLAT = "values that add"
     POSE = "poses: shifts add, rotations turn from the left"
@@ -39,7 +39,7 @@ class Space(Enum):
         return values + step
 
     def difference(self, values: Array, reference: Array) -> Array:
-        """Return the step from `reference` to `values`, (members, size)."""
+        """Return the step that leads from `reference` to `values`, (members, size)."""
         if self is Space.POSE:
             return poses.difference(values, reference)
         difference = values - reference
@@ -50,14 +50,14 @@ class Space(Enum):
         return difference
 
     def by_step(self, values: Array) -> Array:
-        """Return how much each value changes by a unit step of its own, (members, size): 1/amplitude for a phase."""
+        """Return how much each value changes by a unit step, (members, size): 1, for a phase 1/amplitude."""
         change = np.ones_like(values)
         if self is Space.WAVE:
             change[:, 1] = 1 / np.maximum(np.abs(values[:, 0]), _LEAST_WAVE)
         return change
 
     def difference_by_step(self, values: Array, reference: Array) -> Array:
-        """Return the derivative of `difference` by a step of the values, (members, size, size)."""
+        """Return the derivatives of `difference` by a step of the values, (members, size, size)."""
         if self is Space.POSE:
             return poses.difference_by_step(values, reference)
         derivative = np.array(np.broadcast_to(np.eye(values.shape[-1]), (*values.shape, values.shape[-1])))
@@ -71,20 +71,20 @@ class Space(Enum):
 
 @dataclass(frozen=True)
 class Block:
-    """Unknowns of one kind: `values` (members, size), a row for each member (an image, a target, a tracer)."""
+    """Unknowns of one kind: `values` (members, size) with one row for each member (an image, a target, a tracer)."""
 
     name: str
     values: Array
     columns: tuple[str, ...]
-    """Name of each of the `size` unknowns of a member."""
+    """Name of each of the `size` unknowns of a member"""
     members: tuple[str, ...] = ("",)
     free: Mask = field(default_factory=lambda: np.array(True))
-    """Which entries the adjustment solves for, broadcast to (members, size)."""
+    """Which entries the adjustment solves for, broadcast to (members, size)"""
     reach: Array = field(default_factory=lambda: np.array(np.inf))
-    """How far each unknown could plausibly be off, broadcast to (size,); undetermined if its uncertainty exceeds it."""
+    """Plausible size of each unknown's error, broadcast to (size,); an unknown is undetermined if it is less certain"""
     space: Space = Space.FLAT
     noun: str = ""
-    """What a member is called in messages: 'image', 'target'"""
+    """Name of a member in messages, e.g. 'image', 'target'"""
 
     def __post_init__(self) -> None:
         values = np.atleast_2d(np.asarray(self.values, dtype=float))
@@ -108,11 +108,11 @@ class Block:
         return bool(self.free.all())
 
     def with_values(self, values: Array) -> Block:
-        """Return the block at other values."""
+        """Return the block with other values."""
         return replace(self, values=values)
 
     def fixed(self) -> Block:
-        """Return the block with nothing left free."""
+        """Return the block with all entries fixed."""
         return replace(self, free=np.array(False))
 
     def moved(self, step: Array) -> Block:
@@ -125,13 +125,13 @@ class Block:
         return row
 
     def named(self, member: str = "") -> dict[str, float]:
-        """Return the values of one member by the names of the columns."""
+        """Return the values of one member as a dictionary by column."""
         return dict(zip(self.columns, self.row(member).tolist(), strict=True))
 
     def column(self, name: str) -> int:
-        """Return the index of a column by its name."""
+        """Return the index of the column `name`."""
         return self.columns.index(name)
 
     def mask(self, names: Sequence[str]) -> Mask:
-        """Return (size,) True at the named columns."""
+        """Return a mask (size,) that is True at the named columns."""
         return np.array([column in names for column in self.columns])

@@ -1,4 +1,4 @@
-"""Chains: links end to end, the forward model of one kind of reading, with derivatives by the chain rule."""
+"""Chains: links one after the other, the forward model of one kind of reading, with derivatives by the chain rule."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ class Step:
 
 @dataclass(frozen=True)
 class Local:
-    """What a link sees: the blocks' values, which member each reading touches, the readings and their conditions."""
+    """What a link needs: values of the blocks, which members each reading uses, the readings and their conditions."""
 
     blocks: Mapping[str, Block]
     observations: Observations
     wanted: frozenset[str]
-    """Blocks whose derivatives are used; a link may leave out the others."""
+    """Blocks whose derivatives are used; a link may leave out the others"""
 
     def members(self, block: str) -> Array:
-        """Return the values of all members, (members, size)."""
+        """Return the values of all members of a block, (members, size)."""
         return self.blocks[block].values
 
     def index(self, block: str) -> Index:
-        """Return which member each reading touches, (n,) or (k, n); zeros for a block of one member."""
+        """Return which member of the block each reading uses, (n,) or (k, n); zeros for a block of one member."""
         index, lattice = self.observations.index.get(block), self.observations.lattice
         if index is not None:
             return index
@@ -48,21 +48,21 @@ class Local:
         return np.zeros(self.observations.count, dtype=np.intp)
 
     def slots(self, block: str) -> Index:
-        """Return which member each reading touches, or each slot of a lattice; one for the block of its members."""
+        """Return which member each reading uses, or each slot of a lattice; a single 0 for the lattice's own block."""
         lattice = self.observations.lattice
         if lattice is None:
             return self.index(block)
         return lattice.slots.get(block, np.zeros(1, dtype=np.intp))
 
     def rows(self, block: str) -> Array:
-        """Return the values touched by each reading, (size, n), or (size, 1) for a block of one member."""
+        """Return the values of the block that each reading uses, (size, n), or (size, 1) for a block of one member."""
         values = self.blocks[block].values
         if len(values) == 1:
             return values.T
         return self._at_readings(values, block)
 
     def spread(self, per_member: Array, block: str) -> Array:
-        """Return values computed once for each member (members, ...) at each reading, (..., n) or (..., 1)."""
+        """Return values computed once for each member (members, ...) at the readings, (..., n) or (..., 1)."""
         return np.moveaxis(per_member, 0, -1) if len(per_member) == 1 else self._at_readings(per_member, block)
 
     def _at_readings(self, per_member: Array, block: str) -> Array:
@@ -73,33 +73,34 @@ class Local:
 
 
 IDENTITY = np.eye(3)[:, :, None]
-"""Derivative of a point by itself, (3, 3, 1)"""
+"""Derivative of a point by itself, (3, 3, 1); recognised by identity, so that products with it are skipped"""
 
 
 class Link(Protocol):
     """One differentiable step from a quantity to a quantity.
 
-    Readings come in tiles and in any order: what differs from reading to reading is asked of `local`, never kept.
+    Readings come in tiles and in any order. So a link asks `local` for what differs between readings and never stores
+    it.
     """
 
     @property
     def takes(self) -> Quantity | None:
-        """The quantity it needs; None for the first link of a chain."""
+        """The quantity that the link takes; None for the first link of a chain."""
 
     @property
     def gives(self) -> Quantity:
-        """The quantity it makes."""
+        """The quantity that the link gives."""
 
     @property
     def blocks(self) -> tuple[str, ...]:
-        """Names of the blocks whose values it uses."""
+        """Names of the blocks whose values the link uses."""
 
     def step(self, value: Array, local: Local) -> Step:
-        """Return value (out, n) and derivatives at `value` (in, n)."""
+        """Return the value (out, n) and its derivatives at the input `value` (in, n)."""
 
 
 def through(outer: Array, inner: Array) -> Array:
-    """Return the product of derivatives at each reading: (a, b, n), (b, c, n) -> (a, c, n)."""
+    """Return the product of derivatives reading by reading: (a, b, n), (b, c, n) -> (a, c, n)."""
     n = outer.shape[-1] if inner.shape[-1] == 1 else inner.shape[-1]
     product = np.empty((outer.shape[0], inner.shape[1], n))
     for a, row in enumerate(outer):
@@ -112,7 +113,7 @@ def through(outer: Array, inner: Array) -> Array:
 
 @dataclass(frozen=True)
 class Chain:
-    """Links in order; each takes what the one before it gives."""
+    """Links in order; each takes what the previous one gives."""
 
     links: tuple[Link, ...]
 
@@ -127,7 +128,7 @@ class Chain:
 
     @property
     def blocks(self) -> tuple[str, ...]:
-        """Names of all blocks that the chain uses, in order, once each."""
+        """Names of all blocks that the chain uses, in order, without repetition."""
         return tuple(dict.fromkeys(name for link in self.links for name in link.blocks))
 
     @property
@@ -136,11 +137,12 @@ class Chain:
         return tuple(link.gives for link in self.links)
 
     def spliced(self, effects: Sequence[Link]) -> Chain:
-        """Return the chain with each effect put behind the last link that gives its quantity.
+        """Return the chain with each effect inserted behind the last link that gives its quantity.
 
-        An effect on the parameters of a block (`varies` names it) is put in front of every link that reads the block;
-        one that looks at the links before it (`within`) is given them.
-        Raises ValueError, naming the quantities passed through, where an effect cannot act.
+        An effect on the parameters of a block (its `varies` names the block) is inserted before every link that uses
+        the block. An effect that needs the links before it has a method `within`, which is called with the chain of
+        these links. Raises ValueError, with the list of quantities that the chain passes through, if an effect cannot
+        act.
         """
         links = self.links
         for effect in effects:
@@ -152,7 +154,7 @@ class Chain:
         return Chain(links)
 
     def takes(self, effect: Link) -> bool:
-        """Whether an effect can be put into the chain."""
+        """Return whether an effect can be inserted into the chain."""
         return _put(self.links, effect) is not None
 
     def predict(self, blocks: Mapping[str, Block], observations: Observations) -> Array:
@@ -161,7 +163,7 @@ class Chain:
         return np.array(np.broadcast_to(value, (len(value), observations.count)))
 
     def steps(self, blocks: Mapping[str, Block], observations: Observations, wanted: frozenset[str]) -> list[Step]:
-        """Run the chain forwards and return the step of every link."""
+        """Evaluate the chain from first to last link and return the step of each."""
         local = Local(blocks, observations, wanted)
         value = np.zeros((0, observations.count))
         steps = []
@@ -171,9 +173,9 @@ class Chain:
         return steps
 
     def derivatives(self, steps: Sequence[Step], wanted: frozenset[str]) -> dict[str, Array]:
-        """Return the derivatives of the reading by the wanted blocks, backwards along the chain.
+        """Return the derivatives of the reading by the wanted blocks, computed backwards along the chain.
 
-        Each is (d, size, n), or (k, d, size, n) where a reading touches k members of the block.
+        Each is (d, size, n), or (k, d, size, n) if a reading uses k members of the block.
         """
         first = min(
             (i for i, link in enumerate(self.links) if wanted.intersection(link.blocks)), default=len(self.links)
@@ -193,12 +195,12 @@ class Chain:
 
 @dataclass(frozen=True)
 class Varied:
-    """A link that sees the parameters of a block as an effect changes them, each reading its own."""
+    """A link whose block has other parameters for each reading, because an effect changes them."""
 
     link: Link
     block: str
     effect: Link
-    """Takes and gives the values that each reading touches, (size, n)"""
+    """Takes and gives the values of the block that each reading uses, (size, n)"""
 
     @property
     def takes(self) -> Quantity | None:
@@ -216,7 +218,7 @@ class Varied:
         return tuple(dict.fromkeys((*self.link.blocks, *self.effect.blocks)))
 
     def step(self, value: Array, local: Local) -> Step:
-        """Return the link's step at the changed parameters, with derivatives by the block through the effect."""
+        """Return the link's step at the changed parameters; derivatives by the block pass through the effect."""
         shape = (local.blocks[self.block].size, local.observations.count)
         changed = self.effect.step(np.array(np.broadcast_to(local.rows(self.block), shape)), local)
         step = self.link.step(value, self._seen(np.broadcast_to(changed.value, shape), local))
@@ -230,7 +232,10 @@ class Varied:
         return replace(step, by_block={name: part for name, part in by_block.items() if name in local.wanted})
 
     def _seen(self, values: Array, local: Local) -> Local:
-        """Return what the link sees: a member of the block for each reading, all of it wanted if the effect is."""
+        """Return the surroundings of the link: one member of the block for each reading.
+
+        All columns of the block have derivatives if those of the effect are wanted: they are needed for the chain rule.
+        """
         block, observations, wanted = local.blocks[self.block], local.observations, local.wanted
         used = block.free.any(axis=0)
         if wanted.intersection(self.effect.blocks):
@@ -239,12 +244,12 @@ class Varied:
         members = tuple(map(str, range(n)))
         each = replace(block, values=values.T, members=members, free=np.asarray(used))
         index = {**observations.index, self.block: np.arange(n)}
-        # each reading has a member of its own; in a lattice the other blocks stay as they are
+        # each reading now has its own member; in a lattice the other blocks stay as they are
         return Local({**local.blocks, self.block: each}, replace(observations, index=index), wanted)
 
 
 def _put(links: tuple[Link, ...], effect: Link) -> tuple[Link, ...] | None:
-    """Return the links with an effect among them; None where it cannot act."""
+    """Return the links with an effect inserted; None if it cannot act."""
     varies: str | None = getattr(effect, "varies", None)
     return _behind_last(links, effect) if varies is None else _in_front_of_readers(links, effect, varies)
 

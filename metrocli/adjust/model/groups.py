@@ -1,4 +1,4 @@
-"""Groups: a chain with its observations, and what it looks like near the present values of the blocks."""
+"""Groups: a chain with its observations, its linearisation at given values, and priors as groups."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from metrocli.adjust.model.quantities import Quantity
 
 @dataclass(frozen=True)
 class Touch:
-    """The derivatives of a group by one block, in units of the readings' standard deviations."""
+    """Derivatives of a group's whitened predictions by one block."""
 
     block: str
     index: Index
-    """Member touched by each reading, (n,), of a lattice by each of its slots, (m,)"""
+    """Member that each reading uses, (n,), or that each slot of a lattice uses, (m,)"""
     jacobian: Array
     """(d, size, n)"""
 
@@ -46,10 +46,10 @@ class Group:
     chain: Chain
     observations: Observations
     weights: Array | None = None
-    """Factors (n,) on the weight 1/sigma^2 of each reading, for robust starts; None means 1."""
+    """Factors (n,) on the weights 1/sigma^2 of the readings, for robust starts; None means 1"""
 
     def linear(self, blocks: Mapping[str, Block], wanted: frozenset[str]) -> Linear:
-        """Return the group linearised at the blocks' values by the wanted blocks."""
+        """Return the group linearised at the blocks' values, with derivatives by the wanted blocks."""
         observations = self.observations
         wanted = wanted.intersection(self.chain.blocks)
         steps = self.chain.steps(blocks, observations, wanted)
@@ -73,7 +73,7 @@ class Group:
         return self.with_observations(self.observations.with_readings(self.chain.predict(blocks, self.observations)))
 
     def with_observations(self, observations: Observations) -> Group:
-        """Return the group with other observations and no robust weights."""
+        """Return the group with other observations and without robust weights."""
         return replace(self, observations=observations, weights=None)
 
     def selected(self, keep: Mask | Index) -> Group:
@@ -86,9 +86,9 @@ class Group:
 
 @dataclass(frozen=True)
 class ReadBlock:
-    """The values of a block themselves, as if they were measured: the forward model of a prior.
+    """The forward model of a prior: the values of a block themselves, as if they were measured.
 
-    `value = difference(values, reference)` in the chosen columns, so that readings of zero mean "as the reference".
+    `value = difference(values, reference)` in the chosen columns, so a reading of zero means "equal to the reference".
     """
 
     block: str
@@ -101,7 +101,7 @@ class ReadBlock:
 
     @property
     def blocks(self) -> tuple[str, ...]:
-        """The block it reads."""
+        """The block that it reads."""
         return (self.block,)
 
     def step(self, value: Array, local: Local) -> Step:
@@ -119,9 +119,9 @@ def prior(
     covariance: Array | None = None,
     columns: tuple[int, ...] | None = None,
 ) -> Group:
-    """Return the group that holds members of a block to their present values.
+    """Return a prior: the group that holds members of a block to their present values.
 
-    sigma is (len(members), len(columns)); covariance (len(columns), len(columns)) is for a single member.
+    sigma is (len(members), len(columns)); a covariance (len(columns), len(columns)) is for a single member.
     """
     columns = tuple(range(block.size)) if columns is None else columns
     n = len(members)
@@ -138,9 +138,9 @@ def prior(
 
 
 def priors(block: Block, sigma: Array, free: Mask) -> list[Group]:
-    """Return what is known of members beforehand: one group for each set of columns that has a standard deviation.
+    """Return the priors of a block: one group for each set of columns that has standard deviations.
 
-    sigma (members, size): above zero known so well, nan unknown, 0 exact; free (members, size): what is solved for.
+    sigma (members, size): above zero a prior, nan unknown, 0 exact. free (members, size): what is solved for.
     """
     known = free & np.isfinite(sigma) & (sigma > 0)
     groups = []
@@ -154,7 +154,7 @@ def priors(block: Block, sigma: Array, free: Mask) -> list[Group]:
 
 @dataclass(frozen=True)
 class ReadBlocks:
-    """Several blocks read as one vector: the forward model of a joint prior."""
+    """The forward model of a joint prior: several blocks read as one vector."""
 
     parts: tuple[ReadBlock, ...]
     takes = None
@@ -162,11 +162,11 @@ class ReadBlocks:
 
     @property
     def blocks(self) -> tuple[str, ...]:
-        """The blocks it reads."""
+        """The blocks that it reads."""
         return tuple(part.block for part in self.parts)
 
     def step(self, value: Array, local: Local) -> Step:
-        """Return the differences of all parts one after the other, (sum of columns, n), and their derivatives."""
+        """Return the differences of all parts, one after the other, (sum of columns, n), and their derivatives."""
         steps = [part.step(value, local) for part in self.parts]
         sizes = [len(step.value) for step in steps]
         by_block = {}
@@ -184,7 +184,7 @@ class ReadBlocks:
 
 
 def joint_prior(blocks: Sequence[Block], columns: Sequence[tuple[int, ...]], covariance: Array) -> Group:
-    """Return the group that holds blocks of one member together to their present values, with a common covariance."""
+    """Return the joint prior of several blocks of one member: their present values with a common covariance."""
     parts = tuple(
         ReadBlock(block.name, block.values, chosen, block.space) for block, chosen in zip(blocks, columns, strict=True)
     )

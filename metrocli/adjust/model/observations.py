@@ -1,4 +1,4 @@
-"""Observations: readings, their covariance, the members that each touches, and the conditions of the measurement."""
+"""Observations: readings, their covariance, the members that each uses, and the conditions of the measurement."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ Mask = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Lattice:
-    """Readings in regular order: of k members of one block the first reading each, then the second, up to the m-th.
+    """Readings in regular order: the first readings of k members of a block, then their second ones, up to the m-th.
 
-    Reading `j k + i` is the j-th of `members[i]`; of every other block it touches `slots[block][j]`.
+    Reading `j k + i` is the j-th of `members[i]`; of every other block it uses the member `slots[block][j]`.
     """
 
     block: str
     members: Index | slice
     """(k,)"""
     slots: Mapping[str, Index]
-    """(m,) for each other block"""
+    """(m,) for each other block: its member that the j-th readings use"""
     shape: tuple[int, int]
     """(m, k)"""
 
     def index(self, block: str) -> Index:
-        """Return which member of a block each reading touches, (m k,)."""
+        """Return which member of a block each reading uses, (m k,)."""
         if block == self.block:
             members = self.members
             here = np.arange(members.start, members.stop) if isinstance(members, slice) else members
@@ -38,7 +38,7 @@ class Lattice:
         return np.repeat(self.slots[block], self.shape[1])
 
     def spread(self, per_member: Array, block: str) -> Array:
-        """Return values of the members (members, ...) at each reading, (..., m k)."""
+        """Return values of the members (members, ...) at the readings, (..., m k)."""
         along_members = block == self.block
         chosen = np.moveaxis(per_member[self.members if along_members else self.slots[block]], 0, -1)
         full = np.empty((*chosen.shape[:-1], *self.shape))
@@ -48,25 +48,28 @@ class Lattice:
 
 @dataclass(frozen=True)
 class Observations:
-    """n readings of d components each; the observation axis is the last one, so that arithmetic runs along it."""
+    """n readings of d components each.
+
+    The observation axis is always the last one, so that arithmetic runs along it.
+    """
 
     readings: Array
     """(d, n)"""
     sigma: Array
-    """Standard deviations, broadcast to (d, n); ignored where `covariance` is given."""
+    """Standard deviations, broadcast to (d, n); not used if `covariance` is set"""
     index: Mapping[str, Index] = field(default_factory=dict)
-    """For each block the member that each reading touches, (n,), or (k, n) where a reading touches k members."""
+    """For each block the member that each reading uses, (n,), or (k, n) if a reading uses k members"""
     covariance: Array | None = None
-    """(d, d, n) where components of a reading are correlated."""
+    """(d, d, n) if the components of a reading are correlated"""
     keys: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """Names that identify each reading: image, target, ..."""
     conditions: Mapping[str, Array] = field(default_factory=dict)
-    """Time, temperature, ... of each reading, (n,)."""
+    """Time, temperature, ... of each reading, (n,)"""
     components: tuple[str, ...] = ("",)
-    """Name of each of the d components: u, v."""
+    """Name of each of the d components, e.g. u, v"""
     unit: str = ""
     lattice: Lattice | None = None
-    """Where readings are in regular order, those of a tile of the normal equations: for blocks not in `index`"""
+    """The regular order of the readings of a tile; it stands for the `index` of blocks that are not in `index`"""
     _whitening: Array | None = field(default=None, init=False, repr=False)
     """Inverse Cholesky factor of `covariance`, (n, d, d)"""
 
@@ -88,7 +91,7 @@ class Observations:
         return self.sigma if self.covariance is None else np.sqrt(np.einsum("aan->an", self.covariance))
 
     def whitened(self, values: Array) -> Array:
-        """Return values (d, ..., n) in units of their standard deviation: unit covariance for readings."""
+        """Return values (d, ..., n) decorrelated and in units of their standard deviations."""
         if self._whitening is not None:
             decorrelated: Array = np.einsum("nab,b...n->a...n", self._whitening, values)
             return decorrelated
@@ -107,7 +110,7 @@ class Observations:
         )
 
     def in_lattice(self, chosen: Index, lattice: Lattice) -> Observations:
-        """Return the readings chosen by indices (n,), which are in the regular order of `lattice`; without keys."""
+        """Return the readings chosen by indices (n,) that are in the regular order of `lattice`; without keys."""
         return replace(self, **self._numbers(chosen), index={}, keys={}, lattice=lattice)
 
     def _numbers(self, chosen: Mask | Index) -> dict[str, Any]:
@@ -119,11 +122,11 @@ class Observations:
         }
 
     def with_readings(self, readings: Array) -> Observations:
-        """Return the same design with other readings."""
+        """Return the same observations with other readings."""
         return replace(self, readings=readings)
 
     def followed_by(self, others: Observations) -> Observations:
-        """Return these readings and then others of the same kind; neither has a joint covariance."""
+        """Return these readings followed by others of the same kind; neither may have a covariance."""
         return replace(
             self,
             readings=np.concatenate([self.readings, others.readings], axis=1),

@@ -1,4 +1,4 @@
-"""What flows through a chain."""
+"""Quantities: what a link takes and gives."""
 
 from __future__ import annotations
 
@@ -6,7 +6,10 @@ from enum import Enum
 
 
 class Quantity(Enum):
-    """A kind of value that a link takes or gives; frames are told apart so that chains cannot be joined wrongly."""
+    """A kind of value that a link takes or gives.
+
+    Points of different frames are different quantities, so that links cannot be joined wrongly.
+    """
 
     PARAMETERS = "parameters of a block"
     POINT_ON_BOARD = "point on the board"

@@ -1,1 +1,4 @@
-"""Elimination of point-like blocks, tile by tile, and the covariance of their members."""
+"""Elimination of a block of points (or other members that readings use one at a time), and its covariance.
+
+Method: docs/algorithms/tiled-elimination.md.
+"""

@@ -1,7 +1,8 @@
-"""Many small matrices at once, side by side: entry by entry in arrays whose last axis runs along the matrices.
+"""Cholesky and Householder factors of many small matrices at once, entry by entry.
 
-Each operation is then one sweep over numbers that lie next to each other, which for matrices of 3 x 3 is tens of times
-faster than one matrix after the other (Golub, Van Loan: Matrix Computations, 4.2 and 5.2 for the formulas).
+The last axis of the arrays runs along the matrices, so each operation runs over adjacent numbers. For 3 x 3 matrices
+this is tens of times faster than one matrix after the other. Formulas: Golub, Van Loan: Matrix Computations, 4.2, 5.2.
+Method: docs/algorithms/tiled-elimination.md.
 """
 
 from __future__ import annotations
@@ -11,13 +12,13 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 
 _SINGULAR = 1e-15
-"""A pivot below this share of its diagonal element is rounding"""
+"""A pivot below this fraction of its diagonal element is rounding"""
 
 
 def cholesky(normal: Array) -> Array:
-    """Return L of `N = L L'` with the inverses of its diagonal on the diagonal, (s, s, k); above it anything.
+    """Return L of `N = L L'`, (s, s, k), with the reciprocals of its diagonal on the diagonal; above it anything.
 
-    Raises LinAlgError where a matrix is singular.
+    Raises LinAlgError if a matrix is singular.
     """
     factor = np.empty_like(normal)
     for a in range(len(normal)):
@@ -34,7 +35,7 @@ def cholesky(normal: Array) -> Array:
 
 
 def forward(factor: Array, right: Array) -> Array:
-    """Return `L^-1` times right, (s, ..., k)."""
+    """Return `L^-1 right`, (s, ..., k)."""
     solved = np.empty_like(right)
     for a in range(len(right)):
         rest = right[a]
@@ -45,7 +46,7 @@ def forward(factor: Array, right: Array) -> Array:
 
 
 def backward(factor: Array, right: Array) -> Array:
-    """Return `L'^-1` times right, (s, ..., k)."""
+    """Return `L'^-1 right`, (s, ..., k)."""
     solved = np.empty_like(right)
     for a in reversed(range(len(right))):
         rest = right[a]
@@ -56,9 +57,10 @@ def backward(factor: Array, right: Array) -> Array:
 
 
 def complement(columns: Array) -> tuple[Array, Array]:
-    """Return L of `J'J = L L'` as `cholesky` does, and Z with `Z'J = 0`, `Z'Z = I`, of J (p, s, k): (p, p - s, k).
+    """Return L of `J'J = L L'`, and Z with `Z'J = 0`, `Z'Z = I`, (p, p - s, k), for J (p, s, k).
 
-    By Householder's reflections, so that J is not squared. Raises LinAlgError where columns depend on each other.
+    L has the form that `cholesky` returns. Householder reflections are used, so that J is not squared. Raises
+    LinAlgError if columns of J are dependent.
     """
     p, s, k = columns.shape
     work, factor, scales = columns.copy(), np.empty((s, s, k)), []
@@ -67,6 +69,7 @@ def complement(columns: Array) -> tuple[Array, Array]:
         v = work[a:, a]
         length = np.einsum("pk,pk->k", v, v)
         _must_be_regular(length, sizes[a])
+        # opposite sign of v[0], so that v[0] - pivot does not cancel
         pivot = -np.copysign(np.sqrt(length, out=length), v[0])
         v[0] -= pivot
         scales.append(-1 / (pivot * v[0]))
@@ -81,7 +84,7 @@ def complement(columns: Array) -> tuple[Array, Array]:
 
 
 def _reflect(columns: Array, v: Array, scale: Array) -> None:
-    """Reflect columns (p, c, k) at the planes across v (p, k), in place; `scale` is 2 / v'v."""
+    """Reflect columns (p, c, k) at the planes normal to v (p, k), in place; `scale` is 2 / v'v."""
     along = np.einsum("pk,pck->ck", v, columns)
     along *= scale
     columns -= v[:, None] * along

@@ -1,8 +1,8 @@
 """Covariance of any block from the factors of the normal equations, without the inverse of the whole matrix.
 
-With W = D^-1 B and Q_r the covariance of the reduced unknowns : `Q_er = -W Q_r`,
-`Q_ee = D^-1 + W Q_r W'`. These hold in any datum once Q_r is in it, as long as the datum does not depend on the
-eliminated members; where it does (inner constraints on them) the terms of `Gauge` are added.
+With W = D^-1 B and Q_r the covariance of the reduced unknowns, `Q_er = -W Q_r` and `Q_ee = D^-1 + W Q_r W'`. With Q_r
+in the chosen datum these hold in that datum, unless the datum depends on the eliminated members. For inner
+constraints on these members the terms of `Gauge` are added. Method: docs/algorithms/free-networks.md.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ from metrocli.adjust.schur.member_covariance import MemberCovariance
 
 @dataclass(frozen=True)
 class Covariance:
-    """Covariance of all unknowns, given out block by block."""
+    """Covariance of all unknowns, returned block by block."""
 
     layout: Layout
     shapes: Mapping[str, tuple[int, int]]
     reduced: Array
     """(width, width)"""
     eliminated: MemberCovariance
-    """The eliminated block"""
+    """Covariance of the eliminated block"""
     factor: float = 1.0
-    """sigma0^2 where the noise is estimated, else 1"""
+    """sigma0^2 if the noise is estimated, else 1"""
 
     def scaled(self, factor: float) -> Covariance:
         """Return the covariance multiplied by `factor`."""
         return replace(self, factor=self.factor * factor)
 
     def of(self, name: str) -> Array:
-        """Return the full covariance of a block, (members*size, members*size), zero where it is fixed."""
+        """Return the full covariance of a block, (members*size, members*size), zero for fixed entries."""
         return self.between(name, name)
 
     def between(self, name: str, other: str) -> Array:
@@ -73,7 +73,7 @@ class Covariance:
     def pairs(self, name: str, index: Index, other: str, other_index: Index) -> Array:
         """Return the covariance of chosen pairs of members of two blocks, (size, size', n).
 
-        n is 1 where both blocks have one member. Of the eliminated block a member is paired with itself only.
+        n is 1 if both blocks have one member. A member of the eliminated block can only be paired with itself.
         """
         solved = {self.layout.eliminated, *self.layout.columns}
         if not {name, other} <= solved:

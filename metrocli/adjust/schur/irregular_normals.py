@@ -1,4 +1,7 @@
-"""Normal equations of readings in no regular order: products of each member's readings, all members at once."""
+"""Normal equations of readings in no regular order: products of each member's readings, all members at once.
+
+Method: docs/algorithms/tiled-elimination.md.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,7 @@ from metrocli.adjust.schur.layout import Layout
 
 @dataclass(frozen=True)
 class IrregularNormals:
-    """All members of the eliminated block, none where nothing is eliminated, with the sums of their readings."""
+    """All members of the eliminated block with the sums of their readings; no members if nothing is eliminated."""
 
     members: Index
     free: Mask
@@ -24,25 +27,25 @@ class IrregularNormals:
     d: Array
     """D, (members, s, s)"""
     b: Array
-    """(members, s, width)"""
+    """B, (members, s, width)"""
     right: Array
-    """(members, s)"""
+    """J' residual, (members, s)"""
     n: Array
-    """Of the reduced unknowns, (width, width)"""
+    """N, of the reduced unknowns, (width, width)"""
     right_r: Array
-    """(width,)"""
+    """K' residual, (width,)"""
 
     @cached_property
     def _weights(self) -> Array:
         return np.asarray(np.linalg.solve(self.d, self.b), dtype=float) if self.d.size else self.b
 
     def damped(self, factor: float) -> IrregularNormals:
-        """Return the same with the diagonal of D enlarged by `1 + factor`."""
+        """Return the same with the diagonal of D multiplied by `1 + factor`."""
         return replace(self, d=self.d + factor * _diagonal(self.d))
 
     @cached_property
     def reduced(self) -> tuple[Array, Array, float]:
-        """What readings say of the reduced unknowns alone: matrix, right side, and the fall by the members alone."""
+        """Contribution to the reduced system: its matrix, its right side, and the decrease by the members alone."""
         flat, weights = (x.reshape(self.right.size, len(self.n)) for x in (self.b, self._weights))
         alone = float(np.vdot(self.right, self._solved())) if self.d.size else 0.0
         return self.n - flat.T @ weights, self.right_r - weights.T @ self.right.ravel(), alone
@@ -56,7 +59,7 @@ class IrregularNormals:
         return np.asarray(np.linalg.solve(self.d, self.right[:, :, None])[:, :, 0], dtype=float)
 
     def back(self, step: Array) -> Array:
-        """Return the members' own step, `D^-1 (right - B step)`, (members, s)."""
+        """Return the members' step, `D^-1 (right - B step)`, (members, s)."""
         if not self.d.size:
             return self.right
         return self._solved() - self._weights @ step
@@ -81,7 +84,7 @@ class IrregularNormals:
         return self.inverse() + (weights @ reduced) @ np.swapaxes(weights, 1, 2)
 
     def adjusted(self, reduced: Array) -> tuple[Array, tuple[Array, ...]]:
-        """Return `D^-1 + W Q W'` (members, s, s); nothing of single readings."""
+        """Return `D^-1 + W Q W'` (members, s, s), and no variances of single readings."""
         return self.covariance(reduced), ()
 
     def solved(self, fields: Array) -> Array:
@@ -96,14 +99,14 @@ class IrregularNormals:
 
 
 def _diagonal(matrix: Array) -> Array:
-    """Return the diagonal, 1 where it is not above 0, as a matrix (..., s, s)."""
+    """Return the diagonal as a matrix (..., s, s), with 1 for entries that are not positive."""
     diagonal = np.einsum("...ii->...i", matrix)
     return np.where(diagonal > 0, diagonal, 1.0)[..., None] * np.eye(matrix.shape[-1])
 
 
 @dataclass
 class NormalSums:
-    """The sums of readings: what `Gathered` holds, and the part of the reduced unknowns."""
+    """Sums over readings: the arrays of `IrregularNormals`, filled group by group."""
 
     d: Array
     b: Array
@@ -113,7 +116,7 @@ class NormalSums:
 
     @staticmethod
     def empty(members: int, size: int, width: int) -> NormalSums:
-        """Return sums of no readings."""
+        """Return the sums of no readings."""
         shapes = ((members, size, size), (members, size, width), (members, size), (width, width), (width,))
         return NormalSums(*(np.zeros(shape) for shape in shapes))
 
@@ -121,8 +124,8 @@ class NormalSums:
         """Add the readings of a group."""
         _add(self, _Parts.of(linear, blocks, layout))
 
-    def gathered(self, free: Mask) -> IrregularNormals:
-        """Return the members, with 1 on the diagonal of fixed entries."""
+    def normals(self, free: Mask) -> IrregularNormals:
+        """Return the normal equations, with 1 on the diagonal of fixed entries."""
         fixed = np.nonzero(~free)
         self.d[fixed[0], fixed[1], fixed[1]] = 1.0
         return IrregularNormals(np.arange(len(free)), free, self.d, self.b, self.right_e, self.n, self.right_r)
@@ -130,16 +133,16 @@ class NormalSums:
 
 @dataclass(frozen=True)
 class _Parts:
-    """Derivatives of a group sorted by their part in the sums."""
+    """Derivatives of a group, sorted by the sums that they enter."""
 
     index_e: Index | None
     dense: Array
-    """(d, columns, n): the eliminated block's columns first, then those of blocks of one member, then the residual"""
+    """(d, columns, n): columns of the eliminated block, then those of blocks of one member, then the residual"""
     size_e: int
     places: Index
-    """Reduced columns of the dense part"""
+    """Reduced columns of the blocks of one member"""
     several: tuple[tuple[Touch, Index], ...]
-    """Touches of other blocks of many members, with the reduced columns (members, size)"""
+    """Derivatives by other blocks of many members, with their reduced columns (members, size)"""
 
     @staticmethod
     def of(linear: Linear, blocks: Mapping[str, Block], layout: Layout) -> _Parts:
@@ -182,9 +185,9 @@ def _add(sums: NormalSums, parts: _Parts) -> None:
 
 
 def grams(rows: Array, index: Index, members: int) -> Array:
-    """Return `sum of A'A` over the readings of each member, rows (n, d, c) -> (members, c, c).
+    """Return `A'A` for the readings of each member, rows A (n, d, c) -> (members, c, c).
 
-    Members of like many readings are padded to one length and multiplied together.
+    Members with similar numbers of readings are padded to one length and multiplied together.
     """
     n, d, c = rows.shape
     counts = np.bincount(index, minlength=members)

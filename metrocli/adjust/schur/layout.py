@@ -1,4 +1,4 @@
-"""Layout of the normal equations: the block eliminated member by member, and the places of the others."""
+"""Layout of the normal equations: which block is eliminated member by member, and the columns of the others."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from metrocli.adjust.model.observations import Index
 
 @dataclass(frozen=True)
 class Layout:
-    """Places of unknowns: one block eliminated, then the free entries of the others."""
+    """Places of the unknowns: the eliminated block, then the free entries of the other blocks (the reduced system)."""
 
     eliminated: str | None
     columns: Mapping[str, Index]
-    """For each block of the reduced system the column of every entry, (members, size); -1 where it is fixed."""
+    """For each block of the reduced system the column of every entry, (members, size); -1 if it is fixed"""
     width: int
     """Number of columns of the reduced system"""
 
@@ -29,9 +29,9 @@ class Layout:
 
 
 def arrange(blocks: Mapping[str, Block], groups: Sequence[Group]) -> Layout:
-    """Choose the block to eliminate and place the rest.
+    """Choose the block to eliminate and number the unknowns of the others.
 
-    It is the one of most unknowns of which no reading touches two members.
+    It is the block with the most unknowns, among those of which no reading uses two members.
     """
     candidates = [b for b in blocks.values() if b.free.any() and len(b.members) > 1 and _single_touch(b, groups)]
     eliminated = max(candidates, key=lambda block: int(block.free.sum()), default=None)
@@ -40,7 +40,7 @@ def arrange(blocks: Mapping[str, Block], groups: Sequence[Group]) -> Layout:
 
 
 def without_elimination(blocks: Mapping[str, Block]) -> Layout:
-    """Place the free entries of all blocks one after the other."""
+    """Number the free entries of all blocks one after the other."""
     columns: dict[str, Index] = {}
     place = 0
     for block in blocks.values():

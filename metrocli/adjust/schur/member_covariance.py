@@ -1,8 +1,9 @@
-"""The members of the eliminated block as adjusted: their covariance, and the variance of their readings.
+"""Covariance of the members of the eliminated block, and variance of their adjusted readings.
 
-With W = D^-1 B and Q_r the covariance of the reduced unknowns, member i has the covariance `D_i^-1 + W_i Q_r W_i'`;
-inner constraints on the members themselves add what Gauge says. What is read has in every frame the same variance
-`diag(J D^-1 J' + A Q_r A')`, `A = K - J W`, since A takes no notice of the movements that no reading sees.
+With W = D^-1 B and Q_r the covariance of the reduced unknowns, member i has the covariance `D_i^-1 + W_i Q_r W_i'`.
+Inner constraints on the members themselves add the terms of `Gauge`. The variance of adjusted readings,
+`diag(J D^-1 J' + A Q_r A')` with `A = K - J W`, is the same in every datum, since A annihilates the movements that no
+reading determines. Method: docs/algorithms/tiled-elimination.md and docs/algorithms/free-networks.md.
 """
 
 from __future__ import annotations
@@ -22,23 +23,26 @@ from metrocli.adjust.schur.tiles import Tile
 
 @dataclass(frozen=True)
 class Gauge:
-    """What inner constraints on the eliminated block add: its noise E then enters the common movement h = sum H e."""
+    """The terms that inner constraints on the eliminated block add to its covariance.
+
+    The noise of each member then enters the common movement `h = sum H_i e_i` that restores the datum.
+    """
 
     frame: Frame
     block: Block
     """The eliminated block at the solution"""
 
     def moves_of(self, members: Index | slice) -> Array:
-        """Return E of some members, (k, s, f)."""
+        """Return E for some members, (k, s, f)."""
         moves = self.frame.moves[self.block.name].at(self.block.values, members)
         return moves if self.block.all_free else np.asarray(moves * self.block.free[members, :, None])
 
     def share_of(self, part: Part) -> Array:
-        """Return `D^-1 H'` of the members of a part: the covariance of their own noise with the movement, (k, s, f)."""
+        """Return `D^-1 H'` for the members of a part: the covariance of their own noise with h, (k, s, f)."""
         return part.solved(self.frame.constraint(part.members))
 
     def shared(self, part: Part) -> Array:
-        """Return `-D^-1 H' E' - E H D^-1` of the members of a part, (k, s, s)."""
+        """Return `-D^-1 H' E' - E H D^-1` for the members of a part, (k, s, s)."""
         moved = np.einsum("nsf,ntf->stn", self.frame.constraint(part.members), self.moves_of(part.members))
         half = part.solved(moved.transpose(2, 0, 1))
         return np.asarray(-half - half.swapaxes(1, 2))
@@ -56,13 +60,13 @@ class Gauge:
 
 @dataclass(frozen=True)
 class MemberCovariance:
-    """The eliminated members at the solution, without an estimated factor of the noise."""
+    """Covariance of the eliminated members at the solution, before any estimated factor of the noise."""
 
     shape: tuple[int, int]
     """(members, s)"""
     parts: tuple[Part, ...]
     tiles: tuple[Tile, ...]
-    """The readings of each part, where they are in tiles"""
+    """The readings of each part that is a tile"""
     reduced: Array
     """The covariance of the reduced unknowns, (width, width)"""
     gauge: Gauge | None = None
@@ -92,9 +96,9 @@ class MemberCovariance:
         return self._read(place, shape, lambda i, j: self.tiles[i].pieces[j].group.residuals(blocks))
 
     def explained(self, place: int, shape: tuple[int, int]) -> Array:
-        """Return the variance of the adjusted, whitened readings (d, n) of the group at `place`, `diag(J Q J')`.
+        """Return `diag(J Q J')`, the variance of the adjusted, whitened readings (d, n), of the group at `place`.
 
-        Its readings are in tiles.
+        Its readings must be in tiles.
         """
         return self._read(place, shape, lambda i, j: self._adjusted[1][i][j])
 
@@ -103,7 +107,7 @@ class MemberCovariance:
         return any(piece.place == place for tile in self.tiles for piece in tile.pieces)
 
     def _read(self, place: int, shape: tuple[int, int], values: Callable[[int, int], Array]) -> Array:
-        """Return what is found for each piece in the order of the group's readings, (d, n)."""
+        """Return the values of all pieces in the order of the group's readings, (d, n)."""
         full = np.empty(shape)
         for i, tile in enumerate(self.tiles):
             for j, piece in enumerate(tile.pieces):
@@ -113,7 +117,7 @@ class MemberCovariance:
 
     @cached_property
     def _adjusted(self) -> tuple[Array, list[tuple[Array, ...]]]:
-        """Both in one go, as most of the work is the same: covariances, and variances of each part's readings."""
+        """Covariances of the members and variances of each part's readings; they share most of the work."""
         covariances, readings = np.empty((*self.shape, self.shape[1])), []
         for part in self.parts:
             covariance, explained = part.adjusted(self.reduced)
@@ -122,7 +126,7 @@ class MemberCovariance:
         return covariances, readings
 
     def _collected(self, found: Sequence[Array]) -> Array:
-        """Return what was found for each part in the order of the members."""
+        """Return values found for each part in the order of the members."""
         if not self.shape[1]:
             return np.zeros((0, 0, 0))
         full = np.empty((self.shape[0], *found[0].shape[1:]))

@@ -1,7 +1,8 @@
 """Normal equations with one block eliminated member by member (Schur complement).
 
-With e the unknowns of the eliminated block (block-diagonal D) and r the rest, the normal matrix is [[D, B], [B', N]];
-the reduced system is `S = N - B' D^-1 B`. Cost grows linearly with readings and with members of the eliminated block.
+With e the unknowns of the eliminated block (D, block-diagonal) and r the others, the normal matrix is
+[[D, B], [B', N]]. The reduced system is `S = N - B' D^-1 B`. The cost grows linearly with the number of readings and
+of members of the eliminated block. Method: docs/algorithms/tiled-elimination.md.
 """
 
 from __future__ import annotations
@@ -24,20 +25,20 @@ from metrocli.adjust.schur.tiles import Tiling
 
 
 class Part(Protocol):
-    """Members of the eliminated block, with what their elimination takes from the reduced system and gives back."""
+    """Some members of the eliminated block with the elimination of their unknowns."""
 
     @property
     def members(self) -> Index | slice:
-        """Which members, (k,)"""
+        """Numbers of the members, (k,)"""
 
     def damped(self, factor: float) -> Part:
-        """Return the same with the diagonal of D enlarged by `1 + factor`."""
+        """Return the same with the diagonal of D multiplied by `1 + factor` (Marquardt)."""
 
     @property
     def reduced(self) -> tuple[Array, Array, float]:
-        """What the readings say of the reduced unknowns alone: `N - B' D^-1 B`, right side, and `right' D^-1 right`.
+        """Contribution of the readings to the reduced system: `N - B' D^-1 B`, its right side, and `right' D^-1 right`.
 
-        LinAlgError where D is singular.
+        The last is the decrease of the sum of squares if only the members move. Raises LinAlgError if D is singular.
         """
 
     @property
@@ -54,13 +55,13 @@ class Part(Protocol):
         """Return D^-1 with zeros at fixed entries, (k, s, s)."""
 
     def weights(self) -> Array:
-        """Return `W = D^-1 B`: what the members lose for each unit of the others, (k, s, width)."""
+        """Return `W = D^-1 B`: the members move by `-W` for each unit of the other unknowns, (k, s, width)."""
 
     def covariance(self, reduced: Array) -> Array:
         """Return `D^-1 + W Q W'` of each member, (k, s, s)."""
 
     def adjusted(self, reduced: Array) -> tuple[Array, tuple[Array, ...]]:
-        """Return what `covariance` does, and for each group of a tile the variance of its readings as adjusted."""
+        """Return what `covariance` returns and, for each group of a tile, the variance of its adjusted readings."""
 
     def solved(self, fields: Array) -> Array:
         """Return `D^-1 H` of fields H (k, s, f), (k, s, f)."""
@@ -74,9 +75,9 @@ class Normals:
     """The parts of the normal matrix and of the right side `J' r`, all in whitened readings."""
 
     parts: tuple[Part, ...]
-    """Those of the tiles, then that of the other readings"""
+    """The tiles, then the other readings"""
     shape: tuple[int, int]
-    """Of the eliminated block, (members, s)"""
+    """Shape of the eliminated block, (members, s)"""
     cost: float
     damping: float = 0.0
 
@@ -86,9 +87,9 @@ class Normals:
         return np.asarray(np.sum([part.diagonal for part in self.parts], axis=0))
 
     def reduced(self) -> tuple[Array, Array, float]:
-        """Return `S = N - B' D^-1 B`, its right side, and the fall of the sum of squares by the members alone.
+        """Return `S = N - B' D^-1 B`, its right side, and the decrease of the sum of squares by the members alone.
 
-        LinAlgError where a member is singular.
+        Raises LinAlgError if a member is singular.
         """
         matrices, rights, alone = zip(*(part.reduced for part in self.parts), strict=True)
         matrix, right = np.sum(matrices, axis=0), np.sum(rights, axis=0)
@@ -98,7 +99,7 @@ class Normals:
         return matrix, right, sum(alone)
 
     def damped(self, factor: float) -> Normals:
-        """Return the normals with their diagonal enlarged by `1 + factor` (Marquardt)."""
+        """Return the normal equations with their diagonal multiplied by `1 + factor` (Marquardt)."""
         return replace(self, parts=tuple(part.damped(factor) for part in self.parts), damping=factor)
 
     def back(self, step: Array) -> Array:
@@ -109,7 +110,7 @@ class Normals:
         return steps
 
     def following(self, step: Array) -> Array:
-        """Return `W step`: how far the eliminated unknowns go against a step of the others, (members, s)."""
+        """Return `W step`: the eliminated unknowns move by minus this for a step of the others, (members, s)."""
         steps = np.zeros(self.shape)
         for part in self.parts:
             steps[part.members] = part.weights() @ step
@@ -117,7 +118,10 @@ class Normals:
 
 
 def assemble(groups: Sequence[Group], tiling: Tiling, blocks: Mapping[str, Block], layout: Layout) -> Normals:
-    """Linearise all groups and sum their normal equations; a cost that is no number ends it before the sums."""
+    """Linearise all groups and return the sum of their normal equations.
+
+    If the cost is not finite, it stops before the sums of the tiles.
+    """
     name = layout.eliminated
     shape = blocks[name].values.shape if name else (0, 0)
     sums = NormalSums.empty(0 if tiling.tiles else shape[0], shape[1], layout.width)
@@ -134,11 +138,11 @@ def assemble(groups: Sequence[Group], tiling: Tiling, blocks: Mapping[str, Block
             break
         rows = [Rows.of(linear, tile.members, blocks, layout) for linear in linears]
         part = EliminatedTile(tile.members, blocks[name or ""].free[tile.members], rows, layout.width)
-        with suppress(np.linalg.LinAlgError):  # told when it is asked for; found here, while the rows are in the cache
+        with suppress(np.linalg.LinAlgError):  # raised again on use; computed now while the rows are cached
             _ = part.reduced
         parts.append(part)
     free = blocks[name].free if name else np.zeros((0, 0), dtype=bool)
-    rest = sums.gathered(free[:0] if tiling.tiles else free)
+    rest = sums.normals(free[:0] if tiling.tiles else free)
     return Normals((*parts, rest), shape, float(cost))
 
 

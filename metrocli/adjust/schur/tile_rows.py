@@ -1,4 +1,4 @@
-"""The readings of a tile in order: derivatives by its members and by the other blocks, and products of them."""
+"""The linearised readings of a tile: derivatives by its members and by other blocks, and their products."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ class OtherBlock:
     jacobian: Array
     """(d, size, m, k)"""
     places: Index
-    """Reduced columns of the member that each slot touches, (m, size), -1 where fixed; (1, size) if it is but one"""
+    """Reduced columns of the member that each slot uses, (m, size), -1 if fixed; (1, size) if all use the same"""
 
     def along(self, step: Array) -> Array:
-        """Return what the readings see of a step of the reduced unknowns, ending in a zero (width + 1,), (d, m, k)."""
+        """Return `K step`, (d, m, k), for a step of the reduced unknowns with a 0 at its end, (width + 1,)."""
         if len(self.places) == self.jacobian.shape[2]:
             return np.asarray(np.einsum("dcmk,mc->dmk", self.jacobian, step[self.places]))
         return np.asarray(np.einsum("dcmk,c->dmk", self.jacobian, step[self.places[0]]))
@@ -31,17 +31,18 @@ class OtherBlock:
 
 @dataclass(frozen=True)
 class Rows:
-    """The readings of one group in a tile, linearised and whitened: m readings of d components for k members."""
+    """The linearised, whitened readings of one group in a tile: m readings of d components for each of k members."""
 
     own: Array
-    """(d, s, m, k), zero at fixed entries"""
+    """Derivatives by the members' own unknowns (J), (d, s, m, k), zero at fixed entries"""
     residual: Array
     """(d, m, k)"""
     beside: tuple[OtherBlock, ...]
+    """Derivatives by the other blocks (K)"""
 
     @staticmethod
     def of(linear: Linear, members: Index | slice, blocks: Mapping[str, Block], layout: Layout) -> Rows:
-        """Return the readings of `members` of the eliminated block in the order of a lattice."""
+        """Return the rows of `members` of the eliminated block, from a group linearised in the order of a lattice."""
         d, k = len(linear.residual), len(blocks[layout.eliminated or ""].free[members])
         beside: list[OtherBlock] = []
         own = np.zeros(0)
@@ -62,12 +63,12 @@ def flattened(rows: Array) -> Array:
 
 
 def with_zeros(matrix: Array) -> Array:
-    """Return a matrix with a row and a column of zeros more, the place of fixed unknowns."""
+    """Return the matrix with one more row and column of zeros, the place of fixed unknowns (column -1)."""
     return np.pad(matrix, (0, 1))
 
 
 def by_slot(jacobian: Array, slots: int) -> Array:
-    """Return derivatives as matrices to multiply, (slots, size, d m k / slots)."""
+    """Return derivatives as matrices that can be multiplied, (slots, size, d m k / slots)."""
     d, size, m, k = jacobian.shape
     if slots == m:
         return jacobian.transpose(2, 1, 0, 3).reshape(m, size, d * k)
@@ -89,7 +90,7 @@ def add_products(part: Rows, matrix: Array, right: Array) -> None:
 
 
 def adjusted_variance(first: OtherBlock, second: OtherBlock, reduced: Array) -> Array:
-    """Return `K Q K'` of the derivatives by two blocks, (d, m, k)."""
+    """Return the diagonal of `K Q K'` for the derivatives K by two blocks, (d, m, k)."""
     d, _, m, k = first.jacobian.shape
     total = np.zeros((d, m, k))
     rows = np.broadcast_to(first.places, (m, first.places.shape[1]))

@@ -1,8 +1,8 @@
-"""The unknowns of a tile's members eliminated: Cholesky factors and products in arrays that run along the members.
+"""Elimination of the members of a tile: Cholesky factors and products in arrays that run along the members.
 
-With `D = L L'` the normal matrix of a member, J its derivatives by its own unknowns and K those by the others, both in
-whitened readings: `U = L^-1 J'`, `Y = U K = L^-1 B`, and the reduced system loses `Y'Y`. All arrays have the members as
-last axis, so that each operation is one sweep over numbers that lie side by side.
+J are the derivatives of the whitened readings by a member's own unknowns, K those by the other unknowns, and
+`D = J'J = L L'`. Then `U = L^-1 J'`, `Y = U K = L^-1 B`, and the reduced system loses `Y'Y`. The members are the last
+axis of all arrays, so that each operation runs over adjacent numbers. Method: docs/algorithms/tiled-elimination.md.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from metrocli.adjust.schur.tile_rows import Rows, add_products, adjusted_varianc
 
 
 class EliminatedTile:
-    """A tile whose members are eliminated."""
+    """A tile with its members eliminated."""
 
     def __init__(
         self, members: Index | slice, free: Mask, rows: Sequence[Rows], width: int, damping: float = 0
@@ -31,7 +31,7 @@ class EliminatedTile:
             self.right += np.einsum("damk,dmk->ak", part.own, part.residual)
 
     def damped(self, factor: float) -> EliminatedTile:
-        """Return the same with the diagonal of D enlarged by `1 + factor`."""
+        """Return the same with the diagonal of D multiplied by `1 + factor`."""
         return EliminatedTile(self.members, self.free.T, self.rows, self.width, factor)
 
     def _normal(self) -> Array:
@@ -48,15 +48,18 @@ class EliminatedTile:
 
     @cached_property
     def factor(self) -> Array:
-        """L of `D = L L'`, (s, s, k); LinAlgError where a member is singular."""
+        """L of `D = L L'`, (s, s, k).
+
+        Raises LinAlgError if a member is singular.
+        """
         return cholesky(self._normal())
 
     def forward(self, right: Array) -> Array:
-        """Return `L^-1` times right, (s, ..., k)."""
+        """Return `L^-1 right`, (s, ..., k)."""
         return forward(self.factor, right)
 
     def backward(self, right: Array) -> Array:
-        """Return `L'^-1` times right, (s, ..., k)."""
+        """Return `L'^-1 right`, (s, ..., k)."""
         return backward(self.factor, right)
 
     def whitened(self, part: Rows) -> Array:
@@ -64,9 +67,9 @@ class EliminatedTile:
         return self.forward(np.moveaxis(part.own, 1, 0))
 
     def coupling(self) -> tuple[Array, Index]:
-        """Return Y and the reduced column of each of its rows, (rows, s, k) and (rows,), -1 where fixed.
+        """Return Y and the reduced column of each of its rows, (rows, s, k) and (rows,), -1 if fixed.
 
-        A column may stand in several rows.
+        A column may occur in several rows: one for each reading that uses it.
         """
         return self._combined(len(self.free), [self.whitened(part) for part in self.rows])
 
@@ -90,10 +93,10 @@ class EliminatedTile:
 
     @cached_property
     def reduced(self) -> tuple[Array, Array, float]:
-        """What the readings say of the reduced unknowns alone: matrix, right side, and the fall by the members alone.
+        """Contribution to the reduced system: its matrix, its right side, and the decrease by the members alone.
 
-        LinAlgError where a member is singular. Where there are few readings to spare, combinations of readings that
-        the members do not act on are taken (Z of `complement`), else `K'K - Y'Y`.
+        Raises LinAlgError if a member is singular. With few readings per member, the contribution is `X'X` with `X =
+        Z'K`, from the combinations Z of readings that do not depend on the member (see `complement`); else `K'K - Y'Y`.
         """
         matrix, right = np.zeros((self.width + 1,) * 2), np.zeros(self.width + 1)
         if self._few:
@@ -117,12 +120,12 @@ class EliminatedTile:
 
     @property
     def _few(self) -> bool:
-        """Whether there are so few readings that the combinations free of the members are fewer than they."""
+        """Whether the combinations that do not depend on the member are at most as many as its unknowns."""
         s, scalars = len(self.free), sum(part.own.shape[0] * part.own.shape[2] for part in self.rows)
         return s <= scalars <= 2 * s and bool(self.free.all()) and not self.damping
 
     def _spare(self) -> list[Array]:
-        """Return Z, the combinations of readings that the members do not act on, for each group, (q, d, m, k)."""
+        """Return Z, the combinations of readings that do not depend on the member, for each group, (q, d, m, k)."""
         s, k = self.free.shape
         columns = [part.own.swapaxes(1, 2).reshape(-1, s, k) for part in self.rows]
         self.factor, spare = complement(columns[0] if len(columns) == 1 else np.concatenate(columns))
@@ -145,7 +148,7 @@ class EliminatedTile:
         return diagonal[:-1]
 
     def back(self, step: Array) -> Array:
-        """Return the members' own step, `D^-1 J' (residual - K step)`, (k, s)."""
+        """Return the members' step, `D^-1 J' (residual - K step)`, (k, s)."""
         right, full = self.right.copy(), np.append(step, 0.0)
         for part in self.rows:
             for beside in part.beside:
@@ -193,7 +196,7 @@ class EliminatedTile:
 
     @staticmethod
     def _shared(coupled: tuple[Array, Index], reduced: Array) -> tuple[Array, Array]:
-        """Return `Y Q` and `Y Q Y'`, of the reduced unknowns' covariance Q: (rows, s, k), (s, s, k)."""
+        """Return `Y Q` and `Y Q Y'`, with Q the covariance of the reduced unknowns: (rows, s, k), (s, s, k)."""
         rows, places = coupled
         product = (with_zeros(reduced)[np.ix_(places, places)] @ flattened(rows)).reshape(rows.shape)
         s, k = rows.shape[1:]
@@ -217,9 +220,9 @@ class EliminatedTile:
         return self._members(full)
 
     def adjusted(self, reduced: Array) -> tuple[Array, tuple[Array, ...]]:
-        """Return `D^-1 + W Q W'` (k, s, s), and for each group of rows the variance of its readings, (d, m k).
+        """Return `D^-1 + W Q W'` (k, s, s), and for each group the variance of its adjusted readings, (d, m k).
 
-        Those are as adjusted, `diag(J D^-1 J' + A Q A')` with `A = K - J W`.
+        That variance is `diag(J D^-1 J' + A Q A')` with `A = K - J W`.
         """
         own = [self.whitened(part) for part in self.rows]
         coupled = self._combined(len(self.free), own)
@@ -228,7 +231,7 @@ class EliminatedTile:
         return self._covariance(between), tuple(one.reshape(len(one), -1) for one in explained)
 
     def _left(self, reduced: Array) -> list[Array]:
-        """Return the variance of each reading as adjusted by what is left, `1 - Z (I - X Q X') Z'`, `X = Z'K`."""
+        """Return the variance of each adjusted reading as `1 - diag(Z (I - X Q X') Z')`, with `X = Z'K`."""
         spare = self._spare()
         left = -self._shared(self._combined(len(spare[0]), spare), reduced)[1]
         for a in range(len(left)):
@@ -236,9 +239,9 @@ class EliminatedTile:
         return [1 - np.einsum("qdmk,rdmk,qrk->dmk", z, z, left) for z in spare]
 
     def _explained(self, own: Sequence[Array], product: Array, between: Array, reduced: Array) -> list[Array]:
-        """Return the variance of each reading as adjusted, for each group of rows, (d, m, k).
+        """Return the variance of each adjusted reading, for each group, (d, m, k).
 
-        With `U` the reading's own part, `U'U + U' Y Q Y' U - 2 U' Y Q K' + K Q K'`.
+        With U of the reading itself: `U'U + U' Y Q Y' U - 2 U' Y Q K' + K Q K'`.
         """
         found, at = [], 0
         for part, u in zip(self.rows, own, strict=True):

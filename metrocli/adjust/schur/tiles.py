@@ -1,8 +1,8 @@
-"""Tiles: the members of the eliminated block in lots that fit the processor's cache, with their readings in order.
+"""Tiles: lots of members of the eliminated block whose readings fit the processor's cache, in regular order.
 
-Members that are read alike (points seen by the same tracers) stand together. Their readings, taken in the same order,
-are a lattice: to gather a value for each reading is then to repeat it, and to sum over the readings of a member is to
-sum along an axis.
+Members that are read alike (e.g. points seen by the same tracers) are put together. Their readings, sorted alike,
+form a lattice: a value for each reading is then a repetition, and a sum over a member's readings a sum along an axis.
+Method: docs/algorithms/tiled-elimination.md.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Index, Lattice
 
 _READINGS = 32768
-"""Readings of a tile, about: less costs calls, more leaves the cache"""
+"""Approximate number of readings in a tile: fewer cost function calls, more leave the cache"""
 _MOST = 64
-"""Scalar readings that a member of a lattice may have; beyond it matrix products member by member are faster"""
+"""Most scalar readings of a member in a lattice; beyond it matrix products member by member are faster"""
 _WORTH = 200
-"""Readings that a tile needs on average to be worth its overhead"""
+"""Average number of readings from which a tile is worth its overhead"""
 
 
 @dataclass(frozen=True)
@@ -29,33 +29,33 @@ class Piece:
     """The readings of a tile that belong to one group."""
 
     group: Group
-    """With the observations in regular order"""
+    """The group with only these readings, in regular order"""
     place: int
-    """Which of all groups it is part of"""
+    """Number of the group that it is a piece of"""
     rows: Index
-    """Which readings of that group these are"""
+    """Numbers of these readings in that group"""
 
 
 @dataclass(frozen=True)
 class Tile:
-    """Some members of the eliminated block with all their readings."""
+    """Some members of the eliminated block and all their readings."""
 
     members: Index | slice
-    """Which members; a slice where they stand side by side"""
+    """Numbers of the members; a slice if they are consecutive"""
     pieces: tuple[Piece, ...]
 
 
 @dataclass(frozen=True)
 class Tiling:
-    """The readings of an adjustment: those in tiles, and groups that are taken whole."""
+    """The readings of an adjustment: those in tiles, and the groups that are taken whole."""
 
     tiles: tuple[Tile, ...]
     whole: tuple[int, ...]
-    """Which groups are in no tile"""
+    """Numbers of the groups that are in no tile"""
 
 
 def tiling_of(groups: Sequence[Group], blocks: Mapping[str, Block], eliminated: str | None) -> Tiling:
-    """Return the tiles, none of them where readings are in no regular order."""
+    """Return the tiles; there are none if the readings have no regular order."""
     everything = Tiling((), tuple(range(len(groups))))
     if eliminated is None:
         return everything
@@ -73,21 +73,21 @@ def tiling_of(groups: Sequence[Group], blocks: Mapping[str, Block], eliminated: 
 
 @dataclass(frozen=True)
 class _Order:
-    """The readings of a group sorted by the member of the eliminated block, then by the others that they touch."""
+    """The readings of a group, sorted by the member of the eliminated block, then by the others that they use."""
 
     place: int
     rows: Index
     counts: Index
-    """Readings of each member"""
+    """Number of readings of each member"""
     starts: Index
     code: Index
-    """What else each sorted reading touches, as one number"""
+    """The other members that each sorted reading uses, coded as one number"""
     others: Mapping[str, Index]
-    """Which members of the other blocks each reading touches, unsorted"""
+    """Which members of the other blocks each reading uses, unsorted"""
 
     @staticmethod
     def of(group: Group, place: int, blocks: Mapping[str, Block], eliminated: str) -> _Order | None:
-        """Return the order; None where a reading touches two members of a block, or a member has many readings."""
+        """Return the order; None if a reading uses two members of a block, or if a member has many readings."""
         observations, members = group.observations, len(blocks[eliminated].members)
         own = observations.index[eliminated].reshape(-1)
         nothing = np.zeros(len(own), dtype=np.intp)
@@ -108,7 +108,10 @@ class _Order:
         return _Order(place, rows, counts, np.cumsum(counts) - counts, code[rows], others)
 
     def signature(self) -> Index:
-        """Return a number for each member, equal for members read alike and else only by a chance of 2^-60 or so."""
+        """Return a number for each member; equal for members that are read alike.
+
+        It is a hash with random factors: two members that are not read alike agree with a probability of about 2^-60.
+        """
         slots = np.random.default_rng(self.place).integers(1, 2**62, int(self.counts.max(initial=0)) + 1) | 1
         position = np.arange(len(self.rows)) - np.repeat(self.starts, self.counts)
         mixed = (self.code + 1) * slots[position]
@@ -132,6 +135,7 @@ def _alike(orders: Sequence[_Order]) -> list[Index]:
 
 
 def _one_pattern(order: _Order) -> bool:
+    """Return whether all members of a group are read alike."""
     m = int(order.counts[0])
     if not (order.counts == m).all():
         return False

@@ -1,1 +1,4 @@
-"""Sparse normal equations of blocks that stay coupled: nested dissection, Cholesky, selected inverse."""
+"""Sparse normal equations of blocks that stay coupled: nested dissection, Cholesky factor, selected inverse.
+
+Method: docs/algorithms/nested-dissection.md.
+"""

@@ -1,8 +1,9 @@
-"""The normal matrix of an adjustment of fields, reduced step by step, with the directions that it leaves open.
+"""Factor of the normal matrix of an adjustment of fields, with its undetermined directions.
 
-A net that is singular by itself (fields that move no view) has its open directions Z found by inverse iteration; as
-many unknowns P are then held, chosen so that P' Z is regular, and `(S + t P P')^-1` is an inverse of S in the sense
-that `S S^- S = S`. The border is small and has its eigenvalues.
+The local unknowns are eliminated first, then the net, then the border. If the net is singular by itself (some
+combinations of its unknowns change no reading), its null space Z is found by inverse iteration. As many unknowns are
+then held, chosen so that `P' Z` is regular, P selecting them. `(S + t P P')^-1` is then a generalised inverse of S:
+`S S^- S = S`. The border is small and is inverted by its eigenvalues. Method: docs/algorithms/nested-dissection.md.
 """
 
 from __future__ import annotations
@@ -20,44 +21,45 @@ from metrocli.adjust.sparse.nested_dissection import Sparse, connected, dissect
 from metrocli.adjust.sparse.partition import Partition
 
 _STIFFNESS = 1e-9
+"""Relative stiffness that makes a singular net regular for the inverse iteration"""
 _SINGULAR = 1e-9
-"""Pivots and eigenvalues below this share of the diagonal are rounding"""
+"""Pivots and eigenvalues below this fraction of the diagonal are rounding"""
 _MOST = 900
-"""Open directions of the net that are looked for"""
+"""Largest number of undetermined directions of the net"""
 
 
 class OpenDesignError(Exception):
-    """The design leaves more open than can be listed."""
+    """A design leaves more directions undetermined than can be listed."""
 
 
 @dataclass(frozen=True)
 class BorderedFactor:
-    """Factors of the reduced normal matrix."""
+    """Factors of the normal matrix, reduced step by step."""
 
     sizes: Partition
     diagonal: Array
-    """D (local,)"""
+    """D, (local,)"""
     towards_net: Sparse
     """N_lg, (local, net)"""
     towards_border: Array
     """N_lb, (local, border)"""
     matrix: Sparse
-    """S"""
+    """S, the matrix of the net without the local unknowns"""
     net: SparseCholesky
     weights: Array
-    """`S^-1 B`, B what is left of N_gb, (net, border)"""
+    """`S^-1 B` with B the part of N_gb left after the local unknowns are eliminated, (net, border)"""
     border: Array
-    """T^-1 without its open directions, (border, border)"""
+    """T^-1 without its undetermined directions, (border, border)"""
     null: Array
-    """Everything that is open, Z (unknowns, k)"""
+    """Z, all undetermined directions, (unknowns, k)"""
 
     @cached_property
     def inverse(self) -> Sparse:
-        """Entries of S^-1 where S has its own."""
+        """Entries of S^-1 at the entries of S."""
         return self.net.inverse(self.matrix)
 
     def solve(self, right: Array) -> Array:
-        """Return a solution of `N x = right`; what of the right side lies in the open directions is left out."""
+        """Return a solution of `N x = right`; the part of the right side along undetermined directions is ignored."""
         flat = right.reshape(len(right), -1)
         g, rest = self.sizes.net, self.sizes.net + self.sizes.local
         local = flat[g:rest] / self.diagonal[:, None]
@@ -70,7 +72,7 @@ class BorderedFactor:
         return np.concatenate([net, local, border]).reshape(right.shape)
 
     def variances(self, rows: Sparse) -> Array:
-        """Return `diag(R Q R')` for rows of entries that readings couple, (n,)."""
+        """Return `diag(R Q R')` for rows R that combine unknowns coupled by a reading, (n,)."""
         net, scaled, outer = self._shared(rows)
         own = np.asarray(scaled.multiply(scaled).sum(axis=1)).ravel()
         return np.asarray(own + self._spread(net) + np.einsum("nb,nb->n", outer @ self.border, outer))
@@ -82,7 +84,10 @@ class BorderedFactor:
         return np.asarray((scaled @ scaled.T).toarray() + half.T @ half + outer @ self.border @ outer.T)
 
     def _shared(self, rows: Sparse) -> tuple[Sparse, Sparse, Array]:
-        """Return what rows weigh in `R Q R'`: the net, the local unknowns over the root of D, and the border."""
+        """Return the rows transformed to independent parts: net, local unknowns over the root of D, and border.
+
+        The weights of the net and of the border include what the eliminated unknowns pass on.
+        """
         g, rest = self.sizes.net, self.sizes.net + self.sizes.local
         net, local, border = rows[:, :g], rows[:, g:rest], rows[:, rest:]
         scaled = local.multiply(1 / self.diagonal).tocsr()
@@ -91,7 +96,7 @@ class BorderedFactor:
         return net, local.multiply(1 / np.sqrt(self.diagonal)).tocsr(), outer
 
     def _spread(self, rows: Sparse) -> Array:
-        """Return `diag(R S^-1 R')` from the entries of the inverse."""
+        """Return `diag(R S^-1 R')` from the known entries of the inverse."""
         counts, size = np.diff(rows.indptr), self.inverse.shape[0]
         total = np.zeros(rows.shape[0])
         keys = np.repeat(np.arange(size), np.diff(self.inverse.indptr)) * size + self.inverse.indices
@@ -107,7 +112,10 @@ class BorderedFactor:
 
 
 def bordered_factor(jacobian: Sparse, sizes: Partition, places: Array) -> BorderedFactor:
-    """Return the factors of J'J; OpenDesignError where the net is open in more than `_MOST` directions."""
+    """Return the factor of `J'J`.
+
+    Raises OpenDesignError if the net has more than `_MOST` undetermined directions.
+    """
     g, rest = sizes.net, sizes.net + sizes.local
     by_net, by_local, by_border = jacobian[:, :g], jacobian[:, g:rest], jacobian[:, rest:]
     diagonal = np.asarray(by_local.multiply(by_local).sum(axis=0)).ravel()
@@ -115,6 +123,7 @@ def bordered_factor(jacobian: Sparse, sizes: Partition, places: Array) -> Border
     towards_border = (by_local.T @ by_border).toarray()
     share = towards_net.multiply(1 / diagonal[:, None]).tocsr()
     own = by_net.T @ by_net
+    # the last term has the pattern of the second without cancellation: the selected inverse needs these entries
     matrix = _sum(own, -(towards_net.T @ share), 0.0 * (abs(towards_net).T @ abs(share)))
     right = (by_net.T @ by_border).toarray() - share.T @ towards_border
     net, open_net = _factored(matrix, places, float(own.diagonal().max()))
@@ -130,7 +139,7 @@ def bordered_factor(jacobian: Sparse, sizes: Partition, places: Array) -> Border
 
 
 def _sum(*matrices: Sparse) -> Sparse:
-    """Return the sum with every entry that one of them has, also where they cancel: readings couple these."""
+    """Return the sum with every entry that one of the matrices has, even where they cancel: readings couple these."""
     from scipy.sparse import coo_array
 
     parts = [matrix.tocoo() for matrix in matrices]
@@ -141,9 +150,9 @@ def _sum(*matrices: Sparse) -> Sparse:
 
 
 def _factored(matrix: Sparse, places: Array, largest: float) -> tuple[SparseCholesky, Array]:
-    """Return the factor of the net, with unknowns held where it is singular, and its open directions (n, k).
+    """Return the factor of the net, with unknowns held if it is singular, and its undetermined directions (n, k).
 
-    largest is the largest entry of the diagonal before the local unknowns were eliminated.
+    `largest` is the largest entry of the diagonal before the local unknowns were eliminated.
     """
     fronts = dissect(matrix, places)
     try:
@@ -165,24 +174,25 @@ def _with_diagonal(matrix: Sparse, added: Array) -> Sparse:
 
 
 def _holding(opened: _Opened, count: int) -> Array:
-    """Return 1 at the unknowns whose holding closes all open directions, else 0, (count,)."""
+    """Return 1 at the unknowns that are held so that no direction stays open, else 0, (count,)."""
     from scipy.linalg import qr
 
     held = np.zeros(count)
     for piece, directions in opened:
+        # pivoted QR: the unknowns that the open directions move most independently
         _, order = qr(directions.T, mode="r", pivoting=True)
         held[piece[order[: directions.shape[1]]]] = 1.0
     return held
 
 
 _Opened = list[tuple[Index, Array]]
-"""The unknowns of pieces of a net, and their open directions (unknowns of the piece, k)"""
+"""The unknowns of connected pieces of a net, and their undetermined directions (unknowns of the piece, k)"""
 
 
 def _open(matrix: Sparse, net: SparseCholesky, largest: float) -> _Opened:
-    """Return the open directions of a singular net by inverse iteration on ever more vectors.
+    """Return the undetermined directions of a singular net, by inverse iteration on more and more vectors.
 
-    A net that falls apart has them piece by piece; the same columns serve all pieces at once.
+    If the net falls into pieces, they are found piece by piece; the same columns serve all pieces at once.
     """
     pieces = connected(matrix)
     rng, count = np.random.default_rng(0), 32
@@ -199,7 +209,7 @@ def _open(matrix: Sparse, net: SparseCholesky, largest: float) -> _Opened:
 
 
 def _orthonormal(vectors: Array, pieces: list[Index]) -> Array:
-    """Return vectors orthonormal over each piece, as many of them as it has unknowns, the others zero."""
+    """Return vectors made orthonormal over each piece: as many as it has unknowns, the others zero."""
     whole = np.zeros_like(vectors)
     for piece in pieces:
         own = np.linalg.qr(vectors[piece, : len(piece)])[0]
@@ -208,7 +218,7 @@ def _orthonormal(vectors: Array, pieces: list[Index]) -> Array:
 
 
 def _lowest(matrix: Sparse, vectors: Array, pieces: list[Index], largest: float) -> Iterator[Array]:
-    """Yield what is open in each piece of what its vectors span, (unknowns of the piece, k)."""
+    """Yield for each piece the undetermined directions in the span of its vectors, (unknowns of the piece, k)."""
     applied = matrix @ vectors
     for piece in pieces:
         own = vectors[piece, : len(piece)]
@@ -217,7 +227,7 @@ def _lowest(matrix: Sparse, vectors: Array, pieces: list[Index], largest: float)
 
 
 def _side_by_side(opened: _Opened, count: int) -> Array:
-    """Return directions of single pieces as those of the whole, (count, k)."""
+    """Return the directions of single pieces as columns over all unknowns, (count, k)."""
     whole = np.zeros((count, sum(directions.shape[1] for _, directions in opened)))
     at = 0
     for piece, directions in opened:
@@ -227,7 +237,7 @@ def _side_by_side(opened: _Opened, count: int) -> Array:
 
 
 def _border(matrix: Array, alone: Array) -> tuple[Array, Array]:
-    """Return the inverse of the border's matrix without its open directions, and these."""
+    """Return the inverse of the border's matrix without its undetermined directions, and these directions."""
     scale = 1 / np.sqrt(np.where(alone > 0, alone, 1.0))
     values, vectors = np.linalg.eigh(matrix * scale[:, None] * scale)
     opened = values < _SINGULAR

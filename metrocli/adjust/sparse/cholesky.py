@@ -1,8 +1,9 @@
-"""Cholesky factor of a sparse symmetric matrix by fronts, with solution and selected inverse.
+"""Cholesky factor of a sparse symmetric matrix front by front, with solution and selected inverse.
 
-Multifrontal elimination (Duff and Reid 1983) on dense blocks; the entries of the inverse where the matrix has its own
-follow from the root downwards by the recursion of Takahashi (1973), at twice the cost of the factor. Of symmetric
-matrices only the lower triangle is kept, in the order of elimination.
+The factor is computed by multifrontal elimination (Duff and Reid 1983) on dense blocks. The entries of the inverse
+at the non-zero entries of the matrix follow from the root downwards by the recursion of Takahashi (1973), at twice
+the cost of the factor. Only the lower triangle of symmetric matrices is stored, in the order of elimination.
+Method: docs/algorithms/nested-dissection.md.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from metrocli.adjust.sparse.nested_dissection import Front, Sparse
 
 @dataclass(frozen=True)
 class _Columns:
-    """Columns of the factor: L = [[diagonal, 0], [below, ...]]."""
+    """Columns of the factor that belong to one front: [[diagonal, 0], [below, ...]]."""
 
     diagonal: Array
     """(p, p), lower, Fortran order"""
@@ -29,13 +30,13 @@ class _Columns:
 
 @dataclass(frozen=True)
 class SparseCholesky:
-    """`A = L L'`."""
+    """The factor L of `A = L L'`."""
 
     fronts: Sequence[Front]
     columns: Sequence[_Columns]
 
     def forward(self, right: Array) -> Array:
-        """Return `L^-1 right`, (n,) or (n, k), with the rows where their unknowns stand in A."""
+        """Return `L^-1 right`, (n,) or (n, k), with the rows in the order of A."""
         from scipy.linalg import blas
 
         x = np.array(right, dtype=float).reshape(len(right), -1)
@@ -60,7 +61,7 @@ class SparseCholesky:
         return min(float(np.abs(part.diagonal.diagonal()).min()) for part in self.columns if part.diagonal.size)
 
     def inverse(self, pattern: Sparse) -> Sparse:
-        """Return the entries of `A^-1` where the symmetric `pattern` has its own, which must be among those of A."""
+        """Return the entries of `A^-1` at the entries of the symmetric `pattern`, which must be among those of A."""
         half = _half(pattern, self.fronts)
         values, place = np.empty(len(half.others)), np.empty(pattern.shape[0], dtype=np.intp)
         children = {child for front in self.fronts for child in front.children}
@@ -78,7 +79,10 @@ class SparseCholesky:
 
 
 def factor(matrix: Sparse, fronts: Sequence[Front]) -> SparseCholesky:
-    """Return the factor of a symmetric positive definite matrix; numpy.linalg.LinAlgError where it is not."""
+    """Return the factor of a symmetric positive definite matrix.
+
+    Raises numpy.linalg.LinAlgError if it is not positive definite.
+    """
     from scipy.linalg import blas, lapack
 
     half, place = _half(matrix, fronts), np.empty(matrix.shape[0], dtype=np.intp)
@@ -104,7 +108,7 @@ def factor(matrix: Sparse, fronts: Sequence[Front]) -> SparseCholesky:
 
 
 _Runs = list[tuple[slice, slice]]
-"""Pieces of a child's border: where they stand among the unknowns of its parent, and in the border"""
+"""Consecutive pieces of a child's border: their positions among the unknowns of the parent, and in the border"""
 
 
 @dataclass(frozen=True)
@@ -116,7 +120,7 @@ class _Square:
     rest: Array
 
     def piece(self, rows: slice, columns: slice) -> Array:
-        """Return a view of a piece that lies within one of the parts."""
+        """Return a view of a piece that lies within one of the three parts."""
         p = len(self.own)
         if rows.start < p:
             return self.own[rows, columns]
@@ -126,14 +130,14 @@ class _Square:
         return self.rest[below, columns.start - p : columns.stop - p]
 
     def add(self, update: Array, runs: _Runs) -> None:
-        """Add a child's update."""
+        """Add the update matrix of a child."""
         for k, (there, here) in enumerate(runs):
             for other, own in runs[: k + 1]:
                 part = self.piece(there, other)
                 part += update[here, own]
 
     def at(self, runs: _Runs) -> Array:
-        """Return the entries at a child's border, their lower triangle."""
+        """Return the entries at a child's border (lower triangle)."""
         size = runs[-1][1].stop if runs else 0
         known = np.empty((size, size), order="F")
         for k, (there, here) in enumerate(runs):
@@ -143,7 +147,10 @@ class _Square:
 
 
 def _inverse(part: _Columns, rest: Array) -> _Square:
-    """Return the inverse over the unknowns of a front, from that over its border."""
+    """Return the inverse at the unknowns of a front, from that at its border `rest`.
+
+    With `G = below diagonal^-1` these are `cross = -rest G` and `own = (diagonal diagonal')^-1 - G' cross` (Takahashi).
+    """
     from scipy.linalg import blas, lapack
 
     own, _ = lapack.dpotri(part.diagonal, lower=1)
@@ -156,17 +163,17 @@ def _inverse(part: _Columns, rest: Array) -> _Square:
 
 @dataclass(frozen=True)
 class _Half:
-    """The entries of a symmetric matrix, each once, with that of its two unknowns which is eliminated first."""
+    """The entries of a symmetric matrix, each listed once, under the unknown of its two that is eliminated first."""
 
     starts: Index
-    """Of the entries of each unknown, and their end, (n + 1,)"""
+    """Index of the first entry of each unknown, and the end, (n + 1,)"""
     others: Index
-    """The second unknown of each entry"""
+    """The other unknown of each entry"""
     entries: Index
-    """Where each stands in the matrix"""
+    """Index of each entry in the matrix"""
 
     def mirrored(self, values: Array) -> Sparse:
-        """Return the whole matrix with other values, those of zero too."""
+        """Return the whole matrix with these values, explicit zeros included."""
         from scipy.sparse import coo_array
 
         n = len(self.starts) - 1
@@ -187,7 +194,7 @@ def _half(matrix: Sparse, fronts: Sequence[Front]) -> _Half:
 
 
 def _entries(half: _Half, front: Front, place: Index, whole: _Square) -> Iterator[tuple[Index, Array, Index, Index]]:
-    """Yield for two parts of a front's matrix the entries that stand there, the part, and their rows and columns."""
+    """Yield for two parts of a front's matrix: the entries that belong there, the part, and their rows and columns."""
     starts, ends = half.starts[front.pivots], half.starts[front.pivots + 1]
     at, p = _ranges(starts, ends), len(front.pivots)
     rows, columns = place[half.others[at]], np.repeat(np.arange(p), ends - starts)
@@ -197,14 +204,14 @@ def _entries(half: _Half, front: Front, place: Index, whole: _Square) -> Iterato
 
 
 def _ranges(starts: Index, ends: Index) -> Index:
-    """Return all whole numbers from each start up to its end, one after the other."""
+    """Return all integers from each start up to its end, one range after the other."""
     counts = ends - starts
     offsets = np.repeat(starts - np.cumsum(counts) + counts, counts)
     return offsets + np.arange(int(counts.sum()))
 
 
 def _runs(places: Index, p: int) -> _Runs:
-    """Return the pieces of a child's border that stand together in the front of its parent, which has p pivots."""
+    """Return the consecutive pieces of a child's border in the front of its parent, which has p pivots."""
     breaks = np.flatnonzero((np.diff(places) != 1) | (places[1:] == p)) + 1
     starts, ends = np.concatenate([[0], breaks]).tolist(), np.concatenate([breaks, [len(places)]]).tolist()
     return [(slice(int(places[a]), int(places[a]) + b - a), slice(a, b)) for a, b in zip(starts, ends, strict=True)]

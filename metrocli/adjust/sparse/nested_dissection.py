@@ -1,8 +1,9 @@
-"""Order of elimination for a sparse normal matrix: nested dissection by the places of its unknowns (George 1973).
+"""Order of elimination for a sparse normal matrix: nested dissection by the coordinates of its unknowns (George 1973).
 
-A part is cut by a plane in the space of places. Eliminated after both sides is the least set of unknowns that every
-coupling across the plane touches, from the largest matching of these couplings (Koenig 1931; Pothen, Fan 1990). Right
-for any places, fast where near means coupled.
+A plane in the space of the coordinates cuts a part in two. The separator, which is eliminated after both sides, is
+the smallest set of unknowns that meets every coupling across the plane. It follows from a maximum matching of these
+couplings (Koenig 1931; Pothen, Fan 1990). Any coordinates give a right result; the order is fast if unknowns with
+close coordinates are those that are coupled. Method: docs/algorithms/nested-dissection.md.
 """
 
 from __future__ import annotations
@@ -18,50 +19,50 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
 
 Sparse = Any
-"""A scipy.sparse.csr_array; scipy is imported where it is used, and has no types"""
+"""A scipy.sparse.csr_array; scipy is imported only where it is used, and has no types"""
 
 _LEAF = 300
-"""Parts of so many unknowns or fewer are not cut"""
+"""A part with so many unknowns or fewer is not cut"""
 _BALANCE = 0.3
-"""Neither side of a cut is to have less than this share, where that can be had"""
+"""Smallest fraction of a part on either side of a cut, if any plane achieves it"""
 _PART, _BORDER = 200.0, 2.0
-"""Cost of eliminating a part of n unknowns with a border of b: `_PART (n^2 + _BORDER n b)`; fits parts of 1e3 to 1e5"""
+"""Estimated cost of a part of n unknowns with a border of b: `_PART (n^2 + _BORDER n b)`; fitted for n of 1e3 to 1e5"""
 
 
 @dataclass(frozen=True)
 class Front:
-    """Unknowns eliminated together, and the later ones that they touch."""
+    """Unknowns eliminated together (pivots), and the later ones that they are coupled with (border)."""
 
     pivots: Index
     border: Index
-    """In the order of their elimination"""
+    """In the order of elimination"""
     children: tuple[int, ...]
-    """Places in the list of fronts of those whose borders end here"""
+    """Numbers of the fronts whose update matrices are added to this one"""
 
     @property
     def unknowns(self) -> Index:
-        """Pivots, then border."""
+        """The pivots, then the border."""
         return np.concatenate([self.pivots, self.border])
 
 
 @dataclass(frozen=True)
 class _Graph:
-    """Which unknowns are coupled, each with itself too, and where they are."""
+    """The couplings of the unknowns, each with itself too, and their coordinates."""
 
     coupled: Sparse
     places: Index
     directions: Index
-    """Normals of the planes that cut, (directions, k)"""
+    """Normals of the planes that may cut, (directions, k)"""
 
 
 @dataclass(frozen=True)
 class _Links:
-    """Couplings of unknowns with those of a part, one after the other; every unknown has one at least."""
+    """Couplings of some unknowns with those of a part, one after the other; each unknown has at least one."""
 
     starts: Index
-    """First link of each unknown"""
+    """Index of the first link of each unknown"""
     ends: Index
-    """Number in the part of the other unknown"""
+    """Number in the part of the unknown at the other end"""
 
     def reach(self, level: Index) -> tuple[Index, Index]:
         """Return the lowest and the highest level that each unknown is linked to."""
@@ -69,7 +70,7 @@ class _Links:
         return np.minimum.reduceat(levels, self.starts), np.maximum.reduceat(levels, self.starts)
 
     def matrix(self, size: int) -> Sparse:
-        """Return 1 for each link, (unknowns, size)."""
+        """Return the links as a matrix of ones, (unknowns, size)."""
         from scipy.sparse import csr_array
 
         pointers = np.append(self.starts, len(self.ends))
@@ -78,17 +79,17 @@ class _Links:
 
 @dataclass(frozen=True)
 class _Part:
-    """Unknowns that are still to be cut, with the later ones that they touch."""
+    """Unknowns that are still to be cut, with the later ones that they are coupled with (border)."""
 
     unknowns: Index
     border: Index
     inner: _Links
     outer: _Links
-    """From the border"""
+    """Links of the border unknowns"""
 
     @staticmethod
     def of(coupled: Sparse, unknowns: Index) -> _Part:
-        """Return a part of a graph."""
+        """Return the part of a graph with these unknowns."""
         number = np.full(coupled.shape[0], -1, dtype=np.intp)
         number[unknowns] = np.arange(len(unknowns))
         rows = coupled[unknowns]
@@ -97,7 +98,7 @@ class _Part:
 
     @property
     def is_leaf(self) -> bool:
-        """Whether it is not cut."""
+        """Whether the part is small enough to stay whole."""
         return len(self.unknowns) <= _LEAF
 
     @property
@@ -114,18 +115,19 @@ def _links(rows: Sparse, number: Index) -> _Links:
 
 @dataclass(frozen=True)
 class _Plane:
-    """A plane across a part, the best of its direction."""
+    """The best plane of one direction across a part."""
 
     left: Mask
-    """What lies on its left"""
+    """Mask of the unknowns on its left side"""
     uneven: bool
+    """Whether one side is smaller than `_BALANCE`"""
     cost: float
-    """Of the cut along it, at most"""
+    """Upper bound of the estimated cost of this cut"""
 
 
 @dataclass(frozen=True)
 class _Cut:
-    """Sides of a part and what separates them, by their numbers in the part."""
+    """The two sides of a part and their separator, by numbers in the part."""
 
     left: Index
     right: Index
@@ -133,9 +135,9 @@ class _Cut:
 
 
 def dissect(matrix: Sparse, places: Array) -> list[Front]:
-    """Return the fronts of a symmetric sparse matrix, children before parents; places is (unknowns, k), whole numbers.
+    """Return the fronts of a symmetric sparse matrix, children before parents; places is (unknowns, k), integers.
 
-    The last front is the root, whose border is empty; where the matrix falls apart there are several roots.
+    The last front is a root, whose border is empty; there are several roots if the matrix falls into pieces.
     """
     fronts: list[Front] = []
     _dissected(_graph(matrix, places), np.arange(len(places)), fronts)
@@ -144,7 +146,7 @@ def dissect(matrix: Sparse, places: Array) -> list[Front]:
 
 
 def connected(matrix: Sparse) -> list[Index]:
-    """Return the unknowns of each piece of a symmetric sparse matrix that hangs together."""
+    """Return the unknowns of each connected piece of a symmetric sparse matrix."""
     from scipy.sparse.csgraph import connected_components
 
     _, piece = connected_components(matrix, directed=False)
@@ -165,7 +167,7 @@ def _graph(matrix: Sparse, places: Array) -> _Graph:
 
 
 def _dissected(graph: _Graph, unknowns: Index, fronts: list[Front]) -> tuple[int, ...]:
-    """Append the fronts of a part, their unknowns in no order yet, and return its roots."""
+    """Append the fronts of a part, with their unknowns not yet sorted, and return the numbers of its roots."""
     part = _Part.of(graph.coupled, unknowns)
     pieces = _pieces(part)
     if len(pieces) > 1:
@@ -180,13 +182,13 @@ def _dissected(graph: _Graph, unknowns: Index, fronts: list[Front]) -> tuple[int
 
 
 def _pieces(part: _Part) -> list[Index]:
-    """Return what of a part hangs together, by numbers in the part; small pieces are bundled, a leaf stays whole."""
+    """Return the connected pieces of a part, by numbers in the part; small ones are bundled, a leaf stays whole."""
     if part.is_leaf:
         return [np.arange(len(part.unknowns))]
     half, bundles = _LEAF // 2, []
     pieces = sorted(connected(part.inner.matrix(len(part.unknowns))), key=len)
     small = sum(len(piece) <= half for piece in pieces)
-    # what begins in the same half of a leaf stays below a whole one
+    # a piece is at most half a leaf, so pieces that begin in the same half of a leaf together stay below a whole one
     sizes = [len(piece) for piece in pieces[:small]]
     begins = (np.cumsum(sizes, dtype=np.intp) - sizes) // half
     for _, numbers in groupby(range(small), key=lambda n: int(begins[n])):
@@ -195,7 +197,7 @@ def _pieces(part: _Part) -> list[Index]:
 
 
 def _best_cut(graph: _Graph, part: _Part) -> _Cut | None:
-    """Return the cut along the plane that promises most of those that leave something on both sides, if any does."""
+    """Return the best cut that leaves something on both sides, or None."""
     if part.is_leaf:
         return None
     planes = sorted(_planes(graph, part), key=lambda plane: (plane.uneven, plane.cost))
@@ -210,6 +212,8 @@ def _planes(graph: _Graph, part: _Part) -> Iterator[_Plane]:
         level = height - height.min()
         if not level.any():
             continue
+        # an unknown on the left whose highest link lies on the right crosses the plane, and the other way round; so the
+        # smaller of both counts is an upper bound of the separator, for all positions of the plane at once
         (low, high), (nearest, farthest) = part.inner.reach(level), part.outer.reach(level)
         left, first, last, near, far = (_up_to(levels, level) for levels in (level, low, high, nearest, farthest))
         separator, touched = np.minimum(left - last, first - left), (near, border - far)
@@ -221,19 +225,19 @@ def _planes(graph: _Graph, part: _Part) -> Iterator[_Plane]:
 
 
 def _up_to(levels: Index, level: Index) -> Index:
-    """Return how many of some levels are not above each but the last."""
+    """Return how many of `levels` are at or below each level except the last, (levels - 1,)."""
     return np.cumsum(np.bincount(levels, minlength=int(level.max()) + 1))[:-1]
 
 
 def _cost(sides: tuple[Index, Index], separator: Index, touched: tuple[Index, Index], border: int) -> Array:
-    """Return the costs of cuts, from the numbers of unknowns of their parts and of the border that the sides touch."""
+    """Return the estimated costs of cuts, from the sizes of sides, separator, and border unknowns of each side."""
     own = separator**3 / 3 + separator**2 * border + separator * border**2
     (a, b), (c, d) = sides, (number + separator for number in touched)
     return np.asarray(own + _PART * (a * (a + _BORDER * c) + b * (b + _BORDER * d)))
 
 
 def _cut(part: _Part, left: Mask) -> _Cut:
-    """Return the cut between what is left and the rest, with the least separator."""
+    """Return the cut along a plane with the smallest separator."""
     rows, columns = part.rows, part.inner.ends
     across = left[rows] & ~left[columns]
     between = np.zeros(len(left), dtype=bool)
@@ -242,10 +246,10 @@ def _cut(part: _Part, left: Mask) -> _Cut:
 
 
 def _cover(rows: Index, columns: Index) -> Index:
-    """Return the least set of unknowns that every link has an end in; no unknown is both a row and a column.
+    """Return the smallest set of unknowns that contains an end of every link; no unknown is both a row and a column.
 
-    Of a largest matching, the rows that no alternating path from an unmatched row reaches, and the columns that one
-    does (Koenig).
+    By Koenig's theorem these are, for a maximum matching, the rows that no alternating path from an unmatched row
+    reaches, and the columns that such a path reaches.
     """
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import maximum_bipartite_matching
@@ -267,9 +271,10 @@ def _cover(rows: Index, columns: Index) -> Index:
 
 
 def _turns(fronts: Sequence[Front], count: int) -> Index:
-    """Return the turn of each unknown: front after front, within one those together that the same descendants touch.
+    """Return the position of each unknown in the order of elimination.
 
-    The unknowns of a front that a descendant touches then stand in few runs.
+    Front follows front. Within a front, unknowns that the same descendants are coupled with stand together: those that
+    a descendant's border contains are then in few runs of consecutive positions, which are added as slices.
     """
     code, scale = np.zeros(count), np.ones(count)
     at = np.empty(count, dtype=np.intp)

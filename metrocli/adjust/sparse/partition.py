@@ -1,4 +1,4 @@
-"""Which unknown is of which sort in an adjustment of fields: local, of the net, or of the border."""
+"""The sort of each unknown in an adjustment of fields: net, local or border."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from metrocli.adjust.model.observations import Index
 
 @dataclass(frozen=True)
 class Partition:
-    """Places of the free unknowns: those of the net first, then the local ones, then the border."""
+    """Numbers of the free unknowns: those of the net first, then the local ones, then the border."""
 
     net: int
     local: int
     width: int
     columns: Mapping[str, Index]
-    """For each block the place of every entry, (members, size); -1 where it is fixed"""
+    """For each block the number of every entry, (members, size); -1 if it is fixed"""
 
-    def gathered(self, blocks: Mapping[str, Block]) -> Array:
-        """Return the values of all unknowns, (width,); poses as they stand."""
+    def values_of(self, blocks: Mapping[str, Block]) -> Array:
+        """Return the values of all unknowns, (width,); poses as they are stored."""
         values = np.zeros(self.width)
         for name, columns in self.columns.items():
             values[columns[columns >= 0]] = blocks[name].values[columns >= 0]
@@ -38,7 +38,7 @@ class Partition:
 
 
 def partition(blocks: Mapping[str, Block], groups: Sequence[Group], net: str, local: str) -> Partition:
-    """Place the free unknowns; members of the local block that a reading touches together go to the border."""
+    """Number the free unknowns; members of the local block that one reading uses together go to the border."""
     joined = _joined(blocks[local], groups)
     alone = blocks[local].free & ~joined[:, None]
     columns = {name: np.full(block.values.shape, -1, dtype=np.intp) for name, block in blocks.items()}
@@ -53,6 +53,7 @@ def partition(blocks: Mapping[str, Block], groups: Sequence[Group], net: str, lo
 
 
 def _joined(block: Block, groups: Sequence[Group]) -> Mask:
+    """Return which members of a block are used together with another one in some reading, (members,)."""
     joined = np.zeros(len(block.members), dtype=bool)
     for group in groups:
         index = group.observations.index.get(block.name)

@@ -94,7 +94,7 @@ def families_of(job: AdjustedJob, system: System) -> tuple[list[Family], list[No
         if effect.name in job.not_sought:
             missing.append(NotTested(effect, job.not_sought[effect.name]))
             continue
-        missing += _blind(job.model, effect)
+        missing += _untestable(job.model, effect)
         for family in _of_effect(job, system, effect):
             families.setdefault((family.name, family.columns.shape[2]), []).append(family)
     tested = {name for name, _ in families}
@@ -113,13 +113,13 @@ def _joined(parts: Sequence[Family]) -> Family:
     )
 
 
-def _blind(model: Model, effect: Effect) -> list[NotTested]:
+def _untestable(model: Model, effect: Effect) -> list[NotTested]:
     """Return an effect that cannot be modelled: once where the reason is the same everywhere, else place by place."""
     places = [dict(zip(effect.keys, place, strict=True)) for place in _places(model, effect)]
-    told = [NotTested(effect, lacking(model, effect, at), at) for at in places if not can_act(model, effect, at)]
-    if len(told) == len(places) and len({one.reason for one in told}) == 1:
-        return [NotTested(effect, told[0].reason)]
-    return told
+    found = [NotTested(effect, lacking(model, effect, at), at) for at in places if not can_act(model, effect, at)]
+    if len(found) == len(places) and len({one.reason for one in found}) == 1:
+        return [NotTested(effect, found[0].reason)]
+    return found
 
 
 def instances(model: Model, effect: Effect) -> list[tuple[str, ...]]:
@@ -139,7 +139,7 @@ def _of_effect(job: AdjustedJob, system: System, effect: Effect) -> Iterator[Fam
     for chosen in [places] if together else [[place] for place in places]:
         if not chosen:
             continue
-        kept = _telling(list(_columns(job, system, effect, chosen)))
+        kept = _informative(list(_columns(job, system, effect, chosen)))
         by_size: dict[int, list[tuple[Alternative, Array, Array]]] = {}
         for item in kept:
             by_size.setdefault(item[1].shape[1], []).append(item)
@@ -148,7 +148,7 @@ def _of_effect(job: AdjustedJob, system: System, effect: Effect) -> Iterator[Fam
             yield Family(effect.name, tuple(one for one, _, _ in items), columns, np.stack([raw for *_, raw in items]))
 
 
-def _telling(items: Sequence[tuple[Alternative, Array, Array]]) -> list[tuple[Alternative, Array, Array]]:
+def _informative(items: Sequence[tuple[Alternative, Array, Array]]) -> list[tuple[Alternative, Array, Array]]:
     """Return the items without values of a scan at which the unknowns absorb all, where they do not at others.
 
     A step at a time before all readings that it concerns is such a value.
@@ -208,12 +208,12 @@ def _columns(
             touched = np.flatnonzero(np.abs(full[:, own]).max(axis=1) > 0) if own.any() else np.zeros(0)
             if len(touched) >= job.fewest:
                 names = tuple(block.columns[i] for i in column[own])
-                named = _named(job.model, effect, scanned)
+                named = _scanned_places(job.model, effect, scanned)
                 alternative = Alternative(effect, place, tuple(scanned.items()), names, named)
                 yield alternative, seen[:, own], np.linalg.norm(full[:, own], axis=0)
 
 
-def _named(model: Model, effect: Effect, scanned: Mapping[str, float]) -> tuple[tuple[str, str], ...]:
+def _scanned_places(model: Model, effect: Effect, scanned: Mapping[str, float]) -> tuple[tuple[str, str], ...]:
     places = {parameter.name: parameter.place for parameter in effect.scanned if parameter.place}
     return tuple((key, model.places[place].names[int(scanned[key])]) for key, place in places.items())
 

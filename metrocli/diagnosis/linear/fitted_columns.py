@@ -36,7 +36,7 @@ class FittedColumns:
 
     def with_columns(self, columns: Array) -> FittedColumns:
         """Return it with more columns (rows, q) in the model; what is not visible beside the others adds nothing."""
-        return FittedParts(self).with_part(columns).given
+        return FittedParts(self).with_part(columns).fitted
 
     def beside(self, columns: Array) -> Array:
         """Return what the model leaves of columns (rows, q)."""
@@ -58,7 +58,7 @@ class FittedParts:
     """Coordinates of each part's unit columns, (k, q)"""
 
     @cached_property
-    def given(self) -> FittedColumns:
+    def fitted(self) -> FittedColumns:
         """The model with all parts in it."""
         if not self.parts:
             return self.start
@@ -85,7 +85,7 @@ class FittedParts:
     def without(self, numbers: Collection[int]) -> FittedColumns:
         """Return the model without some parts."""
         kept, freed = self._turned(numbers)
-        larger, start = self.given, self.start
+        larger, start = self.fitted, self.start
         directions = self.basis @ freed
         along = directions.T @ start.residual
         return FittedColumns(

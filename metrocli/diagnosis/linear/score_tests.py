@@ -85,53 +85,53 @@ class ScoreTests:
         ]
         return min(found)[1:] if found else None
 
-    def scores(self, given: FittedColumns) -> list[Score]:
+    def scores(self, fitted: FittedColumns) -> list[Score]:
         """Return the tests of all families, given what is in the model."""
-        return [self.score(number, given) for number in range(len(self.families))]
+        return [self.score(number, fitted) for number in range(len(self.families))]
 
-    def score(self, number: int, given: FittedColumns, chosen: Sequence[int] | None = None) -> Score:
+    def score(self, number: int, fitted: FittedColumns, chosen: Sequence[int] | None = None) -> Score:
         """Return the tests of one family."""
         columns, scale = self.families[number].columns, self.scales[number]
         if chosen is None:
-            gram = self._left(number, given)
+            gram = self._left(number, fitted)
         else:
             columns, scale = columns[:, chosen], scale[list(chosen)]
-            gram = self.grams[number][list(chosen)] - _products(given.basis, columns)
+            gram = self.grams[number][list(chosen)] - _products(fitted.basis, columns)
         n, k, q = columns.shape
-        right = (columns.reshape(n, k * q).T @ given.residual).reshape(k, q)
+        right = (columns.reshape(n, k * q).T @ fitted.residual).reshape(k, q)
         gain, rank = quadratic(gram, right, scale)
-        return self._scored(gain, rank, given)
+        return self._scored(gain, rank, fitted)
 
-    def _left(self, number: int, given: FittedColumns) -> Array:
+    def _left(self, number: int, fitted: FittedColumns) -> Array:
         """Return what a model leaves of the Gram matrices of a family, (alternatives, q, q)."""
         columns = self.families[number].columns
         key = number, columns.shape[1]
-        if key not in given.remembered:
-            if given.larger is None or given.freed is None:
-                left = self.grams[number] - _products(given.basis, columns)
+        if key not in fitted.remembered:
+            if fitted.larger is None or fitted.freed is None:
+                left = self.grams[number] - _products(fitted.basis, columns)
             else:
-                left = self._left(number, given.larger) + _products(given.freed, columns)
-            given.remembered[key] = left
-        return given.remembered[key]
+                left = self._left(number, fitted.larger) + _products(fitted.freed, columns)
+            fitted.remembered[key] = left
+        return fitted.remembered[key]
 
-    def _scored(self, gain: Array, rank: Array, given: FittedColumns) -> Score:
-        share = np.clip(gain / max(given.squares, 1e-300), 0.0, 1.0)
+    def _scored(self, gain: Array, rank: Array, fitted: FittedColumns) -> Score:
+        share = np.clip(gain / max(fitted.squares, 1e-300), 0.0, 1.0)
         log_p = np.zeros(len(gain))
         for q in np.unique(rank[rank > 0]):
             own = rank == q
-            if given.dof > q:
-                log_p[own] = log_tail(share[own], float(q), given.dof - q)
+            if fitted.dof > q:
+                log_p[own] = log_tail(share[own], float(q), fitted.dof - q)
         return Score(gain, rank, np.minimum(log_p, 0.0))
 
-    def outliers(self, given: FittedColumns) -> Score:
+    def outliers(self, fitted: FittedColumns) -> Score:
         """Return the tests of single readings, each with all its components."""
         rows = self.places
-        u = np.where((rows >= 0)[:, :, None], given.basis[rows], 0.0)
+        u = np.where((rows >= 0)[:, :, None], fitted.basis[rows], 0.0)
         gram = self.blocks - np.einsum("iak,ibk->iab", u, u)
-        right = np.where(rows >= 0, given.residual[rows], 0.0)
+        right = np.where(rows >= 0, fitted.residual[rows], 0.0)
         gain, rank = quadratic(gram, right, np.ones(rows.shape))
         rank = np.where(self.excluded, 0, rank)
-        return self._scored(np.where(rank > 0, gain, 0.0), rank, given)
+        return self._scored(np.where(rank > 0, gain, 0.0), rank, fitted)
 
     def lying_in(self, family: int, number: int) -> tuple[Mask, ...]:
         """Return for each family of effects which alternatives lie in smooth terms; for families of these, none."""

@@ -35,10 +35,10 @@ def _without_idle(selection: Selection) -> Selection:
     return selection
 
 
-def evidence(test_set: ScoreTests, given: FittedColumns, family: int, score: Score) -> Array:
+def evidence(test_set: ScoreTests, fitted: FittedColumns, family: int, score: Score) -> Array:
     """Return ln of the evidence for each alternative, `-(nu ln RSS + q ln nu)/2 - ln m` (Schwarz 1978)."""
-    left = np.maximum(given.squares - score.gain, 1e-300)
-    terms = given.dof * np.log(left) + score.rank * np.log(max(given.dof, 2.0))
+    left = np.maximum(fitted.squares - score.gain, 1e-300)
+    terms = fitted.dof * np.log(left) + score.rank * np.log(max(fitted.dof, 2.0))
     value = -terms / 2 - np.log(test_set.tests[family])
     return np.asarray(np.where(score.rank > 0, value, -np.inf))
 
@@ -61,9 +61,9 @@ def _with_swaps(selection: Selection) -> Selection:
 
 def _better(selection: Selection, one: Chosen) -> Chosen | None:
     """Return what takes the place of one that was chosen, None where it stays."""
-    test_set, given = selection.test_set, selection.beside(one)
-    scores = test_set.scores(given)
-    best = [evidence(test_set, given, i, score) for i, score in enumerate(scores)]
+    test_set, fitted = selection.test_set, selection.beside(one)
+    scores = test_set.scores(fitted)
+    best = [evidence(test_set, fitted, i, score) for i, score in enumerate(scores)]
     for family, number in test_set.around(one.family, one.number) if one in selection.named else ():
         # smooth terms in which it lies win or lose in the race; beside them it is tested again
         best[family][number] = -np.inf
@@ -76,7 +76,7 @@ def _better(selection: Selection, one: Chosen) -> Chosen | None:
     if family > one.family and test_set.level(family, its) > test_set.level(one.family, old):
         return None
     new = Chosen(family, number, test_set.families[family].columns[:, number])
-    left = test_set.score(one.family, given.with_columns(new.columns), [one.number]).log_p[0]
+    left = test_set.score(one.family, fitted.with_columns(new.columns), [one.number]).log_p[0]
     needed = test_set.overall(test_set.level(one.family, float(left))) < np.log(exit_level(selection, one))
     return None if differs and needed else new
 

@@ -18,7 +18,7 @@ from metrocli.diagnosis.selection.selection_state import Chosen, Selection, leve
 _ODDS = 1 / 20
 _NEEDED = 0.01
 """Level below which an effect is still needed beside another, so that the other does not explain it"""
-_TOLD = 6.6
+_DISTINGUISHED = 6.6
 """Non-centrality that what only the named effect explains must have: without it the two are not told apart"""
 _NEAR = 0.9
 """Cosine above which a form with more parameters counts as another explanation"""
@@ -78,18 +78,18 @@ def confidence_sets(selection: Selection) -> tuple[NamedEffect, ...]:
 
 
 def _named(selection: Selection, one: Chosen, level: float) -> NamedEffect:
-    given, full = selection.beside(one), selection.given(without=selection.around(one))
+    fitted, full = selection.beside(one), selection.fitted(without=selection.around(one))
     alternative = selection.test_set.families[one.family].alternatives[one.number]
-    left = one.columns - given.basis @ (given.basis.T @ one.columns)
+    left = one.columns - fitted.basis @ (fitted.basis.T @ one.columns)
     whole = selection.test_set.scales[one.family][one.number]
     seen, apart = _seen(left, whole), _apart(left, whole)
     left = np.where(seen, left, 0.0)
     norm = np.linalg.norm(left, axis=0)
     size = np.where(norm > 0, norm, 1.0)
     inverse = np.linalg.pinv((left / size).T @ (left / size), rcond=1e-11, hermitian=True) / size / size[:, None]
-    values = inverse @ (left.T @ given.residual)
+    values = inverse @ (left.T @ fitted.residual)
     covariance = inverse * full.squares / max(full.dof, 1)
-    rivals = _rivals(selection, one, given, left @ values)
+    rivals = _rivals(selection, one, fitted, left @ values)
     shows = float(np.linalg.norm(left @ values))
     return NamedEffect(one, alternative, level, values, covariance, seen, apart, rivals, shows)
 
@@ -118,20 +118,20 @@ def _apart(left: Array, whole: Array) -> Mask:
     return np.asarray(np.linalg.norm(vectors[:, open_ones], axis=1) < _BLIND)
 
 
-def _rivals(selection: Selection, one: Chosen, given: FittedColumns, fitted: Array) -> tuple[Rival, ...]:
+def _rivals(selection: Selection, one: Chosen, fitted: FittedColumns, explained: Array) -> tuple[Rival, ...]:
     """Return the best form of each other cause and place that belongs into the set."""
     test_set = selection.test_set
     own = test_set.families[one.family].alternatives[one.number]
-    score = test_set.score(one.family, given, [one.number])
-    mine, my_rank = float(evidence(test_set, given, one.family, score)[0]), int(score.rank[0])
+    score = test_set.score(one.family, fitted, [one.number])
+    mine, my_rank = float(evidence(test_set, fitted, one.family, score)[0]), int(score.rank[0])
     best: dict[tuple[str, tuple[str, ...]], Rival] = {}
     there = [other for other in selection.named if other is not one]
     others = {test_set.families[other.family].alternatives[other.number].spot for other in there}
     for number, family in enumerate(test_set.families):
         if family.unknown:
             continue
-        scores = test_set.score(number, given)
-        weights = evidence(test_set, given, number, scores)
+        scores = test_set.score(number, fitted)
+        weights = evidence(test_set, fitted, number, scores)
         for at in np.flatnonzero(scores.rank):
             rival = family.alternatives[at]
             if rival.spot == own.spot or rival.spot in others:
@@ -142,33 +142,33 @@ def _rivals(selection: Selection, one: Chosen, given: FittedColumns, fitted: Arr
                 continue
             if test_set.overall(test_set.level(number, scores.log_p[at])) > np.log(_SIGNIFICANT):
                 continue
-            cosine = _cosine(given, family.columns[:, at], fitted)
+            cosine = _cosine(fitted, family.columns[:, at], explained)
             if odds > _ODDS or (
-                cosine > _DISTANT and _explains(selection, one, given, number, int(at), cosine, my_rank)
+                cosine > _DISTANT and _explains(selection, one, fitted, number, int(at), cosine, my_rank)
             ):
                 best[rival.spot] = Rival(rival, cosine, odds)
     return tuple(sorted(best.values(), key=lambda rival: -rival.odds))
 
 
 def _explains(
-    selection: Selection, one: Chosen, given: FittedColumns, family: int, at: int, cosine: float, rank: int
+    selection: Selection, one: Chosen, fitted: FittedColumns, family: int, at: int, cosine: float, rank: int
 ) -> bool:
     """Whether with the rival in the model the named effect is not needed any more, or could not be."""
     test_set = selection.test_set
-    gain = test_set.score(one.family, given, [one.number]).gain[0]
-    full = selection.given(without=selection.around(one))
+    gain = test_set.score(one.family, fitted, [one.number]).gain[0]
+    full = selection.fitted(without=selection.around(one))
     noise = full.squares / max(full.dof, 1)
-    if (1 - cosine**2) * gain < _TOLD * noise:
+    if (1 - cosine**2) * gain < _DISTINGUISHED * noise:
         return True
     columns = test_set.families[family].columns[:, at]
-    beside = given.with_columns(columns)
+    beside = fitted.with_columns(columns)
     score = test_set.score(one.family, beside, [one.number])
-    fewer = beside.basis.shape[1] - given.basis.shape[1] <= rank
+    fewer = beside.basis.shape[1] - fitted.basis.shape[1] <= rank
     return bool(score.log_p[0] > np.log(_NEEDED)) and (fewer or cosine > _NEAR)
 
 
-def _cosine(given: FittedColumns, columns: Array, fitted: Array) -> float:
-    left = columns - given.basis @ (given.basis.T @ columns)
+def _cosine(fitted: FittedColumns, columns: Array, explained: Array) -> float:
+    left = columns - fitted.basis @ (fitted.basis.T @ columns)
     u, s, _ = np.linalg.svd(left / np.maximum(np.linalg.norm(left, axis=0), 1e-300), full_matrices=False)
     u = u[:, s > _DISTINCT]
-    return float(np.linalg.norm(u.T @ fitted) / max(float(np.linalg.norm(fitted)), 1e-300))
+    return float(np.linalg.norm(u.T @ explained) / max(float(np.linalg.norm(explained)), 1e-300))

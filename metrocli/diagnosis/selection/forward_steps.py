@@ -33,19 +33,19 @@ _FEW = 3
 
 def forward_steps(selection: Selection) -> Iterator[Selection]:
     """Yield the selection with each that is beyond chance, the winner of the race first."""
-    test_set, given = selection.test_set, selection.given()
-    if given.dof < 3:
+    test_set, fitted = selection.test_set, selection.fitted()
+    if fitted.dof < 3:
         return
-    scores = test_set.scores(given)
+    scores = test_set.scores(fitted)
     found = [(test_set.level(i, score.log_p[score.best]), i) for i, score in enumerate(scores) if len(score.gain)]
-    wrong = test_set.outliers(given)
+    wrong = test_set.outliers(fitted)
     if len(selection.outliers) < _SHARE * len(wrong.gain):
         found.append((test_set.level(-1, wrong.log_p[wrong.best]), -1))
     for level, family in sorted(found):
         if test_set.overall(level) > np.log(entry_level(selection, family)):
             continue
         if family < 0:
-            yield _with_outliers(selection, wrong, given)
+            yield _with_outliers(selection, wrong, fitted)
         elif test_set.families[family].unknown:
             yield from _with_smooth(selection, scores, family)
         else:
@@ -55,15 +55,15 @@ def forward_steps(selection: Selection) -> Iterator[Selection]:
 
 def _with_smooth(selection: Selection, scores: Sequence[Score], family: int) -> Iterator[Selection]:
     """Yield the selection with the effects that make up a smooth term or stand out of it, if any; then with itself."""
-    test_set, given, score = selection.test_set, selection.given(), scores[family]
-    if carried_by_few(test_set, given, family, score.best) > np.log(UNKNOWN):
+    test_set, fitted, score = selection.test_set, selection.fitted(), scores[family]
+    if carried_by_few(test_set, fitted, family, score.best) > np.log(UNKNOWN):
         return
     known = _with_effects(selection)
-    best = test_set.score(family, known.given())
+    best = test_set.score(family, known.fitted())
     left = test_set.overall(test_set.level(family, best.log_p[best.best]))
     level = test_set.level(family, score.log_p[score.best])
     if (left > np.log(UNKNOWN) and _together(selection, known) <= level) or (
-        given.squares - known.given().squares > _AS_MUCH * score.gain[score.best]
+        fitted.squares - known.fitted().squares > _AS_MUCH * score.gain[score.best]
     ):
         yield known
     part = _standing_out(selection, scores)
@@ -81,17 +81,17 @@ def _with_effects(selection: Selection) -> Selection:
     """Return the selection with the effects that win a race without smooth terms: several may make up one of them."""
     test_set = selection.test_set
     for _ in range(_TOGETHER):
-        given = selection.given()
+        fitted = selection.fitted()
         found = [
             (test_set.level(i, score.log_p[score.best]), i, score)
-            for i, score in enumerate(test_set.scores(given))
+            for i, score in enumerate(test_set.scores(fitted))
             if len(score.gain) and not test_set.families[i].unknown
         ]
         if not found:
             break
         level, family, score = min(found, key=lambda one: one[0])
         if (
-            given.dof < 3
+            fitted.dof < 3
             or test_set.overall(level) > np.log(entry_level(selection, family))
             or has_dominant_effect(selection)
         ):
@@ -138,8 +138,8 @@ def _beside_smooth(selection: Selection) -> Iterator[Selection]:
         lying = np.array([test_set.lying_in(one.family, one.number)[number] for one in unknown])
         for inside in np.unique(lying[:, lying.any(axis=0)], axis=1).T:
             places = np.flatnonzero((lying == inside[:, None]).all(axis=0))
-            given = selection.given(without=[one for one, there in zip(unknown, inside, strict=True) if there])
-            score = test_set.score(number, given, places.tolist())
+            fitted = selection.fitted(without=[one for one, there in zip(unknown, inside, strict=True) if there])
+            score = test_set.score(number, fitted, places.tolist())
             if test_set.overall(test_set.level(number, score.log_p[score.best])) > np.log(LATER):
                 continue
             place = int(places[score.best])
@@ -153,7 +153,7 @@ def _beside_smooth(selection: Selection) -> Iterator[Selection]:
 
 def _together(selection: Selection, known: Selection) -> float:
     """Return ln of the level of all that one selection has more than another, counted over their families."""
-    before, after = selection.given(), known.given()
+    before, after = selection.fitted(), known.fitted()
     gain, q = before.squares - after.squares, int(before.dof - after.dof)
     if q < 1:
         return 0.0
@@ -162,23 +162,23 @@ def _together(selection: Selection, known: Selection) -> float:
     return float(log_tail(np.array(gain / max(before.squares, 1e-300)), q, max(after.dof, 1.0))) + tries
 
 
-def carried_by_few(test_set: ScoreTests, given: FittedColumns, family: int, number: int) -> float:
+def carried_by_few(test_set: ScoreTests, fitted: FittedColumns, family: int, number: int) -> float:
     """Return ln of the level of smooth terms without the few readings that speak for them most.
 
     A polynomial of many terms follows two or three wrong readings; structure is what stays without them.
     """
     columns = test_set.families[family].columns[:, number]
-    left = columns - given.basis @ (given.basis.T @ columns)
+    left = columns - fitted.basis @ (fitted.basis.T @ columns)
     size = np.maximum(np.linalg.norm(left, axis=0), 1e-300)
-    fitted = (left / size) @ np.linalg.lstsq(left / size, given.residual, rcond=1e-6)[0]
-    speaks = np.where(test_set.places >= 0, (fitted * given.residual)[test_set.places], 0.0).sum(axis=1)
+    curve = (left / size) @ np.linalg.lstsq(left / size, fitted.residual, rcond=1e-6)[0]
+    speaks = np.where(test_set.places >= 0, (curve * fitted.residual)[test_set.places], 0.0).sum(axis=1)
     few = np.argsort(-speaks)[:_FEW]
-    beside = given.with_columns(np.concatenate([test_set.of_reading(int(reading)) for reading in few], axis=1))
+    beside = fitted.with_columns(np.concatenate([test_set.of_reading(int(reading)) for reading in few], axis=1))
     score = test_set.score(family, beside, [number])
     return test_set.overall(test_set.level(family, float(score.log_p[0])))
 
 
-def _with_outliers(selection: Selection, wrong: Score, given: FittedColumns) -> Selection:
+def _with_outliers(selection: Selection, wrong: Score, fitted: FittedColumns) -> Selection:
     """Return the selection with the worst reading, and others as bad that do not share its error."""
     test_set = selection.test_set
     there = {one.number for one in selection.outliers}

@@ -51,13 +51,13 @@ def _closer(job: AdjustedJob, selection: Selection, one: Chosen, name: str) -> S
     values = _between(job, family, alternative, name)
     if not len(values):
         return selection
-    given = selection.beside(one)
-    best, most, columns = alternative, test_set.score(one.family, given, [one.number]).gain[0], one.columns
+    fitted = selection.beside(one)
+    best, most, columns = alternative, test_set.score(one.family, fitted, [one.number]).gain[0], one.columns
     for value in values.tolist():
         scanned = tuple((key, value if key == name else old) for key, old in alternative.scanned)
         tried = replace(alternative, scanned=scanned)
         seen = test_set.system.seen(signature(job.model, test_set.system, tried.effect, tried.instance, dict(scanned)))
-        gain = given.squares - given.with_columns(seen).squares
+        gain = fitted.squares - fitted.with_columns(seen).squares
         if gain > most * (1 + 1e-9):
             best, most, columns = tried, gain, seen
     if best is alternative:

@@ -56,10 +56,10 @@ class Selection:
         """Family and number of all that was chosen."""
         return frozenset((one.family, one.number) for one in self.chosen)
 
-    def given(self, without: Sequence[Chosen] = ()) -> FittedColumns:
+    def fitted(self, without: Sequence[Chosen] = ()) -> FittedColumns:
         """Return the model with what was chosen, but for some."""
         gone = [number for number, one in enumerate(self.chosen) if any(one is other for other in without)]
-        return self.fit.without(gone) if gone else self.fit.given
+        return self.fit.without(gone) if gone else self.fit.fitted
 
     def with_one(self, one: Chosen, instead: Chosen | None = None) -> Selection:
         """Return the selection with one more, or with it in the place of another."""
@@ -81,7 +81,7 @@ class Selection:
 
     def beside(self, one: Chosen) -> FittedColumns:
         """Return the model without one of the chosen, and without the smooth terms in which it lies (marginality)."""
-        return self.given(without=[one, *self.around(one)])
+        return self.fitted(without=[one, *self.around(one)])
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ def levels_of(selection: Selection) -> list[float]:
 
 def _level(selection: Selection, one: Chosen, own: Drop | None) -> float:
     test_set, around = selection.test_set, selection.around(one)
-    full = selection.given(without=around)
+    full = selection.fitted(without=around)
     own = drop(selection.beside(one), full) if own is None else own
     if own.dof < 1:
         return 0.0
@@ -114,7 +114,7 @@ def _level(selection: Selection, one: Chosen, own: Drop | None) -> float:
     if not around:
         return level
     smooth = [(other.family, other.number) for other in around]
-    return max(level, special(test_set, one.family, smooth, own, drop(full, selection.given())))
+    return max(level, special(test_set, one.family, smooth, own, drop(full, selection.fitted())))
 
 
 def special(test_set: ScoreTests, family: int, smooth: Sequence[tuple[int, int]], own: Drop, rest: Drop) -> float:
@@ -134,7 +134,7 @@ def _outlier_gains(selection: Selection) -> dict[int, Drop]:
     outliers = selection.outliers
     if not outliers:
         return {}
-    base = selection.given(without=outliers)
+    base = selection.fitted(without=outliers)
     x = np.concatenate([one.columns for one in outliers], axis=1)
     x = x - base.basis @ (base.basis.T @ x)
     size = np.maximum(np.linalg.norm(x, axis=0), 1e-300)

@@ -41,9 +41,9 @@ def has_dominant_effect(selection: Selection) -> bool:
 
     Signatures are derivatives: what those of a large effect leave beyond first order would look like other effects.
     """
-    test_set, given = selection.test_set, selection.given()
-    if selection.unknown or given.dof <= _MANY:
+    test_set, fitted = selection.test_set, selection.fitted()
+    if selection.unknown or fitted.dof <= _MANY:
         return False
     new = [one for one in selection.named if test_set.alternative(one.family, one.number).spot not in test_set.adjusted]
-    without = selection.given(without=new)
-    return bool(new) and without.squares / without.dof > _DOMINANT * given.squares / given.dof
+    without = selection.fitted(without=new)
+    return bool(new) and without.squares / without.dof > _DOMINANT * fitted.squares / fitted.dof
