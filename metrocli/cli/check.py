@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from metrocli.cli import options
+from metrocli.cli.console import Console
 
 
 @click.command("check", help="Validate a job or a project, and the files they name, without computing.")
@@ -14,7 +15,7 @@ from metrocli.cli import options
 @options.SET
 @options.QUIET
 def command(place: Path, overrides: tuple[str, ...], quiet: bool) -> int:
-    """Tell every fault, or that there is none."""
+    """Print `no faults` for each job; raise InputError with every fault otherwise."""
     from metrocli.errors import Fault, InputError, UsageError
     from metrocli.project.job import JobFile, Wishes, load
     from metrocli.project.pipeline import FILE, load_project
@@ -22,7 +23,7 @@ def command(place: Path, overrides: tuple[str, ...], quiet: bool) -> int:
 
     if place.is_dir() or place.name == FILE:
         if overrides:
-            raise UsageError("--set changes one job; check that job")
+            raise UsageError("--set changes one job, and this is a project: name the job file instead")
         jobs: list[JobFile] = [step.job for step in load_project(place)]
     else:
         jobs = [load(place, Wishes(overrides))]
@@ -38,5 +39,5 @@ def command(place: Path, overrides: tuple[str, ...], quiet: bool) -> int:
     if faults:
         raise InputError(faults)
     for job in jobs:
-        options.Voice(quiet).line(f"{job.file}: no faults")
+        Console(quiet).print(f"{job.file}: no faults")
     return 0

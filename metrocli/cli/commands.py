@@ -1,4 +1,4 @@
-"""All commands, each imported when it is used, and the one place where failures are told."""
+"""All commands, each imported when it is used, and the one place that reports failures."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from metrocli.cli.help import COMMANDS, help_text, version_text
 from metrocli.errors import InputError, MetrocliError
 from metrocli.tasks import KINDS
 
-INTERRUPTED, UNHEARD, TERMINATED = 130, 141, 143
-"""As shells have it for what SIGINT, SIGPIPE and SIGTERM end"""
+INTERRUPTED, BROKEN_PIPE, TERMINATED = 130, 141, 143
+"""Exit codes that shells give to programs ended by SIGINT, SIGPIPE and SIGTERM"""
 
 
 class Terminated(BaseException):
-    """SIGTERM, as an exception: what was begun is taken back on the way out."""
+    """SIGTERM as an exception, so that unfinished files are removed on the way out."""
 
 
 class Commands(click.Group):
-    """All commands; help and completion know them without importing one."""
+    """All commands; help and completion list them without importing any."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return [*KINDS, *COMMANDS]
@@ -55,7 +55,7 @@ class Commands(click.Group):
 
 
 _CANNOT_WRITE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO)
-"""A full or read-only disk, also behind stdout"""
+"""Errors of a full, read-only or failing disk, also where stdout is redirected to it"""
 
 
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
@@ -66,7 +66,7 @@ def commands() -> None:
 
 @contextmanager
 def _terminable() -> Iterator[None]:
-    """Let SIGTERM raise, where this is the thread that signals reach."""
+    """Make SIGTERM raise Terminated; does nothing outside the main thread, where no signal arrives."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -82,7 +82,7 @@ def _terminable() -> Iterator[None]:
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
-    """Carry out one command line and return its exit code; every failure is told on stderr."""
+    """Carry out one command line and return its exit code; every failure is printed to stderr."""
     try:
         with _terminable():
             code = commands.main(arguments, prog_name="metrocli", standalone_mode=False)
@@ -91,8 +91,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
         click.echo("terminated", err=True)
         return TERMINATED
     except SystemExit:
-        # click's answer to a reader of stdout that has gone, as `head` does
-        return UNHEARD
+        # click raises this when the reader of stdout has gone (`metrocli ... | head`)
+        return BROKEN_PIPE
     except click.exceptions.Abort:
         click.echo("interrupted", err=True)
         return INTERRUPTED

@@ -1,4 +1,4 @@
-"""metrocli diagnose: what the model of a job gets wrong, why, and the gain of mending it."""
+"""metrocli diagnose: what the model of a job gets wrong, why, and what correcting it gains."""
 
 from __future__ import annotations
 
@@ -8,20 +8,23 @@ from typing import Any
 import click
 
 from metrocli.cli import options
+from metrocli.cli.console import Console
 
 
-@click.command("diagnose", help="Say what the model of a job gets wrong, why, and what mending it gains.")
+@click.command("diagnose", help="Find what the model of a job gets wrong, why, and what correcting it gains.")
 @options.JOB
-@click.option("--design", is_flag=True, help="Say what the measurement could see at all, also before it is made.")
-@click.option("--output", type=click.Path(path_type=Path), metavar="FILE.yaml", help="Write the extended job here.")
+@click.option("--design", is_flag=True, help="List what the measurement can detect at all; also before it is made.")
+@click.option(
+    "--output", type=click.Path(path_type=Path), metavar="FILE.yaml", help="Write the extended job to this file."
+)
 @options.SET
 @options.JSON
 @options.QUIET
 @options.VERBOSE
 def command(job: Path, design: bool, output: Path | None, as_json: bool, **wanted: Any) -> int:
-    """Diagnose, write the extended job where an effect was named, and print the report.
+    """Diagnose, write the extended job where effects were named, and print the report.
 
-    A folder that cannot be written to costs the extended job, not the report, unless `--output` asked for it.
+    Where the extended job cannot be written, the report is printed with a warning; with `--output` it is an error.
     """
     from metrocli.cli import diagnosis_text, summary
     from metrocli.diagnosis import verdict
@@ -30,25 +33,25 @@ def command(job: Path, design: bool, output: Path | None, as_json: bool, **wante
     from metrocli.project.job import Wishes, kind_of_job, load
     from metrocli.tasks import KINDS
 
-    voice, overrides = options.Voice(wanted["quiet"] or as_json, wanted["verbose"]), wanted["overrides"]
+    console, overrides = Console(wanted["quiet"] or as_json, wanted["verbose"]), wanted["overrides"]
     if design:
         kind = kind_of_job(job)
         not_needed = KINDS[kind].measured if kind else ()
         adjusted, found = diagnosed.design_of(load(job, Wishes(overrides, not_needed=not_needed)))
         if as_json:
             click.echo(summary.as_json(verdict.design_data(adjusted, found)))
-        voice.line(diagnosis_text.of_design(adjusted, found))
+        console.print(diagnosis_text.of_design(adjusted, found))
         return 0
     loaded = load(job, Wishes(overrides))
-    diagnosis = diagnosed.carry_out(loaded, voice.waiting)
+    diagnosis = diagnosed.carry_out(loaded, console.waiting)
     extended = None
     try:
         extended = diagnosed.write_extended(loaded, diagnosis, output)
     except InputError as error:
         if output is not None:
             raise
-        click.echo(f"warning: no extended job: {error}", err=True)
+        click.echo(f"warning: no extended job was written: {error}", err=True)
     if as_json:
         click.echo(summary.as_json(verdict.as_data(diagnosis) | {"extended_job": extended and str(extended)}))
-    voice.line(diagnosis_text.of_diagnosis(diagnosis, extended))
+    console.print(diagnosis_text.of_diagnosis(diagnosis, extended))
     return 0

@@ -1,4 +1,4 @@
-"""A diagnosis as people read it: a paragraph, then the tables."""
+"""The report of a diagnosis: the verdict, a paragraph, the table of findings, the table of candidates."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from metrocli.diagnosis.selection.confidence_set import NamedEffect
 
 _WIDTH = 110
 _SHOWN = 5
-_TOLD = 4
-"""Effects that are told in sentences; the table has all"""
-_FAR, _FEW = 2.0, 30
-"""Noise over the declared one, and degrees of freedom, from which on and up to which it may well be something else"""
-_SURE = 1e-12
-_LEAST_TOLD = 0.005
-"""Share by which errors of held-out readings must fall to be told: what the score counts may be small in it"""
+_IN_SENTENCES = 4
+"""Most effects that the paragraph describes; the table lists all"""
+_HIGH_NOISE, _FEW_DOF = 2.0, 30
+"""Noise ratio above which, with fewer degrees of freedom than this, several wrong readings may pass as noise"""
+_LEAST_P = 1e-12
+_LEAST_REDUCTION = 0.005
+"""Least fall of the held-out errors that is stated in percent; the log score may gain where the fall is smaller"""
 
 
 def of_diagnosis(diagnosis: Diagnosis, extended: Path | None) -> str:
@@ -35,50 +35,50 @@ def of_diagnosis(diagnosis: Diagnosis, extended: Path | None) -> str:
     if diagnosis.findings:
         lines += ["", *_table(_HEAD, [_row(finding, diagnosis.job) for finding in diagnosis.findings])]
     if diagnosis.separate_by:
-        lines += ["", "to tell them apart, measure:", *(f"  {words}" for words in diagnosis.separate_by)]
+        lines += ["", "to distinguish them, measure:", *(f"  {words}" for words in diagnosis.separate_by)]
     names = [finding.effect for finding in diagnosis.findings]
     return "\n".join([*lines, "", *_candidates(diagnosis.job, diagnosis.design, names)])
 
 
 def of_design(adjusted: AdjustedJob, design: Design) -> str:
-    """Return what a measurement can see."""
-    lines = ["what this measurement can see, in 80 of 100 cases, counting all that is tried:", ""]
+    """Return the report of what a measurement can detect."""
+    lines = ["what this measurement can detect (80 % power, counting everything that is tried):", ""]
     lines += _candidates(adjusted, design, [])
     alike = [
         f"  {pair.one} and {pair.other}: "
-        + ("the same" if pair.alias else f"told apart from {_size(pair.separable, pair.dimension)} on")
+        + ("indistinguishable" if pair.alias else f"distinguished from {_size(pair.separable, pair.dimension)} on")
         for pair in design.pairs
     ]
-    return "\n".join([*lines, *(["", "hard to tell apart:", *alike] if alike else [])])
+    return "\n".join([*lines, *(["", "hard to distinguish:", *alike] if alike else [])])
 
 
 def _sentences(diagnosis: Diagnosis, extended: Path | None) -> Iterator[str]:
     if diagnosis.mistaken is not None:
         likely = " or ".join(map(str, diagnosis.mistaken.mistakes[:_SHOWN]))
-        yield f"A file of this job is wrong: {likely}. Correct it; all that follows is for the job without that."
+        yield f"A file of this job is wrong: {likely}. Correct it. All that follows is for the corrected job."
     if diagnosis.findings:
-        yield f"The residuals hold structure beyond noise ({_chance(diagnosis.before)})."
+        yield f"The residuals contain structure beyond noise ({_chance(diagnosis.before)})."
     elif diagnosis.left is None:
         strongest = f"{_chance(diagnosis.after)} for the strongest structure"
-        yield f"The residuals are what noise makes of this model ({strongest})."
-    for finding in diagnosis.findings[:_TOLD]:
+        yield f"The residuals are consistent with noise ({strongest})."
+    for finding in diagnosis.findings[:_IN_SENTENCES]:
         yield from _about(finding, diagnosis.job)
-    if len(diagnosis.findings) > _TOLD:
-        yield f"{len(diagnosis.findings) - _TOLD} more are in the table."
+    if len(diagnosis.findings) > _IN_SENTENCES:
+        yield f"The table lists {len(diagnosis.findings) - _IN_SENTENCES} more."
     yield from _together(diagnosis)
     if diagnosis.left is not None:
         yield from _left(diagnosis)
     elif diagnosis.findings:
-        yield f"After that no structure is left ({_chance(diagnosis.after)})."
+        yield f"With the named effects in the model no structure is left ({_chance(diagnosis.after)})."
     yield from _noise(diagnosis)
     if diagnosis.outliers:
-        told = [f"{'/'.join(one.keys.values())} ({one.test:.0f} sigma)" for one in diagnosis.outliers[:_SHOWN]]
+        wrong = [f"{'/'.join(one.keys.values())} ({one.test:.0f} sigma)" for one in diagnosis.outliers[:_SHOWN]]
         more = f" and {len(diagnosis.outliers) - _SHOWN} more" if len(diagnosis.outliers) > _SHOWN else ""
-        yield f"Wrong readings: {', '.join(told)}{more}; `outliers: remove` leaves them out, or read them again."
+        yield f"Wrong readings: {', '.join(wrong)}{more}. `outliers: remove` leaves them out; or measure them again."
     if not diagnosis.adjusts:
-        yield "With what was named the job cannot be adjusted, so that the sizes told are those of one step towards it."
+        yield "The job cannot be adjusted with the named effects in it; their sizes are one-step (linear) estimates."
     if extended is not None:
-        yield f"The job with what was named is {extended}; run it, and diagnose it again."
+        yield f"The job extended by the named effects is {extended}: run it, and diagnose it again."
 
 
 def _left(diagnosis: Diagnosis) -> Iterator[str]:
@@ -87,10 +87,10 @@ def _left(diagnosis: Diagnosis) -> Iterator[str]:
         return
     on, where = " and ".join(left.depends_on), f" in the readings of {', '.join(left.where)}" if left.where else ""
     size, unit = units.readable(left.size, diagnosis.job.reading[1])
-    yield f"Structure is left that no known effect explains ({_chance(left.p_value)}); it varies with {on}{where}."
+    yield f"Structure is left that no known effect explains ({_chance(left.p_value)}). It varies with {on}{where}."
     if left.size:
-        yield f"What shows of it is {units.two_digits(size)} {unit} (root mean square)."
-    yield "Standard uncertainties of the result do not count it."
+        yield f"Its visible part is {units.two_digits(size)} {unit} (root mean square)."
+    yield "The standard uncertainties of the result do not include it."
 
 
 def _about(finding: Finding, adjusted: AdjustedJob) -> Iterator[str]:
@@ -98,24 +98,24 @@ def _about(finding: Finding, adjusted: AdjustedJob) -> Iterator[str]:
     cause, reveal = name.alternative.effect.cause, name.alternative.effect.reveal
     yield f"{name.alternative} explains it: {cause}; {', '.join(_parameters(finding))}."
     if name.held:
-        yield f"The readings do not show {' and '.join(name.held)} apart from that: taken as 0. What would: {reveal}."
-    yield f"That this is chance: {_chance(float(np.exp(name.log_level)))}."
+        yield f"The readings do not determine {' and '.join(name.held)} separately (taken as 0). What would: {reveal}."
+    yield f"Noise alone would give as much with {_chance(float(np.exp(name.log_level)))}, counting everything tried."
     if name.rivals:
         others = " or ".join(str(rival.alternative) for rival in name.rivals[:_SHOWN])
-        yield f"With this measurement {others} explains the readings as well."
+        yield f"With this measurement {others} explains the readings about as well."
     if finding.other_shape_from < 1:
         share = f"{units.two_digits(100 * finding.other_shape_from)} %"
-        yield f"A cause of another shape would show from a difference of {share} on."
+        yield f"A cause whose signature differs from it by more than {share} would have been detected."
     else:
-        yield "It is too small for its shape to be checked."
+        yield "The effect is too small for its shape to be checked."
     shift, unit = units.readable(finding.shift, adjusted.delivered.dimension)
-    yield f"It changes the {adjusted.delivered.what} by up to {units.two_digits(shift)} {unit}."
-    if gain.shown and gain.reduction >= _LEAST_TOLD:
-        yield f"Readings that were held out are predicted {100 * gain.reduction:.0f} % better ({_score(gain)})."
+    yield f"The effect changes the {adjusted.delivered.what} by up to {units.two_digits(shift)} {unit}."
+    if gain.shown and gain.reduction >= _LEAST_REDUCTION:
+        yield f"Held-out readings are predicted {100 * gain.reduction:.0f} % better ({_score(gain)})."
     elif gain.shown:
-        yield f"Readings that were held out are predicted better ({_score(gain)}), but for errors of other causes."
+        yield f"Held-out readings are predicted better ({_score(gain)}), but other errors still dominate."
     else:
-        yield f"A gain on readings that were held out is not shown ({_score(gain)})."
+        yield f"No gain on held-out readings is shown ({_score(gain)})."
 
 
 def _together(diagnosis: Diagnosis) -> Iterator[str]:
@@ -123,9 +123,10 @@ def _together(diagnosis: Diagnosis) -> Iterator[str]:
     if gain is None:
         return
     before, after = (_error(size, diagnosis.job) for size in (gain.before, gain.after))
-    what = f"the error of readings that were held out goes from {before} to {after}"
-    shown = "" if gain.shown else "; that this is a gain is not shown"
-    yield f"With all of it {what} (root mean square; {_score(gain)}){shown}."
+    what = f"the error of held-out readings goes from {before} to {after}"
+    yield f"With all named effects {what} (root mean square; {_score(gain)})."
+    if not gain.shown:
+        yield "This is not shown to be a gain."
 
 
 def _error(size: float, adjusted: AdjustedJob) -> str:
@@ -153,27 +154,27 @@ def _noise(diagnosis: Diagnosis) -> Iterator[str]:
     noise, declared = diagnosis.noise, diagnosis.job.declared
     interval = f"{noise.ratio:.2f} [{noise.low:.2f}, {noise.high:.2f}]"
     if declared == "estimated":
-        yield f"The noise is {interval} times what the job estimates."
+        yield f"The noise is {interval} times the noise that the job estimates."
     elif noise.low > 1 or noise.high < 1:
-        yield f"The noise is {interval} times what is declared ({declared})."
-        if noise.low > _FAR and noise.dof < _FEW:
-            yield f"So few readings to spare ({noise.dof:.0f}) do not tell several wrong ones from noise: measure more."
+        yield f"The noise is {interval} times the declared noise ({declared})."
+        if noise.low > _HIGH_NOISE and noise.dof < _FEW_DOF:
+            yield f"With {noise.dof:.0f} degrees of freedom, several wrong readings may pass as noise: measure more."
     else:
         yield f"The noise is as declared ({interval} times {declared})."
     for unit in diagnosis.noisier_units:
         if unit.key == DECLARED_SIGMA:
             found = unit.ratio * noise.ratio
             what = unit.name.removeprefix("prior of ")
-            yield f"What the job gives of each {what} is off by {found:.2g} times its stated sigma; correct the sigma."
+            yield f"The given values of each {what} are off by {found:.2g} times their stated sigma: correct the sigma."
             continue
         yield f"{unit.key} {unit.name} is {unit.ratio:.2g} times as noisy as the others."
 
 
 def _chance(p: float) -> str:
-    return "p < 1e-12" if p < _SURE else f"p = {p:.2g}"
+    return "p < 1e-12" if p < _LEAST_P else f"p = {p:.2g}"
 
 
-_HEAD = ("effect", "size", "chance", "or", "held out", "changes")
+_HEAD = ("effect", "size", "chance", "or instead", "held-out error", "changes result by")
 
 
 def _row(finding: Finding, adjusted: AdjustedJob) -> tuple[str, ...]:
@@ -190,7 +191,7 @@ def _row(finding: Finding, adjusted: AdjustedJob) -> tuple[str, ...]:
 
 
 def _candidates(adjusted: AdjustedJob, design: Design, named: Sequence[NamedEffect]) -> list[str]:
-    """Return the table of candidates, those of one cause and one state in one line."""
+    """Return the table of candidates, with one line for all places of a cause that have the same status."""
     rows: dict[tuple[str, str], list[Candidate]] = {}
     for candidate in design.candidates:
         word = verdict.status(candidate, named)
@@ -208,12 +209,12 @@ def _candidates(adjusted: AdjustedJob, design: Design, named: Sequence[NamedEffe
             f"{units.two_digits(size)} {unit}",
             f"{units.two_digits(hides)} {at}",
         )
-        lines.append((wrong.effect.name, *cells, "else an outlier"))
+        lines.append((wrong.effect.name, *cells, "larger ones are listed as outliers"))
     lines += [
         (one.effect.name, " ".join(one.where.values()), verdict.Status.NOT_TESTED, "-", "-", one.reason)
         for one in design.not_tested
     ]
-    return _table(("effect", "where", "", "seen from", "hides up to", ""), lines)
+    return _table(("effect", "where", "status", "detected from", "hides up to", ""), lines)
 
 
 def _line(adjusted: AdjustedJob, name: str, word: str, found: Sequence[Candidate]) -> tuple[str, ...]:
@@ -227,7 +228,7 @@ def _line(adjusted: AdjustedJob, name: str, word: str, found: Sequence[Candidate
     if word == verdict.Status.NOT_TESTABLE:
         plausible, at = units.readable(found[0].plausible, dimension)
         size = f"{units.two_digits(plausible)} {at}".rstrip()
-        why = f"absorbed by {', '.join(found[0].absorbed_by)}; hides were it {size}"
+        why = f"absorbed by {', '.join(found[0].absorbed_by)}; hides this if its size is {size}"
     seen = _span(min(sizes), max(sizes), dimension) if sizes else "-"
     return name, where, word, seen, f"{units.two_digits(hides)} {unit}", why
 

@@ -1,4 +1,4 @@
-"""metrocli export: a result in the formats of others."""
+"""metrocli export: a result in the formats of other programs and of machine controls."""
 
 from __future__ import annotations
 
@@ -7,18 +7,19 @@ from pathlib import Path
 import click
 
 from metrocli.cli import options
+from metrocli.cli.console import Console
 from metrocli.exports import FORMATS
 
 
-@click.command("export", help="Write a result in another format, and print the paths.")
+@click.command("export", help="Write a result in another format and print the paths of the files.")
 @click.argument("result", type=click.Path(path_type=Path), metavar="RESULT.h5")
-@click.option("--to", "form", required=True, type=click.Choice(list(FORMATS)), help="The format.")
+@click.option("--to", "form", required=True, type=click.Choice(list(FORMATS)), help="Format to write.")
 @click.option(
-    "--out", type=click.Path(path_type=Path), metavar="DIR", help="Folder to write; beside the result unless given."
+    "--out", type=click.Path(path_type=Path), metavar="DIR", help="Folder to write to (default: beside the result)."
 )
 @options.QUIET
 def command(result: Path, form: str, out: Path | None, quiet: bool) -> int:
-    """Write what a format makes of a result: NAME in the folder given, else RESULT.NAME beside the result."""
+    """Write the files of a format: as NAME into the given folder, else as RESULT.NAME beside the result."""
     from metrocli.exports import export
     from metrocli.formats import aside, csv, hdf5
     from metrocli.table import Table
@@ -33,6 +34,6 @@ def command(result: Path, form: str, out: Path | None, quiet: bool) -> int:
             with aside.written_aside(path) as temporary:
                 temporary.write_text(content, encoding="utf-8", newline="\n")
         written.append(path)
-    for path in written:  # not before all are there: whoever reads this output may stop at any line
-        options.Voice(quiet).line(str(path))
+    for path in written:  # after all are written: the reader of this output may close it at any line
+        Console(quiet).print(str(path))
     return 0

@@ -1,4 +1,4 @@
-"""The commands and the first help, known without importing one of them."""
+"""The table of commands and the text of `metrocli --help`, without importing any command."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def help_text() -> str:
     """Return what `metrocli --help` prints."""
     kinds = {name: kind.summary for name, kind in KINDS.items()}
     width = max(map(len, kinds | COMMANDS))
-    return f"""Usage: metrocli COMMAND [ARGUMENTS]...    (metrocli COMMAND --help tells more)
+    return f"""Usage: metrocli COMMAND [ARGUMENTS]...    (more: metrocli COMMAND --help)
 
   Dimensional metrology: from readings to positions, poses and machine
   errors, with their uncertainty.

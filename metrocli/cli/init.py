@@ -7,11 +7,11 @@ from pathlib import Path
 import click
 
 
-@click.command("init", help="Copy a sample project into DIR; without --sample, list them.")
+@click.command("init", help="Copy a sample project into DIR; without --sample, list the samples.")
 @click.argument("folder", required=False, type=click.Path(path_type=Path), metavar="DIR")
 @click.option("--sample", metavar="NAME", help="The sample to copy.")
 def command(folder: Path | None, sample: str | None) -> int:
-    """Copy a sample, or list what there is."""
+    """Copy a sample, or list all samples."""
     import shutil
 
     from metrocli.errors import Fault, InputError, UsageError
@@ -26,19 +26,19 @@ def command(folder: Path | None, sample: str | None) -> int:
     if sample not in samples:
         raise UsageError(f"no sample '{sample}'; {suggestion(sample, samples)}")
     if folder is None:
-        raise UsageError(f"name the folder: metrocli init DIR --sample {sample}")
+        raise UsageError(f"name the folder to copy it to: metrocli init DIR --sample {sample}")
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError([Fault("the folder is not empty", str(folder), hint="name a new one")])
+        raise InputError([Fault("the folder is not empty", str(folder), hint="name a new folder")])
     try:
         shutil.copytree(samples[sample], folder, dirs_exist_ok=True, ignore=shutil.ignore_patterns("results"))
     except (OSError, shutil.Error) as error:
         raise InputError([Fault(f"cannot be written: {error}", str(folder))]) from error
-    click.echo(f"{folder}: the sample {sample}. Next: metrocli run {folder}")
+    click.echo(f"{folder}: sample {sample} copied. Next: metrocli run {folder}")
     return 0
 
 
 def _home() -> Path:
-    """Return the folder of samples: in the installed package, or beside the package in a checkout."""
+    """Return the folder of the samples: in the installed package, or beside the package in a source checkout."""
     package = Path(__file__).parents[1]
     installed = package / "sample_projects"
     return installed if installed.is_dir() else package.parent / "sample_projects"

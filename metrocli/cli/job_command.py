@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from metrocli.cli import options
-from metrocli.cli.options import Voice
+from metrocli.cli.console import Console
 from metrocli.tasks import KINDS
 
 
@@ -21,26 +21,26 @@ def make(kind: str) -> click.Command:
 
     @options.all_of(options.JOB, options.OUTPUT, options.SET, *questions, *shared)
     def command(job: Path, quiet: bool, verbose: bool, **wanted: Any) -> int:
-        return _carry_out(kind, job, Voice(quiet, verbose), wanted)
+        return _carry_out(kind, job, Console(quiet, verbose), wanted)
 
     help_text = f"{KINDS[kind].summary[0].upper()}{KINDS[kind].summary[1:]}."
     return click.command(kind, help=help_text)(command)
 
 
-def _carry_out(kind: str, path: Path, voice: Voice, wanted: dict[str, Any]) -> int:
-    """Load the job, then check, ask or run it, and print what came out."""
+def _carry_out(kind: str, path: Path, console: Console, wanted: dict[str, Any]) -> int:
+    """Load the job; then check it (--dry-run), answer a question about it or run it; print the outcome."""
     from metrocli.errors import UsageError
     from metrocli.project import runner
     from metrocli.project.job import Wishes, load
 
     if wanted["output"] is not None and wanted["output"].suffix != ".h5":
-        raise UsageError(f"--output {wanted['output']}: a result file ends in .h5")
+        raise UsageError(f"--output {wanted['output']}: the name of a result file ends in .h5")
     job = load(path, Wishes(wanted["overrides"], wanted["output"], kind))
     question = next((one.name for one in KINDS[kind].questions if wanted[one.name]), None)
     if wanted["dry_run"]:
         runner.refuse_foreign(job.output, kind, wanted["force"])
         runner.verify(job, runner.content(job))
-        voice.line(f"{path}: no faults; would write {job.output}")
+        console.print(f"{path}: no faults; would write {job.output}")
         return 0
     from metrocli.cli import summary, terminal
 
@@ -50,13 +50,13 @@ def _carry_out(kind: str, path: Path, voice: Voice, wanted: dict[str, Any]) -> i
         return 0
     from metrocli.uncertainty.workers import Workers
 
-    with voice.counting() as tell:
-        workers = Workers(wanted.get("workers", 0), wanted.get("scheduler", ""), tell=tell)
-        done = runner.carry_out(job, wanted["force"], voice.progress, workers)
+    with console.part_counter() as show_parts:
+        workers = Workers(wanted.get("workers", 0), wanted.get("scheduler", ""), tell=show_parts)
+        done = runner.carry_out(job, wanted["force"], console.detail, workers)
     if wanted["as_json"]:
         click.echo(summary.json_of(done.result, done.record, done.path))
     else:
-        voice.line(terminal.result_text(done.result, done.record, done.path))
+        console.print(terminal.result_text(done.result, done.record, done.path))
     for line in done.result.warnings:
-        voice.warning(line)
-    return terminal.tell_misses(done.record, told=not (wanted["as_json"] or voice.quiet))
+        console.warning(line)
+    return terminal.print_unmet(done.record, printed=not (wanted["as_json"] or console.quiet))

@@ -1,4 +1,4 @@
-"""The front door: help and version at once; everything else through the commands."""
+"""The entry point: help and version without loading the commands; everything else through them."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from metrocli.cli.help import help_text, version_text
 
 
 def main() -> None:
-    """The entry point of the installed command."""
+    """Run the installed command `metrocli`."""
     arguments = sys.argv[1:]
     if arguments in ([], ["-h"], ["--help"]):
         sys.stdout.write(help_text())
     elif arguments == ["--version"]:
         sys.stdout.write(version_text() + "\n")
     else:
-        # threads within one matrix product wait for each other where other programs run; numpy reads this when loaded
+        # Threads within one matrix product wait for each other where other programs run. numpy reads this on import.
         os.environ.setdefault("OMP_NUM_THREADS", "1")
         from metrocli.cli.commands import run
 

@@ -7,28 +7,29 @@ from pathlib import Path
 import click
 
 from metrocli.cli import options
+from metrocli.cli.console import Console
 
 
-@click.command("plan", help="Tell what a planned measurement will determine, how well, and what would be better.")
+@click.command("plan", help="Show what a planned measurement will determine and how well, and propose a better one.")
 @options.JOB
 @click.option(
     "--out",
     type=click.Path(path_type=Path),
     metavar="DIR",
-    help="Folder to write; NAME.plan beside the job if left out.",
+    help="Folder to write to (default: NAME.plan beside the job).",
 )
 @options.SET
 @options.FORCE
 @options.JSON
 @options.QUIET
 def command(job: Path, out: Path | None, overrides: tuple[str, ...], force: bool, as_json: bool, quiet: bool) -> int:
-    """Plan, write tables and files, and print what it will be worth and their paths."""
+    """Plan; write tables and files; print the expected uncertainties and the paths."""
     from metrocli.cli import summary, terminal
     from metrocli.project import planned, runner
     from metrocli.project.job import Wishes, kind_of_job, load
     from metrocli.tasks import KINDS
 
-    voice = options.Voice(quiet)
+    console = Console(quiet)
     folder = out if out is not None else job.with_name(f"{job.stem}.plan")
     planned.refuse_foreign(folder, force)
     kind = kind_of_job(job)
@@ -38,9 +39,9 @@ def command(job: Path, out: Path | None, overrides: tuple[str, ...], force: bool
     written = list(planned.write(planned.files_of(plan), text, folder))
     if not as_json:
         for line in (terminal.plan_text(plan), *map(str, written)):
-            voice.line(line)
+            console.print(line)
     if as_json:
         click.echo(text)
     for line in plan.warnings:
-        voice.warning(line)
+        console.warning(line)
     return 0

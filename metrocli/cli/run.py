@@ -8,31 +8,33 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from metrocli.cli import options
-from metrocli.cli.options import Voice
+from metrocli.cli.console import Console
 
 if TYPE_CHECKING:
     from metrocli.project.pipeline import Report
 
 
-@click.command("run", help="Bring every result of a project up to date, in the order that the jobs need.")
+@click.command(
+    "run", help="Bring every result of a project up to date, in the order in which the jobs need each other."
+)
 @click.argument("project", type=click.Path(path_type=Path), default=Path())
-@click.option("--force", is_flag=True, help="Run every job, and replace outputs that are something else.")
+@click.option("--force", is_flag=True, help="Run every job, and overwrite whatever is at the outputs.")
 @options.DRY_RUN
 @options.JSON
 @options.QUIET
 @options.VERBOSE
 def command(project: Path, force: bool, dry_run: bool, as_json: bool, quiet: bool, verbose: bool) -> int:
-    """Print one line a job; return the exit code of the first that failed."""
+    """Run the jobs and print one line for each; return the exit code of the first that failed."""
     from metrocli.project import pipeline
 
     steps = pipeline.load_project(project)
-    voice = Voice(quiet or as_json, verbose)
+    console = Console(quiet or as_json, verbose)
     if dry_run:
         for state in pipeline.states(steps):
             reason = state.reason or ("forced" if force else "")
-            voice.line(f"{state.step.name}: {f'would run: {reason}' if reason else 'up to date'}")
+            console.print(f"{state.step.name}: {f'would run: {reason}' if reason else 'up to date'}")
         return 0
-    reports = pipeline.run(steps, force, voice.progress, lambda report: _tell(report, voice))
+    reports = pipeline.run(steps, force, console.detail, lambda report: _print_report(report, console))
     if as_json:
         from metrocli.cli.summary import as_json as json_text
 
@@ -40,23 +42,23 @@ def command(project: Path, force: bool, dry_run: bool, as_json: bool, quiet: boo
     return next((report.exit_code for report in reports if report.exit_code), 0)
 
 
-def _tell(report: Report, voice: Voice) -> None:
-    """Print the line of one job; failures, warnings and missed criteria go to stderr."""
+def _print_report(report: Report, console: Console) -> None:
+    """Print the line of one job to stdout; failures, warnings and unmet criteria to stderr."""
     place = f" -> {report.step.job.output}" if report.action == "ran" else ""
     unmet = " (an acceptance criterion is not met)" if report.exit_code and not report.error else ""
     if report.action == "not run":
         unmet = ""
     reason = f" ({report.reason})" if report.reason else ""
-    voice.line(f"{report.step.name}: {report.action}{reason}{place}{unmet}")
+    console.print(f"{report.step.name}: {report.action}{reason}{place}{unmet}")
     if report.error:
         click.echo(report.error, err=True)
     if report.done is not None:
         from metrocli.cli import terminal
 
-        voice.progress(terminal.result_text(report.done.result, report.done.record, report.done.path))
+        console.detail(terminal.result_text(report.done.result, report.done.record, report.done.path))
         for line in report.done.result.warnings:
-            voice.warning(line)
-        terminal.tell_misses(report.done.record)
+            console.warning(line)
+        terminal.print_unmet(report.done.record)
 
 
 def _summary(report: Report) -> dict[str, Any]:

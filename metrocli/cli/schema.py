@@ -5,10 +5,10 @@ from __future__ import annotations
 import click
 
 
-@click.command("schema", help="JSON schema (2020-12) of a job of one kind, or of any kind.")
+@click.command("schema", help="Print the JSON schema (2020-12) of a job of one kind, or of any kind.")
 @click.argument("kind", required=False, metavar="[KIND]")
 def command(kind: str | None) -> int:
-    """Print the schema of a kind, or one that takes every kind."""
+    """Print the schema of one kind, or one that accepts every kind."""
     from metrocli.cli.summary import as_json
     from metrocli.errors import UsageError
     from metrocli.project.job import schema

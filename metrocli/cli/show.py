@@ -17,13 +17,13 @@ if TYPE_CHECKING:
 QUESTIONS = {question.name: question for kind in KINDS.values() for question in kind.result_questions}
 
 
-@click.command("show", help="A result on the terminal.")
+@click.command("show", help="Print a result.")
 @click.argument("result", type=click.Path(path_type=Path), metavar="RESULT.h5")
-@click.option("--table", "name", metavar="NAME", help="Print one table, whole, as CSV.")
+@click.option("--table", "name", metavar="NAME", help="Print one whole table as CSV.")
 @options.all_of(*map(options.asking, QUESTIONS.values()))
 @options.JSON
 def command(result: Path, name: str | None, as_json: bool, **asked: tuple[str, ...] | None) -> int:
-    """Print a result as its job did, one of its tables, or its answer to a question of its kind."""
+    """Print a result as its job did, or one of its tables, or the answer to a question of its kind."""
     from metrocli.cli import summary, terminal
     from metrocli.errors import UsageError
     from metrocli.formats import csv, hdf5
@@ -51,13 +51,13 @@ def command(result: Path, name: str | None, as_json: bool, **asked: tuple[str, .
 
 
 def _answer(result: Result, question: str, values: tuple[str, ...], as_json: bool) -> str:
-    """Return the answer of a result's kind as text; UsageError where that kind has none."""
+    """Return the answer to a question about a result as text; raise UsageError if its kind has no such question."""
     from metrocli.cli import summary, terminal
     from metrocli.errors import UsageError
 
     answering = [kind.name for kind in KINDS.values() if question in {one.name for one in kind.result_questions}]
     if result.kind not in answering:
-        raise UsageError(f"--{question} is for results of {' and '.join(answering)}; this is one of {result.kind}")
+        raise UsageError(f"--{question} is for results of {' and '.join(answering)}; this is a result of {result.kind}")
     estimates = KINDS[result.kind].task().result_answers[question](result, values)
     if not as_json:
         return terminal.estimates_text(estimates)

@@ -7,25 +7,26 @@ from pathlib import Path
 import click
 
 from metrocli.cli import options
+from metrocli.cli.console import Console
 
 
 @click.command("simulate", help="Write the measurement that the model of a job predicts, and the truth behind it.")
 @options.JOB
-@click.option("--out", required=True, type=click.Path(path_type=Path), metavar="DIR", help="Folder to write.")
+@click.option("--out", required=True, type=click.Path(path_type=Path), metavar="DIR", help="Folder to write to.")
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of the noise.")
 @click.option(
     "--effect",
     "effects",
     multiple=True,
     metavar="NAME:KEY=VALUE,...",
-    help="Plant an effect, such as dead-path-drift:tracer=LT2,rate=0.5um/min.",
+    help="Add an effect, such as dead-path-drift:tracer=LT2,rate=0.5um/min.",
 )
-@click.option("--images", is_flag=True, help="Render pictures too.")
+@click.option("--images", is_flag=True, help="Render the images too.")
 @options.SET
 @options.FORCE
 @options.QUIET
 def command(job: Path, out: Path, seed: int, images: bool, quiet: bool, force: bool, **wishes: tuple[str, ...]) -> int:
-    """Simulate, then write tables, pictures and truth.json, and print their paths."""
+    """Simulate; write tables, images and truth.json; print their paths."""
     from metrocli.errors import Fault, InputError
     from metrocli.project import runner
     from metrocli.project.job import Wishes, kind_of_job, load
@@ -39,5 +40,5 @@ def command(job: Path, out: Path, seed: int, images: bool, quiet: bool, force: b
     not_needed = KINDS[kind].measured if kind else ()
     loaded = load(job, Wishes(wishes["overrides"], not_needed=not_needed, effects=wishes["effects"]))
     for path in list(write(runner.simulate(loaded, SimulationOptions(seed, images)), out)):
-        options.Voice(quiet).line(str(path))
+        Console(quiet).print(str(path))
     return 0

@@ -9,11 +9,11 @@ import click
 from metrocli.cli import options
 
 
-@click.command("status", help="What is up to date in a project, what is not, and why.")
+@click.command("status", help="List what is up to date in a project, what is not, and why.")
 @click.argument("project", type=click.Path(path_type=Path), default=Path())
 @options.JSON
 def command(project: Path, as_json: bool) -> int:
-    """Print one line a job; the exit code says only whether the project could be read."""
+    """Print one line for each job; return 0 whenever the project can be read."""
     from metrocli.project.pipeline import load_project, states
 
     found = list(states(load_project(project)))
@@ -26,6 +26,6 @@ def command(project: Path, as_json: bool) -> int:
     for state in found:
         missed = [verdict.name for verdict in state.record.verdicts if not verdict.met] if state.record else []
         unmet = f" (not met: {', '.join(missed)})" if missed else ""
-        said = f"would run: {state.reason}" if state.reason else f"up to date{unmet}"
-        click.echo(f"{state.step.name}: {said}")
+        shown = f"would run: {state.reason}" if state.reason else f"up to date{unmet}"
+        click.echo(f"{state.step.name}: {shown}")
     return 0

@@ -1,4 +1,4 @@
-"""The summary of a result as JSON (the same for every command that has --json)."""
+"""The summary of a result or plan as JSON, the same for every command with --json."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from metrocli.table import Table
 
 
 def summary(result: Result, record: Record, path: Path) -> dict[str, Any]:
-    """Return what a program wants to know of a result."""
+    """Return the summary of a result under the keys that --json promises."""
     return {
         "kind": result.kind,
         "title": result.title,
@@ -41,7 +41,7 @@ def json_of(result: Result, record: Record, path: Path) -> str:
 
 
 def json_of_plan(plan: Plan, folder: Path) -> str:
-    """Return a plan as JSON text, with the paths of the files it is written to."""
+    """Return the summary of a plan as JSON text, with the paths of its files."""
     return as_json(
         {
             "kind": plan.kind,
@@ -56,7 +56,7 @@ def json_of_plan(plan: Plan, folder: Path) -> str:
 
 
 def json_of_table(table: Table) -> str:
-    """Return a table as JSON text: a list with one object a row; its units beside it."""
+    """Return a table as JSON text: `units` by column, and `rows` with one object for each row."""
     return as_json(_listed(table))
 
 
@@ -67,7 +67,7 @@ def _listed(table: Table) -> dict[str, Any]:
 
 
 def as_json(value: Any) -> str:
-    """Return JSON text; what is not a finite number is null."""
+    """Return JSON text; NaN and infinities are null."""
     return json.dumps(_finite(value), indent=2, ensure_ascii=False)
 
 

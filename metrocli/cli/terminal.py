@@ -1,4 +1,4 @@
-"""A result as people read it: values to the second digit of their uncertainty, tables in columns."""
+"""Results and plans as text: values to the second digit of their standard uncertainty, tables in columns."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _FIRST = ("observations", "unknowns", "dof", "sigma0", "chi2", "p_value", "itera
 
 
 def result_text(result: Result, record: Record, path: Path) -> str:
-    """Return the whole summary of a result."""
+    """Return the summary of a result as text."""
     parts = [f"{result.kind}{f': {result.title}' if result.title else ''}"]
     parts += [estimates_text(result.estimates)] if result.estimates else []
     parts += [_statistics_line(result.statistics)]
@@ -33,18 +33,18 @@ def result_text(result: Result, record: Record, path: Path) -> str:
 
 
 def plan_text(plan: Plan) -> str:
-    """Return what people read of a plan."""
+    """Return the summary of a plan as text."""
     parts = [f"{plan.kind}: planned", *plan.notes]
     parts += [estimates_text(plan.figures)] if plan.figures else []
     return "\n".join([*parts, *(_shown(plan.tables, shown) for shown in plan.shown)])
 
 
-def tell_misses(record: Record, told: bool = False) -> int:
-    """Tell on stderr each acceptance criterion that is not met, unless it was told; return the exit code."""
-    missed = [verdict for verdict in record.verdicts if not verdict.met]
-    for verdict in () if told else missed:
+def print_unmet(record: Record, printed: bool = False) -> int:
+    """Print to stderr each acceptance criterion that is not met, unless already printed; return the exit code."""
+    unmet = [verdict for verdict in record.verdicts if not verdict.met]
+    for verdict in () if printed else unmet:
         click.echo(_verdict_line(verdict), err=True)
-    return NOT_MET if missed else 0
+    return NOT_MET if unmet else 0
 
 
 def _verdict_line(verdict: Verdict) -> str:
@@ -87,7 +87,7 @@ def _shown(tables: Mapping[str, Table], shown: ShownTable) -> str:
 
 
 def table_text(table: Table) -> str:
-    """Return a table in columns with units, its first rows only where it is long."""
+    """Return a table in columns with units; a long table is cut after MOST_ROWS rows."""
     heads = [f"{name} [{table.units[name]}]" if table.units.get(name) else name for name in table]
     columns = [_column_texts(table.columns[name][:MOST_ROWS].tolist(), _digits_of(table, name)) for name in table]
     rows = [list(row) for row in zip(*columns, strict=True)]
@@ -96,14 +96,17 @@ def table_text(table: Table) -> str:
 
 
 def _digits_of(table: Table, name: str) -> int | None:
-    """Return the decimals to the second digit of the least standard uncertainty beside a column; None without one."""
+    """Return the decimals that show two digits of the smallest standard uncertainty of a column; None without one.
+
+    The standard uncertainties of a column `x` stand in `sx` or `s_x`.
+    """
     beside = next((column for column in (f"s{name}", f"s_{name}") if column in table), None)
     stds = [std for std in table.numbers(beside).tolist() if std > 0] if beside else []
     return max(1 - math.floor(math.log10(min(stds))), 0) if stds else None
 
 
 def _column_texts(values: Sequence[Any], decimals: int | None = None) -> list[str]:
-    """Return a column as text, all its numbers to `decimals`, or to those that the largest needs for five digits."""
+    """Return a column as text: numbers with `decimals`, else with those that show five digits of the largest."""
     numbers = [abs(value) for value in values if isinstance(value, float) and math.isfinite(value)]
     largest = max(numbers, default=0.0)
     whole = all(number == round(number) for number in numbers)

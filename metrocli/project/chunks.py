@@ -1,4 +1,4 @@
-"""Finished chunks of a long computation, kept in a folder beside its result until it is done."""
+"""Finished chunks of a long computation, kept in a folder beside its result until it is complete."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ import numpy as np
 
 @dataclass(frozen=True)
 class ChunkFolder:
-    """One file of arrays for each finished chunk, named by the key of the computation and the number of the chunk."""
+    """A folder with one .npz file for each finished chunk: KEY OF THE COMPUTATION-NUMBER.npz."""
 
     folder: Path
 
     def get(self, key: str, number: int) -> dict[str, Any] | None:
-        """Return the arrays of a chunk, None where it is not there or damaged."""
+        """Return the arrays of a chunk, or None if its file is missing or damaged."""
         path = self._path(key, number)
         if not path.is_file():
             return None
@@ -30,7 +30,7 @@ class ChunkFolder:
             return None
 
     def put(self, key: str, number: int, value: dict[str, Any]) -> None:
-        """Keep the arrays of a chunk, whole or not at all; a disk that takes nothing more is no fault of the job."""
+        """Write the arrays of a chunk, whole or not at all; errors of the disk are ignored, as the job can do without."""
         with contextlib.suppress(OSError):
             self.folder.mkdir(parents=True, exist_ok=True)
             aside = self._path(key, number).with_suffix(f".{os.getpid()}.tmp")
@@ -39,7 +39,7 @@ class ChunkFolder:
             aside.replace(self._path(key, number))
 
     def clear(self) -> None:
-        """Remove all chunks, and the folder."""
+        """Remove all chunks and the folder."""
         if self.folder.is_dir():
             for path in [*self.folder.glob("*.npz"), *self.folder.glob("*.tmp")]:
                 path.unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""A diagnosis in a project: the job is read and adjusted, and the extended job written beside it."""
+"""The diagnosis of a job: its files are read, it is adjusted, and the extended job is written beside it."""
 
 from __future__ import annotations
 
@@ -20,28 +20,28 @@ from metrocli.nodes import Node
 from metrocli.project import yaml_text
 from metrocli.project.inputs import read_inputs
 from metrocli.project.job import JobFile
-from metrocli.project.runner import Say, simulate
+from metrocli.project.runner import Progress, simulate
 from metrocli.simulation import SimulationOptions
 
 _NAMED = " with the effects that metrocli diagnose named"
-"""The end of the first line of an extended job"""
+"""End of the first line of an extended job, by which it is recognised before it is overwritten"""
 
 
 def adjusted_job_of(job: JobFile) -> AdjustedJob:
-    """Return what is diagnosed of a job; UsageError for a kind that has no diagnosis."""
+    """Return the adjusted job as diagnosis takes it; raise UsageError if its kind has no diagnosis."""
     return _adjuster(job)(read_inputs(job))
 
 
-def carry_out(job: JobFile, say: Say = lambda line: None) -> Diagnosis:
-    """Adjust a job, without a mistake in its files where there is one, and diagnose it."""
+def carry_out(job: JobFile, progress: Progress = lambda line: None) -> Diagnosis:
+    """Adjust a job, correct a mistake in its files if one is found, and diagnose it."""
     adjust = _adjuster(job)
-    say(f"{job.file}: adjusting")
+    progress(f"{job.file}: adjusting")
     adjusted, mistaken = without_mistakes(read_inputs(job), adjust)
-    return replace(diagnose(adjusted, lambda line: say(f"{job.file}: {line}")), mistaken=mistaken)
+    return replace(diagnose(adjusted, lambda line: progress(f"{job.file}: {line}")), mistaken=mistaken)
 
 
 def design_of(job: JobFile) -> tuple[AdjustedJob, Design]:
-    """Return what the measurement of a job can see; readings that do not exist yet are simulated by it."""
+    """Return what the measurement of a job can detect; readings that do not exist yet are simulated."""
     wanted = tasks.KINDS[job.kind].measured
     held = read_inputs(job, wanted)
     if not set(wanted) & set(held) and any(item.key in wanted for item in job.inputs):
@@ -56,7 +56,7 @@ def _adjuster(job: JobFile) -> Callable[[Mapping[str, object]], AdjustedJob]:
     task = tasks.KINDS[job.kind].task()
     adjusted = task.diagnosed
     if adjusted is None:
-        raise UsageError(f"{job.kind} cannot be diagnosed yet")
+        raise UsageError(f"{job.kind} jobs cannot be diagnosed yet")
     declared = _declared(job.root.get("noise"))
 
     def adjust(inputs: Mapping[str, object]) -> AdjustedJob:
@@ -72,10 +72,10 @@ def _declared(node: Node | None) -> str:
 
 
 def write_extended(job: JobFile, diagnosis: Diagnosis, path: Path | None = None) -> Path | None:
-    """Write the job with the named effects, beside it as `NAME.extended.yaml`; None where there is nothing to add.
+    """Write the job extended by the named effects, by default beside it as `NAME.extended.yaml`; return its path.
 
-    Parameters that the readings do not show apart from the others are 0 in it. Elsewhere its paths are made to lead to
-    the same files.
+    Returns None if no effect was named. Parameters that the readings do not determine separately are 0. In another
+    folder, the relative paths of the inputs are changed to lead to the same files.
     """
     if not diagnosis.findings:
         return None
@@ -89,7 +89,7 @@ def write_extended(job: JobFile, diagnosis: Diagnosis, path: Path | None = None)
 
 
 def _refuse_foreign(path: Path) -> None:
-    """Raise InputError where a file is there that is no extended job."""
+    """Raise InputError if a file exists that is not an extended job."""
     if not path.is_file():
         return
     try:
@@ -99,7 +99,7 @@ def _refuse_foreign(path: Path) -> None:
             [Fault(f"cannot be read: {error.strerror}", str(path), hint="give another --output")]
         ) from error
     if not first.rstrip().endswith(_NAMED):
-        raise InputError([Fault("is there, and is no extended job", str(path), hint="give another --output")])
+        raise InputError([Fault("the file exists and is not an extended job", str(path), hint="give another --output")])
 
 
 def _extended(job: JobFile, effects: Sequence[Node], folder: Path) -> Node:
@@ -108,7 +108,7 @@ def _extended(job: JobFile, effects: Sequence[Node], folder: Path) -> Node:
     output = job.output.with_name(f"{job.output.stem}.extended.h5")
     below = replace(job.root, kind="list", text="", entries=(), items=tuple(items))
     kept = [
-        (key, _led(value, job.folder, folder) if key.text == "inputs" else value)
+        (key, _relocated(value, job.folder, folder) if key.text == "inputs" else value)
         for key, value in job.root.entries
         if key.text not in ("effects", "output")
     ]
@@ -120,14 +120,14 @@ def _path(path: Path, folder: Path) -> str:
     return Path(os.path.relpath(path, folder)).as_posix()
 
 
-def _led(node: Node, old: Path, new: Path) -> Node:
-    """Return the paths of a node so that they lead from another folder to the same files."""
+def _relocated(node: Node, old: Path, new: Path) -> Node:
+    """Return a node with its paths, relative to `old`, rewritten relative to `new`."""
     if os.path.abspath(old) == os.path.abspath(new):
         return node
     if node.kind == "scalar":
         return node if Path(node.text).is_absolute() else replace(node, text=_path(old / node.text, new))
-    items = tuple(_led(item, old, new) for item in node.items)
-    return replace(node, items=items, entries=tuple((key, _led(value, old, new)) for key, value in node.entries))
+    items = tuple(_relocated(item, old, new) for item in node.items)
+    return replace(node, items=items, entries=tuple((key, _relocated(value, old, new)) for key, value in node.entries))
 
 
 def _key(job: JobFile, text: str) -> Node:

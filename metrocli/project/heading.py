@@ -17,7 +17,7 @@ FORMAT_VERSION = "1"
 
 
 class _Version:
-    """The version of the format of job files."""
+    """The value of `metrocli:`, the version of the format of job files."""
 
     expects = FORMAT_VERSION
 
@@ -27,7 +27,12 @@ class _Version:
     def read(self, node: Node, faults: list[Fault]) -> Any:
         if self.fits(node) and node.text == FORMAT_VERSION:
             return int(node.text)
-        faults.append(node.fault(f"metrocli: this program reads job files of version {FORMAT_VERSION}", "write 1"))
+        faults.append(
+            node.fault(
+                f"metrocli: this program reads job files of version {FORMAT_VERSION} only",
+                f"write metrocli: {FORMAT_VERSION}",
+            )
+        )
         return BAD
 
     def schema(self) -> Schema:
@@ -35,7 +40,7 @@ class _Version:
 
 
 class _KindOfJob:
-    """The kind of a job, one of the table of kinds."""
+    """The value of `job:`, one of the kinds in the table `tasks.KINDS`."""
 
     @property
     def expects(self) -> str:
@@ -55,7 +60,7 @@ class _KindOfJob:
 
 
 class _Effects:
-    """The value of `effects:`, a list of mappings; what each may hold depends on the kind of job."""
+    """The value of `effects:`, a list of mappings whose keys depend on the kind of job."""
 
     expects = "a list such as [{name: target-eccentricity}]"
 
@@ -73,7 +78,7 @@ class _Effects:
 
 
 class _Output:
-    """The path of the result file."""
+    """The value of `output:`, the path of the result file."""
 
     expects = "the path of a file that ends in .h5"
 
@@ -95,8 +100,8 @@ class Heading:
     """The keys that every kind of job has."""
 
     metrocli: int = setting(_Version(), "version of the format of job files")
-    job: str = setting(_KindOfJob(), "kind of the job")
-    title: str = setting(Text(), "title, for people", default="")
+    job: str = setting(_KindOfJob(), "kind of job")
+    title: str = setting(Text(), "title of the result", default="")
     effects: tuple[Node, ...] = setting(_Effects(), "extensions of the model, by name", default=())
     require: tuple[Requirement, ...] = setting(Requirements(), "acceptance criteria", default=())
     output: Path | None = setting(_Output(), "result file, relative to the job file", default=None)

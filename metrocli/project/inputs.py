@@ -1,4 +1,4 @@
-"""The files of a job: read for its task, and hashed for its record."""
+"""The files of a job: read for its task, and hashed for the record in its result."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from metrocli.settings import ANY_KIND, FileOf, ImageFiles, TableFile
 
 
 def read_inputs(job: JobFile, absent: Collection[str] = ()) -> dict[str, Any]:
-    """Return by its key what each input holds: Table, ImageSet, Result or a section; raise InputError for all faults.
+    """Return the content of each input under its key: a Table, ImageSet, Result or section of settings.
 
-    Inputs named in `absent` are left out where their files do not exist. Files that other keys than `inputs:` name are
-    in one dict under "files", by the path of their key.
+    Inputs in `absent` are left out where their files do not exist. Files that are named outside `inputs:` are in one
+    dict under "files", by the path of their key. Raises InputError with the faults of all files.
     """
     held: dict[str, Any] = {}
     faults: list[Fault] = []
@@ -66,7 +66,7 @@ def _read_one(spec: Any, path: Path, item: Input) -> Any:
 
 
 def input_files(job: JobFile) -> tuple[InputFile, ...]:
-    """Return each existing file of a job with its hash, by path relative to the job file."""
+    """Return the existing files of a job with their hashes; paths are relative to the job file."""
     paths = sorted({path for item in job.inputs for path in item.paths if path.is_file()})
     return tuple(_hashed(path, job.folder) for path in paths)
 

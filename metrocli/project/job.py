@@ -1,4 +1,4 @@
-"""JobFile files: YAML text to a frozen job, with all its faults at once."""
+"""Job files: YAML text to a frozen JobFile; all faults are reported at once."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from metrocli.words import suggestion
 
 @dataclass(frozen=True)
 class Input:
-    """One key under `inputs:` with the files it names; `held` is what a YAML file holds, already read."""
+    """One key that names files, mostly under `inputs:`; `held` is the content if it is a YAML file."""
 
     key: str
     spec: Any
@@ -64,7 +64,7 @@ class JobFile:
     inputs: tuple[Input, ...]
     output: Path
     text: str
-    """As used, after --set."""
+    """The text of the job as used, after --set."""
     root: Node
     effects: tuple[Wanted, ...] = ()
 
@@ -75,29 +75,32 @@ class JobFile:
 
     @property
     def folder(self) -> Path:
-        """Where the relative paths of the job start."""
+        """The folder to which paths in the job are relative."""
         return self.file.parent
 
 
 @dataclass(frozen=True)
 class Wishes:
-    """What the caller of a job wants otherwise than the file says."""
+    """What the command line asks for beyond the job file."""
 
     overrides: tuple[str, ...] = ()
-    """`key.path=value`, each."""
+    """The values of --set, each `key.path=value`"""
     output: Path | None = None
     kind: str | None = None
-    """The kind that the command is for."""
+    """The kind of the command, None for any"""
     made: Collection[Path] = ()
-    """Absolute paths that other jobs will make."""
+    """Absolute paths of results that other jobs will write"""
     not_needed: Collection[str] = ()
-    """Inputs that need not exist."""
+    """Keys of inputs whose files may be missing"""
     effects: tuple[str, ...] = ()
-    """More effects, each as `NAME:key=value,...`."""
+    """The values of --effect, each `NAME:key=value,...`"""
 
 
 def load(path: Path, wishes: Wishes | None = None) -> JobFile:
-    """Return a job; raise InputError with all faults of the file and its YAML inputs, UsageError for another kind."""
+    """Return a job.
+
+    Raises InputError with all faults of the file and its YAML inputs, UsageError if the job is of another kind.
+    """
     wishes = wishes or Wishes()
     faults: list[Fault] = []
     root, text = _root(path, wishes.overrides, faults)
@@ -121,19 +124,19 @@ def load(path: Path, wishes: Wishes | None = None) -> JobFile:
 
 
 def kind_of_job(path: Path) -> str | None:
-    """Return the kind of a job file, None where it names none that is known."""
+    """Return the kind of a job file, or None if it names no known kind."""
     return _kind(_root(path, (), [])[0], path, None)
 
 
 def _root(path: Path, overrides: Sequence[str], faults: list[Fault]) -> tuple[Node, str]:
-    """Return the tree of a job file with the overrides in it, and the text that says the same.
+    """Return the tree of a job file with the overrides applied, and the equivalent YAML text.
 
-    Keys that stand twice are added to `faults`.
+    A fault for each repeated key is added to `faults`.
     """
     text = yaml_text.read_text(path, str(path))
     root = yaml_text.parse(text, str(path), path.parent, faults)
     if root.kind != "mapping":
-        raise InputError([root.fault("a job file is a mapping of keys", "write 'metrocli: 1', 'job: KIND', ...")])
+        raise InputError([root.fault("a job file must be a mapping of keys", "write 'metrocli: 1', 'job: KIND', ...")])
     for override in overrides:
         root = overridden(root, override, path.parent)
     if overrides:
@@ -142,7 +145,7 @@ def _root(path: Path, overrides: Sequence[str], faults: list[Fault]) -> tuple[No
 
 
 def _kind(root: Node, path: Path, wanted: str | None) -> str | None:
-    """Return the kind of a job where it is one of the table; UsageError where the command is for another."""
+    """Return the kind of a job, or None if it is unknown; raise UsageError if it is not the `wanted` one."""
     node = root.get("job")
     kind = node.text if node is not None and node.kind == "scalar" and node.text in tasks.KINDS else None
     if kind is not None and wanted not in (None, kind):
@@ -159,7 +162,7 @@ def _in_order(faults: Iterable[Fault]) -> list[Fault]:
 
 
 def _inputs(root: Node, settings: type, faults: list[Fault]) -> tuple[Input, ...]:
-    """Return the inputs of a job, those whose own text has no fault; files in YAML are read and checked at once."""
+    """Return the inputs of a job whose entries have no fault; YAML files are read and checked at once."""
     found = []
     for name, (wanted, _) in settings_of(settings).items():
         for item in _files_in(wanted.spec, root.get(wanted.key), within_inputs=name == "inputs"):
@@ -168,7 +171,7 @@ def _inputs(root: Node, settings: type, faults: list[Fault]) -> tuple[Input, ...
 
 
 def _files_in(spec: Any, node: Node | None, within_inputs: bool = False) -> Iterator[Input]:
-    """Yield what names files at a node: a key of `inputs:` under its name, anything else under its path."""
+    """Yield the entries at a node that name files: keys of `inputs:` by name, all others by path."""
     if node is None or not spec.fits(node):
         return
     if _names_files(spec):
@@ -208,36 +211,37 @@ def _with_content(item: Input, faults: list[Fault]) -> Input:
 
 
 def _missing(inputs: Iterable[Input], wishes: Wishes) -> list[Fault]:
-    """Return a fault for each input file that does not exist and that nothing makes."""
+    """Return a fault for each input file that does not exist and that no job will write."""
     faults = []
     for item in inputs:
         if isinstance(item.spec, ImageFiles) and item.key not in wishes.not_needed:
-            for odd in item.spec.unmatched(item.node):
-                faults.append(odd.fault(f"{item.node.path}: no file matches '{odd.text}'", f"in {odd.source.folder}"))
+            for pattern in item.spec.unmatched(item.node):
+                message = f"{item.node.path}: no file matches '{pattern.text}'"
+                faults.append(pattern.fault(message, f"in {pattern.source.folder}"))
         places = item.node.items or [value for _, value in item.node.entries] or [item.node]
         for n, path in enumerate(item.paths):
             if path.is_file() or item.key in wishes.not_needed or Path(os.path.abspath(path)) in wishes.made:
                 continue
             found = "a folder, not a file" if path.is_dir() else "no such file"
             place = places[n] if len(places) == len(item.paths) else item.node
-            faults.append(place.fault(f"{item.node.path}: {found}: {path}", _neighbour(path)))
+            faults.append(place.fault(f"{item.node.path}: {found}: {path}", _missing_hint(path)))
     return faults
 
 
-def _neighbour(path: Path) -> str | None:
-    """Say what may be meant by a missing file: one of nearly the same name, or the result of a job not yet run."""
+def _missing_hint(path: Path) -> str | None:
+    """Return a hint for a missing file: a file of nearly the same name, a job to run first, or a missing folder."""
     names = [other.name for other in path.parent.iterdir() if other.is_file()] if path.parent.is_dir() else []
     hint = suggestion(path.name, names)
     if hint.startswith("did you mean"):
         return hint
     if path.suffix == ".h5":
-        return "a result: run the job that makes it first"
-    return None if path.parent.is_dir() else f"there is no folder {path.parent}"
+        return "first run the job that writes this result"
+    return None if path.parent.is_dir() else f"the folder {path.parent} does not exist"
 
 
 def schema(kind: str) -> Schema:
     """Return the JSON schema (2020-12) of a kind of job, for editors."""
     own = sections_schema((Heading, tasks.KINDS[kind].settings()))
     own["properties"]["effects"] |= effects.schema(tasks.KINDS[kind].task().effects)
-    own["properties"]["job"] = {"const": kind, "description": "kind of the job"}
+    own["properties"]["job"] = {"const": kind, "description": "kind of job"}
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": f"metrocli {kind}", **own}

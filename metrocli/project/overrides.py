@@ -1,4 +1,4 @@
-"""What the command line changes of a job: `--set key.path=value` and `--effect NAME:key=value`, as nodes."""
+"""Changes of a job from the command line, `--set key.path=value` and `--effect NAME:key=value`, as nodes."""
 
 from __future__ import annotations
 
@@ -12,6 +12,10 @@ from metrocli.project import yaml_text
 
 
 def overridden(root: Node, override: str, folder: Path) -> Node:
+    """Return a job with one `key.path=value` applied; raise UsageError if it cannot be.
+
+    Entries of lists are counted from 1; keys that are missing are added.
+    """
     key, equals, value = override.partition("=")
     names = key.strip().split(".")
     if not equals or not all(names):
@@ -42,7 +46,7 @@ def _replaced(node: Node, names: Sequence[str], new: Node) -> Node:
 
 
 def effect_node(text: str, folder: Path) -> Node:
-    """Return an effect given on the command line, `NAME:key=value,...`, as if it stood in a job; UsageError if not."""
+    """Return an effect of the command line, `NAME:key=value,...`, as a node of a job; raise UsageError if malformed."""
     name, _, rest = text.partition(":")
     pairs = [part.partition("=") for part in rest.split(",") if part.strip()]
     if not name.strip() or not all(key.strip() and equals for key, equals, _ in pairs):

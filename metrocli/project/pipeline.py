@@ -1,4 +1,4 @@
-"""A project: its jobs in order, which results are stale and why; by content, never by time."""
+"""A project: its jobs in order, and which results are out of date and why; judged by content, never by time."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from metrocli.nodes import Node
 from metrocli.project import yaml_text
 from metrocli.project.inputs import input_files
 from metrocli.project.job import JobFile, Wishes, load
-from metrocli.project.runner import Done, Say, carry_out
+from metrocli.project.runner import Done, Progress, carry_out
 from metrocli.record import Record
 from metrocli.settings import BAD, ListOf, Section, Text, path_beside, setting
 
@@ -24,7 +24,7 @@ FILE = "metrocli.yaml"
 
 @dataclass(frozen=True)
 class ProjectFile:
-    """A project: jobs that may use each other's results."""
+    """The content of metrocli.yaml: jobs that may use each other's results."""
 
     jobs: tuple[str, ...] = setting(ListOf(Text(), distinct=True), "job files, relative to this file")
     project: str = setting(Text(), "name of the project", default="")
@@ -32,17 +32,17 @@ class ProjectFile:
 
 @dataclass(frozen=True)
 class Step:
-    """One job of a project and the jobs whose results it uses."""
+    """One job of a project, with the names of the jobs whose results it uses."""
 
     name: str
-    """The job file as the project names it."""
+    """The job file as written in the project"""
     job: JobFile
     needs: tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class State:
-    """Whether the result of a step is up to date: `reason` is empty, or says why not."""
+    """Whether the result of a step is up to date; `reason` states why not and is empty if it is."""
 
     step: Step
     reason: str
@@ -50,7 +50,7 @@ class State:
 
 
 class Action(StrEnum):
-    """What `run` did about a job."""
+    """What `run` did with a job."""
 
     UP_TO_DATE = "up to date"
     RAN = "ran"
@@ -60,7 +60,7 @@ class Action(StrEnum):
 
 @dataclass(frozen=True)
 class Report:
-    """What `run` did about a step."""
+    """What `run` did with a step, and why."""
 
     step: Step
     action: Action
@@ -71,21 +71,24 @@ class Report:
 
 
 def project_file(place: Path) -> Path:
-    """Return the metrocli.yaml of a folder, or the file itself; raise InputError where there is none."""
+    """Return the metrocli.yaml of a folder, or the file itself; raise InputError if it does not exist."""
     path = place / FILE if place.is_dir() else place
     if not path.is_file():
         hint = f"a project is a folder with {FILE}: {{project: NAME, jobs: [jobs/a.yaml]}}"
-        raise InputError([Fault("there is no such project", str(path), hint=hint)])
+        raise InputError([Fault("no such project file", str(path), hint=hint)])
     return path
 
 
 def load_project(place: Path) -> tuple[Step, ...]:
-    """Return the jobs of a project in an order that makes each result before it is used; InputError for all faults."""
+    """Return the jobs of a project, each after the jobs whose results it uses.
+
+    Raises InputError with the faults of all files.
+    """
     path = project_file(place)
     root = yaml_text.parse(yaml_text.read_text(path, str(path)), str(path), path.parent)
     kind = root.get("job")
     if kind is not None and root.get("jobs") is None:
-        hint = f"a project lists jobs; one job is carried out by its own command: metrocli {kind.text} {path}"
+        hint = f"run a single job with the command of its kind: metrocli {kind.text} {path}"
         raise InputError([kind.fault("this is a job, not a project", hint)])
     faults: list[Fault] = []
     project = Section(ProjectFile).read(root, faults)
@@ -108,7 +111,7 @@ def _absolute(path: Path) -> Path:
 
 
 def _peek_output(path: Path) -> Path | None:
-    """Return the output that a job file names, None where the file has faults (told when it is loaded)."""
+    """Return the output of a job file, None if the file has faults (they are reported when it is loaded)."""
     try:
         output = yaml_text.parse(yaml_text.read_text(path, str(path)), str(path), path.parent).get("output")
     except InputError:
@@ -127,7 +130,7 @@ def _load_one(node: Node, path: Path, made: set[Path], jobs: dict[str, JobFile],
 
 
 def _makers(nodes: Sequence[Node], jobs: Mapping[str, JobFile], faults: list[Fault]) -> dict[Path, str]:
-    """Return which job makes which result; a fault where two make the same one."""
+    """Return the name of the job that writes each result; adds a fault if two jobs write the same one."""
     makers: dict[Path, str] = {}
     for node in nodes:
         job = jobs.get(node.text)
@@ -146,22 +149,25 @@ def _needed(job: JobFile, makers: Mapping[Path, str]) -> tuple[str, ...]:
 
 
 def _ordered(nodes: Sequence[Node], needs: Mapping[str, tuple[str, ...]]) -> list[str]:
-    """Return the names so that each stands after what it needs, otherwise in the order of the file."""
+    """Return the names with each job after those it needs, otherwise in the order of the file.
+
+    Raises InputError if jobs need each other in a circle.
+    """
     ordered: list[str] = []
     waiting = [node for node in nodes if node.text in needs]
     while waiting:
         ready = next((node for node in waiting if set(needs[node.text]) <= set(ordered)), None)
         if ready is None:
             chain = _cycle(waiting[0].text, needs, ordered)
-            at = next(node for node in waiting if node.text == chain[0])
-            raise InputError([at.fault(f"these jobs need each other's results: {' <- '.join(chain)}")])
+            place = next(node for node in waiting if node.text == chain[0])
+            raise InputError([place.fault(f"these jobs need each other's results: {' <- '.join(chain)}")])
         ordered.append(ready.text)
         waiting.remove(ready)
     return ordered
 
 
 def _cycle(name: str, needs: Mapping[str, tuple[str, ...]], ordered: Sequence[str]) -> list[str]:
-    """Follow the needs that are not met until a name comes again."""
+    """Return a circle of jobs, found by following unmet needs until a name appears again."""
     chain = [name]
     while chain.count(name) < 2:
         name = next(other for other in needs[name] if other not in ordered)
@@ -170,7 +176,7 @@ def _cycle(name: str, needs: Mapping[str, tuple[str, ...]], ordered: Sequence[st
 
 
 def states(steps: Iterable[Step]) -> Iterator[State]:
-    """Tell of each step whether it would run, and why: also because a job runs whose result it uses."""
+    """Yield for each step whether it would run and why; a step also runs if a job runs whose result it uses."""
     steps = tuple(steps)
     _refuse_lost(steps)
     would_run: set[str] = set()
@@ -182,7 +188,10 @@ def states(steps: Iterable[Step]) -> Iterator[State]:
 
 
 def _refuse_lost(steps: Sequence[Step]) -> None:
-    """Raise InputError for every input that a result was made from and that is gone, such as one image of a pattern."""
+    """Raise InputError for each input of the last result that no longer exists, such as one image of a file pattern.
+
+    Without this, a job would silently run with fewer images.
+    """
     from metrocli.formats import hdf5
 
     faults = []
@@ -195,7 +204,7 @@ def _refuse_lost(steps: Sequence[Step]) -> None:
         if record is not None and record.job_text == step.job.text:
             paths = [item.path for item in record.inputs if _absolute(step.job.folder / item.path) not in made]
             lost = [path for path in paths if not (step.job.folder / path).is_file()]
-            hint = "restore it; or run with --force to do without it"
+            hint = "restore it, or run without it by --force"
             faults += [
                 Fault(f"the input {path} of the last result is gone", str(step.job.file), hint=hint) for path in lost
             ]
@@ -221,9 +230,9 @@ def _state(step: Step, would_run: set[str]) -> State:
 
 
 def _difference(job: JobFile, record: Record) -> str:
-    """Say what is not as it was when the result was made, "" where everything is."""
+    """Return what changed since the result was made; empty if nothing did."""
     if record.metrocli_version != __version__:
-        return f"the result was made by metrocli {record.metrocli_version}, this is {__version__}"
+        return f"the result was made by metrocli {record.metrocli_version}; this is metrocli {__version__}"
     if record.job_text != job.text:
         return "the job file changed"
     before = {item.path: item.sha256 for item in record.inputs}
@@ -234,39 +243,42 @@ def _difference(job: JobFile, record: Record) -> str:
     return f"input {changed[0]}{f' (and {len(changed) - 1} more)' if len(changed) > 1 else ''}" if changed else ""
 
 
-def run(steps: Sequence[Step], force: bool, say: Say, tell: Callable[[Report], Any]) -> list[Report]:
-    """Bring every result up to date and `tell` of each; a job that fails stops those that need it, the others go on."""
+def run(steps: Sequence[Step], force: bool, progress: Progress, finished: Callable[[Report], Any]) -> list[Report]:
+    """Bring every result up to date; call `finished` with the report of each job.
+
+    After a failure, jobs that need the missing result do not run; all others do.
+    """
     if not force:
         _refuse_lost(steps)
     reports: dict[str, Report] = {}
     ran: set[str] = set()
     for step in steps:
-        report = _run_step(step, reports, ran, force, say)
+        report = _run_step(step, reports, ran, force, progress)
         reports[step.name] = report
         if report.action is Action.RAN:
             ran.add(step.name)
-        tell(report)
+        finished(report)
     return list(reports.values())
 
 
-def _run_step(step: Step, reports: Mapping[str, Report], ran: set[str], force: bool, say: Say) -> Report:
+def _run_step(step: Step, reports: Mapping[str, Report], ran: set[str], force: bool, progress: Progress) -> Report:
     broken = next((name for name in step.needs if reports[name].action in (Action.FAILED, Action.NOT_RUN)), None)
     if broken is not None:
         return Report(step, Action.NOT_RUN, f"{broken} failed", reports[broken].exit_code)
     state = _state(step, ran)
     if not state.reason and not force and state.record is not None:
-        return Report(step, Action.UP_TO_DATE, "", _judgement(state.record))
+        return Report(step, Action.UP_TO_DATE, "", _exit_code(state.record))
     try:
-        done = carry_out(step.job, force, say)
+        done = carry_out(step.job, force, progress)
     except MetrocliError as error:
         return Report(step, Action.FAILED, state.reason or "forced", error.exit_code, error=str(error))
-    return Report(step, Action.RAN, state.reason or "forced", _judgement(done.record), done)
+    return Report(step, Action.RAN, state.reason or "forced", _exit_code(done.record), done)
 
 
-def _judgement(record: Record) -> int:
+def _exit_code(record: Record) -> int:
     """Return the exit code of a finished job."""
     return 0 if all(verdict.met for verdict in record.verdicts) else NOT_MET
 
 
 NOT_MET = 6
-"""Exit code of a job that is done, but misses an acceptance criterion."""
+"""Exit code of a job that is done but does not meet an acceptance criterion"""

@@ -1,4 +1,4 @@
-"""A plan in files: its tables, what the measurement is made with, and plan.json as its summary."""
+"""A plan written to files: its tables, the files for the measurement (NC programs), and plan.json as its summary."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ SUMMARY = "plan.json"
 
 
 def files_of(plan: Plan) -> dict[str, Table | str]:
-    """Return all files of a plan but its summary, by name."""
+    """Return all files of a plan except its summary, by name."""
     return {**{f"{name}.csv": table for name, table in plan.tables.items()}, **plan.files}
 
 
 def refuse_foreign(folder: Path, force: bool) -> None:
-    """Raise InputError where a folder holds files that are not those of an earlier plan, unless forced."""
+    """Raise InputError if a folder holds files but no earlier plan, unless forced."""
     if force or not folder.exists() or (folder / SUMMARY).is_file():
         return
     if not folder.is_dir() or any(folder.iterdir()):
-        message = "the folder holds something else than a plan"
+        message = "the folder is not empty and holds no plan"
         raise InputError([Fault(message, str(folder), hint="name another one with --out, or use --force")])
 
 
 def write(files: Mapping[str, Table | str], summary: str, folder: Path) -> Iterator[Path]:
-    """Write the files of a plan and its summary into a folder, and give each path when it is there.
+    """Write the files of a plan and its summary into a folder; yield each path once its file is written.
 
-    Files of an earlier plan that this one has not are removed first: a program left over would be run.
+    Files of an earlier plan that this one does not have are removed first: somebody might run an old NC program.
     """
     for old in _earlier(folder) - files.keys():
         (folder / old).unlink(missing_ok=True)
@@ -47,7 +47,7 @@ def write(files: Mapping[str, Table | str], summary: str, folder: Path) -> Itera
 
 
 def _earlier(folder: Path) -> set[str]:
-    """Return the names of the files that the plan in a folder wrote; none where there is no plan."""
+    """Return the names of the files that an earlier plan wrote into a folder; empty if there is no plan."""
     try:
         listed = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))["files"]
         return {Path(name).name for name in listed} - {SUMMARY}

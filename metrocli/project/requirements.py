@@ -29,14 +29,17 @@ class Requirement:
     """One comparison of a value of the result with a limit."""
 
     name: str
-    """Of an estimate (`f`), its standard uncertainty (`f.std`) or a statistic (`sigma0`, `rms.px`)."""
+    """An estimate (`f`), its standard uncertainty (`f.std`) or a statistic (`sigma0`, `rms.px`)."""
     comparison: str
     limit: float
     unit: str
     node: Node
 
     def verdict(self, result: Result, faults: list[Fault]) -> Verdict | None:
-        """Compare; None with a fault where the result has no such value, or one of another unit."""
+        """Compare the value with the limit.
+
+        Adds a fault and returns None if the result has no such value, or one of another unit.
+        """
         known = values_of(result)
         name = self.name.removeprefix("statistics.")
         if name not in known:
@@ -63,13 +66,13 @@ class Requirement:
             try:
                 return converted(self.limit, self.unit, unit)
             except units.QuantityError as error:
-                hint = "leave the unit out" if unit in ("", "1") else error.hint
+                hint = "write the limit without a unit" if unit in ("", "1") else error.hint
                 raise units.QuantityError(f"{self.name} has the unit '{unit}', not '{self.unit}'", hint) from error
         return units.find_unit(self.unit, dimension).inside(self.limit)
 
 
 def values_of(result: Result) -> dict[str, tuple[float, str]]:
-    """Return what a requirement can name: each value with its unit."""
+    """Return all values that a requirement can name, each with its unit."""
     values: dict[str, tuple[float, str]] = {}
     for name, value in result.statistics.items():
         if isinstance(value, Mapping):
@@ -86,7 +89,7 @@ def values_of(result: Result) -> dict[str, tuple[float, str]]:
 
 
 def _numbers(path: str, values: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
-    """Yield the single numbers of details by their path, such as `l.mc.std`."""
+    """Yield the numbers of nested details under their paths, such as `l.mc.std`."""
     for name, value in values.items():
         if isinstance(value, Mapping):
             yield from _numbers(f"{path}.{name}", value)
@@ -96,7 +99,7 @@ def _numbers(path: str, values: Mapping[str, Any]) -> Iterator[tuple[str, float]
 
 @dataclass(frozen=True)
 class Requirements:
-    """The value of `require:`, a mapping from names to comparisons, or to lists of them."""
+    """The value of `require:`: a mapping from names to comparisons or lists of comparisons."""
 
     expects = "names with comparisons such as {sigma0: '< 1.5'}"
 

@@ -1,4 +1,4 @@
-"""One job from file to result: the only place that knows the sequence."""
+"""One job from file to result: read the inputs, run the task, check the criteria, write the result."""
 
 from __future__ import annotations
 
@@ -23,37 +23,41 @@ from metrocli.tasks.kind import Job
 from metrocli.uncertainty.workers import Workers
 
 HERE = Workers()
-"""All cores of this machine"""
-Say = Callable[[str], None]
-"""Takes a line of progress."""
+"""Threads on all cores of this computer"""
+Progress = Callable[[str], None]
+"""Receives a line of progress."""
 
 
 @dataclass(frozen=True)
 class Done:
-    """A job that was carried out and written."""
+    """A job that has run and whose result is written."""
 
     result: Result
     record: Record
     path: Path
 
 
-def carry_out(file: JobFile, force: bool = False, say: Say = lambda line: None, workers: Workers = HERE) -> Done:
-    """Read the inputs, run the task, judge and write; nothing is written where anything is wrong.
+def carry_out(
+    file: JobFile, force: bool = False, progress: Progress = lambda line: None, workers: Workers = HERE
+) -> Done:
+    """Read the inputs, run the task, check the acceptance criteria and write the result; write nothing on any error.
 
-    The chunks that `workers` finish are kept beside the output until the job is done, so that a killed run goes on.
+    The chunks that `workers` finish are kept beside the output until the job is done: a killed run then continues.
     """
     kind = tasks.KINDS[file.kind]
     refuse_foreign(file.output, file.kind, force)
     files = input_files(file)
-    say(f"{file.file}: reading {len(files)} input files")
+    progress(f"{file.file}: reading {len(files)} input files")
     job = content(file)
-    say(f"{file.file}: {file.kind}")
+    progress(f"{file.file}: {file.kind}")
     if kind.chunked:
         job = replace(job, workers=replace(workers, finished=ChunkFolder(file.output.with_suffix(".chunks"))))
     result = kind.task().run(job)
-    result = replace(result, title=result.title or file.heading.title, warnings=_noticed(job.files) + result.warnings)
+    result = replace(
+        result, title=result.title or file.heading.title, warnings=_table_warnings(job.files) + result.warnings
+    )
     created = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-    record = Record(file.text, files, __version__, created, _judged(file, result))
+    record = Record(file.text, files, __version__, created, _verdicts(file, result))
     from metrocli.formats import hdf5
 
     hdf5.write(file.output, result, record)
@@ -61,20 +65,20 @@ def carry_out(file: JobFile, force: bool = False, say: Say = lambda line: None, 
 
 
 def content(file: JobFile, absent: Collection[str] = ()) -> Job[Any, Any]:
-    """Return a job with what its files hold; inputs named in `absent` may be missing."""
+    """Return a job with the content of its files; inputs in `absent` may be missing."""
     held = read_inputs(file, absent)
     return tasks.KINDS[file.kind].task().job(file.settings, effects=file.effects, **held)
 
 
 def verify(file: JobFile, job: Job[Any, Any]) -> None:
-    """Raise InputError with what a kind finds wrong with a job and its inputs together, without computing."""
+    """Raise InputError if settings and inputs of a job do not fit together; nothing is computed."""
     check = tasks.KINDS[file.kind].task().check
     if check is not None:
         check(job)
 
 
 def answer(file: JobFile, question: str) -> Table:
-    """Return what a kind answers to a question (`compare`, ...) about a job; nothing is written."""
+    """Return the answer to a question (`compare`, ...) about a job; nothing is written."""
     return tasks.KINDS[file.kind].task().answers[question](content(file))
 
 
@@ -83,21 +87,21 @@ def simulate(file: JobFile, options: SimulationOptions) -> Simulation:
     kind = tasks.KINDS[file.kind]
     simulated = kind.task().simulate
     if simulated is None:
-        raise UsageError(f"{file.kind} has no simulation")
+        raise UsageError(f"{file.kind} jobs cannot be simulated")
     return simulated(content(replace(file, effects=planted(file.effects)), kind.measured), options)
 
 
 def plan(file: JobFile) -> Plan:
-    """Return what the measurement that a job describes will determine."""
+    """Return the plan of the measurement that a job describes."""
     kind = tasks.KINDS[file.kind]
     planned = kind.task().plan
     if planned is None:
-        raise UsageError(f"{file.kind} has no plan")
+        raise UsageError(f"{file.kind} jobs cannot be planned")
     return planned(content(file, kind.planned))
 
 
 def refuse_foreign(path: Path, kind: str, force: bool) -> None:
-    """Raise InputError where `path` holds something other than a result of this kind, unless forced."""
+    """Raise InputError if `path` holds something other than a result of this kind, unless forced."""
     if path.is_dir():
         raise InputError([Fault("the output is a folder", str(path), hint="name a file that ends in .h5")])
     if force or not path.exists():
@@ -111,13 +115,13 @@ def refuse_foreign(path: Path, kind: str, force: bool) -> None:
     raise InputError([Fault(f"the file exists and {what}", str(path), hint="choose another --output, or use --force")])
 
 
-def _noticed(files: Any) -> tuple[str, ...]:
-    """Return what the readers of the tables noticed."""
+def _table_warnings(files: Any) -> tuple[str, ...]:
+    """Return the warnings of the readers of the tables."""
     held = (getattr(files, field.name) for field in fields(files))
     return tuple(line for value in held if isinstance(value, Table) for line in value.warnings)
 
 
-def _judged(file: JobFile, result: Result) -> tuple[Verdict, ...]:
+def _verdicts(file: JobFile, result: Result) -> tuple[Verdict, ...]:
     faults: list[Fault] = []
     verdicts = [requirement.verdict(result, faults) for requirement in file.heading.require]
     if faults:

@@ -1,4 +1,4 @@
-"""A simulated measurement in files, as a measurement would be."""
+"""A simulated measurement written as the files that a real one would have."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from metrocli.simulation import Simulation
 
 
 def write(simulation: Simulation, folder: Path) -> Iterator[Path]:
-    """Write tables, pictures and truth.json into a folder, and give each path when it is there."""
+    """Write tables, images and truth.json into a folder; yield each path once its file is written."""
     for name, table in simulation.files.items():
         csv.write(folder / name, table)
         yield folder / name

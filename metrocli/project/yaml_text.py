@@ -1,6 +1,6 @@
-"""Strict YAML: text to nodes with their places, without types, aliases or tags.
+"""Strict YAML: text to nodes that know their line and column; no types, aliases or tags.
 
-Nodes are built from the events of the parser, so that an alias is refused where it stands, before anything expands it.
+Nodes are built from the events of the parser, so that an alias is refused at its place, before anything expands it.
 """
 
 from __future__ import annotations
@@ -18,23 +18,23 @@ MOST_BYTES = 4_000_000
 DEEPEST = 30
 _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _PLAIN_WORDS = (
-    ("tab character", "a tab stands in the indentation", "indent with spaces"),
+    ("tab character", "the line is indented with a tab", "indent with spaces"),
     ("cannot start any token", "text cannot begin with this character", "put the text in quotes"),
-    ("mapping values are not allowed", "a second ': ' in one value, or a line indented too far",
+    ("mapping values are not allowed", "a second ': ' in one value, or a line is indented too far",
      "put text with ': ' in quotes; indent all keys of a mapping alike"),
-    ("did not find expected key", "this line does not fit to the ones above", "indent all keys of a mapping alike"),
-    ("did not find expected '-'", "this line does not fit to the list above", "begin each value of a list with '- '"),
-    ("block sequence entries are not allowed", "a list cannot begin here", "begin it on a line of its own"),
+    ("did not find expected key", "this line does not fit the lines above", "indent all keys of a mapping alike"),
+    ("did not find expected '-'", "this line does not fit the list above", "begin each value of a list with '- '"),
+    ("block sequence entries are not allowed", "a list cannot begin here", "begin it on a new line"),
     ("could not find expected ':'", "a key without ': '", "write 'key: value'"),
     ("',' or ']'", "a list [ ... ] is not closed, or a comma is missing", "write [a, b, c]"),
     ("',' or '}'", "a mapping { ... } is not closed, or a comma is missing", "write {a: 1, b: 2}"),
     ("unknown escape character", "an unknown escape in a text in double quotes", "use single quotes"),
-    ("quoted scalar", "a quotation mark is opened and not closed", "close it on the same line"),
-    ("unexpected end of stream", "a quotation mark is opened and not closed", "close it on the same line"),
+    ("quoted scalar", "a quotation mark is opened but not closed", "close it on the same line"),
+    ("unexpected end of stream", "a quotation mark is opened but not closed", "close it on the same line"),
     ("undefined tag", "YAML tags are not used in jobs", "remove the word that begins with '!'"),
     ("undefined alias", "YAML aliases are not used in jobs", "write the value out"),
     ("node content", "a value is expected here", "put the text in quotes"),
-    ("document start", "a job file holds one document only", "remove what follows, or the '---'"),
+    ("document start", "a job file holds one document only", "remove the '---' and what follows"),
 )  # fmt: skip
 
 
@@ -44,7 +44,7 @@ def read_text(path: Path, shown: str) -> str:
         if path.is_dir():
             raise InputError([Fault("this is a folder, not a file", shown)])
         if path.stat().st_size > MOST_BYTES:
-            raise InputError([Fault(f"the file has more than {MOST_BYTES} bytes; this is not a job file", shown)])
+            raise InputError([Fault(f"the file has more than {MOST_BYTES} bytes; a job file is smaller", shown)])
         data = path.read_bytes()
     except OSError as error:
         raise InputError([Fault(f"cannot be read: {error.strerror}", shown)]) from error
@@ -56,17 +56,17 @@ def read_text(path: Path, shown: str) -> str:
 
 
 def parse(text: str, file: str, folder: Path, repeated: list[Fault] | None = None) -> Node:
-    """Return the root of a YAML text; raise InputError with every fault of its form.
+    """Return the root of a YAML text; raise InputError with all faults of syntax.
 
-    Where `repeated` is given, keys that stand twice are added to it instead of being raised, so that they are told
-    together with the faults of the content; the first value counts.
+    If `repeated` is given, repeated keys are added to it instead of being raised, and the first value is used. They can
+    then be reported together with the faults of the content.
     """
     source = Source(file, tuple(text.splitlines()), folder)
-    odd = next((at for at, c in enumerate(text) if ord(c) < ord(" ") and c not in "\n\r\t"), None)
-    if odd is not None:
-        line = text.count("\n", 0, odd) + 1
-        column = odd - text.rfind("\n", 0, odd)
-        raise InputError([Fault("a control character; this is not a text file", file, line, column)])
+    control = next((at for at, c in enumerate(text) if ord(c) < ord(" ") and c not in "\n\r\t"), None)
+    if control is not None:
+        line = text.count("\n", 0, control) + 1
+        column = control - text.rfind("\n", 0, control)
+        raise InputError([Fault("the file holds a control character; it is not a text file", file, line, column)])
     builder = _Builder(source)
     try:
         for event in yaml.parse(text, Loader=_LOADER):
@@ -85,7 +85,7 @@ def parse(text: str, file: str, folder: Path, repeated: list[Fault] | None = Non
 
 
 def _syntax_fault(error: yaml.MarkedYAMLError, source: Source) -> Fault:
-    """Say what the parser found in plain words, at its place."""
+    """Return the parser's error in plain words, with its place in the file."""
     texts = f"{error.problem} {error.context or ''}"
     unclosed = "',' or" in texts or "unexpected end of stream" in texts
     mark = (error.context_mark if unclosed else None) or error.problem_mark or error.context_mark
@@ -102,7 +102,7 @@ def _syntax_fault(error: yaml.MarkedYAMLError, source: Source) -> Fault:
 
 @dataclass
 class _Open:
-    """A list or mapping whose end has not come yet."""
+    """A list or mapping that is not yet complete."""
 
     node: Node
     children: list[Node] = field(default_factory=list)
@@ -110,7 +110,7 @@ class _Open:
 
 
 class _Builder:
-    """Puts the events of the parser together into nodes."""
+    """Build nodes from the events of the parser."""
 
     def __init__(self, source: Source) -> None:
         self.source = source
@@ -138,12 +138,12 @@ class _Builder:
     def _start_document(self, event: Any) -> None:
         self.documents += 1
         if self.documents > 1:
-            self._refuse(event, "a second document in the file", "a job file holds one document only")
+            self._refuse(event, "a second document begins here", "a job file holds one document only")
             raise InputError(self.faults)
 
     def _open(self, event: Any) -> None:
         if len(self.stack) >= DEEPEST:
-            self._refuse(event, f"more than {DEEPEST} levels, one inside the other", "this is not a job file")
+            self._refuse(event, f"more than {DEEPEST} nested levels", "this is not a job file")
             raise InputError(self.faults)
         self.stack.append(_Open(self._node(event, "mapping" if isinstance(event, yaml.MappingStartEvent) else "list")))
 
@@ -160,10 +160,10 @@ class _Builder:
         seen: dict[str, Node] = {}
         for key, _ in pairs:
             if key.kind != "scalar" or not key.text:
-                self.faults.append(key.fault("a key must be one word"))
+                self.faults.append(key.fault("a key must be a plain word"))
             elif key.text in seen:
                 first = seen[key.text].line
-                self.repeated.append(key.fault(f"the key '{key.text}' stands here twice", f"first in line {first}"))
+                self.repeated.append(key.fault(f"the key '{key.text}' is repeated", f"first in line {first}"))
             seen.setdefault(key.text, key)
         firsts = {id(key) for key in seen.values()}
         return replace(opened.node, entries=tuple(pair for pair in pairs if id(pair[0]) in firsts))
@@ -183,7 +183,7 @@ class _Builder:
 
 
 def with_paths(node: Node, path: str = "") -> Node:
-    """Give each node the keys that lead to it."""
+    """Return a tree whose nodes hold their paths, such as `camera.estimate[2]`."""
     below = f"{path}." if path else ""
     items = tuple(with_paths(item, f"{path}[{n}]") for n, item in enumerate(node.items, 1))
     entries = tuple((replace(key, path=path), with_paths(value, below + key.text)) for key, value in node.entries)
@@ -191,14 +191,14 @@ def with_paths(node: Node, path: str = "") -> Node:
 
 
 def without_lines(node: Node) -> Node:
-    """Forget the places of a value from the command line, which has no lines."""
+    """Return a tree without lines and columns, for a value from the command line."""
     items = tuple(without_lines(item) for item in node.items)
     entries = tuple((without_lines(key), without_lines(value)) for key, value in node.entries)
     return replace(node, items=items, entries=entries, line=None, column=None)
 
 
 def emit(node: Node, indent: int = 0) -> str:
-    """Return the node as YAML text in block form; a comment of the original is not kept."""
+    """Return the node as YAML text in block form; comments are lost."""
     pad = " " * indent
     if node.kind == "mapping" and node.entries:
         return "".join(f"{pad}{_word(key)}:{_below(value, indent)}" for key, value in node.entries)

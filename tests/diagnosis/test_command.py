@@ -151,7 +151,7 @@ def test_the_report_says_what_to_do(folder: Path, metrocli: Metrocli) -> None:
 def test_where_nothing_is_hidden_it_says_so(folder: Path, metrocli: Metrocli) -> None:
     ran = metrocli("diagnose", write(folder, measured()))
     assert ran.out.startswith("verdict: clean")
-    assert "what noise makes of this model" in " ".join(ran.out.split())
+    assert "The residuals are consistent with noise" in " ".join(ran.out.split())
     assert not (folder / "job.extended.yaml").exists()
 
 
@@ -179,7 +179,7 @@ def test_the_design_does_not_look_at_residuals(folder: Path, metrocli: Metrocli)
         if one["minimal_detectable"] is not None:
             assert np.isclose(one["minimal_detectable"]["value"], other["minimal_detectable"]["value"], rtol=0.01)
     assert any({"dead-path-drift T1", "tracer-drift T1"} == set(pair["names"]) for pair in plain["alike"])
-    assert "hard to tell apart" in metrocli("diagnose", job, "--design").out
+    assert "hard to distinguish" in metrocli("diagnose", job, "--design").out
 
 
 def test_the_design_is_told_before_there_are_readings(folder: Path, metrocli: Metrocli) -> None:
@@ -256,7 +256,10 @@ def test_a_report_says_how_far_the_shape_of_an_effect_was_checked() -> None:
     found = diagnose(lengths.planted(lengths.measurement(rng, 60), rng, "sphere-form", 30.0)[0].adjusted())
     # a smooth function has more terms than the effect, so that it must be somewhat larger to be seen
     assert 0.8 / 30 < found.findings[0].other_shape_from < 2.5 / 30
-    for share, words in ((0.034, "would show from a difference of 3.4 % on"), (1.2, "too small for its shape")):
+    for share, words in (
+        (0.034, "differs from it by more than 3.4 % would have been detected"),
+        (1.2, "too small for its shape"),
+    ):
         told = replace(found, findings=(replace(found.findings[0], other_shape_from=share),))
         assert words in " ".join(diagnosis_text.of_diagnosis(told, None).split())
 
@@ -273,14 +276,14 @@ def test_an_extended_job_takes_the_place_of_an_older_one_and_of_no_other_file(fo
 def test_a_noise_that_the_job_estimates_is_not_called_declared() -> None:
     found = diagnose(replace(lengths.measurement(np.random.default_rng(4), 20).adjusted(), declared="estimated"))
     text = " ".join(diagnosis_text.of_diagnosis(found, None).split())
-    assert ("times what the job estimates" in text, "declared" in text) == (True, False)
+    assert ("times the noise that the job estimates" in text, "declared" in text) == (True, False)
 
 
 @pytest.mark.parametrize(("dof", "told"), [(9.0, True), (200.0, False)])
 def test_noise_far_beyond_the_declared_is_doubted_where_few_readings_say_so(dof: float, told: bool) -> None:
     found = diagnose(lengths.measurement(np.random.default_rng(4), 20).adjusted())
     text = diagnosis_text.of_diagnosis(replace(found, noise=Noise(9.6, 6.6, 17.5, dof)), None)
-    assert ("do not tell several wrong ones from noise" in " ".join(text.split())) is told
+    assert ("several wrong readings may pass as noise" in " ".join(text.split())) is told
 
 
 def test_where_no_reading_is_to_spare_nothing_is_called_clean(folder: Path, metrocli: Metrocli) -> None:
@@ -299,7 +302,7 @@ def test_the_size_from_which_scales_are_told_apart_has_a_unit() -> None:
     told = diagnosis_text.of_design(
         lengths.measurement(np.random.default_rng(1), 20).adjusted(), Design((), (), (pair,))
     )
-    assert "machine-scale x and distance-scale: told apart from 4.1 um/m on" in told
+    assert "machine-scale x and distance-scale: distinguished from 4.1 um/m on" in told
 
 
 def known(folder: Path, true: float, stated: float, seed: int = 4, name: str = "") -> Path:

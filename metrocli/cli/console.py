@@ -1,0 +1,61 @@
+"""What a command prints: results to stdout; progress and warnings to stderr."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import click
+
+
+@dataclass(frozen=True)
+class Console:
+    """Print as much as `--quiet` and `--verbose` ask for."""
+
+    quiet: bool = False
+    verbose: bool = False
+
+    def print(self, line: str) -> None:
+        """Print a line to stdout, unless quiet."""
+        if not self.quiet:
+            click.echo(line)
+
+    def warning(self, line: str) -> None:
+        """Print a warning to stderr, unless quiet."""
+        if not self.quiet:
+            click.echo(f"warning: {line}", err=True)
+
+    def detail(self, line: str) -> None:
+        """Print to stderr what is being done, with --verbose only."""
+        if self.verbose:
+            click.echo(line, err=True)
+
+    def waiting(self, line: str) -> None:
+        """Print to stderr what takes time, where a person watches the terminal or with --verbose."""
+        if self.verbose or (not self.quiet and sys.stderr.isatty()):
+            click.echo(line, err=True)
+
+    @contextmanager
+    def part_counter(self) -> Iterator[Callable[[int, int | None], None]]:
+        """Yield a function that shows on a terminal how many parts of a long computation are done.
+
+        Nothing is shown in the first two seconds.
+        """
+        import time
+
+        begun, shown = time.monotonic(), False
+        watched = not self.quiet and sys.stderr.isatty()
+
+        def show(done: int, of: int | None) -> None:
+            nonlocal shown
+            if watched and time.monotonic() - begun > 2:
+                click.echo(f"\r{done} of {of} parts" if of else f"\r{done} parts", err=True, nl=False)
+                shown = True
+
+        try:
+            yield show
+        finally:
+            if shown:
+                click.echo(err=True)
