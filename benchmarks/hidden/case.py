@@ -59,6 +59,8 @@ class Campaign:
 
     case: Callable[[int], Case]
     scenarios: tuple[str, ...]
+    longest: float = 5.0
+    """CPU seconds that one diagnosis may take"""
 
     def cases(self, numbers: Iterable[int], only: str = "") -> Iterator[Case]:
         """Yield cases by their numbers, of one scenario or, without a name, of all."""
