@@ -30,9 +30,9 @@ KINDS = {
 COUNT = 600
 
 
-def results(kind: str, numbers: Iterable[int], only: str = "") -> list[Found]:
+def results(kind: str, numbers: Iterable[int], only: str = "", small: bool = False) -> list[Found]:
     """Return the diagnoses of cases, of one scenario or of all."""
-    return [rates.found(case) for case in KINDS[kind].cases(numbers, only)]
+    return [rates.found(case) for case in KINDS[kind].cases(numbers, only, small)]
 
 
 def main(arguments: list[str]) -> int:
