@@ -37,8 +37,8 @@ noise: 0.1 px
 """
 
 
-def cpu_of(command: list[str], cache: Path) -> float:
-    """Return the median CPU time in milliseconds of a command, compiled before as after an installation."""
+def costs_of(command: list[str], cache: Path) -> list[float]:
+    """Return the CPU seconds of several runs of a command, compiled before as after an installation."""
     environment = {key: value for key, value in os.environ.items() if key != "PYTHONDONTWRITEBYTECODE"}
     environment["PYTHONPYCACHEPREFIX"] = str(cache)
     costs = []
@@ -47,7 +47,12 @@ def cpu_of(command: list[str], cache: Path) -> float:
         subprocess.run(command, check=True, env=environment, stdout=subprocess.DEVNULL)
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         costs.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
-    return 1e3 * statistics.median(costs[1:])
+    return costs[1:]
+
+
+def cpu_of(command: list[str], cache: Path) -> float:
+    """Return the median CPU time of a command in milliseconds."""
+    return 1e3 * statistics.median(costs_of(command, cache))
 
 
 def timed(work: Callable[[], object]) -> float:

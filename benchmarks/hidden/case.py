@@ -57,11 +57,14 @@ class Found:
 class Campaign:
     """The seeded cases of a kind of job, scenarios in turn."""
 
-    case: Callable[[int], Case]
+    case: Callable[[int, bool], Case]
+    """The case of a number; a small one, if the other argument is true"""
     scenarios: tuple[str, ...]
+    longest: float = 5.0
+    """CPU seconds that one diagnosis may take"""
 
-    def cases(self, numbers: Iterable[int], only: str = "") -> Iterator[Case]:
+    def cases(self, numbers: Iterable[int], only: str = "", small: bool = False) -> Iterator[Case]:
         """Yield cases by their numbers, of one scenario or, without a name, of all."""
         for number in numbers:
             if only in ("", self.scenarios[number % len(self.scenarios)]):
-                yield self.case(number)
+                yield self.case(number, small)

@@ -20,7 +20,9 @@ from metrocli.tasks.selfcal_grid.settings import GridSettings, Inputs, Rotate, S
 
 Array = npt.NDArray[np.float64]
 Whole = npt.NDArray[np.int64]
-NOISE, PITCH, HALF = 5e-4, 65.0, 2
+NOISE, PITCH = 5e-4, 65.0
+HALF, SMALL = 2, 1
+"""Pitches from the middle ball to the outermost: 5 x 5 x 5 balls, 3 x 3 x 3 in a small case"""
 TURNS = {"2": np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]]), "3": np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])}
 SHIFTS = {"4": (1, 0, 0), "5": (0, 1, 0), "6": (0, 0, 1)}
 NAMES = (
@@ -46,7 +48,8 @@ class Views:
     ball: Whole
     """Number of the ball"""
     balls: Whole
-    """Indices of all balls, (125, 3)"""
+    """Indices of all balls, (125, 3) or (27, 3)"""
+    half: int = HALF
 
     @property
     def turns(self) -> Array:
@@ -72,29 +75,29 @@ class Views:
     @property
     def sites(self) -> Whole:
         """Number of the site of each row."""
-        place = np.rint((self.hanging + self.shifts) / PITCH).astype(int) + HALF
-        size = 2 * HALF + 1
+        place = np.rint((self.hanging + self.shifts) / PITCH).astype(int) + self.half
+        size = 2 * self.half + 1
         return np.asarray((place[:, 0] * size + place[:, 1]) * size + place[:, 2])
 
 
 @cache
-def views(names: str) -> Views:
+def views(names: str, half: int = HALF) -> Views:
     """Return the rows of views, balls whose sites lie outside the grid left out."""
-    r = np.arange(-HALF, HALF + 1)
+    r = np.arange(-half, half + 1)
     balls = np.stack(np.meshgrid(r, r, r, indexing="ij"), axis=-1).reshape(-1, 3)
     rows = []
     for number, name in enumerate(names):
         sites = balls @ TURNS.get(name, np.eye(3, dtype=int)).T + SHIFTS.get(name, (0, 0, 0))
-        inside = np.flatnonzero((np.abs(sites) <= HALF).all(axis=1))
+        inside = np.flatnonzero((np.abs(sites) <= half).all(axis=1))
         rows.append(np.stack([np.full(len(inside), number), inside]))
     view, ball = np.concatenate(rows, axis=1)
-    return Views(names, view, ball, balls)
+    return Views(names, view, ball, balls, half)
 
 
 @cache
-def absorbed(names: str) -> Array:
+def absorbed(names: str, half: int = HALF) -> Array:
     """Return an orthonormal basis of what machine, artefact and mountings can follow, (3 n, rank)."""
-    v = views(names)
+    v = views(names, half)
     n, count = len(v.view), len(v.balls)
     jacobian = np.zeros((n, 3, 6 * count + 6 * len(names)))
     rows = np.arange(n)
@@ -111,10 +114,10 @@ def absorbed(names: str) -> Array:
     return np.asarray(u[:, sizes > 1e-9 * sizes[0]])
 
 
-def visible(names: str, changes: Array) -> Array:
+def visible(v: Views, changes: Array) -> Array:
     """Return what the unknowns leave of changes of the readings (n, 3, k), in standard deviations, (3 n, k)."""
     flat = changes.reshape(-1, changes.shape[-1]) / NOISE
-    basis = absorbed(names)
+    basis = absorbed(v.names, v.half)
     return np.asarray(flat - basis @ (basis.T @ flat))
 
 
@@ -136,14 +139,14 @@ class Measurement:
         columns = {"view": np.array(list(v.names))[v.view], **dict(zip("ijk", balls.T, strict=True))}
         columns |= dict(zip("xyz", self.readings.T, strict=True)) | {"t": self.t, "temp": self.temp}
         table = Table(columns, {"x": "mm", "y": "mm", "z": "mm", "t": "s", "temp": "degC"})
-        return selfcal_grid.diagnosed(selfcal_grid.TASK.job(job(v.names, NOISE / self.noise), table))
+        return selfcal_grid.diagnosed(selfcal_grid.TASK.job(job(v.names, NOISE / self.noise, v.half), table))
 
 
-def job(names: str, noise: float) -> Settings:
+def job(names: str, noise: float, half: int = HALF) -> Settings:
     """Return the settings of a job with these views."""
     turns = {"2": Rotate("z", np.pi / 2), "3": Rotate("x", np.pi / 2)}
     declared = tuple(ViewSettings(name, turns.get(name, ()), SHIFTS.get(name, (0, 0, 0))) for name in names)
-    return Settings(Inputs(Path("-")), GridSettings((2 * HALF + 1,) * 3, PITCH), declared, noise)
+    return Settings(Inputs(Path("-")), GridSettings((2 * half + 1,) * 3, PITCH), declared, noise)
 
 
 def _rotation(angles: Array) -> Array:
@@ -154,9 +157,9 @@ def _rotation(angles: Array) -> Array:
     return np.asarray(z @ y @ x)
 
 
-def measurement(rng: np.random.Generator, names: str) -> Measurement:
+def measurement(rng: np.random.Generator, names: str, half: int = HALF) -> Measurement:
     """Return views of a machine and an artefact at random, with noise; each view in an order of its own."""
-    v = views(names)
+    v = views(names, half)
     machine, artefact = rng.normal(0, 0.008, v.balls.shape), rng.normal(0, 0.03, v.balls.shape)
     place = np.einsum("nab,nb->na", v.turns, v.in_artefact + artefact[v.ball]) + v.shifts
     readings = machine[v.sites]
@@ -194,7 +197,7 @@ def change(m: Measurement, name: str, values: Values) -> Array:
     if name == "moved-ball":
         moved = ((v.ball == values["ball"]) & (v.view >= values["from_view"]))[:, None]
         return np.einsum("nab,b->na", v.turns, d) * moved
-    x = (v.hanging + v.shifts) / (PITCH * HALF)
+    x = (v.hanging + v.shifts) / (PITCH * v.half)
     if name == "axis-expansion":
         along = np.eye(3)[int(values["axis"])]
         return (v.hanging + v.shifts) * along * values["scale"] * here
@@ -233,9 +236,9 @@ def _where(m: Measurement, name: str, places: Values) -> dict[str, str]:
 
 
 @cache
-def stated(names: str, name: str) -> float:
+def stated(names: str, half: int, name: str) -> float:
     """Return the size, in standard deviations, at which `diagnose` says that it finds an effect with 80 % power."""
-    adjusted = measurement(np.random.default_rng(5), names).adjusted()
+    adjusted = measurement(np.random.default_rng(5), names, half).adjusted()
     field, _ = score_tests_of_job(adjusted, {}, np.random.default_rng(1))
     wanted = name if name in PARAMETERS else "drift-in-view"
     number = next(i for i, family in enumerate(field.families) if family.name == wanted)
@@ -254,7 +257,7 @@ def _nearest(m: Measurement, name: str, places: Values, own: Array) -> float:
             spans.append(np.stack(units, axis=-1))
     most = 0.0
     for span in spans:
-        seen = visible(m.views.names, span)
+        seen = visible(m.views, span)
         size = np.linalg.norm(seen, axis=0)
         u, s, _ = np.linalg.svd(seen[:, size > 0] / size[size > 0], full_matrices=False)
         most = max(most, float(np.linalg.norm(u[:, s > 1e-4].T @ own)))
@@ -268,12 +271,12 @@ def planted(m: Measurement, rng: np.random.Generator, name: str, times: float) -
         places = _places(rng, m, name)
         direction = rng.normal(size=len(keys))
         values = places | dict(zip(keys, (direction / np.linalg.norm(direction) * 1e-5).tolist(), strict=True))
-        seen = visible(m.views.names, change(m, name, values)[:, :, None])[:, 0]
+        seen = visible(m.views, change(m, name, values)[:, :, None])[:, 0]
         whole = float(np.linalg.norm(change(m, name, values))) / NOISE
         # where the unknowns take nearly all of it, its size would be one that nobody has; one sighting is an outlier
         if np.linalg.norm(seen) > 0.02 * whole and not (name == "moved-ball" and _sightings(m, places) < 2):
             break
-    factor = times * stated(m.views.names, name) / float(np.linalg.norm(seen))
+    factor = times * stated(m.views.names, m.views.half, name) / float(np.linalg.norm(seen))
     values = values | {key: values[key] * factor for key in keys}
     near = _nearest(m, name, places, seen / np.linalg.norm(seen))
     hidden = Hidden(name, _where(m, name, places), values, near)
@@ -305,12 +308,12 @@ def noisier(m: Measurement, rng: np.random.Generator) -> Measurement:
     return replace(m, readings=m.readings + rng.normal(size=m.readings.shape) * NOISE * np.sqrt(8.0) * here)
 
 
-def case(number: int) -> Case:
-    """Return one seeded case."""
+def case(number: int, small: bool = False) -> Case:
+    """Return one seeded case, or one of a smaller grid."""
     rng = np.random.default_rng([34, number])
     scenario = SCENARIOS[number % len(SCENARIOS)]
     turn = number // len(SCENARIOS) + number
-    m = measurement(rng, "1234" if turn % 2 else "123456")
+    m = measurement(rng, "1234" if turn % 2 else "123456", SMALL if small else HALF)
     hidden: list[Hidden] = []
     wrong: frozenset[tuple[str, ...]] = frozenset()
     if scenario.endswith("x"):

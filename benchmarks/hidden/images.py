@@ -257,31 +257,35 @@ def read(scene: Scene, rng: np.random.Generator) -> Images:
     return Images(scene, scene.predicted(scene.start(), {}) + rng.normal(0, scene.noise, (len(scene.view), 2)))
 
 
-def _scene(kind: str, scenario: str, rng: np.random.Generator, rig: str) -> Scene:
+def _scene(kind: str, scenario: str, rng: np.random.Generator, rig: str, small: bool) -> Scene:
     if kind == "align-part":
-        return part_scene(rng, 8, 4, turned=False) if "few" in scenario else part_scene(rng)
+        if "few" in scenario:
+            return part_scene(rng, 8, 4, turned=False)
+        return part_scene(rng, 16, 8) if small else part_scene(rng)
     if rig == "cmm" and "noisier" not in scenario:
-        return cmm_scene(rng, 20 if "few" in scenario else 120)
-    return board_scene(rng, 8, (5, 4)) if "few" in scenario else board_scene(rng)
+        return cmm_scene(rng, 20 if "few" in scenario else 40 if small else 120)
+    if "few" in scenario:
+        return board_scene(rng, 8, (5, 4))
+    return board_scene(rng, 8, (6, 5)) if small else board_scene(rng)
 
 
-def case(kind: str, number: int) -> Case:
-    """Return one seeded case."""
+def case(kind: str, number: int, small: bool = False) -> Case:
+    """Return one seeded case, or one of fewer images and targets."""
     rng = np.random.default_rng([44, len(kind), number])
     scenario = SCENARIOS[number % len(SCENARIOS)]
     turn = number // len(SCENARIOS) + 5 * (number % len(SCENARIOS))
     rig = ("board", "cmm")[turn % 2] if kind == "calibrate-camera" else ""
     for later in range(100):
-        found = _tried(kind, scenario, rng, (turn + 2 * later, rig))
+        found = _tried(kind, scenario, rng, (turn + 2 * later, rig, small))
         if found is not None:
             return found
     raise RuntimeError(f"nothing that could be planted shows in case {number}")
 
 
-def _tried(kind: str, scenario: str, rng: np.random.Generator, at: tuple[int, str]) -> Case | None:
+def _tried(kind: str, scenario: str, rng: np.random.Generator, at: tuple[int, str, bool]) -> Case | None:
     """Return a case; None where nothing of the effect that was drawn shows in the scene that was drawn."""
-    turn, rig = at
-    scene = _scene(kind, scenario, rng, rig)
+    turn, rig, small = at
+    scene = _scene(kind, scenario, rng, rig, small)
     known = [name for name, plant in PLANTS[kind].items() if (scene.rig or "") in plant.rigs]
     wanted: list[str] = []
     if scenario.endswith("x"):

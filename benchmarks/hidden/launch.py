@@ -254,8 +254,8 @@ def spoilt(m: Measurement, rng: np.random.Generator, share: float) -> tuple[Meas
     return replace(m, read=m.read + off), keys
 
 
-def case(number: int) -> Case:
-    """Return one seeded case."""
+def case(number: int, small: bool = False) -> Case:
+    """Return one seeded case; all of them are small."""
     rng = np.random.default_rng([44, number])
     scenario = SCENARIOS[number % len(SCENARIOS)]
     turn = number // len(SCENARIOS)

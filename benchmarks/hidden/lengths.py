@@ -240,12 +240,12 @@ def noisier(m: Measurement, rng: np.random.Generator) -> Measurement:
     return replace(m, length=m.length + rng.normal(size=len(m.t)) * m.sigma * np.sqrt(8.0) * here)
 
 
-def case(number: int) -> Case:
-    """Return one seeded case."""
+def case(number: int, small: bool = False) -> Case:
+    """Return one seeded case, or one of 25 points."""
     rng = np.random.default_rng([33, number])
     scenario = SCENARIOS[number % len(SCENARIOS)]
     turn = number // len(SCENARIOS)
-    m = measurement(rng, 20 if "20 points" in scenario else int(rng.integers(60, 101)))
+    m = measurement(rng, 20 if "20 points" in scenario else 25 if small else int(rng.integers(60, 101)))
     hidden: tuple[Hidden, ...] = ()
     wrong: frozenset[tuple[str, ...]] = frozenset()
     known = (*EVERYWHERE, *AT_ONE)

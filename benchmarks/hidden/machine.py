@@ -26,10 +26,11 @@ from metrocli.tasks.calibrate_machine.settings import (
 )
 
 Array = npt.NDArray[np.float64]
-LOW, HIGH, KNOTS = np.array([0.0, -260.0, -500.0]), np.array([600.0, 260.0, 0.0]), (6, 6, 6)
+LOW, HIGH = np.array([0.0, -260.0, -500.0]), np.array([600.0, 260.0, 0.0])
 TOOLS = {"T1": (0.0, 0.0, 120.0), "T2": (110.0, 20.0, 150.0), "T3": (-30.0, 100.0, 210.0)}
 BEAM, CONSTANT, PROPORTIONAL = 1e-3, 2e-3, 3e-6
-POINTS = 220
+SIZE, SMALL = (6, 220), (3, 80)
+"""Knots of each axis and points; in a small case fewer"""
 PARAMETERS = {
     "backlash": ("width",),
     "screw-pitch-error": ("amplitude", "phase"),
@@ -58,6 +59,8 @@ class Measurement:
     turn: Array
     """Axes of the tracker in the machine, (3, 3)"""
     read: Array
+    knots: int = SIZE[0]
+    """Of each axis"""
     noise: float = 1.0
 
     @property
@@ -102,7 +105,7 @@ class Measurement:
         columns = {"point": names(self), "tool": np.array(list(TOOLS))[self.tool], "t": self.t}
         columns |= dict(zip("xyz", self.at.T, strict=True)) | dict(zip(("mx", "my", "mz"), self.read.T, strict=True))
         columns |= {f"from_{axis}": side for axis, side in zip("xyz", self.came.T, strict=True)}
-        axes = AxesSettings(*(AxisSettings((low, high), n) for low, high, n in zip(LOW, HIGH, KNOTS, strict=True)))
+        axes = AxesSettings(*(AxisSettings((low, high), self.knots) for low, high in zip(LOW, HIGH, strict=True)))
         noise = Noise(beam=BEAM / self.noise, lateral=LateralNoise(CONSTANT / self.noise, PROPORTIONAL / self.noise))
         settings = Settings("standstill", MachineSettings("wXbYZt", axes, tools=TOOLS), Inputs(Path("-")), noise)
         return calibrate_machine.diagnosed(calibrate_machine.TASK.job(settings, points=Table(columns, {})))
@@ -119,24 +122,24 @@ def _tables(m: Measurement) -> Iterator[Array]:
     for i in range(3):
         lever = tool.copy()
         lever[:, i + 1 :] += m.at[:, i + 1 :]
-        knots = np.linspace(LOW[i], HIGH[i], KNOTS[i])
-        for hat in np.eye(KNOTS[i]):
+        knots = np.linspace(LOW[i], HIGH[i], m.knots)
+        for hat in np.eye(m.knots):
             share = np.interp(m.at[:, i], knots, hat)[:, None]
             yield from (share * unit for unit in np.eye(3))
             yield from (share * np.cross(unit, lever) for unit in np.eye(3))
 
 
-def _true_tables(rng: np.random.Generator) -> Iterator[float]:
+def _true_tables(rng: np.random.Generator, count: int) -> Iterator[float]:
     """Yield random tables knot by knot: positioning and angles 0 at 0, straightness 0 at both ends.
 
     Tool vectors are exact in this gauge; another one would turn them.
     """
     for i in range(3):
-        knots = np.linspace(LOW[i], HIGH[i], KNOTS[i])
-        tables = rng.normal(size=(6, KNOTS[i])) * np.array([0.03] * 3 + [1e-4] * 3)[:, None]
+        knots = np.linspace(LOW[i], HIGH[i], count)
+        tables = rng.normal(size=(6, count)) * np.array([0.03] * 3 + [1e-4] * 3)[:, None]
         for k, table in enumerate(tables):
             if k < 3 and k != i:
-                table -= np.linspace(table[0], table[-1], KNOTS[i])
+                table -= np.linspace(table[0], table[-1], count)
             else:
                 table -= np.interp(0.0, knots, table)
         yield from tables.T.ravel().tolist()
@@ -149,23 +152,24 @@ def _squareness(m: Measurement) -> Iterator[Array]:
     yield np.stack([-m.at[:, 1], zero, zero], axis=1)
 
 
-def measurement(rng: np.random.Generator) -> Measurement:
+def measurement(rng: np.random.Generator, size: tuple[int, int] = SIZE) -> Measurement:
     """Return a machine with errors of some 50 um, read with noise."""
+    knots, count = size
     at = np.concatenate(
-        [LOW + np.indices((2, 2, 2)).reshape(3, -1).T * (HIGH - LOW), rng.uniform(LOW, HIGH, (POINTS - 8, 3))]
+        [LOW + np.indices((2, 2, 2)).reshape(3, -1).T * (HIGH - LOW), rng.uniform(LOW, HIGH, (count - 8, 3))]
     )
-    at = at[rng.permutation(POINTS)]
+    at = at[rng.permutation(count)]
     came = np.sign(np.diff(at, axis=0, prepend=at[:1] - 1)) + 0.0
     came[came == 0] = 1.0
-    t = np.cumsum(rng.uniform(3, 6, POINTS))
+    t = np.cumsum(rng.uniform(3, 6, count))
     angle = rng.uniform(0, 2 * np.pi)
     place = np.array([300 + 1200 * np.cos(angle), 1100 * np.sin(angle), rng.uniform(-500, 0)])
     turn, _ = np.linalg.qr(rng.normal(size=(3, 3)) * 0.1 + _about_z(rng.uniform(0, 6)))
     turn = turn * np.sign(np.linalg.det(turn))
-    m = Measurement(at, rng.integers(len(TOOLS), size=POINTS), came, t, place, turn, np.zeros((POINTS, 3)))
-    error = sum(column * value for column, value in zip(_tables(m), _true_tables(rng), strict=True))
+    m = Measurement(at, rng.integers(len(TOOLS), size=count), came, t, place, turn, np.zeros((count, 3)), knots)
+    error = sum(column * value for column, value in zip(_tables(m), _true_tables(rng, knots), strict=True))
     exact = (m.reflector + error - place) @ turn
-    noise = np.linalg.solve(m.white, rng.normal(size=(POINTS, 3, 1)))[:, :, 0]
+    noise = np.linalg.solve(m.white, rng.normal(size=(count, 3, 1)))[:, :, 0]
     return replace(m, read=exact + noise)
 
 
@@ -258,11 +262,11 @@ def spoilt(m: Measurement, rng: np.random.Generator, share: float) -> tuple[Meas
     return replace(m, read=m.read + off), frozenset((f"P{i}",) for i in np.flatnonzero(wrong))
 
 
-def case(number: int) -> Case:
-    """Return one seeded case."""
+def case(number: int, small: bool = False) -> Case:
+    """Return one seeded case, or one of fewer knots and points."""
     rng = np.random.default_rng([66, number])
     scenario = SCENARIOS[number % len(SCENARIOS)]
-    m = measurement(rng)
+    m = measurement(rng, SMALL if small else SIZE)
     hidden: tuple[Hidden, ...] = ()
     wrong: frozenset[tuple[str, ...]] = frozenset()
     known = list(PARAMETERS)

@@ -175,11 +175,13 @@ def rates(results: Sequence[Found]) -> Iterator[Rate]:
     yield Rate("false outliers, in all cases", sum(map(_false_outliers, results)), len(results))
 
 
-def print_rates(results: Sequence[Found]) -> bool:
-    """Print the rates and return whether all that are promised are met."""
+def print_rates(results: Sequence[Found], longest: float) -> bool:
+    """Print the rates and the times; return whether all that are promised are met."""
     listed = [rate for rate in rates(results) if rate.of]
     for rate in listed:
         print(rate)
     times = np.array([one.seconds for one in results])
-    print(f"CPU time a case: median {np.median(times):.2f} s, largest {times.max():.2f} s")
-    return all(rate.met for rate in listed)
+    in_time = bool(times.max() <= longest)
+    verdict = f"<= {longest:g} s  {'met' if in_time else 'NOT MET'}"
+    print(f"CPU time a case: median {np.median(times):.2f} s, largest {times.max():.2f} s  {verdict}")
+    return in_time and all(rate.met for rate in listed)

@@ -8,7 +8,6 @@ with f = g c and v down, so aspect = C1 / g and skew = -C2 / g.
 from __future__ import annotations
 
 import json
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -36,7 +35,6 @@ class Found:
     """The network as metrocli adjusts it."""
 
     result: Any
-    cpu_s: float
     published_points: Any
 
     def form(self, name: str) -> tuple[float, float]:
@@ -63,23 +61,15 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Found]:
         f"camera:\n  image_size: [8688, 5792]\n  pixel_size: {PIXEL * 1e3!r} um\n  reference_radius: {R0} mm\n"
         f"  aspect: {C1 / g!r}\n  skew: {-C2 / g!r}\n  estimate: [f, cx, cy, k1, k2, p1, p2]\noutput: network.h5\n"
     )
-    before = time.process_time()
     assert run(["calibrate-camera", str(job), "--quiet"]) == 0
-    seconds = time.process_time() - before
     points = csv.read(DATA / "published_points.csv", _points())
-    yield Found(hdf5.read(job.parent / "network.h5")[0], seconds, points)
+    yield Found(hdf5.read(job.parent / "network.h5")[0], points)
 
 
 def _points() -> Any:
     from metrocli.table import TEXT, Column, Columns
 
     return Columns((Column("target", TEXT), *(Column(axis, "length") for axis in "xyz")), ("target",), "points")
-
-
-def test_the_network_takes_few_seconds(found: Found) -> None:
-    # 3 s of one thread alone (python -m benchmarks references prints it). This only guards against a dense solution,
-    # which takes minutes; several threads on a busy machine count four times over.
-    assert found.cpu_s < 40
 
 
 @pytest.mark.parametrize("name", PUBLISHED)

@@ -1,8 +1,6 @@
-"""The 7D job removes the error of clamping (Mendikute's tables 2 and 3), and is fast."""
+"""The 7D job removes the error of clamping (Mendikute's tables 2 and 3)."""
 
 from __future__ import annotations
-
-import time
 
 import numpy as np
 import pytest
@@ -47,19 +45,13 @@ def test_not_knowing_the_angle_costs_little(found: dict[str, alignment.Array]) -
     assert np.all(found["7D"][:6] < 1.15 * found["limit 6D"])
 
 
-def test_seven_unknowns_with_covariance_take_less_than_a_fifth_of_a_second() -> None:
-    assert alignment.seconds(5) < 0.2
-
-
-def test_a_start_for_any_clamping_angle_takes_less_than_half_a_second() -> None:
-    """CPU time: twelve angles are tried from 25 turns of the part each."""
+def test_a_start_is_found_for_any_clamping_angle() -> None:
+    """Twelve angles are tried from 25 turns of the part each."""
     targets = corners()
     poses = poses_over(targets)
     settings = alignment_settings(0.05, np.radians(40.0))
     seen = align_part.simulate(align_part.TASK.job(settings, true_camera(), poses, targets), SimulationOptions(7))
-    began = time.process_time()
     result = align_part.run(
         align_part.TASK.job(settings, true_camera(), poses, targets, observations=seen.files["observations.csv"])
     )
-    assert time.process_time() - began < 0.5
     assert {e.name: e.value for e in result.estimates}["gamma_s"] == pytest.approx(np.radians(40.0), abs=1e-3)

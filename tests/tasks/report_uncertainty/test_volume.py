@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import math
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -244,13 +243,6 @@ def test_results_without_a_pose_are_refused(tmp_path: Path, capsys: pytest.Captu
         == 3
     )
     assert "is a length" in capsys.readouterr().err
-
-
-def test_a_large_volume_is_quick() -> None:
-    """2 s are allowed (the benchmark has the figure); CPU time, since others may use the machine."""
-    before = time.process_time()
-    assert bench.large_volume() < 2.0
-    assert time.process_time() - before < 8.0
 
 
 @pytest.mark.slow
