@@ -1,4 +1,4 @@
-"""Cross-validation: how much better held-out readings are predicted with an effect, the selection repeated without them.
+"""Cross-validation: how much better an effect predicts held-out readings, the selection repeated without them.
 
 Leaving readings g out of a linear adjustment needs no new adjustment. The error of their prediction is
 `e = M_gg^- r_g` with covariance `s^2 M_gg^-`, and the model of the others is the one in which the unit vectors of g

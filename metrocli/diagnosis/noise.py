@@ -141,7 +141,7 @@ def _log_without(system: System, fitted: FittedColumns, rows: Mask) -> float:
 
 
 def _ratio(system: System, fitted: FittedColumns, rows: Mask) -> float:
-    """Return the standard deviation of some readings relative to the others, from the expected values of their squares."""
+    """Return the standard deviation of some readings relative to the others, from their expected squares."""
     taken = np.concatenate([system.basis, fitted.basis], axis=1)
     parts = (rows, ~rows)
     grams = [taken[part].T @ taken[part] for part in parts]

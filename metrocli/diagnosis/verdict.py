@@ -38,7 +38,7 @@ UNCHECKED = "no reading is checked by the others"
 
 
 def as_data(diagnosis: Diagnosis) -> dict[str, Any]:
-    """Return a diagnosis under the keys of the contract; numbers are in internal units unless a `unit` stands beside them."""
+    """Return a diagnosis under the keys of the contract, in internal units unless a `unit` stands beside a number."""
     noise, left, repeats = diagnosis.noise, diagnosis.left, diagnosis.repeats
     return {
         "verdict": diagnosis.verdict,

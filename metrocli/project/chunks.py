@@ -30,7 +30,7 @@ class ChunkFolder:
             return None
 
     def put(self, key: str, number: int, value: dict[str, Any]) -> None:
-        """Write the arrays of a chunk, whole or not at all; errors of the disk are ignored, as the job can do without."""
+        """Write the arrays of a chunk, whole or not at all; disk errors are ignored: the job runs without."""
         with contextlib.suppress(OSError):
             self.folder.mkdir(parents=True, exist_ok=True)
             aside = self._path(key, number).with_suffix(f".{os.getpid()}.tmp")
