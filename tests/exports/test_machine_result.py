@@ -57,7 +57,7 @@ def test_the_control_cancels_the_true_error(control: str, tools: int) -> None:
 def test_what_is_not_determined_is_in_no_file() -> None:
     _, result = measured(1)
     assert {"EAZ", "EBZ", "ECZ", "ECY"} == set(error_tables.of(result).left_out)
-    for name in set(FORMATS) - {"csv", "dcc"}:
+    for name in set(FORMATS) - {"csv"}:
         for text in export(name, result).values():
             assert isinstance(text, str)
             body = [line for line in text.splitlines() if not line.startswith((";", "//", "(", "#"))]
@@ -124,7 +124,7 @@ def test_backlash_is_compensated_where_a_format_has_a_place_for_it_and_told_else
         forward, reverse = held[axis]
         assert np.abs(reverse.values - forward.values - gap).max() < 3e-7, "trim takes the error away: less forward"
         assert np.abs((forward.values + reverse.values) / 2 + machine.tables[f"E{axis}{axis}"]).max() < 0.005
-    for form in set(FORMATS) - {"linuxcnc", "dcc"}:
+    for form in set(FORMATS) - {"linuxcnc"}:
         told = "\n".join(text for text in export(form, found).values() if isinstance(text, str)).lower()
         assert "backlash of y, 0.0123 mm, is not in these tables" in told, form
         assert "in the result, and in no table: thermal-growth.x" in told, form
@@ -132,6 +132,6 @@ def test_backlash_is_compensated_where_a_format_has_a_place_for_it_and_told_else
 
 def test_another_result_has_no_compensation() -> None:
     other = Result("straight-line", "", (), np.zeros((0, 0)), {}, {"residuals": Table({"a": np.arange(2.0)})})
-    for name in set(FORMATS) - {"csv", "dcc"}:
+    for name in set(FORMATS) - {"csv"}:
         with pytest.raises(InputError, match="calibrate-machine"):
             export(name, other)

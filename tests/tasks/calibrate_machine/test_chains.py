@@ -95,3 +95,33 @@ def by_differences(group: Group, blocks: Mapping[str, Block], name: str, step: A
     h = 1e-4 if block.space is Space.POSE else 1e-2
     ends = [group.chain.predict({**blocks, name: block.moved(sign * h * step)}, group.observations) for sign in (1, -1)]
     return (ends[0] - ends[1]) / (2 * h)
+
+
+@pytest.mark.parametrize(
+    ("problem", "seed", "order"), [(at_standstill, 71, "ZXY"), (with_six_channels, 73, "XYZ")], ids=["standstill", "six"]
+)
+def test_values_are_those_of_plain_formulas(problem, seed: int, order: str) -> None:  # type: ignore[no-untyped-def]
+    """What the tables add to the readings; a sign wrong in value and derivative together shows here."""
+    made: Problem = problem()
+    machine = sim.random_machine(np.random.default_rng(seed), order, KNOTS)
+    group, blocks = made.readings, dict(made.blocks)
+    perfect = group.chain.predict(without_errors(blocks), group.observations)
+    for axis in "XYZ":
+        block = blocks[f"axis {axis}"]
+        values = np.stack([machine.tables[name] for name in block.columns], axis=1)
+        blocks[block.name] = replace(block, values=values)
+    blocks["squareness"] = replace(blocks["squareness"], values=np.array([machine.squareness]))
+    added = group.chain.predict(blocks, group.observations) - perfect
+    at = np.stack([group.observations.conditions[axis] for axis in "xyz"], axis=1)
+    moved = sim.displacements(machine, at, blocks["tool"].values[group.observations.index["tool"]])
+    if "tracker" in blocks:
+        expected = moved @ sim.rotation(blocks["tracker"].values[0, 3:])
+    else:
+        expected = np.concatenate([moved, sim.rotations(machine, at)], axis=1)
+    assert np.abs(added - expected.T).max() < 1e-12
+    assert np.abs(expected).max() > 0.05
+
+
+def without_errors(blocks: Mapping[str, Block]) -> dict[str, Block]:
+    names = ("axis X", "axis Y", "axis Z", "squareness")
+    return {**blocks, **{name: replace(blocks[name], values=0 * blocks[name].values) for name in names}}
