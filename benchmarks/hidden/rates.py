@@ -110,11 +110,11 @@ def _detected(one: Found) -> bool:
     return one.diagnosis.verdict != "clean"
 
 
-def _each_in_sets(one: Found) -> bool:
+def each_in_sets(one: Found) -> bool:
     return all(any(_in_set(finding, hidden) for finding in one.diagnosis.findings) for hidden in one.case.hidden)
 
 
-def _sole(one: Found) -> bool:
+def sole(one: Found) -> bool:
     findings = one.diagnosis.findings
     return len(findings) == 1 and _is(findings[0], one.case.hidden[0]) and not findings[0].effect.rivals
 
@@ -149,12 +149,12 @@ def rates(results: Sequence[Found]) -> Iterator[Rate]:
             bar = {"1x": 0.75, "1.5x": 0.97, "2x": 0.97, "3x": 0.97}.get(scenario.split()[-1], 0.0)
             yield _rate(f"detected: {scenario}", cases, _detected, least=bar)
     named = [one for one in single if _named(one)]
-    yield _rate("truth in the set of names, where one was named", named, _each_in_sets, least=0.95)
+    yield _rate("truth in the set of names, where one was named", named, each_in_sets, least=0.95)
     large = [one for one in single if one.case.scenario.split()[-1] in ("2x", "3x") and one.case.hidden[0].distinct]
-    yield _rate("the sole exact name, from 2x, no near alias", large, _sole, least=0.90)
+    yield _rate("the sole exact name, from 2x, no near alias", large, sole, least=0.90)
     yield _rate("a known effect called unexplained", single, lambda one: one.diagnosis.left is not None)
     two = [one for one in results if len(one.case.hidden) == 2]
-    yield _rate("both of two effects", two, _each_in_sets, least=0.85)
+    yield _rate("both of two effects", two, each_in_sets, least=0.85)
     covered = [hit for one in results for hit in one.covered]
     yield Rate("95 % regions that hold the truth", sum(covered), len(covered), 0.92, 0.98)
     outside = [one for one in results if one.case.hidden and one.case.hidden[0].name[0] == "_"]

@@ -1,6 +1,6 @@
-"""A fixed tenth of the hidden-effect campaign: the promised rates, as far as so few cases can show them.
+"""One round of the hidden-effect campaign on small measurements: the promised rates, as far as so few cases can show them.
 
-The whole of it: python -m benchmarks hidden_effects
+The whole campaign, with times: python -m benchmarks hidden_effects
 """
 
 from __future__ import annotations
@@ -14,15 +14,13 @@ from benchmarks.hidden import rates
 from benchmarks.hidden.case import Found
 from benchmarks.hidden_effects import KINDS, results
 
-COUNT = 60
-"""Three rounds of the twenty scenarios"""
-ONE_ROUND = ("calibrate-camera", "selfcal-grid", "calibrate-machine")
-"""The kinds that take longest"""
+COUNT = 20
+"""One of each scenario"""
 
 
 @cache
 def found(kind: str) -> tuple[Found, ...]:
-    return tuple(results(kind, range(COUNT // 3 if kind in ONE_ROUND else COUNT)))
+    return tuple(results(kind, range(COUNT), small=True))
 
 
 @pytest.fixture(params=KINDS)
@@ -49,14 +47,14 @@ def test_what_is_hidden_is_found_and_named(cases: tuple[Found, ...]) -> None:
     large = [one for one in known if not one.case.scenario.endswith(" 1x")]
     assert all(one.diagnosis.verdict != "clean" for one in large)
     named = [one for one in known if one.diagnosis.findings]
-    assert sum(map(rates._each_in_sets, named)) >= 0.95 * len(named)
+    assert sum(map(rates.each_in_sets, named)) >= 0.95 * len(named)
 
 
 def test_a_name_stands_alone_where_no_other_is_alike(cases: tuple[Found, ...]) -> None:
     known = [one for one in hidden(cases, known=True) if len(one.case.hidden) == 1 and one.case.hidden[0].distinct]
     large = [one for one in known if one.case.scenario.split()[-1] in ("2x", "3x")]
     assert len(large) >= len(cases) // 8
-    assert sum(map(rates._sole, large)) >= 0.9 * len(large)
+    assert sum(map(rates.sole, large)) >= 0.9 * len(large)
 
 
 def test_an_effect_of_no_table_is_called_unknown(cases: tuple[Found, ...]) -> None:
@@ -86,9 +84,3 @@ def test_the_noise_is_found(cases: tuple[Found, ...]) -> None:
     truths = [one.case.noise for one in cases if not one.case.hidden and "noisier" not in one.case.scenario]
     inside = [noise.low <= truth <= noise.high for noise, truth in zip(ratios, truths, strict=True)]
     assert sum(inside) >= 0.85 * len(inside)
-
-
-def test_it_does_not_take_long(cases: tuple[Found, ...]) -> None:
-    """CPU time, since the machine may be busy."""
-    images = cases[0].diagnosis.job.kind in ONE_ROUND
-    assert max(one.seconds for one in cases) < (20 if images else 5)

@@ -98,7 +98,9 @@ def by_differences(group: Group, blocks: Mapping[str, Block], name: str, step: A
 
 
 @pytest.mark.parametrize(
-    ("problem", "seed", "order"), [(at_standstill, 71, "ZXY"), (with_six_channels, 73, "XYZ")], ids=["standstill", "six"]
+    ("problem", "seed", "order"),
+    [(at_standstill, 71, "ZXY"), (with_six_channels, 73, "XYZ")],
+    ids=["standstill", "six"],
 )
 def test_values_are_those_of_plain_formulas(problem, seed: int, order: str) -> None:  # type: ignore[no-untyped-def]
     """What the tables add to the readings; a sign wrong in value and derivative together shows here."""
