@@ -1,4 +1,4 @@
-"""Measurements with a hidden effect that were simulated elsewhere: the verdict, the names, the wrong readings, the noise.
+"""Measurements with a hidden effect that were simulated elsewhere: verdict, names, wrong readings and noise.
 
 python -m benchmarks cases [KIND] [NUMBER ...]. The cases are not part of the project; where ../shared/cases is absent
 the benchmark reports it and ends.
