@@ -1,7 +1,7 @@
 """The adjustment: weighted least squares by Gauss-Newton steps.
 
 Method: docs/algorithms/tiled-elimination.md (normal equations), docs/algorithms/free-networks.md (datum) and
-docs/algorithms/rank.md (what is undetermined).
+docs/algorithms/rank-in-words.md (what is undetermined).
 """
 
 from __future__ import annotations
@@ -249,6 +249,7 @@ def _with_covariance(solution: Solution, problem: _Problem, normals: Normals) ->
         matrix, frame = np.full((layout.width, layout.width), np.nan), None
     conditions = frame.reduced.shape[1] if frame else 0
     counted = replace(solution, conditions=conditions)
+    # the datum's movements are held, so that they are not reported as undetermined
     held = _held(matrix, frame)
     combinations: tuple[Combination, ...] = open_combinations(blocks, layout, normals, held)
     if combinations:

@@ -80,6 +80,7 @@ class Frame:
         off = values - datum.reference
         if not (datum.members == 1).all():
             off *= datum.members[:, None]
+        # minus: the movement h is what the values are off the reference, and it is taken back
         by = -self.amounts @ self.reference.dot(datum.reference, off)
         steps = {name: move.step(blocks[name].values, by) for name, move in self.moves.items()}
         return {name: step if blocks[name].all_free else step * blocks[name].free for name, step in steps.items()}

@@ -123,6 +123,7 @@ class Listed:
 def of_points(scale: bool = False) -> Affine:
     """Return the movements of points (3,): shifts along x, y, z, rotations about them and, if wanted, scale."""
     axes = np.eye(3)
+    # a rotation about axis a moves a point p by `a x p`
     matrices = [np.zeros((3, 3, 3)), cross_matrix(axes), *([axes[None]] if scale else [])]
     matrix = np.concatenate(matrices)
     shift = np.zeros((len(matrix), 3))

@@ -1,4 +1,7 @@
-"""How an adjustment ends."""
+"""How an adjustment ends.
+
+Method: docs/algorithms/rank-in-words.md.
+"""
 
 from __future__ import annotations
 

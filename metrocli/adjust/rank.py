@@ -1,7 +1,8 @@
 """Undetermined combinations of unknowns, found before any result is given out.
 
 Unknowns are scaled by their plausible reach. An uncertainty above 1 in any direction then means that the linearised
-result is useless there, whether the matrix is exactly singular or only nearly so. Method: docs/algorithms/rank.md.
+result is useless there, whether the matrix is exactly singular or only nearly so.
+Method: docs/algorithms/rank-in-words.md.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ def open_combinations(
     blocks: Mapping[str, Block], layout: Layout, normals: Normals, matrix: Array
 ) -> tuple[Combination, ...]:
     """Return the undetermined combinations at the present values; empty if everything is determined."""
+    # an open member makes D singular, and the reduced matrix meaningless
     single = _open_members(blocks, layout, normals)
     if single or not layout.width:
         return single
@@ -120,6 +122,7 @@ def _combination(
     for name, columns in layout.columns.items():
         moves[name] = np.where(columns >= 0, step[np.maximum(columns, 0)], 0.0)
     if layout.eliminated:
+        # members move by -W step; only sizes are named, so the sign does not matter
         moves[layout.eliminated] = normals.following(step) * blocks[layout.eliminated].free
     relative = {name: np.abs(move) / _unit(blocks[name], move) for name, move in moves.items()}
     largest = max(float(part.max(initial=0.0)) for part in relative.values()) or 1.0

@@ -2,7 +2,7 @@
 
 Leaving readings g out of a linear adjustment needs no new adjustment. The error of their prediction is
 `e = M_gg^- r_g` with covariance `s^2 M_gg^-`, and the model of the others is the one in which the unit vectors of g
-are fitted columns. Method: docs/algorithms/selection.md.
+are fitted columns. Method: docs/algorithms/selection-and-levels.md.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""What a measurement can see at all: of each candidate what is visible, how large it must be, and what it can hide."""
+"""What a measurement can see at all: of each candidate what is visible, how large it must be, and what it can hide.
+
+Method: docs/algorithms/selection-and-levels.md.
+"""
 
 from __future__ import annotations
 
@@ -133,6 +136,7 @@ def _wrong_reading(job: AdjustedJob, test_set: ScoreTests, effect: Effect, noise
     rows = test_set.places[~test_set.excluded]
     rows = rows[rows >= 0]
     redundancy = 1 - (system.basis[rows] ** 2).sum(axis=1)
+    # an error of a reading shows in its own residual by its redundancy only (Baarda)
     least = np.sqrt(power / np.maximum(redundancy, 1e-12)) * noise
     places = system.entries(job.delivered.block)[:, list(job.delivered.columns)]
     moved = system.solver[np.maximum(places, 0)] @ system.basis[rows].T

@@ -1,6 +1,6 @@
 """The whole diagnosis of one adjusted job, from its linearised system to the verdict.
 
-Method: docs/algorithms/selection.md.
+Method: docs/algorithms/selection-and-levels.md.
 """
 
 from __future__ import annotations

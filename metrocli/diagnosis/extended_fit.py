@@ -1,6 +1,6 @@
 """The extended fit: the job adjusted again with the named effects in its model.
 
-Method: docs/algorithms/selection.md (dominant effects).
+Method: docs/algorithms/selection-and-levels.md (dominant effects).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The noise that was found: its level relative to the declared one, and units (a tracer, an image) that are noisier.
 
-Method: docs/algorithms/selection.md (noise).
+Method: docs/algorithms/selection-and-levels.md (noise).
 """
 
 from __future__ import annotations
@@ -72,6 +72,7 @@ def noisiest_unit(job: AdjustedJob, system: System, fitted: FittedColumns, rng: 
     units = list(_units(job, system))
     if len(units) < 2:
         return None
+    # residuals of different units are correlated by the unknowns, so no table of the F distribution applies
     noise = system.seen(rng.normal(size=(system.rows, _DRAWS)))
     noise -= fitted.basis @ (fitted.basis.T @ noise)
     whole = (noise**2).sum(axis=0)

@@ -1,6 +1,6 @@
 """Structure in the residuals beyond noise, before anything is named and after.
 
-Method: docs/algorithms/selection.md (remaining structure).
+Method: docs/algorithms/selection-and-levels.md (remaining structure).
 """
 
 from __future__ import annotations

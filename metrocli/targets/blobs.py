@@ -1,4 +1,7 @@
-"""Where dark or bright ellipses may be: contours of thresholded images, as starts for the grey-value fit."""
+"""Where dark or bright ellipses may be: contours of thresholded images, as starts for the grey-value fit.
+
+Method: docs/algorithms/target-detection.md.
+"""
 
 from __future__ import annotations
 
@@ -47,6 +50,7 @@ def _masks(grey: npt.NDArray[np.uint8]) -> list[npt.NDArray[np.uint8]]:
     spread = int(np.percentile(grey[::4, ::4], 99.9)) - int(grey.min())
     step = max(6.0, STEP * spread)
     masks = [cv2.threshold(grey, 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)[1]]
+    # OpenCV takes windows of odd width only
     for width in {max(min(grey.shape) // 8, 11) | 1, 41}:
         masks.append(cv2.adaptiveThreshold(grey, 255, cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY, width, -step))
     return [mask.astype(np.uint8, copy=False) for mask in masks]

@@ -1,4 +1,7 @@
-"""Inner corners of a ChArUco board: a chessboard whose bright squares carry markers, so that a part of it is enough."""
+"""Inner corners of a ChArUco board: a chessboard whose bright squares carry markers, so that a part of it is enough.
+
+Method: docs/algorithms/target-detection.md.
+"""
 
 from __future__ import annotations
 

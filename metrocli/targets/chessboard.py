@@ -1,4 +1,7 @@
-"""Inner corners of a chessboard."""
+"""Inner corners of a chessboard.
+
+Method: docs/algorithms/target-detection.md.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Grids of circles, in rows and columns or with every second row shifted."""
+"""Grids of circles, in rows and columns or with every second row shifted.
+
+Method: docs/algorithms/target-detection.md.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Ring-coded targets: a centre dot, and around it a ring of twelve segments that carry the target's number."""
+"""Ring-coded targets: a centre dot, and around it a ring of twelve segments that carry the target's number.
+
+Method: docs/algorithms/target-detection.md.
+"""
 
 from __future__ import annotations
 
@@ -75,6 +78,7 @@ def _profile(picture: Picture, ellipse: Ellipse, radii: tuple[float, ...]) -> Ar
     """Return grey values (radii, directions) around an ellipse, in its own plane; None at the image's border."""
     turn = np.arange(BITS * SAMPLES) * (2 * np.pi / (BITS * SAMPLES))
     circle = np.stack([np.cos(turn), np.sin(turn)])
+    # the ring is seen as obliquely as the dot: circles about it are ellipses of the dot's shape
     offset = np.linalg.inv(ellipse.shape) @ circle
     reach = np.abs(offset).max(1) * max(radii) + 1
     height, width = picture.shape

@@ -1,4 +1,7 @@
-"""The codes of 12-bit ring targets: which there are, and how one is read whatever way up it is."""
+"""The codes of 12-bit ring targets: which there are, and how one is read whatever way up it is.
+
+Method: docs/algorithms/target-detection.md.
+"""
 
 from __future__ import annotations
 
@@ -30,6 +33,7 @@ def codes() -> tuple[int, ...]:
     Any two differ in two segments at least, however they are turned: one misread segment gives no code, never
     another one.
     """
+    # an even number of ones: one misread segment makes it odd, so that it is no code
     return tuple(
         bits
         for bits in range(1 << BITS)

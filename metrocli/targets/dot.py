@@ -1,4 +1,7 @@
-"""A single dot."""
+"""A single dot.
+
+Method: docs/algorithms/target-detection.md.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Centres of bright or dark ellipses from grey values: the picture of a blurred ellipse is fitted to the pixels."""
+"""Centres of bright or dark ellipses from grey values: the picture of a blurred ellipse is fitted to the pixels.
+
+Method: docs/algorithms/target-detection.md.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Finding a pattern in an image: the table of types."""
+"""Finding a pattern in an image: the table of types.
+
+Method: docs/algorithms/target-detection.md.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Order of the points of a flat board: found from their places alone, and checked whatever put them in order."""
+"""Order of the points of a flat board: found from their places alone, and checked whatever put them in order.
+
+Method: docs/algorithms/target-detection.md.
+"""
 
 from __future__ import annotations
 
@@ -34,6 +37,7 @@ def homography(plane: Array, uv: Array) -> Array:
             np.stack([zero, zero, zero, x, y, one, -v * x, -v * y, -v], axis=1),
         ]
     )
+    # four points give 8 rows of 9: the null vector is then only in the full matrix
     h = np.linalg.svd(rows, full_matrices=len(x) < 5)[2][-1].reshape(3, 3)
     return np.asarray(np.linalg.inv(b) @ h @ a)
 
@@ -187,6 +191,7 @@ def _updated(basis: Array, by: tuple[int, int], step: Array) -> Array:
     """Return the basis at the next point: along the way taken it is that way."""
     axis = 0 if by[0] else 1
     changed = basis.copy()
+    # steps change slowly across the image by perspective and lens; one noisy step must not lead astray
     changed[axis] = 0.3 * basis[axis] + 0.7 * step * (by[0] + by[1])
     return changed
 

@@ -1,4 +1,7 @@
-"""Corners of a chessboard from grey values: the picture of two blurred edges that cross is fitted to the pixels."""
+"""Corners of a chessboard from grey values: the picture of two blurred edges that cross is fitted to the pixels.
+
+Method: docs/algorithms/target-detection.md.
+"""
 
 from __future__ import annotations
 
@@ -69,6 +72,7 @@ def _start(start: Array, across: Array, bend: Array, at: Array, grey: Array) -> 
     """Start: corner (2), directions of the edges (2), blur, mean, contrast, slopes of the light (2)."""
     angles = np.arctan2(across[1], across[0])
     state = np.array([*start, *angles, BLUR, grey.mean(), 0.0, 0.0, 0.0])
+    # grey values are linear in the contrast: it follows from one projection, with its sign
     state[6] = 1.0
     shape = _linearised(state, bend, at)[0] - state[5]
     state[6] = (shape @ (grey - grey.mean())) / max(float(shape @ shape), 1e-12)
@@ -156,6 +160,7 @@ def bends(corners: Array) -> Array:
         chord, sag = (line[2:] - line[:-2]) / 2, line[2:] - 2 * line[1:-1] + line[:-2]
         length = np.linalg.norm(chord, axis=-1)
         inner = (chord[..., 0] * sag[..., 1] - chord[..., 1] * sag[..., 0]) / length**3
+        # corners at the rim have no neighbour on one side: they get the bend of the next one
         curvature[..., edge] = np.moveaxis(np.concatenate([inner[:1], inner, inner[-1:]]), 0, axis)
     return curvature
 

@@ -2,6 +2,7 @@
 
 Chunks are put together in their order. Up to KEPT trials all values are kept and sorted; beyond that they are counted
 in bins.
+Method: docs/algorithms/monte-carlo-chunks.md.
 """
 
 from __future__ import annotations
@@ -145,6 +146,7 @@ def _adaptive(plan: Plan, workers: Workers, digits: int, most: int) -> Outcome:
     numbers = range(max(min(most, _kept(plan)) // plan.chunk, 2))
     for batch in _told(workers.ordered(Work(plan, 1), numbers), workers, None):
         kept.append(batch)
+        # a standard deviation over chunks needs two of them
         if len(kept) > 1 and _settled(kept, plan.units, digits):
             settled = True
             break

@@ -1,4 +1,7 @@
-"""Values of many trials: their quantiles, coverage intervals and probabilities, kept whole or as counts in bins."""
+"""Values of many trials: their quantiles, coverage intervals and probabilities, kept whole or as counts in bins.
+
+Method: docs/algorithms/monte-carlo-chunks.md.
+"""
 
 from __future__ import annotations
 
@@ -116,5 +119,6 @@ class Binned:
 
 def _ranks(count: int, probability: float) -> tuple[int, int]:
     """Return the rank of the lower end of a symmetric interval, and how many ranks the upper end is above it."""
+    # JCGM 101, 7.7.1: q is pM if that is an integer, else the integer part of pM + 1/2
     inside = min(int(probability * count + 0.5), count - 1)
     return max((count - inside + 1) // 2, 1), inside

@@ -1,6 +1,7 @@
 """Trials of Monte Carlo in chunks: each a pure function of its number, and what is kept of it.
 
 Each chunk has a random stream of its own, made from the seed and the number of the chunk.
+Method: docs/algorithms/monte-carlo-chunks.md.
 """
 
 from __future__ import annotations
@@ -59,6 +60,7 @@ class Plan:
 
     def outcomes(self, number: int) -> Array:
         """Return the deviations of the measurands from their centres in one chunk, (measurands, trials)."""
+        # the stream depends on seed and number only; sources draw in a fixed order
         rng = np.random.Generator(np.random.SFC64(np.random.SeedSequence(self.seed, spawn_key=(number,))))
         count = self.count(number)
         values: dict[str, Any] = dict(zip(self.names, self.values, strict=True))

@@ -1,6 +1,7 @@
 """Who does the chunks of a long computation: threads of this process, or a Dask cluster; the outcome is the same.
 
 A chunk is a pure function of its number, so that it does not matter who does it, or how often.
+Method: docs/algorithms/monte-carlo-chunks.md.
 """
 
 from __future__ import annotations
@@ -86,6 +87,7 @@ def _on_threads(count: int, work: Callable[[int], T], numbers: Iterable[int]) ->
 
 def _window(submit: Callable[[int], Any], numbers: Iterable[int], most: int) -> Iterator[Any]:
     """Yield results in order with at most `most` of them under way."""
+    # in order, so that sums have the same rounding and an adaptive run stops at the same chunk for any count
     waiting: deque[Any] = deque()
     for number in numbers:
         waiting.append(submit(number))

@@ -33,6 +33,7 @@ def arrange(blocks: Mapping[str, Block], groups: Sequence[Group]) -> Layout:
 
     It is the block with the most unknowns, among those of which no reading uses two members.
     """
+    # if a reading used two members of it, D would not be block-diagonal
     candidates = [b for b in blocks.values() if b.free.any() and len(b.members) > 1 and _single_touch(b, groups)]
     eliminated = max(candidates, key=lambda block: int(block.free.sum()), default=None)
     rest = {name: block for name, block in blocks.items() if block is not eliminated}

@@ -44,6 +44,7 @@ class Gauge:
     def shared(self, part: Part) -> Array:
         """Return `-D^-1 H' E' - E H D^-1` for the members of a part, (k, s, s)."""
         moved = np.einsum("nsf,ntf->stn", self.frame.constraint(part.members), self.moves_of(part.members))
+        # the sign follows from `e' = n - W r'` and `cov(n, r') = -D^-1 H' E_r'`, with `W E_r = -E`
         half = part.solved(moved.transpose(2, 0, 1))
         return np.asarray(-half - half.swapaxes(1, 2))
 

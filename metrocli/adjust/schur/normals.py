@@ -94,6 +94,7 @@ class Normals:
         matrices, rights, alone = zip(*(part.reduced for part in self.parts), strict=True)
         matrix, right = np.sum(matrices, axis=0), np.sum(rights, axis=0)
         if self.damping:
+            # diag(N), not diag(S): so S stays the Schur complement of the damped normal matrix as a whole
             diagonal = self.diagonal
             matrix[np.diag_indices_from(matrix)] += self.damping * np.where(diagonal > 0, diagonal, 1.0)
         return matrix, right, sum(alone)

@@ -98,7 +98,9 @@ class EliminatedTile:
         Raises LinAlgError if a member is singular. With few readings per member, the contribution is `X'X` with `X =
         Z'K`, from the combinations Z of readings that do not depend on the member (see `complement`); else `K'K - Y'Y`.
         """
+        # one row and column more: fixed unknowns have the column -1, and their products fall there
         matrix, right = np.zeros((self.width + 1,) * 2), np.zeros(self.width + 1)
+        # `K'K - Y'Y` would cancel most digits where a member uses up most of its readings
         if self._few:
             spare = self._spare()
             rows, places = self._combined(len(spare[0]), spare)
@@ -121,6 +123,7 @@ class EliminatedTile:
     @property
     def _few(self) -> bool:
         """Whether the combinations that do not depend on the member are at most as many as its unknowns."""
+        # X'X is the complement for `D = J'J` only: damping changes D, and fixed entries have zero columns in J
         s, scalars = len(self.free), sum(part.own.shape[0] * part.own.shape[2] for part in self.rows)
         return s <= scalars <= 2 * s and bool(self.free.all()) and not self.damping
 

@@ -1,4 +1,7 @@
-"""Candidates: for each cause its forms and places, each with the columns that it would add to the model."""
+"""Candidates: for each cause its forms and places, each with the columns that it would add to the model.
+
+Method: docs/algorithms/selection-and-levels.md.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Tails of the F distribution, also where they are smaller than any number."""
+"""Tails of the F distribution, also where they are smaller than any number.
+
+Method: docs/algorithms/selection-and-levels.md.
+"""
 
 from __future__ import annotations
 
@@ -18,6 +21,7 @@ def log_tail(share: Array, q: float, rest: float) -> Array:
 
     left = np.clip(1 - share, 1e-300, 1.0)
     tail = betainc(rest / 2, q / 2, left)
+    # betainc underflows; its leading term keeps the order of very small levels
     leading = rest / 2 * np.log(left) - np.log(rest / 2) - betaln(rest / 2, q / 2)
     leading += (q / 2 - 1) * np.log(np.maximum(1 - left, 1e-300))
     return np.asarray(np.where(tail > _TINY, np.log(np.maximum(tail, _TINY)), leading))

@@ -1,4 +1,7 @@
-"""What is in the model beside its own unknowns: columns fitted together, any of which can be taken out again."""
+"""What is in the model beside its own unknowns: columns fitted together, any of which can be taken out again.
+
+Method: docs/algorithms/selection-and-levels.md.
+"""
 
 from __future__ import annotations
 
@@ -133,5 +136,6 @@ def nothing_fitted(system: System) -> FittedColumns:
     """Return the model as it is; a noise declared larger than it is counts as large as it is."""
     r = system.residual
     squares = float(r @ r)
+    # a declaration that is too large would otherwise hide effects: it adds at most what the residuals have
     prior = PRIOR * min(1.0, squares / max(system.dof, 1))
     return FittedColumns(np.zeros((system.rows, 0)), r, squares + prior, system.dof + PRIOR, prior)

@@ -3,6 +3,7 @@
 With J the whitened derivatives by all unknowns and r the whitened residuals, `M = I - J (J'J)^- J'` takes from a
 signature g what the unknowns absorb: Mg is seen, `J^- g` is by how much the unknowns would be wrong. M does not depend
 on the datum.
+Method: docs/algorithms/selection-and-levels.md.
 """
 
 from __future__ import annotations
@@ -202,6 +203,7 @@ def _factored(model: Model, layout: Layout, jacobian: Array) -> tuple[Array, Arr
         if frame is not None:
             conditions = frame.conditions(layout) / size
             rows = np.concatenate([scaled, conditions / np.linalg.norm(conditions, axis=1, keepdims=True)])
+    # rows of the datum make the triangle regular; the part of q for readings spans J in any datum
     q, triangle = np.linalg.qr(rows)
     inverse = np.linalg.inv(triangle)
     return q[: len(jacobian)], inverse / size[:, None], size

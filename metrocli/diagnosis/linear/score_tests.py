@@ -2,6 +2,7 @@
 
 A scan over m places is the least of m dependent tests; it counts as so many independent ones as white noise, projected
 like the residuals, says. The same noise says how many independent causes race with each other (Westfall and Young).
+Method: docs/algorithms/selection-and-levels.md.
 """
 
 from __future__ import annotations
@@ -246,6 +247,7 @@ def _calibrated(test_set: ScoreTests, rng: np.random.Generator) -> ScoreTests:
     columns = sum(f.columns.shape[1] * f.columns.shape[2] for f in test_set.families)
     draws = int(np.clip(_MOST_WORK / (system.rows * max(columns, 1)), 300, _DRAWS))
     noise = system.seen(rng.normal(size=(system.rows, draws)))
+    # the declared noise counts as PRIOR degrees of freedom, in the draws as in the residuals
     squares = (noise**2).sum(axis=0) + rng.chisquare(PRIOR, draws)
     dof = system.dof + PRIOR
     least, tests = [], []

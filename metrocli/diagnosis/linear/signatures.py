@@ -1,4 +1,7 @@
-"""Signatures: the whitened columns that an effect adds to the linearised system of a model."""
+"""Signatures: the whitened columns that an effect adds to the linearised system of a model.
+
+Method: docs/algorithms/selection-and-levels.md.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Smooth functions of the covariates: what structure looks like whose cause is not known."""
+"""Smooth functions of the covariates: what structure looks like whose cause is not known.
+
+Method: docs/algorithms/selection-and-levels.md.
+"""
 
 from __future__ import annotations
 

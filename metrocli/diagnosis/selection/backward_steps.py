@@ -1,4 +1,7 @@
-"""Settling: names swapped for better ones, and what is not worth it beside the others taken out of the model."""
+"""Settling: names swapped for better ones, and what is not worth it beside the others taken out of the model.
+
+Method: docs/algorithms/selection-and-levels.md.
+"""
 
 from __future__ import annotations
 
@@ -48,6 +51,7 @@ def _with_swaps(selection: Selection) -> Selection:
 
     Only by one beside which it is not needed: what says more of something else has its own turn in the race.
     """
+    # swaps could go round in a circle, so their rounds are limited
     for _ in range(5):
         for one in (*selection.named, *selection.unknown):
             new = _better(selection, one)

@@ -1,4 +1,7 @@
-"""Naming: for each effect that was found, which others would explain the readings as well (a model confidence set)."""
+"""Naming: for each effect that was found, which others would explain the readings as well (a model confidence set).
+
+Method: docs/algorithms/selection-and-levels.md.
+"""
 
 from __future__ import annotations
 
@@ -84,6 +87,7 @@ def _named(selection: Selection, one: Chosen, level: float) -> NamedEffect:
     whole = selection.test_set.scales[one.family][one.number]
     seen, apart = _seen(left, whole), _apart(left, whole)
     left = np.where(seen, left, 0.0)
+    # unit columns before the inverse: parameters may differ in units by many powers of ten
     norm = np.linalg.norm(left, axis=0)
     size = np.where(norm > 0, norm, 1.0)
     inverse = np.linalg.pinv((left / size).T @ (left / size), rcond=1e-11, hermitian=True) / size / size[:, None]

@@ -1,4 +1,7 @@
-"""Steps: what is beyond chance beside a selection, and would go into the model next."""
+"""Steps: what is beyond chance beside a selection, and would go into the model next.
+
+Method: docs/algorithms/selection-and-levels.md.
+"""
 
 from __future__ import annotations
 

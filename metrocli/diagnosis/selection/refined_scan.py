@@ -1,4 +1,7 @@
-"""Scanned parameters found more closely: between the best value of a coarse scan and its neighbours."""
+"""Scanned parameters found more closely: between the best value of a coarse scan and its neighbours.
+
+Method: docs/algorithms/selection-and-levels.md.
+"""
 
 from __future__ import annotations
 

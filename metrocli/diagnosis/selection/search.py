@@ -1,4 +1,7 @@
-"""Selection: effects, unknown smooth terms and outliers race; what wins goes into the model, and must stay worth it."""
+"""Selection: effects, unknown smooth terms and outliers race; what wins goes into the model, and must stay worth it.
+
+Method: docs/algorithms/selection-and-levels.md.
+"""
 
 from __future__ import annotations
 

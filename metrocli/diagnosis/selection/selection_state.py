@@ -1,4 +1,7 @@
-"""What is selected: effects, smooth terms and outliers fitted together, and the level of each beside the others."""
+"""What is selected: effects, smooth terms and outliers fitted together, and the level of each beside the others.
+
+Method: docs/algorithms/selection-and-levels.md.
+"""
 
 from __future__ import annotations
 

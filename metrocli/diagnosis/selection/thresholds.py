@@ -1,4 +1,7 @@
-"""Levels: when something may go into the model, when it must leave it, and when all else has to wait."""
+"""Levels: when something may go into the model, when it must leave it, and when all else has to wait.
+
+Method: docs/algorithms/selection-and-levels.md.
+"""
 
 from __future__ import annotations
 
