@@ -138,7 +138,7 @@ CASES = {
     "fewer targets than a view needs": Case("board", 4, ("no image shows 4 or more targets of the list",), keep(lambda row: row[1] in ("T0", "T1", "T2"))),
     "one row": Case("board", 4, ("no image shows 4 or more targets",), rows(OBS, lambda table: table[:1])),
     "one row, network": Case("network", 4, ("no image shows 4 or more targets",), rows(OBS, lambda table: table[:1])),
-    "one row, cmm": Case("cmm", 4, ("1 readings in all: the place of a camera needs at least 4",), rows(OBS, lambda table: table[:1])),
+    "one row, cmm": Case("cmm", 4, ("1 readings in all: the pose of a camera needs at least 4",), rows(OBS, lambda table: table[:1])),
     "one row, part": Case("align", 4, ("there are fewer readings than unknowns: 2 readings, 7 unknowns",), rows(OBS, lambda table: table[:1])),
     "one view": Case(
         "board", 4, ("undetermined: f, z of view", "what would determine it: more views"),
@@ -214,7 +214,7 @@ WARNED = {
         "board", keep(lambda row: row[0] != "view06.png" or row[1] in ("T0", "T1", "T2")), "image view06.png has 3 targets, fewer than 4: left out",
     ),
     "a target that one image shows": (
-        "network", keep(lambda row: row[1] != "T7" or row[0] == "view01.png"), "1 targets are seen in one image only, which does not place them: left out: T7",
+        "network", keep(lambda row: row[1] != "T7" or row[0] == "view01.png"), "left out: 1 targets are seen in one image only, which does not place them: T7",
     ),
     "poses without a sighting": ("align", keep(lambda row: row[0] != "image8"), "1 poses have no sighting: image8"),
     "a camera without covariance": ("align", None, "the camera is taken as exact: its file states no covariance"),
