@@ -218,8 +218,8 @@ WARNED = {
     ),
     "poses without a sighting": ("align", keep(lambda row: row[0] != "image8"), "1 poses have no sighting: image8"),
     "a camera without covariance": ("align", None, "the camera is taken as exact: its file contains no covariance"),
-    "noise declared too small": ("cmm", text("job.yaml", "noise: 0.05 px", "noise: 0.01 px"), "the residuals are larger than the declared noise says"),
-    "noise declared too large": ("board", text("job.yaml", "noise: 0.05 px", "noise: 0.5 px"), "the residuals are smaller than the declared noise says"),
+    "noise declared too small": ("cmm", text("job.yaml", "noise: 0.05 px", "noise: 0.01 px"), "the residuals are larger than the declared noise;"),
+    "noise declared too large": ("board", text("job.yaml", "noise: 0.05 px", "noise: 0.5 px"), "the residuals are smaller than the declared noise;"),
 }  # fmt: skip
 
 
