@@ -1,4 +1,4 @@
-"""Where dark or bright ellipses may be: contours of thresholded images, as starts for the grey-value fit.
+"""Candidates for dark or bright ellipses: contours of thresholded images, as starts for the grey-value fit.
 
 Method: docs/algorithms/target-detection.md.
 """
@@ -17,17 +17,17 @@ if TYPE_CHECKING:
     from metrocli.imageset import Picture
 
 SMALLEST = 3.0
-"""Shortest minor diameter in pixels of an ellipse that is looked for."""
+"""Smallest minor diameter of a candidate, in pixels."""
 FLATTEST = 0.3
-"""Least ratio of the axes."""
+"""Smallest ratio of the minor to the major axis."""
 ROUND = 0.12
-"""Largest relative difference of a contour's area from that of the ellipse with its moments."""
+"""Largest relative difference between a contour's area and that of the ellipse with the same moments."""
 STEP = 0.06
-"""Least step of a local threshold, in parts of the image's range of grey values."""
+"""Step of the local thresholds above the mean of the surroundings, as a share of the image's grey-value range."""
 
 
 def eight_bit(picture: Picture) -> npt.NDArray[np.uint8]:
-    """Return the picture as 8 bit over its own range of grey values."""
+    """Return the picture in 8 bits; one of 16 bits is scaled from its own range of grey values."""
     if picture.dtype == np.uint8:
         return picture.astype(np.uint8, copy=False)
     low, high = int(picture.min()), int(picture.max())
@@ -35,7 +35,7 @@ def eight_bit(picture: Picture) -> npt.NDArray[np.uint8]:
 
 
 def ellipses(picture: Picture, polarity: str) -> list[Ellipse]:
-    """Return ellipse-like blobs of a polarity (dark, bright, either), each once."""
+    """Return the ellipse-like blobs of a polarity (dark, bright, either), each once, as starts for `ellipses.fit`."""
     grey = eight_bit(picture)
     found: list[Ellipse] = []
     for wanted in ("dark", "bright") if polarity == "either" else (polarity,):
@@ -46,7 +46,7 @@ def ellipses(picture: Picture, polarity: str) -> list[Ellipse]:
 
 
 def _masks(grey: npt.NDArray[np.uint8]) -> list[npt.NDArray[np.uint8]]:
-    """Return where the picture is bright: against the whole picture, and against wide and narrow surroundings."""
+    """Return masks of the bright pixels: brighter than Otsu's threshold, than wide and than narrow surroundings."""
     spread = int(np.percentile(grey[::4, ::4], 99.9)) - int(grey.min())
     step = max(6.0, STEP * spread)
     masks = [cv2.threshold(grey, 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)[1]]
@@ -57,6 +57,7 @@ def _masks(grey: npt.NDArray[np.uint8]) -> list[npt.NDArray[np.uint8]]:
 
 
 def _in_mask(mask: npt.NDArray[np.uint8]) -> list[Ellipse]:
+    """Return the ellipses among the contours whose centre pixel is set; holes and rings of the mask are left out."""
     contours = cv2.findContours(mask, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)[0]
     height, width = mask.shape
     found = []
@@ -73,7 +74,7 @@ def _in_mask(mask: npt.NDArray[np.uint8]) -> list[Ellipse]:
 
 
 def _of_contour(contour: npt.NDArray[np.int32]) -> Ellipse | None:
-    """Return the ellipse with the contour's moments; None where the contour is no ellipse."""
+    """Return the ellipse with the contour's moments; None if the contour is not an ellipse."""
     m = cv2.moments(contour)
     area = m["m00"]
     if area < 4.0:
@@ -92,7 +93,7 @@ def _of_contour(contour: npt.NDArray[np.int32]) -> Ellipse | None:
 
 
 def _distinct(found: list[Ellipse]) -> list[Ellipse]:
-    """Return one of each group of ellipses with nearly one centre and one size."""
+    """Return one ellipse of each group with nearly the same centre and size: several masks show the same blob."""
     cells: dict[tuple[int, int], list[Ellipse]] = {}
     kept = []
     for ellipse in found:

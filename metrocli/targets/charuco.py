@@ -1,4 +1,6 @@
-"""Inner corners of a ChArUco board: a chessboard whose bright squares carry markers, so that a part of it is enough.
+"""Inner corners of a ChArUco board.
+
+It is a chessboard with markers in its bright squares. They identify the corners, so a part of the board is enough.
 
 Method: docs/algorithms/target-detection.md.
 """
@@ -25,14 +27,14 @@ Array = npt.NDArray[np.float64]
 FEWEST = 6
 """Corners that must be found before their order can be checked."""
 CLEARANCE = 0.9
-"""Part of the gap between a corner and the next marker from which grey values are taken."""
+"""Share of the gap between a corner and the next marker from which grey values are taken."""
 
 
 def find(pattern: Pattern, picture: Picture) -> Sightings:
-    """Return the corners that the markers identify, refined on their own edges, or none with the reason.
+    """Return the corners that the markers identify, fitted to the edges of the squares, or nothing with the reason.
 
-    OpenCV only names the corners: its image coordinates have moved by half a pixel between versions; ours rest on
-    the edges.
+    OpenCV only supplies the names of the corners, because its image coordinates have moved by half a pixel between
+    versions.
     """
     detector = cv2.aruco.CharucoDetector(_board(pattern))
     corners, ids = detector.detectBoard(eight_bit(picture))[:2]
@@ -53,7 +55,10 @@ def find(pattern: Pattern, picture: Picture) -> Sightings:
 
 
 def artwork(pattern: Pattern) -> tuple[Array, int]:
-    """Return the board as cells (rows, columns), 1 where it is printed, and the number of cells of a square's side."""
+    """Return the board as cells (rows, columns), 1 where ink is, and the number of cells along a square.
+
+    Raises ValueError if a square is not a whole number of the marker's cells.
+    """
     rows, columns = pattern.shape
     marker = int(pattern.dictionary[0]) + 2
     _, length = _sizes(pattern)
@@ -72,12 +77,13 @@ def _board(pattern: Pattern) -> cv2.aruco.CharucoBoard:
 
 
 def _sizes(pattern: Pattern) -> tuple[float, float]:
-    """Return the sides of a square and of a marker, in squares."""
+    """Return the sides of a square (1) and of a marker, in units of the square."""
     if pattern.pitch is None or pattern.marker_size is None:
         raise ValueError("a ChArUco board needs pitch and marker_size")
     return 1.0, pattern.marker_size / pattern.pitch
 
 
 def _window(pattern: Pattern) -> float:
+    """Return the half-width of the fit's window in squares: it must not reach a marker."""
     square, marker = _sizes(pattern)
     return min(WINDOW, CLEARANCE * (square - marker) / 2)

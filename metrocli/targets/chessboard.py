@@ -23,14 +23,14 @@ if TYPE_CHECKING:
 Array = npt.NDArray[np.float64]
 
 LEAST_SIDE = 32
-"""Images with a shorter side hold no chessboard, and OpenCV's search fails on them."""
+"""Images with a shorter side are not searched: OpenCV's search fails on them."""
 
 
 def find(pattern: Pattern, picture: Picture) -> Sightings:
-    """Return the inner corners of a chessboard, all but those whose grey values show none, or nothing with the reason.
+    """Return the inner corners of a chessboard, or nothing with the reason.
 
-    The first corner is the one whose outer square is dark, where the board tells by its colours; else the board is
-    upright.
+    Corners that the grey values do not show are left out. With an odd sum of columns and rows the colours fix the
+    order: the square outside the first corner is dark. Otherwise the order is the one most upright in the image.
     """
     start = _coarse(pattern, eight_bit(picture))
     if start is None:
@@ -51,7 +51,7 @@ def find(pattern: Pattern, picture: Picture) -> Sightings:
 
 
 def _coarse(pattern: Pattern, grey: npt.NDArray[np.uint8]) -> Array | None:
-    """Return the corners (n, 2) to a pixel or so, by OpenCV's quick search or else by its thorough one."""
+    """Return the corners (n, 2) to about a pixel, by OpenCV's fast search or, if it fails, its sector-based one."""
     rows, columns = pattern.shape
     if min(grey.shape) < LEAST_SIDE:
         return None
@@ -63,7 +63,7 @@ def _coarse(pattern: Pattern, grey: npt.NDArray[np.uint8]) -> Array | None:
 
 
 def _in_order(pattern: Pattern, corners: Array, picture: Picture) -> tuple[Array, str]:
-    """Return the corners (rows, columns, 2) in the pattern's order, and why there is none."""
+    """Return the corners (rows, columns, 2) in the pattern's order; without an order, nothing and the reason."""
     rows, columns = pattern.shape
     place, reason = ordered(lattice(pattern), corners)
     if not reason and (place < 0).any():
@@ -78,7 +78,7 @@ def _in_order(pattern: Pattern, corners: Array, picture: Picture) -> tuple[Array
 
 
 def _first_square_is_bright(grid: Array, picture: Picture) -> bool:
-    """Tell whether the squares of the first one's colour are brighter than the others."""
+    """Return whether the squares with the colour of the first inner one are brighter than the others."""
     middle = (grid[:-1, :-1] + grid[1:, :-1] + grid[:-1, 1:] + grid[1:, 1:]) / 4
     u, v = np.rint(middle).astype(int).reshape(-1, 2).T
     grey = picture[v.clip(0, picture.shape[0] - 1), u.clip(0, picture.shape[1] - 1)].astype(float)

@@ -22,7 +22,10 @@ Array = npt.NDArray[np.float64]
 
 
 def find(pattern: Pattern, picture: Picture) -> Sightings:
-    """Return the circles of a grid, named by their place; at least three quarters of them, or none with the reason."""
+    """Return the circles of a grid, named by their place, or nothing with the reason.
+
+    At least three quarters of the circles must be found. With polarity `either` the polarity with more circles counts.
+    """
     tried = [_of_polarity(pattern, picture, sign) for sign in _polarities(pattern)]
     return max(tried, key=len)
 
@@ -47,7 +50,7 @@ def _of_polarity(pattern: Pattern, picture: Picture, polarity: str) -> Sightings
 
 
 def _reaches(starts: list[ellipses.Ellipse]) -> list[float]:
-    """Return half the distance to the nearest other circle, in semi-axes; beyond, the pixels are the other's."""
+    """Return half the distance to the nearest other circle, in semi-axes: pixels beyond belong to that circle."""
     centres = np.array([(start.u, start.v) for start in starts])
     reaches = []
     for start in starts:

@@ -24,21 +24,21 @@ if TYPE_CHECKING:
 Array = npt.NDArray[np.float64]
 
 REACH = 1.5
-"""The dot is fitted up to half way to the ring, in semi-axes."""
+"""Limit of the fit of the dot, in semi-axes: half way to the ring."""
 SAMPLES = 10
 """Directions in which a segment is read."""
 GAP, AROUND = 1.5, 3.55
-"""Where there is nothing but background, in semi-axes of the dot."""
+"""Radii at which only background is expected, in semi-axes of the dot: inside and outside the ring."""
 ACROSS = tuple(RING_FROM + part * (RING_TO - RING_FROM) for part in (0.3, 0.5, 0.7))
-"""Where the ring is read."""
+"""Radii at which the ring is read, in semi-axes of the dot."""
 PLAIN = 0.35
-"""Largest grey value, in parts of the dot's contrast, that passes for background."""
+"""Largest deviation of the background's grey value, in units of the dot's contrast."""
 CLEAR = 0.2
-"""Least distance of a segment's grey value from half the contrast."""
+"""Smallest distance of a segment's grey value from half the contrast, in units of the contrast."""
 
 
 def find(pattern: Pattern, picture: Picture) -> Sightings:
-    """Return the coded targets of an image, named by their code; a code that occurs twice is left out and told."""
+    """Return the coded targets of an image, named by their code; a code seen twice is left out, with a message."""
     starts = (start for start in blobs.ellipses(picture, pattern.polarity) if _worth_fitting(picture, start))
     fits = ellipses.fit_all(picture, starts, REACH)
     read = [(code, fitted) for fitted in fits if (code := decode(picture, fitted)) is not None]
@@ -52,7 +52,7 @@ def find(pattern: Pattern, picture: Picture) -> Sightings:
 
 
 def decode(picture: Picture, fitted: Fitted) -> int | None:
-    """Return the code around a dot; None where there is no ring, or one that carries no code in use."""
+    """Return the code around a dot; None if there is no ring, or no code in use on it."""
     profile = _profile(picture, fitted.ellipse, (GAP, *ACROSS, AROUND))
     if profile is None:
         return None
@@ -65,7 +65,7 @@ def decode(picture: Picture, fitted: Fitted) -> int | None:
 
 
 def _worth_fitting(picture: Picture, start: Ellipse) -> bool:
-    """Tell whether the surroundings might be a gap and a ring: a quick look before the fit."""
+    """Return whether the surroundings may be a gap and a ring: a quick check before the slow fit."""
     profile = _profile(picture, start, (0.0, GAP, ACROSS[1]))
     if profile is None:
         return False
@@ -75,7 +75,10 @@ def _worth_fitting(picture: Picture, start: Ellipse) -> bool:
 
 
 def _profile(picture: Picture, ellipse: Ellipse, radii: tuple[float, ...]) -> Array | None:
-    """Return grey values (radii, directions) around an ellipse, in its own plane; None at the image's border."""
+    """Return grey values (radii, directions) on ellipses of the same shape; None if they leave the image.
+
+    The radii are in semi-axes of the ellipse, so a circle around the dot in its own plane has one radius.
+    """
     turn = np.arange(BITS * SAMPLES) * (2 * np.pi / (BITS * SAMPLES))
     circle = np.stack([np.cos(turn), np.sin(turn)])
     # the ring is seen as obliquely as the dot: circles about it are ellipses of the dot's shape
@@ -92,7 +95,10 @@ def _profile(picture: Picture, ellipse: Ellipse, radii: tuple[float, ...]) -> Ar
 
 
 def _bits(ring: Array) -> int | None:
-    """Return the bits of a ring sampled at equal angles, from wherever its segments begin; None where unclear."""
+    """Return the bits of a ring sampled at equal angles, up to a rotation; None if a segment is not clear.
+
+    Where the segments begin is unknown: the phase with the clearest segments is taken.
+    """
     best = max((_read(ring, phase) for phase in range(SAMPLES)), key=lambda read: read[0])
     clear, segments = best
     if clear < CLEAR or segments.max() > 1 + 2 * PLAIN or segments.min() < -PLAIN:
@@ -101,7 +107,7 @@ def _bits(ring: Array) -> int | None:
 
 
 def _read(ring: Array, phase: int) -> tuple[float, Array]:
-    """Return how clear the least clear sample in the middle of the segments is, and the segments' levels."""
+    """Return how clear the worst sample is, and the levels of the segments; only the middle of each is used."""
     parts = np.roll(ring, -phase).reshape(BITS, SAMPLES)[:, SAMPLES // 4 : SAMPLES - SAMPLES // 4]
     levels = parts.mean(1)
     side = np.where(levels > 0.5, 1, -1)

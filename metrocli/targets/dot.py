@@ -15,11 +15,11 @@ if TYPE_CHECKING:
     from metrocli.imageset import Picture
 
 EQUAL = 0.5
-"""A second dot with this part of the first one's contrast and size makes the image ambiguous."""
+"""A second dot with more than this share of the first one's contrast and size makes the image ambiguous."""
 
 
 def find(pattern: Pattern, picture: Picture) -> Sightings:
-    """Return the one dot of the image, or none with the reason: no dot, or several that are equally good."""
+    """Return the dot of the image, or nothing with the reason: no dot, or several of similar contrast and size."""
     fits = ellipses.fit_all(picture, blobs.ellipses(picture, pattern.polarity))
     if not fits:
         return nothing("no dot in the image")
@@ -30,5 +30,5 @@ def find(pattern: Pattern, picture: Picture) -> Sightings:
         if abs(fit.contrast) > EQUAL * abs(fits[0].contrast) and fit.ellipse.short > EQUAL * fits[0].ellipse.short
     ]
     if rivals:
-        return nothing(f"{1 + len(rivals)} dots in the image, and nothing tells which is '{pattern.target}'")
+        return nothing(f"{1 + len(rivals)} dots in the image: it is not clear which one is '{pattern.target}'")
     return of_ellipses([pattern.target], fits[:1])

@@ -1,4 +1,7 @@
-"""What is drawn: dots, coded rings, circles and chessboards, as distances from their edges on the plane."""
+"""Drawings of targets for rendered images: dots, coded rings, circles, chessboards and bitmaps, in mm on a plane.
+
+Each gives the share of ink of finely sampled points, computed from the distance to the nearest edge.
+"""
 
 from __future__ import annotations
 
@@ -18,27 +21,27 @@ if TYPE_CHECKING:
 Array = npt.NDArray[np.float64]
 Field = npt.NDArray[np.floating]
 Rays = Callable[[Array], Array]
-"""Pixel coordinates (n, 2) to unit directions (n, 3) in the camera frame: projection and distortion, inverted."""
+"""Function from pixel coordinates (n, 2) to unit directions (n, 3) in the camera's frame (inverse lens model)."""
 
 Size = tuple[int, int]
 
 FINE = 4
-"""Samples per pixel and axis; edges within a sample are covered in part, so this is far finer than it sounds."""
+"""Samples per pixel and axis; four are enough, because a sample on an edge is partly covered."""
 FAR = 1e6
-"""Plane coordinate in mm that stands for where no ray meets the plane."""
+"""Plane coordinate [mm] of a ray that does not meet the plane."""
 COARSE = 16
-"""Pixels between the rays that find where a target is."""
+"""Distance in pixels of the rays that locate a target in the image."""
 
 
 class Drawing(Protocol):
-    """What is printed on a flat sheet."""
+    """A drawing on a flat sheet."""
 
     @property
     def sheet(self) -> tuple[float, float, float, float]:
         """Left, top, right and bottom of the sheet in its plane, in mm."""
 
     def ink(self, x: Field, y: Field) -> Field:
-        """Return which part (0..1) of each sample of a grid (rows, columns) is ink; x, y in mm."""
+        """Return the share (0..1) of ink in each sample of a grid (rows, columns); x, y in mm."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +61,7 @@ class Dot:
 
 @dataclass(frozen=True)
 class CodedRing:
-    """A ring-coded target around the origin: a dot of this radius, and a ring of segments from two to three radii."""
+    """A ring-coded target around the origin: a dot of this radius [mm], and a ring of segments from 2 to 3 radii."""
 
     code: int
     radius: float
@@ -74,7 +77,7 @@ class CodedRing:
         return inside(DOT * self.radius - rho) + ring * inside(self._along(np.arctan2(y, x)) * rho)
 
     def _along(self, angle: Field) -> Field:
-        """Return the angle to the nearest end of an arc, positive on arcs."""
+        """Return the angle [rad] to the nearest end of an arc, positive on arcs and negative on gaps."""
         bits = np.array([self.code >> place & 1 for place in range(BITS)])
         if bits.min() == bits.max():
             return np.full_like(angle, np.pi * (2 * bits[0] - 1))
@@ -86,19 +89,19 @@ class CodedRing:
 
 
 def _equal_before(bits: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-    """Return how many segments right before each one have its value."""
+    """Return for each segment how many segments directly before it have the same value."""
     counts = [next(n for n in range(BITS) if bits[place - n - 1] != bits[place]) for place in range(BITS)]
     return np.array(counts)
 
 
 @dataclass(frozen=True)
 class Circles:
-    """Discs of one radius around points (n, 2) of the plane."""
+    """Discs of the same radius around points (n, 2) of the plane, in mm."""
 
     centres: Array
     radius: float
     margin: float
-    """Width of the sheet around the outermost centres."""
+    """Width of the sheet around the outermost centres [mm]."""
 
     @property
     def sheet(self) -> tuple[float, float, float, float]:
@@ -108,7 +111,7 @@ class Circles:
     def ink(self, x: Field, y: Field) -> Field:
         from scipy.spatial import KDTree
 
-        # One nearest circle serves a block of samples: midway between circles it does not matter which it is.
+        # A block of samples shares one nearest circle: midway between two circles either one gives no ink.
         blocks = np.stack([x[::FINE, ::FINE], y[::FINE, ::FINE]], axis=-1)
         nearest = self.centres[KDTree(self.centres).query(blocks)[1]]
         nearest = np.repeat(np.repeat(nearest, FINE, axis=0), FINE, axis=1)[: x.shape[0], : x.shape[1]]
@@ -117,7 +120,7 @@ class Circles:
 
 @dataclass(frozen=True)
 class Chessboard:
-    """Inner corners (columns, rows) of a chessboard, the first at the origin, the square towards -x and -y dark."""
+    """A chessboard with this number of inner corners, the first at the origin; the square at -x, -y of it is dark."""
 
     columns: int
     rows: int
@@ -134,14 +137,14 @@ class Chessboard:
         return (0.5 + 0.5 * self._stripes(x) * self._stripes(y)) * board
 
     def _stripes(self, along: Field) -> Field:
-        """Return -1 on the stripe before 0, +1 on the next, and so on."""
+        """Return +1 and -1 on stripes of one pitch in turn, +1 on the stripe from 0 to the pitch."""
         turn = np.remainder(along / self.pitch, 2.0)
         return 2 * inside(np.where(turn < 1, np.minimum(turn, 1 - turn), -np.minimum(turn - 1, 2 - turn))) - 1
 
 
 @dataclass(frozen=True)
 class Bitmap:
-    """A picture (rows, columns) of 0 paper and 1 ink in squares of `cell` mm, its upper left corner at `corner`."""
+    """A picture (rows, columns) of square cells of side `cell` mm, 1 ink and 0 paper, its upper left at `corner`."""
 
     cells: Array
     cell: float
@@ -173,7 +176,10 @@ class Bitmap:
 
 
 def board(pattern: Pattern) -> Drawing:
-    """Return the drawing of a board, its points where `pattern_points` has them."""
+    """Return the drawing of a board, with its points at the coordinates of `pattern_points`.
+
+    Circles without a diameter have a radius of 0.3 pitches. Raises ValueError if the pattern has no pitch.
+    """
     if pattern.pitch is None:
         raise ValueError("a board without a pitch cannot be drawn")
     rows, columns = pattern.shape
@@ -189,7 +195,11 @@ def board(pattern: Pattern) -> Drawing:
 
 
 def inside(distance: Field) -> Field:
-    """Return which part of each sample is inside, from a field that is positive inside and its slope there."""
+    """Return the share (0..1) of each sample that is inside an edge.
+
+    `distance` is the distance to the edge at each sample, positive inside; divided by its slope per sample it gives
+    the share to first order.
+    """
     down, right = np.gradient(distance[::2, ::2])
     slope = np.sqrt(down * down + right * right) / 2
     rows, columns = distance.shape

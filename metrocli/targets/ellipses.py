@@ -1,4 +1,4 @@
-"""Centres of bright or dark ellipses from grey values: the picture of a blurred ellipse is fitted to the pixels.
+"""Centres of bright or dark ellipses from grey values: a model of a blurred ellipse is fitted to the pixels.
 
 Method: docs/algorithms/target-detection.md.
 """
@@ -19,28 +19,29 @@ if TYPE_CHECKING:
 Array = npt.NDArray[np.float64]
 
 OUTSIDE = 3.5
-"""Pixels beyond the edge that take part, in pixels; the edge's blur is over by then."""
+"""How far outside the edge pixels are used, in pixels: the blur of the edge does not reach farther."""
 INSIDE = 7.0
-"""Pixels within the edge that take part: what is deeper says nothing about the centre."""
+"""How far inside the edge pixels are used, in pixels: deeper ones carry no information on the centre."""
 BLUR = 0.8
-"""Start of the edge's blur, in pixels: a common lens and the pixel itself."""
+"""Starting value of the edge's blur, in pixels: a common lens and the pixel itself."""
 FEWEST = 16
-"""Pixels that a fit needs."""
+"""Fewest pixels of a fit."""
 STEPS = 12
+"""Limit of the Gauss-Newton steps."""
 ROUNDS = 4
-"""Times that the pixels are chosen anew, from the ellipse that the last ones gave."""
+"""Limit of the rounds; each chooses the pixels anew, around the ellipse of the round before."""
 SAME = 0.4
-"""Change of an outline in pixels that leaves the choice of pixels as it is."""
+"""If the outline changes by less than this, in pixels, the pixels are not chosen anew."""
 STILL = 0.001
-"""A step shorter than this, in pixels, is the last: the next would be its square."""
+"""A step shorter than this, in pixels, is the last one: the next would be about its square."""
 MISFIT = 0.12
-"""Largest root mean square residual of an ellipse, in parts of its contrast."""
+"""Largest root mean square residual of an ellipse, in units of its contrast."""
 EVEN, SLOPING = 8, 10
-"""Unknowns with light that is even over the target, or varies linearly across it."""
+"""Number of unknowns if the light is even over the target, and if it varies linearly across it."""
 SLOPE_TEST = 12.0
-"""Chi-square above which the light slopes: by chance in one of 400 targets.
+"""Chi-square above which a slope of the light is estimated; chance alone exceeds it in one of 400 targets.
 
-An estimated slope costs small targets half as much again in scatter, so it is estimated only where there is one."""
+An estimated slope increases the scatter of small targets by half, so it is estimated only if it is significant."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,7 @@ class Ellipse:
 
     @property
     def shape(self) -> Array:
-        """The matrix W (2, 2) that takes offsets from the centre to the unit circle, lower triangular."""
+        """The lower triangular matrix W (2, 2) that maps offsets from the centre to the unit circle."""
         cos, sin, a, b = np.cos(self.angle), np.sin(self.angle), self.long**-2.0, self.short**-2.0
         uu, uv, vv = a * cos * cos + b * sin * sin, (a - b) * cos * sin, a * sin * sin + b * cos * cos
         r = np.sqrt(vv)
@@ -78,9 +79,9 @@ class Fitted:
     """Standard deviation of the centre per axis, in pixels."""
     background: float
     contrast: float
-    """Grey value of the target less that of the background."""
+    """Grey value of the target minus that of the background."""
     misfit: float
-    """Root mean square residual in parts of the contrast."""
+    """Root mean square residual in units of the contrast."""
     blur: float
     """Standard deviation of the edge's blur in pixels."""
 
@@ -89,8 +90,8 @@ class Fitted:
 class _Model:
     """Unknowns of the fit: `grey = (background + contrast * covered) * (1 + slope . offset)`.
 
-    covered is the normal distribution of the distance to the edge over the blur; slope lets the light vary across
-    the target.
+    `covered` is the normal distribution function of the distance to the edge, in units of the blur. `slope` is a linear
+    variation of the light across the target.
     """
 
     centre: Array
@@ -103,7 +104,7 @@ class _Model:
     def linearised(self, at: Array) -> tuple[Array, Array]:
         """Return grey values (m,) at pixels (m, 2) and derivatives (m, 10) by centre, shape, blur, levels and slope.
 
-        The distance to the edge is taken to first order, (rho - 1) / |grad rho|, and its derivatives at the edge.
+        The distance to the edge is taken to first order, (rho - 1) / |grad rho|. Its derivatives are those at the edge.
         """
         du, dv = at[:, 0] - self.centre[0], at[:, 1] - self.centre[1]
         (p, _), (q, r) = self.shape
@@ -131,7 +132,7 @@ class _Model:
         return level * light, jacobian.T
 
     def move(self, step: Array) -> None:
-        """Apply a step of the unknowns, bounded so that a poor start cannot run away."""
+        """Apply a step of the unknowns; its size is bounded so that a poor start does not diverge."""
         (p, _), (q, r) = self.shape.tolist()
         size = 1 / max(abs(p * r), 1e-12) ** 0.5
         bound = 0.3 / size
@@ -150,9 +151,9 @@ def _bounded(value: float, bound: float) -> float:
 
 
 def fit(picture: Picture, start: Ellipse, reach: float = np.inf) -> Fitted | None:
-    """Fit a blurred ellipse to the grey values around `start`; None where they show none.
+    """Fit a blurred ellipse to the grey values around `start`; None if they show none or the fit does not converge.
 
-    `reach` bounds the pixels taken, in semi-axes from the centre: less than the distance of what else is printed there.
+    `reach` limits the pixels used, in semi-axes from the centre. It must be less than the distance to other print.
     """
     for _ in range(ROUNDS):
         at, grey = _pixels(picture, start, reach)
@@ -166,6 +167,7 @@ def fit(picture: Picture, start: Ellipse, reach: float = np.inf) -> Fitted | Non
 
 
 def _fit(start: Ellipse, at: Array, grey: Array) -> Fitted | None:
+    """Fit an evenly lit ellipse to given pixels, then a slope of the light too if the residuals require it."""
     model = _start(start, at, grey)
     if model.contrast == 0:
         return None
@@ -176,24 +178,24 @@ def _fit(start: Ellipse, at: Array, grey: Array) -> Fitted | None:
 
 
 def _is_near(a: Ellipse, b: Ellipse) -> bool:
-    """Tell whether two ellipses have so nearly one outline that they choose the same pixels."""
+    """Return whether two outlines are so close that they select the same pixels."""
     moved = max(abs(a.u - b.u), abs(a.v - b.v))
     return moved < SAME and abs(a.long - b.long) < SAME and abs(a.short - b.short) < SAME
 
 
 def _leads_to(start: Ellipse, found: Ellipse) -> bool:
-    """Tell whether a start is an outline of an ellipse that has been found."""
+    """Return whether a start is another outline of an ellipse that has been found already."""
     near = abs(start.u - found.u) + abs(start.v - found.v) < 0.5 * found.short
     return near and 0.5 < start.short / found.short < 2
 
 
 def is_good(fitted: Fitted | None) -> bool:
-    """Tell whether there is a fit, and it looks like a blurred ellipse."""
+    """Return whether there is a fit, and its misfit is small enough for a blurred ellipse."""
     return fitted is not None and fitted.misfit < MISFIT
 
 
 def fit_all(picture: Picture, starts: Iterable[Ellipse], reach: float = np.inf) -> list[Fitted]:
-    """Return the fits that look like blurred ellipses, each once, though several starts may lead to it."""
+    """Return the good fits, each once, even if several starts lead to the same ellipse."""
     found: list[Fitted] = []
     for start in starts:
         if any(_leads_to(start, other.ellipse) for other in found):
@@ -207,7 +209,7 @@ def fit_all(picture: Picture, starts: Iterable[Ellipse], reach: float = np.inf) 
 
 
 def _pixels(picture: Picture, start: Ellipse, reach: float) -> tuple[Array, Array]:
-    """Return the pixels (m, 2) near the ellipse's edge and within, and their grey values (m,)."""
+    """Return the pixels (m, 2) near the edge of the ellipse, inside and outside, and their grey values (m,)."""
     height, width = picture.shape
     wide = min(start.long * reach, start.long + OUTSIDE) + 1
     u0, u1 = max(int(start.u - wide), 0), min(int(start.u + wide) + 2, width)
@@ -224,7 +226,7 @@ def _pixels(picture: Picture, start: Ellipse, reach: float) -> tuple[Array, Arra
 
 
 def _start(start: Ellipse, at: Array, grey: Array) -> _Model:
-    """Start from the given ellipse, with the levels of its inner and outer pixels."""
+    """Return the starting model: the given ellipse, with the mean grey values of its inner and outer pixels."""
     shape = start.shape
     circle = (at - (start.u, start.v)) @ shape.T
     order = np.argsort(circle[:, 0] ** 2 + circle[:, 1] ** 2)
@@ -234,7 +236,10 @@ def _start(start: Ellipse, at: Array, grey: Array) -> _Model:
 
 
 def _converged(model: _Model, at: Array, grey: Array, unknowns: int) -> tuple[Array, Array] | None:
-    """Fit the first `unknowns` unknowns; return residuals (m,) and derivatives (m, 10), or None without convergence."""
+    """Fit the first `unknowns` unknowns in place; return residuals (m,) and derivatives (m, 10).
+
+    None if the fit does not converge.
+    """
     for _ in range(STEPS):
         value, jacobian = model.linearised(at)
         residual = grey - value
@@ -248,7 +253,7 @@ def _converged(model: _Model, at: Array, grey: Array, unknowns: int) -> tuple[Ar
 
 
 def _solved(jacobian: Array, residual: Array) -> Array | None:
-    """Return the Gauss-Newton step, lightly damped; None where the normal matrix is singular."""
+    """Return the slightly damped Gauss-Newton step; None if the normal matrix is singular."""
     normal = jacobian.T @ jacobian
     scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     scaled = normal / np.outer(scale, scale) + 1e-9 * np.eye(len(scale))
@@ -260,7 +265,7 @@ def _solved(jacobian: Array, residual: Array) -> Array | None:
 
 
 def _is_sloping(residual: Array, jacobian: Array) -> bool:
-    """Tell whether the residuals of an even light ask for a slope (chi-square of two unknowns)."""
+    """Return whether a slope of the light is significant (chi-square test with two degrees of freedom)."""
     step = _solved(jacobian, residual)
     if step is None or len(residual) <= SLOPING:
         return False
@@ -270,7 +275,11 @@ def _is_sloping(residual: Array, jacobian: Array) -> bool:
 
 
 def _judged(model: _Model, residual: Array, jacobian: Array) -> Fitted | None:
-    """Return the result; sigma from the residuals where they act (White's covariance), so that unequal noise counts."""
+    """Return the fitted ellipse and the standard deviation of its centre; None if it cannot be computed.
+
+    The deviation is from White's covariance: each residual counts with its own leverage, so noise may differ between
+    pixels.
+    """
     unknowns = SLOPING if model.slope.any() else EVEN
     m = len(residual)
     scale = np.sqrt((jacobian[:, :unknowns] ** 2).sum(0))
@@ -289,9 +298,9 @@ def _judged(model: _Model, residual: Array, jacobian: Array) -> Fitted | None:
 
 
 def _axes_of(shape: Array, blur: float) -> tuple[Array, float]:
-    """Return the semi-axes, longer first, and the direction of the longer one.
+    """Return the semi-axes, longer first, and the direction of the longer one [rad].
 
-    Blur draws the half level of a convex edge inwards by blur^2 / (2 radius of curvature), which is given back here.
+    Blur moves the half level of a convex edge inwards by blur^2 / (2 radius of curvature). This is added back.
     """
     values, vectors = np.linalg.eigh(shape.T @ shape)
     long, short = 1 / np.sqrt(values)

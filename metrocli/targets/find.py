@@ -1,4 +1,4 @@
-"""Finding a pattern in an image: the table of types.
+"""Find a pattern in an image: the entry point, with the table of pattern types.
 
 Method: docs/algorithms/target-detection.md.
 """
@@ -25,7 +25,7 @@ MODULES = {
 
 
 def find(pattern: Pattern, picture: Picture) -> Sightings:
-    """Return the targets that a grey image (height, width) of 8 or 16 bit shows; none, with the reason."""
+    """Return the targets in a grey image (height, width) of 8 or 16 bits, or nothing with the reason."""
     module = import_module(f"metrocli.targets.{MODULES[pattern.type]}")
     found: Sightings = module.find(pattern, picture)
     return found

@@ -1,4 +1,4 @@
-"""Order of the points of a flat board: found from their places alone, and checked whatever put them in order.
+"""Order of the points of a flat board: found from their positions alone, and checked wherever it comes from.
 
 Method: docs/algorithms/target-detection.md.
 """
@@ -15,18 +15,18 @@ Array = npt.NDArray[np.float64]
 Whole = npt.NDArray[np.int64]
 
 NEAR = 0.3
-"""A neighbour is expected within this part of the step to it."""
+"""A neighbour must be within this share of a step from its expected position."""
 GATE = 0.2
-"""Largest root mean square distance from a homography, in steps of the lattice: lens distortion stays far below."""
+"""Largest root mean square distance from a homography, in steps of the lattice; real lenses stay far below it."""
 BENT = 0.2
-"""Largest distance of a point from the middle of its two neighbours, in steps."""
+"""Largest distance of a point from the middle of its two neighbours, in steps of the lattice."""
 UNORDERED = "the order of the points is not that of a flat board"
 FEWEST = 0.75
-"""Part of a board's points that must be seen."""
+"""Share of a board's points that must be found."""
 
 
 def homography(plane: Array, uv: Array) -> Array:
-    """Return the homography (3, 3) from plane (n, 2) to image (n, 2) by the normalised linear method."""
+    """Return the homography (3, 3) from plane (n, 2) to image (n, 2) by the normalised linear method (DLT)."""
     (a, plane_), (b, uv_) = _normalised(plane), _normalised(uv)
     x, y = plane_.T
     u, v = uv_.T
@@ -49,10 +49,10 @@ def projected(h: Array, plane: Array) -> Array:
 
 
 def order_fault(steps: Whole, uv: Array) -> str:
-    """Return why the points (n, 2) cannot stand at these places (n, 2) of a flat lattice; empty where they can.
+    """Return why the points (n, 2) cannot be at these places (n, 2) of a flat lattice; empty if they can.
 
-    Two gates that pass any lens: all points lie on one homography to within a fifth of a step, root mean square, and
-    every point between two neighbours lies near their middle.
+    Two tests that images of any real lens pass: the points fit a homography within 0.2 steps (root mean square), and
+    each point between two neighbours is within 0.2 steps of their middle.
     """
     if len(np.unique(steps, axis=0)) < len(steps):
         return "two points have one place"
@@ -71,10 +71,10 @@ def order_fault(steps: Whole, uv: Array) -> str:
 
 
 def ordered(expected: Whole, uv: Array) -> tuple[Whole, str]:
-    """Find which of the points (m, 2) stands at which expected place (n, 2) of a flat lattice.
+    """Find which of the points `uv` (m, 2) is at which expected place (n, 2) of a flat lattice.
 
-    Returns rows (n,) into `uv`, -1 where a place is empty, and the reason where no order is found. Of several orders
-    that fit (a symmetric board) it is the one that is most upright in the image.
+    Returns the row in `uv` for each place (n,), -1 if the place is empty, and the reason if no order is found. If
+    several orders fit (a symmetric board), the most upright one in the image is taken.
     """
     best = np.empty(0, np.int64), np.empty((0, 2), np.int64)
     for seed in _seeds(uv):
@@ -97,6 +97,7 @@ def ordered(expected: Whole, uv: Array) -> tuple[Whole, str]:
 
 
 def _normalised(points: Array) -> tuple[Array, Array]:
+    """Return the similarity (3, 3) that centres and scales the points for the linear method, and its result (n, 2)."""
     centre = points.mean(0)
     scale = np.sqrt(2) / max(float(np.sqrt(((points - centre) ** 2).sum(1).mean())), 1e-12)
     change = np.array([[scale, 0, -scale * centre[0]], [0, scale, -scale * centre[1]], [0, 0, 1]])
@@ -104,7 +105,7 @@ def _normalised(points: Array) -> tuple[Array, Array]:
 
 
 def _pairs(steps: Whole, by: tuple[int, int]) -> tuple[Whole, Whole]:
-    """Return rows a and b with steps[b] = steps[a] + by."""
+    """Return the pairs of rows a and b with steps[b] = steps[a] + by."""
     place = {tuple(step): row for row, step in enumerate(steps.tolist())}
     found = [(row, place.get((x + by[0], y + by[1]))) for (x, y), row in place.items()]
     rows = np.array([(a, b) for a, b in found if b is not None], dtype=np.int64).reshape(-1, 2)
@@ -112,10 +113,11 @@ def _pairs(steps: Whole, by: tuple[int, int]) -> tuple[Whole, Whole]:
 
 
 _STEPS = ((1, 0), (0, 1), (1, 1), (1, -1))
+"""Directions to neighbours: rows, columns and both diagonals."""
 
 
 def _step(steps: Whole, uv: Array) -> float:
-    """Return the shortest median distance in the image of neighbours along a lattice direction."""
+    """Return the median distance of neighbours in the image [px], in the lattice direction where it is shortest."""
     lengths = []
     for by in _STEPS:
         a, b = _pairs(steps, by)
@@ -125,7 +127,7 @@ def _step(steps: Whole, uv: Array) -> float:
 
 
 def _bend(steps: Whole, uv: Array) -> float:
-    """Return the largest distance of a point from the middle of its neighbours, in half their distance."""
+    """Return the largest distance of a point from the middle of two opposite neighbours, over half their distance."""
     worst = 0.0
     for by in _STEPS:
         a, b = _pairs(steps, (2 * by[0], 2 * by[1]))
@@ -144,7 +146,10 @@ def _seeds(uv: Array) -> Whole:
 
 
 def _grown(uv: Array, seed: int) -> tuple[Whole, Whole]:
-    """Grow a lattice from a seed, each neighbour expected where the steps next to it lead; return rows and steps."""
+    """Grow a lattice from a seed and return the rows of its points and their places in steps from the seed.
+
+    Each neighbour is expected one local step further; the local steps follow the lattice as perspective changes them.
+    """
     empty = np.empty(0, np.int64), np.empty((0, 2), np.int64)
     basis = _basis(uv, seed)
     if basis is None:
@@ -169,7 +174,7 @@ def _grown(uv: Array, seed: int) -> tuple[Whole, Whole]:
 
 
 def _basis(uv: Array, seed: int) -> Array | None:
-    """Return two steps (2, 2) to neighbours of the seed that have an opposite neighbour too."""
+    """Return two steps (2, 2) from the seed to neighbours that have an opposite neighbour too; None without them."""
     offsets = uv - uv[seed]
     order = np.argsort((offsets**2).sum(1))[1:13]
     steps: list[Array] = []
@@ -188,7 +193,7 @@ def _basis(uv: Array, seed: int) -> Array | None:
 
 
 def _updated(basis: Array, by: tuple[int, int], step: Array) -> Array:
-    """Return the basis at the next point: along the way taken it is that way."""
+    """Return the local steps at the next point: the step just taken replaces most of the old one in its direction."""
     axis = 0 if by[0] else 1
     changed = basis.copy()
     # steps change slowly across the image by perspective and lens; one noisy step must not lead astray
@@ -201,13 +206,17 @@ _TURNS = tuple(
     for turn in product(range(-2, 3), repeat=4)
     if abs(turn[0] * turn[3] - turn[1] * turn[2]) in (1, 2)
 )
-"""Changes between bases of one lattice with short steps; of determinant 2 to the lattice of an asymmetric grid."""
+"""Changes of basis from the grown lattice to the pattern.
+
+Determinant 1 changes between bases of one lattice. Determinant 2 leads to the finer lattice on which the points of an
+asymmetric grid are named."""
 
 
 def _alignments(expected: Whole, members: Whole, steps: Whole) -> list[Whole]:
-    """Return the fullest ways to lay the pattern over the grown lattice: rows (n,) of members, -1 for none.
+    """Return the ways to lay the pattern over the grown lattice that find most points: rows (n,), -1 at empty places.
 
-    The lattice may be larger, where stray points continue it, but not smaller: unseen edges cannot be placed.
+    Stray points may extend the lattice beyond the pattern. A lattice smaller than the pattern is refused, because the
+    missing edge could be on either side.
     """
     outline = expected - expected.min(0)
     fits = []
@@ -230,7 +239,7 @@ def _alignments(expected: Whole, members: Whole, steps: Whole) -> list[Whole]:
 
 
 def _uprightness(expected: Whole, uv: Array, fit: Whole) -> float:
-    """Return how far x points right and y points down; minus infinity for the mirror image of the board."""
+    """Return how well x points right and y points down, at most 2; minus infinity for a mirror image of the board."""
     seen = fit >= 0
     offsets = expected[seen] - expected[seen].mean(0)
     linear = np.linalg.lstsq(offsets.astype(float), uv[fit[seen]] - uv[fit[seen]].mean(0), rcond=None)[0]

@@ -1,4 +1,4 @@
-"""The pattern of targets that images show: its settings in a job, and the points it has."""
+"""The pattern of targets in images: its keys in a job, and the names and coordinates of its points."""
 
 from __future__ import annotations
 
@@ -17,14 +17,15 @@ if TYPE_CHECKING:
 GRIDS = ("chessboard", "circles", "asymmetric-circles", "charuco")
 """Types whose points lie on one flat board, at known places."""
 TYPES = (*GRIDS, "coded-rings", "dot")
+"""All types of pattern."""
 
 DICTIONARIES = tuple(f"{bits}x{bits}_{count}" for bits in (4, 5, 6, 7) for count in (50, 100, 250))
-"""Each larger dictionary begins with the smaller one of its size."""
+"""ArUco dictionaries; a larger one begins with the markers of the smaller ones with the same number of bits."""
 
 
 @dataclass(frozen=True)
 class Pattern:
-    """What the images show."""
+    """The targets that the images show."""
 
     type: str = setting(Choice(*TYPES), "kind of targets")
     columns: int | None = setting(
@@ -51,7 +52,7 @@ class Pattern:
     target: str = setting(Text(), "name of the target (dot)", default="dot")
 
     def faults(self) -> Iterable[tuple[str, str]]:
-        """Yield (key, message) of what the type needs and does not have."""
+        """Yield (key, message) for keys that the type needs and that are missing or wrong."""
         if self.type not in GRIDS:
             return
         for key in ("columns", "rows", "pitch"):
@@ -65,7 +66,7 @@ class Pattern:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns of a board."""
+        """Rows and columns of a board; raises ValueError if they are not given."""
         if self.rows is None or self.columns is None:
             raise ValueError(f"a pattern of type {self.type} has no rows and columns")
         return self.rows, self.columns
@@ -91,7 +92,8 @@ def names(pattern: Pattern) -> tuple[str, ...]:
 def pattern_points(pattern: Pattern) -> tuple[tuple[str, ...], Array]:
     """Return the names of a board's points and their coordinates (n, 3) in mm: x along a row, y along a column, z = 0.
 
-    Seen from the front, x points right and y down, z away from the viewer: the board frame of a camera that faces it.
+    Seen from the front, x points right, y points down, and z points away from the viewer. These are also the
+    directions of the frame of a camera that faces the board. Raises ValueError if the pattern has no pitch.
     """
     import numpy as np
 

@@ -1,4 +1,4 @@
-"""Images of flat targets as a camera sees them: true perspective, lens distortion, blur, noise and black level."""
+"""Rendered images of flat targets, with exact perspective, lens distortion, blur, noise and black level."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ if TYPE_CHECKING:
 Array = npt.NDArray[np.float64]
 Field = npt.NDArray[np.floating]
 Rays = Callable[[Array], Array]
-"""Pixel coordinates (n, 2) to unit directions (n, 3) in the camera frame: projection and distortion, inverted."""
+"""Function from pixel coordinates (n, 2) to unit directions (n, 3) in the camera's frame (inverse lens model)."""
 
 Size = tuple[int, int]
 
 FINE = 4
-"""Samples per pixel and axis; edges within a sample are covered in part, so this is far finer than it sounds."""
+"""Samples per pixel and axis; four are enough, because a sample on an edge is partly covered."""
 FAR = 1e6
-"""Plane coordinate in mm that stands for where no ray meets the plane."""
+"""Plane coordinate [mm] of a ray that does not meet the plane."""
 COARSE = 16
-"""Pixels between the rays that find where a target is."""
+"""Distance in pixels of the rays that locate a target in the image."""
 
 
 @dataclass(frozen=True)
@@ -41,29 +41,29 @@ class Placed:
 
 @dataclass(frozen=True)
 class Look:
-    """How the image is exposed; levels in grey values."""
+    """Grey values, blur and noise of a rendered image."""
 
     ink: float = 30.0
     paper: float = 210.0
     background: float = 210.0
-    """Around the sheets."""
+    """Grey value around the sheets."""
     blur: float = 0.7
-    """Standard deviation of the lens' point spread in pixels."""
+    """Standard deviation of the lens's point spread function in pixels."""
     noise: float = 0.0
     """Standard deviation of a pixel's grey value."""
     black: float = 0.0
-    """Taken off every pixel before negative ones are cut: five times the noise makes a dark background plain black."""
+    """Grey value subtracted before clipping at 0; five times the noise makes a dark background plain black."""
     bits: int = 8
 
 
 RETRO_REFLECTIVE = Look(ink=220.0, paper=0.0, background=0.0, noise=2.0, black=10.0)
-"""White on black with a ring light: nothing but the targets is bright."""
+"""Retro-reflective targets under a ring light: only the targets are bright."""
 
 
 def render(size: Size, rays: Rays, scene: Sequence[Placed], look: Look, rng: np.random.Generator) -> Picture:
-    """Return the image (height, width) of a scene; later drawings lie before earlier ones.
+    """Return the image (height, width) of a scene; later drawings cover earlier ones.
 
-    Only the surroundings of each drawing are computed; their edges are exact to about 0.001 px.
+    Only the pixels near each drawing are computed. Edges are exact to about 0.001 px.
     """
     width, height = size
     image = np.full((height, width), float(look.background))
@@ -83,13 +83,13 @@ def render(size: Size, rays: Rays, scene: Sequence[Placed], look: Look, rng: np.
 
 
 def _ray_grid(rays: Rays, u: npt.NDArray[np.generic], v: npt.NDArray[np.generic]) -> Array:
-    """Return directions (rows, columns, 3) at the crossings of columns u and rows v."""
+    """Return the directions (rows, columns, 3) of the pixels in columns u and rows v."""
     grid = np.stack(np.meshgrid(u, v), axis=-1).astype(float)
     return np.asarray(rays(grid.reshape(-1, 2))).reshape(grid.shape[:2] + (3,))
 
 
 def _on_plane(directions: Array, placed: Placed) -> Array:
-    """Return plane coordinates (..., 2) in mm of directions (..., 3); far away where a ray does not meet the plane."""
+    """Return plane coordinates (..., 2) in mm of directions (..., 3); infinite if a ray does not meet the plane."""
     into = directions @ placed.rotation
     start = placed.origin @ placed.rotation
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -100,7 +100,7 @@ def _on_plane(directions: Array, placed: Placed) -> Array:
 
 
 def _box(coarse: Array, placed: Placed) -> tuple[int, int, int, int] | None:
-    """Return columns and rows of the coarse grid that surround the sheet; None where it is out of sight."""
+    """Return the columns and rows of the grid that enclose the sheet; None if it is out of sight."""
     at = _on_plane(coarse, placed)
     corners = np.stack([at[:-1, :-1], at[1:, :-1], at[:-1, 1:], at[1:, 1:]])
     low, high = corners.min(0), corners.max(0)
@@ -119,7 +119,7 @@ def _box(coarse: Array, placed: Placed) -> tuple[int, int, int, int] | None:
 
 
 def _close_box(rays: Rays, coarse: Array, placed: Placed, size: Size, around: int) -> tuple[int, int, int, int] | None:
-    """Return the pixels (u0, v0, u1, v1) of the image that the sheet and its blur touch; None where there are none."""
+    """Return the box of pixels (u0, v0, u1, v1) that sheet and blur touch; None if it is outside the image."""
     box = _box(coarse, placed)
     if box is None:
         return None
@@ -139,9 +139,9 @@ def _around(blur: float) -> int:
 
 
 def _coverage(rays: Rays, placed: Placed, box: tuple[int, int, int, int], blur: float) -> tuple[Field, Field]:
-    """Return which part of each pixel of a box (u0, v0, u1, v1) is sheet and which is ink, after the lens' blur.
+    """Return the shares of sheet and of ink in each pixel of a box (u0, v0, u1, v1), after the blur of the lens.
 
-    Plane coordinates are computed at pixels and interpolated in between, which is exact to 1e-4 px.
+    Plane coordinates are computed at the pixels and interpolated in between, which is exact to 1e-4 px.
     """
     u0, v0, u1, v1 = box
     around = _around(blur)

@@ -1,4 +1,4 @@
-"""Corners of a chessboard from grey values: the picture of two blurred edges that cross is fitted to the pixels.
+"""Corners of a chessboard from grey values: a model of two crossing blurred edges is fitted to the pixels.
 
 Method: docs/algorithms/target-detection.md.
 """
@@ -17,21 +17,24 @@ if TYPE_CHECKING:
 Array = npt.NDArray[np.float64]
 
 WINDOW = 0.45
-"""Half-width of the pixels that take part, in parts of the way to the neighbouring corners."""
+"""Half-width of the window of pixels, as a share of the distance to the neighbouring corners."""
 WIDEST, NARROWEST = 12.0, 2.5
-"""Bounds of the half-width in pixels: further out the lens bends the edges, and closer in is nothing but blur."""
+"""Limits of the half-width in pixels: farther out the lens bends the edges, closer in there is only blur."""
 BLUR = 0.9
+"""Starting value of the edges' blur, in pixels."""
 STEPS = 20
+"""Limit of the Gauss-Newton steps."""
 STILL = 0.001
+"""A step shorter than this, in pixels, is the last one."""
 LOST = 0.6
-"""A corner that leaves its start by more than this part of the window was none."""
+"""A corner that moves from its start by more than this share of the half-width is rejected."""
 
 
 def fit(picture: Picture, start: Array, across: Array, bend: Array, window: float = WINDOW) -> tuple[Array, float]:
-    """Fit a corner near `start` (2,) whose edges run along the columns of `across` (2, 2): steps to the next corners.
+    """Fit a corner near `start` (2,); return it and its standard deviation per axis in pixels, NaN without a corner.
 
-    `bend` (2,) is the curvature of the two edges in 1/px, positive where they turn from u
-    towards v. Returns the corner and its standard deviation per axis in pixels; NaN where there is no corner.
+    The columns of `across` (2, 2) are the steps to the next corners, along the two edges. `bend` (2,) is the curvature
+    of the edges in 1/px, positive if they turn from u towards v.
     """
     at, grey, weight = _pixels(picture, start, across, window)
     if len(grey) < 20:
@@ -50,7 +53,7 @@ def fit(picture: Picture, start: Array, across: Array, bend: Array, window: floa
 
 
 def _pixels(picture: Picture, start: Array, across: Array, window: float) -> tuple[Array, Array, Array]:
-    """Return pixels (m, 2) of the neighbourhood, their grey values and weights that fade towards its rim."""
+    """Return the pixels (m, 2) of the window, their grey values, and weights that decrease towards its rim."""
     sides = np.linalg.norm(across, axis=0)
     half = np.clip(window * sides, NARROWEST, WIDEST)
     reach = np.abs(across / sides) @ half
@@ -69,7 +72,7 @@ def _pixels(picture: Picture, start: Array, across: Array, window: float) -> tup
 
 
 def _start(start: Array, across: Array, bend: Array, at: Array, grey: Array) -> Array:
-    """Start: corner (2), directions of the edges (2), blur, mean, contrast, slopes of the light (2)."""
+    """Return the starting state: corner (2), directions of the edges (2), blur, mean, contrast, slope of light (2)."""
     angles = np.arctan2(across[1], across[0])
     state = np.array([*start, *angles, BLUR, grey.mean(), 0.0, 0.0, 0.0])
     # grey values are linear in the contrast: it follows from one projection, with its sign
@@ -82,7 +85,7 @@ def _start(start: Array, across: Array, bend: Array, at: Array, grey: Array) -> 
 def _linearised(state: Array, bend: Array, at: Array) -> tuple[Array, Array]:
     """Return grey values (m,) and derivatives (m, 9) of `mean + contrast * e1 * e2 + slope . offset`.
 
-    e1 and e2 are -1 on one side of an edge and +1 on the other: the normal distribution of the distance over the blur.
+    e1 and e2 run from -1 to +1 across an edge, as `2 Phi(distance / blur) - 1` with the normal distribution Phi.
     """
     du, dv = at[:, 0] - state[0], at[:, 1] - state[1]
     blur, contrast = state[4], state[6]
@@ -140,10 +143,10 @@ def _judged(
 
 
 def fit_grid(picture: Picture, corners: Array, window: float = WINDOW) -> tuple[Array, Array]:
-    """Fit the corners (rows, columns, 2) of a board; return corners of the same shape and sigma (rows, columns).
+    """Fit the corners (rows, columns, 2) of a board; return corners of the same shape and sigma (rows, columns) [px].
 
-    A lens bends straight edges. Taken as straight over a window of half-width w they shift a corner by bend * w^2 / 6,
-    always towards one side; so the fit is repeated with the bend that the corners of the first one show.
+    A lens bends straight edges. A straight model over a window of half-width w shifts each corner by bend * w^2 / 6,
+    a systematic error. So the fit is repeated with the bend computed from the corners of the first fit.
     """
     first, _ = _fit_all(picture, corners, np.zeros_like(corners), window)
     complete = np.where(np.isfinite(first), first, corners)

@@ -1,4 +1,4 @@
-"""What one image shows of a pattern: names and image coordinates of targets."""
+"""The targets found in one image: names and image coordinates."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ class Sightings:
     uv: Array
     """Image coordinates (n, 2) in pixels."""
     sigma: Array
-    """Standard deviation per axis (n,) in pixels, from the grey values' residuals; NaN where it is not known."""
+    """Standard deviation per axis (n,) in pixels, from the residuals of the grey values; NaN if it is not known."""
     axes: Array
-    """Semi-axes (n, 2) of the ellipses in pixels, the longer first; NaN where a target has none."""
+    """Semi-axes (n, 2) of the ellipses in pixels, the longer first; NaN for targets that are not ellipses."""
     angle: Array
-    """Direction (n,) of the longer semi-axis in radians, from u towards v; NaN where a target has none."""
+    """Direction (n,) of the longer semi-axis in radians, from u towards v; NaN for targets that are not ellipses."""
     reason: str = ""
-    """Why nothing was found, or not everything, in words for the user."""
+    """Message for the user: why nothing was found, or what was left out."""
 
     def __len__(self) -> int:
         return len(self.targets)
@@ -40,7 +40,7 @@ class Sightings:
 
 
 def nothing(reason: str) -> Sightings:
-    """Return no sightings, with the reason."""
+    """Return empty sightings with the reason."""
     return Sightings((), np.empty((0, 2)), np.empty(0), np.empty((0, 2)), np.empty(0), reason)
 
 

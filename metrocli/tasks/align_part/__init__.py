@@ -1,4 +1,4 @@
-"""align-part: where a part stands in the machine, seen by a camera in the spindle whose clamping angle is found too."""
+"""align-part: pose of a part in the machine, measured by a camera in the spindle, with the camera's clamping angle."""
 
 from metrocli.tasks.kind import Kind
 

@@ -1,4 +1,4 @@
-"""A calibrated camera as another job uses it: parameters, place in the taper, and their common covariance."""
+"""A calibrated camera as input of an alignment: lens parameters, pose in the taper, and their joint covariance."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from metrocli.tasks.shared.images.camera_settings import CameraFile
 
 @dataclass(frozen=True)
 class CameraModel:
-    """A camera and, where it was calibrated in one, its place in the taper."""
+    """A calibrated camera in a taper."""
 
     lens: Mapping[str, float]
     taper: Array
@@ -28,12 +28,12 @@ class CameraModel:
     image_size: tuple[int, int]
     convention: str
     estimated: tuple[str, ...] = ()
-    """Lens parameters that the covariance is of, before x y z alpha beta gamma"""
+    """Lens parameters in the covariance; x y z alpha beta gamma follow them"""
     covariance: Array | None = None
-    """None: taken as exact"""
+    """None: the camera is exact"""
 
     def must_fit(self, images: ImageSet) -> None:
-        """Raise InputError where the images are not of the size the camera was calibrated with."""
+        """Raise InputError if the images do not have the size with which the camera was calibrated."""
         if tuple(images.size) != self.image_size:
             w, h = images.size
             raise InputError(
@@ -42,16 +42,19 @@ class CameraModel:
             )
 
     def blocks(self) -> tuple[Block, Block]:
-        """Return the blocks of the lens and of the taper; free where the calibration gives them a covariance."""
+        """Return the blocks of lens and taper; free if the calibration gives their covariance, else fixed."""
         known = self.covariance is not None
-        held = {"k1": 0.0, **self.lens}  # an effect may change it, also where the calibration left it out
+        held = {"k1": 0.0, **self.lens}  # the effect radial-distortion needs k1, even if the calibration has none
         columns, values = tuple(held), np.array([list(held.values())])
         lens = Block(LENS, values, columns, free=np.isin(columns, self.estimated) if known else np.array(False))
         taper = Block(TAPER, self.taper[None], poses.COLUMNS, free=np.array(known), space=Space.POSE)
         return lens, taper
 
     def prior(self) -> list[Group]:
-        """Return the calibration as an observation of its own: its covariance enters the adjustment."""
+        """Return the calibration as a correlated observation, so that its covariance enters the adjustment.
+
+        The covariance is for Euler angles; the adjustment needs it for its rotation steps.
+        """
         if self.covariance is None:
             return []
         lens, taper = self.blocks()
@@ -63,15 +66,15 @@ class CameraModel:
 
 
 def camera_of(source: Result | CameraFile) -> CameraModel:
-    """Return the camera of a calibration or of a YAML file."""
+    """Return the camera of a calibration result or of a YAML file; raises InputError without its pose in the taper."""
     return camera_of_file(source) if isinstance(source, CameraFile) else camera_of_result(source)
 
 
 def camera_of_file(file: CameraFile) -> CameraModel:
-    """Return the camera of a YAML file, exact."""
+    """Return the camera of a YAML file, taken as exact; raises InputError without extrinsics."""
     if file.extrinsics is None:
         raise InputError(
-            "the camera file has no extrinsics: where the camera is in the taper, "
+            "the camera file has no extrinsics, the pose of the camera in the taper: "
             "e.g. extrinsics: {x: -2.1 mm, y: .., z: .., alpha: -0.003 rad, ..}"
         )
     width, height = file.image_size
@@ -84,11 +87,11 @@ def camera_of_file(file: CameraFile) -> CameraModel:
 
 
 def camera_of_result(result: Result) -> CameraModel:
-    """Return the camera of a calibration with rig cmm, with its covariance."""
+    """Return the camera of a calibration result, with its covariance; raises InputError unless its rig is cmm."""
     if result.statistics.get("rig") != "cmm":
         raise InputError(
             f"the camera was calibrated with rig {result.statistics.get('rig')}; "
-            "its place in the taper is known from rig cmm only"
+            "only rig cmm determines its place in the taper"
         )
     table = result.tables["camera"]
     lens = dict(zip(table.texts("parameter"), table.numbers("value").tolist(), strict=True))

@@ -1,4 +1,4 @@
-"""An alignment as diagnosis sees it."""
+"""What `diagnose` needs of an alignment: model, covariates, held-out images and the result that matters."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from metrocli.tasks.shared.images.covariates import at_solution, covariate, cova
 
 
 def adjusted_job(problem: Problem, adjusted: Adjusted) -> AdjustedJob:
-    """Return the job of an adjusted alignment; images are held out."""
+    """Return an adjusted alignment as input of `diagnose`; cross-validation holds out whole images."""
     model = at_solution(problem.model, adjusted)
     index, blocks = model.readings[0].observations.index, model.blocks
     points = blocks[TARGET].values[index[TARGET]]

@@ -1,4 +1,4 @@
-"""Effects on what a camera in the spindle sees of a part (docs/effects)."""
+"""Effects on the image points of a part, seen by a camera in the spindle (docs/effects)."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ EFFECTS: tuple[Effect, ...] = (
         _sizes(("dx", "dy"), "length", "0.2 mm"),
         lambda block, where: Shift(block, _TAPER, sign=-1.0),
         confused_with=("coupling-tilt", "principal-point-shift"),
-        reveal="poses with the spindle turned by 90 and 180 degrees: without turning the part's place takes it in",
+        reveal="poses with the spindle turned by 90 and 180 degrees (without turning, the part's place absorbs it)",
         source="ISO 26623: repeatability of the seat",
     ),
     Effect(
@@ -62,7 +62,7 @@ EFFECTS: tuple[Effect, ...] = (
     ),
     Effect(
         "moved-target",
-        "a target is not where the list says: it was knocked, mistaken for another, or measured wrongly",
+        "a target is not at its listed position: it was knocked, mistaken for another, or measured wrongly",
         _sizes(("dx", "dy", "dz"), "length", "5 mm"),
         lambda block, where: Shift(block, _PART),
         where=("target",),
@@ -72,7 +72,7 @@ EFFECTS: tuple[Effect, ...] = (
     ),
     Effect(
         "bad-pose",
-        "in one image the machine was not where the file says: not settled, or a wrong line in the file",
+        "in one image the machine was not at the position in the file: not settled, or a wrong line in the file",
         _sizes(("dx", "dy", "dz"), "length", "5 mm"),
         lambda block, where: Shift(block, _MACHINE, sign=-1.0),
         where=("image",),
@@ -91,7 +91,7 @@ EFFECTS: tuple[Effect, ...] = (
     ),
     Effect(
         "principal-point-shift",
-        "the sensor or the lens sits sideways against its place when the camera was calibrated",
+        "the sensor or the lens has moved sideways since the camera was calibrated",
         _sizes(("du", "dv"), "pixel", "50 px"),
         lambda block, where: LensChange(block, added=(("cx",), ("cy",))),
         confused_with=("coupling-tilt", "coupling-shift"),
@@ -100,7 +100,7 @@ EFFECTS: tuple[Effect, ...] = (
     ),
     Effect(
         "machine-scale",
-        "an axis of the machine goes further or less far than it says: temperature of its scale, wrong pitch",
+        "an axis of the machine moves farther or less far than it reads: temperature of its scale, wrong pitch",
         (_size("scale", "ratio", "200 ppm"),),
         lambda block, where: MachineError(block, "xyz".index(where["axis"]), "xyz".index(where["axis"])),
         where=("axis",),
@@ -148,4 +148,4 @@ EFFECTS: tuple[Effect, ...] = (
         source="Ahn, Warnecke and Kotowski 1999, Systematic geometric image measurement errors of circular targets",
     ),
 )
-"""The table; its order is that of the documents"""
+"""The effects, in the order of the documents"""

@@ -25,9 +25,9 @@ from metrocli.tasks.shared.images.eccentricity import corrected
 from metrocli.tasks.shared.images.sightings import Sighted, check_inside
 
 _ANGLES = np.linspace(-np.pi, np.pi, 12, endpoint=False)
-"""Clamping angles to start from, where the smallest start at 0 fails"""
+"""Clamping angles [rad] to start from, if the start at 0 fails"""
 _GOOD = 0.01
-"""A misfit [rad] small enough to start from"""
+"""RMS angle between rays and targets [rad] below which a start is accepted"""
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Problem(Modelled):
 
 
 def places_of(images: Sequence[str], targets: Sequence[str]) -> dict[str, Place]:
-    """Return where effects can act: images, targets, axes and pairs of axes of the machine."""
+    """Return the places where effects can act: images, targets, axes and pairs of axes of the machine."""
     return {
         "image": Place(tuple(images), "view"),
         "target": Place(tuple(targets), TARGET),
@@ -60,7 +60,10 @@ def places_of(images: Sequence[str], targets: Sequence[str]) -> dict[str, Place]
 
 
 def build(camera: CameraModel, sighted: Sighted, table: Table, free_angle: bool) -> Problem:
-    """Return the adjustment with its starting values, found from the sightings alone."""
+    """Return the adjustment with its starting values, found from the sightings alone.
+
+    Raises InputError if readings do not fit the image size, or if an image has no spindle pose.
+    """
     sighted = check_inside(sighted, camera.image_size)
     held, warnings, sighted = _spindle_poses(sighted, table)
     targets = sighted.targets
@@ -95,7 +98,7 @@ def build(camera: CameraModel, sighted: Sighted, table: Table, free_angle: bool)
 
 
 def _spindle_poses(sighted: Sighted, table: Table) -> tuple[Array, tuple[str, ...], Sighted]:
-    """Return the spindle's pose for each image, and the sightings with the poses' time and temperature."""
+    """Return the spindle's pose for each image, warnings, and the sightings with time and temperature of the poses."""
     place = {name: row for row, name in enumerate(table.texts("image"))}
     missing = [name for name in sighted.images if name not in place]
     if missing:
@@ -117,14 +120,14 @@ def _spindle_poses(sighted: Sighted, table: Table) -> tuple[Array, tuple[str, ..
 
 
 def spindle_poses(table: Table, rows: Sequence[int] | Index) -> Array:
-    """Return the commanded poses (rows, 6) of the spindle."""
+    """Return the commanded poses (rows, 6) of the spindle from the chosen rows of the table."""
     chosen = np.asarray(rows, dtype=np.intp)
     angles = np.stack([table.numbers(name, 0.0) for name in "abc"], axis=1)[chosen]
     return poses.pose_from_euler(table.stacked("xyz")[chosen], angles)
 
 
 def _start(camera: CameraModel, sighted: Sighted, held: Array, free_angle: bool) -> tuple[Array, float]:
-    """Return the pose of the part and the clamping angle to start from: 0, or the best of twelve if 0 fits nothing."""
+    """Return the starting pose of the part and the starting clamping angle: 0, or the best of twelve if 0 fails."""
     uv = sighted.observations.readings
     ideal = np.nan_to_num(np.stack(ideal_point(camera.lens, uv[0], uv[1], camera.convention)))
     points = sighted.targets.points[sighted.target]

@@ -1,4 +1,4 @@
-"""The result of a part's alignment."""
+"""The result of a part's alignment: estimates with covariance, statistics, tables and warnings."""
 
 from __future__ import annotations
 
@@ -39,19 +39,20 @@ _UNITS = ("mm", "mm", "mm", "rad", "rad", "rad", "rad")
 
 @dataclass(frozen=True)
 class Prediction:
-    """What the poses and targets promise for the clamping angle, before the readings are fitted."""
+    """Uncertainty of the clamping angle that follows from poses and targets alone, before the readings are fitted."""
 
     std: float
-    """[rad]"""
+    """Standard uncertainty of gamma_s [rad]"""
     correlation: float
-    """The largest with a rotation of the part"""
+    """Largest correlation of gamma_s with an angle of the part"""
     partner: str
+    """That angle: alpha, beta or gamma"""
 
 
 def predicted(problem: Problem) -> Prediction | None:
     """Return the predicted standard uncertainty of gamma_s and its correlation with the part's rotation.
 
-    None for 6D, or where nothing is determined.
+    None for the 6D job, and if the design is rank deficient.
     """
     if not problem.free_angle:
         return None
@@ -146,11 +147,11 @@ def _notes(solution: Solution, adjusted: Adjusted, prediction: Prediction | None
 def _warnings(problem: Problem, adjusted: Adjusted, views: Table, prediction: Prediction | None) -> list[str]:
     lines = [*problem.sighted.warnings, *problem.warnings]
     if problem.camera.covariance is None:
-        lines.append("the camera is taken as exact: its file states no covariance")
+        lines.append("the camera is taken as exact: its file contains no covariance")
     if prediction is not None and abs(prediction.correlation) > HIGH:
         lines.append(
             f"gamma_s and the part's {prediction.partner} are correlated {prediction.correlation:+.3f}: "
-            "the images hardly tell them apart; "
+            "the images hardly separate them; "
             "take images from positions further apart, or with the spindle turned by 90 or 180 degrees"
         )
     lines += suspect_images(problem.sighted.images, views.numbers("rms"), views.numbers("readings"))
@@ -161,13 +162,13 @@ def _warnings(problem: Problem, adjusted: Adjusted, views: Table, prediction: Pr
 
 
 def explained(problem: Problem, solution: Solution) -> str:
-    """Say what is undetermined, why, and what would determine it."""
+    """Return the message of an undetermined alignment: which unknowns, why, and what would determine them."""
     lines = [f"{solution.outcome.value}: {solution.observations} readings, {solution.unknowns} unknowns"]
     lines += [f"  undetermined: {_in_words(str(combination))}" for combination in solution.undetermined[:3]]
     columns = {column for combination in solution.undetermined for _, column, _, _ in combination.parts}
     if "gamma_s" in columns:
         lines += [
-            "  why: the clamping angle and the part's rotation turn the images alike",
+            "  why: the clamping angle and the part's rotation change the images in the same way",
             "  what would determine it: images from several positions of the spindle, far apart across its axis, "
             "or `estimate: [part-pose]`",
         ]
@@ -176,12 +177,13 @@ def explained(problem: Problem, solution: Solution) -> str:
         lines += [
             f"  why: {targets} targets in {len(problem.sighted.images)} images",
             "  what would determine it: three or more targets not on a line, "
-            "each seen from two places or two or more of them in one image",
+            "each seen from two places, or two or more of them in one image",
         ]
     return "\n".join(lines)
 
 
 def _in_words(text: str) -> str:
+    """Replace the names of internal blocks."""
     for block in (spindle.PART, spindle.COUPLING):
         text = text.replace(f" of {block}", " of the part" if block == spindle.PART else "")
     return text

@@ -1,4 +1,4 @@
-"""What a job of align-part says, and the columns of its files."""
+"""The keys of an align-part job, and the columns of its files."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ POSES = Columns(
 
 @dataclass(frozen=True)
 class Inputs:
-    """The camera, the spindle's poses, and what was seen."""
+    """The camera, the spindle's poses, the targets, and their image points or the images."""
 
     camera: Path = setting(
         FileOf(("calibrate-camera",), CameraFile),
@@ -49,7 +49,7 @@ class Inputs:
 
 @dataclass(frozen=True)
 class Files:
-    """What the inputs hold."""
+    """The contents of the input files."""
 
     camera: Result | CameraFile
     poses: Table
@@ -92,7 +92,7 @@ class Settings:
     )
 
     def faults(self) -> Iterable[tuple[str, str]]:
-        """Yield what does not fit together."""
+        """Yield (key, message) for keys that are missing or contradict each other."""
         yield from image_faults(self.inputs.observations, self.inputs.images, self.pattern, self.inputs.targets)
         if "part-pose" not in self.estimate:
             yield "estimate", "part-pose is missing: write [part-pose] for 6D or [part-pose, clamping-angle] for 7D"

@@ -18,18 +18,21 @@ from metrocli.tasks.shared.images.simulation import Shown, Sights
 
 @dataclass(frozen=True)
 class Truth:
-    """Where everything really is in a simulation."""
+    """True poses and clamping angle of a simulation."""
 
     part: Array
     """Pose of the part in the machine (6,)"""
     held: Array
     """Poses of the spindle (images, 6)"""
     angle: float
-    """Clamping angle"""
+    """Clamping angle [rad]"""
 
 
 def true_model(camera: CameraModel, shown: Shown, seen: Sights, truth: Truth) -> Model:
-    """Return the alignment at the truth, with the sights as readings, so that effects can be planted in it."""
+    """Return the model of the alignment at the truth, with the exact image points as readings.
+
+    Effects are planted in this model.
+    """
     lens, taper = (block.fixed() for block in camera.blocks())
     made = (
         spindle.part_block(truth.part, 1.0, 1.0),

@@ -1,4 +1,4 @@
-"""What align-part does with a job."""
+"""The task align-part: run, diagnose and simulate."""
 
 from __future__ import annotations
 
@@ -31,14 +31,18 @@ from metrocli.tasks.shared.images.target_list import known_targets
 
 
 def run(job: Job[Settings, Files]) -> Result:
-    """Locate the part; raises InputError, UndeterminedError or NotConvergedError."""
+    """Locate the part of a job.
+
+    Raises InputError if the files do not fit together, UndeterminedError if the readings do not determine the
+    unknowns, and NotConvergedError if the adjustment does not converge.
+    """
     problem = prepared(job)
     prediction = predicted(problem)
     return report(problem, solved(job.settings, problem), prediction)
 
 
 def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
-    """Return the job as diagnosis sees it, with all its readings; raises as `run` does."""
+    """Return the adjusted job for `diagnose`, with all its readings, outliers included; raises as `run` does."""
     problem = prepared(job)
     return adjusted_job(problem, solved(replace(job.settings, outliers="report"), problem))
 
@@ -55,7 +59,7 @@ def prepared(job: Job[Settings, Files]) -> Problem:
 
 
 def solved(settings: Settings, problem: Problem) -> Adjusted:
-    """Adjust a problem; raises UndeterminedError or NotConvergedError where it has no good solution."""
+    """Adjust a problem; raises UndeterminedError or NotConvergedError if it has no good solution."""
     options = Options(settings.outliers == "remove", settings.noise == "estimated", problem.camera.image_size)
     adjusted = adjust_images(problem.blocks, problem.images, problem.others, None, options)
     solution = adjusted.solution
@@ -66,9 +70,10 @@ def solved(settings: Settings, problem: Problem) -> Adjusted:
 
 
 def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulation:
-    """Return what the camera sees of the part of `simulation:` from each pose, with noise and effects.
+    """Return the image points that the camera would measure from each pose, with noise and effects.
 
-    Pictures too if asked for.
+    The part stands as `simulation:` gives it. Pictures are added if the options ask for them. Raises InputError if the
+    truth is missing.
     """
     settings, files, effects = job.settings, job.files, job.effects
     truth, poses = settings.simulation, files.poses

@@ -1,4 +1,4 @@
-"""calibrate-camera: the model of a camera from a board, from targets placed by a CMM, or from a network."""
+"""calibrate-camera: the lens model of a camera, from a board, from targets placed by a CMM, or from a network."""
 
 from metrocli.tasks.kind import Kind, Question
 
@@ -7,5 +7,5 @@ KIND = Kind(
     "camera model from images or observed points",
     measured=("observations", "images"),
     planned=("observations", "images"),
-    questions=(Question("compare", "Fit each lens model and print what it would gain, without writing a result."),),
+    questions=(Question("compare", "Fit each lens model and print how well it fits, without writing a result."),),
 )

@@ -17,7 +17,7 @@ _PARALLEL = np.radians(3.0)
 
 
 def explained(problem: Problem, solution: Solution) -> str:
-    """Say what is undetermined, why, and what would determine it."""
+    """Return the message of an undetermined calibration: which parameters, why, and what would determine them."""
     lines = [f"{solution.outcome.value}: {solution.observations} readings, {solution.unknowns} unknowns"]
     lines += [f"  undetermined: {_in_words(str(combination))}" for combination in solution.undetermined[:3]]
     if len(solution.undetermined) > 3:
@@ -27,6 +27,7 @@ def explained(problem: Problem, solution: Solution) -> str:
 
 
 def _in_words(text: str) -> str:
+    """Leave out the names of internal blocks."""
     return (
         text.replace(f" of {camera.LENS}", "")
         .replace(f" of {camera.VIEW} ", " of ")
@@ -46,13 +47,13 @@ def _advice(problem: Problem, solution: Solution) -> list[str]:
     radius = _pole(problem, solution)
     if radius is not None and (columns & set(RATIONAL) or not columns):
         return [
-            f"  why: the rational terms drive the model into a pole at {radius:.0f} px from the principal point, "
-            "where they fit noise",
+            f"  why: the rational terms fit noise and give the lens model a pole at {radius:.0f} px "
+            "from the principal point",
             "  what would determine it: fewer distortion parameters "
             "(metrocli calibrate-camera --compare shows which help)",
         ]
     if columns & {"cx", "cy"}:
-        return ["  what would determine it: views turned by 90 degrees about the camera's axis, and tilted ones"]
+        return ["  what would determine it: tilted views, and the camera turned by 90 degrees about its viewing axis"]
     if solution.outcome is Outcome.TOO_FEW:
         return ["  what would determine it: more views, more targets, or fewer parameters in camera.estimate"]
     return [
@@ -62,12 +63,15 @@ def _advice(problem: Problem, solution: Solution) -> list[str]:
 
 
 def ran_out(problem: Problem, solution: Solution) -> bool:
-    """Tell whether the steps ran out over a weakness that has a name."""
+    """Return whether the iteration limit was reached because of a pole of the lens model or targets without depth."""
     return solution.outcome is Outcome.ITERATION_LIMIT and bool(_pole(problem, solution) or _flat(problem))
 
 
 def _flat(problem: Problem) -> list[str]:
-    """Return the advice where nothing has depth: views parallel to a board, or targets in one plane; else nothing."""
+    """Return why the targets have no depth and what would give them some; an empty list if they have depth.
+
+    On a board all views are parallel to it; with rig cmm all targets lie in one plane.
+    """
     if problem.rig == "board" and not _tilted(problem):
         return [
             "  why: all views are parallel to the board, or nearly so",
@@ -76,13 +80,13 @@ def _flat(problem: Problem) -> list[str]:
     if problem.rig == "cmm" and plane_frame(problem.sighted.targets.points[np.unique(problem.sighted.target)])[1]:
         return [
             "  why: all targets lie in one plane",
-            "  what would determine it: targets at several distances along the camera's axis",
+            "  what would determine it: targets at several distances along the camera's viewing axis",
         ]
     return []
 
 
 def _pole(problem: Problem, solution: Solution) -> float | None:
-    """Return the radius [px] where estimated rational terms fold the model over inside the image, else None."""
+    """Return the radius [px] at which estimated rational terms fold the lens model over inside the image, else None."""
     lens = solution.blocks[camera.LENS]
     if problem.convention != "forward" or not lens.free[0, np.isin(lens.columns, RATIONAL)].any():
         return None
@@ -90,7 +94,10 @@ def _pole(problem: Problem, solution: Solution) -> float | None:
 
 
 def _tilted(problem: Problem) -> bool:
-    """Tell whether any view of the board is tilted by more than 3 degrees against the others or the image plane."""
+    """Return whether the viewing axis of any image is more than 3 degrees from the normal of the board.
+
+    True as well if the targets are not in one plane.
+    """
     frame, planar = plane_frame(problem.sighted.targets.points[np.unique(problem.sighted.target)])
     if not planar:
         return True

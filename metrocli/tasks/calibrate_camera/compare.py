@@ -1,4 +1,4 @@
-"""Choice of a lens model by evidence: training and held-out RMS, significance, and how far each moves the camera."""
+"""Comparison of lens models: RMS of all and of held-out images, F test, and change of the camera's pose."""
 
 from __future__ import annotations
 
@@ -31,20 +31,23 @@ LADDER: tuple[tuple[str, tuple[str, ...]], ...] = (
 )
 """Each model contains the one before it."""
 _ALL_FOLDS, _FOLDS = 20, 10
+"""Up to 20 images are held out one by one; more are held out in 10 folds"""
 _FOLD_STEPS = 100
-"""A fold starts at the solution of all images: one that needs more steps is not determined without its images"""
+"""Iteration limit of a fold. It starts at the solution of all images: if it needs more, the other images do not
+determine the model"""
 _LOST = 2.0
-"""An RMS [px] that no lens model for measurement leaves"""
+"""Held-out RMS [px] above which the lens model is useless for measurement"""
 
 
 @dataclass(frozen=True)
 class Fitted:
-    """One model with what the comparison says of it."""
+    """A fitted lens model with its residuals in all and in held-out images."""
 
     name: str
     problem: Problem
     solution: Solution
     rms: float
+    """RMS over all images [px]"""
     held: Array
     """Sum of squares and number of readings of each held-out fold, (folds, 2)"""
 
@@ -58,7 +61,7 @@ class Fitted:
 def compare_models(problem: Problem) -> Table:
     """Fit the ladder of nested models and return a row for each.
 
-    The least model within one standard error of the best is marked as chosen.
+    The simplest model whose held-out error is within one standard error of the smallest one is marked as chosen.
     """
     fitted = list(_climb(problem))
     chosen = _chosen(fitted)
@@ -90,9 +93,10 @@ def _climb(problem: Problem) -> Iterator[Fitted]:
 
 
 def _held_out(problem: Problem) -> Array:
-    """Return the sum of squares and number of readings of each fold, with the lens fitted without it.
+    """Return the sum of squares and the number of readings of each held-out fold, (folds, 2).
 
-    The poses of its images are fitted to the fold itself.
+    Lens and targets are estimated from the other images and then fixed. Only the poses of the held-out images are
+    fitted to the fold itself. With rig cmm the place of the camera in the taper is fixed too.
     """
     views = len(problem.sighted.images)
     folds = views if views <= _ALL_FOLDS else _FOLDS
@@ -118,10 +122,10 @@ def _held_out(problem: Problem) -> Array:
 
 
 def _chosen(fitted: list[Fitted]) -> int:
-    """Return the first model whose held-out square error is that of the best one, to one standard error.
+    """Return the number of the simplest model whose held-out error is within one standard error of the smallest one.
 
-    The standard error is that of their difference over the folds. Models that are not determined by the readings are
-    not chosen.
+    The error is the sum of squares; the standard error is that of the difference of two models over the folds. Models
+    that the readings do not determine are left out. If all are left out, the first one is returned.
     """
     sound = [i for i, model in enumerate(fitted) if model.solution.outcome.good] or [0]
     best = min(sound, key=lambda i: fitted[i].held_out)
@@ -134,7 +138,7 @@ def _chosen(fitted: list[Fitted]) -> int:
 
 
 def _significance(simple: Fitted, rich: Fitted) -> float:
-    """Return the probability of a fall of the sum of squares this large by chance (F test of nested models)."""
+    """Return the probability that chance alone lowers the sum of squares this much (F test of nested models)."""
     from scipy.special import fdtrc
 
     more, dof = rich.solution.unknowns - simple.solution.unknowns, rich.solution.dof
@@ -145,7 +149,7 @@ def _significance(simple: Fitted, rich: Fitted) -> float:
 
 
 def _moved(model: Fitted, reference: Fitted) -> tuple[float, float]:
-    """Return how far the camera moves [mm] and turns [rad] against the reference model, RMS over the images."""
+    """Return shift [mm] and rotation [rad] of the camera relative to the reference model, RMS over the images."""
     name = camera.view_name(model.problem.rig)
     here, there = (m.problem.blocks[name].values for m in (model, reference))
     if model.problem.rig == "board":

@@ -1,4 +1,4 @@
-"""How much of the image its readings cover."""
+"""How much of the image the readings cover."""
 
 from __future__ import annotations
 
@@ -13,9 +13,11 @@ _DIRECTIONS = 32
 
 
 def coverage(uv: Array, image_size: Sequence[int], centre: tuple[float, float]) -> dict[str, float]:
-    """Return shares of the image that points (2, n) cover: of its cells, of its area, of its largest radius.
+    """Return which share of the image the points (2, n) [px] cover, in three measures.
 
-    The area is that of their convex hull; the radius is taken from `centre`, the principal point.
+    `coverage_cells` is the share of a 10 x 10 grid of cells that contain a point. `coverage_hull` is the area of the
+    points' convex hull over that of the image. `coverage_radius` is the distance of the farthest point from `centre`,
+    the principal point, over that of the farthest corner.
     """
     w, h = image_size
     cx, cy = centre
@@ -45,7 +47,10 @@ def hull_area(uv: Array) -> float:
 
 
 def _outer(points: Array) -> Array:
-    """Return the points (m, 2) of (n, 2) that can be corners of the hull: none strictly inside the farthest ones."""
+    """Return the points that can be corners of the hull, (m, 2) of (n, 2).
+
+    Points inside the polygon of the farthest points in 32 directions are left out: they are most, and sorting is slow.
+    """
     angle = np.arange(_DIRECTIONS) * (2 * np.pi / _DIRECTIONS)
     corners = points[(points @ np.stack([np.cos(angle), np.sin(angle)])).argmax(axis=0)]
     inside = np.ones(len(points), dtype=bool)

@@ -1,4 +1,4 @@
-"""A calibration as diagnosis sees it."""
+"""What `diagnose` needs of a camera calibration: model, covariates, held-out parts and the result that matters."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ from metrocli.tasks.shared.images.covariates import at_solution, covariate, cova
 
 
 def adjusted_job(problem: Problem, adjusted: Adjusted) -> AdjustedJob:
-    """Return the job of an adjusted calibration; views are held out, with rig cmm the targets."""
+    """Return an adjusted calibration as input of `diagnose`.
+
+    Cross-validation holds out whole images; with rig cmm, where one pose serves all images, it holds out targets.
+    """
     model = at_solution(problem.model, adjusted)
     index = model.readings[0].observations.index
     points = model.blocks[camera.TARGET].values[index[camera.TARGET]]
@@ -39,7 +42,7 @@ def adjusted_job(problem: Problem, adjusted: Adjusted) -> AdjustedJob:
 
 
 def _in_camera(rig: str, model: Model, points: Array) -> Array:
-    """Return the targets in the camera at each reading, (3, n)."""
+    """Return the coordinates of the target in the camera's frame at each reading, (3, n) mm."""
     views = model.blocks[camera.view_name(rig)].values
     at = views if rig == "cmm" else views[model.readings[0].observations.index["view"]]
     seen: Array = poses.apply(at if rig == "board" else poses.inverse(at), points)
@@ -47,7 +50,10 @@ def _in_camera(rig: str, model: Model, points: Array) -> Array:
 
 
 def _delivered(rig: str, model: Model) -> Delivered:
-    """Return the place of the camera in the taper for rig cmm, else focal length and principal point."""
+    """Return the result for which the calibration is run.
+
+    Rig cmm: the place of the camera in the taper. Rig network: the points. Rig board: focal length and principal point.
+    """
     if rig == "cmm":
         return Delivered("place of the camera", camera.TAPER, (0, 1, 2), "um", "length")
     if rig == "network":

@@ -1,4 +1,4 @@
-"""Effects on the image points of a camera that is calibrated (docs/effects)."""
+"""Effects on the image points of a camera calibration (docs/effects)."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def _focal_drift(by: str, condition: str, dimension: str, plausible: str) -> Eff
 def _moved_target(frame: Quantity) -> Effect:
     return Effect(
         "moved-target",
-        "a target is not where the list says: it was knocked, mistaken for another, or measured wrongly",
+        "a target is not at its listed position: it was knocked, mistaken for another, or measured wrongly",
         tuple(_size(name, "length", "5 mm") for name in ("dx", "dy", "dz")),
         lambda block, where: Shift(block, frame),
         where=("target",),
@@ -50,11 +50,11 @@ def _moved_target(frame: Quantity) -> Effect:
 def _scale_of_targets(frame: Quantity) -> Effect:
     return Effect(
         "scale-of-targets",
-        "the list of targets is too large or too small in all directions: a printed board that grew, a wrong pitch",
+        "all coordinates of the list are too large or too small: a printed board that grew, a wrong pitch",
         (_size("scale", "ratio", "1 percent"),),
         lambda block, where: Growth(block, frame),
         confused_with=("focal-drift",),
-        reveal="a calibrated length among the targets; the poses take a wrong scale in without a trace",
+        reveal="a calibrated length among the targets (the poses absorb a wrong scale, so no residual shows it)",
         source="VDI/VDE 2634 part 1: lengths, not residuals, show the scale",
     )
 
@@ -62,7 +62,7 @@ def _scale_of_targets(frame: Quantity) -> Effect:
 EFFECTS: tuple[Effect, ...] = (
     Effect(
         "radial-distortion",
-        "the lens bends more than the radial terms of the job follow",
+        "the lens distorts more, or to a higher order, than the radial terms of the job describe",
         (Parameter("k1", plausible=1.0), Parameter("k2", plausible=2.0), Parameter("k3", plausible=5.0)),
         columns_of=_LENS,
         confused_with=("target-eccentricity", "target-plane-bend"),
@@ -75,7 +75,7 @@ EFFECTS: tuple[Effect, ...] = (
         (Parameter("p1", plausible=0.01), Parameter("p2", plausible=0.01)),
         columns_of=_LENS,
         confused_with=("thin-prism", "principal-point"),
-        reveal="targets up to the corners, and the camera turned by 90 degrees about its view between images",
+        reveal="targets up to the corners, and the camera turned by 90 degrees about its viewing axis between images",
         source="Brown 1966, Decentering distortion of lenses",
     ),
     Effect(
@@ -84,16 +84,16 @@ EFFECTS: tuple[Effect, ...] = (
         (Parameter("s1", plausible=0.01), Parameter("s3", plausible=0.01)),
         columns_of=_LENS,
         confused_with=("decentring-distortion", "principal-point"),
-        reveal="targets up to the corners; beside p1, p2, cx and cy it is hardly seen",
+        reveal="targets up to the corners (p1, p2, cx and cy absorb most of it)",
         source="Weng, Cohen and Herniou 1992, Camera calibration with distortion models",
     ),
     Effect(
         "aspect-ratio",
-        "pixels are not square, or the clock of a frame grabber is off: fx = f (1 + aspect)",
+        "pixels are not square, or the pixel clock of a frame grabber is off: fx = f (1 + aspect)",
         (Parameter("aspect", "ratio", plausible=0.01),),
         columns_of=_LENS,
         confused_with=("target-plane-bend", "axis-skew"),
-        reveal="the camera turned by 90 degrees about its view between images",
+        reveal="the camera turned by 90 degrees about its viewing axis between images",
         source="Fraser 1997, Digital camera self-calibration (affinity)",
     ),
     Effect(
@@ -102,16 +102,16 @@ EFFECTS: tuple[Effect, ...] = (
         (Parameter("skew", "ratio", plausible=0.01),),
         columns_of=_LENS,
         confused_with=("aspect-ratio",),
-        reveal="the camera turned by 45 and 90 degrees about its view between images",
+        reveal="the camera turned by 45 and 90 degrees about its viewing axis between images",
         source="Fraser 1997 (shear)",
     ),
     Effect(
         "principal-point",
-        "the axis of the lens does not meet the image where the job says",
+        "the axis of the lens does not meet the image at the point that the job gives",
         tuple(_size(name, "pixel", "200 px") for name in ("cx", "cy")),
         columns_of=_LENS,
         confused_with=("decentring-distortion", "thin-prism"),
-        reveal="views tilted about both axes, and the camera turned about its view",
+        reveal="views tilted about both axes, and the camera turned about its viewing axis",
         source="Brown 1971",
     ),
     Effect(
@@ -150,4 +150,4 @@ EFFECTS: tuple[Effect, ...] = (
     _scale_of_targets(Quantity.POINT_ON_BOARD),
     _scale_of_targets(Quantity.POINT_ON_TARGETS),
 )
-"""The table; its order is that of the documents. Two entries of one name stand for boards and for other frames."""
+"""The effects in the order of the documents. Of two entries with one name, one is for boards and one for other rigs."""

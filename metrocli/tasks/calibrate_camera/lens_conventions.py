@@ -1,4 +1,4 @@
-"""A calibrated lens in the other convention and in mm."""
+"""A calibrated lens in other forms: the other distortion convention, mm, and the balanced photogrammetric form."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ _COLUMNS = ("form", "parameter", "value", "std", "unit", "residual_rms", "residu
 
 
 def conventions_table(problem: Problem, settings: Camera, solution: Solution, covariance: Covariance) -> Table:
-    """Return the lens in both conventions and, with the pixel size, in mm.
+    """Return the lens in both distortion conventions and, if the pixel size is known, in mm.
 
-    The residuals of each conversion are over the image.
+    `residual_rms` and `residual_largest` [px] are the errors of a conversion over the image.
     """
     values = solution.blocks[camera.LENS].named()
     std = dict(zip(values, np.sqrt(np.diag(covariance.of(camera.LENS))).tolist(), strict=True))
@@ -52,9 +52,9 @@ def conventions_table(problem: Problem, settings: Camera, solution: Solution, co
 
 
 def photogrammetric_form(problem: Problem, settings: Camera, solution: Solution) -> Photogrammetric | None:
-    """Return the balanced form in mm; None without a pixel size or where the lens does not have it.
+    """Return the balanced photogrammetric form in mm, with distortion zero at the radius R0.
 
-    Only a forward lens without rational and prism terms has it.
+    None without a pixel size, and for a lens that has no such form: backward, or with rational or prism terms.
     """
     values, pixel = solution.blocks[camera.LENS].named(), settings.pixel_size
     if pixel is None or problem.convention != "forward" or any(values.get(name) for name in (*RATIONAL, *PRISM)):
@@ -66,13 +66,13 @@ def photogrammetric_form(problem: Problem, settings: Camera, solution: Solution)
 
 
 def form_covariance(form: Photogrammetric, covariance: Covariance) -> Array:
-    """Return the covariance of the photogrammetric form, in its order."""
+    """Return the covariance of the photogrammetric form's parameters, in their order."""
     matrix: Array = form.by_lens @ covariance.of(camera.LENS) @ form.by_lens.T
     return matrix
 
 
 def _in_mm(problem: Problem, pixel: float, values: dict[str, float], std: dict[str, float]) -> list[_Row]:
-    """Return focal lengths and principal point, the latter from the centre of the image."""
+    """Return focal lengths and principal point in mm; the principal point counts from the centre of the image."""
     w, h = problem.image_size
     form = f"{problem.convention}, mm"
     rows: list[_Row] = []

@@ -14,25 +14,25 @@ from metrocli.geometry.rotations import rotation_from_vector
 from metrocli.instruments.camera import VIEW
 
 _FAR = 0.2
-"""Boards smaller than this share of their distance are looked into; nearer ones show their perspective."""
+"""Boards smaller than this share of their distance are checked; on nearer ones perspective decides."""
 ALIKE = 4.0
-"""Sums of squares (in declared noise) that differ by less do not decide between the two poses."""
+"""A smaller difference of the sums of squares, in units of the declared variance, does not decide between the poses."""
 
 
 @dataclass(frozen=True)
 class Turned:
-    """Views after the better of their two poses was taken."""
+    """Views with the better of their two poses."""
 
     views: Block
     undecided: tuple[str, ...]
-    """Images whose two poses fit about equally well though they differ"""
+    """Images whose two poses differ but fit about equally well"""
 
 
 def better_poses(blocks: dict[str, Block], images: Group, board: Array, normal: Array) -> Turned:
-    """Return the views with each pose replaced by its mirrored one where that fits better, the lens held.
+    """Return the views, each with its pose or with the mirrored one, whichever fits better with the lens held fixed.
 
-    The mirror image of the board's normal n about the line of sight s is `2 (s n) s - n` (Schweighofer and Pinz 2006);
-    `board` are the targets (m, 3), `normal` is their plane's in the board frame.
+    The mirror image of the board's normal n about the line of sight s is `2 (s n) s - n` (Schweighofer and Pinz 2006).
+    `board` are the targets (m, 3) and `normal` is the normal of their plane, both in the frame of the board.
     """
     views = blocks[VIEW]
     extent = float(np.linalg.norm(np.ptp(board, axis=0)))
@@ -69,7 +69,7 @@ def _mirrored(values: Array, middle: Array, centre: Array, normal: Array) -> Arr
 
 
 def _costs(blocks: dict[str, Block], images: Group) -> Array:
-    """Return the sum of squares of each view, in declared noise; infinite where a point is behind the camera."""
+    """Return the whitened sum of squares of each view; infinite if a point is behind the camera."""
     residual = images.observations.whitened(images.residuals(blocks))
     square = np.nan_to_num((residual**2).sum(axis=0), nan=np.inf)
     costs = np.bincount(images.observations.index[VIEW], square, len(blocks[VIEW].members))

@@ -1,4 +1,4 @@
-"""The adjustment of a camera calibration, from settings and readings to blocks and groups with starting values."""
+"""The adjustment of a camera calibration: from settings and readings to blocks and groups with starting values."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ from metrocli.words import listed
 
 _STRANGE = "not in the list of targets"
 _FEWEST_READINGS = 4
-"""Readings that the pose of one camera needs"""
+"""Fewest readings that determine the pose of one camera"""
 _ON_A_LINE = 1e-9
-"""Extent across a line of targets, as a share of the extent along it, that is rounding"""
+"""Extent across a line of targets that is rounding, as a share of the extent along it"""
 _GUESSES = (1.0, 0.5, 2.0, 4.0, 8.0)
-"""Focal lengths to try, in widths of the image, where the views do not give one"""
+"""Focal lengths to try, in units of the longer side of the image, if the start from the views fails"""
 _LOST = 0.02
-"""An RMS above this share of the image size means that the start failed"""
+"""A median residual above this share of the longer side of the image means that the start failed"""
 
 
 @dataclass(frozen=True)
@@ -54,15 +54,15 @@ class Problem(Modelled):
         return self.model.group(IMAGES)
 
     def with_estimate(self, estimate: Sequence[str]) -> Problem:
-        """Return the problem with other lens parameters free; distortion that is not estimated keeps its value."""
+        """Return the problem with these lens parameters free; all others are fixed at their values."""
         lens = self.blocks[camera.LENS]
         free = replace(lens, free=np.isin(lens.columns, list(estimate)))
         return self.with_blocks({**self.blocks, camera.LENS: free})
 
     def with_lens(self, values: Mapping[str, float]) -> Problem:
-        """Return the problem with these lens parameters at these values; others keep theirs.
+        """Return the problem with these values of lens parameters; the others keep theirs.
 
-        Parameters that the problem did not have are not free.
+        Parameters that are new to the problem are fixed.
         """
         lens = self.blocks[camera.LENS]
         known = {**lens.named(), **values}
@@ -70,7 +70,7 @@ class Problem(Modelled):
         return self.with_blocks({**self.blocks, camera.LENS: camera.lens_block(known, free, self.image_size)})
 
     def of_images(self, chosen: Mask) -> Problem:
-        """Return the problem of some of its images (a mask over them), with their readings and poses only."""
+        """Return the problem with the chosen images only (a mask over all), their readings and their poses."""
         keep = chosen[self.images.observations.index["view"]]
         numbers = np.cumsum(chosen) - 1
         observations = self.images.observations.selected(keep)
@@ -88,7 +88,11 @@ class Problem(Modelled):
 
 
 def build(rig: str, settings: Camera, sighted: Sighted, bars: Table | None = None) -> Problem:
-    """Return the adjustment with its starting values, found from the readings alone."""
+    """Return the adjustment with its starting values, found from the readings alone.
+
+    Raises InputError if readings do not fit the image size or the list of targets, and UndeterminedError if the
+    targets cannot determine a pose.
+    """
     size = settings.image_size
     if size is None:
         raise InputError("camera: image_size is missing; give the width and height of the images, e.g. [2592, 1944]")
@@ -157,10 +161,10 @@ def _start(rig: str, sighted: Sighted, values: Mapping[str, float], size: Sequen
 
 
 def _better_start(problem: Problem, settings: Camera) -> Problem:
-    """Try other focal lengths where the first start ends far from the readings.
+    """Return the problem at a start that fits the readings.
 
-    Then rational and prism terms are added in steps, so that a richer model starts from the solution of the model it
-    contains.
+    If the first start ends far from the readings, other focal lengths are tried. Rational and prism terms come last,
+    in steps: a richer model starts from the solution of the simpler one that it contains.
     """
     simple = [name for name in settings.estimate if name not in (*RATIONAL, *PRISM)]
     best = _robustly(problem.with_estimate(simple))
@@ -178,15 +182,15 @@ def _better_start(problem: Problem, settings: Camera) -> Problem:
 
 
 def _unmirrored(problem: Problem) -> Problem:
-    """Take the better of the two poses of each view of a flat board, and tell of views where neither is better."""
+    """Take the better of the two poses of each view of a flat board; warn of views where neither is better."""
     board = problem.sighted.targets.points[np.unique(problem.sighted.target)]
     frame, planar = plane_frame(board)
     if problem.rig != "board" or not planar:
         return problem
     turned = better_poses(dict(problem.blocks), problem.images, board, poses.rotation_of(frame)[2])
     told = (
-        f"the tilt of {len(turned.undecided)} views is not told from its mirror image (the board is small or far "
-        f"away): {listed(turned.undecided)}",
+        f"the readings do not separate the tilt of {len(turned.undecided)} views from its mirror image "
+        f"(the board is small or far away): {listed(turned.undecided)}",
     )
     sighted = replace(problem.sighted, warnings=problem.sighted.warnings + (told if turned.undecided else ()))
     turned_back = problem.with_blocks({**problem.blocks, camera.VIEW: turned.views})
@@ -194,6 +198,7 @@ def _unmirrored(problem: Problem) -> Problem:
 
 
 def _roughly(problem: Problem, steps: int = 15) -> Problem:
+    """Adjust all readings with their declared weights, without a covariance."""
     solution = adjust(
         problem.blocks.values(),
         [problem.images, *problem.others],
@@ -204,16 +209,18 @@ def _roughly(problem: Problem, steps: int = 15) -> Problem:
 
 
 def _robustly(problem: Problem) -> Problem:
+    """Adjust with weights that gross errors do not spoil."""
     found = robust_start(problem.blocks.values(), [problem.images, *problem.others], IMAGES, problem.datum, "view")
     return problem.with_blocks({**problem.blocks, **found})
 
 
 def _misfit(problem: Problem) -> float:
-    """Return the median residual, which gross errors do not raise."""
+    """Return the median residual [px], which a few gross errors do not raise."""
     return typical(problem.images, problem.blocks)
 
 
 def _retried(problem: Problem, focal: float) -> Problem:
+    """Return the problem at another focal length [px], with poses found anew."""
     lens = problem.blocks[camera.LENS]
     values = {
         **lens.named(),

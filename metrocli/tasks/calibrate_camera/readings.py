@@ -1,4 +1,4 @@
-"""Readings of a calibration: which targets and scale bars can be used, and those that cannot, with the reason."""
+"""Readings of a calibration: which targets and scale bars can be used, and the reason why others cannot."""
 
 from __future__ import annotations
 
@@ -18,40 +18,44 @@ from metrocli.words import listed
 
 _STRANGE = "not in the list of targets"
 _FEWEST_READINGS = 4
-"""Readings that the pose of one camera needs"""
+"""Fewest readings that determine the pose of one camera"""
 _ON_A_LINE = 1e-9
-"""Extent across a line of targets, as a share of the extent along it, that is rounding"""
+"""Extent across a line of targets that is rounding, as a share of the extent along it"""
 _GUESSES = (1.0, 0.5, 2.0, 4.0, 8.0)
-"""Focal lengths to try, in widths of the image, where the views do not give one"""
+"""Focal lengths to try, in units of the longer side of the image, if the start from the views fails"""
 _LOST = 0.02
-"""An RMS above this share of the image size means that the start failed"""
+"""A median residual above this share of the longer side of the image means that the start failed"""
 
 
 def check_targets(rig: str, sighted: Sighted) -> None:
-    """Raise UndeterminedError where the targets that are seen cannot give the pose of a camera."""
+    """Raise UndeterminedError if the targets that are seen cannot determine the pose of a camera."""
     points = sighted.targets.points[np.unique(sighted.target)]
     if rig == "cmm" and sighted.observations.count < _FEWEST_READINGS:
         raise UndeterminedError(
-            f"{sighted.observations.count} readings in all: the place of a camera needs at least {_FEWEST_READINGS}"
+            f"{sighted.observations.count} readings in all: the pose of a camera needs at least {_FEWEST_READINGS}"
         )
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     if spread[1] <= _ON_A_LINE * max(spread[0], 1.0):
         raise UndeterminedError(
-            f"all {len(points)} targets that are seen lie on one line or at one place: they give no pose of a camera\n"
+            f"all {len(points)} targets that are seen lie on one line or at one place: they determine no camera pose\n"
             "  what would determine it: targets spread over a plane or in space; check the columns of the targets file"
         )
 
 
 def seen_once(sighted: Sighted, seen: Index, least: int) -> Sighted:
-    """Return the sightings with a warning of targets that too few images show."""
+    """Return the sightings, with a warning that names the targets seen in fewer than `least` images.
+
+    `seen` (targets,) is the number of images of each target.
+    """
     once = [name for name, n in zip(sighted.targets.names, seen, strict=True) if 0 < n < least]
     if not once:
         return sighted
-    line = f"{len(once)} targets are seen in one image only, which does not place them: left out: {listed(once)}"
+    line = f"left out: {len(once)} targets are seen in one image only, which does not place them: {listed(once)}"
     return replace(sighted, warnings=(*sighted.warnings, line))
 
 
 def readings(sighted: Sighted, seen: Index, least: int, rig: str) -> Observations:
+    """Return the readings of targets that at least `least` images show; with rig cmm all share one camera pose."""
     observations = sighted.observations.selected(seen[sighted.target] >= least)
     index = dict(observations.index)
     if rig == "cmm":
@@ -60,6 +64,10 @@ def readings(sighted: Sighted, seen: Index, least: int, rig: str) -> Observation
 
 
 def scale_bars(bars: Table | None, names: tuple[str, ...], seen: Index) -> list[Group]:
+    """Return the group of calibrated distances [mm] between targets; an empty list without scale bars.
+
+    Raises InputError if a bar ends at a target that fewer than two images show, or has no positive length and sigma.
+    """
     if bars is None:
         return []
     place = {name: i for i, name in enumerate(names)}

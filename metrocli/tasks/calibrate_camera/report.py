@@ -1,4 +1,4 @@
-"""The result of a camera calibration: every number a metrologist asks for, in tables."""
+"""The result of a camera calibration: parameters with covariance, statistics, tables and warnings."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class _Calibration:
-    """A solved calibration with what is told of it."""
+    """A solved calibration with the parts that the report needs."""
 
     problem: Problem
     settings: Camera
@@ -162,7 +162,7 @@ def _views(solved: _Calibration) -> Table:
 
 
 def _view_covariances(solved: _Calibration) -> dict[str, Array]:
-    """Return the covariance of each pose (x y z alpha beta gamma) and its covariance with the lens parameters."""
+    """Return the covariance of each view's pose (x y z alpha beta gamma), and that with the lens parameters."""
     values, covariance = solved.solution.blocks[camera.VIEW].values, solved.covariance
     change = poses.euler_form_by_step(values)
     each = change @ covariance.members(camera.VIEW) @ np.swapaxes(change, 1, 2)
@@ -171,7 +171,7 @@ def _view_covariances(solved: _Calibration) -> dict[str, Array]:
 
 
 def _camera(solved: _Calibration) -> Table:
-    """Return every lens parameter of the model, estimated or not, for jobs that use the camera."""
+    """Return every lens parameter of the model, estimated or fixed, for jobs that use the camera."""
     lens = solved.lens
     std = np.sqrt(np.diag(solved.covariance.of(camera.LENS)))
     units = np.array([unit_of(name) for name in lens.columns])
@@ -179,6 +179,7 @@ def _camera(solved: _Calibration) -> Table:
 
 
 def _points(solved: _Calibration) -> tuple[Table, Array]:
+    """Return the coordinates of the targets that are seen, with their rays, and their covariances (m, 3, 3)."""
     block = solved.solution.blocks[camera.TARGET]
     each = solved.covariance.members(camera.TARGET)
     std = np.sqrt(np.einsum("mii->mi", each))
@@ -193,7 +194,7 @@ def _points(solved: _Calibration) -> tuple[Table, Array]:
 
 
 def _ray_angles(solved: _Calibration) -> Array:
-    """Return for each target the largest angle between two of its rays, 0 for a single ray."""
+    """Return the largest angle [rad] between two rays of each target, 0 for a single ray."""
     points = solved.solution.blocks[camera.TARGET].values
     origins = solved.solution.blocks[camera.VIEW].values[:, :3]
     target, view = solved.index(camera.TARGET), solved.index("view")
@@ -218,7 +219,7 @@ def _warnings(solved: _Calibration, views: Table) -> list[str]:
         fold = projection_range(solved.lens.named(), problem.image_size)
         if fold is not None:
             lines.append(
-                f"the lens model folds over at {fold:.0f} px from the principal point, inside the image: "
+                f"the lens model folds over at {fold:.0f} px from the principal point, inside the image; "
                 "use fewer distortion parameters"
             )
     return lines

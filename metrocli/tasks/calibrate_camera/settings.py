@@ -1,4 +1,4 @@
-"""What a job of calibrate-camera says, and the columns of its files."""
+"""The keys of a calibrate-camera job, and the columns of its files."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SCALE_BARS = Columns(
 
 @dataclass(frozen=True, kw_only=True)
 class Camera(LensValues):
-    """The camera to calibrate: a parameter with a value is known, or a start where it is estimated too."""
+    """The camera to calibrate; a given parameter is known, or the starting value if it is estimated too."""
 
     image_size: tuple[int, int] | None = setting(
         ListOf(Whole(minimum=2, maximum=100_000), length=2),
@@ -42,7 +42,7 @@ class Camera(LensValues):
     )
     convention: str = setting(
         Choice("forward", "backward"),
-        "where distortion is taken: at the ideal or at the measured point",
+        "forward: distortion at the ideal point; backward: correction at the measured point",
         default="forward",
     )
     reference_radius: float | None = setting(
@@ -52,12 +52,12 @@ class Camera(LensValues):
     )
 
     def faults(self) -> Iterable[tuple[str, str]]:
-        """Yield what does not fit together."""
+        """Yield (key, message) for keys that contradict each other."""
         chosen = set(self.estimate) | set(self.given())
         if "f" in chosen and chosen & {"fx", "fy"}:
             yield "estimate", "f is one focal length for both axes: name either f, or fx and fy"
         if "aspect" in chosen and chosen & {"fx", "fy"}:
-            yield "estimate", "aspect goes with f; fx and fy have their ratio already"
+            yield "estimate", "aspect goes with f: fx and fy already determine the ratio"
         if not chosen & {"f", "fx", "fy"}:
             yield "estimate", "the focal length is neither estimated nor given: add f to estimate, or give f: ... px"
         if len(chosen & {"fx", "fy"}) == 1:
@@ -85,11 +85,11 @@ class CameraSimulation:
         Quantity("time", positive=True), "time from image to image; without it no times are written", default=None
     )
     warming: float = setting(
-        Quantity("temperature difference"), "how much it warms up from the first image to the last", default=0.0
+        Quantity("temperature difference"), "how much the camera warms up from first to last image", default=0.0
     )
 
     def faults(self) -> Iterable[tuple[str, str]]:
-        """Yield what does not fit together."""
+        """Yield (key, message) if the focal length is missing."""
         given = set(self.lens.given())
         if not ("f" in given or {"fx", "fy"} <= given):
             yield "lens", "the focal length is missing: give f, or fx and fy"
@@ -111,7 +111,7 @@ class Inputs:
 
 @dataclass(frozen=True)
 class Files:
-    """What the inputs hold."""
+    """The contents of the input files."""
 
     observations: Table | None = None
     targets: Table | None = None
@@ -144,12 +144,12 @@ class Settings:
     )
 
     def faults(self) -> Iterable[tuple[str, str]]:
-        """Yield what does not fit together."""
+        """Yield (key, message) for inputs that are missing or contradict each other."""
         yield from image_faults(self.inputs.observations, self.inputs.images, self.pattern, self.inputs.targets)
         if self.inputs.observations is not None and self.camera.image_size is None:
             yield (
                 "camera",
-                "image_size is missing: observations do not say how large the images are; "
+                "image_size is missing: a table of observations does not contain it; "
                 "write e.g. image_size: [2592, 1944]",
             )
         if self.inputs.scale_bars is not None and self.rig != "network":

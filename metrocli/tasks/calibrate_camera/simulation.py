@@ -24,7 +24,7 @@ _FIRST_TEMPERATURE = 20.0
 
 
 def conditions(truth: CameraSimulation, images: int) -> dict[str, Array]:
-    """Return time and temperature of each image, where the simulation has them."""
+    """Return time [s] and temperature [degC] of each image, as far as the simulation sets them."""
     turn = np.arange(images, dtype=float)
     found = {} if truth.interval is None else {"t": turn * truth.interval}
     if truth.warming:
@@ -34,15 +34,20 @@ def conditions(truth: CameraSimulation, images: int) -> dict[str, Array]:
 
 @dataclass(frozen=True)
 class Views:
-    """Images of a simulation: their names, the pose that carries targets into each, and the targets that each shows."""
+    """The images of a simulation."""
 
     images: tuple[str, ...]
     to_camera: Array
+    """Pose that takes targets into the camera's frame, for each image (images, 6)"""
     only: Callable[[int], list[int]] | None = None
+    """Returns the targets that an image shows; None: all"""
 
 
 def simulated_views(rig: str, truth: CameraSimulation, known: Targets, rng: np.random.Generator) -> Views:
-    """Return one image for each target with rig cmm, else views from random sides of the targets."""
+    """Return one image of each target with rig cmm, else views of all targets from random directions.
+
+    Raises InputError if rig cmm has no extrinsics.
+    """
     if rig == "cmm":
         if truth.extrinsics is None:
             raise InputError("simulation: rig cmm needs extrinsics: where the camera is in the reference frame")
@@ -65,7 +70,10 @@ def simulated_views(rig: str, truth: CameraSimulation, known: Targets, rng: np.r
 
 
 def true_model(rig: str, shown: Shown, seen: Sights) -> Model:
-    """Return the calibration at the truth, with the sights as readings, so that effects can be planted in it."""
+    """Return the model of the calibration at the truth, with the exact image points as readings.
+
+    Effects are planted in this model.
+    """
     views = shown.to_camera if rig == "board" else poses.inverse(shown.to_camera)
     name, images = camera.view_name(rig), shown.images
     if rig == "cmm":

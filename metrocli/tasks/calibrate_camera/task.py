@@ -1,4 +1,4 @@
-"""What calibrate-camera does with a job."""
+"""The task calibrate-camera: run, diagnose, simulate and compare."""
 
 from __future__ import annotations
 
@@ -31,35 +31,39 @@ from metrocli.tasks.shared.images.simulation import Shown, sightings_table, sigh
 from metrocli.tasks.shared.images.target_list import known_targets
 
 _FEWEST = {"board": 4, "cmm": 1, "network": 4}
-"""Targets an image needs"""
+"""Fewest targets of an image, for each rig"""
 
 
 def run(job: Job[Settings, Files]) -> Result:
-    """Calibrate; raises InputError, UndeterminedError or NotConvergedError."""
+    """Calibrate the camera of a job.
+
+    Raises InputError if the files do not fit together, UndeterminedError if the readings do not determine the
+    parameters, and NotConvergedError if the adjustment does not converge.
+    """
     settings, problem = prepared(job)
     return report(problem, settings.camera, solved(settings, problem))
 
 
 def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
-    """Return the job as diagnosis sees it, with all its readings; raises as `run` does."""
+    """Return the adjusted job for `diagnose`, with all its readings, outliers included; raises as `run` does."""
     settings, problem = prepared(job)
     return adjusted_job(problem, solved(replace(settings, outliers="report"), problem))
 
 
 def compare(job: Job[Settings, Files]) -> Table:
-    """Return what each lens model of the ladder from pinhole to rational with prism gives, a row for each."""
+    """Return a row for each lens model, from pinhole to rational with thin prism."""
     return compare_models(prepared(replace(job, effects=()))[1])
 
 
 def prepared(job: Job[Settings, Files]) -> tuple[Settings, Problem]:
-    """Return the adjustment with its starting values and effects, and the settings with the size of the images."""
+    """Return the settings completed by the size of the images, and the adjustment with starting values and effects."""
     settings, files = job.settings, job.files
     images = files.images
     if images is not None:
         declared, size = settings.camera.image_size or images.size, images.size
         if tuple(declared) != tuple(size):
             raise InputError(
-                f"the images are {size[0]} x {size[1]} px, but camera: image_size says {declared[0]} x {declared[1]} px"
+                f"the images are {size[0]} x {size[1]} px, but camera: image_size is {declared[0]} x {declared[1]} px"
             )
         settings = replace(settings, camera=replace(settings.camera, image_size=size))
     needs = Needs(_FEWEST[settings.rig], float("nan") if settings.rig == "network" else 0.0)
@@ -69,7 +73,7 @@ def prepared(job: Job[Settings, Files]) -> tuple[Settings, Problem]:
 
 
 def solved(settings: Settings, problem: Problem) -> Adjusted:
-    """Adjust a problem; raises UndeterminedError or NotConvergedError where it has no good solution."""
+    """Adjust a problem; raises UndeterminedError or NotConvergedError if it has no good solution."""
     options = Options(settings.outliers == "remove", settings.noise == "estimated", problem.image_size)
     adjusted = adjust_images(problem.blocks, problem.images, problem.others, problem.datum, options)
     solution = adjusted.solution
@@ -80,7 +84,10 @@ def solved(settings: Settings, problem: Problem) -> Adjusted:
 
 
 def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulation:
-    """Return the sightings that the camera of `simulation:` gives, with noise and effects; pictures if asked for."""
+    """Return the image points that the camera of `simulation:` would measure, with noise and effects.
+
+    Pictures are added if the options ask for them. Raises InputError if the truth or the image size is missing.
+    """
     settings, effects = job.settings, job.effects
     truth, size = settings.simulation, settings.camera.image_size
     if truth is None or size is None:

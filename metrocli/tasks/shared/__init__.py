@@ -1,1 +1,1 @@
-"""What at least two kinds of job use, by its subject."""
+"""What at least two kinds of job share, one module for each subject."""

@@ -1,4 +1,4 @@
-"""How well places in a list are known: the columns that say it, and what they say."""
+"""How well the places in a list are known: the columns of standard deviations, and how they are read."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from metrocli.table import Column, Table
 SIGMAS = tuple(
     Column(name, "length", required=False, may_be_empty=True) for name in ("sigma", "sigma_x", "sigma_y", "sigma_z")
 )
-"""Columns of standard deviations: one for all coordinates, or one for each"""
+"""Columns of standard deviations: one for all three coordinates, or one for each"""
 
 
 def sigmas(table: Table, without: float = float("nan")) -> Array:
-    """Return standard deviations of places (rows, 3) in mm: 0 exact, nan unknown; `without` where no column says it.
+    """Return the standard deviations of places, (rows, 3) mm: 0 is exact, nan is unknown.
 
-    Raises InputError with every row in which one is negative.
+    A coordinate without a column has the value `without`. Raises InputError that names every row with a negative one.
     """
     common = table.numbers("sigma", without)
     sigma = np.stack([table.numbers(f"sigma_{axis}") if f"sigma_{axis}" in table else common for axis in "xyz"], axis=1)

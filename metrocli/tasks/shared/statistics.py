@@ -1,4 +1,4 @@
-"""What every adjustment reports: statistics, residuals, and whether these are of the declared size."""
+"""What every adjustment reports: statistics, residuals, and whether the residuals agree with the declared noise."""
 
 from __future__ import annotations
 
@@ -17,16 +17,21 @@ if TYPE_CHECKING:
     from metrocli.table import Values
 
 _ABSURD = 10.0
-"""A sigma0 beyond this is not a matter of noise"""
+"""A larger sigma0 means a wrong model or gross errors, not noise"""
 
 ESTIMATED, REMOVE = "`noise: estimated`", "`outliers: remove`"
+"""Settings that a warning recommends, if the job has them"""
 _NAMED = 5
+"""Outliers that a warning names, at most"""
 
 Statistics = dict[str, Scalar | Mapping[str, float]]
 
 
 def basic_statistics(solution: Solution, rms: Mapping[str, float]) -> Statistics:
-    """Return the statistics that every adjustment has; `rms` by unit, a reading of several components counting once."""
+    """Return the statistics that every adjustment has.
+
+    `rms` is the RMS of the residuals for each unit; a reading of several components counts once.
+    """
     return {
         "observations": solution.observations,
         "unknowns": solution.unknowns,
@@ -42,16 +47,16 @@ def basic_statistics(solution: Solution, rms: Mapping[str, float]) -> Statistics
 
 
 def with_noise(statistics: Statistics, solution: Solution, noise: float) -> Statistics:
-    """Return the statistics of a job whose noise was found.
+    """Return the statistics of a job whose noise is estimated from the residuals.
 
-    sigma0 is then for a unit weight of 1 px, and there is no global test.
+    sigma0 then belongs to a unit weight of 1 px, and the global test does not apply.
     """
     kept = {name: value for name, value in statistics.items() if name not in ("p_value", "sigma0_low", "sigma0_high")}
     return {**kept, "noise_estimated": True, "noise": noise, "sigma0": noise, "chi2": solution.dof * noise**2}
 
 
 def residual_table(residuals: Residuals, group: Group) -> Table:
-    """Return /residuals: a row for each coordinate of each reading."""
+    """Return the table `residuals`: a row for each coordinate of each reading."""
     observations = group.observations
     d, n = observations.readings.shape
     columns: dict[str, Values] = {
@@ -70,7 +75,10 @@ def residual_table(residuals: Residuals, group: Group) -> Table:
 
 
 def chi_interval(solution: Solution) -> tuple[float, float]:
-    """Return the interval that sigma0 falls in with 95 % if model and noise are right."""
+    """Return the interval that contains sigma0 with 95 % probability if model and noise are right.
+
+    From the chi-square distribution of v'Pv; (nan, nan) without degrees of freedom.
+    """
     from scipy.special import chdtri
 
     if solution.dof <= 0:
@@ -80,9 +88,9 @@ def chi_interval(solution: Solution) -> tuple[float, float]:
 
 
 def noise_warnings(solution: Solution, cures: Collection[str] = (ESTIMATED, REMOVE)) -> list[str]:
-    """Return the warning that the residuals are not of the declared size, where they are not.
+    """Return a warning if sigma0 is outside its 95 % interval, else an empty list.
 
-    It names those of the `cures` that the job knows.
+    `cures` are the settings of the job that the warning may recommend.
     """
     low, high = chi_interval(solution)
     if not np.isfinite(solution.sigma0) or low <= solution.sigma0 <= high:
@@ -90,19 +98,19 @@ def noise_warnings(solution: Solution, cures: Collection[str] = (ESTIMATED, REMO
     if solution.sigma0 > _ABSURD:
         return [
             f"sigma0 = {solution.sigma0:.1f}: the model does not fit the readings, do not use this result; "
-            f"gross errors{f' ({REMOVE})' if REMOVE in cures else ''}, wrong names or units, "
-            "or a noise declared far too small"
+            f"check for gross errors{f' ({REMOVE})' if REMOVE in cures else ''}, wrong names or units, "
+            "or a declared noise that is far too small"
         ]
     scaled = f" ({ESTIMATED} scales them)" if ESTIMATED in cures else ""
     word = "larger" if solution.sigma0 > high else "smaller"
     return [
         f"sigma0 = {solution.sigma0:.3f} is outside {low:.3f} ... {high:.3f}: "
-        f"the residuals are {word} than the declared noise says; "
+        f"the residuals are {word} than the declared noise; "
         f"standard uncertainties are for the declared noise{scaled}"
     ]
 
 
-def beyond_bound(names: Sequence[str], critical: float, cure: str = f"{REMOVE} leaves such out") -> str:
-    """Return the warning that names readings with tests beyond the outlier bound, worst first."""
+def beyond_bound(names: Sequence[str], critical: float, cure: str = f"{REMOVE} leaves them out") -> str:
+    """Return the warning that names the readings beyond the outlier bound; `names` has the worst first."""
     count = "1 reading exceeds" if len(names) == 1 else f"{len(names)} readings exceed"
     return f"{count} the outlier bound |w| = {critical:.2f}: {listed(names, _NAMED)}" + (f"; {cure}" if cure else "")

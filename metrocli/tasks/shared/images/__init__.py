@@ -1,1 +1,1 @@
-"""Measurements in images: sightings, their adjustment, simulation and tables (calibrate-camera, align-part)."""
+"""Measurements in images for calibrate-camera and align-part: sightings, adjustment, simulation and tables."""

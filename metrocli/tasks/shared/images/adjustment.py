@@ -1,4 +1,4 @@
-"""The adjustment of image points: a robust start, outliers removed, their noise estimated."""
+"""The adjustment of image points, from a robust start, with removal of outliers and estimation of the noise."""
 
 from __future__ import annotations
 
@@ -26,41 +26,43 @@ _NO_START = (
     "and that image_size and the poses are right"
 )
 _SETTLED = 1e-7
-"""The noise is found when another round would change it by less than this share"""
+"""The noise estimate has converged when a round changes it by less than this share"""
 _LOST = 0.01
-"""A median residual above this share of the image size is a mistake in the files"""
+"""A median residual above this share of the image size means a mistake in the files"""
 _LEAST = 1e-7
-"""Noise [px] below which readings are exact to the arithmetic; nothing smaller is claimed"""
+"""Smallest noise [px] that is estimated: below it the residuals are rounding errors"""
 _ROUNDS = 60
-"""Rounds at most: with priors of the targets' size the noise settles slowly"""
+"""Limit of the rounds; the noise settles slowly if priors of the targets are as wide as the targets themselves"""
 
 
 @dataclass(frozen=True)
 class Options:
-    """How readings are treated."""
+    """How outliers and noise are treated."""
 
     remove_outliers: bool = False
     estimate_noise: bool = False
     image_size: tuple[int, int] = (0, 0)
-    """Width and height in pixels, to tell a misfit from a mistake"""
+    """Width and height [px], the scale for residuals that reveal a mistake in the files; (0, 0): not checked"""
 
 
 @dataclass(frozen=True)
 class Adjusted:
-    """An image adjustment with what was rejected on the way."""
+    """An adjustment of image points, with the readings that were rejected."""
 
     solution: Solution
     group: Group
     """The image points that were used"""
     residuals: Residuals | None
-    """None where the adjustment did not end well"""
+    """None if the adjustment has no good solution"""
     rejected: Table
+    """Readings left out as outliers, with their test value w"""
     suspects: Suspects
+    """Readings still in use that exceed the outlier bound"""
     noise: float | None = None
-    """Standard deviation of an image coordinate found from the residuals, where it was estimated [px]"""
+    """Standard deviation of an image coordinate [px], estimated from the residuals; None if it was declared"""
 
     def known_residuals(self) -> Residuals:
-        """Return the residuals; RuntimeError where the outcome gave none (ask it first)."""
+        """Return the residuals; raises RuntimeError if there is no good solution (check the outcome first)."""
         if self.residuals is None:
             raise RuntimeError(self.solution.outcome.value)
         return self.residuals
@@ -68,7 +70,7 @@ class Adjusted:
 
 @dataclass(frozen=True)
 class _Settled:
-    """A solution whose noise, where it is estimated, agrees with its residuals."""
+    """A solution whose noise, if it is estimated, agrees with its residuals."""
 
     solution: Solution
     group: Group
@@ -83,7 +85,11 @@ class _Settled:
 def adjust_images(
     blocks: Mapping[str, Block], group: Group, others: Sequence[Group], datum: Datum | None, options: Options
 ) -> Adjusted:
-    """Adjust image points with a robust start; remove outliers and estimate the noise as the options ask."""
+    """Adjust image points from a robust start; remove outliers and estimate the noise as the options ask.
+
+    Gross errors are removed before the first adjustment. Then the worst outlier of each image is removed and the rest
+    adjusted again, until no reading exceeds the bound. Raises InputError if most readings are far from any solution.
+    """
     state = robust_start(blocks.values(), [group, *others], group.name, datum, "view")
     far = gross(group, state) if options.remove_outliers else np.zeros(group.observations.count)
     dropped = [(int(i), float(far[i])) for i in np.flatnonzero(far)]
@@ -107,20 +113,20 @@ def adjust_images(
 
 
 def _must_fit(group: Group, blocks: Mapping[str, Block], image_size: tuple[int, int]) -> None:
-    """Raise InputError where most readings are far from any pose: a mistake in the files, not noise."""
+    """Raise InputError if the median residual is far too large: a mistake in the files, not noise."""
     middle = typical(group, blocks)
     if image_size[0] and np.isfinite(middle) and middle > _LOST * max(image_size):
         raise InputError(
-            f"the readings fit no pose: half of them are off by more than {middle:.0f} px; check the names of the "
-            "targets, units (mm or m, rad or deg), axes exchanged or mirrored, the camera file and the poses; for a "
-            "gross error among few readings, `outliers: remove`"
+            f"the readings fit no pose. Half of them are off by more than {middle:.0f} px. Check the names of the "
+            "targets, the units (mm or m, rad or deg), exchanged or mirrored axes, the camera file and the poses. If "
+            "there are few readings, one gross error may be the cause: `outliers: remove`"
         )
 
 
 def _settled(
     state: Mapping[str, Block], group: Group, others: Sequence[Group], datum: Datum | None, estimate_noise: bool
 ) -> _Settled:
-    """Adjust; where the noise is estimated, again with the noise found, until it no longer changes."""
+    """Adjust; if the noise is estimated, repeat with the noise of the last round until it no longer changes."""
     for _ in range(_ROUNDS):
         solution = adjust(state.values(), [group, *others], datum)
         if not solution.outcome.good:
@@ -136,20 +142,21 @@ def _settled(
 
 
 def must_converge(solution: Solution) -> None:
-    """Raise NotConvergedError unless the adjustment ended well or is undetermined (which the task explains)."""
+    """Raise NotConvergedError unless the solution is good or undetermined (the task explains the latter)."""
     if not solution.outcome.good and not solution.undetermined:
         hint = _NO_START if solution.outcome is Outcome.NO_START else ""
         raise NotConvergedError(f"{solution.outcome.value} ({solution.iterations} steps){hint}")
 
 
 def _noise(found: Residuals, group: Group) -> float:
-    """Return sigma0 of the image points alone: `sqrt(v'Pv / sum r)` (variance component)."""
+    """Return sigma0 of the image points alone, `sqrt(v'Pv / sum r)` with redundancy numbers r (variance component)."""
     whitened = group.observations.whitened(found.values)
     controlled = float(found.redundancy.sum())
     return float(np.sqrt((whitened**2).sum() / controlled)) if controlled > 0 else 1.0
 
 
 def _worst_of_each_image(found: Suspects, group: Group) -> list[tuple[int, float]]:
+    """Return row and test value of the worst suspect in each image: one outlier makes its neighbours suspect too."""
     views = group.observations.index["view"].tolist()
     worst: dict[int, tuple[int, float]] = {}
     for row, test in zip(found.rows.tolist(), found.tests.tolist(), strict=True):
@@ -159,6 +166,7 @@ def _worst_of_each_image(found: Suspects, group: Group) -> list[tuple[int, float
 
 
 def _rejected(group: Group, dropped: Sequence[tuple[int, float]]) -> Table:
+    """Return the table `rejected` of the dropped readings, with the test value w of each."""
     rows = [row for row, _ in dropped]
     keys = group.observations.keys
     return Table(

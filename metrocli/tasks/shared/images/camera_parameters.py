@@ -1,4 +1,4 @@
-"""The parameters that a camera calibration delivers, with their covariance."""
+"""The parameters that result from a camera calibration, with their covariance."""
 
 from __future__ import annotations
 
@@ -21,13 +21,14 @@ if TYPE_CHECKING:
     from metrocli.table import Values
 
 HIGH = 0.95
-"""A correlation beyond this is flagged."""
+"""Correlations larger than this in magnitude are reported."""
 POSE_UNITS = ("mm", "mm", "mm", "rad", "rad", "rad")
+"""Units of x y z alpha beta gamma"""
 
 
 @dataclass(frozen=True)
 class Parameters:
-    """The delivered parameters with their covariance."""
+    """Estimated parameters with their covariance."""
 
     names: tuple[str, ...]
     values: Array
@@ -47,9 +48,9 @@ class Parameters:
         return matrix
 
     def significance(self) -> Table:
-        """Return each parameter with its expanded uncertainty (k = 2).
+        """Return each parameter with its expanded uncertainty U (k = 2).
 
-        For distortion also the probability of a value this far from 0 by chance.
+        `p_value` of distortion, skew and aspect is the two-sided probability of a value this far from 0 by chance.
         """
         from scipy.special import ndtr
 
@@ -67,7 +68,7 @@ class Parameters:
         return Table(columns)
 
     def high_correlations(self) -> Table:
-        """Return the pairs whose correlation is flagged."""
+        """Return the pairs of parameters whose correlation exceeds HIGH in magnitude."""
         matrix = self.correlation
         first, second = np.nonzero(np.triu(np.abs(matrix) > HIGH, 1))
         names = np.array(self.names, dtype=str)
@@ -80,9 +81,9 @@ def unit_of(name: str) -> str:
 
 
 def parameters(rig: str, solution: Solution, effects: Sequence[Added] = ()) -> Parameters:
-    """Return the estimated lens parameters, for rig cmm the camera in the reference frame, and effects.
+    """Return the estimated lens parameters, with rig cmm the pose of the camera, and the estimated effects.
 
-    The camera as x y z alpha beta gamma.
+    The pose is that of the camera in the reference frame, as x y z alpha beta gamma.
     """
     lens = solution.blocks[camera.LENS]
     free = np.flatnonzero(lens.free[0])

@@ -1,4 +1,4 @@
-"""What job and camera files say of a calibrated camera."""
+"""The keys of a camera in job files and camera files."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _FOCAL = Quantity("pixel", minimum=1.0)
 
 @dataclass(frozen=True, kw_only=True)
 class LensValues:
-    """Lens parameters; what is not given is 0 (cx, cy: the image centre)."""
+    """Lens parameters; those not given are 0 (cx, cy: the image centre)."""
 
     f: float | None = setting(_FOCAL, "focal length, one for both axes", default=None)
     fx: float | None = setting(_FOCAL, "focal length along u", default=None)
@@ -61,11 +61,15 @@ class CameraFile(LensValues):
         ListOf(Whole(minimum=2, maximum=100_000), length=2), "width and height in pixels"
     )
     pixel_size: float | None = setting(Quantity("length", positive=True), "side of a pixel", default=None)
-    convention: str = setting(Choice("forward", "backward"), "where distortion is taken", default="forward")
+    convention: str = setting(
+        Choice("forward", "backward"),
+        "forward: distortion at the ideal point; backward: correction at the measured point",
+        default="forward",
+    )
     extrinsics: Extrinsics | None = setting(Section(Extrinsics), "the camera in the taper", default=None)
 
     def faults(self) -> Iterable[tuple[str, str]]:
-        """Yield what does not fit together."""
+        """Yield (key, message) for a focal length that is missing or given twice."""
         given = set(self.given())
         if not ("f" in given or {"fx", "fy"} <= given):
             yield "", "the focal length is missing: give f, or fx and fy"

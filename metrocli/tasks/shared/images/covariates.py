@@ -1,4 +1,7 @@
-"""What unknown effects on image points could vary with, and how image points are refitted and held out."""
+"""Covariates of image points for `diagnose`, and how image points are held out and refitted.
+
+A covariate is a quantity with which an unknown effect could vary: time, place in the image, distance.
+"""
 
 from __future__ import annotations
 
@@ -20,21 +23,22 @@ from metrocli.instruments.camera import LENS, TARGET
 from metrocli.tasks.shared.images.adjustment import IMAGES, Adjusted
 
 FOLDS = 10
+"""Parts of the readings that cross-validation holds out in turn, at most"""
 
 
 def at_solution(model: Model, adjusted: Adjusted) -> Model:
-    """Return a model of image points at its adjustment, with the readings that were used and conditions in them."""
+    """Return the model at the solution of its adjustment, with the readings that were used and their conditions."""
     groups = tuple(adjusted.group if group.name == IMAGES else group for group in model.groups)
     return with_conditions(replace(model, blocks=adjusted.solution.blocks, groups=groups))
 
 
 def covariates(model: Model, in_camera: Array) -> list[Covariate]:
-    """Return what image points could vary with; `in_camera` (3, n) are the targets as the camera has them."""
+    """Return the covariates of all image jobs; `in_camera` (3, n) mm are the targets in the camera's frame."""
     group = model.readings[0]
     observations = group.observations
     lens = model.blocks[LENS].named()
     conditions, view = observations.conditions, observations.index["view"].astype(float)
-    # where the model puts the points: the readings themselves would bring their noise along
+    # Predicted image points: the readings would put their own noise into the covariates.
     off = group.chain.predict(model.blocks, observations) - np.array([[lens["cx"]], [lens["cy"]]])
     order = covariate("order of the images", view, 5)
     if ELAPSED in conditions:
@@ -50,12 +54,15 @@ def covariates(model: Model, in_camera: Array) -> list[Covariate]:
 
 
 def covariate(name: str, values: Array, degree: int) -> Covariate:
-    """Return a covariate of the image points."""
+    """Return a covariate of the image points, tried with polynomials (an angle: harmonics) up to this degree."""
     return Covariate(name, {IMAGES: np.ascontiguousarray(values)}, degree)
 
 
 def folds(unit: Index) -> Mapping[str, Index]:
-    """Return parts of about equally many units (images, targets), as they come in order."""
+    """Return the held-out part to which each reading belongs.
+
+    `unit` is the image or the target of each reading. Units stay whole; parts are runs of about equally many units.
+    """
     units = np.unique(unit)
     rank = np.zeros(int(unit.max()) + 1, dtype=np.intp)
     rank[units] = np.arange(len(units))
@@ -63,7 +70,10 @@ def folds(unit: Index) -> Mapping[str, Index]:
 
 
 def refit(datum: Datum | None) -> Callable[[Model, Mapping[str, Mask]], Solution]:
-    """Return what adjusts a model to some of its readings; what no reading is left of stays where it is."""
+    """Return a function that adjusts a model to the readings kept.
+
+    Poses of images without a reading are held fixed.
+    """
 
     def adjusted(model: Model, keep: Mapping[str, Mask]) -> Solution:
         groups = [group.selected(keep[group.name]) if group.name in keep else group for group in model.groups]
@@ -74,7 +84,7 @@ def refit(datum: Datum | None) -> Callable[[Model, Mapping[str, Mask]], Solution
 
 
 def _without_the_unread(block: Block, index: Mapping[str, Index]) -> Block:
-    """Return a block whose members without a reading are not free; targets with a prior need none."""
+    """Return the block with members that have no reading held fixed; targets stay free, as they may have priors."""
     if block.name not in index or block.name == TARGET:
         return block
     read = np.bincount(index[block.name], minlength=len(block.members)) > 0
@@ -82,5 +92,5 @@ def _without_the_unread(block: Block, index: Mapping[str, Index]) -> Block:
 
 
 def named(covariates: Iterable[Covariate]) -> tuple[Covariate, ...]:
-    """Return the covariates that differ between readings."""
+    """Return the covariates that are not constant over the readings."""
     return tuple(one for one in covariates if np.ptp(np.atleast_2d(one.values[IMAGES]), axis=1).max() > 0)

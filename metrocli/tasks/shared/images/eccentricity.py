@@ -1,8 +1,8 @@
 """Eccentricity of circular targets: the centre of a circle's image is not the image of its centre.
 
-Perspective and lens distortion both move it. The centre that is measured (of the fitted ellipse, or of the grey values)
-is, to the accuracy of a measurement, the centroid of the imaged disc; so the reading is corrected by what the forward
-model itself says of the rim: exact for any tilt, distance, distortion and chain of frames.
+Perspective and lens distortion both move it. The measured centre (of the fitted ellipse, or of the grey values) agrees
+with the centroid of the imaged disc to measurement accuracy. This centroid is computed from the rim of the target as
+the forward model images it. So the correction holds for any tilt, distance, distortion and chain of frames.
 """
 
 from __future__ import annotations
@@ -19,14 +19,16 @@ from metrocli.adjust.model.groups import Group
 from metrocli.instruments.camera import TARGET
 
 _RIM = 16
-"""Corners of the polygon that stands for the rim; its centroid is that of the disc to 1e-6 px"""
+"""Corners of the polygon that replaces the rim; its centroid is that of the disc to 1e-6 px"""
 _ROUNDS = 3
+"""Rounds of correction and adjustment"""
 
 
 def shift(group: Group, blocks: Mapping[str, Block], radius: Array) -> Array:
-    """Return measured centre minus image of the centre, (2, n) px.
+    """Return the measured centre minus the image of the centre, (2, n) px.
 
-    Targets are discs of `radius` (targets,) mm lying in z = const.
+    Targets are discs with `radius` (targets,) mm parallel to the xy plane of the list of targets. The centroid is that
+    of the polygon of imaged rim points; a target without radius has shift 0.
     """
     targets = blocks[TARGET]
     turn = np.arange(_RIM) * (2 * np.pi / _RIM)
@@ -52,9 +54,9 @@ def shift(group: Group, blocks: Mapping[str, Block], radius: Array) -> Array:
 def corrected(
     group: Group, blocks: Mapping[str, Block], others: tuple[Group, ...], datum: Datum | None, radius: Array
 ) -> tuple[Group, dict[str, Block]]:
-    """Return the group with readings freed of eccentricity, and blocks that fit them.
+    """Return the group with readings corrected for eccentricity, and the blocks adjusted to them.
 
-    The shift depends on the solution, so both are found in turn.
+    The correction depends on the solution, so the two are computed in turn.
     """
     measured = group.observations.readings
     state = dict(blocks)

@@ -1,4 +1,4 @@
-"""Effects in simulated image points: the chain of the job run forwards at the truth, with the effects in it."""
+"""Effects in simulated image points: the job's chain of links predicts the readings, with the effects in it."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from metrocli.tasks.shared.images.adjustment import IMAGES
 from metrocli.tasks.shared.images.simulation import Shown, Sights
 
 _ROUNDS = 50
-"""Rounds at most to the image point that a backward lens gives"""
+"""Iteration limit for the image points of a backward lens"""
 _SETTLED = 1e-10
-"""Change [px] of an image point at which it is found"""
+"""The image points have converged when a round changes them by less than this [px]"""
 
 
 def image_group(shown: Shown, seen: Sights, chain: Chain, poses: str) -> Group:
-    """Return the sights as readings of a chain; `poses` is the block that has a pose for each image."""
+    """Return the image points as readings of a chain; `poses` names the block with a pose for each image."""
     index = {"view": seen.view, poses: seen.view, TARGET: seen.target}
     conditions = {name: values[seen.view] for name, values in shown.conditions.items()}
     conditions["radius"] = shown.targets.radius[seen.target]
@@ -35,7 +35,10 @@ def image_group(shown: Shown, seen: Sights, chain: Chain, poses: str) -> Group:
 
 
 def planted(model: Model, seen: Sights, effects: Sequence[Wanted]) -> tuple[Sights, dict[str, float]]:
-    """Return the sights of a model at the truth with effects in them, and the effects' values by name."""
+    """Return the image points with effects in them, and the true values of the effects by name.
+
+    `model` is the model of the job at the truth.
+    """
     if not effects:
         return seen, {}
     model = extended(model, effects)
@@ -43,15 +46,16 @@ def planted(model: Model, seen: Sights, effects: Sequence[Wanted]) -> tuple[Sigh
 
 
 def refuse_pictures(effects: Sequence[Wanted]) -> None:
-    """Raise UsageError: effects are planted in image points, not in pictures."""
+    """Raise UsageError if there are effects: they are planted in image points, not in rendered pictures."""
     if effects:
         raise UsageError("effects are planted in image points, not in pictures: leave out --images or --effect")
 
 
 def _image_points(model: Model) -> Array:
-    """Return the readings that agree with their prediction, (2, n).
+    """Return the readings that agree with their prediction, (2, n) px.
 
-    A forward lens predicts them outright; a backward one takes its correction at the reading: both are found in turn.
+    A forward lens predicts them directly. A backward lens takes its correction at the reading, so they are iterated.
+    Raises InputError if the camera no longer sees a target.
     """
     group = model.readings[0]
     for _ in range(_ROUNDS):

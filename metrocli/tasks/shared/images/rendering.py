@@ -1,4 +1,4 @@
-"""Pictures of simulated targets, each rendered when it is asked for."""
+"""Pictures of simulated targets, rendered one by one on demand."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Draw = Callable[[], "Picture"]
 def pictures(
     shown: Shown, pattern: Pattern, rng: np.random.Generator, only: Callable[[int], list[int]] | None = None
 ) -> Iterator[tuple[str, Draw]]:
-    """Yield for each image its path and what renders it."""
+    """Yield the path of each image and a function that renders it; each image has a random seed of its own."""
     seeds = rng.integers(0, 2**63, len(shown.images))
     for i, image in enumerate(shown.images):
         chosen = list(range(len(shown.targets.names))) if only is None else only(i)
@@ -34,7 +34,7 @@ def pictures(
 
 
 def drawer(shown: Shown, pattern: Pattern, image: int, chosen: list[int], seed: int) -> Draw:
-    """Return what renders one image with the chosen targets."""
+    """Return a function that renders one image with the chosen targets."""
 
     def draw() -> Picture:
         scene = _scene(shown, pattern, image, chosen)

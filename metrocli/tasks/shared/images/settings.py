@@ -1,4 +1,4 @@
-"""What the settings of image jobs share."""
+"""Settings that calibrate-camera and align-part share."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from metrocli.targets.pattern import GRIDS, Pattern
 
 
 class ImageSettings(Protocol):
-    """The settings that image jobs share."""
+    """The shared settings of image jobs, as far as finding and joining of image points needs them."""
 
     @property
     def noise(self) -> float | str:
@@ -26,10 +26,10 @@ class ImageSettings(Protocol):
 
 
 def eccentricity_setting() -> str:
-    """Return the setting of how the eccentricity of circular targets is treated."""
+    """Return the setting for the eccentricity of circular targets."""
     text = (
         "perspective moves the centre of a circle's image: correct it (needs radii), ignore it, "
-        "or auto: correct it where images of targets of known diameter are measured"
+        "or auto: correct it if circles of known size are found in images"
     )
     chosen: str = setting(Choice("auto", "correct", "ignore"), text, default="auto")
     return chosen
@@ -38,11 +38,11 @@ def eccentricity_setting() -> str:
 def image_faults(
     observations: object, images: object, pattern: Pattern | None, targets: object
 ) -> Iterable[tuple[str, str]]:
-    """Yield what is missing between observations, images, targets and pattern."""
+    """Yield (key, message) for what is missing among observations, images, targets and pattern."""
     if (observations is None) == (images is None):
-        yield "inputs", "give either observations (a CSV file) or images (with a pattern), not both and not neither"
+        yield "inputs", "give either observations (a CSV file) or images (with a pattern), exactly one of the two"
     if images is not None and pattern is None:
         example = "pattern: {type: chessboard, columns: 9, rows: 6, pitch: 25 mm}"
-        yield "inputs.images", f"images need a pattern: what they show, e.g. {example}"
+        yield "inputs.images", f"images need a pattern that describes their targets, e.g. {example}"
     if targets is None and (observations is not None or (pattern is not None and pattern.type not in GRIDS)):
         yield "inputs", "the key 'targets' is missing in 'inputs': the coordinates of the targets"

@@ -1,4 +1,4 @@
-"""Sightings: image points of targets, read from a table or found in images, joined to the targets."""
+"""Sightings: image points of targets, read from a table or found in images, and joined to the list of targets."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ OBSERVATIONS = Columns(
     description="image coordinates of targets",
 )
 START_NOISE = 0.1
-"""Noise [px] to start from where it is estimated"""
+"""Starting value of the noise [px] if it is estimated"""
 
 _BEYOND = 0.01
-"""How far beyond the border a reading may lie, as a share of the image"""
+"""How far beyond the border a reading may lie, as a share of the image size"""
 _MANY = 0.25
-"""More readings outside than this share are refused; fewer may be gross errors"""
+"""If a larger share of the readings lies outside, the file is refused; a smaller share may be gross errors"""
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Needs:
     fewest: int
     """Targets that an image must show"""
     unknown_sigma: float = 0.0
-    """Standard deviation of targets in a list without a sigma column; nan: unknown"""
+    """Standard deviation [mm] of targets in a list without a sigma column; nan: unknown"""
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Sighted:
     observations: Observations
     warnings: tuple[str, ...] = ()
     eccentric: bool = False
-    """Whether the readings are centres of ellipses whose eccentricity the model has to follow"""
+    """Whether the readings are centres of ellipses that must be corrected for eccentricity"""
 
     @property
     def view(self) -> Index:
@@ -74,7 +74,10 @@ class Sighted:
 def sightings(
     settings: ImageSettings, observations: Table | None, targets: Table | None, images: ImageSet | None, needs: Needs
 ) -> Sighted:
-    """Return the readings, from a table or found in images, joined to their targets."""
+    """Return the readings, from a table or found in images, joined to their targets.
+
+    Raises InputError for faults in the tables, and UndeterminedError if no image shows enough targets.
+    """
     warnings: tuple[str, ...] = ()
     pattern = settings.pattern
     if images is not None and pattern is not None:
@@ -93,7 +96,10 @@ def sightings(
 
 
 def _eccentric(settings: ImageSettings, sighted: Sighted, measured: bool) -> bool:
-    """Tell whether eccentricity has to be followed; `measured`: the readings were found in images."""
+    """Return whether eccentricity has to be corrected; `measured`: the readings were found in images.
+
+    Raises InputError if the job asks for the correction and a radius is missing.
+    """
     known = bool(np.isfinite(sighted.observations.conditions["radius"]).all())
     if settings.eccentricity == "correct" and not known:
         raise InputError(
@@ -106,9 +112,10 @@ def _eccentric(settings: ImageSettings, sighted: Sighted, measured: bool) -> boo
 
 
 def sight(images: ImageSet, pattern: Pattern) -> tuple[Table, tuple[str, ...]]:
-    """Find the targets of a pattern in images; return the sightings as a table of observations and what to warn of.
+    """Find the targets of a pattern in images; return them as a table of observations, with warnings.
 
-    A single dot is named after its image (file name without ending), since it stands in another place in each.
+    A single dot has another place in each image, so it is named after the image (file name without its ending).
+    Raises InputError if no image shows a target.
     """
     names: list[str] = []
     targets: list[str] = []
@@ -129,9 +136,10 @@ def sight(images: ImageSet, pattern: Pattern) -> tuple[Table, tuple[str, ...]]:
 
 
 def join(table: Table, targets: Targets, sigma: float, fewest: int) -> Sighted:
-    """Match readings to targets; images with fewer than `fewest` of them are left out with a warning.
+    """Match readings to targets; leave out images with fewer than `fewest` readings, with a warning.
 
-    Raises InputError for every reading of a target that the list does not have.
+    `sigma` is the standard deviation [px] of readings without one of their own. Raises InputError that names every
+    reading whose target is not in the list.
     """
     of_target, target = _matched(table, targets)
     of_image = np.asarray(table.columns["image"], dtype=str)
@@ -162,10 +170,10 @@ def join(table: Table, targets: Targets, sigma: float, fewest: int) -> Sighted:
 
 
 def check_inside(sighted: Sighted, size: tuple[int, int]) -> Sighted:
-    """Return the sightings, with a warning where single readings lie outside the image.
+    """Return the sightings, with a warning if a few readings lie outside the image.
 
-    Raises InputError where many do, where one lies farther outside than the image is large, or where all would lie
-    inside with u and v exchanged.
+    Raises InputError if many do, if one is farther outside than the image is large, or if all would lie inside with u
+    and v exchanged.
     """
     uv, extent = sighted.observations.readings, np.array(size)[:, None]
     outside = ((uv < -_BEYOND * extent) | (uv > (1 + _BEYOND) * extent)).any(axis=0)
@@ -182,14 +190,14 @@ def check_inside(sighted: Sighted, size: tuple[int, int]) -> Sighted:
     )
     exchanged = ((uv >= -_BEYOND * extent[::-1]) & (uv <= (1 + _BEYOND) * extent[::-1])).all()
     if exchanged:
-        raise InputError(f"{told}: with u and v exchanged all would lie inside")
+        raise InputError(f"{told}; with u and v exchanged all would lie inside")
     if outside.mean() > _MANY or far.any():
         raise InputError(told)
     return replace(sighted, warnings=(*sighted.warnings, told))
 
 
 def _matched(table: Table, targets: Targets) -> tuple[np.ndarray[tuple[int], np.dtype[np.str_]], Index]:
-    """Return the name of each reading's target and its place in the list."""
+    """Return the name of each reading's target and its number in the list; raises InputError for unknown targets."""
     place = {name: i for i, name in enumerate(targets.names)}
     of_target = np.asarray(table.columns["target"], dtype=str)
     names, which = np.unique(of_target, return_inverse=True)
@@ -203,5 +211,6 @@ def _matched(table: Table, targets: Targets) -> tuple[np.ndarray[tuple[int], np.
 
 
 def _refuse(table: Table, rows: Mask, text: str) -> None:
+    """Raise InputError with this text for each of the rows, if there are any."""
     if rows.any():
         raise InputError(table.faults_at(np.flatnonzero(rows), lambda row: text))

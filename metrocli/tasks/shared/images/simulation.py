@@ -1,4 +1,4 @@
-"""Simulated image measurements: the image points that the model predicts for a given truth."""
+"""Simulated image measurements: the image points that the camera model predicts for a given truth."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ if TYPE_CHECKING:
     from metrocli.table import Values
 
 _MARGIN = 2.0
-"""Pixels that a target keeps from the border"""
+"""Least distance of a target from the border of the image [px]"""
 
 _ASTRAY = 1e-6
-"""Of the plane Z = 1: how far a point that is seen may be from where its image leads back to"""
+"""Largest distance in the plane Z = 1 between a point and the ray of its image; beyond it the lens model folds over"""
 
 
 @dataclass(frozen=True)
 class Shown:
-    """A camera with its true values in front of targets."""
+    """A camera with its true parameters, the targets in front of it, and its images."""
 
     lens: Mapping[str, float]
     image_size: tuple[int, int]
     images: tuple[str, ...]
     to_camera: Array
-    """The pose that carries targets into the camera for each image, (images, 6)"""
+    """Pose that takes targets into the camera's frame, for each image (images, 6)"""
     targets: Targets
     convention: str = "forward"
     conditions: Mapping[str, Array] = field(default_factory=dict)
@@ -42,7 +42,7 @@ class Shown:
 
 
 def true_targets(listed: Targets, rng: np.random.Generator) -> Targets:
-    """Return the targets where they really are: off the list by what its standard deviations say."""
+    """Return the true targets: the listed places with normal errors of the listed standard deviations."""
     return replace(
         listed, points=listed.points + rng.normal(0.0, 1.0, listed.points.shape) * np.nan_to_num(listed.sigma)
     )
@@ -50,16 +50,19 @@ def true_targets(listed: Targets, rng: np.random.Generator) -> Targets:
 
 @dataclass(frozen=True)
 class Sights:
-    """What the camera sees of each target: image points before noise, those inside the images only."""
+    """Exact image points of the targets inside each image, before noise is added."""
 
     view: Index
     target: Index
     uv: Array
-    """(2, n)"""
+    """Image coordinates (2, n) px"""
 
 
 def sights(shown: Shown, only: Callable[[int], list[int]] | None = None) -> Sights:
-    """Return the image points of the targets inside each image; `only` names the targets of each image."""
+    """Return the image points of the targets inside each image.
+
+    `only` returns the targets that an image shows; None: all. Raises InputError if no target is inside any image.
+    """
     views, targets, points = [np.zeros(0, dtype=np.intp)], [np.zeros(0, dtype=np.intp)], [np.zeros((0, 2))]
     for i in range(len(shown.images)):
         chosen = np.arange(len(shown.targets.names)) if only is None else np.array(only(i), dtype=np.intp)
@@ -73,7 +76,7 @@ def sights(shown: Shown, only: Callable[[int], list[int]] | None = None) -> Sigh
 
 
 def sightings_table(shown: Shown, seen: Sights, sigma: float, rng: np.random.Generator) -> Table:
-    """Return the table of observations, with noise, and with the conditions of the images."""
+    """Return the table of observations with normal noise `sigma` [px] and the conditions of the images."""
     u, v = seen.uv + rng.normal(0.0, sigma, seen.uv.T.shape).T
     columns: dict[str, Values] = {
         "image": np.array(shown.images)[seen.view],
@@ -87,7 +90,7 @@ def sightings_table(shown: Shown, seen: Sights, sigma: float, rng: np.random.Gen
 
 
 def _projected(shown: Shown, image: int, chosen: Index) -> tuple[Array, Mask]:
-    """Return image points (n, 2) and whether each is inside with its target, its radius included."""
+    """Return image points (n, 2) and whether the image of the whole target, radius included, is inside the image."""
     points = poses.apply(shown.to_camera[image], shown.targets.points[chosen])
     front = points[:, 2] > 0
     z = np.where(front, points[:, 2], 1.0)
@@ -104,12 +107,16 @@ def _projected(shown: Shown, image: int, chosen: Index) -> tuple[Array, Mask]:
 
 
 def _mapped(shown: Shown, x: Array, y: Array, u: Array, v: Array) -> Mask:
-    """Return which points the lens maps: far outside the image its polynomials fold over and come back into it."""
+    """Return whether the image of each point is real.
+
+    The lens polynomial folds over far outside the image, so that points out of sight are mapped back into it.
+    """
     back_x, back_y = ideal_point(shown.lens, u, v, shown.convention)
     return np.hypot(back_x - x, back_y - y) < _ASTRAY
 
 
 def _distorted(shown: Shown, x: Array, y: Array) -> tuple[Array, Array]:
+    """Return the image points u, v [px] of ideal points x, y in the plane Z = 1; a backward lens is iterated."""
     if shown.convention == "forward":
         return image_point(shown.lens, x, y)
     u, v = image_point(

@@ -19,18 +19,19 @@ if TYPE_CHECKING:
     from metrocli.table import Values
 
 _VIEW_SUSPECT = 2.5
-"""An image whose RMS is this many times the median of all is named."""
+"""A warning names images whose RMS is more than this many times the median."""
 
 
 def root_mean_square(values: Array) -> float:
-    """Return the root mean square length of image residuals (2, n), in their unit, a point counting once."""
+    """Return the root mean square length of image residuals (2, n), in their unit; each point counts once."""
     return float(np.sqrt((values**2).sum(axis=0).mean())) if values.size else float("nan")
 
 
 def rms_table(residuals: Array, group: Group, label: str, index: Index, names: Sequence[str]) -> Table:
-    """Return for each member, an image or a target, how many readings it has and how they fit.
+    """Return a row for each image or target with the number of its readings and their residuals [px].
 
-    Readings, RMS of the points and of each coordinate, the largest residual and the reading it belongs to.
+    Columns: readings, RMS of the points, RMS of u and of v, the largest residual and the reading that has it. `label`
+    is "image" or "target"; `index` gives the row of each reading.
     """
     square = residuals**2
     distance = np.sqrt(square.sum(axis=0))
@@ -54,7 +55,7 @@ def rms_table(residuals: Array, group: Group, label: str, index: Index, names: S
 
 
 def suspect_images(names: Sequence[str], rms: Array, counts: Array) -> list[str]:
-    """Return a warning for each image whose RMS is far above the others'."""
+    """Return a warning for each image whose RMS is more than 2.5 times the median of all images."""
     seen = rms[counts > 0]
     if seen.size < 3:
         return []
@@ -68,7 +69,7 @@ def suspect_images(names: Sequence[str], rms: Array, counts: Array) -> list[str]
 
 
 def suspect_readings(found: Suspects, group: Group) -> list[str]:
-    """Return a warning that names the readings with the largest tests."""
+    """Return a warning that names the readings beyond the outlier bound, worst first; an empty list without any."""
     if not found.rows.size:
         return []
     order = np.argsort(-found.tests)
@@ -81,12 +82,12 @@ def suspect_readings(found: Suspects, group: Group) -> list[str]:
 
 
 def adjustment_notes(adjusted: Adjusted) -> list[str]:
-    """Return what the reader is told of the noise found and the readings rejected."""
+    """Return the notes of the report: the estimated noise and the number of rejected readings."""
     lines = []
     if adjusted.noise is not None:
-        lines.append(f"noise of an image coordinate found: {adjusted.noise:.3g} px; covariances are scaled by it")
+        lines.append(f"estimated noise of an image coordinate: {adjusted.noise:.3g} px; covariances are scaled by it")
     if len(adjusted.rejected):
         lines.append(
-            f"{len(adjusted.rejected)} readings rejected as outliers (table 'rejected' has each with its test value)"
+            f"{len(adjusted.rejected)} readings rejected as outliers (table 'rejected' lists them with their tests)"
         )
     return lines

@@ -1,4 +1,4 @@
-"""The targets of an image job: read from a list or taken from a printed pattern, and what is known of them."""
+"""The targets of an image job, from a list or from a printed pattern, and how well their places are known."""
 
 from __future__ import annotations
 
@@ -34,13 +34,14 @@ class Targets:
     sigma: Array
     """(m, 3) mm: 0 exact, nan unknown"""
     radius: Array
-    """(m,) mm, nan where it is not given"""
+    """(m,) mm, nan if it is not given"""
 
 
 def known_targets(pattern: Pattern | None, targets: Table | None, unknown_sigma: float) -> Targets:
-    """Return the targets of the list, or of the printed pattern where there is none.
+    """Return the targets of the list, or without a list those of the printed pattern.
 
-    Where the list has no radius, that of the pattern holds.
+    A target without a radius in the list has that of the pattern. `unknown_sigma` [mm] is the standard deviation in a
+    list without a sigma column. Raises InputError without list and pattern.
     """
     if targets is not None:
         known = read_targets(targets, unknown_sigma)
@@ -54,7 +55,10 @@ def known_targets(pattern: Pattern | None, targets: Table | None, unknown_sigma:
 
 
 def read_targets(table: Table, default_sigma: float = 0.0) -> Targets:
-    """Return the targets of a list; where no sigma column is given, `default_sigma` (nan: unknown)."""
+    """Return the targets of a list; without a sigma column their sigma is `default_sigma` [mm] (nan: unknown).
+
+    Raises InputError that names every row with a negative standard deviation or a radius that is not above zero.
+    """
     sigma, radius = together(lambda: sigmas(table, default_sigma), lambda: _radii(table))
     return Targets(tuple(table.texts("target")), table.stacked(("x", "y", "z")), sigma, radius)
 

@@ -138,7 +138,7 @@ CASES = {
     "fewer targets than a view needs": Case("board", 4, ("no image shows 4 or more targets of the list",), keep(lambda row: row[1] in ("T0", "T1", "T2"))),
     "one row": Case("board", 4, ("no image shows 4 or more targets",), rows(OBS, lambda table: table[:1])),
     "one row, network": Case("network", 4, ("no image shows 4 or more targets",), rows(OBS, lambda table: table[:1])),
-    "one row, cmm": Case("cmm", 4, ("1 readings in all: the place of a camera needs at least 4",), rows(OBS, lambda table: table[:1])),
+    "one row, cmm": Case("cmm", 4, ("1 readings in all: the pose of a camera needs at least 4",), rows(OBS, lambda table: table[:1])),
     "one row, part": Case("align", 4, ("there are fewer readings than unknowns: 2 readings, 7 unknowns",), rows(OBS, lambda table: table[:1])),
     "one view": Case(
         "board", 4, ("undetermined: f, z of view", "what would determine it: more views"),
@@ -156,7 +156,7 @@ CASES = {
     ),
     "all targets in one plane, with distortion": Case("plane", 4, ("z of camera, f", "why: all targets lie in one plane")),
     "one position of the spindle": Case(
-        "position", 4, ("undetermined: gamma_s, rz of the part", "why: the clamping angle and the part's rotation turn the images alike", "images from several positions of the spindle"),
+        "position", 4, ("undetermined: gamma_s, rz of the part", "why: the clamping angle and the part's rotation change the images in the same way", "images from several positions of the spindle"),
     ),
     "one target": Case("align", 4, ("why: 1 targets in 2 images", "three or more targets not on a line"), keep(lambda row: row[1] == "M1")),
     "two targets": Case("align", 4, ("undetermined: r", "why: 2 targets in 4 images"), keep(lambda row: row[1] in ("M1", "M2"))),
@@ -214,12 +214,12 @@ WARNED = {
         "board", keep(lambda row: row[0] != "view06.png" or row[1] in ("T0", "T1", "T2")), "image view06.png has 3 targets, fewer than 4: left out",
     ),
     "a target that one image shows": (
-        "network", keep(lambda row: row[1] != "T7" or row[0] == "view01.png"), "1 targets are seen in one image only, which does not place them: left out: T7",
+        "network", keep(lambda row: row[1] != "T7" or row[0] == "view01.png"), "left out: 1 targets are seen in one image only, which does not place them: T7",
     ),
     "poses without a sighting": ("align", keep(lambda row: row[0] != "image8"), "1 poses have no sighting: image8"),
-    "a camera without covariance": ("align", None, "the camera is taken as exact: its file states no covariance"),
-    "noise declared too small": ("cmm", text("job.yaml", "noise: 0.05 px", "noise: 0.01 px"), "the residuals are larger than the declared noise says"),
-    "noise declared too large": ("board", text("job.yaml", "noise: 0.05 px", "noise: 0.5 px"), "the residuals are smaller than the declared noise says"),
+    "a camera without covariance": ("align", None, "the camera is taken as exact: its file contains no covariance"),
+    "noise declared too small": ("cmm", text("job.yaml", "noise: 0.05 px", "noise: 0.01 px"), "the residuals are larger than the declared noise;"),
+    "noise declared too large": ("board", text("job.yaml", "noise: 0.05 px", "noise: 0.5 px"), "the residuals are smaller than the declared noise;"),
 }  # fmt: skip
 
 
@@ -273,7 +273,7 @@ def test_the_camera_of_a_board_has_no_place_in_the_taper(
     small_jobs.align(tmp_path)
     ran = metrocli("align-part", tmp_path / "job.yaml", "--set", "inputs.camera=board/camera.h5")
     assert ran.code == 3
-    assert "the camera was calibrated with rig board; its place in the taper is known from rig cmm only" in ran.err
+    assert "the camera was calibrated with rig board; only rig cmm determines its place in the taper" in ran.err
     assert not (tmp_path / "part.h5").exists()
 
 
