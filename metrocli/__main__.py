@@ -1,4 +1,4 @@
-"""python -m metrocli is the command metrocli."""
+"""Run the command line with `python -m metrocli`."""
 
 from metrocli.cli.main import main
 

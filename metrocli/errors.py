@@ -1,4 +1,4 @@
-"""The kinds of failure a user can meet, each with its exit code."""
+"""Errors that are reported to the user, each with its exit code, and faults with their place in a file."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ SHOWN = 160
 
 @dataclass(frozen=True)
 class Fault:
-    """One thing that is wrong in one place of a file the user wrote."""
+    """One fault at one place of a job file, an input or the command line."""
 
     message: str
     file: str = ""
@@ -36,7 +36,7 @@ class Fault:
 
 
 class MetrocliError(Exception):
-    """A failure that is told to the user in plain words, without a traceback."""
+    """A failure that the command line reports as a message, without a traceback."""
 
     exit_code = 1
 
@@ -58,7 +58,7 @@ class InputError(MetrocliError):
 
 
 def together(*asked: Callable[[], Any]) -> list[Any]:
-    """Return the answers of all; InputError with the faults of all that raise one."""
+    """Call all functions and return their results; raises one InputError with the faults of all that fail."""
     answers: list[Any] = []
     faults: list[Fault] = []
     for ask in asked:
@@ -72,7 +72,7 @@ def together(*asked: Callable[[], Any]) -> list[Any]:
 
 
 class UndeterminedError(MetrocliError):
-    """The data cannot determine the unknowns; the message names the combination and what would determine it."""
+    """The data do not determine the unknowns; the message names the combination and what would determine it."""
 
     exit_code = 4
 

@@ -1,4 +1,4 @@
-"""Images as a job sees them: named, read one at a time."""
+"""The interface of a set of images: named, of equal size, and read one at a time."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 class ImageSet(Protocol):
-    """Grey-value images by name, each loaded when it is asked for."""
+    """Grey-value images by name, each loaded only when the iteration reaches it."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -21,7 +21,7 @@ class ImageSet(Protocol):
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height in pixels, the same for all."""
+        """Width and height in pixels, the same for all images."""
 
     def __iter__(self) -> Iterator[tuple[str, Picture]]:
-        """Yield (name, grey image (height, width), 8 or 16 bit)."""
+        """Yield name and grey image, (height, width), 8 or 16 bit."""

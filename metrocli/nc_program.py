@@ -1,4 +1,4 @@
-"""NC programs as text: ISO 6983-1 words (G-code), one block a line, absolute positions in millimetre."""
+"""NC programs as text: words of ISO 6983-1 (G-code), one block per line, absolute positions in mm."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from metrocli.units import find_unit
 
 @dataclass(frozen=True)
 class Control:
-    """What controls write differently, where ISO 6983-1 leaves it open."""
+    """Conventions of a control where ISO 6983-1 leaves a choice."""
 
     dwell: str
-    """The word of the seconds of a dwell (G4)"""
+    """Address of the duration in seconds of a dwell (G4)"""
     metric: str = "G21"
     comment: tuple[str, str] = ("(", ")")
     frame: tuple[str, ...] = ("%",)
-    """First and last line of a program"""
+    """Line that starts and ends a program; empty for none"""
 
 
 CONTROLS = {
@@ -25,16 +25,19 @@ CONTROLS = {
     "fanuc": Control("X"),
     "siemens": Control("F", metric="G710", comment=("; ", ""), frame=()),
 }
-"""By name; Siemens in its own language: SINUMERIK ONE, NC programming (12/2019), special characters, G700/G710, G4"""
+"""Controls by name.
+
+Siemens programs use its own language: SINUMERIK ONE, NC programming (12/2019), special characters, G700/G710, G4.
+"""
 _DIGITS = 4
 
 
 @dataclass(frozen=True)
 class Rapid:
-    """Move some axes in rapid traverse (G0); of several axes the path between is not defined."""
+    """Move axes in rapid traverse (G0); if several axes move, the path between start and end is not defined."""
 
     to: Mapping[str, float]
-    """[mm] by axis"""
+    """Position by axis [mm]"""
 
 
 @dataclass(frozen=True)
@@ -42,9 +45,9 @@ class Feed:
     """Move along a straight line at a feed (G1)."""
 
     to: Mapping[str, float]
-    """[mm] by axis"""
+    """Position by axis [mm]"""
     speed: float
-    """[mm/s]"""
+    """Feed [mm/s]"""
 
 
 @dataclass(frozen=True)
@@ -52,7 +55,7 @@ class Dwell:
     """Stand still (G4)."""
 
     time: float
-    """[s]"""
+    """Duration [s]"""
 
 
 @dataclass(frozen=True)
@@ -66,9 +69,10 @@ Block = Rapid | Feed | Dwell | Stop
 
 
 def program(title: str, remarks: Sequence[str], blocks: Iterable[Block], control: str = "linuxcnc") -> str:
-    """Return the text of a program: remarks, `G17 G21 G40 G90 G94` (metric as the control has it), the blocks, M30.
+    """Return the text of a program: title and remarks, `G17 G21 G40 G90 G94`, the blocks, M30.
 
-    Positions have four decimals; remarks and messages become comments.
+    The control determines the word for metric units (G21 or G710). Positions have four decimals; title, remarks and
+    messages become comments.
     """
     spoken = CONTROLS[control]
     lines = [*spoken.frame, *(_comment(line, spoken) for line in (title, *remarks)), f"G17 {spoken.metric} G40 G90 G94"]
@@ -95,7 +99,7 @@ def _position(to: Mapping[str, float]) -> str:
 
 
 def _comment(text: str, control: Control) -> str:
-    """Return a comment; parentheses within it could end it, and controls read ASCII only."""
+    """Return a comment in ASCII, since controls read nothing else; parentheses in it become brackets."""
     plain = text.translate({ord("("): "[", ord(")"): "]"}).encode("ascii", "replace").decode()
     begin, end = control.comment
     return f"{begin}{' '.join(plain.split())}{end}"

@@ -1,4 +1,4 @@
-"""A job file as a plain tree: text with its place, not yet numbers, words or paths."""
+"""A job file as a tree of nodes: texts with their place in the file, before they are read as values."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ class Source:
     file: str
     lines: tuple[str, ...]
     folder: Path
-    """Where relative paths start."""
+    """Folder from which relative paths start."""
 
 
 @dataclass(frozen=True)
 class Node:
-    """One value of a job file with its place; its text is not yet a number, a word or a path."""
+    """One value of a job file with its place; a scalar is kept as the text in the file."""
 
     kind: Literal["scalar", "list", "mapping"]
     source: Source
@@ -37,17 +37,17 @@ class Node:
 
     @property
     def empty(self) -> bool:
-        """Nothing is written after the key."""
+        """Whether nothing, or an explicit null, is written after the key."""
         return self.kind == "scalar" and not self.quoted and self.text in ("", "~", "null")
 
     def fault(self, message: str, hint: str | None = None) -> Fault:
-        """Return a fault at this place."""
+        """Return a fault at the place of this node."""
         lines = self.source.lines
         shown = lines[self.line - 1] if self.line is not None and self.line <= len(lines) else None
         return Fault(message, self.source.file, self.line, self.column, shown, hint)
 
     def get(self, key: str) -> Node | None:
-        """Return the value of a key, None where it is absent."""
+        """Return the value of a key, or None if the key is absent."""
         return next((value for name, value in self.entries if name.text == key), None)
 
     def at(self, path: str) -> Node:

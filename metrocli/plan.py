@@ -1,4 +1,4 @@
-"""What `metrocli plan` gives: what a measurement will determine before it is made, and the files to make it with."""
+"""A planned measurement, as `metrocli plan` gives it: what it will determine, and the files to carry it out."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from metrocli.table import Table
 
 @dataclass(frozen=True)
 class Plan:
-    """A planned measurement and what it will be worth."""
+    """A planned measurement with its predicted uncertainties and its files."""
 
     kind: str
     notes: tuple[str, ...]
-    """Lines of plain text: what it will determine, how well, what it will not see, and what would be better."""
+    """Lines of text: what it will determine and how well, what it will not detect, and what would be better."""
     figures: tuple[Estimate, ...] = ()
-    """Expected values (`std` 0 where they have none) and predicted standard uncertainties, in internal units."""
+    """Expected values and predicted standard uncertainties in internal units; `std` is 0 for exact figures."""
     tables: Mapping[str, Table] = field(default_factory=dict)
-    """By name; each is written as NAME.csv."""
+    """Tables by name; each is written as NAME.csv."""
     files: Mapping[str, Table | str] = field(default_factory=dict)
-    """Paths, poses and NC programs by file name: a table, to be written as CSV, or the text of the file."""
+    """Paths, poses and NC programs by file name: a table that is written as CSV, or the text of the file."""
     warnings: tuple[str, ...] = ()
     shown: tuple[ShownTable, ...] = ()

@@ -1,4 +1,4 @@
-"""Where a result comes from: the job as used, its inputs by content, and how its acceptance criteria came out."""
+"""The record of a result: the job as used, its inputs with checksums, and the verdicts on acceptance criteria."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ class InputFile:
 
 @dataclass(frozen=True)
 class Verdict:
-    """One acceptance criterion of a job (`require:`) and how it came out."""
+    """One acceptance criterion of a job (`require:`), the value it was applied to, and whether it is met."""
 
     name: str
     condition: str
-    """As written, such as "< 0.01 mm"."""
+    """The condition as written in the job, such as "< 0.01 mm"."""
     value: float
     unit: str
     met: bool
@@ -29,12 +29,12 @@ class Verdict:
 
 @dataclass(frozen=True)
 class Record:
-    """What a result file holds besides the result."""
+    """What a result file records besides the result, so that it can be traced and repeated."""
 
     job_text: str
-    """The job file as used, after --set."""
+    """Text of the job file as used, after the changes by --set."""
     inputs: tuple[InputFile, ...]
     metrocli_version: str
     created: str
-    """UTC, ISO 8601."""
+    """Date and time in UTC, ISO 8601."""
     verdicts: tuple[Verdict, ...] = ()

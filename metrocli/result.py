@@ -1,4 +1,4 @@
-"""What a job delivers: estimates with their covariance, statistics, tables; independent of any file format."""
+"""The result of a job: estimates with their covariance, statistics and tables, independent of any file format."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class ShownTable:
 
     name: str
     columns: tuple[str, ...] = ()
-    """Those that are shown; all of them unless given"""
+    """Columns to show; all if empty"""
 
 
 @dataclass(frozen=True)
@@ -45,21 +45,21 @@ class Result:
     title: str
     estimates: tuple[Estimate, ...]
     covariance: Array
-    """Of the estimates, (k, k), in their order and units."""
+    """Covariance of the estimates, (k, k), in their order and units."""
     statistics: Mapping[str, Scalar | Mapping[str, float]]
-    """observations, unknowns, dof, sigma0, chi2, p_value, iterations, rms: {unit: value}, ..."""
+    """Figures of the adjustment by name: observations, unknowns, dof, sigma0, chi2, p_value, iterations,
+    rms ({unit: value}), ..."""
     tables: Mapping[str, Table] = field(default_factory=dict)
-    """By name: residuals, views, points, ... ; a name may hold a slash for a group."""
+    """Tables by name: residuals, views, points, ...; a slash in a name makes a group in the result file."""
     arrays: Mapping[str, Array] = field(default_factory=dict)
-    """By name: points_covariance, ..."""
+    """Arrays by name: points_covariance, ..."""
     warnings: tuple[str, ...] = ()
     shown: tuple[ShownTable, ...] = ()
     notes: tuple[str, ...] = ()
-    """Lines of plain text for the reader of the result, such as a rotation matrix or what was rejected."""
+    """Lines of text that the terminal shows with the result, such as a rotation matrix or rejected readings."""
     details: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    """More that is said of an estimate beside value, std and unit, by its name: U, k, ...; in the unit of the estimate
-    but for the names in `plain`."""
+    """Further figures of an estimate, by its name: U, k, ...; in the unit of the estimate, except those in `plain`."""
     plain: tuple[str, ...] = ()
-    """Details that are plain numbers."""
+    """Names of details that are plain numbers without a unit."""
     made_from: tuple[InputFile, ...] = ()
-    """Where a result is the input of another job: its own file, and the files that it was made from."""
+    """For a result that is the input of another job: its own file, and the files it was made from."""

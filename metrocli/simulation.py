@@ -1,4 +1,4 @@
-"""What `metrocli simulate` writes: tables, pictures and the truth behind them."""
+"""A simulated measurement, as `metrocli simulate` writes it: tables, pictures and true values."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SimulationOptions:
-    """What the command line says about a simulation."""
+    """Options of the command line for a simulation."""
 
     seed: int = 0
+    """Seed of the random numbers."""
     images: bool = False
     """Render pictures, not only the table of observed points."""
 
@@ -28,6 +29,6 @@ class Simulation:
     files: Mapping[str, Table]
     """By file name relative to the folder that is written, such as `observations.csv`."""
     truth: Mapping[str, float] = field(default_factory=dict)
-    """By the name of the estimate, in its internal unit."""
+    """True values by the name of the estimate, in its internal unit."""
     pictures: Iterable[tuple[str, Callable[[], Picture]]] = ()
-    """Path relative to the folder, and what renders the picture when it is its turn."""
+    """Path relative to the folder, and a function that renders the picture when it is written."""

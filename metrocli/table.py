@@ -1,4 +1,4 @@
-"""Named columns, read-only: what a CSV file is once it is inside."""
+"""Tables of named columns, and the description of the columns that a reader expects in a CSV file."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ if TYPE_CHECKING:
     Values = npt.NDArray[np.float64] | npt.NDArray[np.int64] | npt.NDArray[np.str_] | npt.NDArray[np.bool_]
 
 TEXT, WHOLE, NUMBER = "text", "whole", "number"
-"""Dimensions of columns without a unit; every other dimension is one of `units`."""
+"""Dimensions of columns without a unit; every other dimension is a name in `metrocli.units.DIMENSIONS`."""
 
 MOST_FAULTS = 20
-"""Faults of one kind that are listed one by one"""
+"""Most faults of one kind that are listed one by one; the rest is only counted"""
 
 
 @dataclass(frozen=True)
 class Column:
-    """What a reader asks for: a quantity by name and dimension, in whatever unit the file has it."""
+    """A column that a reader looks for: its name without unit and its dimension; the file chooses the unit."""
 
     name: str
     dimension: str = NUMBER
@@ -35,27 +35,28 @@ class Column:
 
 @dataclass(frozen=True)
 class Columns:
-    """The columns of one kind of file, and which of them together must not repeat."""
+    """The columns of one kind of file."""
 
     columns: tuple[Column, ...]
     key: tuple[str, ...] = ()
+    """Names of columns whose combination must be different in each row."""
     description: str = ""
     every: bool = False
-    """Read every column by its whole name, as it stands: numbers, or text where a cell is none."""
+    """Read every column under its full name: as numbers, or as text if any cell is not a number."""
 
 
 @dataclass(frozen=True)
 class Table:
-    """Columns of equal length in internal units (mm, rad, s, px, degC), with their place in the file they came from."""
+    """Columns of equal length in internal units (mm, rad, s, px, degC, ...), with file and lines for messages."""
 
     columns: Mapping[str, Values]
     units: Mapping[str, str] = field(default_factory=dict)
     """Internal unit of each column that has one; text and counts have none."""
     file: str = ""
     lines: tuple[int, ...] = ()
-    """Line in the file of each row, for messages."""
+    """Line number in the file of each row, for messages."""
     warnings: tuple[str, ...] = ()
-    """What the reader noticed that is not a fault, such as a column that nothing uses."""
+    """Remarks of the reader that are not faults, such as an unused column."""
 
     def __len__(self) -> int:
         return len(next(iter(self.columns.values()))) if self.columns else 0
@@ -67,7 +68,10 @@ class Table:
         return iter(self.columns)
 
     def numbers(self, name: str, default: float | None = None) -> Array:
-        """Return a numeric column; where it is absent, `default` in every row, or KeyError without one."""
+        """Return a numeric column, (rows,); if it is absent, a column of `default`.
+
+        Raises KeyError if the column is absent and there is no default.
+        """
         import numpy as np
 
         if name not in self.columns and default is not None:
@@ -95,7 +99,7 @@ class Table:
     def faults_at(
         self, rows: Iterable[int], text: Callable[[int], str], hint: Callable[[int], str | None] = lambda row: None
     ) -> list[Fault]:
-        """Return a fault for each of the first rows, and how many more there are."""
+        """Return a fault for each of the first MOST_FAULTS rows, and one fault that counts the rest."""
         rows = [int(row) for row in rows]
         found = [self.fault_at(row, text(row), hint(row)) for row in rows[:MOST_FAULTS]]
         rest = len(rows) - len(found)

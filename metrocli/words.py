@@ -1,4 +1,4 @@
-"""Words for people: names as a list, and what was probably meant by a word that is not known."""
+"""Parts of messages: lists of names, and suggestions for unknown words."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from difflib import get_close_matches
 
 
 def listed(names: Sequence[str], most: int = 8) -> str:
-    """Return names as a list in words, cut after `most`."""
+    """Return names as a text "a, b and 3 more", with at most `most` names."""
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
 def nearest(word: str, known: Iterable[str]) -> str | None:
-    """Return the known word that was probably meant, None where nothing is near."""
+    """Return the known word that is most similar, or None if none is similar enough."""
     known = list(known)
     folded = {name.lower().replace("-", "_"): name for name in known}
     meant = get_close_matches(word.lower().replace("-", "_"), folded, 1, 0.6)
@@ -20,7 +20,7 @@ def nearest(word: str, known: Iterable[str]) -> str | None:
 
 
 def suggestion(word: str, known: Iterable[str]) -> str:
-    """Return "did you mean 'x'?", or the list of what is allowed."""
+    """Return "did you mean 'x'?", or the list of allowed words if none is similar."""
     known = list(known)
     meant = nearest(word, known)
     return f"did you mean '{meant}'?" if meant else f"allowed: {', '.join(known)}"

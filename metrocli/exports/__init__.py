@@ -1,4 +1,4 @@
-"""Results in the formats of others. A format is one module here and one line in the table."""
+"""Export results in other formats. Each format is one module here and one entry in FORMATS."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ if TYPE_CHECKING:
     from metrocli.table import Table
 
 Exported = Mapping[str, "Table | str"]
-"""By file name: a table, to be written as CSV, or the text of the file"""
+"""Files by name: a table that is written as CSV, or the text of the file"""
 
 
 @dataclass(frozen=True)
 class Format:
-    """What the command line knows of a format without importing its module."""
+    """Name of the module of a format, and its summary for the help; the module is imported only when it is used."""
 
     module: str
     summary: str
 
 
 FORMATS: dict[str, Format] = {
-    "csv": Format("metrocli.exports.csv_tables", "each table of the result, its units in the header"),
+    "csv": Format("metrocli.exports.csv_tables", "each table of the result, with units in the header"),
     "siemens-lec": Format("metrocli.exports.siemens_lec", "positioning errors for $AA_ENC_COMP"),
     "siemens-cec": Format("metrocli.exports.siemens_cec", "all other errors for $AN_CEC, with multiplied tables"),
     "heidenhain": Format("metrocli.exports.heidenhain", "tables .COM and .CMA"),
@@ -36,6 +36,6 @@ FORMATS: dict[str, Format] = {
 
 
 def export(name: str, result: Result) -> Exported:
-    """Return the files of a result in a format; raises InputError where the result has nothing for it."""
+    """Return the files of a result in a format; raises InputError if the result has nothing to export in it."""
     files: Callable[[Result], Exported] = import_module(FORMATS[name].module).files
     return files(result)

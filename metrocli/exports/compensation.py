@@ -1,4 +1,7 @@
-"""What every compensation format promises: read back and applied as the control does, it leaves only its rounding."""
+"""Compensation files for controls, checked on a model of the control.
+
+Every file is read back and applied as the control does it; only the rounding of the file may remain of the errors.
+"""
 
 from __future__ import annotations
 
@@ -12,37 +15,39 @@ import numpy as np
 from metrocli.exports.error_tables import AXES, Array, ErrorTables, of
 
 Texts = Mapping[str, str]
-"""Files of a format: text by name"""
+"""Texts of the files of a format, by file name"""
 
 
 @dataclass(frozen=True)
 class Control:
-    """One format, with a small model of the control that reads it."""
+    """A compensation format, with a model of the control that reads it."""
 
     carried: Callable[[ErrorTables], ErrorTables]
-    """The errors that the format can hold"""
+    """Returns the part of the errors that the format can hold"""
     written: Callable[[ErrorTables], Texts]
-    """The files; raises InputError where a limit of the control is exceeded"""
+    """Returns the files; raises InputError if they exceed a limit of the control"""
     read: Callable[[Texts], Any]
-    """The tables as the control holds them"""
+    """Returns the tables as the control stores them"""
     moved: Callable[[Any, Array], Array]
-    """By how much the control moves the machine (n, 3) at commanded positions (n, 3), mm"""
+    """Returns the movement (n, 3) by the compensation at commanded positions (n, 3), mm"""
     resolution: float
     """Largest rounding of a written error, mm"""
     coarsened: Callable[[Any], float] = lambda held: 1.0
-    """By how much the tables as the control holds them are coarser than that"""
+    """Returns the factor by which the stored tables are coarser than `resolution`"""
 
     def files(self, tables: ErrorTables) -> Texts:
-        """Return the files, proven on the model of the control.
+        """Return the files, checked on the model of the control.
 
-        Raises AssertionError where reading them back and applying them leaves more than the rounding, which would be
-        a defect: a wrong sign would double the error.
+        Raises AssertionError if more than the rounding remains after they are read back and applied. This would be a
+        defect of the program, such as a wrong sign, which doubles the error.
         """
         carried = self.carried(tables)
         texts = self.written(carried)
         left, promised = self.left(carried, texts), self.promised(texts)
         if left > promised:
-            raise AssertionError(f"the compensation leaves {left:.2g} mm where {promised:.2g} mm was promised")
+            raise AssertionError(
+                f"the compensation leaves {left:.2g} mm of error, but may leave only {promised:.2g} mm"
+            )
         return texts
 
     def promised(self, texts: Texts) -> float:
@@ -50,7 +55,7 @@ class Control:
         return self.resolution * self.coarsened(self.read(texts))
 
     def left(self, carried: ErrorTables, texts: Texts) -> float:
-        """Return the largest error (mm) that is left when the control applies the files."""
+        """Return the largest error (mm) that remains when the control applies the files."""
         places = places_of(carried)
         return float(np.abs(carried.at(places) + self.moved(self.read(texts), places)).max())
 
@@ -67,7 +72,7 @@ def places_of(tables: ErrorTables) -> Array:
 
 
 def _along(tables: ErrorTables, axis: int) -> Array:
-    """Return all knots of an axis and the middles between them, the other axes where they start."""
+    """Return positions (n, 3) at all knots of an axis and midway between them, the other axes at their low ends."""
     found = [curve.positions for name, curve in tables.curves.items() if name[2] == AXES[axis]]
     knots = np.unique(np.concatenate(found)) if found else np.zeros(1)
     where = np.concatenate([knots, (knots[1:] + knots[:-1]) / 2])
@@ -77,5 +82,5 @@ def _along(tables: ErrorTables, axis: int) -> Array:
 
 
 def files_of(control: Control, result: Any) -> Texts:
-    """Return the files of a result in a format; raises InputError where the result has no error tables."""
+    """Return the files of a result in a format; raises InputError if the result has no error tables."""
     return control.files(of(result))

@@ -1,4 +1,4 @@
-"""A result as CSV: a file for each of its tables, which reads back as it is; error tables of a machine together."""
+"""Export a result as CSV: one file for each table, and the error tables of a machine together in a few files."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ from metrocli.table import Table
 
 
 def files(result: Result) -> Exported:
-    """Return the tables that have rows, by `NAME.csv`; a group of the result becomes part of the name.
+    """Return the tables that have rows, by file name `NAME.csv`; a group of the result becomes part of the name.
 
-    The summary of a machine's errors makes room for the tables themselves: it is `errors-summary.csv`.
+    For a machine, `errors.csv` holds the error tables, and the summary of the errors is `errors-summary.csv`. Raises
+    InputError if the result has no tables.
     """
     own = _error_tables(result)
     found: dict[str, Table | str] = {}

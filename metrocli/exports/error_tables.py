@@ -1,4 +1,4 @@
-"""The geometric errors of a machine as compensation needs them: functions of one axis, and products of two."""
+"""The geometric errors of a machine in the form of compensation tables: functions of one axis, and products of two."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ LEVERS = (
     ("A", "Y", "Z", -1), ("A", "Z", "Y", 1), ("B", "X", "Z", 1),
     ("B", "Z", "X", -1), ("C", "X", "Y", -1), ("C", "Y", "X", 1),
 )  # fmt: skip
-"""theta x L: rotation, direction of the error, component of the lever, sign"""
+"""Terms of theta x L: rotation, direction of the error, component of the lever, sign"""
 SQUARENESS = (("C0Y", "Y", "X", -1), ("B0Z", "Z", "X", 1), ("A0Z", "Z", "Y", -1))
-"""Name, axis that moves, direction of the error, sign"""
+"""Terms of squareness: name, axis that moves, direction of the error, sign"""
 
 
 @dataclass(frozen=True)
@@ -34,11 +34,11 @@ class Curve:
     positions: Array
     """(n,) mm, ascending"""
     values: Array
-    """(n,) mm or rad, or mm of one factor of a product"""
+    """(n,) mm or rad; a factor of a product may have another unit"""
     std: Array | None = None
 
     def at(self, where: Array) -> Array:
-        """Return the value at positions."""
+        """Return the interpolated values at positions."""
         return np.interp(where, self.positions, self.values)
 
     def times(self, factor: float) -> Curve:
@@ -46,7 +46,7 @@ class Curve:
         return Curve(self.positions, self.values * factor)
 
     def plus(self, other: Curve) -> Curve:
-        """Return the sum of two curves, exact at the positions of both."""
+        """Return the sum of two curves on the positions of both, so that it is exact."""
         grid = np.union1d(self.positions, other.positions)
         return Curve(grid, self.at(grid) + other.at(grid))
 
@@ -66,49 +66,49 @@ class Product:
 
 @dataclass(frozen=True)
 class ErrorTables:
-    """Errors of a machine of three axes by the names of ISO 230-1, each actual minus commanded."""
+    """Errors of a machine with three linear axes, in the names of ISO 230-1, each actual minus commanded."""
 
     curves: Mapping[str, Curve]
-    """EXX, EYX ... (mm) and EAX ... (rad) over the position of the axis of their last letter"""
+    """EXX, EYX, ... (mm) and EAX, ... (rad), over the position of the axis of their last letter"""
     squareness: Mapping[str, float]
-    """C0Y, B0Z, A0Z in rad"""
+    """C0Y, B0Z and A0Z, rad"""
     order: str = "XYZ"
     """The axes from the workpiece to the tool"""
     tool: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """mm"""
+    """Tool vector for which the tables hold, mm"""
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """Lowest and highest position of each axis, mm; of the tables where it is not given"""
+    """Lowest and highest position of each axis, mm; taken from the curves if not given"""
     squareness_std: Mapping[str, float] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
-    """Errors that the measurement did not determine; they are in no file."""
+    """Errors that the measurement did not determine; no file contains them."""
     together: tuple[str, ...] = ()
-    """Errors that are known only together with those left out: right for the tool of the measurement alone"""
+    """Errors that are determined only together with those left out; they hold only for the tool of the measurement"""
 
     reversal: Mapping[str, float] = field(default_factory=dict)
-    """Width of the backlash by axis, mm: half of it to be added after a move in the positive direction"""
+    """Width of the backlash by axis, mm; half of it is added to the error after a move in the positive direction"""
     remarks: tuple[str, ...] = ()
-    """What the format at hand loses"""
+    """Remarks for the files, such as what the format cannot hold"""
 
     def notes(self) -> list[str]:
-        """Return what every file says of its errors."""
+        """Return the notes for the comments of every file: sign, errors left out, validity, backlash and remarks."""
         lines = [SIGN]
         if self.left_out:
             lines.append("not determined by the measurement, and left out: " + " ".join(self.left_out))
         if self.together:
             tool = " ".join(f"{offset:g}" for offset in self.tool)
-            lines.append(f"right for the tool {tool} mm of the measurement only: " + " ".join(self.together))
+            lines.append(f"valid only for the tool {tool} mm of the measurement: " + " ".join(self.together))
         back = [f"backlash of {axis}, {width:.4f} mm, is not in these tables" for axis, width in self.reversal.items()]
         return [*lines, *back, *self.remarks]
 
     def only(self, curves: Iterator[str] | tuple[str, ...], squareness: bool = False) -> ErrorTables:
-        """Return some of the curves, with the squareness or without."""
+        """Return the tables with only some of the curves, with or without squareness."""
         kept = {name: self.curves[name] for name in curves if name in self.curves}
         return replace(self, curves=kept, squareness=self.squareness if squareness else {})
 
     def of_one_axis(self) -> dict[tuple[str, str], Curve]:
-        """Return by (axis that moves, direction of the error) all that depends on the position of one axis.
+        """Return the errors that depend on the position of one axis, by (axis that moves, direction of the error).
 
-        That is the table itself, the angles with the tool as lever, and the squareness.
+        Each is the sum of the table itself, the angles with the tool vector as lever, and the squareness.
         """
         found: dict[tuple[str, str], Curve] = {}
         for moves, direction, curve in self._parts():
@@ -133,7 +133,7 @@ class ErrorTables:
                 yield moves, direction, Curve(grid, sign * angle_of * grid)
 
     def products(self) -> list[Product]:
-        """Return all that depends on the positions of two axes: an angle with the axes nearer to the tool as lever."""
+        """Return the errors that depend on two axes: angles with an axis nearer to the tool as lever."""
         return [
             Product(self.curves[f"E{rotation}{moves}"].times(sign), moves, lever, direction)
             for moves in AXES
@@ -142,14 +142,14 @@ class ErrorTables:
         ]
 
     def span(self, axis: str) -> Array:
-        """Return the ends of an axis, (2,) mm."""
+        """Return the lowest and the highest position of an axis, (2,) mm."""
         if axis in self.ranges:
             return np.array(self.ranges[axis])
         grid = next((curve.positions for name, curve in self.curves.items() if name[2] == axis), np.zeros(1))
         return np.array([grid[0], grid[-1]])
 
     def at(self, commanded: Array) -> Array:
-        """Return the error at commanded positions, both (n, 3) mm (contract of the rigid-body model, first order)."""
+        """Return the error at commanded positions, both (n, 3) mm: the rigid-body model to first order."""
         error = np.zeros(commanded.shape)
         for (moves, direction), curve in self.of_one_axis().items():
             error[:, AXES.index(direction)] += curve.at(commanded[:, AXES.index(moves)])
@@ -160,7 +160,7 @@ class ErrorTables:
 
 
 def has(result: Result) -> bool:
-    """Tell whether a result holds error tables."""
+    """Return whether a result has error tables."""
     return any(name.startswith("tables/") for name in result.tables)
 
 
@@ -171,7 +171,7 @@ def of(result: Result) -> ErrorTables:
     named = {name.removeprefix("tables/"): table for name, table in result.tables.items() if name.startswith("tables/")}
     if not named:
         why = "this format needs a result of calibrate-machine"
-        why = "its job asks for none" if "axes" in result.tables else why
+        why = "its job does not estimate any" if "axes" in result.tables else why
         raise InputError(f"the result has no error tables; {why}")
     axes = result.tables["axes"]
     places = dict(zip(axes.texts("axis"), axes.numbers("place").tolist(), strict=True))
@@ -219,16 +219,16 @@ def _reversal(result: Result) -> dict[str, float]:
 
 
 def _others(result: Result) -> list[str]:
-    """Return what is said of effects that no table can hold."""
+    """Return a remark on effects in the result that error tables cannot hold."""
     names = [name for name in _effects(result) if name not in _BACKLASH]
-    return [f"in the result, and in no table: {' '.join(names)}"] if names else []
+    return [f"estimated in the result, but not in these tables: {' '.join(names)}"] if names else []
 
 
 _SQUARENESS_NAMES = tuple(name for name, *_ in SQUARENESS)
 
 
 def _tool(result: Result) -> tuple[float, float, float]:
-    """Return the first tool that was measured, for which the tables are right; (0, 0, 0) where there is none."""
+    """Return the vector of the first measured tool, for which the tables hold; (0, 0, 0) if the result has no tools."""
     if "tools" not in result.tables:
         return (0.0, 0.0, 0.0)
     table = result.tables["tools"]

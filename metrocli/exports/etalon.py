@@ -1,4 +1,4 @@
-"""Etalon exchange format, the `Vendor` variant: a block for each error (ISG documentation, volumetric compensation)."""
+"""Etalon exchange format, `Vendor` variant: one block for each error (ISG documentation, volumetric compensation)."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ _SINGLE = re.compile(r"\[(\w+)\]\s*VALUE = (\S+)")
 
 
 def carried(tables: ErrorTables) -> ErrorTables:
-    """Return everything."""
+    """Return all errors: the format holds everything."""
     return tables
 
 
 def written(tables: ErrorTables) -> Texts:
-    """Return the file."""
+    """Return the file; raises InputError if no error table is determined."""
     if not tables.curves:
         raise InputError("the result determines no error table: nothing to compensate")
     head = [f"// {line}" for line in [*tables.notes(), *chain_note(tables), *test_move(tables)]]
@@ -38,7 +38,7 @@ def _block(name: str, curve: Curve) -> str:
 
 
 def read(texts: Texts) -> tuple[dict[str, Curve], dict[str, float], list[str]]:
-    """Return curves, squareness, and the comments."""
+    """Return the curves, the squareness errors and the comments of the file."""
     text = texts[_FILE]
     curves = {}
     for name, rows in _BLOCK.findall(text):
@@ -49,7 +49,7 @@ def read(texts: Texts) -> tuple[dict[str, Curve], dict[str, float], list[str]]:
 
 
 def moved(held: tuple[dict[str, Curve], dict[str, float], list[str]], commanded: Array) -> Array:
-    """Return how the control moves the machine: against the errors of the rigid-body model."""
+    """Return the movement (n, 3) mm by the control: the negative error of the rigid-body model."""
     return moved_by_errors(*held, commanded)
 
 

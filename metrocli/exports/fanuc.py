@@ -1,9 +1,9 @@
 """Fanuc stored pitch error compensation: the positioning error of each axis in increments.
 
-Data are integers in detection units times a magnification, each the change from the point before it as seen from the
-negative side, zero in sum at the reference point (parameters 3620-3624; technical report A-77810E; parameter manual
-B-63980EN p. 100). The running sum is rounded, not each increment, so that rounding does not add up. The control
-outputs the compensation between two points; it is taken here as linear.
+Data are integers in detection units times a magnification. Each is the change from the preceding point, counted from
+the negative end; the sum is zero at the reference point (parameters 3620-3624; technical report A-77810E; parameter
+manual B-63980EN p. 100). The running sum is rounded, not each increment, so that rounding errors do not accumulate. The
+control outputs the compensation between two points; the model takes it as linear.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from metrocli.exports.grids import evenly
 from metrocli.result import Result
 
 MOST_POINTS, MOST_STEP = 128, 7
-"""Points of an axis; increments from -7 to 7"""
+"""Most points of an axis, and largest increment: increments are from -7 to 7"""
 UNIT = 1e-3
 """Detection unit, mm"""
 _FILE = "pitch-error.txt"
@@ -43,7 +43,7 @@ class Pitch:
     interval: float
     magnification: int
     increments: npt.NDArray[np.int64]
-    """From the most negative point on; the first one is 0"""
+    """Increments from the most negative point on; the first one is 0"""
 
     @property
     def curve(self) -> Curve:
@@ -55,7 +55,7 @@ class Pitch:
 
 
 def carried(tables: ErrorTables) -> ErrorTables:
-    """Return the positioning errors, on the even grid through machine position 0 that the control can hold."""
+    """Return the positioning errors on an even grid through machine position 0, as the control needs it."""
     held = tables.only(tuple(f"E{axis}{axis}" for axis in AXES))
     curves = {name: _even(name, curve) for name, curve in held.curves.items()}
     return replace(held, curves=curves, remarks=(*held.remarks, *_remarks(held.curves, curves)))
@@ -66,16 +66,19 @@ def _remarks(before: Mapping[str, Curve], after: Mapping[str, Curve]) -> Iterato
         shift = curve.at(np.zeros(1))
         lost = float(np.abs(after[name].at(curve.positions) - curve.values + shift).max())
         if lost > UNIT / 2:
-            yield f"{name}: its knots and 0 are on no common grid; corners are rounded by up to {lost:.4f} mm"
+            yield f"{name}: no even grid contains its knots and 0; its corners are rounded by up to {lost:.4f} mm"
 
 
 def _even(name: str, curve: Curve) -> Curve:
-    """Return the error on points an integer number of intervals from 0, relative to its value there.
+    """Return the error, relative to its value at 0, on points a whole number of intervals from 0.
 
-    Where the knots and 0 are on no common grid, the finest grid is taken, which rounds the corners of the table.
+    If no even grid contains the knots and 0, the finest grid is used, which rounds the corners of the table. Raises
+    InputError if the table has too many points.
     """
     if len(curve.positions) > MOST_POINTS:
-        raise InputError(f"{name} has {len(curve.positions)} points; pitch error compensation takes {MOST_POINTS}")
+        raise InputError(
+            f"{name} has {len(curve.positions)} points; pitch error compensation takes at most {MOST_POINTS}"
+        )
     grid = evenly(_with_zero(curve), MOST_POINTS) or _finest(curve)
     return Curve(grid.positions, grid.values - grid.at(np.zeros(1)))
 
@@ -93,7 +96,10 @@ def _with_zero(curve: Curve) -> Curve:
 
 
 def _pitch(axis: str, curve: Curve, first: int) -> Pitch:
-    """Return the table of one axis with as many points as keep the increments small, and the least magnification."""
+    """Return the table of one axis, with enough points to keep increments small, and the smallest magnification.
+
+    Raises InputError if a magnification above 100 is needed.
+    """
     count = len(curve.positions) - 1
     best = curve
     for times in range(1, (MOST_POINTS - 1) // count + 1):
@@ -106,19 +112,21 @@ def _pitch(axis: str, curve: Curve, first: int) -> Pitch:
     while np.abs(np.diff(_rounded(best, magnification))).max() > MOST_STEP:
         magnification += 1
     if magnification > 100:
-        raise InputError(f"E{axis}{axis} changes by {largest:.0f} um between points; the magnification ends at 100")
+        raise InputError(
+            f"E{axis}{axis} changes by {largest:.0f} um between points: this needs a magnification above 100"
+        )
     step = (best.positions[-1] - best.positions[0]) / (len(best.positions) - 1)
     increments = np.diff(_rounded(best, magnification), prepend=_rounded(best, magnification)[0])
     return Pitch(axis, first, first - round(best.positions[0] / step), step, magnification, increments)
 
 
 def _rounded(curve: Curve, magnification: int) -> npt.NDArray[np.int64]:
-    """Return minus the error in units, each sum rounded by itself."""
+    """Return the negative error in units of the magnified detection unit, each value rounded on its own."""
     return np.rint(-curve.values / (magnification * UNIT)).astype(np.int64)
 
 
 def written(tables: ErrorTables) -> Texts:
-    """Return one file with the parameters and increments of all axes."""
+    """Return one file with the parameters and increments of all axes; raises InputError if there is no table."""
     if not tables.curves:
         raise InputError("the result determines no positioning error: nothing for pitch error compensation")
     pitches: list[Pitch] = []
@@ -130,18 +138,18 @@ def written(tables: ErrorTables) -> Texts:
 
 
 def _head(pitches: Sequence[Pitch], notes: list[str]) -> list[str]:
-    """Return the comments, without parentheses in them: those of the control do not nest."""
+    """Return the comments, without parentheses, since comments of the control cannot be nested."""
     pitch, curve = pitches[0], pitches[0].curve
     rounded = ", ".join(f"{one.axis} {one.magnification * UNIT:g} MM" for one in pitches)
     k = int(np.argmax(np.abs(curve.values)))
     return [
         *(line.upper() for line in notes),
-        f"VALUE = MINUS THE ERROR, INCREMENTS SEEN FROM THE NEGATIVE SIDE, DETECTION UNIT {UNIT} MM",
+        f"VALUE = MINUS THE ERROR, INCREMENTS COUNTED FROM THE NEGATIVE END, DETECTION UNIT {UNIT} MM",
         f"SUMS ARE ROUNDED TO {rounded}",
         "NO PUBLIC MANUAL CONFIRMS THE SIGN. TEST MOVE: AFTER REFERENCE RETURN GO TO "
-        f"{pitch.axis} = {curve.positions[k]:.3f} MM: THE AXIS MUST MOVE BY {curve.values[k]:+.3f} MM MORE THAN "
-        "WITHOUT COMPENSATION; ELSE CHANGE THE SIGN OF ALL INCREMENTS",
-        "POWER OFF AND ON AND REFERENCE RETURN AFTER LOADING",
+        f"{pitch.axis} = {curve.positions[k]:.3f} MM. THE AXIS MUST MOVE BY {curve.values[k]:+.3f} MM MORE THAN "
+        "WITHOUT COMPENSATION. IF NOT, CHANGE THE SIGN OF ALL INCREMENTS",
+        "AFTER LOADING, SWITCH THE POWER OFF AND ON AND RETURN TO THE REFERENCE POINT",
     ]
 
 
@@ -157,7 +165,7 @@ def _lines(pitch: Pitch) -> list[str]:
 
 
 def read(texts: Texts) -> list[Pitch]:
-    """Return the table of each axis as the control holds it."""
+    """Return the table of each axis as the control stores it."""
     body = "\n".join(line for line in texts[_FILE].splitlines() if not line.startswith("("))
     data = {int(number): int(value) for number, value in _DATUM.findall(body)}
     settings = {(int(axis), int(key)): float(value) for key, axis, value in _PARAMETER.findall(body)}
@@ -170,7 +178,7 @@ def read(texts: Texts) -> list[Pitch]:
 
 
 def moved(held: Mapping[str, Pitch] | list[Pitch], commanded: Array) -> Array:
-    """Return how the control moves the machine: by the running sum."""
+    """Return the movement (n, 3) mm by the control: the running sum of the increments."""
     moves = np.zeros(commanded.shape)
     for pitch in held.values() if isinstance(held, Mapping) else held:
         k = AXES.index(pitch.axis)
@@ -179,7 +187,7 @@ def moved(held: Mapping[str, Pitch] | list[Pitch], commanded: Array) -> Array:
 
 
 def coarsened(held: list[Pitch]) -> float:
-    """Return the largest magnification: sums are rounded to so many detection units."""
+    """Return the largest magnification: sums are rounded to this number of detection units."""
     return float(max(pitch.magnification for pitch in held))
 
 

@@ -1,4 +1,4 @@
-"""Curves on the grids that controls ask for."""
+"""Interpolate curves on the even grids that controls require."""
 
 from __future__ import annotations
 
@@ -7,11 +7,14 @@ import numpy as np
 from metrocli.exports.error_tables import Array, Curve
 
 _EVEN = 1e-6
-"""How far (mm) positions may be off an even grid"""
+"""Largest distance [mm] of positions from an even grid"""
 
 
 def evenly(curve: Curve, most: int) -> Curve | None:
-    """Return a curve on the coarsest even grid that meets all its positions, of at most `most` points; None if none."""
+    """Return a curve on the coarsest even grid that contains all its positions.
+
+    Returns None if this grid needs more than `most` points.
+    """
     start, end = curve.positions[0], curve.positions[-1]
     if len(curve.positions) < 2:
         return curve

@@ -2,8 +2,8 @@
 
 [axis of the column in .COM] = F(axis of the column in .CMA); positions refer to the machine datum (technical manual
 MANUALplus 620, 6.10.3). A positive error means that the travel is too long (TNC 407 technical manual, MP720), so the
-value is the error; for the nonlinear tables no public manual says it in words, and the note names the test move.
-Products of two axes need the KinematicsComp option and are left out; the note says which.
+value is the error. No public manual confirms this for nonlinear tables; therefore the note describes a test move.
+Products of two axes need the KinematicsComp option and are left out, which the note mentions.
 """
 
 from __future__ import annotations
@@ -19,20 +19,23 @@ from metrocli.exports.error_tables import AXES, Array, Curve, ErrorTables
 from metrocli.result import Result
 
 MOST_POINTS = 256
-"""Entries of a .COM table"""
+"""Most entries of a .COM table"""
 _NOTE, _ASSIGNED = "heidenhain.txt", "config.CMA"
 
 
 def carried(tables: ErrorTables) -> ErrorTables:
-    """Return what depends on one axis: positioning, straightness and squareness, angles with the tool as lever."""
+    """Return the errors of one axis: positioning, straightness, squareness, and angles with the tool as lever."""
     kept = {f"E{direction}{moves}": curve for (moves, direction), curve in tables.of_one_axis().items()}
     return replace(tables, curves=kept, squareness={})
 
 
 def written(tables: ErrorTables) -> Texts:
-    """Return the tables, their assignment and the note."""
+    """Return the tables, their assignment in config.CMA, and a note.
+
+    Raises InputError if there is no error of one axis, or if a table is too long.
+    """
     if not tables.curves:
-        raise InputError("the result determines nothing that depends on one axis only")
+        raise InputError("the result determines no error that depends on a single axis")
     moving = [axis for axis in AXES if any(name[2] == axis for name in tables.curves)]
     texts = {f"AXIS-{axis}.COM": _table(tables, axis) for axis in moving}
     assigned = ["BEGIN CONFIG.CMA", "NR  ACTIVE  " + "  ".join(moving)]
@@ -59,18 +62,18 @@ def _note(tables: ErrorTables) -> str:
     k = int(np.argmax(np.abs(curve.values)))
     lines = [
         *tables.notes(),
-        "values in mm are errors: positive where the travel is too long",
-        "no public manual confirms the sign of nonlinear tables. Test move: with the line of config.CMA active go to "
-        f"{name[2]} = {curve.positions[k]:.3f} mm: {name[1]} must move by {-curve.values[k]:+.4f} mm; else change the "
-        "sign of all columns",
+        "values in mm are errors: positive if the travel is too long",
+        "no public manual confirms the sign of nonlinear tables. Test move: activate the line of config.CMA and go to "
+        f"{name[2]} = {curve.positions[k]:.3f} mm. {name[1]} must move by {-curve.values[k]:+.4f} mm. If not, change "
+        "the sign of all columns",
         "the layout of the header line differs between controls; the columns are those of MANUALplus 620 and iTNC 530",
     ]
-    lines.append("angles that have another axis as lever are not in these tables: they need the option KinematicsComp")
+    lines.append("angles with another axis as lever are not in these tables: they need the option KinematicsComp")
     return "\n".join([*lines, ""])
 
 
 def read(texts: Texts) -> dict[tuple[str, str], Curve]:
-    """Return by (axis that moves, axis corrected) the tables of the active line of config.CMA."""
+    """Return the tables of the active line of config.CMA, by (axis that moves, axis corrected)."""
     rows = [line.split() for line in texts[_ASSIGNED].splitlines()]
     moving = rows[1][2:]
     active = next(row for row in rows[2:] if row[1] == "*")
@@ -84,7 +87,7 @@ def read(texts: Texts) -> dict[tuple[str, str], Curve]:
 
 
 def moved(held: Mapping[tuple[str, str], Curve], commanded: Array) -> Array:
-    """Return how the control moves the machine: against the errors."""
+    """Return the movement (n, 3) mm by the control: the negative error."""
     moves = np.zeros(commanded.shape)
     for (moving, direction), curve in held.items():
         moves[:, AXES.index(direction)] -= curve.at(commanded[:, AXES.index(moving)])

@@ -1,8 +1,8 @@
-"""ISG_CSV, the volumetric compensation of ISG kernels and Beckhoff TF5280: all tables and the squareness.
+"""ISG_CSV, the volumetric compensation of ISG kernels and Beckhoff TF5280: all tables and squareness.
 
-Columns separated by blanks, a header of argument and error names, `//` comments, `#` before a new block, mm and rad
-(ISG documentation, file formats of the volumetric compensation). The chain and its workpiece axes are set in the
-control; whether values are errors or corrections is its `negate` switch.
+Blanks separate the columns, a header names argument and errors, `//` starts a comment and `#` a new block; units are mm
+and rad (ISG documentation, file formats of the volumetric compensation). The control's own settings hold the kinematic
+chain with its workpiece axes, and a switch `negate` for values that are errors instead of corrections.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ _FILE = "errors.isg.csv"
 
 
 def carried(tables: ErrorTables) -> ErrorTables:
-    """Return everything."""
+    """Return all errors: the format holds everything."""
     return tables
 
 
 def written(tables: ErrorTables) -> Texts:
-    """Return the file."""
+    """Return the file; raises InputError if no error table is determined."""
     if not tables.curves:
         raise InputError("the result determines no error table: nothing to compensate")
     blocks = [_block(tables, axis) for axis in AXES if _names(tables, axis)]
@@ -49,7 +49,7 @@ def _block(tables: ErrorTables, axis: str) -> list[str]:
 
 
 def read(texts: Texts) -> tuple[dict[str, Curve], dict[str, float], list[str]]:
-    """Return curves, squareness, and the comments."""
+    """Return the curves, the squareness errors and the comments of the file."""
     lines = texts[_FILE].splitlines()
     comments = [line for line in lines if line.startswith("//")]
     body = "\n".join(line for line in lines if not line.startswith("//"))
@@ -66,7 +66,7 @@ def read(texts: Texts) -> tuple[dict[str, Curve], dict[str, float], list[str]]:
 
 
 def moved(held: tuple[dict[str, Curve], dict[str, float], list[str]], commanded: Array) -> Array:
-    """Return how the control moves the machine: against the errors of the rigid-body model."""
+    """Return the movement (n, 3) mm by the control: the negative error of the rigid-body model."""
     return moved_by_errors(*held, commanded)
 
 

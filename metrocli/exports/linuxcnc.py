@@ -1,8 +1,9 @@
 """LinuxCNC screw compensation (COMP_FILE, type 0): the positioning error of each joint.
 
-A line holds the nominal position and the positions truly reached going forward and in reverse; the loader keeps
-nominal minus reached and adds it to the commanded motor position (ini-config manual; motion/usrmotintf). It stops in
-silence at the first line that is not three numbers, so the file has no header: the text file beside it says the sign.
+A line holds the nominal position and the positions actually reached in forward and in reverse travel. The loader stores
+nominal minus reached and adds it to the commanded motor position (ini-config manual; motion/usrmotintf). It stops
+without a message at the first line that is not three numbers. Therefore the files have no header, and a text file
+beside them documents the sign.
 """
 
 from __future__ import annotations
@@ -18,21 +19,26 @@ from metrocli.exports.error_tables import AXES, Array, Curve, ErrorTables
 from metrocli.result import Result
 
 MOST_POINTS = 256
-"""Triplets that the loader takes for a joint"""
+"""Most triplets that the loader accepts per joint"""
 _NOTE = "linuxcnc.txt"
 
 
 def carried(tables: ErrorTables) -> ErrorTables:
-    """Return the positioning errors."""
+    """Return the positioning errors EXX, EYY and EZZ."""
     return tables.only(tuple(f"E{axis}{axis}" for axis in AXES))
 
 
 def written(tables: ErrorTables) -> Texts:
-    """Return one file for each axis, and the note with the lines for the INI file."""
+    """Return one file for each axis, and a note with the lines for the INI file.
+
+    Raises InputError if there is no positioning error, or if a table is too long.
+    """
     texts = {}
     for name, curve in tables.curves.items():
         if len(curve.positions) > MOST_POINTS:
-            raise InputError(f"{name} has {len(curve.positions)} points; LinuxCNC takes at most {MOST_POINTS} a joint")
+            raise InputError(
+                f"{name} has {len(curve.positions)} points; LinuxCNC takes at most {MOST_POINTS} per joint"
+            )
         reached, half = curve.positions + curve.values, tables.reversal.get(name[2], 0.0) / 2
         rows = [f"{at:.6f} {to + half:.7f} {to - half:.7f}" for at, to in zip(curve.positions, reached, strict=True)]
         texts[f"{name[2].lower()}.comp"] = "\n".join([*rows, ""])
@@ -41,15 +47,15 @@ def written(tables: ErrorTables) -> Texts:
     lines = [f"[JOINT_{AXES.index(name[0].upper())}] COMP_FILE = {name}, COMP_FILE_TYPE = 0" for name in texts]
     note = [
         *replace(tables, reversal={}).notes(),
-        "each line of a .comp file: nominal, reached going forward, reached in reverse, in mm",
-        "BACKLASH of the joint is ignored where a COMP_FILE is set: what the result has of it is in the two columns",
+        "each line of a .comp file: nominal position, position reached in forward travel, in reverse travel, in mm",
+        "LinuxCNC ignores BACKLASH of a joint with a COMP_FILE: the two columns contain the backlash of the result",
         *lines,
     ]
     return {**texts, _NOTE: "\n".join([*note, ""])}
 
 
 def read(texts: Texts) -> dict[str, tuple[Curve, Curve]]:
-    """Return the trims of each joint, forward and reverse, as the loader keeps them: up to the first other line."""
+    """Return the stored trims of each joint, forward and reverse; like the loader, stop at the first invalid line."""
     held = {}
     for name, text in texts.items():
         if name == _NOTE:
@@ -67,7 +73,7 @@ def read(texts: Texts) -> dict[str, tuple[Curve, Curve]]:
 
 
 def moved(held: Mapping[str, tuple[Curve, Curve]], commanded: Array) -> Array:
-    """Return how the control moves the machine, in the mean of both directions: by the trims."""
+    """Return the movement (n, 3) mm by the control, the mean of both directions: the trims are added."""
     moves = np.zeros(commanded.shape)
     for axis, trims in held.items():
         k = AXES.index(axis)

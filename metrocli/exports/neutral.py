@@ -1,4 +1,4 @@
-"""Error tables as plain CSV, with their standard uncertainties: `error,position_mm,value_um,std_um`."""
+"""Export error tables as plain CSV with standard uncertainties: `error,position_mm,value_um,std_um`."""
 
 from __future__ import annotations
 
@@ -17,12 +17,15 @@ _SQUARENESS = "errors-squareness.csv"
 
 
 def carried(tables: ErrorTables) -> ErrorTables:
-    """Return everything."""
+    """Return all errors: the format holds everything."""
     return tables
 
 
 def written(tables: ErrorTables) -> Texts:
-    """Return displacements, angles and squareness, each as the text of a CSV file."""
+    """Return displacements, angles and squareness, each as the text of a CSV file.
+
+    Raises InputError if no error table is determined.
+    """
     if not tables.curves:
         raise InputError("the result determines no error table")
     head = [f"# {line}" for line in _head(tables)]
@@ -56,7 +59,7 @@ def _rows(tables: ErrorTables, name: str, unit: units.Unit) -> Iterable[str]:
 
 
 def read(texts: Texts) -> tuple[dict[str, Curve], dict[str, float], list[str]]:
-    """Return curves, squareness, and the comments."""
+    """Return the curves, the squareness errors and the comments of the files."""
     curves: dict[str, Curve] = {}
     for unit, (dimension, file) in _UNITS.items():
         cells = _cells(texts.get(file, ""))
@@ -75,7 +78,7 @@ def _cells(text: str) -> list[list[str]]:
 
 
 def moved(held: tuple[dict[str, Curve], dict[str, float], list[str]], commanded: Array) -> Array:
-    """Return how a control that takes errors moves the machine: against them."""
+    """Return the movement (n, 3) mm by a control that compensates these errors: the negative error."""
     return moved_by_errors(*held, commanded)
 
 

@@ -1,9 +1,9 @@
-"""Siemens sag and angularity compensation ($AN_CEC): errors square to the axis that moves, and angles with a lever.
+"""Siemens sag and angularity compensation ($AN_CEC): errors across the axis that moves, and angles with a lever.
 
-A table makes the output axis depend on one input axis; two tables multiplied (MULT_BY_TABLE) make an angle times a
-lever, as in the manual's boring mill `dX1 = Z1 * sin(beta(X1))` (function manual 6FC5397-1BP40, K3, p. 245-252).
-The positioning error of an axis on itself is left to $AA_ENC_COMP. The value is added to the setpoint of the output
-axis, so it is minus the error; no public manual says so in as many words, and the file names the move that settles it.
+A table corrects the output axis as a function of one input axis. Two multiplied tables (MULT_BY_TABLE) give an angle
+times a lever, as in the boring mill of the manual: `dX1 = Z1 * sin(beta(X1))` (function manual 6FC5397-1BP40, K3,
+p. 245-252). The positioning errors are left to $AA_ENC_COMP. The control adds the value to the setpoint of the output
+axis, so it is the negative error. No public manual states this explicitly; therefore the file describes a test move.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from metrocli.exports.grids import evenly
 from metrocli.result import Result
 
 MOST_TABLES, MOST_POINTS = 62, 2000
-"""Two tables for each of 31 axes; points of MD18342. An 828D has 8 tables of 200 points."""
+"""Most tables (two for each of 31 axes), and most points of a table (MD18342); an 828D has 8 tables of 200 points"""
 _METRE = units.find_unit("m", "length")
 _ROW = re.compile(r"\$AN_CEC\[(\d+),(\d+)\]=(\S+)")
 _SETTING = re.compile(r"\$AN_CEC_(INPUT_AXIS|OUTPUT_AXIS|STEP|MIN|MULT_BY_TABLE)\[(\d+)\]=\(?([^\s)]+)")
@@ -30,17 +30,17 @@ _SETTING = re.compile(r"\$AN_CEC_(INPUT_AXIS|OUTPUT_AXIS|STEP|MIN|MULT_BY_TABLE)
 
 @dataclass(frozen=True)
 class CecTable:
-    """One table of the control."""
+    """One compensation table of the control."""
 
     curve: Curve
     input_axis: str
     output_axis: str
     times: int | None = None
-    """Index of the table that it is multiplied by"""
+    """Index of the table by which it is multiplied"""
 
 
 def carried(tables: ErrorTables) -> ErrorTables:
-    """Return everything but the positioning errors."""
+    """Return all errors except the positioning errors."""
     own = {f"E{axis}{axis}" for axis in AXES}
     return tables.only(tuple(name for name in tables.curves if name not in own), squareness=True)
 
@@ -75,15 +75,17 @@ def tables_of(tables: ErrorTables) -> list[CecTable]:
 def _even(curve: Curve) -> Curve:
     even = evenly(curve, MOST_POINTS)
     if even is None:
-        raise InputError(f"a table is on no even grid of {MOST_POINTS} points, the most that $AN_CEC takes")
+        raise InputError(
+            f"no even grid of {MOST_POINTS} points, the most that $AN_CEC takes, contains all knots of a table"
+        )
     return even
 
 
 def written(tables: ErrorTables) -> Texts:
-    """Return the file of all tables."""
+    """Return the file of all tables; raises InputError if there is no table or if there are too many."""
     found = tables_of(tables)
     if not found:
-        raise InputError("the result determines nothing but positioning errors: nothing for $AN_CEC")
+        raise InputError("the result determines no error except positioning errors: nothing for $AN_CEC")
     if len(found) > MOST_TABLES:
         raise InputError(f"$AN_CEC takes at most {MOST_TABLES} tables; these errors need {len(found)}")
     body = [line for index, table in enumerate(found) for line in _lines(index, table)]
@@ -98,11 +100,11 @@ def _head(tables: ErrorTables, found: Sequence[CecTable]) -> list[str]:
     lines = [
         *tables.notes(),
         "value = minus the error in mm, added to the setpoint of the output axis",
-        "no public manual confirms this sign. Test move: enable table 1 only, go to "
-        f"{first.input_axis} = {where:.3f} mm: {first.output_axis} must move by {value:+.4f} mm; else set "
-        "SD41310 $SN_CEC_TABLE_WEIGHT of all tables that are not multiplied by another to -1",
-        "tables that are multiplied act by their product only; if one of them moves its axis alone, disable all "
-        "of these and use the tables without MULT_BY_TABLE",
+        "no public manual confirms this sign. Test move: enable table 1 only and go to "
+        f"{first.input_axis} = {where:.3f} mm. {first.output_axis} must move by {value:+.4f} mm. If not, set "
+        "SD41310 $SN_CEC_TABLE_WEIGHT to -1 for all tables that are not multiplied by another table",
+        "multiplied tables must act only by their product. If one of them moves its axis alone, disable all "
+        "of these and use only the tables without MULT_BY_TABLE",
         f"needs {len(found)} tables, MD18342 $MN_MM_CEC_MAX_POINTS >= {most}; an 828D has 8 tables of 200 points",
         "load while MD32710 = 0, then SD41300 and MD32710 = 1; use with $AA_ENC_COMP for the positioning errors",
     ]
@@ -126,7 +128,7 @@ def _lines(index: int, table: CecTable) -> list[str]:
 
 
 def read(texts: Texts) -> list[CecTable]:
-    """Return the tables as the control holds them."""
+    """Return the tables as the control stores them."""
     text = texts["NC_CEC.INI"]
     values: dict[int, dict[int, float]] = {}
     for index, k, value in _ROW.findall(text):
@@ -143,7 +145,7 @@ def read(texts: Texts) -> list[CecTable]:
 
 
 def moved(held: Sequence[CecTable], commanded: Array) -> Array:
-    """Return how the control moves the machine: the sum of single tables and of products."""
+    """Return the movement (n, 3) mm by the control: the sum of single tables and of products."""
     values = [table.curve.at(commanded[:, AXES.index(table.input_axis)]) for table in held]
     factors = {table.times for table in held}
     moves = np.zeros(commanded.shape)

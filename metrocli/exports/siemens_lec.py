@@ -1,7 +1,7 @@
 """Siemens leadscrew error compensation ($AA_ENC_COMP): the positioning error of each axis.
 
-The control adds the value to the actual position, so that a positive value moves the axis in its negative direction:
-the value is the error itself (SINUMERIK 808D manual, p. 106; syntax: function manual 6FC5397-1BP40, K3).
+The control adds the value to the actual position, so a positive value moves the axis in its negative direction.
+Therefore the value is the error itself (SINUMERIK 808D manual, p. 106; syntax: function manual 6FC5397-1BP40, K3).
 """
 
 from __future__ import annotations
@@ -18,24 +18,26 @@ from metrocli.exports.grids import evenly
 from metrocli.result import Result
 
 MOST_POINTS = 5000
-"""Upper limit of MD38000; an 808D takes 200"""
+"""Upper limit of MD38000; an 808D takes at most 200"""
 _VALUE = re.compile(r"\$AA_ENC_COMP\[0,(\d+),(\w)1\]=(\S+)")
 _SETTING = re.compile(r"\$AA_ENC_COMP_(STEP|MIN|MAX)\[0,(\w)1\]=(\S+)")
 
 
 def carried(tables: ErrorTables) -> ErrorTables:
-    """Return the positioning errors."""
+    """Return the positioning errors EXX, EYY and EZZ."""
     return tables.only(tuple(f"E{axis}{axis}" for axis in AXES))
 
 
 def written(tables: ErrorTables) -> Texts:
-    """Return one file for each axis."""
+    """Return one file for each axis; raises InputError if there is no positioning error or no grid for it."""
     texts = {}
     for name, curve in tables.curves.items():
         axis = name[2]
         even = evenly(curve, MOST_POINTS)
         if even is None:
-            raise InputError(f"{name} is on no even grid of {MOST_POINTS} points, the most that $AA_ENC_COMP takes")
+            raise InputError(
+                f"no even grid of {MOST_POINTS} points, the most that $AA_ENC_COMP takes, contains all knots of {name}"
+            )
         texts[f"{axis}_EEC.INI"] = _text(axis, even, tables.notes())
     if not texts:
         raise InputError("the result determines no positioning error: nothing for leadscrew error compensation")
@@ -65,7 +67,7 @@ def _text(axis: str, curve: Curve, notes: list[str]) -> str:
 
 
 def read(texts: Texts) -> dict[str, Curve]:
-    """Return the table of each axis as the control holds it."""
+    """Return the table of each axis as the control stores it."""
     curves = {}
     for text in texts.values():
         values = {int(k): float(value) for k, _, value in _VALUE.findall(text)}
@@ -77,7 +79,7 @@ def read(texts: Texts) -> dict[str, Curve]:
 
 
 def moved(held: Mapping[str, Curve], commanded: Array) -> Array:
-    """Return how the control moves the machine: against the value of the table."""
+    """Return the movement (n, 3) mm by the control: the negative value of the table."""
     moves = np.zeros(commanded.shape)
     for axis, curve in held.items():
         k = AXES.index(axis)

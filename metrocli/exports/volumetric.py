@@ -1,4 +1,4 @@
-"""What formats of the whole rigid-body model share: chain and tool as comments, and how a control applies them."""
+"""Common parts of formats that hold the whole rigid-body model: comments, and a model of the control."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _CHAIN = re.compile(r"axes from the workpiece to the tool: (\w+); tool ([^ ]+) (
 
 
 def chain_note(tables: ErrorTables) -> list[str]:
-    """Return the comments that say what the model needs besides the tables."""
+    """Return the comments with what the rigid-body model needs besides the tables: order of axes, tool and units."""
     tool = " ".join(f"{offset:.6f}" for offset in tables.tool)
     return [
         f"axes from the workpiece to the tool: {tables.order}; tool {tool} mm",
@@ -22,21 +22,25 @@ def chain_note(tables: ErrorTables) -> list[str]:
 
 
 def test_move(tables: ErrorTables) -> list[str]:
-    """Return the comments that settle the sign on the machine."""
+    """Return the comment that describes a test move, by which the user checks the sign on the machine."""
     own = [(name, curve) for name, curve in tables.curves.items() if name[1] == name[2]]
     name, curve = (own or list(tables.curves.items()))[0]
     k = int(np.argmax(np.abs(curve.values)))
     return [
-        "no public manual confirms whether the control takes errors or corrections. Test move: switch on, go to "
-        f"{name[2]} = {curve.positions[k]:.3f} mm: {name[1]} must move by {-curve.values[k]:+.4f} mm (as far as {name} "
-        "goes); if it moves the other way, set the control's switch that negates the values"
+        "no public manual confirms whether the control expects errors or corrections. Test move: switch the "
+        f"compensation on and go to {name[2]} = {curve.positions[k]:.3f} mm. {name[1]} must move by "
+        f"{-curve.values[k]:+.4f} mm (the part of {name} alone). If it moves the other way, set the control's switch "
+        "that negates the values"
     ]
 
 
 def moved_by_errors(
     curves: Mapping[str, Curve], squareness: Mapping[str, float], comments: Iterable[str], commanded: Array
 ) -> Array:
-    """Return how a control with the same rigid-body model moves the machine, (n, 3) mm."""
+    """Return the movement, (n, 3) mm, by a control with the same rigid-body model: the negative error.
+
+    Raises ValueError if the comments do not name the order of the axes and the tool.
+    """
     found = _CHAIN.search("\n".join(comments))
     if found is None:
         raise ValueError("the comments do not name the chain")

@@ -1,4 +1,4 @@
-"""Files written whole or not at all."""
+"""Write files completely or not at all."""
 
 from __future__ import annotations
 
@@ -12,7 +12,10 @@ from metrocli.errors import Fault, InputError
 
 @contextmanager
 def written_aside(path: Path) -> Iterator[Path]:
-    """Give a name in the same folder to write to; on success it takes the place of `path` at once."""
+    """Yield a temporary path in the same folder to write to; on success it replaces `path` in one step.
+
+    Raises InputError if the file cannot be written; `path` is then unchanged.
+    """
     aside = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -28,7 +31,7 @@ def written_aside(path: Path) -> Iterator[Path]:
 
 
 def _flush(path: Path) -> None:
-    """Bring a file or the entries of a folder to the disk."""
+    """Flush a file, or the entries of a folder, to the disk."""
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)

@@ -1,6 +1,6 @@
-"""CSV to tables and back: columns end in their unit, every fault has its line and column.
+"""Read CSV files as tables and write tables as CSV: column names end in their unit, faults have line and column.
 
-Whole columns are converted at once; only when something is wrong are single cells looked at again to say where.
+Whole columns are converted at once. Single cells are examined only if that fails, to locate the fault.
 """
 
 from __future__ import annotations
@@ -29,9 +29,10 @@ _WHOLE_LIMIT = 1 << 62
 
 
 def read(path: Path, columns: Columns, shown: str = "") -> Table:
-    """Return the columns asked for, in internal units; raise InputError with every fault (at most MOST_FAULTS a file).
+    """Return the wanted columns of a CSV file in internal units.
 
-    `shown` is the name of the file in messages. Columns that nobody asked for are named in the table's warnings.
+    `shown` is the name of the file in messages. The table's warnings list unused columns. Raises InputError with all
+    faults, at most MOST_FAULTS per file.
     """
     raw = taken_apart(read_text(path, shown or str(path)), shown or str(path))
     columns = _every(raw, columns) if columns.every else columns
@@ -50,7 +51,7 @@ def read(path: Path, columns: Columns, shown: str = "") -> Table:
 
 
 def _every(raw: Raw, columns: Columns) -> Columns:
-    """Return a column for each of the header: of numbers, or of text where a cell is no finite number."""
+    """Return a column for each name in the header: of numbers, or of text if any cell is not a finite number."""
     kinds = [NUMBER if all(map(_is_number, cells)) else TEXT for cells in raw.cells]
     return replace(columns, columns=tuple(Column(*column) for column in zip(raw.header, kinds, strict=True)))
 
@@ -67,9 +68,9 @@ def _has_unit(column: Column) -> bool:
 
 
 def _find(raw: Raw, columns: Columns) -> tuple[dict[str, tuple[int, units.Unit | None]], list[Fault]]:
-    """Return for each column asked for its index in the file and its unit, and what is wrong with the header."""
+    """Return for each wanted column its index in the file and its unit, and the faults of the header."""
     faults = [
-        raw.fault(f"the column '{name}' is there twice" if name else "a column without a name", raw.header_line, index)
+        raw.fault(f"the column '{name}' is there twice" if name else "a column has no name", raw.header_line, index)
         for index, name in enumerate(raw.header)
         if not name or name in raw.header[:index]
     ]
@@ -81,7 +82,7 @@ def _find(raw: Raw, columns: Columns) -> tuple[dict[str, tuple[int, units.Unit |
             places[column.name] = (raw.header.index(found[0]), forms[found[0]])
         elif found:
             at = raw.header.index(found[1])
-            message = f"two columns for one quantity: {' and '.join(found)}"
+            message = f"two columns hold the same quantity: {' and '.join(found)}"
             faults.append(raw.fault(message, raw.header_line, at, "keep one of them"))
         else:
             faults.extend(_absent(raw, column, tuple(forms), columns))
@@ -89,14 +90,14 @@ def _find(raw: Raw, columns: Columns) -> tuple[dict[str, tuple[int, units.Unit |
 
 
 def _forms(column: Column) -> dict[str, units.Unit | None]:
-    """Return the names under which a file may hold a column, with the unit that each means."""
+    """Return the names that a column may have in a file, each with the unit it stands for."""
     if not _has_unit(column):
         return {column.name: None}
     return {f"{column.name}_{suffix}": unit for suffix, unit in units.suffixes(column.dimension).items()}
 
 
 def _absent(raw: Raw, column: Column, forms: tuple[str, ...], columns: Columns) -> list[Fault]:
-    """Say why a column was not found: without unit, in a unit of something else, misspelt, or not there."""
+    """Return the fault of a column that was not found: no unit, a wrong unit, misspelt, or missing."""
     accepted = f"accepted: {', '.join(forms)}"
     others = {c.name for c in columns.columns}
     for index, name in enumerate(raw.header):
@@ -110,7 +111,7 @@ def _absent(raw: Raw, column: Column, forms: tuple[str, ...], columns: Columns) 
     if not column.required:
         return []
     near = nearest(forms[0], raw.header)
-    hint = f"did you mean it by '{near}'? {accepted}" if near and near not in others else accepted
+    hint = f"is it the column '{near}'? {accepted}" if near and near not in others else accepted
     return [raw.fault(f"the column '{forms[0]}' is missing", raw.header_line, None, hint)]
 
 
@@ -130,7 +131,7 @@ def _unused(raw: Raw, columns: Columns, places: dict[str, tuple[int, units.Unit 
 
 
 def _convert(raw: Raw, index: int, column: Column, unit: units.Unit | None, faults: list[Fault]) -> Values:
-    """Return one column in internal units, NaN where a cell may be empty and is."""
+    """Return one column in internal units; cells that are empty and may be so become NaN."""
     if column.dimension == TEXT:
         return _texts(raw, index, column, faults)
     cells = raw.cells[index]
@@ -153,7 +154,7 @@ def _most(column: Column) -> float:
 
 
 def _number(raw: Raw, row: int, index: int, column: Column, faults: list[Fault]) -> float | int:
-    """Return one cell as a number; 0 with a fault where it is none."""
+    """Return one cell as a number; if it is not a number, add a fault and return 0."""
     cell = raw.cells[index][row].strip()
     if not cell and column.may_be_empty:
         return float("nan")
@@ -186,7 +187,7 @@ def _texts(raw: Raw, index: int, column: Column, faults: list[Fault]) -> Values:
 
 
 def _repeated(raw: Raw, columns: Columns, values: dict[str, Values]) -> list[Fault]:
-    """Return a fault for each row whose key an earlier row has."""
+    """Return a fault for each row that has the same key as an earlier row."""
     names = [name for name in columns.key if name in values]
     if not names:
         return []
@@ -205,7 +206,7 @@ def _repeated(raw: Raw, columns: Columns, values: dict[str, Values]) -> list[Fau
 
 
 def write(path: Path, table: Table) -> None:
-    """Write a table with its units in the header, whole or not at all; numbers read back exactly as they are."""
+    """Write a table with its units in the header, completely or not at all; numbers read back without change."""
     from metrocli.formats.aside import written_aside
 
     with written_aside(path) as aside:

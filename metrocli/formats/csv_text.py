@@ -1,4 +1,4 @@
-"""A CSV file taken apart into its header and cells, still text."""
+"""Split a CSV file into its header and cells, without converting them."""
 
 from __future__ import annotations
 
@@ -21,25 +21,28 @@ _WHOLE_LIMIT = 1 << 62
 
 @dataclass(frozen=True)
 class Raw:
-    """A file taken apart: its header and its cells, still text."""
+    """A CSV file as its header and cells, all of them text."""
 
     file: str
     lines: Sequence[str]
-    """All lines of the file as they stand, for messages."""
+    """All lines of the file, unchanged, for messages."""
     separator: str
     header_line: int
     header: tuple[str, ...]
     cells: tuple[Sequence[str], ...]
-    """By column, as text."""
+    """Cells of each column."""
     numbers: Sequence[int]
-    """Line of each row."""
+    """Line number of each row."""
 
     def fault(self, message: str, line: int, cell: int | None = None, hint: str | None = None) -> Fault:
         shown = self.lines[line - 1]
         return Fault(message, self.file, line, 1 if cell is None else self.start(shown, cell), shown, hint)
 
     def start(self, line: str, cell: int) -> int:
-        """Return the column at which a cell begins, commas in quotes not counted; the end of the line beyond it."""
+        """Return the position in the line, from 1, at which a cell begins; the end of the line for a missing cell.
+
+        Separators within quotation marks do not count.
+        """
         quoted, seen = False, 0
         for at, character in enumerate(line):
             if seen == cell and not (character == " " and line[at:].strip()):
@@ -69,17 +72,22 @@ def read_text(path: Path, shown: str) -> str:
 
 
 def taken_apart(text: str, file: str) -> Raw:
-    """Split the text into header and cells; raise InputError where the rows do not have the cells of the header."""
+    """Split the text into header and cells.
+
+    Raises InputError if there is no header or no row, or if a row has another number of cells than the header.
+    """
     lines = text.split("\n")
     at = next((n for n, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")), None)
     if at is None:
-        raise InputError([Fault("the file is empty", file, 1, 1, hint="expected a header that names the columns")])
+        raise InputError(
+            [Fault("the file is empty", file, 1, 1, hint="expected a header with the names of the columns")]
+        )
     separator = max(",;\t", key=lines[at].count)
     header = tuple(cell.strip() for cell in next(csv.reader([lines[at]], delimiter=separator)))
     raw = Raw(file, lines, separator, at + 1, header, (), ())
     numbers = [n for n, line in enumerate(lines[at + 1 :], at + 2) if line and (line[0] not in "# \t" or _is_row(line))]
     if all(re.fullmatch(r"[-+.\deE]+", cell) for cell in header):
-        raise InputError([raw.fault("the columns have no names", at + 1, None, "name them in the first line")])
+        raise InputError([raw.fault("the columns have no names", at + 1, None, "write their names in the first line")])
     if not numbers:
         raise InputError([raw.fault("there is a header and no row", at + 1)])
     if '"' in text:
@@ -96,7 +104,7 @@ def _is_row(line: str) -> bool:
 
 
 def _quoted(raw: Raw) -> Raw:
-    """Take a file with quotation marks apart, where a cell may hold separators and line ends."""
+    """Split a file with quotation marks, in which a cell may contain separators and line ends."""
     rows, numbers, wrong = [], [], []
     reader = csv.reader(raw.lines[raw.header_line :], delimiter=raw.separator, strict=True)
     before = 0
@@ -110,14 +118,14 @@ def _quoted(raw: Raw) -> Raw:
             wrong += [(line, len(row))] if len(row) != len(raw.header) else []
     except csv.Error as error:
         line = min(raw.header_line + before + 1, len(raw.lines))
-        message = "a quotation mark is opened and not closed, or followed by text"
+        message = "a quotation mark is not closed, or text follows a closing quotation mark"
         raise InputError([raw.fault(message, line)]) from error
     refuse_cells(raw, wrong)
     return replace(raw, cells=tuple(zip(*rows, strict=True)), numbers=numbers)
 
 
 def refuse_cells(raw: Raw, wrong: Sequence[tuple[int, int]]) -> None:
-    """Raise InputError for rows with another number of cells than the header has columns."""
+    """Raise InputError for rows with a wrong number of cells, given as (line, number of cells)."""
     comma = raw.separator == ","
     faults = []
     for line, count in wrong[: MOST_FAULTS + 1]:
@@ -130,7 +138,7 @@ def refuse_cells(raw: Raw, wrong: Sequence[tuple[int, int]]) -> None:
 
 
 def shortened(faults: Sequence[Fault]) -> list[Fault]:
-    """Return the first faults in the order of the file, and how many more there are."""
+    """Return the first MOST_FAULTS faults in the order of the file, and one fault that counts the rest."""
     faults = sorted(faults, key=lambda fault: (fault.line or 0, fault.column or 0))
     if len(faults) <= MOST_FAULTS:
         return list(faults)

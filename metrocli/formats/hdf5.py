@@ -1,6 +1,7 @@
-"""Result files: HDF5 that h5py, h5ls and MATLAB read without metrocli; written aside, complete or absent.
+"""Result files in HDF5, readable with h5py, h5ls and MATLAB without metrocli; written completely or not at all.
 
-The same result gives the same bytes but for the time of its making: objects carry no timestamps, names are in order.
+The same result gives the same bytes except for the attribute `created`: objects carry no timestamps, and names are
+sorted.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ _SCALED = "scaled by sigma0 squared, because the noise was estimated"
 
 
 def write(path: Path, result: Result, record: Record) -> None:
-    """Write a result file in the place of whatever is at `path`; on any failure that stays as it is."""
+    """Write a result file to `path` and replace any file there; if writing fails, that file stays unchanged."""
     with written_aside(path) as aside:
         try:
             with h5py.File(aside, "w") as file:
@@ -78,7 +79,7 @@ def _write_texts(file: h5py.File, name: str, value: str | Sequence[str]) -> None
 
 
 def _write_values(group: h5py.Group, values: Mapping[str, Any]) -> None:
-    """Write single values and lists as attributes of a group, and values by name as attributes of groups below it."""
+    """Write values and lists as attributes of a group, and mappings as subgroups with attributes."""
     for name, value in values.items():
         if isinstance(value, Mapping):
             _write_values(group.create_group(name), value)
@@ -87,7 +88,7 @@ def _write_values(group: h5py.Group, values: Mapping[str, Any]) -> None:
 
 
 def _write_plot(file: h5py.File, result: Result) -> None:
-    """Name for viewers what to draw first: the normalised residuals, or the estimates."""
+    """Write the default plot for viewers (NeXus): the normalised residuals, else the residuals, else the estimates."""
     residuals = result.tables.get("residuals")
     column = next((name for name in ("normalised", "residual") if residuals is not None and name in residuals), None)
     group = file.create_group("plot")
@@ -108,7 +109,7 @@ def _table_of(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> Table:
 
 
 def _write_table(file: h5py.File, name: str, table: Table) -> None:
-    """Write a table as one compound dataset; its attribute `units` has one unit a column, "" where there is none."""
+    """Write a table as one compound dataset; its attribute `units` holds one unit per column, empty for none."""
     columns = {column: _storable(table.columns[column]) for column in table}
     rows = np.empty(len(table), dtype=[(column, values.dtype) for column, values in columns.items()])
     for column, values in columns.items():
@@ -118,7 +119,7 @@ def _write_table(file: h5py.File, name: str, table: Table) -> None:
 
 
 def _storable(values: Any) -> Any:
-    """Return a column as it is stored: text as UTF-8 of the length that the longest needs."""
+    """Return a column as it is stored: text becomes UTF-8 of fixed length, that of the longest text."""
     if values.dtype.kind != "U":
         return values
     encoded = np.char.encode(values, "utf-8")
@@ -126,7 +127,10 @@ def _storable(values: Any) -> Any:
 
 
 def read(path: Path, shown: str = "") -> tuple[Result, Record]:
-    """Return a result file's content, or raise InputError for a file that is foreign, truncated or incomplete."""
+    """Return the content of a result file.
+
+    Raises InputError if it is not a result file, or if it is truncated, damaged or incomplete.
+    """
     with _opened(path, shown or str(path)) as file:
         try:
             return _read_result(file), _read_record(file)
@@ -135,7 +139,7 @@ def read(path: Path, shown: str = "") -> tuple[Result, Record]:
 
 
 def read_record(path: Path, shown: str = "") -> tuple[str, Record]:
-    """Return only the kind and the record of a result file."""
+    """Return only the kind of job and the record of a result file; raises InputError as `read`."""
     with _opened(path, shown or str(path)) as file:
         try:
             return str(file.attrs["kind"]), _read_record(file)
@@ -144,7 +148,7 @@ def read_record(path: Path, shown: str = "") -> tuple[str, Record]:
 
 
 def kind_of(path: Path) -> str | None:
-    """Return the kind of a result file, "" for a damaged one or an empty file, None for a file that is not ours."""
+    """Return the kind of job of a result file, "" if it is damaged or empty, None if it is not a result file."""
     with path.open("rb") as raw:
         head = raw.read(len(SIGNATURE))
     if not head:
@@ -159,7 +163,7 @@ def kind_of(path: Path) -> str | None:
 
 
 def _opened(path: Path, shown: str) -> h5py.File:
-    """Open a result file for reading and make sure that it is one, whole, and of a version this program reads."""
+    """Open a result file for reading; raises InputError if it is not complete or of an unknown version."""
     if not path.is_file():
         raise InputError([Fault("there is no such file", shown)])
     try:
@@ -205,7 +209,7 @@ def _read_result(file: h5py.File) -> Result:
 
 
 def _shown_text(shown: ShownTable) -> str:
-    """Return a shown table as the file has it: `name`, or `name: column, column`."""
+    """Return a shown table as text for the file: `name`, or `name: column, column`."""
     return f"{shown.name}: {', '.join(shown.columns)}" if shown.columns else shown.name
 
 

@@ -1,4 +1,4 @@
-"""Size of an image from the head of its file, before anything is decoded."""
+"""Read the size of an image from its file header, without decoding the image."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ _TIFF_TYPES = {3: "H", 4: "I"}
 
 
 class HeaderError(ValueError):
-    """The file is not an image of a known format, or it ends before its data do."""
+    """The file is not an image of a known format, or it is damaged or truncated."""
 
 
 def size_of(data: bytes) -> Size:
-    """Return (width, height) of a PNG, JPEG, TIFF, BMP or PNM file, and check that all of it is there.
+    """Return (width, height) of a PNG, JPEG, TIFF, BMP or PNM file, and check that the file is complete.
 
-    Only structure is read, no picture data; raises HeaderError with the reason.
+    Only the structure is read, not the pixels. Raises HeaderError with the reason.
     """
     for magic, read in _FORMATS.items():
         if data[: len(magic)] == magic:
@@ -78,7 +78,7 @@ def _jpeg(data: bytes) -> Size:
 def _bmp(data: bytes) -> Size:
     offset, header, width, height, _, depth, compression = struct.unpack_from("<IIiiHHI", data, 10)
     if header < 40:
-        raise HeaderError("BMP files of OS/2 are not read")
+        raise HeaderError("BMP files in the OS/2 format are not read")
     row = (width * depth + 31) // 32 * 4
     if compression in (0, 3) and offset + row * abs(height) > len(data):
         raise HeaderError("the file is truncated")
@@ -109,7 +109,7 @@ def _tiff(data: bytes) -> Size:
             if start + length > len(data):
                 raise HeaderError("the file is truncated")
     if _TIFF_WIDTH not in values or _TIFF_HEIGHT not in values:
-        raise HeaderError("the TIFF directory gives no size")
+        raise HeaderError("the TIFF directory does not give the size of the image")
     return values[_TIFF_WIDTH][0], values[_TIFF_HEIGHT][0]
 
 

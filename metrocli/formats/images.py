@@ -1,4 +1,4 @@
-"""Image files to grey-value arrays and back; every image is taken as hostile until it is decoded."""
+"""Read image files as grey-value arrays and write them; every file is checked before it is decoded."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from metrocli.imageset import ImageSet, Picture
 
 MOST_PIXELS = 200_000_000
-"""Larger images are refused before they are decoded."""
+"""Images with more pixels are refused before they are decoded."""
 
 MOST_BYTES = 12 * MOST_PIXELS
-"""Longest file read: six bytes a pixel, and as much again for what surrounds them."""
+"""Largest file that is read: six bytes per pixel, and as much again for headers and metadata."""
 
 Size = tuple[int, int]
 
@@ -47,9 +47,10 @@ class ImageFiles:
 
 
 def read_images(paths: Sequence[Path]) -> ImageSet:
-    """Return the images in sorted order of their names; all faults of all files at once.
+    """Return the images sorted by name, and check all files without decoding them.
 
-    Checks here, without decoding: readable, a known format, complete, a sane size, one size for all, names unique.
+    Raises InputError with all faults of all files: not readable, unknown format, incomplete, too large, different
+    sizes, or equal names.
     """
     files = tuple(sorted(paths, key=lambda path: path.name))
     if not files:
@@ -71,7 +72,7 @@ def read_images(paths: Sequence[Path]) -> ImageSet:
 
 
 def read(path: Path) -> Picture:
-    """Return grey values (height, width), 8 or 16 bit, on the sensor's own pixel grid: EXIF rotation is ignored."""
+    """Return grey values, (height, width), 8 or 16 bit, on the pixel grid of the sensor: EXIF rotation is ignored."""
     import cv2
     import numpy as np
 
@@ -93,11 +94,11 @@ def read(path: Path) -> Picture:
         return picture.astype(np.uint8, copy=False)
     if picture.dtype == np.uint16:
         return picture.astype(np.uint16, copy=False)
-    raise InputError([_fault(path, f"grey values are {picture.dtype}; 8 or 16 bit whole numbers are needed")])
+    raise InputError([_fault(path, f"the grey values are {picture.dtype}; 8 or 16 bit whole numbers are needed")])
 
 
 def write(path: Path, picture: Picture) -> None:
-    """Write an image aside and rename it; the suffix of `path` chooses the format (.png, .tif, .bmp, .pgm)."""
+    """Write an image completely or not at all; the suffix of `path` selects the format (.png, .tif, .bmp, .pgm)."""
     import cv2
 
     try:
@@ -118,9 +119,7 @@ def _bytes(path: Path) -> bytes:
         if not path.is_file():
             raise InputError([_fault(path, "no such image" if not path.exists() else "not a file")])
         if path.stat().st_size > MOST_BYTES:
-            raise InputError(
-                [_fault(path, f"the file has {path.stat().st_size} bytes; {MOST_BYTES} are the most read")]
-            )
+            raise InputError([_fault(path, f"the file has {path.stat().st_size} bytes; at most {MOST_BYTES} are read")])
         return path.read_bytes()
     except OSError as error:
         raise InputError([_fault(path, f"cannot be read: {error.strerror}")]) from error
@@ -129,7 +128,7 @@ def _bytes(path: Path) -> bytes:
 def _size_fault(path: Path, size: Size) -> list[Fault]:
     if size[0] * size[1] <= MOST_PIXELS:
         return []
-    return [_fault(path, f"the image is {size[0]} x {size[1]} pixels; {MOST_PIXELS} pixels are the most read")]
+    return [_fault(path, f"the image has {size[0]} x {size[1]} pixels; at most {MOST_PIXELS} pixels are read")]
 
 
 def _same_names(files: Sequence[Path]) -> list[Fault]:
@@ -141,7 +140,12 @@ def _different_sizes(sizes: dict[Path, Size]) -> list[Fault]:
         return []
     (first, (width, height)), *others = sizes.items()
     odd, (w, h) = next((path, size) for path, size in others if size != (width, height))
-    return [_fault(odd, f"this image is {w} x {h} pixels, but {first} is {width} x {height}; one camera has one size")]
+    return [
+        _fault(
+            odd,
+            f"this image is {w} x {h} pixels, but {first} is {width} x {height}; the images must have one size",
+        )
+    ]
 
 
 def _fault(path: Path, message: str) -> Fault:

@@ -1,4 +1,4 @@
-"""What a job file may say: specifications that read nodes into frozen dataclasses, and a JSON schema of them."""
+"""Specifications of job files: they read nodes into frozen dataclasses and describe themselves as JSON schema."""
 
 from metrocli.settings.composites import At, Either, ListOf, MapOf, Placed
 from metrocli.settings.files import ANY_KIND, FileOf, ImageFiles, TableFile, path_beside

@@ -1,4 +1,4 @@
-"""Values made of values: lists, mappings, alternatives, and values that keep their place."""
+"""Specifications made of others: lists, mappings, alternatives, and values that keep their place in the file."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class ListOf:
     item: Spec
     length: int | None = None
     distinct: bool = False
-    """Refuse a value that stands in the list twice."""
+    """Whether repeated values are refused."""
 
     @property
     def expects(self) -> str:
@@ -67,7 +67,7 @@ class MapOf:
 
 @dataclass(frozen=True)
 class Placed:
-    """A value with the node it was read from, for faults that only show beside others."""
+    """A value with the node it was read from, for faults that are found later by comparison with other values."""
 
     value: Any
     node: Node
@@ -75,7 +75,7 @@ class Placed:
 
 @dataclass(frozen=True)
 class At:
-    """A value of which the task wants the place too: read as `Placed`."""
+    """A value whose place in the file the task needs as well; read as `Placed`."""
 
     spec: Any
 
@@ -96,7 +96,7 @@ class At:
 
 
 class Either:
-    """One of several kinds of value; the first that reads without a fault."""
+    """One of several kinds of value; the first that can be read without a fault counts."""
 
     def __init__(self, *specs: Spec) -> None:
         self.specs = specs
@@ -121,7 +121,7 @@ class Either:
         return BAD
 
     def _telling(self, node: Node, shaped: Sequence[Spec], attempts: Sequence[list[Fault]]) -> list[Fault]:
-        """Choose the faults of the alternative that was meant: a text that begins like a number is a quantity."""
+        """Return the faults of the alternative probably meant: text that begins like a number is a quantity."""
         numeric = node.kind == "scalar" and node.text[:1] in set("+-.0123456789")
         for spec, found in zip(shaped, attempts, strict=True):
             if len(shaped) == 1 or (numeric and isinstance(spec, Quantity | Number | Whole)):

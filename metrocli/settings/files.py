@@ -1,4 +1,4 @@
-"""Files that a job names: tables, images, and results of other jobs; they are read later, by content."""
+"""Specifications of files that a job names: tables, images, and results of other jobs; their content is read later."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from metrocli.settings.values import BAD, OfText, Schema, Spec, refuse
 
 @dataclass(frozen=True)
 class TableFile(OfText):
-    """A CSV file beside the job; `columns` (`table.Columns`) says what is read from it."""
+    """A CSV file with a path relative to the job file; `columns` (`table.Columns`) describes what is read from it."""
 
     columns: Any
     expects = "the path of a CSV file"
@@ -32,7 +32,7 @@ class TableFile(OfText):
 
 @dataclass(frozen=True)
 class ImageFiles:
-    """Images beside the job: a path, a pattern such as img/*.jpg, or a list of them; read as sorted paths."""
+    """Images beside the job file: a path, a pattern such as img/*.jpg, or a list of these; read as sorted paths."""
 
     expects = "the path of an image, or a pattern such as img/*.jpg"
 
@@ -48,7 +48,7 @@ class ImageFiles:
         return tuple(sorted({path for part in (node.items or (node,)) for path in _matches(part)}))
 
     def unmatched(self, node: Node) -> list[Node]:
-        """Return the patterns that no file matches."""
+        """Return the nodes of patterns that match no file."""
         return [part for part in (node.items or (node,)) if not _matches(part)]
 
     def schema(self) -> Schema:
@@ -57,7 +57,7 @@ class ImageFiles:
 
 
 def _matches(node: Node) -> list[Path]:
-    """Return the files of a pattern; a plain path as it is, whether it exists or not."""
+    """Return the files that match a pattern; a path without wildcards is returned even if it does not exist."""
     if not set(node.text) & set("*?["):
         return [path_beside(node)]
     return [Path(os.path.normpath(path)) for path in _glob(node) if path.is_file()]
@@ -71,15 +71,15 @@ def _glob(node: Node) -> Iterable[Path]:
 
 
 ANY_KIND = ("any kind of job",)
-"""For `FileOf`: results of all kinds are taken"""
+"""For `FileOf`: results of all kinds of job are accepted"""
 
 
 @dataclass(frozen=True)
 class FileOf(OfText):
-    """The result of another job (.h5), or a YAML file with the same facts written by hand."""
+    """The result of another job (.h5), or a YAML file with the same data written by hand."""
 
     results: tuple[str, ...] = ()
-    """Kinds of job whose result is taken."""
+    """Kinds of job whose results are accepted."""
     section: type | None = None
     """The dataclass that a YAML file is read into."""
 
@@ -106,5 +106,8 @@ def _path(spec: Spec, node: Node, faults: list[Fault]) -> Any:
 
 
 def path_beside(node: Node) -> Path:
-    """Return the path that a node names, without `..` in the middle, so that two jobs name a file alike."""
+    """Return the path that a node names, relative to the folder of the job file.
+
+    The path is normalised (no `..` in the middle), so that two jobs record the same file under the same path.
+    """
     return Path(os.path.normpath(node.source.folder / node.text))

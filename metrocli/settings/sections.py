@@ -1,4 +1,4 @@
-"""Sections: mappings with known keys, read into frozen dataclasses; every fault is collected with its place."""
+"""Sections of a job file: mappings with known keys, read into frozen dataclasses; all faults are collected."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from metrocli.words import suggestion
 
 @dataclass(frozen=True)
 class Setting:
-    """What the metadata of a dataclass field says about one key of a job."""
+    """One key of a job file, as described in the metadata of a dataclass field."""
 
     spec: Spec
     description: str
@@ -24,7 +24,10 @@ class Setting:
 
 
 def setting(spec: Spec, description: str, default: Any = dataclasses.MISSING, key: str = "") -> Any:
-    """Return the field of one key, required without a default; `key` is its name where Python reserves it."""
+    """Return the dataclass field of one key of a job file; the key is required if it has no default.
+
+    `key` gives its name in the file if it differs from the field, such as a word that Python reserves.
+    """
     metadata = {"setting": (spec, description, key)}
     if isinstance(default, Mapping | list):
         return field(default_factory=lambda: default, metadata=metadata)
@@ -32,7 +35,7 @@ def setting(spec: Spec, description: str, default: Any = dataclasses.MISSING, ke
 
 
 def settings_of(section: type) -> dict[str, tuple[Setting, bool]]:
-    """Return by field name each setting of a dataclass, and whether it is required."""
+    """Return for each field name of a dataclass its setting, and whether it is required."""
     found = {}
     for item in dataclasses.fields(section):
         spec, description, key = item.metadata["setting"]
@@ -63,7 +66,7 @@ class Section:
 
 
 def read_sections(node: Node, sections: Sequence[type], faults: list[Fault]) -> list[Any]:
-    """Read one mapping into several dataclasses that share its keys; BAD for each that has a fault."""
+    """Read one mapping into several dataclasses, each with its own keys; the value is BAD for each with a fault."""
     if node.kind != "mapping":
         return [refuse(Section(section), node, faults) for section in sections]
     known = [wanted.key for section in sections for wanted, _ in settings_of(section).values()]
@@ -74,9 +77,9 @@ def read_sections(node: Node, sections: Sequence[type], faults: list[Fault]) -> 
 
 
 def _hint_for_key(key: str, known: Sequence[str]) -> str:
-    """Return the nearest key, or the reason where a comma in {...} cut a value in two."""
+    """Return the nearest key, or an explanation if a comma in {...} split a value in two."""
     if re.fullmatch(r"[0-9]+\s*[^\W\d_]*", key):
-        return "a comma ends a value here; write a decimal point, and the value in quotes if it must hold a comma"
+        return "a comma ends a value here: write a decimal point, or put a value that contains a comma in quotes"
     return suggestion(key, known)
 
 
@@ -99,7 +102,10 @@ def _read_section(node: Node, section: type, faults: list[Fault]) -> Any:
 
 
 def _checked(value: Any, node: Node, faults: list[Fault]) -> Any:
-    """Add the faults that a section finds across its keys: `(key path, message[, hint])`, or a Fault with its place."""
+    """Add the faults that the section's method `faults` finds across its keys.
+
+    The method yields `(key path, message[, hint])`, or a Fault with its place. Returns BAD if there is any.
+    """
     check = getattr(value, "faults", None)
     said = list(check()) if check else []
     found = [item if isinstance(item, Fault) else node.at(item[0]).fault(*item[1:]) for item in said]

@@ -1,7 +1,7 @@
-"""Single values of a job file: specifications that read a node, collect its faults, and describe themselves.
+"""Specifications of single values of a job file: they read a node, collect its faults, and describe themselves.
 
-Values are read from the text as it stands in the file, never from a type that YAML made of it: `1e-6` is a number,
-`012345` a serial number.
+Values are read from the text in the file, never from the type that YAML assigns: `1e-6` is a number, `012345` a serial
+number.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Schema = dict[str, Any]
 
 
 class _Bad:
-    """The value of something with a fault; it never reaches a task."""
+    """Placeholder for a value with a fault; a job that contains it is refused, so no task receives it."""
 
     def __repr__(self) -> str:
         return "BAD"
@@ -31,14 +31,14 @@ BAD = _Bad()
 
 
 class Spec(Protocol):
-    """How one value is read and described."""
+    """Interface of the specification of a value: how it is read and described."""
 
     @property
     def expects(self) -> str:
-        """What may stand here, in words: "a length such as 0.1 mm"."""
+        """The expected value in words, for messages: "a length such as 0.1 mm"."""
 
     def fits(self, node: Node) -> bool:
-        """Tell whether the node has the shape of this value, so that its faults are worth telling."""
+        """Return whether the node has the form of this value (scalar, list, mapping); then its faults are reported."""
 
     def read(self, node: Node, faults: list[Fault]) -> Any:
         """Return the value, or add to `faults` and return BAD."""
@@ -60,7 +60,7 @@ def described(node: Node) -> str:
 
 
 class OfText:
-    """What all values written as one word, number or text have in common."""
+    """Base of all values that are written as one word, number or text."""
 
     def fits(self, node: Node) -> bool:
         return node.kind == "scalar" and not node.empty
@@ -68,7 +68,7 @@ class OfText:
 
 @dataclass(frozen=True)
 class Text(OfText):
-    """Any text, as it stands in the file."""
+    """Any text, exactly as in the file."""
 
     expects = "text"
 
@@ -121,7 +121,7 @@ _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 
 @dataclass(frozen=True)
 class Number(OfText):
-    """A plain number without a unit, within limits that belong to it (`above`: not itself)."""
+    """A plain number without a unit; the limits `minimum` and `maximum` are allowed values, `above` is not."""
 
     minimum: float | None = None
     maximum: float | None = None
@@ -136,13 +136,15 @@ class Number(OfText):
         if not self.fits(node):
             return refuse(self, node, faults)
         if _COMMA.fullmatch(node.text):
-            return refuse(self, node, faults, "has a decimal comma", f"write {node.text.replace(',', '.')}")
+            return refuse(
+                self, node, faults, f"'{node.text}' has a decimal comma", f"write {node.text.replace(',', '.')}"
+            )
         if not _NUMBER.fullmatch(node.text) or not math.isfinite(float(node.text)):
             return refuse(self, node, faults, f"'{node.text}' is not a plain number")
         return self.within(node, float(node.text), faults)
 
     def within(self, node: Node, value: float, faults: list[Fault]) -> Any:
-        """Return the value, BAD with a fault where it is outside the limits."""
+        """Return the value, or BAD with a fault if it is outside the limits."""
         low = (self.minimum is not None and value < self.minimum) or (self.above is not None and value <= self.above)
         if low or (self.maximum is not None and value > self.maximum):
             return refuse(self, node, faults, f"{node.text} is out of range")
@@ -155,7 +157,7 @@ class Number(OfText):
 
 @dataclass(frozen=True)
 class Whole(OfText):
-    """A whole number, within limits that belong to it."""
+    """A whole number; the limits are allowed values."""
 
     minimum: int | None = None
     maximum: int | None = None
@@ -186,9 +188,9 @@ class Quantity(OfText):
 
     dimension: str
     positive: bool = False
-    """Refuse zero and below."""
+    """Whether zero and negative values are refused."""
     minimum: float | None = None
-    """In the internal unit."""
+    """Smallest allowed value in the internal unit."""
 
     @property
     def expects(self) -> str:

@@ -1,4 +1,4 @@
-"""Units: the closed table, text to quantities, and quantities to text. The only place that converts them."""
+"""Units: the closed table of units, and conversion from text to quantities and back. No other package converts."""
 
 from metrocli.units.parsing import (
     find_unit,

@@ -1,4 +1,4 @@
-"""Text to quantities: "20 arcsec" becomes a number in the internal unit, and what is no unit is refused with a hint."""
+"""Convert text such as "20 arcsec" to a number in the internal unit; anything else is refused with a hint."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from metrocli.units.table import DIMENSIONS, Dimension, QuantityError, Unit
 
 _INTERNAL = {"slope": "1", "ratio": "1"}
 _SPELLINGS = {"\u00b5": "u", "\u03bc": "u", "°C": "degC", "°": "deg", "%": "percent", "\u03a9": "ohm", "\u2126": "ohm"}
-"""Both micro signs and both ohm signs of Unicode."""
+"""Other spellings of units, including both micro signs and both ohm signs of Unicode."""
 _WORDS = {
     "micron": "um", "microns": "um", "micrometer": "um", "micrometre": "um", "millimeter": "mm", "millimetre": "mm",
     "meter": "m", "metre": "m", "degree": "deg", "degrees": "deg", "pixel": "px", "pixels": "px", "sec": "s",
@@ -22,12 +22,15 @@ _COMMA = re.compile(r"([+-]?[0-9]*),([0-9]+)(.*)", re.DOTALL)
 
 
 def internal_unit(dimension: str) -> str:
-    """Return the unit that values of a dimension have inside the program ("1" for slopes and ratios)."""
+    """Return the internal unit of a dimension: the unit of its values in memory ("1" for slopes and ratios)."""
     return _INTERNAL.get(dimension, DIMENSIONS[dimension].unit)
 
 
 def parse_quantity(text: str, dimension: str) -> float:
-    """Return a text such as "20 arcsec" in the internal unit of its dimension; QuantityError says what is wrong."""
+    """Return the value of a text such as "20 arcsec" in the internal unit of its dimension.
+
+    Raises QuantityError, with a hint, if the text is not a number with a unit of this dimension.
+    """
     wanted = DIMENSIONS[dimension]
     text = text.strip()
     match = _QUANTITY.fullmatch(text)
@@ -45,7 +48,10 @@ def parse_quantity(text: str, dimension: str) -> float:
 
 
 def find_unit(symbol: str, dimension: str, number: str = "1") -> Unit:
-    """Return the unit with this symbol (micro signs, degree signs and % as people type them), or QuantityError."""
+    """Return the unit with this symbol; other spellings (micro sign, degree sign, %) are accepted.
+
+    Raises QuantityError, with a hint, if the symbol is not a unit of the dimension; `number` is used in the hint.
+    """
     wanted = DIMENSIONS[dimension]
     plain = plain_symbol(symbol)
     for unit in wanted.units:
@@ -64,14 +70,14 @@ def find_unit(symbol: str, dimension: str, number: str = "1") -> Unit:
 
 
 def plain_symbol(symbol: str) -> str:
-    """Return a unit as the table spells it: "\u00b5m" is "um", "\u00b0C" is "degC", "%" is "percent"."""
+    """Return a unit in the spelling of the table: "um" for "\u00b5m", "degC" for "\u00b0C", "percent" for "%"."""
     for typed, plain in _SPELLINGS.items():
         symbol = symbol.replace(typed, plain)
     return symbol.strip()
 
 
 def nearest(word: str, known: tuple[str, ...]) -> str | None:
-    """Return the unit that was probably meant."""
+    """Return the known unit that was probably meant, or None."""
     from difflib import get_close_matches
 
     meant = _WORDS.get(word)
@@ -85,7 +91,7 @@ def _example_unit(dimension: Dimension) -> str:
 
 
 def quantity_pattern(dimension: str) -> str:
-    """Return the regular expression (ECMA 262) of a quantity, for the schema of a job."""
+    """Return the regular expression (ECMA 262) of a quantity for the JSON schema of a job."""
     symbols = "|".join(sorted(_typed_forms(DIMENSIONS[dimension]), key=len, reverse=True))
     return rf"^\s*{_NUMBER}\s*({symbols})\s*$"
 
@@ -98,7 +104,7 @@ def _typed_forms(dimension: Dimension) -> set[str]:
 
 
 def suffixes(dimension: str) -> dict[str, Unit]:
-    """Return the endings of a CSV column that holds this dimension: {"mm": ..., "um_per_m": ...}."""
+    """Return the units of a dimension by the ending of a CSV column's name: {"mm": ..., "um_per_m": ...}."""
     return {_suffix(unit.symbol): unit for unit in DIMENSIONS[dimension].units}
 
 
@@ -107,5 +113,5 @@ def _suffix(symbol: str) -> str:
 
 
 def suffix_of(unit: str) -> str:
-    """Return the ending of a CSV column with this internal unit, "" for a plain number."""
+    """Return the ending of the name of a CSV column with this internal unit; empty for a plain number."""
     return "" if unit in ("", "1") else _suffix(unit)

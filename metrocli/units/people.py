@@ -1,4 +1,4 @@
-"""Quantities for people: rounded to their uncertainty, in the unit that suits their size."""
+"""Format quantities for reports: rounded to their uncertainty, in a unit that suits their size."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from metrocli.units.table import DIMENSIONS, KILO
 
 
 def rounded(value: float, std: float) -> tuple[str, str]:
-    """Return value and standard uncertainty as text, both to the second digit of the uncertainty."""
+    """Return value and standard uncertainty as text, both rounded to two digits of the uncertainty (GUM 7.2.6)."""
     if not (math.isfinite(value) and math.isfinite(std)) or std <= 0:
         return f"{value:.10g}", "0" if std == 0 else f"{std:.2g}"
     digits = 1 - math.floor(math.log10(float(f"{std:.1e}")))
@@ -21,12 +21,12 @@ def rounded(value: float, std: float) -> tuple[str, str]:
 
 
 def _significant(value: float, std: float) -> int:
-    """Digits after the point that a value in scientific notation needs to show two digits of its uncertainty."""
+    """Return the decimals that a value in scientific notation needs to show two digits of its uncertainty."""
     return 1 if value == 0 else math.floor(math.log10(abs(value))) - math.floor(math.log10(std)) + 1
 
 
 def format_quantity(value: float, unit: str, std: float | None = None) -> str:
-    """Return a value for people: "12.3457 ± 0.0012 mm", two digits of the standard uncertainty."""
+    """Return a value as text: "12.3457 ± 0.0012 mm", with two digits of the standard uncertainty."""
     unit = "" if unit in ("", "1") else f" {unit}"
     if std is None:
         return f"{value:.6g}{unit}"
@@ -35,7 +35,7 @@ def format_quantity(value: float, unit: str, std: float | None = None) -> str:
 
 
 def readable(value: float, dimension: str) -> tuple[float, str]:
-    """Return a value in the unit of its dimension in which it is a number from 1 to 1000, or nearest to that."""
+    """Return a value and the unit of its dimension in which the number is nearest to 3 on a logarithmic scale."""
     if not dimension or value == 0 or not math.isfinite(value):
         return value, internal_unit(dimension) if dimension else ""
     found = [(unit.outside(value), unit.symbol) for unit in DIMENSIONS[dimension].units if not unit.offset]
@@ -53,5 +53,5 @@ def roughly(value: float, unit: str) -> str:
 
 
 def as_slope(angle: float) -> tuple[float, str]:
-    """Return a small angle (rad) as the slope people read on a machine, in mm/m."""
+    """Return a small angle (rad) as a slope in mm/m, the usual form for machine tools."""
     return angle * KILO, "mm/m"

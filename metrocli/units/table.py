@@ -1,6 +1,6 @@
 """The closed table of units.
 
-Inside the program: millimetre, radian, second, pixel, degree Celsius, kelvin for differences, hectopascal, percent of
+Internal units: millimetre, radian, second, pixel, degree Celsius, kelvin for differences, hectopascal, percent of
 relative humidity, 1 for ratios and slopes. A unit that is not in the table is refused, never reinterpreted.
 """
 
@@ -20,7 +20,7 @@ _PI = math.pi
 _ARCSEC_PER_TURN = 1_296_000.0
 _KELVIN_AT_0_DEGC = 273.15
 INCH = 25.4
-"""Millimetres; not a unit of files here, but one that they are written in by mistake"""
+"""Millimetres per inch. Files cannot use inches; the factor detects data that are in inches by mistake"""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Unit:
     offset: float = 0.0
 
     def inside(self, number: float) -> float:
-        """Return a number in this unit as its internal value, rounded once where the factor is a power of ten."""
+        """Return the internal value of a number in this unit, rounded only once if the factor is a power of ten."""
         return number * self.times / self.over + self.offset
 
     def outside(self, value: float) -> float:
@@ -41,7 +41,7 @@ class Unit:
         return (value - self.offset) * self.over / self.times
 
     def array_inside(self, numbers: Array) -> Array:
-        """Return a whole column in internal values; the column itself where nothing changes."""
+        """Return a column of numbers in this unit as internal values; the same array if the unit is internal."""
         if self.times == 1.0 and self.over == 1.0 and self.offset == 0.0:
             return numbers
         return numbers * self.times / self.over + self.offset
@@ -56,9 +56,9 @@ class Dimension:
     example: str
     units: tuple[Unit, ...]
     powers: str = ""
-    """Powers of the base units mm, s, kg, A, K, px, mol, cd of which it is made: "mm s-1"; "" for a plain number."""
+    """Powers of the base units mm, s, kg, A, K, px, mol, cd, such as "mm s-1"; empty for a plain number."""
     coherent: float = 1.0
-    """Value of the internal unit in those base units."""
+    """Value of the internal unit in these base units."""
 
     @property
     def unit(self) -> str:
@@ -67,12 +67,12 @@ class Dimension:
 
     @property
     def symbols(self) -> tuple[str, ...]:
-        """The units that a file may use."""
+        """The symbols of the units that a file may use."""
         return tuple(unit.symbol for unit in self.units)
 
 
 class QuantityError(ValueError):
-    """A text is not a quantity of the dimension asked for; `hint` says what to write."""
+    """A text is not a quantity of the wanted dimension; `hint` proposes what to write."""
 
     def __init__(self, message: str, hint: str) -> None:
         super().__init__(message)
@@ -115,7 +115,7 @@ _IMAGE_SPEEDS = (Unit("px/s"), Unit("px/min", over=60.0), Unit("px/h", over=3600
 
 
 def _scaled(symbol: str, **prefixes: float) -> tuple[Unit, ...]:
-    """Return a unit and its prefixed forms, given how many of each make one."""
+    """Return a unit and its smaller prefixed units, given how many of each make one unit."""
     return (Unit(symbol), *(Unit(prefix + symbol, over=over) for prefix, over in prefixes.items()))
 
 
@@ -167,4 +167,4 @@ _ALL = (
     Dimension("luminous intensity", "a luminous intensity", "3 cd", _si("cd"), "cd"),
 )
 DIMENSIONS = {dimension.name: dimension for dimension in _ALL}
-"""The closed table, by name."""
+"""All dimensions by name."""

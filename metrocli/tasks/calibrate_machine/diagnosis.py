@@ -1,4 +1,4 @@
-"""The calibration of a machine as diagnosis sees it."""
+"""Prepare a solved machine calibration for diagnosis."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from metrocli.tasks.calibrate_machine.effects import EFFECTS
 from metrocli.tasks.calibrate_machine.solve import Solved
 
 _FOLDS = 10
-_PIECES = "readings stand for pieces of the path longer than a pitch; a job may name it with its period"
+_PIECES = "the readings are averages over pieces of the path longer than a pitch; a job may name it with its period"
 
 
 def adjusted_job(solved: Solved) -> AdjustedJob:
-    """Return the job of a solved calibration."""
+    """Return a solved calibration with the covariates, held-out parts and refit that diagnosis needs."""
     problem = solved.problem.with_blocks(solved.solution.blocks)
     model = with_conditions(problem.model)
     group = model.readings[0]
@@ -51,12 +51,12 @@ def adjusted_job(solved: Solved) -> AdjustedJob:
 
 
 def _condensed(group: Group) -> bool:
-    """Whether readings stand for pieces of a path, which a wave shorter than they are does not reach."""
+    """Whether the readings are condensed pieces of a path: they average out waves shorter than a piece."""
     return "leg" in group.observations.keys
 
 
 def _covariates(model: Model, group: Group) -> Iterator[Covariate]:
-    """Yield what an unknown effect could vary with: time, place, and the beam."""
+    """Yield the variables on which an unknown effect may depend: time, place, and distance and azimuth of the beam."""
     conditions, name = group.observations.conditions, group.name
     if ELAPSED in conditions:
         yield Covariate("t_s", {name: conditions[ELAPSED]}, 6, periodic=True)
@@ -72,7 +72,7 @@ def _covariates(model: Model, group: Group) -> Iterator[Covariate]:
 
 
 def _parts(group: Group) -> Index:
-    """Return ten parts that are held out one after the other: by time, or by legs of a path."""
+    """Return for each reading the number of its held-out part, (n,): ten parts by time, or by legs of a path."""
     keys, conditions = group.observations.keys, group.observations.conditions
     if _condensed(group):
         legs = np.unique(np.array(keys["leg"], dtype=int), return_inverse=True)[1]

@@ -1,4 +1,4 @@
-"""Effects on the calibration of a machine (docs/effects)."""
+"""Effects that may disturb the calibration of a machine; docs/effects describes each of them."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ def _velocity() -> tuple[Parameter, ...]:
 
 
 _SHORTEST, _LONGEST = 2.0, 50.0
-"""Periods that are looked for [mm]"""
+"""Range of periods that are searched [mm]"""
 _TRIED = 1000
-"""Up to axes of 1 m no period falls between two that are tried: a quarter of a turn at the ends of the axis"""
+"""Number of periods tried, enough for axes up to 1 m: two neighbours then differ by less than a quarter of a turn"""
 
 
 def _periods(conditions: Mapping[str, Array]) -> Array:
-    """Return periods so close that none is off by more than a sixteenth of a turn at the ends of an axis."""
+    """Return periods so close that the phase at the ends of an axis is off by at most a sixteenth of a turn."""
     longest = max(float(np.ptp(conditions[axis])) for axis in AXES)
     count = int(np.ceil(8 * longest * (1 / _SHORTEST - 1 / _LONGEST))) + 1
     return np.asarray(1 / np.linspace(1 / _LONGEST, 1 / _SHORTEST, count))
@@ -39,7 +39,7 @@ def _periods(conditions: Mapping[str, Array]) -> Array:
 EFFECTS: tuple[Effect, ...] = (
     Effect(
         "backlash",
-        "the axis stands elsewhere when it is approached from the other side: play, friction and wind-up of its drive",
+        "the axis stops at another place when it arrives from the other side: play, friction and wind-up of its drive",
         (_size("width", "length", "20 um"),),
         lambda block, where: Backlash(block, where["axis"]),
         where=("axis",),
@@ -49,13 +49,13 @@ EFFECTS: tuple[Effect, ...] = (
     ),
     Effect(
         "screw-pitch-error",
-        "the screw or the scale has an error that comes back with every turn, too fine for the knots",
+        "the screw or the scale has an error that repeats with every turn and is too short-waved for the knots",
         (_size("amplitude", "length", "10 um"), _size("phase", "angle", "6.3 rad")),
         lambda block, where: ScrewPitchError(block, where["axis"]),
         where=("axis",),
         scanned=(Parameter("period", "length", grid=_periods, tried=_TRIED),),
         space=Space.WAVE,
-        reveal="a line of points closer than a quarter of the pitch, at steps that are no multiple of it",
+        reveal="a line of points closer than a quarter of the pitch, not at multiples of the pitch",
         source="ISO 230-2:2014 (targets not at multiples of the pitch, for this error)",
     ),
     Effect(
@@ -66,7 +66,7 @@ EFFECTS: tuple[Effect, ...] = (
         where=("axis",),
         needs=("t",),
         confused_with=("machine-drift", "tracker-drift"),
-        reveal="far points of the axis again at the end; its temperature",
+        reveal="the far points of the axis measured again at the end; the temperature of its scale",
         source="ISO 230-3:2020; 11.5 um/m/K for steel",
     ),
     Effect(
@@ -76,16 +76,17 @@ EFFECTS: tuple[Effect, ...] = (
         lambda block, where: MachineDrift(block),
         needs=("t",),
         confused_with=("tracker-drift", "thermal-growth"),
-        reveal="a second reflector, fixed on the table: it sees the tracker move and not the machine",
+        reveal="a second reflector, fixed on the table: its readings change with the tracker, not with the machine",
         source="ISO 230-3:2020, environmental temperature variation error",
     ),
     Effect(
         "load-sag",
-        "a carriage bends what carries it: the tool sinks with the product of two positions, as no rigid body does",
+        "a carriage bends the structure that carries it: the tool sinks with the product of two positions; "
+        "no error of a rigid body does this",
         (_size("c", "curvature", "1e-6 1/mm"),),
         lambda block, where: LoadSag(block, where["pair"]),
         where=("pair",),
-        reveal="points over the whole plane of the two axes, also far from the axes",
+        reveal="points over the whole plane of the two axes, also in its corners",
         source=_SCHWENKE,
     ),
     Effect(
@@ -99,12 +100,12 @@ EFFECTS: tuple[Effect, ...] = (
     ),
     Effect(
         "tracker-scale",
-        "all distances of the tracker are too long or too short in proportion: wavelength or refraction of the air",
+        "all distances of the tracker are too long or too short by one factor: wavelength or refractive index of air",
         (_size("scale", "ratio", "5 ppm"),),
         lambda block, where: TrackerScale(block),
         confused_with=("tracker-eccentricity",),
-        reveal="a calibrated length between two nests, seen by the tracker along its beam",
-        source="1 ppm/K and 0.27 ppm/hPa of the air (Birch and Downs 1994)",
+        reveal="a calibrated length between two nests, measured by the tracker along its beam",
+        source="the refractive index of air changes by 1 ppm/K and 0.27 ppm/hPa (Birch and Downs 1994)",
     ),
     Effect(
         "tracker-drift",
@@ -113,8 +114,8 @@ EFFECTS: tuple[Effect, ...] = (
         lambda block, where: TrackerMoves(block),
         needs=("t",),
         confused_with=("machine-drift", "thermal-growth"),
-        reveal="a second reflector, fixed on the table: it sees the tracker move and not the machine",
+        reveal="a second reflector, fixed on the table: its readings change with the tracker, not with the machine",
         source=_SCHWENKE,
     ),
 )
-"""The table; its order is that of the documents. machine-drift and tracker-drift are one to a single tracker."""
+"""All effects, in the order of the documentation. A single tracker cannot separate machine-drift and tracker-drift."""

@@ -1,8 +1,9 @@
-"""What a measurement determines of the 21 errors, before any number: rank, what is open, and the worst amplification.
+"""Find which of the 21 errors a measurement determines: rank, undetermined combinations, and worst amplification.
 
-Directions of the unknowns whose standard uncertainty would exceed every plausible size (1 mm, 1 mrad) are open. Those
-that do not move the measured tools anywhere in the volume are harmless: some tables are then held at zero, and the
-others are known only together with them. Those that do move the volume leave the job without an answer.
+The Jacobian alone decides, so that this also works for planned readings. A direction of the unknowns is open if its
+standard uncertainty would exceed every plausible size (1 mm, 1 mrad). Open directions that do not move the measured
+tools anywhere in the volume are harmless: some tables are held at zero, and others are determined only together with
+them. If an open direction moves a measured tool in the volume, there is no result (UndeterminedError).
 """
 
 from __future__ import annotations
@@ -20,31 +21,31 @@ from metrocli.tasks.calibrate_machine.problem import Problem
 from metrocli.tasks.calibrate_machine.volume import grid_group, spread_over, without_rigid_motion
 
 _HARMLESS = 1e-4
-"""Displacement in the volume [mm] by an open direction of its full plausible size that does not matter: 0.1 um"""
+"""An open direction is harmless if it moves the tool by less than this [mm] at its full plausible size: 0.1 um"""
 _TOUCHED = 1e-6
-"""Share of an open direction below which a table has no part in it"""
+"""Largest entry of a table in the open directions below which the table counts as determined"""
 _NAMED = 0.2
 _POINTS = 300
-"""Points over which the volume's error is taken"""
+"""Number of points at which the error in the volume is evaluated"""
 DETERMINED, TOGETHER, UNDETERMINED, NOT_ESTIMATED = "determined", "together", "undetermined", "not estimated"
 
 
 @dataclass(frozen=True)
 class Identifiability:
-    """What the measurement determines."""
+    """Which errors a measurement determines, and its worst ratio of volume error to misfit."""
 
     unknowns: int
     rank: int
     status: Mapping[str, str]
     """By the name of an error: determined, together, undetermined, not estimated"""
     partners: Mapping[str, tuple[str, ...]]
-    """For each error known only together with others, or not at all, the others"""
+    """For each error that is not determined on its own, the errors with which it is combined"""
     ratio: float
     """Largest ratio of the volume's error to the misfit of the readings, both root mean square"""
     blocks: Mapping[str, Block]
-    """The unknowns with what is undetermined held at zero"""
+    """The blocks of unknowns, with undetermined entries held at zero"""
     open_tools: tuple[str, ...]
-    """Tools of the job whose error cannot be predicted, since what is undetermined moves them"""
+    """Tools of the job whose error cannot be predicted, since it depends on undetermined errors"""
 
     @property
     def undetermined(self) -> tuple[str, ...]:
@@ -53,37 +54,41 @@ class Identifiability:
 
     @property
     def together(self) -> tuple[str, ...]:
-        """Names of the errors that are known only together with those."""
+        """Names of the errors that are determined only together with those held at zero."""
         return tuple(name for name, status in self.status.items() if status == TOGETHER)
 
 
 @dataclass(frozen=True)
 class _Open:
-    """Open directions of the unknowns."""
+    """Open directions of the unknowns: combinations that the readings do not determine."""
 
     directions: Array
-    """(unknowns, k), each of length 1 in units of the plausible reach"""
+    """(unknowns, k), each of length 1 in units of `reach`"""
     reach: Array
+    """Largest plausible size of each unknown, (unknowns,)"""
     unknowns: Unknowns
     blocks: Mapping[str, Block]
 
     def moved(self, group_rows: Array) -> Array:
-        """Return the displacement by each direction of full plausible size, (d*n, k)."""
+        """Return the displacement that each direction causes at its full plausible size, (d*n, k)."""
         flat = group_rows.reshape(-1, self.unknowns.size)
         return np.asarray(flat @ (self.reach[:, None] * self.directions))
 
     def rows_of(self, name: str) -> Array:
-        """Return the numbers of the unknowns of an error."""
+        """Return the indices of the unknowns of an error."""
         return np.array([i for i, (_, _, column) in enumerate(self.unknowns.names(self.blocks)) if column == name], int)
 
     def shares(self, directions: Array) -> dict[str, float]:
-        """Return how much each error takes part in some directions, at most 1."""
+        """Return for each error its largest entry in the given directions, at most 1."""
         found = {name: self.rows_of(name) for name in ALL_NAMES}
         return {name: float(np.abs(directions[at]).max(initial=0.0)) for name, at in found.items()}
 
 
 def identify(problem: Problem) -> Identifiability:
-    """Return what the measurement determines; UndeterminedError where the volume of the measured tools is open."""
+    """Return which errors the measurement determines.
+
+    Raises UndeterminedError if an open direction moves a measured tool in the volume.
+    """
     blocks = problem.blocks
     names = [name for name, block in blocks.items() if block.free.any()]
     unknowns = unknowns_of(blocks, names)
@@ -109,7 +114,7 @@ def identify(problem: Problem) -> Identifiability:
 
 
 def _grid_rows(problem: Problem, tool: str, unknowns: Unknowns) -> Array:
-    """Return the displacement of a tool over the volume by the unknowns, (3, n, unknowns), free of rigid motion."""
+    """Return the Jacobian of a tool's displacement over the volume, (3, n, unknowns), without rigid motion."""
     machine, blocks = problem.machine, problem.blocks
     position = spread_over(machine, _POINTS)
     group = grid_group(machine, position, blocks["tool"].members.index(tool))
@@ -130,20 +135,20 @@ def _refuse_harmful(opened: _Open, grids: Sequence[Array]) -> None:
     raise UndeterminedError(
         "\n".join(
             [
-                f"the measurement leaves {count} combinations of errors open that move the tool in the volume:"
+                f"the measurement does not determine {count} combinations of errors that move the tool in the volume:"
                 if count > 1
-                else "the measurement leaves a combination of errors open that moves the tool in the volume:",
+                else "the measurement does not determine a combination of errors that moves the tool in the volume:",
                 *lines,
                 *more,
-                "measure lines in other directions (`metrocli plan` proposes them), use fewer knots or knots that "
-                "differ between the axes, or leave errors out of `estimate`",
+                "measure lines in other directions (`metrocli plan` proposes them), use fewer knots, give the axes "
+                "different knots, or leave errors out of `estimate`",
             ]
         )
     )
 
 
 def _simple(directions: Array) -> Array:
-    """Return directions that span the same space, each with as few large entries as elimination with pivots leaves."""
+    """Return directions that span the same space with few large entries each, by elimination with pivots."""
     from scipy.linalg import qr
 
     _, _, order = qr(directions.T, pivoting=True, mode="economic")
@@ -161,7 +166,7 @@ def _told(opened: _Open, direction: Array) -> str:
 
 
 def _knots(opened: _Open, name: str, direction: Array) -> str:
-    """Return at which positions an error moves, where these are only some."""
+    """Return the knots at which an error takes part in a direction, as text; empty if all of them do."""
     at = opened.rows_of(name)
     members = [opened.unknowns.names(opened.blocks)[i][1] for i in at]
     size = np.abs(direction[at])
@@ -172,7 +177,10 @@ def _knots(opened: _Open, name: str, direction: Array) -> str:
 
 
 def _hold(opened: _Open, machine: Machine) -> tuple[dict[str, Block], tuple[str, ...]]:
-    """Return the blocks with open entries held, and the errors held: angles of the axes nearest to the tool first."""
+    """Return the blocks with undetermined entries held at zero, and the names of the errors held.
+
+    Errors are held in a fixed order of preference: first angles, of the axis nearest to the tool first.
+    """
     directions, blocks, undetermined = opened.directions, dict(opened.blocks), []
     names = opened.unknowns.names(opened.blocks)
     for name in _preference(machine):
@@ -197,7 +205,7 @@ def _preference(machine: Machine) -> list[str]:
 
 
 def _taken(directions: Array, at: Array) -> tuple[Array, Array]:
-    """Return the entries of an error to hold, and the directions that then remain open."""
+    """Return the entries of an error to hold at zero, and the directions that then remain open."""
     from scipy.linalg import qr
 
     part = directions[at]
@@ -219,7 +227,7 @@ def _status(name: str, shares: Mapping[str, float], undetermined: Sequence[str],
 
 
 def _partners(name: str, opened: _Open, status: Mapping[str, str]) -> tuple[str, ...]:
-    """Return the errors that move with an error in the open directions."""
+    """Return the errors that are combined with an error in the open directions."""
     at = opened.rows_of(name)
     _, sizes, mix = np.linalg.svd(opened.directions[at], full_matrices=False)
     moving = opened.directions @ mix[sizes > _TOUCHED].T
@@ -228,9 +236,10 @@ def _partners(name: str, opened: _Open, status: Mapping[str, str]) -> tuple[str,
 
 
 def worst_ratio(problem: Problem) -> float:
-    """Return the largest ratio of the volume's error to the readings' misfit, both root mean square of vectors.
+    """Return the largest ratio of the error in the volume to the misfit of the readings, both root mean square.
 
-    Over all errors that the tables can describe: `max |G v| / |J v|`, with the tracker's frame fitted on either side.
+    `max |G v| / |J v|` over all errors v that the tables can describe. G maps v to the error in the volume after the
+    best rigid motion, J to the readings after the fit of the tracker's frame. Returns inf if J is rank deficient.
     """
     from scipy.linalg import eigh
 
@@ -258,7 +267,7 @@ def worst_ratio(problem: Problem) -> float:
 
 
 def _angles_as_lengths(problem: Problem) -> Array:
-    """Return the size of each component that counts as 1 mm: angles at a lever of half the volume's diagonal."""
+    """Return the size of each component that counts as 1 mm; for angles the lever is half the volume's diagonal."""
     lever = float(np.linalg.norm(problem.machine.high - problem.machine.low)) / 2
     return np.array(
         [1 / lever if name in ("ea", "eb", "ec") else 1.0 for name in problem.readings.observations.components]
@@ -266,7 +275,10 @@ def _angles_as_lengths(problem: Problem) -> Array:
 
 
 def volume_matrix(problem: Problem, unknowns: Unknowns) -> Array:
-    """Return the mean square of the measured tools' displacement over the volume as a form of the unknowns."""
+    """Return the matrix (unknowns, unknowns) of the mean square displacement in the volume as a quadratic form.
+
+    The mean is over the volume and the measured tools, without rigid motion.
+    """
     grids = np.concatenate([_grid_rows(problem, tool, unknowns) for tool in problem.tools_used], axis=1)
     flat = grids.reshape(-1, unknowns.size)
     return np.asarray(flat.T @ flat / grids.shape[1])

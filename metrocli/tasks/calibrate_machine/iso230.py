@@ -1,4 +1,4 @@
-"""Accuracy and repeatability of positioning of an axis (ISO 230-2:2014, clause 4 and 5)."""
+"""Accuracy and repeatability of positioning of an axis (ISO 230-2:2014, clauses 4 and 5)."""
 
 from __future__ import annotations
 
@@ -23,25 +23,29 @@ class Figures:
     """Figures of ISO 230-2 [mm]; repeatability and accuracy are nan where a direction has only one run."""
 
     runs: tuple[int, int]
-    """In positive and in negative direction"""
+    """Number of runs in the positive and in the negative direction"""
     accuracy: float
-    """A, bi-directional"""
+    """A, bi-directional accuracy of positioning"""
     repeatability: float
-    """R, bi-directional"""
+    """R, bi-directional repeatability of positioning"""
     reversal: float
-    """B"""
+    """B, reversal value of the axis"""
     systematic: float
-    """E, bi-directional"""
+    """E, bi-directional systematic positioning deviation"""
     mean_range: float
-    """M, of the mean bi-directional deviation"""
+    """M, range of the mean bi-directional positioning deviation"""
 
 
 def figures(up: Array, down: Array) -> Figures:
-    """Return the figures from deviations (runs, targets) in either direction.
+    """Return the figures from deviations (runs, targets) in the positive and in the negative direction.
 
-    With x the mean and s the standard deviation (n - 1) of the runs at a target: B = max |x_up - x_down|,
-    M = range of (x_up + x_down)/2, E = range of all x, R = max(2 s_up + 2 s_down + |B_i|, 4 s_up, 4 s_down),
-    A = max(x + 2 s) - min(x - 2 s) over targets and directions.
+    x is the mean and s the standard deviation (n - 1) of the runs at a target; all extremes are over the targets:
+
+    - B = max |B_i| with B_i = x_up - x_down
+    - M = range of (x_up + x_down)/2
+    - E = range of all x
+    - R = max(2 s_up + 2 s_down + |B_i|, 4 s_up, 4 s_down)
+    - A = max(x + 2 s) - min(x - 2 s) over both directions
     """
     means = np.stack([up.mean(axis=0), down.mean(axis=0)])
     gap = means[0] - means[1]
@@ -66,13 +70,13 @@ class Run:
     targets: Array
     deviation: Array
     at: tuple[float, ...] = ()
-    """Where the other axes stand"""
+    """Positions of the other axes [mm]"""
 
 
 def positioning(runs: Sequence[Run]) -> Table | None:
-    """Return the figures of each axis that was run in both directions over the same targets; None for none.
+    """Return the figures of each axis with runs in both directions over the same targets, or None without such an axis.
 
-    One row for each place of the other axes. All runs of a row share one zero.
+    There is one row for each place of the other axes. All runs of a row share one zero.
     """
     lines = dict.fromkeys((axis, run.at) for axis in "XYZ" for run in runs if run.axis == axis)
     rows = [

@@ -1,7 +1,7 @@
-"""A path of chords between the walls of the volume that determines it: each chord is the one that sees the worst best.
+"""Search a path of chords between the walls of the volume that determines the errors (greedy E-optimal design).
 
-At every step the combinations of errors with the largest ratio of volume error to path misfit are found, and of random
-chords from the present vertex the one is taken that sees them best for its length (greedy E-optimal design).
+Each step finds the combinations of errors with the largest ratio of volume error to path misfit. Of random chords from
+the last vertex it takes the one that is most sensitive to these combinations for its length.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ _CHOICE = 40
 _WORST = 6
 _DENSE = 150
 _LEAST = 0.3
-"""Chords are at least this share of the volume's diagonal"""
+"""Shortest chord, as a share of the volume's diagonal"""
 _FLOOR = 1e-9
-"""What an unseen combination counts as seen, against one seen by a metre of path"""
+"""Information of a combination that no chord has seen yet, relative to the mean per length of many random chords"""
 
 Planned = Callable[[Path], Problem]
 
 
 @dataclass(frozen=True)
 class Found:
-    """A path and its ratio."""
+    """A path, and its worst ratio of volume error to path misfit."""
 
     vertices: Array
     """(n, 3)"""
@@ -42,7 +42,7 @@ class Found:
 
 
 def edges_and_diagonals(machine: Machine) -> Path:
-    """Return 12 edges, 3 middle lines, 12 face and 4 space diagonals: like the path of Sanders et al., Figure 1."""
+    """Return 12 edges, 3 middle lines, 12 face and 4 space diagonals, similar to Sanders et al. 2023, Figure 1."""
     low, high = machine.low, machine.high
     lines: list[tuple[Array, Array]] = []
     for axis in range(3):
@@ -64,7 +64,7 @@ def edges_and_diagonals(machine: Machine) -> Path:
 
 @dataclass(frozen=True)
 class Wanted:
-    """What a path may cost and must reach."""
+    """Requirements for a path: longest length [mm], largest ratio, number of tools, and seed of the random chords."""
 
     length: float
     ratio: float
@@ -74,7 +74,7 @@ class Wanted:
 
 @dataclass(frozen=True)
 class _Volume:
-    """The unknowns that paths are judged by, and the volume's mean square error by them."""
+    """The unknowns by which paths are judged, and the mean square error in the volume as a quadratic form of them."""
 
     planned: Planned
     held: Mapping[str, Block]
@@ -82,14 +82,17 @@ class _Volume:
     matrix: Array
 
     def seen(self, path: Path) -> tuple[Array, Index]:
-        """Return the rows of a path's readings, weighted by length, (2, n, unknowns), and the leg of each reading."""
+        """Return the Jacobian of a path's readings, (2, n, unknowns), weighted by length, and the leg of each."""
         problem = self.planned(path)
         group = unit_noise(problem.readings, 1 / np.sqrt(problem.per_reading))
         blocks = {**problem.blocks, **{name: self.held[name] for name in self.unknowns.columns}}
         return rows(group, blocks, self.unknowns), problem.readings.observations.index[LEG]
 
     def worst(self, seen: Array) -> tuple[float, Array]:
-        """Return the worst ratio, and the worst combinations (unknowns, k) scaled to the volume's error squared."""
+        """Return the worst ratio, and the worst combinations of errors, (unknowns, k), scaled by their ratio.
+
+        `seen` is the normal matrix of the path, (unknowns, unknowns).
+        """
         from scipy.linalg import eigh
 
         scale = 1 / np.sqrt(np.diag(seen))
@@ -103,7 +106,7 @@ class _Volume:
 
 
 def search(machine: Machine, planned: Planned, wanted: Wanted) -> Found:
-    """Return a path not longer than wanted with the ratio wanted, or the best that was found at that length."""
+    """Return a path that reaches the wanted ratio, or the best one found up to the longest length."""
     rng = np.random.default_rng(wanted.seed)
     volume, floor = _begin(machine, planned, wanted, rng)
     vertices, tool, length, ratio = [machine.low], [0], 0.0, float("inf")
@@ -135,7 +138,7 @@ def search(machine: Machine, planned: Planned, wanted: Wanted) -> Found:
 
 
 def _begin(machine: Machine, planned: Planned, wanted: Wanted, rng: np.random.Generator) -> tuple[_Volume, Array]:
-    """Return what paths are judged by, and a floor under what they see, from many random chords."""
+    """Return the volume by which paths are judged, and a small normal matrix as the start, from many random chords."""
     ends = np.concatenate([_on_walls(machine, rng) for _ in range(1 + _DENSE // _CHOICE)])
     tool = np.arange(len(ends)) % wanted.tools
     dense = Path(ends[:-1], ends[1:], tool[:-1], np.arange(len(ends) - 1))

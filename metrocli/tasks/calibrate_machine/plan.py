@@ -1,4 +1,4 @@
-"""Planning a measurement on the fly: what a path will determine, and a path that determines the volume."""
+"""Plan an on-the-fly measurement: what the path of the job will determine, and a proposed path."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from metrocli.table import Values
 
 _MARGIN = 0.97
-"""The search stops a little below the ratio wanted"""
+"""The search stops at this share of the wanted ratio, since the ratio of the final path differs a little"""
 REST = 0.5
 """Rest at each vertex or point [s]"""
 PLACES = ("positions are machine coordinates of the spindle reference point, no length offset",)
@@ -46,7 +46,7 @@ _NODES, _WEIGHTS = np.array([-_GAUSS, 0.0, _GAUSS]) / 2 + 0.5, np.array([5.0, 8.
 
 
 def planned_problem(settings: Settings, plan: PathPlan, path: Path) -> Problem:
-    """Return the adjustment that a path will give, with its readings as the nodes of the cells."""
+    """Return the adjustment problem of a planned path, with readings at the three Gauss nodes of each cell."""
     machine = machine_of(settings)
     pose = tracker_pose(machine, plan)
     rotation = poses.rotation_of(pose)
@@ -77,14 +77,20 @@ def planned_problem(settings: Settings, plan: PathPlan, path: Path) -> Problem:
 
 
 def tracker_pose(machine: Machine, plan: PathPlan) -> Array:
-    """Return the tracker where it stands, or two thirds of the volume's size beside it."""
+    """Return the unrotated pose of the tracker, at the place in the settings or at a default place beside the volume.
+
+    The default place lies beyond the low ends of X and Y, by 1.5 and 1.2 times the longest axis.
+    """
     size = machine.high - machine.low
     place = machine.low - np.array([1.5, 1.2, -0.5]) * size.max() if plan.tracker is None else np.array(plan.tracker)
     return np.concatenate([place, np.zeros(3)])
 
 
 def _nodes(machine: Machine, path: Path, corner: float) -> tuple[Index, Array, Array]:
-    """Return leg, way along it and length of path of the three Gauss nodes of every cell, corners cut."""
+    """Return leg, distance along it and represented length of the three Gauss nodes of every cell.
+
+    The corner lengths at both ends of each leg are left out.
+    """
     low, high = path.cells(machine)[:-1], path.cells(machine)[1:]
     leg = path.leg_of((low + high) / 2)
     begin, end = low - path.before[leg], high - path.before[leg]
@@ -96,7 +102,7 @@ def _nodes(machine: Machine, path: Path, corner: float) -> tuple[Index, Array, A
 
 
 def plan_of_path(settings: Settings, table: Table | None) -> Plan:
-    """Return what the path of the job will determine, and a path that determines the volume, with its NC program."""
+    """Return what the path of the job will determine, and propose a path with its NC program."""
     wanted = settings.plan or PathPlan()
     machine = machine_of(settings)
     own = [] if table is None else _own(settings, wanted, path_of(settings, machine, table))
@@ -109,7 +115,7 @@ def plan_of_path(settings: Settings, table: Table | None) -> Plan:
     warnings = (
         []
         if ratio <= wanted.ratio
-        else [f"the best path found has a ratio of {ratio:.1f}, more than {wanted.ratio:g}: allow a longer one"]
+        else [f"the best path found has a ratio of {ratio:.1f}, more than {wanted.ratio:g}: allow a longer path"]
     )
     notes = [
         *own,
@@ -134,7 +140,7 @@ class Worth:
 
 
 def worth_of(settings: Settings, problem: Problem) -> Worth:
-    """Return what the readings of an adjustment will determine; UndeterminedError where they leave the volume open."""
+    """Return what the planned readings will determine; raises UndeterminedError if the volume is not determined."""
     identified = identify(problem)
     solution = covariance_at(identified.blocks.values(), problem.groups)
     if not solution.outcome.good:
@@ -151,7 +157,7 @@ def planned(
     files: Mapping[str, Table | str],
     warnings: Sequence[str],
 ) -> Plan:
-    """Return the plan of readings that are worth so much."""
+    """Return the plan with the figures, tables, files and warnings of the proposed readings."""
     return Plan(
         KIND.name,
         tuple(notes),
@@ -164,12 +170,12 @@ def planned(
 
 
 def travelled_time(path: Path, feed: float) -> float:
-    """Return how long a path takes at a feed [s], with rests at the vertices."""
+    """Return the duration of a path at a feed [s], including the rests at the vertices."""
     return float(path.length / feed + REST * (len(path.lengths) + 1))
 
 
 def _own(settings: Settings, wanted: PathPlan, path: Path) -> list[str]:
-    """Return what the path of the job will determine, in words."""
+    """Return lines of text on what the path of the job will determine."""
     head = f"the path of the job: {len(path.lengths)} legs, {path.length:.0f} mm"
     try:
         identified = identify(planned_problem(settings, wanted, path))
@@ -202,7 +208,7 @@ def _path_table(settings: Settings, found: Found, wanted: PathPlan) -> Table:
 
 
 def _program(settings: Settings, found: Found, wanted: PathPlan) -> str:
-    """Return the path as an NC program: positions of the spindle's reference point, no tool length offset."""
+    """Return the path as an NC program: positions of the spindle's reference point, without tool length offset."""
     names = list(settings.tools)
     blocks: list[NcBlock] = []
     for i, vertex in enumerate(found.vertices):

@@ -1,4 +1,4 @@
-"""What all methods of calibrate-machine share: the machine with its unknowns, tools, and rows that cannot be used."""
+"""The adjustment problem that all methods of calibrate-machine build: machine, unknowns, tools, and checks of rows."""
 
 from __future__ import annotations
 
@@ -39,40 +39,44 @@ _SIDE = "expected 1 after a move in the positive direction of the axis, -1 after
 _OUTSIDE = 1e-3
 """Positions may be outside the range by this [mm]: rounding of the control"""
 _SUPPORT = 0.02
-"""A knot is supported where some reading has at least this share of it"""
+"""A knot is supported if some reading gives it at least this interpolation weight"""
 
 
 @dataclass(frozen=True)
 class Problem(Modelled):
-    """An adjustment of the machine's errors."""
+    """The adjustment problem of a machine calibration: model, readings, and what the report needs."""
 
     machine: Machine
     per_reading: Array
-    """How much of the measurement each reading stands for, such as the length of path or the points in it (n,)"""
+    """How much of the measurement each reading represents: its number of points or length of path, (n,)"""
     tools_used: tuple[str, ...]
+    """Names of the tools that have readings"""
     warnings: tuple[str, ...] = ()
     facts: Mapping[str, float] = field(default_factory=dict)
-    """Statistics of the method"""
+    """Additional statistics of the method, by name"""
     tables: Mapping[str, Table] = field(default_factory=dict)
-    """What the readings say without the model, such as figures of ISO 230-2"""
+    """Results that come from the readings alone, without the model, such as the figures of ISO 230-2"""
 
     @property
     def readings(self) -> Group:
-        """The readings."""
+        """The group of the readings."""
         return self.model.readings[0]
 
     @property
     def groups(self) -> tuple[Group, ...]:
-        """All groups."""
+        """All groups of observations: readings and priors."""
         return self.model.groups
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What people call each reading: point, leg, or line and place on it."""
+        """The name of each reading in reports: point, leg, or line and place on it."""
         return tuple(" at ".join(parts) for parts in zip(*self.readings.observations.keys.values(), strict=True))
 
     def with_effects(self, wanted: Iterable[Wanted]) -> Self:
-        """Return the problem with the effects of a job, where `blocks` have them already at the values there."""
+        """Return the problem extended by the effects of a job.
+
+        Blocks of effects that exist already keep their values, so that a relinearised problem continues from them.
+        """
         wanted = tuple(wanted)
         if not wanted:
             return self
@@ -90,7 +94,7 @@ def model_of(blocks: Mapping[str, Block], readings: Group, others: Sequence[Grou
 
 
 def machine_of(settings: Settings) -> Machine:
-    """Return the machine that a job describes."""
+    """Return the machine with equally spaced knots that the settings describe."""
     given = settings.machine.axes
     axes = tuple(
         Axis(letter, np.linspace(*axis.range, axis.knots))
@@ -100,19 +104,24 @@ def machine_of(settings: Settings) -> Machine:
 
 
 def error_blocks(machine: Machine, settings: Settings) -> dict[str, Block]:
-    """Return the unknown errors, all zero, and the tools."""
+    """Return the blocks of error tables and squareness, all zero, and of the tool vectors.
+
+    Raises InputError if no error is free: a straightness table of two knots is zero at both ends by definition.
+    """
     blocks = [axis.block_of({}, settings.estimated) for axis in machine.axes]
     blocks.append(squareness_block({}, settings.estimated))
     if not any(block.free.any() for block in blocks):
         names = " ".join(settings.estimated)
-        raise InputError(f"nothing is unknown: of two knots {names} has none that may move; give the axis more knots")
+        raise InputError(
+            f"there is nothing to estimate: {names} with two knots is zero by definition; give the axis more knots"
+        )
     tools = settings.tools
     blocks.append(tool_block(np.array(list(tools.values())), list(tools), settings.machine.tool_uncertainty))
     return {block.name: block for block in blocks}
 
 
 def tool_prior(blocks: Mapping[str, Block], settings: Settings) -> tuple[Group, ...]:
-    """Return what is known of the tool vectors, where they are not exact."""
+    """Return the prior of the tool vectors with `tool_uncertainty`; empty if the vectors are exact."""
     block = blocks[TOOL]
     if not block.free.any():
         return ()
@@ -121,7 +130,10 @@ def tool_prior(blocks: Mapping[str, Block], settings: Settings) -> tuple[Group, 
 
 
 def tools_of(table: Table, settings: Settings) -> Index:
-    """Return the tool of each row; InputError for tools that are not in the job."""
+    """Return the number of the tool of each row, (n,).
+
+    Raises InputError if a tool is not in the job, or if file and job do not agree on the number of tools.
+    """
     names = list(settings.tools)
     if "tool" not in table:
         if len(names) > 1:
@@ -131,7 +143,7 @@ def tools_of(table: Table, settings: Settings) -> Index:
     if names == [""]:
         used = sorted(set(table.texts("tool")))
         if len(used) > 1:
-            text = f"the file has {len(used)} tools ({', '.join(used)}), the job has one tool vector"
+            text = f"the file has {len(used)} tools ({', '.join(used)}), but the job has one tool vector"
             raise InputError([table.fault(text, "give `machine: {tools: {T1: [...], T2: [...]}}`")])
         return np.zeros(len(table), dtype=np.intp)
     column = np.asarray(table.columns["tool"])
@@ -149,7 +161,7 @@ def tools_of(table: Table, settings: Settings) -> Index:
 
 
 def commanded(machine: Machine, table: Table) -> Array:
-    """Return commanded positions (3, n); InputError where they are outside the axes' ranges."""
+    """Return commanded positions (3, n); raises InputError if one is outside the range of its axis."""
     position = table.stacked(POSITION).T
     low, high = machine.low[:, None] - _OUTSIDE, machine.high[:, None] + _OUTSIDE
     outside = (position < low) | (position > high)
@@ -158,7 +170,7 @@ def commanded(machine: Machine, table: Table) -> Array:
             int(row),
             f"{POSITION[axis]} = {position[axis, row]:g} mm is outside the range of the axis, "
             f"{machine.low[axis]:g} to {machine.high[axis]:g} mm",
-            "the columns x, y, z are the commanded positions",
+            "the columns x, y, z hold the commanded positions",
         )
         for axis, row in zip(*np.nonzero(outside), strict=True)
     ]
@@ -169,7 +181,7 @@ def commanded(machine: Machine, table: Table) -> Array:
 
 
 def must_support(machine: Machine, position: Array, blocks: Mapping[str, Block]) -> None:
-    """Raise UndeterminedError where a knot has no reading in the intervals next to it."""
+    """Raise UndeterminedError if a free knot has no reading in the intervals next to it."""
     told = []
     for axis in machine.axes:
         free: Mask = np.asarray(blocks[axis.block].free.any(axis=1))
@@ -189,7 +201,10 @@ def must_support(machine: Machine, position: Array, blocks: Mapping[str, Block])
 
 
 def conditions(position: Array, table: Table | None = None) -> dict[str, Array]:
-    """Return the conditions of readings: commanded position, and what else the file has."""
+    """Return the conditions of readings: commanded position, and time and directions of approach if the file has them.
+
+    Raises InputError if a direction of approach is not -1, 0 or 1.
+    """
     found = dict(zip(POSITION, position, strict=True))
     if table is not None:
         _refuse_sides(table)
@@ -199,7 +214,7 @@ def conditions(position: Array, table: Table | None = None) -> dict[str, Array]:
 
 def _refuse_sides(table: Table) -> None:
     faults = [
-        table.fault_at(row, f"{name} = {table.numbers(name)[row]:g} is no direction", _SIDE)
+        table.fault_at(row, f"{name} = {table.numbers(name)[row]:g} is not a direction of approach", _SIDE)
         for name in SIDES
         if name in table
         for row in np.flatnonzero(~np.isin(table.numbers(name), (-1, 0, 1))).tolist()
@@ -209,7 +224,7 @@ def _refuse_sides(table: Table) -> None:
 
 
 ERROR_BLOCKS = ("axis X", "axis Y", "axis Z", SQUARENESS, TOOL)
-"""Blocks on which the predicted error of a point depends"""
+"""Names of the blocks on which the predicted error of a point depends"""
 BLOCKS = (*ERROR_BLOCKS, TRACKER, LEG, LINE)
-"""Blocks of the machine and the instruments; all others are effects"""
+"""Names of the blocks of machine and instruments; all other blocks are effects"""
 PAIRS = ("xy", "xz", "yz")

@@ -1,4 +1,4 @@
-"""The result of a machine's calibration: tables, squareness, what is determined, and the error over the volume."""
+"""The result of a machine calibration: tables, squareness, identifiability, and the error over the volume."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 SIGN = "actual minus commanded"
 WEAK = 10.0
-"""Beyond this ratio a good fit says little of the volume"""
+"""Above this ratio of volume error to misfit, a good fit does not ensure a small error in the volume"""
 
 
 def report(solved: Solved, settings: Settings) -> Result:
@@ -80,7 +80,7 @@ def _wanted(name: str, identified: Identifiability) -> bool:
 
 
 def _estimates(solution: Solution) -> list[Estimate]:
-    """Return the squareness errors that were found, then the tool vectors that were."""
+    """Return the estimated squareness errors, then the estimated tool vectors."""
     square, tool = solution.blocks[SQUARENESS], solution.blocks[TOOL]
     std = solution.std(SQUARENESS)[0]
     found = [
@@ -98,7 +98,7 @@ def _estimates(solution: Solution) -> list[Estimate]:
 
 
 def _table(tables: Tables, name: str, identified: Identifiability) -> Table:
-    """Return a table; values nan and standard uncertainties inf where it is not determined."""
+    """Return an error table; if it is not determined, its values are nan and its standard uncertainties inf."""
     position, value, std = tables.of(name)
     if identified.status[name] == UNDETERMINED:
         value, std = np.full_like(value, np.nan), np.full_like(std, np.inf)
@@ -262,18 +262,19 @@ def _warnings(solved: Solved, settings: Settings) -> list[str]:
     lines = [*solved.problem.warnings, *noise_warnings(solved.solution, cures)]
     if identified.undetermined:
         lines.append(
-            f"not determined by this measurement, and left out of the tables: {' '.join(identified.undetermined)}"
-            + (f"; known only together with them: {' '.join(identified.together)}" if identified.together else "")
-            + "; tools of other length and offset determine them"
+            f"this measurement does not determine {' '.join(identified.undetermined)}: left out of the tables"
+            + (f"; determined only together with them: {' '.join(identified.together)}" if identified.together else "")
+            + "; measure with tools of other length and offset to determine them"
         )
     if identified.open_tools:
         lines.append(
-            f"the error of tool {listed(identified.open_tools)} cannot be predicted: what is not determined moves it"
+            f"the error of tool {listed(identified.open_tools)} cannot be predicted: it depends on errors that are not "
+            "determined"
         )
     if identified.ratio > WEAK:
         lines.append(
-            f"the volume may be off by {identified.ratio:.0f} times the misfit of the readings in the worst case: "
-            "a good fit says little of the volume (`metrocli plan` proposes what has 4)"
+            f"in the worst case the error in the volume is {identified.ratio:.0f} times the misfit of the readings: "
+            "a good fit does not ensure a small error (`metrocli plan` proposes a measurement with a ratio of 4)"
         )
     rows, tests = solved.suspects.rows.tolist(), solved.suspects.tests.tolist()
     if rows:
@@ -286,7 +287,7 @@ def _warnings(solved: Solved, settings: Settings) -> list[str]:
 
 
 def identifiability_notes(identified: Identifiability) -> list[str]:
-    """Return what the measurement determines, in words."""
+    """Return lines of text on what the measurement determines: rank, worst ratio, and undetermined errors."""
     lines = [
         "",
         f"rank {identified.rank} of {identified.unknowns} unknowns; "

@@ -1,4 +1,4 @@
-"""What a job of calibrate-machine may say."""
+"""Settings of a calibrate-machine job file, and the columns of its tables."""
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ POINTS = Columns(
         *(Column(f"from_{axis}", required=False) for axis in "xyz"),
     ),
     ("point",),
-    "commanded points, and where the tracker saw them",
+    "commanded points, and where the tracker measured them",
 )
 PATH = Columns((*_PLACE, _TOOL, Column("feed", "speed", required=False)), (), "vertices of the path, in order")
-TRACK = Columns((*_PLACE, _TIME, _TOOL), (), "what the tracker saw along the path")
+TRACK = Columns((*_PLACE, _TIME, _TOOL), (), "points of the tracker along the path")
 LINES = Columns(
     (
         Column("line", TEXT),
@@ -66,7 +66,7 @@ class AxisSettings:
     knots: int = setting(Whole(2, 2000), "knots of each error table, ends included")
 
     def faults(self) -> Iterator[tuple[str, str]]:
-        """Tell of a range that does not ascend."""
+        """Yield a fault if the range does not ascend."""
         if self.range[0] >= self.range[1]:
             yield "range", "the range does not ascend: write the lowest position first"
 
@@ -87,40 +87,40 @@ class MachineSettings:
     chain: str = setting(Text(), "axes from workpiece to tool with the bed marked, such as wXbYZt")
     axes: AxesSettings = setting(Section(AxesSettings), "range and knots of each axis")
     tool: tuple[float, ...] | None = setting(
-        _VECTOR, "vector from the spindle's reference point to the reflector; 0 unless given", default=None
+        _VECTOR, "vector from the spindle's reference point to the reflector (default: 0)", default=None
     )
     tools: dict[str, tuple[float, ...]] | None = setting(
-        MapOf(_VECTOR), "several of them by the names in the column tool", default=None
+        MapOf(_VECTOR), "several tool vectors, by the names in the column tool", default=None
     )
     tool_uncertainty: float = setting(
         Quantity("length", minimum=0.0), "standard uncertainty of tool vectors; 0: exact", default=0.0
     )
 
     def faults(self) -> Iterator[tuple[str, str]]:
-        """Tell of a chain that is none, and of two ways to give the tool."""
+        """Yield a fault for an invalid chain, and for tool vectors given twice or not at all."""
         try:
             axis_order(self.chain)
         except ValueError as error:
             yield "chain", str(error)
         if self.tool is not None and self.tools is not None:
-            yield "tools", "tool and tools say the same thing: keep one of them"
+            yield "tools", "both tool and tools are given: keep one of them"
         if self.tools is not None and not self.tools:
-            yield "tools", "there is no tool in it"
+            yield "tools", "the list of tools is empty"
 
 
 @dataclass(frozen=True)
 class Inputs:
-    """What was measured."""
+    """The files of a job: which of them are needed depends on the method."""
 
     points: Path | None = setting(TableFile(POINTS), "standstill: commanded and measured points", default=None)
     path: Path | None = setting(TableFile(PATH), "on-the-fly: vertices of the path", default=None)
-    track: Path | None = setting(TableFile(TRACK), "on-the-fly: what the tracker saw", default=None)
+    track: Path | None = setting(TableFile(TRACK), "on-the-fly: points of the tracker", default=None)
     lines: Path | None = setting(TableFile(LINES), "six-dof: lines along axes and diagonals", default=None)
 
 
 @dataclass(frozen=True)
 class Files:
-    """What the inputs hold."""
+    """The tables read from the inputs; None where the job has no such file."""
 
     points: Table | None = None
     path: Table | None = None
@@ -130,7 +130,7 @@ class Files:
 
 @dataclass(frozen=True)
 class LateralNoise:
-    """Standard deviation square to the beam, `sqrt(c^2 + (p r)^2)` at distance r."""
+    """Standard deviation perpendicular to the beam, `sqrt(c^2 + (p r)^2)` at distance r."""
 
     constant: float = setting(Quantity("length", minimum=0.0), "c: the part that does not depend on the distance")
     proportional: float = setting(Quantity("ratio", minimum=0.0), "p: the part proportional to it", default=0.0)
@@ -141,109 +141,113 @@ _LATERAL = Either(Quantity("length", positive=True), Section(LateralNoise))
 
 @dataclass(frozen=True)
 class Noise:
-    """Standard deviations: of the tracker (beam, lateral), or of the laser (displacement, straightness, angle)."""
+    """Standard deviations of the tracker (beam, lateral) or of the laser (displacement, straightness, angle)."""
 
     beam: float | None = setting(Quantity("length", positive=True), "tracker: along the beam", default=None)
-    lateral: float | LateralNoise | None = setting(_LATERAL, "tracker: square to the beam", default=None)
+    lateral: float | LateralNoise | None = setting(_LATERAL, "tracker: perpendicular to the beam", default=None)
     radial: float | LateralNoise | None = setting(_LATERAL, "another name of lateral", default=None)
     displacement: float | None = setting(Quantity("length", positive=True), "six-dof: along the beam", default=None)
-    straightness: float | None = setting(Quantity("length", positive=True), "six-dof: square to it", default=None)
+    straightness: float | None = setting(
+        Quantity("length", positive=True), "six-dof: perpendicular to the beam", default=None
+    )
     angle: float | None = setting(Quantity("angle", positive=True), "six-dof: angles", default=None)
 
     @property
     def square(self) -> LateralNoise:
-        """The noise square to the beam."""
+        """The noise perpendicular to the beam, from `lateral` or its other name `radial`; zero if neither is given."""
         given = self.lateral if self.lateral is not None else self.radial
         return given if isinstance(given, LateralNoise) else LateralNoise(given or 0.0)
 
     def faults(self) -> Iterator[tuple[str, str]]:
-        """Tell of two names for one thing, and of a noise of zero."""
+        """Yield a fault if both lateral and radial are given, or if the lateral noise is zero."""
         if self.lateral is not None and self.radial is not None:
-            yield "radial", "lateral and radial are the same: keep one of them"
+            yield "radial", "lateral and radial are two names of one setting: keep one of them"
         given = self.lateral if self.lateral is not None else self.radial
         if isinstance(given, LateralNoise) and given.constant == given.proportional == 0.0:
-            yield "lateral", "a noise of zero has no weight"
+            yield "lateral", "the noise is zero, so readings would have infinite weight: give constant or proportional"
 
 
 @dataclass(frozen=True)
 class Volume:
-    """Where the errors of the volume are predicted."""
+    """The grid on which the error of the tool is predicted over the volume."""
 
     grid: tuple[int, ...] = setting(ListOf(Whole(2, 50), 3), "points along x, y and z", default=(7, 6, 6))
 
 
 @dataclass(frozen=True)
 class MachineSimulation:
-    """The machine and the tracker that `metrocli simulate` makes."""
+    """The machine and the instrument that `metrocli simulate` simulates."""
 
     error: float = setting(Quantity("length", minimum=0.0), "mean length of the error in the volume", default=0.1)
-    smooth: bool = setting(Flag(), "errors smooth between knots, not only linear", default=False)
+    smooth: bool = setting(Flag(), "smooth error curves instead of straight lines between knots", default=False)
     tracker: tuple[float, ...] = setting(
         _VECTOR, "place of the tracker in the machine", default=(-1000.0, -800.0, 300.0)
     )
     points: int = setting(Whole(1, 1_000_000), "standstill: number of points", default=226)
     interval: float = setting(
-        Quantity("time", positive=True), "standstill, six-dof: time from reading to reading", default=4.0
+        Quantity("time", positive=True), "standstill, six-dof: time between readings", default=4.0
     )
     sampling: float = setting(Quantity("time", positive=True), "on-the-fly: time between points", default=0.002)
-    feed: float = setting(Quantity("speed", positive=True), "on-the-fly: where the path has no feed", default=40.0)
-    step: float = setting(Quantity("length", positive=True), "six-dof: distance of readings", default=25.0)
+    feed: float = setting(
+        Quantity("speed", positive=True), "on-the-fly: feed for a path without a column feed", default=40.0
+    )
+    step: float = setting(Quantity("length", positive=True), "six-dof: distance between readings", default=25.0)
 
 
 @dataclass(frozen=True)
 class PathPlan:
-    """The path, or the points, that `metrocli plan` looks for."""
+    """What the path, points or lines of `metrocli plan` must reach, and what they may cost."""
 
     length: float | None = setting(
         Quantity("length", positive=True),
-        "on-the-fly: longest path; that of edges and diagonals unless given",
+        "on-the-fly: longest path (default: length of all edges and diagonals)",
         default=None,
     )
     ratio: float = setting(Number(above=1.0), "largest ratio of volume error to path misfit", default=4.0)
     feed: float = setting(Quantity("speed", positive=True), "feed of the NC program", default=40.0)
     sampling: float = setting(Quantity("time", positive=True), "time between points of the tracker", default=0.002)
     tracker: tuple[float, ...] | None = setting(_VECTOR, "place of the tracker in the machine", default=None)
-    seed: int = setting(Whole(0), "of the random chords", default=1)
+    seed: int = setting(Whole(0), "on-the-fly: seed of the random chords", default=1)
     control: str = setting(Choice(*CONTROLS), "control that the NC program is for", default="linuxcnc")
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Find the 21 geometric errors of a machine with three linear axes, and say which of them the data determine."""
+    """Estimate the 21 geometric errors of a machine with three linear axes, and report which the data determine."""
 
-    method: str = setting(Choice(ON_THE_FLY, STANDSTILL, SIX_DOF), "how it was measured")
+    method: str = setting(Choice(ON_THE_FLY, STANDSTILL, SIX_DOF), "how the machine was measured")
     machine: MachineSettings = setting(Section(MachineSettings), "axes and tools")
     inputs: Inputs = setting(Section(Inputs), "the files of the job")
     noise: Noise = setting(Section(Noise), "standard deviations of the readings")
     estimate: str | tuple[str, ...] = setting(
         Either(Choice("all"), ListOf(Choice(*ALL_NAMES, "COY", "BOZ", "AOZ"), distinct=True)),
-        "errors to find; the others are taken as zero",
+        "errors to estimate; the others are taken as zero",
         default="all",
     )
     outliers: str = setting(
-        Choice("report", "remove"), "standstill, six-dof: name outliers, or leave them out", default="report"
+        Choice("report", "remove"), "standstill, six-dof: report outliers, or leave them out", default="report"
     )
     corner: float = setting(
-        Quantity("length", minimum=0.0), "on-the-fly: what is cut off both ends of each leg", default=10.0
+        Quantity("length", minimum=0.0), "on-the-fly: length cut off at both ends of each leg", default=10.0
     )
     volume: Volume = setting(Section(Volume), "where the volume is predicted", default=Volume())
     simulation: MachineSimulation | None = setting(
-        Section(MachineSimulation), "the truth for `metrocli simulate`", default=None
+        Section(MachineSimulation), "the true machine and instrument for `metrocli simulate`", default=None
     )
-    plan: PathPlan | None = setting(Section(PathPlan), "what `metrocli plan` looks for", default=None)
+    plan: PathPlan | None = setting(Section(PathPlan), "requirements for `metrocli plan`", default=None)
 
     @property
     def estimated(self) -> tuple[str, ...]:
-        """Names of the errors to find."""
+        """Names of the errors to estimate, in the spelling of this program."""
         return ALL_NAMES if isinstance(self.estimate, str) else tuple(canonical(name) for name in self.estimate)
 
     @property
     def tools(self) -> dict[str, tuple[float, ...]]:
-        """Tool vectors by name; one without a name where there is only one."""
+        """Tool vectors by name; a single vector given by `tool` has the empty name."""
         return self.machine.tools or {"": self.machine.tool or (0.0, 0.0, 0.0)}
 
     def faults(self) -> Iterator[tuple[str, str]]:
-        """Tell of inputs and noise that the method needs and does not have."""
+        """Yield faults for inputs and noise that the method needs and lacks, and for settings it does not use."""
         needed = {STANDSTILL: ("points",), ON_THE_FLY: ("path", "track"), SIX_DOF: ("lines",)}[self.method]
         for key in ("points", "path", "track", "lines"):
             given = getattr(self.inputs, key) is not None
@@ -251,9 +255,9 @@ class Settings:
                 verb = "needs" if key in needed else "does not use"
                 yield "inputs" + (f".{key}" if given else ""), f"method {self.method} {verb} the input '{key}'"
         if not self.estimated:
-            yield "estimate", "there is no error in it: leave the key out for all, or name some, such as EXX"
+            yield "estimate", "the list is empty: leave the key out to estimate all errors, or name some, such as EXX"
         if self.method == ON_THE_FLY and self.outliers == "remove":
-            yield "outliers", "on the fly, wild points of the track are cut in any case: leave this key out"
+            yield "outliers", "method on-the-fly always removes wild points of the track: leave this key out"
         wanted = ("displacement", "straightness", "angle") if self.method == SIX_DOF else ("beam",)
         for key in wanted:
             if getattr(self.noise, key) is None:

@@ -1,4 +1,4 @@
-"""Simulated measurements of a machine with random errors: standstill points, a track along a path, six-dof lines."""
+"""Simulate measurements of a machine with random errors: standstill points, a track along a path, six-dof lines."""
 
 from __future__ import annotations
 
@@ -56,15 +56,18 @@ if TYPE_CHECKING:
 _FINE = 401
 _HARMONICS = 4
 _ACCELERATION = 1000.0
-"""Of the simulated machine [mm/s^2]"""
+"""Acceleration of the simulated machine [mm/s^2]"""
 _REST = 0.5
-"""The machine stands so long at each vertex [s]"""
+"""Rest of the machine at each vertex [s]"""
 _MISALIGNED = np.array([0.01] * 3 + [1e-4] * 5)
-"""Standard deviations of the simulated misalignment of a line [mm, rad]"""
+"""Standard deviations of the simulated misalignment of a line: three offsets [mm], five angles [rad]"""
 
 
 def simulated(job: Job[Settings, Files], seed: int) -> Simulation:
-    """Return the files of a measurement of a random machine with effects, and its errors."""
+    """Simulate the measurement of a machine with random errors and the job's effects; return files and true values.
+
+    Raises InputError if the job has no section `simulation`, or if the method needs a path and the job has none.
+    """
     settings = job.settings
     if settings.simulation is None:
         raise InputError("simulate needs the truth: `simulation: {error: 0.1 mm, tracker: [-1 m, -0.8 m, 0.3 m]}`")
@@ -88,13 +91,13 @@ class _Measurement:
     effects: tuple[Wanted, ...]
 
     def read(self, model: Model) -> tuple[Array, Model]:
-        """Return what is read of a model with the effects in it, without noise."""
+        """Return the readings of a model extended by the effects, without noise, and the extended model."""
         model = extended(model, self.effects)
         return model.groups[0].chain.predict(model.blocks, model.groups[0].observations), model
 
 
 def true_errors(settings: Settings, truth: Truth) -> Table:
-    """Return the true tables at the knots of the job."""
+    """Return the true error tables, interpolated at the knots of the job."""
     names, at, length, angle = [], [], [], []
     for axis, fine in zip(machine_of(settings).axes, truth.machine.axes, strict=True):
         for k, name in enumerate(errors_of(axis.letter)):
@@ -115,7 +118,7 @@ def true_errors(settings: Settings, truth: Truth) -> Table:
 
 
 def _seen(job: _Measurement, truth: Truth, flow: Flow, rng: np.random.Generator) -> tuple[Array, Model]:
-    """Return what the tracker, turned at random, sees of a machine, with its noise, (3, n)."""
+    """Return points measured by a randomly turned tracker, with its noise, (3, n), and the model."""
     turn = rotation_from_euler(rng.normal() * 0.05, rng.normal() * 0.05, rng.uniform(-np.pi, np.pi))
     pose = poses.pose(turn, np.array(job.simulation.tracker))
     points, model = job.read(truth.model(point_chain(truth.machine), {TRACKER: tracker_block(pose)}, flow))
@@ -123,7 +126,7 @@ def _seen(job: _Measurement, truth: Truth, flow: Flow, rng: np.random.Generator)
 
 
 def _points(job: _Measurement, truth: Truth, rng: np.random.Generator) -> tuple[Table, Model]:
-    """Return points at the listed commanded positions, or at random ones with the corners of the volume."""
+    """Return points at the commanded positions of the job, or at random positions and the corners of the volume."""
     flow = _stops(job, truth.machine, rng)
     seen, model = _seen(job, truth, flow, rng)
     names, n = list(job.settings.tools), seen.shape[1]
@@ -155,7 +158,7 @@ def _stops(job: _Measurement, machine: Machine, rng: np.random.Generator) -> Flo
 
 
 def _track(job: _Measurement, truth: Truth, rng: np.random.Generator) -> tuple[Table, Model]:
-    """Return the track of the machine along the path: ramps of speed on each leg, a rest at each vertex."""
+    """Return the track of the machine along the path, with ramps of speed on each leg and a rest at each vertex."""
     listed = job.files.path
     if listed is None:
         raise InputError("simulate needs the path: `inputs: {path: path.csv}`")
@@ -176,7 +179,7 @@ def _feeds(job: _Measurement, table: Table, path: Path) -> Array:
 
 
 def _lines(job: _Measurement, truth: Truth, rng: np.random.Generator) -> tuple[Table, Model]:
-    """Return lines along the axes, to and fro, and along the three face diagonals, each with its misalignment."""
+    """Return lines along the axes in both directions and along three face diagonals, each randomly misaligned."""
     lines = planned_lines(machine_of(job.settings), job.simulation.step)
     along = lines.along
     block = line_block(lines.names)
@@ -199,7 +202,10 @@ def _lines(job: _Measurement, truth: Truth, rng: np.random.Generator) -> tuple[T
 
 
 def travelled(path: Path, feeds: Array, sampling: float) -> tuple[Index, Array, Array]:
-    """Return leg, way along it and time of a machine with ramps of speed and rests, at equal steps of time."""
+    """Return leg, distance along it and time at equal time steps, each (n,).
+
+    The machine accelerates to the feed and brakes on each leg, and rests at each vertex.
+    """
     ramp = np.minimum(feeds / _ACCELERATION, np.sqrt(path.lengths / _ACCELERATION))
     top = ramp * _ACCELERATION
     moving = path.lengths / top + ramp

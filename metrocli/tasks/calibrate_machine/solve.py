@@ -1,4 +1,4 @@
-"""Solving for the errors of a machine: what is determined first, then the adjustment with gross errors held off."""
+"""Solve for the errors of a machine: find what the readings determine, then adjust robustly and remove outliers."""
 
 from __future__ import annotations
 
@@ -20,27 +20,31 @@ from metrocli.tasks.calibrate_machine.identifiability import Identifiability, id
 from metrocli.tasks.calibrate_machine.problem import Problem
 
 _ROUNDS = 30
-_VAGUE = "\na tool vector that is not known moves the tracker with it: give `tool_uncertainty` as a few mm, not more"
+_VAGUE = (
+    "\nan unknown tool vector cannot be separated from the tracker's place: give `tool_uncertainty` as a few mm, "
+    "not more"
+)
 
 
 @dataclass(frozen=True)
 class Solved:
-    """The errors of a machine with what was left out on the way."""
+    """The adjusted errors of a machine, the tests of the readings, and the readings that were left out."""
 
     problem: Problem
-    """With the readings that were used"""
+    """Holds only the readings that were used"""
     identified: Identifiability
     solution: Solution
     residuals: Residuals
     suspects: Suspects
     rejected: tuple[tuple[str, float], ...] = ()
-    """Name and |w| of readings left out"""
+    """Name and |w| of each reading left out"""
 
 
 def solve(problem: Problem, remove: bool) -> Solved:
-    """Adjust; leave outliers out where `remove` says so.
+    """Adjust the readings; if `remove`, leave out outliers and adjust again until none remains.
 
-    Raises UndeterminedError where the readings leave the volume open, NotConvergedError where no solution was found.
+    Raises UndeterminedError if the readings do not determine the error in the volume, and NotConvergedError if the
+    adjustment does not converge.
     """
     identified = identify(problem)
     state: Mapping[str, Block] = robust_start(identified.blocks.values(), problem.groups, problem.readings.name)
@@ -60,13 +64,16 @@ def solve(problem: Problem, remove: bool) -> Solved:
 
 
 def solved_again(solved: Solved, problem: Problem) -> Solved:
-    """Return the solution of the same readings linearised anew; what is determined is taken over."""
+    """Return the solution of a relinearised problem of the same readings; their identifiability is taken over."""
     solution, found, doubtful = _adjusted(problem.blocks, problem)
     return replace(solved, problem=problem, solution=solution, residuals=found, suspects=doubtful)
 
 
 def adjusted(blocks: Mapping[str, Block], groups: tuple[Group, ...]) -> Solution:
-    """Return the adjustment, or raise why there is none."""
+    """Return the adjustment.
+
+    Raises UndeterminedError if the unknowns are not determined, and NotConvergedError if there is no solution.
+    """
     solution = adjust(blocks.values(), groups)
     if solution.outcome in (Outcome.UNDETERMINED, Outcome.TOO_FEW):
         open_ones = "\n".join(f"  {combination}" for combination in solution.undetermined[:8])
@@ -84,7 +91,10 @@ def _adjusted(state: Mapping[str, Block], problem: Problem) -> tuple[Solution, R
 
 
 def _worst(doubtful: Suspects) -> Index:
-    """Return the readings to leave out next: those that are not the shadow of one twice as large."""
+    """Return the readings to leave out next: those with a test of at least half the largest one.
+
+    A large gross error also raises the tests of good readings, but less; these are tested again without it.
+    """
     if not doubtful.rows.size:
         return doubtful.rows
     return np.asarray(doubtful.rows[doubtful.tests >= doubtful.tests.max() / 2])

@@ -1,4 +1,4 @@
-"""Planning points at standstill, or lines of a laser: what the job's and what proposed ones will determine."""
+"""Plan points at standstill, or lines of a laser: what those of the job and the proposed ones will determine."""
 
 from __future__ import annotations
 
@@ -32,15 +32,16 @@ _FEWEST, _GROWTH, _MOST = 12, 1.25, 5000
 
 
 def plan_of_points(settings: Settings, points: Table | None) -> Plan:
-    """Return what the job's points will determine, and a list all over the volume that is just long enough.
+    """Return what the job's points will determine, and propose points over the volume, as few as the ratio allows.
 
-    Points of a sequence that fills the volume evenly from its start on, so that place and time are not mixed up.
+    The points follow a sequence that fills the volume evenly from its start on, so that place and time are not
+    correlated. Raises UndeterminedError if even the longest list does not reach the wanted ratio.
     """
     wanted = settings.plan or PathPlan()
     own = []
     if points is not None:
         own = _judged(f"the points of the job: {len(points)}", settings, _seen(settings, points))
-    # three coordinates a point, six errors a knot
+    # Each point gives three coordinates and each knot has six errors: at least two points per knot are needed
     count = max(float(_FEWEST), 2 * sum(len(axis.knots) for axis in machine_of(settings).axes) / len(settings.tools))
     while True:
         table = _all_over(settings, round(count))
@@ -48,7 +49,7 @@ def plan_of_points(settings: Settings, points: Table | None) -> Plan:
         if isinstance(worth, Worth) and worth.identified.ratio <= wanted.ratio:
             break
         if count > _MOST:
-            raise UndeterminedError(f"{len(table)} points have no ratio of {wanted.ratio:g}: give fewer knots")
+            raise UndeterminedError(f"{len(table)} points do not reach a ratio of {wanted.ratio:g}: give fewer knots")
         count *= _GROWTH
     names, tool = list(settings.tools), tools_of(table, settings)
     blocks: list[NcBlock] = []
@@ -64,7 +65,7 @@ def plan_of_points(settings: Settings, points: Table | None) -> Plan:
 
 
 def plan_of_lines(settings: Settings, lines: Table | None) -> Plan:
-    """Return what the job's lines will determine, and what lines along the axes and three face diagonals will."""
+    """Return what the job's lines will determine, and propose lines along the axes and three face diagonals."""
     wanted, machine = settings.plan or PathPlan(), machine_of(settings)
     own = [] if lines is None else _judged("the lines of the job", settings, lambda: six_dof(settings, lines))
     given = planned_lines(machine, (settings.simulation or MachineSimulation()).step)
@@ -87,7 +88,10 @@ def plan_of_lines(settings: Settings, lines: Table | None) -> Plan:
     text = program("metrocli lines for calibrate-machine", [*PLACES, "a reading in each dwell"], blocks, wanted.control)
     notes = [*own, f"proposed: {len(given.names)} lines", *identifiability_notes(worth.identified)[1:]]
     warnings = (
-        [f"the lines have a ratio of {worth.identified.ratio:.1f}, more than {wanted.ratio:g}: also measure elsewhere"]
+        [
+            f"the lines have a ratio of {worth.identified.ratio:.1f}, more than {wanted.ratio:g}: "
+            "measure further lines at other places"
+        ]
         if worth.identified.ratio > wanted.ratio
         else []
     )
@@ -100,9 +104,10 @@ def _visits(places: Array, feed: float) -> list[NcBlock]:
 
 
 def _all_over(settings: Settings, count: int) -> Table:
-    """Return so many points for each tool and the corners, one tool after the other.
+    """Return `count` points and the eight corners for each tool, one tool after the other.
 
-    Each has its own piece of the sequence: tools in turn would share out its digits, and y with them.
+    Each tool has its own piece of the Halton sequence. If the points went to the tools in turn, each of two tools
+    would get only one half of X, and each of three tools only a third of Y (bases 2 and 3).
     """
     machine, names = machine_of(settings), list(settings.tools)
     corners, inside = grid_of(machine, (2, 2, 2)), spread_over(machine, count * len(names))
@@ -116,7 +121,7 @@ def _all_over(settings: Settings, count: int) -> Table:
 
 
 def _seen(settings: Settings, table: Table) -> Callable[[], Problem]:
-    """Return the adjustment of points as a tracker will see them on a machine without errors."""
+    """Return a function that builds the adjustment of points, measured by a tracker on a machine without errors."""
     machine = machine_of(settings)
     pose = tracker_pose(machine, settings.plan or PathPlan())
 
@@ -137,7 +142,7 @@ def _worth(settings: Settings, problem: Callable[[], Problem]) -> Worth | Undete
 
 
 def _judged(head: str, settings: Settings, problem: Callable[[], Problem]) -> list[str]:
-    """Return what readings will determine, in words."""
+    """Return lines of text on what the readings of the job will determine."""
     worth = _worth(settings, problem)
     lines: Sequence[str] = (
         identifiability_notes(worth.identified)[1:] if isinstance(worth, Worth) else str(worth).splitlines()

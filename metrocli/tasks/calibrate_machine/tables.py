@@ -1,4 +1,7 @@
-"""The error tables of a machine in their gauge, with the covariance of all their entries."""
+"""The error tables of a machine with the covariance of all their entries.
+
+The gauge of the tables: straightness is zero at both ends, all others are zero at the reference position.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,7 @@ def unit_of(name: str) -> str:
 
 @dataclass(frozen=True)
 class Tables:
-    """Values of all 18 tables at their knots and of the squareness errors, with what they are known to."""
+    """Values of all 18 tables at their knots and of the three squareness errors, with their covariance."""
 
     machine: Machine
     blocks: Mapping[str, Block]
@@ -30,10 +33,10 @@ class Tables:
     raw: Array
     """Covariance of the unknowns (raw values), (size, size)"""
     entries: tuple[tuple[str, float], ...]
-    """Error and position of each entry; nan for squareness"""
+    """Error and position of each entry; the position is nan for squareness"""
     values: Array
     covariance: Array
-    """Of the entries, (n, n)"""
+    """Covariance of the entries, (n, n)"""
 
     def of(self, name: str) -> tuple[Array, Array, Array]:
         """Return position, value and standard uncertainty of an error."""
@@ -43,7 +46,7 @@ class Tables:
 
 
 def tables_of(machine: Machine, solution: Solution) -> Tables:
-    """Return the tables of a solution."""
+    """Return the tables of a solution, and propagate the covariance of the unknowns to their entries."""
     blocks = solution.blocks
     unknowns = unknowns_of(blocks, ERROR_BLOCKS)
     raw = covariance_of(solution, unknowns)
@@ -65,9 +68,10 @@ def _axis_entries(axis: Axis, block: Block, unknowns: Unknowns) -> tuple[list[tu
 
 
 def least_squares_squareness(tables: Tables) -> tuple[Array, Array]:
-    """Return A0Z, B0Z, C0Y between least-squares lines of the straightness tables, and their covariance.
+    """Return A0Z, B0Z, C0Y between least-squares lines of the straightness tables, (3,), and their covariance, (3, 3).
 
-    A line with slope s of EXY turns Y towards +X, which is less C0Y; the tables hold the angle between end-point lines.
+    The entries of the solution are the angles between end-point lines. A least-squares line of EXY with slope s turns
+    Y towards +X by s, which reduces C0Y by s.
     """
     change = np.zeros((3, len(tables.entries)))
     for row, terms in enumerate(
@@ -83,5 +87,5 @@ def least_squares_squareness(tables: Tables) -> tuple[Array, Array]:
 
 
 def tool_names(blocks: Mapping[str, Block]) -> list[str]:
-    """Return the names of the tools as people see them."""
+    """Return the names of the tools for reports; a tool without a name is called "tool"."""
     return [name or "tool" for name in blocks[TOOL].members]

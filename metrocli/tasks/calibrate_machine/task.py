@@ -1,4 +1,4 @@
-"""What calibrate-machine does with a job."""
+"""Run, diagnose, simulate and plan a calibrate-machine job."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ from metrocli.tasks.calibrate_machine.solve import Solved, solve
 from metrocli.tasks.calibrate_machine.stops_plan import plan_of_lines, plan_of_points
 from metrocli.tasks.kind import Job, Task
 
-_WITHOUT = "the effects of the job are not in the plan: its uncertainties are those of the errors alone"
+_WITHOUT = "the plan leaves out the effects of the job: its uncertainties hold for the geometric errors alone"
 
 
 def run(job: Job[Settings, Files]) -> Result:
-    """Find the errors; raises InputError, UndeterminedError or NotConvergedError."""
+    """Estimate the geometric errors; raises InputError, UndeterminedError or NotConvergedError."""
     return report(_solved(job), job.settings)
 
 
 def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
-    """Return the adjusted calibration as diagnosis sees it."""
+    """Adjust the calibration and return it in the form that diagnosis works on."""
     return adjusted_job(_solved(job))
 
 
@@ -44,7 +44,7 @@ def _solved(job: Job[Settings, Files]) -> Solved:
 
 
 def problem_of(job: Job[Settings, Files]) -> Problem:
-    """Return the adjustment of a measurement that needs no alignment along a path."""
+    """Return the adjustment problem of a standstill or six-dof job; a track (on-the-fly) needs alignment first."""
     if job.files.points is not None:
         return standstill(job.settings, job.files.points)
     if job.files.lines is not None:
@@ -53,12 +53,12 @@ def problem_of(job: Job[Settings, Files]) -> Problem:
 
 
 def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulation:
-    """Return the measurement of a machine with the random errors of `simulation:`, and with effects in it."""
+    """Return a simulated measurement of a machine with the random errors of `simulation:` and the job's effects."""
     return simulated(job, options.seed)
 
 
 def plan(job: Job[Settings, Files]) -> Plan:
-    """Return what the job's path, points or lines will determine, and better ones; without its effects."""
+    """Return what the job's path, points or lines will determine, and a proposal; effects are left out."""
     settings, files = job.settings, job.files
     planned = {
         STANDSTILL: lambda: plan_of_points(settings, files.points),

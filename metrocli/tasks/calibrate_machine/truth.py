@@ -1,4 +1,4 @@
-"""The machine of a simulation: random errors, and what is read of it where it is sent."""
+"""The true machine of a simulation: its random errors, and the readings it gives at commanded positions."""
 
 from __future__ import annotations
 
@@ -42,28 +42,28 @@ if TYPE_CHECKING:
 _FINE = 401
 _HARMONICS = 4
 _ACCELERATION = 1000.0
-"""Of the simulated machine [mm/s^2]"""
+"""Acceleration of the simulated machine [mm/s^2]"""
 _REST = 0.5
-"""The machine stands so long at each vertex [s]"""
+"""Rest of the machine at each vertex [s]"""
 _MISALIGNED = np.array([0.01] * 3 + [1e-4] * 5)
-"""Standard deviations of the simulated misalignment of a line [mm, rad]"""
+"""Standard deviations of the simulated misalignment of a line: three offsets [mm], five angles [rad]"""
 
 
 @dataclass(frozen=True)
 class Truth:
-    """A machine with its errors."""
+    """A machine with its true errors."""
 
     machine: Machine
     """With as many knots as its errors need"""
     blocks: Mapping[str, Block]
 
     def error(self, position: Array, tool: Index) -> Array:
-        """Return displacement and rotation of tools at commanded positions (3, n), (6, n)."""
+        """Return displacement and rotation of the tools, (6, n), at commanded positions (3, n)."""
         group = grid_group(self.machine, position, tool)
         return group.chain.predict(self.blocks, group.observations)
 
     def model(self, chain: Chain, more: Mapping[str, Block], flow: Flow) -> Model:
-        """Return the forward model of readings where the machine is sent."""
+        """Return the forward model of the readings at the positions of a flow."""
         n = flow.position.shape[1]
         index = self.machine.index(flow.position) | {TOOL: flow.tool} | dict(flow.index)
         sizes = np.zeros((6 if chain.quantities[-1] is Quantity.ERROR_MOTION else 3, n))
@@ -77,7 +77,7 @@ class Truth:
 
 @dataclass(frozen=True)
 class Flow:
-    """Where the machine is sent, with which tool, when and from which side."""
+    """Commanded positions in the order of travel, with tool, time and direction of approach."""
 
     position: Array
     """(3, n)"""
@@ -87,7 +87,10 @@ class Flow:
 
 
 def truth_of(settings: Settings, simulation: MachineSimulation, rng: np.random.Generator) -> Truth:
-    """Return a machine with random errors of the mean size asked for (after the best shift and turn of the volume)."""
+    """Return a machine with random errors, scaled so that the mean length of the error in the volume is as given.
+
+    The mean is taken after the best shift and turn of the volume.
+    """
     machine = machine_of(settings)
     if simulation.smooth:
         axes = tuple(Axis(axis.letter, np.linspace(axis.knots[0], axis.knots[-1], _FINE)) for axis in machine.axes)
@@ -109,7 +112,10 @@ def truth_of(settings: Settings, simulation: MachineSimulation, rng: np.random.G
 def blocks_of(
     settings: Settings, machine: Machine, tables: Mapping[str, Array], square: Mapping[str, float]
 ) -> dict[str, Block]:
-    """Return a machine with these tables (at its knots, in the gauge) and squareness; errors not estimated are zero."""
+    """Return the blocks of a machine with given tables and squareness; errors that the job does not estimate are zero.
+
+    The tables are given at the knots and in the gauge.
+    """
     wanted = settings.estimated
     kept = {name: table for name, table in tables.items() if name in wanted}
     axes = {axis.block: axis.block_of(kept, wanted) for axis in machine.axes}
@@ -118,7 +124,7 @@ def blocks_of(
 
 
 def _drawn(axis: Axis, name: str, smooth: bool, rng: np.random.Generator) -> Array:
-    """Return a random table in the gauge: harmonics, or independent steps between knots."""
+    """Return a random table in the gauge: a sum of harmonics if smooth, else a random walk from knot to knot."""
     u = (axis.knots - axis.knots[0]) / (axis.knots[-1] - axis.knots[0])
     if smooth:
         order = np.arange(1, _HARMONICS + 1)[:, None]

@@ -23,7 +23,7 @@ def grid_of(machine: Machine, counts: Sequence[int]) -> Array:
 
 
 def spread_over(machine: Machine, count: int) -> Array:
-    """Return points spread evenly over the volume and in line with nothing, (3, n) (Halton 1960)."""
+    """Return points spread evenly but irregularly over the volume, (3, n): the Halton sequence (Halton 1960)."""
     numbers = np.arange(1, count + 1)
     unit = np.stack([_radical_inverse(numbers, base) for base in (2, 3, 5)])
     return np.asarray(machine.low[:, None] + (machine.high - machine.low)[:, None] * unit)
@@ -39,7 +39,10 @@ def _radical_inverse(numbers: Index, base: int) -> Array:
 
 
 def grid_group(machine: Machine, position: Array, tool: int | Index) -> Group:
-    """Return the error motion of a tool, or of one for each, at commanded positions (3, n), as if it were read."""
+    """Return the observations of the error motion of a tool at commanded positions (3, n).
+
+    `tool` is the number of one tool, or one number for each position.
+    """
     n = position.shape[1]
     index = machine.index(position) | {TOOL: np.full(n, tool)}
     conditions = dict(zip(POSITION, position, strict=True))
@@ -48,7 +51,7 @@ def grid_group(machine: Machine, position: Array, tool: int | Index) -> Group:
 
 
 def rigid_motions(position: Array) -> Array:
-    """Return an orthonormal basis of small rigid motions of points (3, n), (3*n, 6)."""
+    """Return an orthonormal basis, (3*n, 6), of the small rigid motions of points (3, n)."""
     n = position.shape[1]
     centred = position - position.mean(axis=1, keepdims=True)
     motions = np.zeros((3, n, 6))
@@ -59,7 +62,7 @@ def rigid_motions(position: Array) -> Array:
 
 
 def without_rigid_motion(motion_rows: Array, position: Array) -> Array:
-    """Return the displacement part of rows (6, n, ...) after the best small rigid motion, (3, n, ...)."""
+    """Return the displacement part, (3, n, ...), of rows (6, n, ...) with the best-fit small rigid motion removed."""
     flat = motion_rows[:3].reshape(3 * position.shape[1], -1)
     basis = rigid_motions(position)
     left = flat - basis @ (basis.T @ flat)
@@ -68,7 +71,7 @@ def without_rigid_motion(motion_rows: Array, position: Array) -> Array:
 
 @dataclass(frozen=True)
 class Prediction:
-    """Errors of a tool at commanded positions."""
+    """Predicted errors of a tool at commanded positions."""
 
     error: Array
     """(3, n)"""
@@ -84,9 +87,9 @@ class Prediction:
 def predict(
     machine: Machine, blocks: Mapping[str, Block], known: tuple[Unknowns, Array], position: Array, tool: int
 ) -> tuple[Prediction, Array]:
-    """Return the error at positions (3, n), with the rows (3, n, unknowns) that carry its covariance.
+    """Return the predicted error at positions (3, n), and its Jacobian by the unknowns, (3, n, unknowns).
 
-    `known` are the unknowns and their covariance.
+    `known` holds the unknowns and their covariance.
     """
     unknowns, covariance = known
     group = grid_group(machine, position, tool)

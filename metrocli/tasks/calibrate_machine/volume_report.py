@@ -1,4 +1,4 @@
-"""What a result says of the volume: errors of each tool on a grid, their reduction, and the body diagonals."""
+"""Results over the volume: errors of each tool on a grid, what remains after compensation, and body diagonals."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class _OnGrid:
     shape: Array
     """Length of the error after the best shift and turn (n,)"""
     left: float
-    """Root mean square length of what is uncertain of it"""
+    """Standard uncertainty of the error vector: root mean square over the grid, after the best shift and turn"""
     is_open: bool
 
     def table(self, tool: str) -> Table:
@@ -63,7 +63,10 @@ def _on_grid(tables: Tables, position: Array, tool: int, is_open: bool) -> _OnGr
 
 
 def _summary(grids: Sequence[_OnGrid], tools: Sequence[str], measured: Sequence[str]) -> Table:
-    """Return for each tool the error in the volume now, and what its uncertainty leaves of it after compensation."""
+    """Return for each tool its error in the volume, and the uncertainty that remains after compensation.
+
+    All after the best shift and turn of the volume; nan and inf if the error of the tool cannot be predicted.
+    """
     unknown = np.array([grid.is_open for grid in grids])
     mean = np.array([grid.shape.mean() for grid in grids])
     largest = np.array([grid.shape.max() for grid in grids])

@@ -234,7 +234,7 @@ def test_what_cannot_be_told_apart_is_refused(folder: Path, metrocli: Metrocli) 
         ),
         ("method: standstill", "method: standstill\nestimate: [EXX, EXQ]", "unknown word 'EXQ'"),
         ("method: standstill", "method: standstill\nestimate: []", "there is no error in it"),
-        ("tools: {T1", "tool: [0 mm, 0 mm, 0 mm]\n  tools: {T1", "tool and tools say the same thing"),
+        ("tools: {T1", "tool: [0 mm, 0 mm, 0 mm]\n  tools: {T1", "both tool and tools are given"),
         ("120 mm]", "120]", "120 has no unit"),
         ("x: {range", "u: {range", "unknown key 'u'"),
     ],
@@ -278,7 +278,7 @@ def test_faults_of_a_job_are_told(folder: Path, old: str, new: str, said: str, m
             3,
             "y = 17.5 is no dir",
         ),
-        (lambda lines: [*lines[:20], ""], 4, "combinations of errors open"),
+        (lambda lines: [*lines[:20], ""], 4, "combinations of errors that move"),
         (
             lambda lines: [lines[0], "A,700," + lines[1].split(",", 2)[2], *lines[2:]],
             3,

@@ -80,7 +80,7 @@ def test_edges_and_diagonals_with_equal_knots_leave_four_combinations_that_move_
     with pytest.raises(UndeterminedError) as told:
         planned(path, (11, 11, 11))
     text = str(told.value)
-    assert text.startswith("the measurement leaves 4 combinations of errors open that move the tool")
+    assert text.startswith("the measurement does not determine 4 combinations of errors that move the tool")
     lines = [line for line in text.splitlines() if line.startswith("  ")]
     assert len(lines) == 4
     # positioning in common along the diagonals

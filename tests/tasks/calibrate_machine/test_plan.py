@@ -87,7 +87,7 @@ def test_the_jobs_own_path_is_judged() -> None:
     table = sim._table("path.csv", np.concatenate([[lines.start[0], lines.end[0]], [lines.start[1], lines.end[1]]]), {})
     plan = calibrate_machine.plan(calibrate_machine.TASK.job(settings, path=table))
     assert plan.notes[0].startswith("the path of the job: 3 legs")
-    assert any("combinations of errors open" in line or "no reading is near" in line for line in plan.notes)
+    assert any("combinations of errors that move" in line or "no reading is near" in line for line in plan.notes)
 
 
 def test_a_length_that_is_too_short_is_said() -> None:
@@ -95,7 +95,7 @@ def test_a_length_that_is_too_short_is_said() -> None:
     plan = calibrate_machine.plan(
         calibrate_machine.TASK.job(replace(settings, plan=PathPlan(length=9000.0, ratio=1.5)))
     )
-    assert any("allow a longer one" in line for line in plan.warnings)
+    assert any("allow a longer path" in line for line in plan.warnings)
 
 
 def promised_over_found(plan: Plan, result: Result) -> list[float]:
@@ -131,7 +131,7 @@ def test_points_are_planned_and_keep_their_promise() -> None:
     fewer = calibrate_machine.plan(
         calibrate_machine.TASK.job(settings, points=sim.point_table(at[::3], seen[::3], tool[::3]))
     )
-    assert any("combinations of errors open" in line or "no reading is near" in line for line in fewer.notes)
+    assert any("combinations of errors that move" in line or "no reading is near" in line for line in fewer.notes)
 
 
 def test_lines_of_a_laser_are_planned_and_keep_their_promise() -> None:

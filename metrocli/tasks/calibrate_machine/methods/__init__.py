@@ -1,1 +1,1 @@
-"""The ways to measure a machine: on the fly, at standstill, six degrees of freedom along lines."""
+"""The three ways to measure a machine: on the fly, at standstill, and along lines with a six-dof laser."""

@@ -1,4 +1,4 @@
-"""Where the tracker stands, from points in both frames; and why points do not match, in words."""
+"""Find the pose of the tracker from points in both frames, and explain why points do not match."""
 
 from __future__ import annotations
 
@@ -9,13 +9,16 @@ from metrocli.errors import Fault, InputError
 from metrocli.geometry import poses
 
 _FAR = 0.02
-"""A machine's errors are far below this share of the measured extent"""
+"""Largest median misfit as a share of the extent of the points; errors of machines are far smaller"""
 _UNITS = (1e3, 1e-3, 25.4, 1 / 25.4)
 _NEAR = 0.05
 
 
 def tracker_pose(measured: Array, nominal: Array, file: str) -> Array:
-    """Return the pose of the tracker in the machine, (6,), from points (3, n); InputError where they do not match."""
+    """Return the pose of the tracker in the machine, (6,), from points (3, n).
+
+    Raises InputError if the points do not match.
+    """
     pose = np.asarray(poses.fit_pose(measured.T, nominal.T))
     if matches(pose, measured, nominal):
         return pose
@@ -23,7 +26,7 @@ def tracker_pose(measured: Array, nominal: Array, file: str) -> Array:
 
 
 def matches(pose: Array, measured: Array, nominal: Array) -> bool:
-    """Tell whether most points fall onto their nominal places as nearly as a machine's errors allow."""
+    """Return whether most of the aligned points are as close to their nominal places as machine errors allow."""
     return miss(pose, measured, nominal) < _FAR * extent(nominal)
 
 
@@ -38,13 +41,13 @@ def extent(points: Array) -> float:
 
 
 def wrong_unit(measured: Array, nominal: Array) -> float | None:
-    """Return by how much measured lengths must be multiplied where their unit is plainly wrong."""
+    """Return the factor that corrects measured lengths if their unit is clearly wrong (m, inch), else None."""
     ratio = extent(nominal) / max(extent(measured), 1e-300)
     return next((unit for unit in _UNITS if abs(ratio / unit - 1) < _NEAR), None)
 
 
 def mismatch(measured: Array, nominal: Array, file: str) -> Fault:
-    """Return what is wrong with measured points (3, n) that do not fall onto their nominal places."""
+    """Return why measured points (3, n) do not match their nominal places: unit, mirror image or shape."""
     unit = wrong_unit(measured, nominal)
     if unit is not None:
         text = f"the measured coordinates are {1 / unit:.4g} times as large as the commanded ones"

@@ -1,10 +1,12 @@
-"""On-the-fly: a track without synchronisation, condensed along its path and linearised where the machine really was.
+"""on-the-fly: adjust a track without synchronisation, condensed along its path and relinearised at the solution.
 
-Only what lies across each leg is used (Sanders et al. 1.2.4-1.2.5). A point is taken for the commanded position at
-which the predicted path passes it, so that the error along the path, which is not measured, does not enter: the
-closest point of the commanded path is off by it. Within a cell, between the knots that a leg passes, all errors are
-parabolas of the way, so three condensed points stand for all. Their weights are those of the directions across the
-leg, `A C A'` with the beam's direction in C (eq. 8-9); the equation for W22 has the path's direction in its place.
+Only the coordinates across each leg are used (Sanders et al. 1.2.4-1.2.5); the error along the path is not measured.
+Each point is assigned to the commanded position at which the predicted path passes it. The closest point of the
+commanded path would be off by the error along the path.
+
+A cell is a piece of a leg between knots. Within a cell all errors are parabolas of the distance along the path, so that
+three condensed points represent all its points. Their covariance across the leg is `A C A'`, with the direction of the
+beam in C (eq. 8-9); the printed equation for W22 has the direction of the path in its place.
 """
 
 from __future__ import annotations
@@ -44,31 +46,31 @@ from metrocli.tasks.calibrate_machine.volume import grid_group
 
 READINGS = "path"
 _SETTLED = 1e-4
-"""Ways along the path that move by less than this [mm] are found: times a slope of 1 mrad it is 0.1 nm"""
+"""Relinearisation stops if no point moves along the path by more than this [mm]; with a slope of 1 mrad it is 0.1 nm"""
 _CELLS_IN_A_PERIOD = 8
 _INSIDE = 1e-6
-"""Points are taken to be inside their leg by this [mm]"""
+"""Points are moved inside their leg by at least this [mm], so that each belongs to one cell"""
 _ROUNDS = 8
 _WILD = 8.0
-"""Points farther off than so many standard deviations are left out, where these are of the declared size"""
+"""Points farther off than this many standard deviations are left out; the median distance counts if it is larger"""
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """A track on its path."""
+    """A track with its path, noise and cells."""
 
     machine: Machine
     path: Path
     track: Track
     noise: TrackerNoise
     cells: Array
-    """Ways where cells begin"""
+    """Distances along the whole path at which cells begin, and its end [mm]"""
     settings: Settings
     effects: tuple[Wanted, ...] = ()
 
 
 def on_the_fly(settings: Settings, path: Table, track: Table, effects: Sequence[Wanted] = ()) -> Solved:
-    """Return the solved calibration; InputError where the track is not one of the path."""
+    """Return the solved calibration; raises InputError if the track does not match the path."""
     machine = machine_of(settings)
     blocks = error_blocks(machine, settings)
     legs = path_of(settings, machine, path)
@@ -82,13 +84,13 @@ def on_the_fly(settings: Settings, path: Table, track: Table, effects: Sequence[
 
 
 def _longest_cell(effects: Sequence[Wanted]) -> float:
-    """Return how long a cell may be: an eighth of a period is a parabola."""
+    """Return the longest cell for the periods of the effects: an eighth of a period is nearly a parabola."""
     periods = [float(one.values["period"]) for one in effects if "period" in one.values]
     return min(periods, default=np.inf) / _CELLS_IN_A_PERIOD
 
 
 def path_of(settings: Settings, machine: Machine, table: Table) -> Path:
-    """Return the legs of a list of vertices; InputError where there are none."""
+    """Return the legs of a list of vertices; raises InputError if there are fewer than two."""
     vertices = commanded(machine, table).T
     path = Path.of(vertices, tools_of(table, settings))
     if len(path.lengths) < 2:
@@ -97,7 +99,7 @@ def path_of(settings: Settings, machine: Machine, table: Table) -> Path:
 
 
 def _settled(whole: Measurement, state: Mapping[str, Block]) -> Solved:
-    """Linearise and solve again until no point moves along its leg any more."""
+    """Solve, and relinearise until no point moves along its leg."""
     solved = solve(problem_at(whole, state), False)
     whole = _without_wild(whole, solved.solution.blocks)
     way = np.full(whole.track.points.shape[1], np.inf)
@@ -111,7 +113,7 @@ def _settled(whole: Measurement, state: Mapping[str, Block]) -> Solved:
 
 
 def problem_at(whole: Measurement, state: Mapping[str, Block]) -> Problem:
-    """Return the adjustment of the condensed track, linearised at a state."""
+    """Return the adjustment problem of the condensed track, linearised at the blocks of `state`."""
     path, track = whole.path, whole.track
     blocks = {**state, LEG: leg_block(_across(whole, state))}
     inside = np.clip(ways(whole, state), _INSIDE, path.lengths[track.leg] - _INSIDE)
@@ -136,7 +138,7 @@ def problem_at(whole: Measurement, state: Mapping[str, Block]) -> Problem:
 
 
 def _across(whole: Measurement, state: Mapping[str, Block]) -> Array:
-    """Return the directions across each leg in the tracker's frame, (legs, 2, 3)."""
+    """Return two unit vectors across each leg in the tracker's frame, (legs, 2, 3)."""
     return np.asarray(whole.path.across @ poses.rotation_of(state[TRACKER].values[0]))
 
 
@@ -149,12 +151,12 @@ def _line(whole: Measurement, state: Mapping[str, Block]) -> tuple[Array, Array]
 
 
 def _offset(whole: Measurement, state: Mapping[str, Block]) -> Array:
-    """Return the two coordinates across each leg of its commanded line, (legs, 2)."""
+    """Return the coordinates of each commanded line across its leg, (legs, 2)."""
     return np.asarray(np.einsum("lab,lb->la", _across(whole, state), _line(whole, state)[0]))
 
 
 def _channels(whole: Measurement, state: Mapping[str, Block]) -> Array:
-    """Return the coordinates of every point across its leg, from the commanded line; and time where there is one."""
+    """Return the two coordinates of each point across its leg, from the commanded line, and its time if given."""
     leg, points, time = whole.track.leg, whole.track.points, whole.track.time
     across = _across(whole, state)[leg]
     values = np.einsum("nab,bn->an", across, points) - _offset(whole, state)[leg].T
@@ -162,7 +164,7 @@ def _channels(whole: Measurement, state: Mapping[str, Block]) -> Array:
 
 
 def ways(whole: Measurement, state: Mapping[str, Block]) -> Array:
-    """Return the commanded way along its leg at which the predicted path passes each point, (n,)."""
+    """Return the commanded distance along its leg at which the predicted path passes each point, (n,)."""
     start, direction = _line(whole, state)
     leg = whole.track.leg
     along = np.einsum("na,an->n", direction[leg], whole.track.points) - np.einsum("la,la->l", direction, start)[leg]
@@ -171,12 +173,18 @@ def ways(whole: Measurement, state: Mapping[str, Block]) -> Array:
 
 
 def _apart(path: Path, leg: Index) -> Array:
-    """Return the way before a leg, with a gap of 1 mm between legs: the end of one is not the start of the next."""
+    """Return the distance along the path to the start of a leg, with gaps of 1 mm between the legs.
+
+    The gaps keep the end of a leg apart from the start of the next, where the errors differ.
+    """
     return np.asarray(path.before[leg] + leg)
 
 
 def _errors_along(whole: Measurement, state: Mapping[str, Block]) -> tuple[Array, Array]:
-    """Return ways (with gaps between legs) and the predicted error there: along the leg, and the two across, (3, m)."""
+    """Return distances along the path (with gaps between legs), (m,), and the predicted error there, (3, m).
+
+    The rows are the error along the leg and its two components across the leg.
+    """
     path, low, high = whole.path, whole.cells[:-1], whole.cells[1:]
     way = np.stack([low, (low + high) / 2, high], axis=1)
     leg = np.repeat(path.leg_of(way[:, 1]), 3)
@@ -213,7 +221,7 @@ def _observations(
 
 
 def _noise_in_cells(few: Condensed, observations: Observations) -> float:
-    """Return the standard deviation of single points about the parabolas, over the declared one."""
+    """Return the standard deviation of single points about the parabolas of the cells, divided by the declared one."""
     if few.dof <= 0 or observations.covariance is None:
         return float("nan")
     variance = np.einsum("aan->n", observations.covariance) * few.weight
@@ -222,7 +230,7 @@ def _noise_in_cells(few: Condensed, observations: Observations) -> float:
 
 
 def _without_wild(whole: Measurement, state: Mapping[str, Block]) -> Measurement:
-    """Return the measurement without points that are off the predicted path."""
+    """Return the measurement without points that are far from the predicted path."""
     track = whole.track
     marks, error = _errors_along(whole, state)
     at = ways(whole, state) + _apart(whole.path, track.leg)
@@ -236,6 +244,6 @@ def _without_wild(whole: Measurement, state: Mapping[str, Block]) -> Measurement
     facts = {**track.facts, "cut_off_path": count, "points_used": int(keep.sum())}
     warnings = (
         *track.warnings,
-        f"{count} points of the track are off the predicted path by {_WILD:g} sigma, and are cut",
+        f"{count} points of the track are farther than {_WILD:g} sigma from the predicted path, and are removed",
     )
     return replace(whole, track=replace(track.selected(keep), facts=facts, warnings=warnings))

@@ -1,7 +1,7 @@
-"""six-dof: lines along axes and diagonals, each with its own misalignment, in one adjustment with the tables.
+"""six-dof: adjust lines along axes and diagonals, each with its own misalignment, together with the error tables.
 
-Squareness follows from the length of the diagonals once the tables have taken their part of it (Kuprin et al.; with
-the tables zero it is `C0Y = (d2^2 - d1^2) / (4 Lx Ly)` of two diagonals).
+Squareness follows from the length of the diagonals after subtracting the contribution of the tables (Kuprin et al.).
+If all tables are zero, two face diagonals d1, d2 give `C0Y = (d2^2 - d1^2) / (4 Lx Ly)`.
 """
 
 from __future__ import annotations
@@ -37,33 +37,34 @@ if TYPE_CHECKING:
 
 READINGS = "lines"
 DIRECTIONS = {"x": (0,), "y": (1,), "z": (2,), "xy": (0, 1), "yz": (1, 2), "xz": (0, 2)}
-"""Axes that move along a line"""
+"""Numbers of the axes that move along a line, by the name of its direction"""
 _APART = 0.01
-"""Two ways to give a position may differ by this [mm]"""
+"""The columns x, y, z and the distance along the line may disagree by this [mm]"""
 _LEAST = 3
 _LEAST_PART = 1e-6
-"""Part of a line's direction below which an axis stands"""
+"""An axis stands still on a line if its part of the line's direction is smaller than this"""
 
 
 @dataclass(frozen=True)
 class Lines:
-    """Lines of readings with their places."""
+    """The lines of a file, and the place of each of their readings."""
 
     names: tuple[str, ...]
     axis: tuple[str, ...]
-    """Of each line"""
+    """Direction of each line, a key of DIRECTIONS"""
     of: Index
-    """Line of each reading"""
+    """Number of the line of each reading, (n,)"""
     position: Array
-    """Commanded (3, n)"""
+    """Commanded positions, (3, n)"""
     distance: Array
-    """Along the line (n,)"""
+    """Distance along the line, (n,)"""
 
     @property
     def sense(self) -> Array:
-        """Return +1 or -1, the travel that led to each reading, (n,); for the first and at a turn that which follows.
+        """Return the sense of travel that led to each reading, +1 or -1, (n,).
 
-        At a turn a target is read twice: at the end of one run, and as the first of the next.
+        The first reading of a run has the sense of the travel that follows it. At a turn a target is read twice: as
+        the last of one run and as the first of the next.
         """
         step = np.sign(np.diff(self.distance))
         step[np.diff(self.of) != 0] = 0.0
@@ -80,7 +81,11 @@ class Lines:
 
 
 def lines_of(machine: Machine, table: Table) -> Lines:
-    """Return the lines of a file; InputError for directions that are none, short lines, and positions that differ."""
+    """Return the lines of a file.
+
+    Raises InputError for unknown directions, lines with several directions or too few positions, and contradictory
+    positions.
+    """
     _refuse_directions(table)
     names = tuple(dict.fromkeys(table.texts("line")))
     number = {name: i for i, name in enumerate(names)}
@@ -92,7 +97,7 @@ def lines_of(machine: Machine, table: Table) -> Lines:
         if len(set(axes[rows])) > 1:
             faults.append(Fault(f"line '{name}' has rows along {' and '.join(sorted(set(axes[rows])))}", table.file))
         elif len(np.unique(table.numbers("position")[rows])) < _LEAST:
-            text = f"line '{name}' has fewer than {_LEAST} positions: nothing is left after its misalignment"
+            text = f"line '{name}' has fewer than {_LEAST} positions: its misalignment takes up all of its readings"
             faults.append(table.fault_at(int(rows[0]), text))
     if faults:
         raise InputError(faults)
@@ -103,7 +108,7 @@ def lines_of(machine: Machine, table: Table) -> Lines:
 
 def _refuse_directions(table: Table) -> None:
     faults = [
-        table.fault_at(row, f"'{axis}' is no direction of a line", suggestion(axis, DIRECTIONS))
+        table.fault_at(row, f"'{axis}' is not a direction of a line", suggestion(axis, DIRECTIONS))
         for row, axis in enumerate(table.texts("axis"))
         if axis not in DIRECTIONS
     ]
@@ -112,7 +117,7 @@ def _refuse_directions(table: Table) -> None:
 
 
 def _positions(machine: Machine, table: Table, axes: Values) -> Array:
-    """Return commanded positions: what the columns x, y, z say, else from the distance along the line."""
+    """Return commanded positions, (3, n), from the columns x, y, z, else from the distance along the line."""
     distance = table.numbers("position")
     position = np.repeat(machine.home[:, None], len(table), axis=1)
     for direction, moving in DIRECTIONS.items():
@@ -176,7 +181,7 @@ def six_dof(settings: Settings, table: Table) -> Problem:
 
 
 def runs_of(lines: Lines, table: Table) -> list[Run]:
-    """Return the runs along single axes with their displacement channel: a line may go to and fro."""
+    """Return the runs along single axes with their displacement readings; a line may have runs in both directions."""
     turns = np.flatnonzero((np.diff(lines.of) != 0) | (np.diff(lines.sense) != 0)) + 1
     found = []
     for rows in np.split(np.arange(len(lines.of)), turns):
@@ -188,13 +193,13 @@ def runs_of(lines: Lines, table: Table) -> list[Run]:
 
 
 def approach(lines: Lines) -> dict[str, Array]:
-    """Return conditions from_x, from_y, from_z: from which side each axis came; 0 where it stands on its line."""
+    """Return the directions of approach from_x, from_y, from_z, (n,) each; 0 for axes that stand still on the line."""
     moved = np.sign(np.where(np.abs(lines.along) > _LEAST_PART, lines.along, 0.0))[lines.of].T * lines.sense
     return dict(zip((f"from_{axis}" for axis in "xyz"), moved, strict=True))
 
 
 def line_conditions(lines: Lines, along: Array) -> dict[str, Array]:
-    """Return distance from the middle of each line, and two directions across it."""
+    """Return the conditions of readings on lines: distance from the line's middle, and two unit vectors across it."""
     least = np.eye(3)[np.argmin(np.abs(along), axis=1)]
     first = np.cross(along, least)
     first /= np.linalg.norm(first, axis=1, keepdims=True)
@@ -205,7 +210,7 @@ def line_conditions(lines: Lines, along: Array) -> dict[str, Array]:
 
 
 def planned_lines(machine: Machine, step: float) -> Lines:
-    """Return lines along the axes, to and fro, and along the three face diagonals, with readings every `step`."""
+    """Return lines along the axes in both directions and along three face diagonals, with readings every `step` mm."""
     of, positions, distances = [], [], []
     for line, moving in enumerate(DIRECTIONS.values()):
         size = (machine.high - machine.low) * np.isin(np.arange(3), moving)

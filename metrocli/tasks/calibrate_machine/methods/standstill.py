@@ -1,4 +1,4 @@
-"""Standstill: the tracker's points at commanded positions, ready to adjust."""
+"""standstill: build the adjustment of points that the tracker measured at commanded positions."""
 
 from __future__ import annotations
 
@@ -34,14 +34,16 @@ def tracker_noise(settings: Settings) -> TrackerNoise:
 
 
 def standstill(settings: Settings, points: Table) -> Problem:
-    """Return the adjustment; InputError where the measured points cannot be those that were commanded."""
+    """Return the adjustment problem; raises InputError if the measured points do not match the commanded ones."""
     machine = machine_of(settings)
     blocks = error_blocks(machine, settings)
     tool = tools_of(points, settings)
     position = commanded(machine, points)
     measured = points.stacked(("mx", "my", "mz")).T
     if position.shape[1] < 4:
-        raise InputError([Fault(f"{position.shape[1]} points are too few for a tracker's frame", points.file)])
+        raise InputError(
+            [Fault(f"{position.shape[1]} points are too few to determine the pose of the tracker", points.file)]
+        )
     must_support(machine, position, blocks)
     pose = tracker_pose(measured, position + blocks[TOOL].values[tool].T, points.file)
     observations = Observations(

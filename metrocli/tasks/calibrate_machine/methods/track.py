@@ -1,4 +1,4 @@
-"""The track of an on-the-fly measurement, cut to what was measured on straight legs at speed."""
+"""The track of an on-the-fly measurement: assign its points to legs, and keep those measured in motion on a leg."""
 
 from __future__ import annotations
 
@@ -16,32 +16,32 @@ from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.methods.frames import extent, mismatch, wrong_unit
 
 _FAR = 0.02
-"""A matched track is within this share of the path's extent"""
+"""Largest misfit of a track that belongs to the path, as a share of the path's extent"""
 _WILD = 1.0
-"""Points farther from the path than this [mm] above the usual are no points of it"""
+"""Points farther from the path than three times the median distance plus this [mm] are wild"""
 _DWELL = 0.2
-"""Slower than this share of the leg's usual speed is standing still"""
+"""Below this share of the leg's usual speed the machine counts as standing still"""
 _FAST = 3.0
-"""Nine of ten points are slower than the machine at its fastest by less than this; what is faster is a jump"""
+"""Speeds above this multiple of their 90 % quantile are jumps of the beam and are limited to it"""
 _BREAK = 20.0
-"""A step of so many usual steps is a break of the beam ..."""
+"""A step longer than this many median steps is a break of the beam ..."""
 _LEAST_BREAK = 3.0
-"""... where it is longer than this [mm]"""
+"""... if it is also longer than this [mm]"""
 _SETTLE = 2.0
-"""What is cut on either side of a break [mm]"""
+"""Points within this distance of either end of a break are removed [mm]"""
 _FEW = 50
 
 
 @dataclass(frozen=True)
 class Track:
-    """Points of the tracker on the legs of a path, in the order of time."""
+    """Points of the tracker on the legs of a path, in order of time."""
 
     points: Array
     """(3, n), in the tracker's frame"""
     leg: Index
     time: Array | None
     pose: Array
-    """Of the tracker in the machine, roughly"""
+    """Approximate pose of the tracker in the machine, (6,)"""
     warnings: tuple[str, ...]
     facts: dict[str, float]
 
@@ -52,7 +52,10 @@ class Track:
 
 
 def cut(table: Table, path: Path, tools: Array, track_tool: Index | None, corner: float) -> Track:
-    """Return the points that count; InputError where the track is not one of this path."""
+    """Return the points on straight legs at speed, without corners, rests, breaks of the beam and wild points.
+
+    Raises InputError if the track does not match the path.
+    """
     points = table.stacked("xyz").T
     if points.shape[1] < _FEW:
         raise InputError([Fault(f"{points.shape[1]} points are too few for a track along a path", table.file)])
@@ -101,7 +104,7 @@ def _aligned(points: Array, tool: Index | None, path: Path, tools: Array, file: 
 
 
 def _on_legs(points: Array, found: Alignment, path: Path, tools: Array) -> tuple[Index, Array, Array]:
-    """Return the leg of each point, the way along it, and the distance from it."""
+    """Return the leg of each point, the distance along it, and the distance from it, each (n,)."""
     aligned = poses.apply(found.pose, points.T)
     numbers = np.arange(points.shape[1])
     after = np.clip(np.searchsorted(found.rows, numbers), 0, len(found.rows) - 1)
@@ -115,7 +118,7 @@ def _on_legs(points: Array, found: Alignment, path: Path, tools: Array) -> tuple
 
 
 def _to_leg(aligned: Array, leg: Index, path: Path, tools: Array) -> tuple[Array, Array]:
-    """Return the way along a leg, and the distance from it with its ends."""
+    """Return the distance of points along their leg, and their distance from the leg as a segment."""
     from_start = aligned - (path.start + tools[path.tool])[leg]
     along = np.einsum("na,na->n", from_start, path.direction[leg])
     inside = np.clip(along, 0.0, path.lengths[leg])
@@ -123,7 +126,7 @@ def _to_leg(aligned: Array, leg: Index, path: Path, tools: Array) -> tuple[Array
 
 
 def _standing(points: Array, leg: Index) -> Mask:
-    """Return where the machine hardly moves, against the usual speed of the leg."""
+    """Return the points at which the machine hardly moves compared with the usual speed of the leg."""
     n = points.shape[1]
     step = np.linalg.norm(np.diff(points, axis=1), axis=0)
     window = int(np.clip(np.ceil(_LEAST_BREAK / max(float(np.median(step)), 1e-9) / 4), 1, max(1, n // 100)))
@@ -134,7 +137,10 @@ def _standing(points: Array, leg: Index) -> Mask:
 
 
 def _usual(speed: Array, leg: Index) -> Array:
-    """Return for each leg the speed below which half of its way was made: rests take time and no way."""
+    """Return for each leg the speed below which half of its length was travelled.
+
+    Rests at the vertices take time but no length, so they do not lower this speed as they would lower a median.
+    """
     order = np.lexsort((speed, leg))
     way = np.cumsum(speed[order])
     ends = np.cumsum(np.bincount(leg))
@@ -144,7 +150,10 @@ def _usual(speed: Array, leg: Index) -> Array:
 
 
 def _breaks(points: Array, wild: Mask, tool: Index) -> tuple[Mask, Index]:
-    """Return points near a break of the beam, and the points before each break; a change of the tool is none."""
+    """Return the points near a break of the beam, and the last point before each break.
+
+    A jump at a change of the tool is not a break.
+    """
     rows = np.flatnonzero(~wild)
     step = np.linalg.norm(np.diff(points[:, rows], axis=1), axis=0)
     limit = max(_LEAST_BREAK, _BREAK * float(np.median(step[step > 0])) if (step > 0).any() else 0.0)
@@ -160,7 +169,7 @@ def _breaks(points: Array, wild: Mask, tool: Index) -> tuple[Mask, Index]:
 
 
 _REACH = 1000
-"""Points looked at on either side of a break"""
+"""Number of points examined on either side of a break"""
 
 
 def _told(breaks: Index, leg: Index, along: Array, wild: Mask) -> list[str]:
@@ -169,10 +178,13 @@ def _told(breaks: Index, leg: Index, along: Array, wild: Mask) -> list[str]:
         places = [f"leg {leg[k] + 1} at {max(along[k], 0.0):.0f} mm" for k in breaks[:5].tolist()]
         more = f" and {len(breaks) - 5} more" if len(breaks) > 5 else ""
         times = "once" if len(breaks) == 1 else f"{len(breaks)} times"
-        lines.append(f"the beam broke {times}, on {', '.join(places)}{more}: what is near is cut")
+        lines.append(
+            f"the beam broke {times}, on {', '.join(places)}{more}: points within {_SETTLE:g} mm of it are removed"
+        )
     if wild.any():
         lines.append(
-            f"{int(wild.sum())} points of the track are off the path by more than a machine can be, and are cut"
+            f"{int(wild.sum())} points of the track are farther from the path than a machine error can explain, and "
+            "are removed"
         )
     return lines
 
