@@ -114,7 +114,7 @@ def _undetermined(problem: Problem, solution: Solution) -> str:
     if hidden:
         return "\n".join(
             f"{one.label} cannot be separated from the other unknowns of this job, which absorb it; "
-            f"leave it out, or measure {one.effect.reveal}"
+            f"leave it out; what would separate it: {one.effect.reveal}"
             for one in hidden
         )
     found = f"undetermined: {solution.undetermined[0]}" if solution.undetermined else solution.outcome.value

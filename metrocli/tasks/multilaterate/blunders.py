@@ -48,7 +48,7 @@ def far_off(network: Network, state: Mapping[str, Block]) -> dict[int, Rejected]
     """Return the lengths with gross errors, by row, for tracers at the places in `state`.
 
     At a point whose lengths do not meet in one place, the smallest set is taken without which the others meet. If
-    several sets of that size qualify, all lengths of the point are taken.
+    several sets of that size qualify, or no set of up to three does, all lengths of the point are taken.
     """
     observations = network.lengths.observations
     point = observations.index[t.POINT]

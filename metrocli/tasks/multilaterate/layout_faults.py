@@ -70,7 +70,7 @@ def reasons(network: Network, solution: Solution) -> list[str]:
     if hidden:
         return [
             f"{one.label} cannot be separated from the other unknowns of this job, which absorb it; "
-            f"leave it out, or measure {one.effect.reveal}"
+            f"leave it out; what would separate it: {one.effect.reveal}"
             for one in hidden
         ]
     found = [*_counts(network, solution), *_shapes(network, solution)]
