@@ -100,7 +100,7 @@ def _right(named: tuple[str, str, str], point: str, tracer: str) -> str:
         return ""
     if named[1] == tracer:
         return "located"
-    return "point only" if named[1] == "cannot be told" and tracer in named[2].split() else ""
+    return "point only" if named[1] == "ambiguous" and tracer in named[2].split() else ""
 
 
 def moved(m: int, share: float, cases: int) -> Iterator[tuple[float, float, int]]:

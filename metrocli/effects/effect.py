@@ -1,4 +1,4 @@
-"""What an effect is: a physical cause that a model can leave out, as one entry of a table."""
+"""An effect: a physical cause that a model can leave out, described as one entry of a table."""
 
 from __future__ import annotations
 
@@ -13,44 +13,44 @@ from metrocli.adjust.model.chain import Link
 from metrocli.settings import Number, Quantity, Spec, Text
 
 ELAPSED, WARMING = "elapsed", "warming"
-"""Conditions that effects vary with: time since the earliest reading [s], and temperature minus its value there [K]"""
+"""Conditions that effects vary with: time since the earliest reading [s], and temperature minus that of it [K]"""
 DRIVERS = {"t": ELAPSED, "T": WARMING}
-"""What `by` may be, and the condition it stands for"""
+"""Allowed values of the key `by`, and the condition that each stands for"""
 COLUMN = {"t": "t_s", "temp": "temp_degC", "distance": "distance_mm"}
-"""The column of a file that gives a condition which an effect needs"""
+"""Column of the file that holds a condition, for messages"""
 MakeLink = Callable[[str, Mapping[str, str]], Link]
-"""Makes the link from the name of its block and the place where it acts"""
+"""Builds the link of an effect from the name of its block and the place where it acts"""
 
 
 Grid = Callable[[Mapping[str, Array]], Array]
-"""Gives the values to try from the conditions of the readings"""
+"""Returns the values of a scanned parameter to try, from the conditions of the readings"""
 
 
 def change_points(conditions: Mapping[str, Array]) -> Array:
-    """Return the times between readings, at which something may have changed."""
+    """Return the midpoints between successive times of reading: the times at which something may have changed."""
     times = np.unique(conditions["t"])
     return np.asarray((times[1:] + times[:-1]) / 2)
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """A size of an effect; 0 means that there is none."""
+    """A parameter of an effect; at 0 the effect is absent."""
 
     name: str
     dimension: str = ""
-    """One of `units.DIMENSIONS`; a plain number without one"""
+    """One of `units.DIMENSIONS`; empty for a plain number"""
     plausible: float = 1.0
-    """The largest size that such a cause usually has, in the internal unit"""
+    """Largest size that this cause usually has, in the internal unit"""
     place: str = ""
-    """Of a scanned parameter: the kind of place it names instead of being a number, such as `view`"""
+    """For a scanned parameter that names a place, such as `view`, instead of a number: the kind of place"""
     grid: Grid | None = None
-    """Of a scanned parameter that is a number: the values that it may have, in order"""
+    """For a scanned parameter that is a number: the values that it may have, in ascending order"""
     tried: int = 120
-    """How many of them `diagnose` tries at first; it then looks between the best and its neighbours"""
+    """Number of grid values that `diagnose` tries first; it then refines between the best one and its neighbours"""
 
     @property
     def spec(self) -> Spec:
-        """How it is read."""
+        """How its value is read from a job file: as text, a quantity with unit, or a plain number."""
         if self.place:
             return Text()
         return Quantity(self.dimension) if self.dimension else Number()
@@ -66,48 +66,50 @@ class Effect:
     """One entry of a table of effects.
 
     An effect is a link that takes and gives the same quantity (`link`), or columns of a block that the model has but
-    does not estimate (`columns_of`). Several entries of one name are forms of one cause, told apart by `by`.
+    does not estimate (`columns_of`). Several entries of one name are forms of one cause and differ in `by`.
     """
 
     name: str
     cause: str
-    """One sentence for people"""
+    """The cause in one sentence, for reports"""
     parameters: tuple[Parameter, ...]
     link: MakeLink | None = None
-    """Its block has the parameters and then the scanned ones as columns"""
+    """Its block has one column for each parameter, then one for each scanned parameter"""
     columns_of: str = ""
-    """The block whose columns of the parameters' names are freed"""
+    """Block of the model whose columns, named as the parameters, are set free"""
     where: tuple[str, ...] = ()
-    """Kinds of place that say where it acts: tracer, image, axis, ..."""
+    """Kinds of place that define where it acts: tracer, image, axis, ..."""
     by: str = ""
-    """t or T, where it varies with one of them"""
+    """t or T if it varies with time or temperature, else empty"""
     scanned: tuple[Parameter, ...] = ()
-    """Parameters that no derivative finds, such as the time of a jump: a job gives them, `diagnose` searches them"""
+    """Parameters that enter stepwise, such as the time of a jump: a job gives them, `diagnose` searches them"""
     space: Space = Space.FLAT
-    """How its parameters change by a step of the adjustment"""
+    """How a step of the adjustment changes its parameters"""
     needs: tuple[str, ...] = ()
-    """Conditions without which it cannot be modelled: t, temp, ...; `from_{axis}` is another one at each place"""
+    """Conditions that it needs: t, temp, ...; in `from_{axis}` the name of the axis replaces the braces"""
     not_first: tuple[str, ...] = ()
-    """Kinds of place whose first name is what the others are compared with, and therefore is none for this effect"""
+    """Kinds of place whose first name is the reference for the others, so that the effect cannot act there"""
     confused_with: tuple[str, ...] = ()
+    """Names of effects with a similar signature"""
     reveal: str = ""
-    """What to measure so that it is seen, or told from what it is confused with"""
+    """What to measure to detect it, or to separate it from the effects in `confused_with`"""
     source: str = ""
+    """Paper, standard or practice that describes it"""
     turns: bool = False
-    """Its parameters are a vector that turns with the frame of a free network"""
+    """Whether its parameters form a vector that turns with the frame of a free network"""
     of_one_reading: bool = False
-    """It spoils a single reading: an outlier, which `diagnose` finds as such"""
+    """Whether it spoils a single reading; `diagnose` finds such an effect as an outlier"""
 
     @property
     def keys(self) -> tuple[str, ...]:
-        """The kinds of place that an instance names."""
+        """Kinds of place that a job names for it: all of `where` but `by`."""
         return tuple(key for key in self.where if key != "by")
 
     def needed(self, where: Mapping[str, str]) -> tuple[str, ...]:
-        """Return the conditions that it needs at a place."""
+        """Return the names of the conditions that it needs at a place."""
         return tuple(name.format(**where) for name in self.needs)
 
     @property
     def all_parameters(self) -> tuple[Parameter, ...]:
-        """The parameters, then the scanned ones."""
+        """Its parameters, followed by its scanned parameters."""
         return (*self.parameters, *self.scanned)

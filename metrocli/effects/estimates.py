@@ -1,4 +1,4 @@
-"""What an adjustment found of the effects in its model, for the result."""
+"""Estimates of the effects in an adjusted model, for the result."""
 
 from __future__ import annotations
 
@@ -18,30 +18,30 @@ from metrocli.table import Table
 
 
 class Known(Protocol):
-    """Covariances by block."""
+    """Covariances of the unknowns, block by block."""
 
     def of(self, name: str) -> Array:
         """Return the covariance of a block, (members*size, members*size)."""
 
 
 class Adjusted(Protocol):
-    """What an adjustment of any sort found."""
+    """Solution of any adjustment, as far as effects need it."""
 
     @property
     def blocks(self) -> Mapping[str, Block]:
-        """All blocks at the solution."""
+        """All blocks, with their values at the solution."""
 
     def known(self) -> Known:
-        """Return the covariance."""
+        """Return the covariances of the blocks."""
 
     def std(self, block: str) -> Array:
         """Return the standard uncertainties of a block, (members, size)."""
 
 
 def estimates(added: Sequence[Added], solution: Adjusted) -> tuple[Estimate, ...]:
-    """Return the estimated parameters of all effects in blocks of their own, named `dead-path-drift.LT2.rate`.
+    """Return the estimated parameters of all effects that have a block of their own, named `dead-path-drift.LT2.rate`.
 
-    Of several of one name the next ones are `dead-path-jump.LT2 2.step` and so on, as in /effects.
+    If several effects share a label, the second is named `dead-path-jump.LT2 2.step` and so on, as in /effects.
     """
     found = []
     for label, one in _labelled(_own(added)):
@@ -54,7 +54,7 @@ def estimates(added: Sequence[Added], solution: Adjusted) -> tuple[Estimate, ...
 
 
 def absorbed(added: Sequence[Added], solution: Solution, datum: Datum | None) -> tuple[Added, ...]:
-    """Return the effects of an undetermined model without any one of which it would be determined."""
+    """Return the effects that make a model undetermined: fixing any one of them would make it determined."""
     return tuple(
         one
         for one in _own(added)
@@ -65,7 +65,7 @@ def absorbed(added: Sequence[Added], solution: Solution, datum: Datum | None) ->
 
 
 def true_values(model: Model) -> dict[str, float]:
-    """Return the values of all effects in a simulated model by the names of their estimates."""
+    """Return the true parameters of all effects in a simulated model, by the names of their estimates."""
     return {
         f"{label}.{p.name}": float(model.blocks[one.block].values[-1, model.blocks[one.block].column(p.name)])
         for label, one in _labelled(model.added)
@@ -74,12 +74,12 @@ def true_values(model: Model) -> dict[str, float]:
 
 
 def free_blocks(added: Sequence[Added]) -> tuple[str, ...]:
-    """Return the names of the effects' own blocks, for the covariance of all estimates (`Solution.joint`)."""
+    """Return the names of the blocks that belong to effects, for the covariance of all estimates (`Solution.joint`)."""
     return tuple(one.block for one in _own(added))
 
 
 def tables(added: Sequence[Added], solution: Adjusted) -> tuple[dict[str, Table], dict[str, Array]]:
-    """Return what /effects holds: for each effect its parameters and their covariance, applied values included."""
+    """Return the contents of /effects: the parameters of each effect, estimated and applied, and their covariance."""
     found: dict[str, Table] = {}
     arrays: dict[str, Array] = {}
     for label, one in _labelled(added):
@@ -105,7 +105,7 @@ def _own(added: Sequence[Added]) -> list[Added]:
 
 
 def _labelled(added: Iterable[Added]) -> Iterator[tuple[str, Added]]:
-    """Yield effects with a label of their own each."""
+    """Yield each effect with a unique label."""
     seen: Counter[str] = Counter()
     for one in added:
         seen[one.label] += 1

@@ -1,4 +1,4 @@
-"""A model with effects in it: the same adjustment with links spliced into its chains, or columns of a block freed."""
+"""Extension of a model by effects: links are spliced into its chains, or columns of one of its blocks are freed."""
 
 from __future__ import annotations
 
@@ -21,14 +21,17 @@ from metrocli.errors import Fault, InputError
 from metrocli.words import suggestion
 
 ELSEWHERE = "elsewhere"
-"""The member of an effect's block that readings touch on which it does not act; it stays at 0"""
-_UNTOUCHED = "changes nothing that was measured"
+"""Member of an effect's block for the readings on which the effect does not act; it stays at 0"""
+_UNTOUCHED = "has no influence on the readings"
 _REACH = 1000.0
-"""An effect that is uncertain by more than this many times its plausible size is undetermined"""
+"""An effect whose uncertainty exceeds its plausible size by this factor is undetermined"""
 
 
 def extended(model: Model, wanted: Iterable[Wanted]) -> Model:
-    """Return the model with the effects that a job names; InputError with every reason why one cannot be added."""
+    """Return the model with the effects that a job names.
+
+    Raises InputError that lists every effect that cannot be added, with the reason.
+    """
     wanted = tuple(wanted)
     if not wanted:
         return model
@@ -51,9 +54,10 @@ def extended(model: Model, wanted: Iterable[Wanted]) -> Model:
 
 
 def with_conditions(model: Model) -> Model:
-    """Return the model with the aspects of its readings, and `elapsed` and `warming` where it has time and temperature.
+    """Return the model with all conditions that effects vary with: its aspects, `elapsed` and `warming`.
 
-    These count from the earliest reading of all, and stay what they are when readings are left out later.
+    `elapsed` needs the times of the readings, `warming` their temperatures. Both count from the earliest reading of all
+    and keep their values if readings are left out later.
     """
     readings = model.readings
     with_time = [group.observations.conditions for group in readings if "t" in group.observations.conditions]
@@ -73,7 +77,7 @@ def with_conditions(model: Model) -> Model:
 
 
 def can_act(model: Model, effect: Effect, where: Mapping[str, str]) -> bool:
-    """Whether the readings have the conditions that an effect needs at a place, and their chains what it changes."""
+    """Whether some readings have the conditions that an effect needs at a place, and a chain on which it acts."""
     return any(_has(group, effect.needed(where)) and _reaches(group, effect, where) for group in model.readings)
 
 
@@ -83,7 +87,7 @@ def _has(group: Group, needs: Sequence[str]) -> bool:
 
 
 def lacking(model: Model, effect: Effect, where: Mapping[str, str]) -> str:
-    """Return why an effect cannot act at a place, in words."""
+    """Return the reason, for messages, why an effect cannot act at a place."""
     missing = [name for name in effect.needed(where) if not any(_has(group, [name]) for group in model.readings)]
     return f"needs a column {' and '.join(COLUMN.get(name, name) for name in missing)}" if missing else _UNTOUCHED
 
@@ -97,9 +101,10 @@ def _reaches(group: Group, effect: Effect, where: Mapping[str, str]) -> bool:
 def with_effect(
     model: Model, effect: Effect, instances: Sequence[tuple[str, ...]], values: Mapping[str, float]
 ) -> Model:
-    """Return the model with an effect at some places; parameters with a value have it, the others are estimated from 0.
+    """Return the model with an effect at some places.
 
-    Several places at once are allowed where readings tell them apart (`Place.index`).
+    Parameters in `values` are fixed there, the others are estimated and start at 0. Several places at once are
+    allowed if an index of the readings distinguishes them (`Place.index`).
     """
     columns = tuple(p.name for p in effect.parameters if p.name not in values)
     if effect.link is None:
@@ -123,7 +128,7 @@ def _form(model: Model, wanted: Wanted) -> Effect | None:
 
 
 def _misplaced(model: Model, wanted: Wanted) -> list[Fault]:
-    """Return a fault for each place that the measurement does not have."""
+    """Return a fault for each place that the measurement lacks, or at which the effect cannot act."""
     named = dict(wanted.where)
     for parameter in wanted.forms[0].scanned:
         if parameter.place and parameter.name in wanted.values:
@@ -139,7 +144,7 @@ def _misplaced(model: Model, wanted: Wanted) -> list[Fault]:
 
 def _no_place(model: Model, key: str, name: str) -> str:
     known = name in model.places[key].names
-    return f"{key} '{name}' is the one that the others are compared with" if known else f"there is no {key} '{name}'"
+    return f"{key} '{name}' is the reference for the others" if known else f"there is no {key} '{name}'"
 
 
 def names_for(model: Model, effect: Effect, key: str) -> tuple[str, ...]:
@@ -161,7 +166,10 @@ def _unused(name: str, taken: Iterable[str]) -> str:
 def _block(
     effect: Effect, name: str, instances: Sequence[tuple[str, ...]], values: Mapping[str, float], apart: bool
 ) -> Block:
-    """Return the block of an effect: a row of zeros for readings elsewhere, then a row for each place."""
+    """Return the block of an effect, with one row for each place.
+
+    If an index distinguishes the places (`apart`), a row of zeros comes first for readings elsewhere.
+    """
     row = np.array([values.get(p.name, 0.0) for p in effect.all_parameters])
     free = np.array([p.name not in values for p in effect.parameters] + [False] * len(effect.scanned))
     members = (ELSEWHERE, *("/".join(instance) for instance in instances)) if apart else ("",)
@@ -190,7 +198,7 @@ def _spliced(
 
 
 def _touched(model: Model, group: Group, effect: Effect, instances: Sequence[tuple[str, ...]]) -> Index:
-    """Return for each reading 0, or the number of the place (from 1) that it concerns, (n,)."""
+    """Return the number, from 1, of the place that each reading concerns, or 0 for a reading elsewhere, (n,)."""
     touched = np.zeros(group.observations.count, dtype=np.intp)
     for number, instance in enumerate(instances, 1):
         here = np.ones(len(touched), dtype=bool)
@@ -203,7 +211,7 @@ def _touched(model: Model, group: Group, effect: Effect, instances: Sequence[tup
 
 
 def _freed(model: Model, effect: Effect, instances: tuple[tuple[str, ...], ...], values: Mapping[str, float]) -> Model:
-    """Return the model with columns of one of its own blocks freed, or moved by what is known of them."""
+    """Return the model with columns of one of its own blocks set free, or moved by the given values."""
     block = model.blocks[effect.columns_of]
     missing = [p for p in effect.parameters if p.name not in block.columns]
     block = with_columns(block, tuple(p.name for p in missing), _REACH * np.array([p.plausible for p in missing]))
@@ -221,7 +229,7 @@ def _freed(model: Model, effect: Effect, instances: tuple[tuple[str, ...], ...],
 
 
 def with_columns(block: Block, names: tuple[str, ...], reach: Array) -> Block:
-    """Return a block with more unknowns, fixed at 0."""
+    """Return the block with additional columns, fixed at 0."""
     if not names:
         return block
     shape = (len(block.members), len(names))

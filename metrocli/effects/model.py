@@ -14,11 +14,11 @@ from metrocli.effects.effect import Effect
 
 @dataclass(frozen=True)
 class Place:
-    """Names of one kind of place where effects can act: the tracers, the images, the axes."""
+    """One kind of place where effects can act, such as the tracers, the images or the axes."""
 
     names: tuple[str, ...]
     index: str = ""
-    """The index of the observations that says which of them a reading concerns; "": each reading concerns all"""
+    """Index of the observations that gives the place of each reading; empty if every reading concerns all places"""
 
 
 @dataclass(frozen=True)
@@ -27,29 +27,29 @@ class Added:
 
     effect: Effect
     instances: tuple[tuple[str, ...], ...]
-    """Names of places where it acts, in the order of `effect.where`; one empty tuple where it acts everywhere"""
+    """Names of the places where it acts, in the order of `effect.where`; one empty tuple if it acts everywhere"""
     block: str
     columns: tuple[str, ...]
-    """Its parameters that are estimated"""
+    """Names of its estimated parameters"""
 
     @property
     def label(self) -> str:
-        """The name of the effect with its place, as estimates are named."""
+        """Name of the effect and its place, with which the names of its estimates begin."""
         return ".".join([self.effect.name, *(self.instances[0] if len(self.instances) == 1 else ())])
 
 
 @dataclass(frozen=True)
 class Model:
-    """What is adjusted, with the places where effects can act."""
+    """Blocks, groups and datum of an adjustment, with the places where effects can act."""
 
     blocks: Mapping[str, Block]
     groups: tuple[Group, ...]
     datum: Datum | None = None
     measured: tuple[str, ...] = ()
-    """Names of the groups of readings, on which effects act; the others are priors and conditions"""
+    """Names of the groups of readings; effects act on these, while the other groups are priors and conditions"""
     places: Mapping[str, Place] = field(default_factory=dict)
     aspects: Mapping[str, Aspect] = field(default_factory=dict)
-    """Conditions that follow from where things are, by name; they are taken at the present values"""
+    """Conditions that follow from the geometry, by name; they are evaluated at the present values of the blocks"""
     added: tuple[Added, ...] = ()
 
     @property
@@ -59,7 +59,7 @@ class Model:
 
     @property
     def others(self) -> tuple[Group, ...]:
-        """The groups that are no readings: priors and conditions."""
+        """The other groups: priors and conditions."""
         return tuple(group for group in self.groups if group.name not in self.measured)
 
     def group(self, name: str) -> Group:
@@ -67,9 +67,9 @@ class Model:
         return next(group for group in self.groups if group.name == name)
 
     def with_group(self, group: Group) -> Model:
-        """Return the model with a group in the place of the one of its name."""
+        """Return the model with this group in place of the group of the same name."""
         return replace(self, groups=tuple(group if one.name == group.name else one for one in self.groups))
 
     def with_blocks(self, blocks: Mapping[str, Block]) -> Model:
-        """Return the model at other values."""
+        """Return the model with other values of its blocks."""
         return replace(self, blocks=dict(blocks))

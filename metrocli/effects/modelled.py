@@ -1,4 +1,4 @@
-"""What a kind of job adjusts: a model, and what else the kind knows of it."""
+"""Base of what each kind of job adjusts: a model that can be extended by effects."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from metrocli.effects.wanted import Wanted
 
 @dataclass(frozen=True)
 class Modelled:
-    """What a kind of job adjusts: a model, and in a class made from this one what else the kind knows of it."""
+    """A model that a kind of job adjusts; a subclass adds what else that kind needs."""
 
     model: Model
 
     @property
     def blocks(self) -> Mapping[str, Block]:
-        """The unknowns."""
+        """The blocks of unknowns."""
         return self.model.blocks
 
     @property
@@ -32,7 +32,7 @@ class Modelled:
 
     @property
     def datum(self) -> Datum | None:
-        """What fixes the frame."""
+        """The datum that fixes the frame of a free network; None if the data fix it."""
         return self.model.datum
 
     @property
@@ -41,13 +41,13 @@ class Modelled:
         return self.model.added
 
     def with_model(self, model: Model) -> Self:
-        """Return the same with a model made from its own."""
+        """Return a copy with another model."""
         return replace(self, model=model)
 
     def with_blocks(self, blocks: Mapping[str, Block]) -> Self:
-        """Return the same at other values."""
+        """Return a copy with other values of the blocks."""
         return self.with_model(self.model.with_blocks(blocks))
 
     def with_effects(self, wanted: Iterable[Wanted]) -> Self:
-        """Return the same with the effects that a job names; raises as `extended` does."""
+        """Return a copy whose model has the effects that a job names; raises InputError as `extended` does."""
         return self.with_model(extended(self.model, wanted))

@@ -15,7 +15,7 @@ from metrocli.words import suggestion
 
 @dataclass(frozen=True)
 class PlaceName:
-    """The name of a place; a list such as the indices of a ball, [1, 0, -2], is the name '1 0 -2'."""
+    """Setting that names a place; a list, such as the indices of a ball [1, 0, -2], is read as the name '1 0 -2'."""
 
     expects = "the name of a place"
 
@@ -33,15 +33,15 @@ class PlaceName:
 
 @dataclass(frozen=True)
 class Wanted:
-    """An effect to add to a model: what has no value is estimated, what has one is applied."""
+    """An effect to add to a model: parameters with a value are applied, the others are estimated."""
 
     forms: tuple[Effect, ...]
-    """The entries of the table that fit what was written; the data decide between them"""
+    """Entries of the table that agree with the keys given; the first one that the data allow is used"""
     where: Mapping[str, str]
     values: Mapping[str, float | str]
-    """Known parameters in internal units, and names of places"""
+    """Given parameters, by name: numbers in internal units, or names of places"""
     node: Node
-    """Where it was written, for messages"""
+    """Its position in the job file or command line, for messages"""
 
     @property
     def name(self) -> str:
@@ -49,13 +49,16 @@ class Wanted:
         return self.forms[0].name
 
     def same_as(self, other: Wanted) -> bool:
-        """Whether another one says the same; a known value and what is estimated on top of it are not the same."""
+        """Whether another one is a duplicate: same name, place, forms and values.
+
+        An effect with a given value and one that is estimated in addition to it are not duplicates.
+        """
         alike = [form.by for form in self.forms] == [form.by for form in other.forms]
         return alike and (self.name, self.where, self.values) == (other.name, other.where, other.values)
 
 
 def read(table: Sequence[Effect], nodes: Sequence[Node], faults: list[Fault]) -> tuple[Wanted, ...]:
-    """Return the effects of a table that the nodes name, with a fault for each key or value that is wrong."""
+    """Return the effects that the nodes name; append to `faults` each wrong name, key or value."""
     found = [_read(table, node, faults) for node in nodes]
     listed = tuple(wanted for wanted in found if wanted is not None)
     for number, one in enumerate(listed):
@@ -86,7 +89,7 @@ def _read(table: Sequence[Effect], node: Node, faults: list[Fault]) -> Wanted | 
 
 
 def _as(effect: Effect, node: Node) -> tuple[dict[str, Any], list[Fault]]:
-    """Return the values of a node read as one form of an effect, and what is wrong with them."""
+    """Return the values of a node read as one form of an effect, and the faults found."""
     faults: list[Fault] = []
     specs: dict[str, Any] = {"name": Text()}
     specs |= {key: PlaceName() for key in effect.where if key != "by"}
@@ -111,13 +114,13 @@ def _as(effect: Effect, node: Node) -> tuple[dict[str, Any], list[Fault]]:
 
 
 def planted(wanted: Iterable[Wanted]) -> tuple[Wanted, ...]:
-    """Return the effects that a simulation plants: those with all their values.
+    """Return the effects that a simulation contains: those whose parameters all have a value.
 
-    An effect that the job only estimates is left out; one from the command line without a value is an InputError.
+    Effects that the job only estimates are left out. Raises InputError if an effect on the command line lacks a value.
     """
     missing = [(one, [p.name for p in one.forms[0].parameters if p.name not in one.values]) for one in wanted]
     faults = [
-        one.node.fault(f"{one.name}: {', '.join(names)} is not given", "a simulation needs every value")
+        one.node.fault(f"{one.name}: {', '.join(names)} missing", "a simulation needs a value for every parameter")
         for one, names in missing
         if names and one.node.line is None
     ]

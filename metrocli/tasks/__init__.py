@@ -1,4 +1,7 @@
-"""The kinds of job. A kind is one package here, of its name with _ for -, and one line in the table."""
+"""The kinds of job.
+
+Each kind is one package here, named as the kind with _ instead of -, and one line in the table `_PACKAGES`.
+"""
 
 from __future__ import annotations
 
@@ -23,4 +26,4 @@ def _declared(package: str) -> Kind:
 
 
 KINDS: dict[str, Kind] = {kind.name: kind for kind in map(_declared, _PACKAGES)}
-"""By name, in the order of the help; their mathematics is not loaded"""
+"""Every kind by name, in the order of the help; importing this does not load their mathematics"""

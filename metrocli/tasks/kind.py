@@ -1,4 +1,4 @@
-"""The contract of a kind of job: what is known of it at once (`Kind`), and what it can do (`Task`)."""
+"""The contract of a kind of job: its description, which loads fast (`Kind`), and its functions (`Task`)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 S = TypeVar("S")
 F = TypeVar("F")
 ABSENT = Table({})
-"""A table that is not there yet: readings of a measurement that is planned or simulated"""
+"""Stands for a table that does not exist yet: the readings of a planned or simulated measurement"""
 
 
 @dataclass(frozen=True)
@@ -31,36 +31,37 @@ class Question:
     name: str
     help: str
     arguments: tuple[str, ...] = ()
-    """Names of its values, as the help shows them; none for a flag"""
+    """Names of its values, as the help shows them; empty for a flag"""
 
 
 @dataclass(frozen=True)
 class Kind:
-    """What is known of a kind of job without loading its mathematics."""
+    """Description of a kind of job, available without loading its mathematics."""
 
     name: str
-    """As job files and the command line have it: `align-part`"""
+    """Its name in job files and on the command line, such as `align-part`"""
     summary: str
+    """One phrase for the help"""
     measured: tuple[str, ...] = ()
-    """Inputs that the measurement makes: `simulate` writes them, and they need not exist before"""
+    """Inputs that the measurement produces; `simulate` writes them, so they need not exist before"""
     planned: tuple[str, ...] = ()
-    """Inputs that `plan` does without"""
+    """Inputs that `plan` does not need"""
     questions: tuple[Question, ...] = ()
-    """Options of the kind's own command; the task's `answers` have the functions"""
+    """Options of the kind's own command; `Task.answers` holds their functions"""
     result_questions: tuple[Question, ...] = ()
-    """Options of `metrocli show`; the task's `result_answers` have the functions"""
+    """Options of `metrocli show`; `Task.result_answers` holds their functions"""
     chunked: bool = False
-    """A long computation in independent chunks: the command has --workers and --scheduler"""
+    """Whether it computes in independent chunks; its command then has the options --workers and --scheduler"""
     package: str = ""
-    """Where its modules are, unless that is the package of its name in `metrocli.tasks`"""
+    """Package of its modules; if empty, the package of its name in `metrocli.tasks`"""
 
     def settings(self) -> type:
-        """Import and return the dataclass of what a job file may say."""
+        """Import and return the dataclass of the settings in a job file."""
         found: type = self._module("settings").Settings
         return found
 
     def task(self) -> Task[Any, Any]:
-        """Import and return what the kind can do."""
+        """Import and return its functions."""
         found: Task[Any, Any] = self._module("task").TASK
         return found
 
@@ -71,38 +72,38 @@ class Kind:
 
 @dataclass(frozen=True)
 class Job(Generic[S, F]):
-    """One job: settings, the content of its files, and the effects that extend its model."""
+    """One job: its settings, the contents of its files, and the effects that extend its model."""
 
     settings: S
     files: F
     effects: Sequence[Wanted] = ()
     workers: Workers | None = None
-    """Who carries out the chunks, for a kind that has them; the threads of this process unless given"""
+    """Workers that compute the chunks of a chunked kind; the threads of this process unless given"""
 
 
 @dataclass(frozen=True)
 class Task(Generic[S, F]):
-    """What a kind can do with a job; what it cannot do is None.
+    """The functions of a kind of job; those that the kind lacks are None.
 
     The functions are pure: values in, values out. They raise InputError, UndeterminedError or NotConvergedError.
     """
 
     files: type[F]
-    """The dataclass of what the inputs hold; its fields have the names of the keys under `inputs:`"""
+    """Dataclass of the contents of the inputs; its fields are named as the keys under `inputs:`"""
     run: Callable[[Job[S, F]], Result]
     check: Callable[[Job[S, F]], None] | None = None
-    """Raises InputError with all that is wrong with settings and files together, without computing"""
+    """Raises InputError that lists every fault in the combination of settings and files, without computing"""
     plan: Callable[[Job[S, F]], Plan] | None = None
     simulate: Callable[[Job[S, F], SimulationOptions], Simulation] | None = None
     diagnosed: Callable[[Job[S, F]], AdjustedJob] | None = None
-    """Adjusts the job and returns it as diagnosis sees it"""
+    """Adjusts the job and returns it in the form that diagnosis needs"""
     effects: tuple[Effect, ...] = ()
-    """What its model can leave out"""
+    """Effects that its model can leave out, and that a job can add"""
     answers: Mapping[str, Callable[[Job[S, F]], Table]] = field(default_factory=dict)
-    """By the name of a question of the job"""
+    """Function for each question of the job, by name"""
     result_answers: Mapping[str, Callable[[Result, Sequence[str]], tuple[Estimate, ...]]] = field(default_factory=dict)
-    """By the name of a question of a result, which is given its values as they were typed"""
+    """Function for each question of a result, by name; it receives the values as typed on the command line"""
 
     def job(self, settings: S, *contents: Any, effects: Sequence[Wanted] = (), **named: Any) -> Job[S, F]:
-        """Return a job; the contents of its files in the order of `files`, or by their names."""
+        """Return a job from settings and the contents of its files, given in the order of `files` or by name."""
         return Job(settings, self.files(*contents, **named), effects)

@@ -376,7 +376,7 @@ def test_an_effect_that_the_unknowns_absorb_is_refused_with_the_reason(
     job = write(folder, measured())
     job.write_text(job.read_text() + "effects: [{name: reflector-incidence}]\n")
     ran = metrocli(command, job)
-    assert ran.code == 4 and "reflector-incidence cannot be told from the other unknowns" in ran.err
+    assert ran.code == 4 and "reflector-incidence cannot be separated from the other unknowns" in ran.err
 
 
 def one_target_an_image(folder: Path, off: tuple[float, float]) -> Path:

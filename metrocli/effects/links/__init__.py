@@ -1,1 +1,1 @@
-"""Links of effects, one file a family."""
+"""Links of effects; each module holds one family."""

@@ -1,4 +1,4 @@
-"""Effects on a grid of balls and on the machine that reads it."""
+"""Effects on a ball grid and on the machine that measures it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _EYE = np.eye(3)[:, :, None]
 
 @dataclass(frozen=True)
 class Growth(OfBlock):
-    """The artefact is larger in proportion: `x (1 + scale)`; columns scale [1]."""
+    """The artefact is scaled: `x (1 + scale)`; column scale [1]."""
 
     takes = gives = Quantity.BALL_IN_ARTEFACT
 
@@ -29,7 +29,7 @@ class Growth(OfBlock):
 
 @dataclass(frozen=True)
 class BallShift(OfBlock):
-    """A ball is displaced in the artefact from a view on: `x += d`; columns dx, dy, dz [mm], from_view (its number)."""
+    """A ball is displaced in the artefact: `x += d` from one view on; columns dx, dy, dz [mm], from_view (number)."""
 
     takes = gives = Quantity.BALL_IN_ARTEFACT
 
@@ -44,7 +44,7 @@ class BallShift(OfBlock):
 
 @dataclass(frozen=True)
 class Bending(OfBlock):
-    """The artefact bends under its weight: `z -= b (rho^2 - mean rho^2)`, rho from its centre; columns b [1/mm]."""
+    """The artefact sags: `z -= b (rho^2 - mean rho^2)`, rho the distance from its centre; column b [1/mm]."""
 
     takes = gives = Quantity.MACHINE_READING
 
@@ -57,7 +57,7 @@ class Bending(OfBlock):
 
 @dataclass(frozen=True)
 class ReadingDrift(OfBlock):
-    """`x += v c`, c a condition of the readings such as the time; columns vx, vy, vz."""
+    """The machine's readings drift: `x += v c`, c a condition such as the time; columns vx, vy, vz [mm / unit of c]."""
 
     condition: str
     takes = gives = Quantity.MACHINE_READING
@@ -70,7 +70,7 @@ class ReadingDrift(OfBlock):
 
 @dataclass(frozen=True)
 class ReadingStep(OfBlock):
-    """`x += d` from the time `at` on; columns dx, dy, dz [mm], at [s]."""
+    """The machine's readings step: `x += d` from the time `at` on; columns dx, dy, dz [mm], at [s]."""
 
     takes = gives = Quantity.MACHINE_READING
 
@@ -85,7 +85,7 @@ class ReadingStep(OfBlock):
 
 @dataclass(frozen=True)
 class ReadingScale(OfBlock):
-    """One axis of the machine reads too much in proportion: `x_axis (1 + scale)`; columns scale [1]."""
+    """The scale of one axis of the machine is wrong: `x_axis (1 + scale)`; column scale [1]."""
 
     axis: int
     takes = gives = Quantity.MACHINE_READING

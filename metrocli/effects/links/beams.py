@@ -1,4 +1,4 @@
-"""Effects on the beam b = x - x0 from an instrument to its point. They act on the point, where the chain has it."""
+"""Effects on the beam `b = x - x0` from an instrument to a point; they act by displacing the point."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _EYE = np.eye(3)[:, :, None]
 
 @dataclass(frozen=True)
 class BeamScale(OfBlock):
-    """`b (1 + scale c)`, c = 1 or a condition; columns scale [1], or rate [1/K, 1/s]."""
+    """The beam is scaled: `b (1 + scale c)`, c = 1 or a condition; column scale [1], or rate [1/K or 1/s]."""
 
     tracer: str = TRACER
     condition: str = ""
@@ -27,11 +27,11 @@ class BeamScale(OfBlock):
 
     @property
     def blocks(self) -> tuple[str, ...]:
-        """The tracers, where the beams begin, and its own block."""
+        """The block of tracers, where the beams begin, and its own block."""
         return (self.tracer, self.block)
 
     def step(self, value: Array, local: Local) -> Step:
-        """Return the point (3, n) moved along its beam, with derivatives by the point, the tracer and the block."""
+        """Return the point (3, n), displaced along its beam, with derivatives by point, tracer and its own block."""
         beam = value - local.rows(self.tracer)[:3]
         factor = local.observations.conditions[self.condition] if self.condition else np.ones(beam.shape[1])
         scale = local.rows(self.block)[0] * factor
@@ -43,7 +43,7 @@ class BeamScale(OfBlock):
 
 @dataclass(frozen=True)
 class TracerDrift(OfBlock):
-    """`x0 += v t`, seen from the tracer `x -= v t`; columns vx, vy, vz [mm/s]."""
+    """A tracer moves: `x0 += v t`, which from the tracer looks like `x -= v t`; columns vx, vy, vz [mm/s]."""
 
     takes = gives = Quantity.POINT_IN_MACHINE
 
@@ -55,9 +55,10 @@ class TracerDrift(OfBlock):
 
 @dataclass(frozen=True)
 class BeamOffset(OfBlock):
-    """The beam passes one control point at the horizontal distance h, to the left as it leaves; columns h [mm].
+    """The beam passes a control point at a horizontal distance h, to the left of the outgoing beam; column h [mm].
 
-    It then runs along `b - h l`, l the horizontal unit vector to the left of b: the base angles of both ends turn.
+    The beam then runs along `b - h l`, l the horizontal unit vector to the left of b. This turns the base angles of
+    both ends.
     """
 
     unit: str = UNIT
@@ -65,11 +66,11 @@ class BeamOffset(OfBlock):
 
     @property
     def blocks(self) -> tuple[str, ...]:
-        """The unit, where the beams begin, and its own block."""
+        """The block of the launch unit, where the beams begin, and its own block."""
         return (self.unit, self.block)
 
     def step(self, value: Array, local: Local) -> Step:
-        """Return the point (3, n) that the beam would have without the offset, with derivatives."""
+        """Return the point (3, n) to which a beam without offset would run in this direction, with derivatives."""
         beam = value - local.rows(self.unit)[:3]
         h, level = local.rows(self.block)[0], np.hypot(beam[0], beam[1])
         zero = np.zeros_like(level)

@@ -1,4 +1,4 @@
-"""A camera's holder that sits tilted in the spindle."""
+"""Tilt of a camera's holder in the spindle."""
 
 from __future__ import annotations
 
@@ -14,7 +14,10 @@ from metrocli.effects.links.of_block import OfBlock
 
 @dataclass(frozen=True)
 class CouplingTilt(OfBlock):
-    """`R_S <- R_S Ry(beta_s) Rx(alpha_s)`, so that `X <- Rx' Ry' X` in the taper; columns alpha_s, beta_s [rad]."""
+    """The holder is tilted: `R_S <- R_S Ry(beta_s) Rx(alpha_s)`; columns alpha_s, beta_s [rad].
+
+    A point in the taper therefore becomes `X <- Rx' Ry' X`.
+    """
 
     takes = gives = Quantity.POINT_IN_TAPER
 

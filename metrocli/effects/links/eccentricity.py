@@ -15,30 +15,30 @@ from metrocli.effects.links.of_block import OfBlock
 
 @dataclass(frozen=True)
 class TargetEccentricity(OfBlock):
-    """The point whose image is the centre of the ellipse, `X - k r^2 / Z (e_z - n_z n)`; columns factor k [1].
+    """The point whose image is the centre of the ellipse, `X - k r^2 / Z (e_z - n_z n)`; column factor k [1].
 
-    A circle of radius r about X with normal n is the image of the unit circle under the matrix (r e1, r e2, X); the
-    centre of its ellipse in the plane Z = 1 is the image of the pole of the line that this matrix sends to infinity.
-    k = 1 is the full effect.
+    A circle of radius r about X with normal n is the image of the unit circle under the matrix (r e1, r e2, X). This
+    matrix sends one line to infinity. The image of the pole of that line is the centre of the ellipse in the plane
+    Z = 1. k = 1 is the full effect.
     """
 
     before: Chain = field(default_factory=lambda: Chain(()))
-    """From the target to the camera"""
+    """Links from the target to the camera"""
     targets: str = "target"
-    """The block of targets; circles lie in z = const of its frame"""
+    """Block of the targets; circles lie in planes z = const of its frame"""
     takes = gives = Quantity.POINT_IN_CAMERA
 
     @property
     def blocks(self) -> tuple[str, ...]:
-        """What turns the target's plane, and its own block."""
+        """The blocks that orient the target's plane, and its own block."""
         return (*self.before.blocks, self.block)
 
     def within(self, before: Chain) -> TargetEccentricity:
-        """Return the effect behind these links."""
+        """Return the effect as it acts behind these links."""
         return replace(self, before=before)
 
     def step(self, value: Array, local: Local) -> Step:
-        """Return the point (3, n) with derivatives by the point, the factor and the blocks that turn the normal."""
+        """Return the point (3, n), with derivatives by the point, the factor and the blocks that orient the normal."""
         normal, turns = self._normal(local)
         factor = local.rows(self.block)[0]
         share = np.nan_to_num(local.observations.conditions["radius"]) ** 2 / value[2]
@@ -52,7 +52,7 @@ class TargetEccentricity(OfBlock):
     def _normal(self, local: Local) -> tuple[Array, Mapping[str, Array]]:
         """Return the normal of the target's plane in the camera (3, n), with derivatives by the blocks before.
 
-        It is the difference of two points that are 1 apart on it: exact, since the links before keep lengths.
+        It is the difference of two points 1 mm apart along the normal: exact, since the links before are rigid motions.
         """
         block, wanted = local.blocks[self.targets], local.wanted.intersection(self.before.blocks)
         above = {**local.blocks, self.targets: block.with_values(block.values + np.array([0.0, 0.0, 1.0]))}
@@ -62,6 +62,6 @@ class TargetEccentricity(OfBlock):
 
 
 def _along_normal(normal: Array, by_block: Array) -> Array:
-    """Return the derivative of `n_z n` from that of n, (3, size, n)."""
+    """Return the derivative of `n_z n`, (3, size, n), from that of n."""
     turned: Array = normal[2] * by_block + normal[:, None] * by_block[2][None]
     return turned

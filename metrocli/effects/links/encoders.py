@@ -1,4 +1,4 @@
-"""Effects on units that are aimed by a base and a tilt encoder: the encoders themselves, and the axes they sit on."""
+"""Errors of a launch unit or receiver: of its base and tilt encoders, and of the axes they sit on."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from metrocli.effects.links.of_block import OfBlock
 
 @dataclass(frozen=True)
 class _At(OfBlock):
-    """A link that acts on one of several quantities of one sort."""
+    """A link that acts on the quantity `at`, so that one effect serves both the launch unit and the receiver."""
 
     at: Quantity
 
     @property
     def takes(self) -> Quantity:
-        """What it acts on."""
+        """The quantity on which it acts."""
         return self.at
 
     @property
@@ -31,7 +31,7 @@ class _At(OfBlock):
 
 @dataclass(frozen=True)
 class EncoderOffset(_At):
-    """`phi += offset` for one of two angles; columns offset [rad]."""
+    """Zero error of one encoder: `phi += offset` for one of the two angles; column offset [rad]."""
 
     component: int
 
@@ -44,7 +44,7 @@ class EncoderOffset(_At):
 
 @dataclass(frozen=True)
 class Eccentricity(_At):
-    """`phi += c1 cos phi + s1 sin phi` for one of two angles; columns c1, s1 [rad]."""
+    """Eccentric disc of one encoder: `phi += c1 cos phi + s1 sin phi` for one of two angles; columns c1, s1 [rad]."""
 
     component: int
 
@@ -64,7 +64,7 @@ class Eccentricity(_At):
 
 @dataclass(frozen=True)
 class NonOrthogonality(_At):
-    """The tilt axis is not square to the base axis: `base += angle tan(tilt)`; columns angle [rad]."""
+    """The tilt axis is not square to the base axis: `base += angle tan(tilt)`; column angle [rad]."""
 
     def step(self, value: Array, local: Local) -> Step:
         """Return the angles (2, n)."""

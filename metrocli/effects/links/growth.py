@@ -1,4 +1,4 @@
-"""Growth that is the same in all directions, about the origin of a frame."""
+"""Uniform growth about the origin of a frame."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _EYE = np.eye(3)[:, :, None]
 
 @dataclass(frozen=True)
 class Growth(OfBlock):
-    """`X (1 + s)`; columns scale [1]."""
+    """A point moves away from the origin: `X (1 + s)`; column scale, s [1]."""
 
     at: Quantity
 

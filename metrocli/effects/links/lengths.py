@@ -1,4 +1,4 @@
-"""Effects on a length as it is read: drifts, jumps and offsets, and what depends on the direction of the beam."""
+"""Effects on the length reading: drifts, jumps and offsets, and errors that depend on the direction of the beam."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _AS_IT_IS = np.ones((1, 1, 1))
 
 @dataclass(frozen=True)
 class LengthTerms(OfBlock):
-    """`l += sum of p_k c_k`, with conditions c_k of the readings; a column p_k for each."""
+    """Error that is linear in conditions c_k of the readings: `l += sum of p_k c_k`; one column p_k for each c_k."""
 
     conditions: tuple[str, ...]
     takes = gives = Quantity.LENGTH
@@ -30,7 +30,7 @@ class LengthTerms(OfBlock):
 
 @dataclass(frozen=True)
 class LengthJump(OfBlock):
-    """`l += step` from the time `at` on; columns step [mm], at [s]."""
+    """Jump of a length: `l += step` from the time `at` on; columns step [mm], at [s]."""
 
     takes = gives = Quantity.LENGTH
 
@@ -45,7 +45,7 @@ class LengthJump(OfBlock):
 
 @dataclass(frozen=True)
 class LengthOffset(OfBlock):
-    """`l += offset`; columns offset [mm]."""
+    """Zero error of a length: `l += offset`; column offset [mm]."""
 
     takes = gives = Quantity.LENGTH
 
@@ -56,7 +56,7 @@ class LengthOffset(OfBlock):
 
 @dataclass(frozen=True)
 class LengthScale(OfBlock):
-    """`l (1 + scale)`; columns scale [1]."""
+    """Scale error of a length: `l (1 + scale)`; column scale [1]."""
 
     takes = gives = Quantity.LENGTH
 

@@ -1,4 +1,4 @@
-"""Changes of a lens: since its calibration, with time, or with temperature."""
+"""Changes of a lens since its calibration, with time, or with temperature."""
 
 from __future__ import annotations
 
@@ -14,21 +14,23 @@ from metrocli.effects.links.of_block import OfBlock
 
 @dataclass(frozen=True)
 class LensChange(OfBlock):
-    """Parameters p of the lens as a reading sees them: `p (1 + m c)` or `p + a c`, c = 1 or a condition.
+    """Lens parameters p change to `p (1 + m c)` or `p + a c`, c = 1 or a condition of the readings.
 
-    m, a: columns of its own block.
+    m, a are the columns of its own block.
     """
 
     multiplied: tuple[tuple[str, ...], ...] = ()
-    """For each column the parameters of the lens that it multiplies"""
+    """For each column m: names of the lens parameters that it multiplies"""
     added: tuple[tuple[str, ...], ...] = ()
-    """For each column the parameters of the lens that it is added to"""
+    """For each column a: names of the lens parameters to which it is added"""
     condition: str = ""
+    """Name of the condition c; empty for c = 1"""
     varies: str = "lens"
+    """Block of the lens"""
     takes = gives = Quantity.PARAMETERS
 
     def step(self, value: Array, local: Local) -> Step:
-        """Return the parameters that each reading sees (size, n), with derivatives by them and by its own block."""
+        """Return the lens parameters for each reading (size, n), with derivatives by the input and its own block."""
         names, theta = local.blocks[self.varies].columns, local.rows(self.block)
         passed = local.observations.conditions[self.condition] if self.condition else np.ones(value.shape[1])
         changed = value.copy()

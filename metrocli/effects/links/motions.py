@@ -1,4 +1,4 @@
-"""Effects on the error motion of a machine: what depends on direction, time, and positions of the axes."""
+"""Effects on the error motion of a machine: they depend on direction of motion, time, and positions of the axes."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ AXES = "xyz"
 
 @dataclass(frozen=True)
 class _Motion(OfBlock):
-    """A displacement that is added to the error motion, (6, n)."""
+    """A link that adds a displacement to the error motion, (6, n)."""
 
     takes = gives = Quantity.ERROR_MOTION
 
     def moved(self, value: Array, displacement: Array, by_block: Array) -> Step:
-        """Return the motion with a displacement (3, n) whose derivatives by the block are (3, size, n)."""
+        """Return the motion plus a displacement (3, n), which has derivatives (3, size, n) by its own block."""
         total = np.array(np.broadcast_to(value, (6, displacement.shape[1])))
         total[:3] += displacement
         derivative = np.zeros((6, *by_block.shape[1:]))
@@ -31,7 +31,7 @@ class _Motion(OfBlock):
         return Step(total, _AS_IT_IS, {self.block: derivative})
 
     def along(self, axis: str, factor: Array, value: Array, local: Local) -> Step:
-        """Return the motion with `p factor` along an axis, p the only column."""
+        """Return the motion plus `p factor` along an axis; p is the only column of its own block, factor (n,)."""
         by_block = np.zeros((3, 1, len(factor)))
         by_block[AXES.index(axis), 0] = factor
         return self.moved(value, by_block[:, 0] * local.rows(self.block), by_block)
@@ -39,7 +39,7 @@ class _Motion(OfBlock):
 
 @dataclass(frozen=True)
 class Backlash(_Motion):
-    """`+width/2` along an axis after a move in its positive direction, `-width/2` after one in its negative."""
+    """Backlash: `+width/2` along an axis after a positive move, `-width/2` after a negative one; column width [mm]."""
 
     axis: str
 
@@ -50,7 +50,7 @@ class Backlash(_Motion):
 
 @dataclass(frozen=True)
 class ThermalGrowth(_Motion):
-    """`rate t pos` along an axis, pos its commanded position."""
+    """Growth of a scale: `rate t pos` along an axis, pos its commanded position; column rate [1/s]."""
 
     axis: str
 
@@ -62,7 +62,7 @@ class ThermalGrowth(_Motion):
 
 @dataclass(frozen=True)
 class LoadSag(_Motion):
-    """`dz += c a b`, a and b the commanded positions of two axes."""
+    """Sag: `dz += c a b`, a and b the commanded positions of two axes; column c [1/mm]."""
 
     pair: str
 
@@ -74,7 +74,7 @@ class LoadSag(_Motion):
 
 @dataclass(frozen=True)
 class MachineDrift(_Motion):
-    """`d += v t`; columns vx, vy, vz [mm/s]."""
+    """The machine drifts: `d += v t`; columns vx, vy, vz [mm/s]."""
 
     def step(self, value: Array, local: Local) -> Step:
         """Return the motion (6, n)."""
@@ -87,7 +87,8 @@ class MachineDrift(_Motion):
 class ScrewPitchError(_Motion):
     """`amplitude sin(2 pi pos / period + phase)` along an axis; columns amplitude [mm], phase [rad], period [mm].
 
-    Its derivatives are along the phasor and across it (`Space.WAVE`), so that it can be found from amplitude 0.
+    Its derivatives are taken along the phasor and across it (`Space.WAVE`), so that an adjustment can start from
+    amplitude 0.
     """
 
     axis: str

@@ -1,4 +1,4 @@
-"""What all links of effects have in common."""
+"""Base of all links of effects."""
 
 from __future__ import annotations
 
@@ -13,5 +13,5 @@ class OfBlock:
 
     @property
     def blocks(self) -> tuple[str, ...]:
-        """Its own block."""
+        """The name of its own block."""
         return (self.block,)

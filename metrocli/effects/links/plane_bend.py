@@ -1,4 +1,4 @@
-"""A board that is not flat."""
+"""Bending of a flat board of targets."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from metrocli.effects.links.of_block import OfBlock
 
 @dataclass(frozen=True)
 class PlaneBend(OfBlock):
-    """`Z += bxx X^2 + bxy X Y + byy Y^2`; columns bxx, bxy, byy [1/mm]."""
+    """The board is a quadratic surface: `Z += bxx X^2 + bxy X Y + byy Y^2`; columns bxx, bxy, byy [1/mm]."""
 
     takes = gives = Quantity.POINT_ON_BOARD
 

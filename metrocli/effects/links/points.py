@@ -1,4 +1,4 @@
-"""Effects on points of the machine."""
+"""Effects on points in the frame of the machine."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _EYE = np.eye(3)[:, :, None]
 
 @dataclass(frozen=True)
 class PointStep(OfBlock):
-    """`x += d` from the time `at` on; columns dx, dy, dz [mm], at [s]."""
+    """A point is displaced: `x += d` from the time `at` on; columns dx, dy, dz [mm], at [s]."""
 
     takes = gives = Quantity.POINT_IN_MACHINE
 
@@ -31,7 +31,10 @@ class PointStep(OfBlock):
 
 @dataclass(frozen=True)
 class AxisError(OfBlock):
-    """`x_i += a x_j`: i = j the scale of an axis, else what axis j out of square adds to axis i; columns a [1, rad]."""
+    """Scale or squareness error of the machine: `x_i += a x_j`; column a [1 or rad].
+
+    If i = j, a is the scale error of an axis. Otherwise axis j is out of square and also moves the point along i.
+    """
 
     moved: int
     along: int

@@ -1,4 +1,4 @@
-"""Effects that move a point: once and for all, or in proportion to time."""
+"""Effects that displace a point: by a constant, or in proportion to a condition such as time."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ _EYE = np.eye(3)[:, :, None]
 
 @dataclass(frozen=True)
 class Shift(OfBlock):
-    """`X += s d c`, c = 1 or a condition; d has one to three columns, along x, y, z of the frame of the quantity.
+    """A point is displaced: `X += s d c`, c = 1 or a condition; d has one to three columns, along x, y, z.
 
-    s = -1 where what moves is the frame in which the point is given: the camera's holder, the machine.
+    x, y, z are those of the quantity's frame. s = -1 if the frame moves and not the point, as with a camera's holder
+    or the machine.
     """
 
     at: Quantity
@@ -27,7 +28,7 @@ class Shift(OfBlock):
 
     @property
     def takes(self) -> Quantity:
-        """The quantity that is moved."""
+        """The quantity that is displaced."""
         return self.at
 
     @property
@@ -48,9 +49,10 @@ class Shift(OfBlock):
 
 @dataclass(frozen=True)
 class MachineError(OfBlock):
-    """The machine stands at `d + e_i a d_j` instead of d, so that points come nearer to it by as much; columns a.
+    """The machine stands at `d + e_i a d_j` instead of d; column a [1 or rad].
 
-    i = j: the scale of an axis; else what an axis out of square adds to the first.
+    Relative to the machine, points are displaced by `-e_i a d_j`. If i = j, a is the scale error of an axis.
+    Otherwise axis j is out of square and also moves the machine along i.
     """
 
     moved: int
@@ -61,11 +63,11 @@ class MachineError(OfBlock):
 
     @property
     def blocks(self) -> tuple[str, ...]:
-        """The commanded poses and its own block."""
+        """The block of commanded poses, and its own block."""
         return (self.poses, self.block)
 
     def step(self, value: Array, local: Local) -> Step:
-        """Return the point (3, n) as it is seen from the machine's place."""
+        """Return the point (3, n) relative to the true position of the machine."""
         error = local.rows(self.block)[0]
         commanded = local.rows(self.poses)
         by_error = np.zeros((3, 1, value.shape[1]))

@@ -1,4 +1,4 @@
-"""Effects on what a laser tracker reads: its scale, its azimuth, its stand."""
+"""Effects on the readings of a laser tracker: of its scale, its azimuth encoder, and its stand."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from metrocli.effects.links.of_block import OfBlock
 
 @dataclass(frozen=True)
 class TrackerScale(OfBlock):
-    """Distances from the tracker times `1 + scale`."""
+    """The tracker's distances are multiplied by `1 + scale`; column scale [1]."""
 
     takes = gives = Quantity.POINT_IN_TRACKER
 
@@ -27,7 +27,7 @@ class TrackerScale(OfBlock):
 
 @dataclass(frozen=True)
 class TrackerEccentricity(OfBlock):
-    """Azimuth `+ c1 cos az + s1 sin az`: the centre of the circle is not on the axis; columns c1, s1 [rad]."""
+    """Eccentric azimuth circle: `azimuth += c1 cos azimuth + s1 sin azimuth`; columns c1, s1 [rad]."""
 
     takes = gives = Quantity.POINT_IN_TRACKER
 
@@ -51,12 +51,12 @@ class TrackerEccentricity(OfBlock):
 
 @dataclass(frozen=True)
 class TrackerMoves(OfBlock):
-    """The tracker moves by `v t` along the machine's axes; columns vx, vy, vz [mm/s]."""
+    """The tracker drifts by `v t` along the machine's axes; columns vx, vy, vz [mm/s]."""
 
     takes = gives = Quantity.POINT_IN_MACHINE
 
     def step(self, value: Array, local: Local) -> Step:
-        """Return the point as if it, and not the tracker, had moved, (3, n)."""
+        """Return the point (3, n), displaced by `-v t`, since the readings depend only on the relative position."""
         elapsed = local.observations.conditions[ELAPSED]
         moved = value - local.rows(self.block) * elapsed
         return Step(moved, np.eye(3)[:, :, None], {self.block: -np.eye(3)[:, :, None] * elapsed})

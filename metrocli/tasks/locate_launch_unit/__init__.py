@@ -1,4 +1,4 @@
-"""locate-launch-unit: where the launch unit of an interferometer stands in the machine, and what to measure with it."""
+"""locate-launch-unit: place of an interferometer's launch unit in the machine, and plan of its measuring lines."""
 
 from metrocli.tasks.kind import Kind, Question
 
@@ -8,6 +8,6 @@ KIND = Kind(
     measured=("poses",),
     planned=("poses",),
     questions=(
-        Question("compare", "Print what each of the three methods makes of the poses, without writing a result."),
+        Question("compare", "Print the result of each of the three methods for these poses, without writing a file."),
     ),
 )

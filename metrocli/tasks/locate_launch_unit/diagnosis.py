@@ -1,4 +1,4 @@
-"""A location as diagnosis sees it."""
+"""A location in the form that diagnosis needs."""
 
 from __future__ import annotations
 
@@ -23,12 +23,16 @@ from metrocli.tasks.locate_launch_unit.effects import EFFECTS
 from metrocli.tasks.locate_launch_unit.solve import Located
 
 _FOLDS = 10
+"""Parts into which poses are divided for cross-validation"""
 _DEGREE, _FEWEST_FOR = 6, 4
-"""Degree of polynomials in time, as far as there are four poses for each term"""
+"""Largest degree of polynomials in time; each term needs four poses"""
 
 
 def adjusted_job(located: Located) -> AdjustedJob:
-    """Return the job of an adjusted location; InputError for the methods of the paper, which adjust nothing."""
+    """Return an adjusted location in the form that diagnosis needs.
+
+    Raises InputError for the methods of the paper, since they leave no residuals of the readings.
+    """
     if located.problem is None or located.solution is None:
         raise InputError("only `method: adjustment` leaves residuals that can be diagnosed")
     groups = located.solution.groups
@@ -54,7 +58,7 @@ def adjusted_job(located: Located) -> AdjustedJob:
 
 
 def _covariates(model: Model) -> Iterator[Covariate]:
-    """Yield what an unknown effect could vary with: time, temperature, the encoders' own angles, and the beam."""
+    """Yield the quantities with which an unknown effect could vary: time, temperature, encoder angles, and the beam."""
     groups = model.readings
     degree = max(1, min(_DEGREE, min(group.observations.count for group in groups) // _FEWEST_FOR))
     for name, key in (("t_s", ELAPSED), ("temp_degC", WARMING)):
@@ -73,7 +77,7 @@ def _covariates(model: Model) -> Iterator[Covariate]:
 
 
 def _moving(model: Model, group: Group, condition: str) -> Array:
-    """Return what readings see of a unit that moves with a condition, along x, y and z, (3, n)."""
+    """Return the change of readings if the unit moves along x, y, z in proportion to a condition, (3, n)."""
     along = group.observations.conditions[condition]
     touches = group.linear(model.blocks, frozenset({lu.UNIT})).touches
     return np.asarray((touches[0].jacobian[0, :3] * group.observations.sigma[0]) * (along - along.mean()))
@@ -89,6 +93,6 @@ def _beam(model: Model, group: Group) -> Array:
 
 
 def _parts(when: Array) -> Index:
-    """Return for each pose the part that is held out together: ten parts of about equally many, in order of time."""
+    """Return the part of each pose, (n,): ten parts of about equal size, in order of time, each held out together."""
     rank = np.argsort(np.argsort(when, kind="stable"), kind="stable")
     return np.asarray(rank * min(_FOLDS, len(when)) // len(when))

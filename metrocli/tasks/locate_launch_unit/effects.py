@@ -16,7 +16,7 @@ from metrocli.instruments.launch_unit import ENCODERS
 from metrocli.units import parse_quantity
 
 LAUNCH, RECEIVER = UNITS = "launch", "receiver"
-"""The two units, as places of effects name them"""
+"""Names of the two units as places of effects"""
 AXES, PAIRS = ("x", "y", "z"), ("xy", "xz", "yz")
 _MURALIKRISHNAN = "Muralikrishnan et al. 2009, ASME B89.4.19 performance evaluation tests and geometric misalignments"
 
@@ -59,12 +59,12 @@ EFFECTS: tuple[Effect, ...] = (
         _eccentricity,
         where=("encoder",),
         confused_with=("encoder-offset", "base-tilt", "axis-nonorthogonality", "beam-offset"),
-        reveal="poses all around the unit, and over the whole range of tilt",
+        reveal="poses all around the unit and over the whole range of tilt",
         source=_MURALIKRISHNAN,
     ),
     Effect(
         "encoder-offset",
-        "the zero of one encoder is not where the unit's axes say",
+        "the zero of one encoder is not aligned with the axes of its unit",
         (_size("offset", "angle", "1 deg"),),
         _offset,
         where=("encoder",),
@@ -74,7 +74,7 @@ EFFECTS: tuple[Effect, ...] = (
     ),
     Effect(
         "base-tilt",
-        "the base axis of one unit does not stand along z: of the machine for the launch unit, of the spindle for the "
+        "the base axis of one unit is not parallel to z: of the machine for the launch unit, of the spindle for the "
         "receiver",
         (_size("tx", "angle", "1 deg"), _size("ty", "angle", "1 deg")),
         _tilt,
@@ -90,12 +90,12 @@ EFFECTS: tuple[Effect, ...] = (
         _skew,
         where=("unit",),
         confused_with=("encoder-offset", "encoder-eccentricity", "beam-offset"),
-        reveal="poses of steep and of level beams, and over the top",
+        reveal="poses with steep and with level beams, and with the unit over the top",
         source=_MURALIKRISHNAN,
     ),
     Effect(
         "beam-offset",
-        "the beam passes the crossing of a unit's axes at a distance; launch unit and receiver cannot be told apart",
+        "the beam passes the intersection of a unit's axes at a distance, in launch unit or receiver (not separable)",
         (_size("h", "length", "2 mm"),),
         lambda block, where: BeamOffset(block),
         confused_with=("axis-nonorthogonality", "encoder-offset", "encoder-eccentricity"),
@@ -104,7 +104,7 @@ EFFECTS: tuple[Effect, ...] = (
     ),
     Effect(
         "distance-offset",
-        "all distances are off by one amount: the zero is not at the control points",
+        "all distances are off by the same amount: their zero is not at the control points",
         (_size("offset", "length", "10 mm"),),
         lambda block, where: LengthOffset(block),
         needs=("distance",),
@@ -124,7 +124,7 @@ EFFECTS: tuple[Effect, ...] = (
     ),
     Effect(
         "machine-scale",
-        "one axis of the machine moves by more than it says, in proportion",
+        "the scale of one axis of the machine is wrong: it moves farther than it reads, in proportion",
         (_size("scale", "ratio", "1000 ppm"),),
         _scale,
         where=("axis",),
@@ -139,17 +139,17 @@ EFFECTS: tuple[Effect, ...] = (
         _squareness,
         where=("pair",),
         confused_with=("machine-scale", "base-tilt"),
-        reveal="poses in the four corners of that plane; distances",
+        reveal="poses in the four corners of the plane of these axes; distances",
         source="ISO 230-1:2012 (C0Y, B0Z, A0Z)",
     ),
     Effect(
         "bad-pose",
-        "the receiver was not where the file says in one pose",
+        "in one pose the receiver was not at its listed position",
         tuple(_size(name, "length", "100 mm") for name in ("dx", "dy", "dz")),
         lambda block, where: Shift(block, Quantity.POINT_IN_MACHINE),
         where=("pose",),
-        reveal="this pose measured again, with a distance, without which nothing sees its error along the beam",
+        reveal="this pose measured again, with a distance, since only that shows an error along the beam",
         source="Baarda 1968 (mean shift of the readings of one pose)",
     ),
 )
-"""The table; its order is that of the documents"""
+"""The table of effects, in the order of docs/effects"""

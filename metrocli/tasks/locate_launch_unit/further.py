@@ -1,4 +1,4 @@
-"""Which further poses would make the measuring lines safer, and how many it takes."""
+"""Choice of further poses that make the measuring lines safer, and the number needed."""
 
 from __future__ import annotations
 
@@ -17,39 +17,41 @@ from metrocli.tasks.locate_launch_unit.settings import Noise
 from metrocli.tasks.locate_launch_unit.simulation import aligned
 
 _GRID = 5
-"""Candidates along each axis"""
+"""Number of candidates along each axis"""
 _MOST = 12
+"""Largest number of poses to add"""
 
 
 @dataclass(frozen=True)
 class Further:
-    """A pose to add, after those before it."""
+    """A pose to add, given that those before it in the list are added too."""
 
     receiver: Array
+    """Position of the receiver, (3,)"""
     location: Array
-    """Covariance of x y z gamma with it, (4, 4)"""
+    """Covariance of x y z gamma with this pose, (4, 4)"""
 
 
 @dataclass(frozen=True)
 class Wanted:
-    """What the poses are for."""
+    """The lines that the poses must make safe, the range of the receiver, and the probability that counts as safe."""
 
     lines: Sequence[Line]
     window: Window
     confidence: float
 
     def worst(self, uncertain: Uncertainty) -> float:
-        """Return the probability of the line that is least likely to stay in range, aimed by the encoders."""
+        """Return the probability that the beam stays in range along the least certain line, aimed by the encoders."""
         errors = uncertain.draws()
         return min(Margin(line, self.window, errors).probability() for line in self.lines)
 
     def worst_aligned(self, uncertain: Uncertainty) -> float:
-        """Return the same once the units are aligned at the far end."""
+        """Return the same probability after the units are aligned at the far end of the line."""
         errors = uncertain.draws()
         return min(Margin(line, self.window, errors).probability_aligned() for line in self.lines)
 
     def variance(self, locations: Array) -> Array:
-        """Return the largest variance of a beam at its far end that the location (n, 4, 4) brings, over lines (n,)."""
+        """Return the largest variance of a beam at the far end of any line, (n,), due to the location (n, 4, 4)."""
         variances = []
         for line in self.lines:
             offset, turn, _ = beam_errors(line)
@@ -59,7 +61,7 @@ class Wanted:
 
 
 def candidates(place: Array, reach: Reach) -> Array:
-    """Return a grid of receiver positions within reach of the unit, (n, 3)."""
+    """Return a grid of receiver positions within reach of the unit, without beams near vertical, (n, 3)."""
     axes = [np.linspace(low, high, _GRID) for low, high in reach.box]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     away = np.linalg.norm(grid - place, axis=1)
@@ -68,7 +70,7 @@ def candidates(place: Array, reach: Reach) -> Array:
 
 
 def information(values: Array, receivers: Array, noise: Noise, distances: bool) -> Array:
-    """Return what an aligned pose at each place tells of x y z gamma: `J' W J`, (n, 4, 4)."""
+    """Return the information on x y z gamma from an aligned pose at each place, `J' W J`, (n, 4, 4)."""
     spindle = np.zeros(len(receivers))
     angles, length = aligned(values[:3], values[3], receivers, spindle)
     distance = length if distances else np.full(len(receivers), np.nan)
@@ -82,16 +84,16 @@ def information(values: Array, receivers: Array, noise: Noise, distances: bool) 
     return total
 
 
-def further(location: Array, wanted: Wanted, encoder: float, places: Array, tells: Array) -> list[Further]:
-    """Return the poses to add until the worst line is safe, at most 12.
+def further(location: Array, wanted: Wanted, encoder: float, places: Array, gained: Array) -> list[Further]:
+    """Return the poses to add until the least certain line is safe, at most 12.
 
-    Each is the one that lessens the variance of the least certain beam at its far end most. location (4, 4); places
-    (n, 3) with what each tells (n, 4, 4).
+    Each reduces the variance of the least certain beam at its far end the most. location is (4, 4); places (n, 3) are
+    the candidates and gained (n, 4, 4) their information.
     """
     known, chosen = np.linalg.inv(location), list[Further]()
     while len(chosen) < _MOST and wanted.worst(Uncertainty(np.linalg.inv(known), encoder)) < wanted.confidence:
-        locations = np.asarray(np.linalg.inv(known + tells), dtype=float)
+        locations = np.asarray(np.linalg.inv(known + gained), dtype=float)
         best = int(np.argmin(wanted.variance(locations)))
-        known = known + tells[best]
+        known = known + gained[best]
         chosen.append(Further(places[best], locations[best]))
     return chosen

@@ -1,4 +1,4 @@
-"""The lines that an interferometer can measure from where its launch unit stands: axes and face diagonals."""
+"""The lines that an interferometer can measure from its launch unit: parallel to axes and face diagonals."""
 
 from __future__ import annotations
 
@@ -13,38 +13,41 @@ from metrocli.instruments.launch_unit import direction
 
 AXES = "xyz"
 _VERTICAL = 1e-9
+"""Horizontal part of a unit vector below which a beam is vertical"""
 _INSIDE = 1e-9
-"""Rounding of a point at the end of an axis, as a share of the range"""
+"""Tolerance for rounding at the end of an axis, as a share of the range"""
 _ROUNDING = 1e-3
-"""A unit so little [mm] outside the range of an axis is taken as inside"""
+"""A unit that is outside the range of an axis by no more than this [mm] counts as inside"""
 
 
 @dataclass(frozen=True)
 class Line:
-    """Receiver positions along one beam through the unit, from the low end of the axes to the high one."""
+    """Receiver positions along one beam through the unit, from the low to the high end of the axes."""
 
     name: str
     """x, y, z, xy, yz or xz"""
     beam: Array
     """Direction from the unit to the receiver, (3,)"""
     points: Array
-    """(n, 3)"""
+    """Receiver positions, (n, 3)"""
     position: Array
-    """Of the axis; for a diagonal the distance from where it enters the machine's volume, (n,)"""
+    """Position of the axis, (n,); for a diagonal, the distance from where it enters the machine's volume"""
     distance: Array
-    """From the unit, (n,)"""
+    """Distance from the unit, (n,)"""
 
 
 @dataclass(frozen=True)
 class Reach:
-    """Where receivers may stand."""
+    """Limits on receiver positions, in mm."""
 
     box: Array
     """Lowest and highest position of the axes, (3, 2)"""
     step: float
+    """Distance between points of a line"""
     nearest: float
-    """Distance from the unit"""
+    """Least distance from the unit"""
     farthest: float
+    """Largest distance from the unit"""
 
 
 def along(name: str, box: Array) -> Array:
@@ -54,9 +57,9 @@ def along(name: str, box: Array) -> Array:
 
 
 def measurable(place: Array, names: Sequence[str], reach: Reach) -> tuple[list[Line], dict[str, str]]:
-    """Return the lines through the unit that hold two points or more, and for the others why not.
+    """Return the lines through the unit that hold two or more points, and the reason why each other line does not.
 
-    A line runs on one side of the unit, that with more points; points are `step` apart, counted from where the line
+    A line runs on one side of the unit, the one with more points. Points are `step` apart, counted from where the line
     enters the volume.
     """
     lines, refused = [], {}
@@ -80,7 +83,7 @@ def measurable(place: Array, names: Sequence[str], reach: Reach) -> tuple[list[L
 
 
 def _inside(place: Array, vector: Array, box: Array) -> tuple[float, float]:
-    """Return the stretch of `place + t vector` within the box; empty where it passes by."""
+    """Return the first and last t of `place + t vector` in the box; the first is not below the last if it misses."""
     moving = vector != 0
     rest = ~moving
     if ((place < box[:, 0] - _ROUNDING) | (place > box[:, 1] + _ROUNDING))[rest].any():
@@ -95,11 +98,11 @@ def _outside(place: Array, name: str, box: Array) -> str:
         for i, axis in enumerate(AXES)
         if axis not in name and not box[i, 0] <= place[i] <= box[i, 1]
     ]
-    return "; ".join(off) or "the line through the unit passes beside the volume"
+    return "; ".join(off) or "the line through the unit misses the volume"
 
 
 def commanded(beam: Array, gamma: float, psi: float) -> Mapping[str, float]:
-    """Return the encoder angles [rad] that aim both units along a beam; vertical beams have the azimuth 0."""
+    """Return the encoder angles [rad] that aim both units along a beam; the azimuth of a vertical beam is set to 0."""
     level = float(np.hypot(beam[0], beam[1]))
     azimuth = float(np.arctan2(beam[1], beam[0])) if level > _VERTICAL else 0.0
     tilt = float(np.arctan2(beam[2], level))
@@ -108,7 +111,7 @@ def commanded(beam: Array, gamma: float, psi: float) -> Mapping[str, float]:
 
 
 def across(beam: Array) -> tuple[Array, Array, float]:
-    """Return the unit vectors beside and above a beam, and by how much a turn of the base moves it, cos(tilt)."""
+    """Return the unit vectors beside and above a beam, and cos(tilt), the turn of the beam per turn of the base."""
     aim = commanded(beam, 0.0, 0.0)
     azimuth, tilt, quarter = aim["phi1"], aim["phi2"], np.pi / 2
     beside = direction(np.array(azimuth + quarter), np.array(0.0))

@@ -1,4 +1,4 @@
-"""Whether the beam stays in the receiver's range: how likely, given what is known of the unit and its encoders."""
+"""Probability that the beam stays in the range of the receiver, from the uncertainty of the unit and its encoders."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.tasks.locate_launch_unit.lines import Line, across
 
 _DRAWS = 1 << 15
-"""Probabilities are uncertain by 0.3 % at most"""
+"""Number of Monte Carlo draws; the standard uncertainty of a probability is 0.3 % at most"""
 
 
 @dataclass(frozen=True)
@@ -19,26 +19,26 @@ class Window:
     """Range of the receiver."""
 
     straightness: float
-    """Radius [mm]"""
+    """Largest distance of the beam from the centre [mm]"""
     angle: float
-    """Of pitch and of yaw [rad]"""
+    """Largest pitch and yaw [rad]"""
 
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """What is uncertain when a line is measured."""
+    """Uncertainty of the location and of the commanded angles when a line is measured."""
 
     location: Array
     """Covariance of x y z gamma, (4, 4)"""
     encoder: float
-    """Standard deviation of each angle that is commanded [rad]"""
+    """Standard deviation of each commanded angle [rad]"""
 
     def without_location(self) -> Uncertainty:
-        """Return what is left of it when the place and gamma are known exactly."""
+        """Return the uncertainty that remains if the place and gamma are known exactly."""
         return Uncertainty(np.zeros_like(self.location), self.encoder)
 
     def draws(self) -> Array:
-        """Return errors of x y z gamma phi1 phi2 phi3 phi4, (8, n)."""
+        """Return random errors of x y z gamma phi1 phi2 phi3 phi4, (8, n)."""
         standard = standard_draws()
         values, vectors = np.linalg.eigh(self.location)
         root = vectors * np.sqrt(np.maximum(values, 0.0))
@@ -47,17 +47,18 @@ class Uncertainty:
 
 @cache
 def standard_draws() -> Array:
-    """Return standard normal numbers (8, n), the same each time, so that plans compare."""
+    """Return standard normal numbers (8, n), always the same ones so that plans are comparable."""
     draws = np.random.default_rng(20220704).normal(size=(8, _DRAWS))
     draws.setflags(write=False)
     return draws
 
 
 def beam_errors(line: Line) -> tuple[Array, Array, Array]:
-    """Return the derivatives by x y z gamma phi1..phi4 of beam offset at the unit, of its direction, of the angles.
+    """Return the derivatives of the beam's offset at the unit, its direction, and the angles at the receiver.
 
-    Each (2, 8): beside and above. At the distance s from the unit the beam is off by `offset + s direction` where the
-    encoders aim it along the line; the receiver sees it under the angle `direction` minus its own error.
+    Each is (2, 8): beside and above the line, by x y z gamma phi1..phi4. If the encoders aim the beam along the line,
+    it is off by `offset + s direction` at the distance s from the unit. The receiver sees it under the angle
+    `direction` minus the error of its own encoders.
     """
     beside, above, level = across(line.beam)
     offset, turn, seen = np.zeros((3, 2, 8))
@@ -70,19 +71,19 @@ def beam_errors(line: Line) -> tuple[Array, Array, Array]:
 
 @dataclass(frozen=True)
 class Margin:
-    """How far the beam of one line stays in range, draw by draw."""
+    """Monte Carlo simulation of the distance up to which the beam of one line stays in range."""
 
     line: Line
     window: Window
     errors: Array
-    """Of x y z gamma phi1..phi4, (8, n)"""
+    """Random errors of x y z gamma phi1..phi4, (8, n)"""
 
     @cached_property
     def in_range_to(self) -> Array:
-        """Return the distance up to which the beam, aimed by the encoders, stays in range, (n,).
+        """The distance up to which the beam, aimed by the encoders, stays in range, for each draw (n,).
 
-        |offset + s direction| is convex in s, so it is in range between the nearest point and the larger root of
-        `|offset + s direction| = radius` where it is at the nearest point; 0 where it is not.
+        `|offset + s direction|` is convex in s. A beam in range at the nearest point thus stays so up to the larger
+        root of `|offset + s direction| = radius`. The distance is 0 if the beam is out of range at the nearest point.
         """
         offset, turn, angles = (by @ self.errors for by in beam_errors(self.line))
         a, b = (turn**2).sum(axis=0), (offset * turn).sum(axis=0)
@@ -95,17 +96,17 @@ class Margin:
         return np.where(good, np.nan_to_num(root), 0.0)
 
     def probability(self, distance: float | None = None) -> float:
-        """Return how likely the beam stays in range up to a distance, or along the whole line."""
+        """Return the probability that the beam stays in range up to a distance, or along the whole line if None."""
         return float((self.in_range_to >= (self.line.distance.max() if distance is None else distance)).mean())
 
     def safe_distance(self, confidence: float) -> float:
-        """Return the distance up to which the beam stays in range with this probability."""
+        """Return the distance [mm] up to which the beam stays in range with this probability."""
         return float(np.quantile(self.in_range_to, 1 - confidence, method="lower"))
 
     def probability_aligned(self) -> float:
-        """Return how likely the beam stays in range once both units are aligned by the receiver's own readings.
+        """Return the probability that the beam stays in range after both units are aligned by the receiver's readings.
 
-        That is done at the far end L; then the beam passes through the unit and that point, and is off by
+        The alignment is done at the far end L. The beam then passes through the unit and that point, and is off by
         `offset (1 - s/L)` (Kuprin et al. fig. 15).
         """
         offset = beam_errors(self.line)[0] @ self.errors

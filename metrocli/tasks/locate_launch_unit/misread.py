@@ -1,4 +1,4 @@
-"""Files that do not hold what their headings say: other readings of the columns that would fit."""
+"""Mislabelled columns: other meanings of the columns of a file under which the readings would fit."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from metrocli.tasks.locate_launch_unit.settings import Noise
 from metrocli.units import parse_quantity
 
 _FITS = 30.0
-"""Root mean square residual at the start, in standard deviations, below which a reading of the columns fits"""
+"""Root mean square residual at the start, in standard deviations, below which a meaning of the columns fits"""
 _ALIKE = 1.5
-"""Readings of the columns whose residuals differ by less than this factor fit alike"""
+"""Meanings of the columns whose residuals differ by less than this factor fit equally well"""
 
 
 def misread(readings: Readings, noise: Noise) -> tuple[str, ...]:
-    """Return what the columns seem to hold instead, the best first.
+    """Return the likely contents of the columns, the best first.
 
-    Nothing where no other reading of them fits, or where they fit as they stand.
+    The tuple is empty if the columns fit as labelled, or if no other meaning of them fits.
     """
     with np.errstate(all="ignore"):
         if misfit(readings, noise) <= _FITS:
@@ -34,7 +34,7 @@ def misread(readings: Readings, noise: Noise) -> tuple[str, ...]:
 
 
 def misfit(readings: Readings, noise: Noise) -> float:
-    """Return the root mean square of the normalised angles' residuals where the beams meet, inf where they do not."""
+    """Return the root mean square of the normalised residuals of the angles; inf if the beams do not meet."""
     if uncertainty_along(readings, noise) > WEAK:
         return float("inf")
     problem = build(readings, noise)

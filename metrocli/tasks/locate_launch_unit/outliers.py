@@ -1,4 +1,4 @@
-"""Readings too far off for chance: found one after the other, each without those before it."""
+"""Outliers among the readings: they are found one after the other, each without those found before."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from metrocli.adjust.robust import critical_value
 from metrocli.adjust.solution import Solution, residuals_of
 
 _SHARE = 4
-"""At most one reading in so many is called an outlier"""
+"""At most one reading in this many is called an outlier"""
 _FEW = 2
-"""Degrees of freedom, and readings of a group, that must be left"""
+"""Degrees of freedom, and readings of a group, that must remain"""
 
 
 @dataclass(frozen=True)
@@ -26,23 +26,24 @@ class Outlier:
     group: str
     pose: str
     test: float
-    """|w| over the noise of the readings that are no outliers, at least the declared one"""
+    """|w| relative to the noise of the other readings, which is at least the declared noise"""
 
 
 @dataclass(frozen=True)
 class Screened:
-    """What is left when the outliers are out, and the outliers, the largest first."""
+    """The solution without the outliers, and the outliers, the largest first."""
 
     solution: Solution
     outliers: tuple[Outlier, ...]
     critical: float
+    """Bound of |w| for an outlier"""
 
 
 def screened(solution: Solution, names: Sequence[str]) -> Screened:
-    """Take outliers out of the named groups, the largest |w| first, until none is beyond chance (5 % over all).
+    """Remove outliers from the named groups, the largest |w| first, until all pass the test at 5 % for all together.
 
-    Each reading is tested against the noise of the others (external studentisation), at least the declared noise; the
-    readings that an outlier had pulled along become innocent when it is out.
+    Each reading is tested against the noise of the others, at least the declared noise (external studentisation). A
+    reading that fails only because of an outlier passes once the outlier is removed.
     """
     total = sum(group.observations.count for group in solution.groups if group.name in names)
     critical, found = critical_value(total), list[Outlier]()
@@ -71,7 +72,7 @@ def _worst(solution: Solution, names: Sequence[str]) -> tuple[Outlier, int]:
 
 
 def _without(blocks: Mapping[str, Block], groups: Sequence[Group], name: str, row: int) -> Solution | None:
-    """Return the solution without a reading; None where the others would not do."""
+    """Return the solution without one reading; None if the others do not determine it."""
     left = []
     for group in groups:
         if group.name == name:

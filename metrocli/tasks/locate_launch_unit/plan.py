@@ -1,4 +1,4 @@
-"""The plan of a measurement with a located launch unit: lines, margins, further poses, NC programs."""
+"""The plan of a measurement with a located launch unit: lines, margins, further poses, and NC programs."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _SHOWN_OF_LINES = (
 
 @dataclass(frozen=True)
 class Prospect:
-    """The lines from a located unit, and how certain their beams are."""
+    """The measurable lines of a located unit, with the noise that limits their beams."""
 
     located: Located
     planned: Planned
@@ -42,12 +42,12 @@ class Prospect:
 
     @property
     def uncertain(self) -> Uncertainty:
-        """Of the location and of the encoders."""
+        """Uncertainty of the location and of the encoders."""
         return Uncertainty(self.located.covariance, self.noise.encoder)
 
     @property
     def wanted(self) -> Wanted:
-        """What further poses are for."""
+        """What further poses must achieve."""
         return Wanted(self.lines, self.window, self.planned.confidence)
 
     @property
@@ -57,12 +57,14 @@ class Prospect:
 
 
 def planned_measurement(located: Located, planned: Planned, noise: Noise) -> Plan:
-    """Return the plan; UndeterminedError where no line can be measured from where the unit stands."""
+    """Return the plan; raises UndeterminedError if no line can be measured from the place of the unit."""
     reach = Reach(planned.axes.box, planned.step, planned.standoff, planned.range.distance)
     lines, refused = measurable(located.place, [*AXES, *planned.diagonals], reach)
     reasons = tuple(f"line {name} cannot be measured: {reason}" for name, reason in refused.items())
     if not lines:
-        cure = "what would allow it: the unit within the axes' ranges, near a corner; a smaller `standoff` or `step`"
+        cure = (
+            "what would allow it: a unit within the ranges of the axes, near a corner; a smaller `standoff` or `step`"
+        )
         raise UndeterminedError("\n  ".join(["no line can be measured from where the unit stands", *reasons, cure]))
     prospect = Prospect(located, planned, noise, tuple(lines))
     margins = _margins(prospect)
@@ -83,13 +85,13 @@ def planned_measurement(located: Located, planned: Planned, noise: Noise) -> Pla
 
 
 def figures(located: Located) -> tuple[Estimate, ...]:
-    """Return x y z gamma with what they are known to."""
+    """Return x y z gamma with their standard uncertainties."""
     std = np.sqrt(np.diag(located.covariance)).tolist()
     return tuple(Estimate(*row) for row in zip(COLUMNS, located.values.tolist(), std, UNITS, strict=True))
 
 
 def _margins(prospect: Prospect) -> Table:
-    """Return /lines: where each runs, what to command, and how likely the beam stays in range."""
+    """Return /lines: points and distances, angles to command, and probabilities that the beam stays in range."""
     planned, lines = prospect.planned, prospect.lines
     errors, limit = prospect.uncertain.draws(), planned.range.distance
     margins = [Margin(line, prospect.window, errors) for line in lines]
@@ -115,7 +117,7 @@ def _margins(prospect: Prospect) -> Table:
 
 
 def _points(lines: Sequence[Line]) -> Table:
-    """Return /points: every receiver position, in the order of the programs, as calibrate-machine takes lines."""
+    """Return /points: every receiver position, in the order of the programs and the columns of calibrate-machine."""
     points = np.concatenate([line.points for line in lines])
     name = np.concatenate([np.repeat(line.name, len(line.points)) for line in lines])
     columns: dict[str, Values] = {
@@ -134,12 +136,12 @@ def _further(prospect: Prospect, reach: Reach) -> list[Further]:
     if not len(places):
         return []
     distances = bool(located.readings.beams.measured.any())
-    tells = information(located.values, places, noise, distances)
-    return further(located.covariance, prospect.wanted, noise.encoder, places, tells)
+    gained = information(located.values, places, noise, distances)
+    return further(located.covariance, prospect.wanted, noise.encoder, places, gained)
 
 
 def _further_table(prospect: Prospect, more: Sequence[Further]) -> dict[str, Table]:
-    """Return /further_poses, where there are any, with the probabilities of the least certain line after each."""
+    """Return /further_poses, if any, with the probabilities of the least certain line after each."""
     if not more:
         return {}
     wanted, encoder = prospect.wanted, prospect.noise.encoder
@@ -155,7 +157,7 @@ def _further_table(prospect: Prospect, more: Sequence[Further]) -> dict[str, Tab
 
 
 def _programs(prospect: Prospect) -> tuple[dict[str, Table | str], list[str]]:
-    """Return the NC programs by file name, and why some could not be written."""
+    """Return the NC programs by file name, and a warning for each line without one."""
     planned, place = prospect.planned, prospect.located.place
     park = farthest_corner(place, planned.axes.box)
     motion = Motion(planned.feed, planned.dwell, planned.standoff, park, planned.control)
@@ -164,14 +166,14 @@ def _programs(prospect: Prospect) -> tuple[dict[str, Table | str], list[str]]:
     for line in prospect.lines:
         text = line_program(line, prospect.located.values, planned.spindle, motion)
         if text is None:
-            blocked.append(f"line {line.name} has no NC program: no way of single-axis moves leads clear of the unit")
+            blocked.append(f"line {line.name} has no NC program: no path of single-axis moves keeps clear of the unit")
         else:
             files[f"{line.name}.nc"] = text
     return files, blocked
 
 
 def _notes(prospect: Prospect, more: Sequence[Further]) -> list[str]:
-    """Say how likely the worst line stays in range, what limits it, and what would help."""
+    """Return notes on the probability along the least certain line, what limits it, and what would improve it."""
     wanted, planned, uncertain = prospect.wanted, prospect.planned, prospect.uncertain
     now, limit = wanted.worst(uncertain), wanted.worst(uncertain.without_location())
     radius, angle = find_unit("um", "length"), find_unit("urad", "angle")
@@ -179,11 +181,11 @@ def _notes(prospect: Prospect, more: Sequence[Further]) -> list[str]:
     lines = [
         f"range of the receiver: +-{radius.outside(planned.range.straightness):g} um, "
         f"+-{angle.outside(planned.range.angle):g} urad, to {planned.range.distance:g} mm",
-        f"aimed by the encoders, the beam stays in range along the least certain line with {percent(now)}",
+        f"aimed by the encoders, the beam stays in range along the least certain line with {percent(now)} probability",
     ]
     if now >= planned.confidence:
         return lines
-    lines.append(f"a unit whose place is known exactly would have {percent(limit)}: the rest is the encoders")
+    lines.append(f"with a unit whose place is known exactly it would be {percent(limit)}; the encoders cause the rest")
     if more:
         best = wanted.worst(Uncertainty(more[-1].location, prospect.noise.encoder))
         at = ", ".join(f"{axis} = {value:.0f}" for axis, value in zip(AXES, more[0].receiver, strict=True))
@@ -191,15 +193,18 @@ def _notes(prospect: Prospect, more: Sequence[Further]) -> list[str]:
         lines.append(
             f"{n + len(more)} poses make it safe ({percent(best)})"
             if best >= planned.confidence
-            else f"{n + len(more)} poses would give {percent(best)}; no number gives more than {percent(limit)}"
+            else f"{n + len(more)} poses would give {percent(best)}; "
+            f"no number of poses gives more than {percent(limit)}"
         )
     return lines
 
 
 def _told(prospect: Prospect, more: Sequence[Further]) -> list[str]:
-    """Say what aligning the units at the far end of each line gives."""
+    """Return notes on the probability after the units are aligned at the far end of each line."""
     aligned = prospect.wanted.worst_aligned(prospect.uncertain)
-    lines = [f"aligned at the far end by the receiver's own readings, it stays in range with {percent(aligned)}"]
+    lines = [
+        f"aligned at the far end by the receiver's own readings, it stays in range with {percent(aligned)} probability"
+    ]
     if aligned < prospect.planned.confidence and more:
         known = [Uncertainty(one.location, prospect.noise.encoder) for one in more]
         enough = [
@@ -211,5 +216,5 @@ def _told(prospect: Prospect, more: Sequence[Further]) -> list[str]:
 
 
 def percent(probability: float) -> str:
-    """Return a probability for people; it is known to some 0.3 %."""
+    """Return a probability as text; its own uncertainty is about 0.3 %."""
     return "more than 99.9 %" if probability > 0.999 else f"{100 * probability:.1f} %"

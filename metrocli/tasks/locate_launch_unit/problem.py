@@ -1,4 +1,4 @@
-"""The adjustment of a launch unit's place: from aligned poses to blocks and groups with starting values."""
+"""The adjustment of a launch unit's place: its blocks and groups, built from aligned poses."""
 
 from __future__ import annotations
 
@@ -20,29 +20,29 @@ from metrocli.tasks.locate_launch_unit.settings import Noise
 from metrocli.words import listed
 
 WEAK = 0.01
-"""Relative uncertainty of the distance to the unit beyond which beams do not locate it"""
+"""Relative uncertainty of the distance to the unit above which the beams do not determine its place"""
 
 
 @dataclass(frozen=True)
 class Problem(Modelled):
-    """A location ready to adjust."""
+    """A location, ready to be adjusted."""
 
     readings: Readings
     warnings: tuple[str, ...] = ()
 
     @property
     def groups(self) -> tuple[Group, ...]:
-        """One for each encoder, and one of the distances; none without readings."""
+        """The groups of readings: one for each encoder, and one of distances; groups without readings are absent."""
         return self.model.readings
 
     @property
     def all_groups(self) -> tuple[Group, ...]:
-        """The readings, and what is known beforehand."""
+        """The groups of readings, and the priors of receiver positions."""
         return self.model.groups
 
 
 def build(readings: Readings, noise: Noise) -> Problem:
-    """Return the adjustment, started where the beams meet."""
+    """Return the adjustment; its starting value is the point nearest to all beams."""
     place, beams = nearest(readings.beams), readings.beams
     away = float(np.linalg.norm(place - readings.receiver, axis=1).mean())
     free = readings.sigma != 0
@@ -57,7 +57,7 @@ def build(readings: Readings, noise: Noise) -> Problem:
     if noise.distance is not None:
         groups.append(_distances(readings, measured, noise.distance))
     steep = [name for name, used in zip(readings.names, readings.level, strict=True) if not used]
-    text = f"the beam is vertical in {len(steep)} poses, so that their angles say nothing and are left out: "
+    text = f"the beam is vertical in {len(steep)} poses, which have no base angle; their angles are left out: "
     read = tuple(group for group in groups if group.observations.count)
     places = {
         "encoder": Place(tuple(lu.ENCODERS)),
@@ -76,12 +76,12 @@ def build(readings: Readings, noise: Noise) -> Problem:
 
 
 def uncertainty_along(readings: Readings, noise: Noise) -> float:
-    """Return the relative uncertainty of the distance to where the beams meet, by the angles alone."""
+    """Return the relative uncertainty of the distance to the point where the beams meet, from the angles alone."""
     return noise.encoder / max(spread(readings.beams), 1e-12)
 
 
 def _angles(readings: Readings, name: str, rows: Index, sigma: float) -> Group:
-    """Return what one encoder read in some of the poses."""
+    """Return the group of the readings of one encoder in some of the poses."""
     tilt = readings.angles[1] if lu.ENCODERS[name][0] is Quantity.LAUNCH_ANGLES else readings.angles[2]
     values = readings.angles[ANGLES.index(name)][rows]
     observations = _observations(readings, name, rows, values, sigma)

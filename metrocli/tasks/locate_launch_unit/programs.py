@@ -1,4 +1,4 @@
-"""NC programs that move the receiver along the measuring lines, clear of the launch unit."""
+"""NC programs that move the receiver along the measuring lines and keep clear of the launch unit."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from metrocli.tasks.locate_launch_unit.lines import AXES, Line, commanded
 from metrocli.units import find_unit
 
 _ROUNDING = 1e-3
-"""[mm]"""
+"""Tolerance of the clearance for rounding [mm]"""
 
 
 @dataclass(frozen=True)
 class Motion:
-    """How to move."""
+    """Feed, dwell and clearance of a program, and the control for which it is written."""
 
     feed: float
     """[mm/s]"""
     dwell: float
-    """At each point [s]"""
+    """Standstill at each point [s]"""
     clearance: float
-    """No rapid comes nearer to the unit [mm]"""
+    """Least distance of a rapid from the unit [mm]"""
     park: Array
-    """Where programs begin and end, (3,)"""
+    """Position where programs begin and end, (3,)"""
     control: str
 
 
@@ -38,7 +38,7 @@ def farthest_corner(place: Array, box: Array) -> Array:
 
 
 def route(start: Array, end: Array, place: Array, clearance: float) -> list[Array] | None:
-    """Return the corners of a way of single-axis moves that keeps clear of the unit; None where there is none."""
+    """Return the corners of a path of single-axis moves that keeps clear of the unit, or None if none exists."""
     for order in permutations(range(3)):
         corners = [start]
         for axis in order:
@@ -52,14 +52,14 @@ def route(start: Array, end: Array, place: Array, clearance: float) -> list[Arra
 
 
 def _distance(place: Array, a: Array, b: Array) -> float:
-    """Return the distance of a place from the straight line between two points."""
+    """Return the distance of a place from the straight segment between two points."""
     length = float((b - a) @ (b - a))
     share = np.clip((place - a) @ (b - a) / length, 0.0, 1.0) if length else 0.0
     return float(np.linalg.norm(place - a - share * (b - a)))
 
 
 def line_program(line: Line, values: Array, psi: float, motion: Motion) -> str | None:
-    """Return the program of a line for the unit at x y z gamma; None where no way leads clear of the unit."""
+    """Return the program of a line for the unit at x y z gamma, or None if no path keeps clear of the unit."""
     place = values[:3]
     there = route(motion.park, line.points[0], place, motion.clearance)
     back = route(line.points[-1], motion.park, place, motion.clearance)

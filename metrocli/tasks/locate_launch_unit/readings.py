@@ -1,4 +1,4 @@
-"""Aligned poses of receiver and launch unit as they are read from a file."""
+"""Aligned poses of receiver and launch unit, and the columns of their files."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ POSES = Columns(
 )
 PLACES = Columns((*_PLACE, *_CONDITIONS), ("pose",), "receiver positions to measure at")
 _STEEP = 1.7e-3
-"""Cosine of the tilt of the steepest beam that has a usable base angle, 0.1 degrees from vertical"""
+"""Cosine of the tilt of the steepest beam with a usable base angle, 0.1 degrees from vertical"""
 
 
 @dataclass(frozen=True)
@@ -42,32 +42,32 @@ class Readings:
 
     names: tuple[str, ...]
     receiver: Array
-    """(n, 3)"""
+    """Positions of the receiver's control point, (n, 3)"""
     sigma: Array
-    """Of the receiver's coordinates, (n, 3): 0 exact, nan unknown"""
+    """Standard uncertainties of these coordinates, (n, 3): 0 if exact, nan if unknown"""
     spindle: Array
-    """psi, (n,)"""
+    """Angle of the spindle, psi, (n,)"""
     angles: Array
-    """phi1 phi2 phi3 phi4, (4, n)"""
+    """Encoder angles phi1 phi2 phi3 phi4, (4, n)"""
     distance: Array
-    """(n,), nan where none was measured"""
+    """Distance of the control points, (n,), nan if not measured"""
     conditions: dict[str, Array]
 
     @property
     def level(self) -> Mask:
-        """Poses whose beam has a base angle: those not within 0.1 degrees of vertical."""
+        """Poses with a base angle: their beam is more than 0.1 degrees from vertical, (n,)."""
         return np.asarray((np.abs(np.cos(self.angles[1:3])) > _STEEP).all(axis=0))
 
     @property
     def beams(self) -> Beams:
-        """The beams that the receiver's angles describe."""
+        """The beams in the machine, as the angles of the receiver describe them."""
         phi1, phi2, phi3, phi4 = self.angles
         launch_base = phi1 + np.where(np.cos(phi2) < 0, np.pi, 0.0)
         return Beams(self.receiver, self.spindle + phi4, phi3, launch_base, self.distance)
 
 
 def read(table: Table) -> Readings:
-    """Return the poses of a table; raises InputError for all its faults."""
+    """Return the poses of a table; raises InputError that lists all its faults."""
     faults = list(_faults(table))
     if faults:
         raise InputError(faults)

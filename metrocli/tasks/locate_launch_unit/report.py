@@ -1,4 +1,4 @@
-"""The result of a location: the unit with its covariance, residuals of every reading, and the beams."""
+"""The result of a location: the unit with its covariance, the residuals of all readings, and the beams."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 
 UNITS = ("mm", "mm", "mm", "rad")
 _DELTA0 = 4.13
-"""Non-centrality of a w-test at 0.1 % with 80 % power (Baarda 1968): the least detectable bias is 4.13 s / sqrt(r)"""
+"""Non-centrality of a w-test at 0.1 % and 80 % power (Baarda 1968): the minimal detectable error is 4.13 s / sqrt(r)"""
 _CONTROLLED = 1e-6
-"""Redundancy below which a reading is not controlled at all"""
+"""Redundancy below which a reading is uncontrolled"""
 _TABLES = {"angles": tuple(lu.ENCODERS), "distances": (lu.DISTANCE,)}
 
 
@@ -100,13 +100,13 @@ def _statistics_as_printed(located: Located, method: str, beams: Table) -> dict[
 def _warning_as_printed(method: str) -> tuple[str, ...]:
     ignored = "phi1 and phi2 only give gamma" if method == "closed-loop" else "distances are not used, phi1 gives gamma"
     return (
-        f"method {method}: uncertainties are those of the declared noise; there is no test of it, {ignored}, and all "
-        "poses count alike; `method: adjustment` uses every reading",
+        f"method {method}: uncertainties follow from the declared noise, which is not tested; {ignored}, and all "
+        "poses have equal weight; `method: adjustment` uses every reading",
     )
 
 
 def _beams(located: Located) -> Table:
-    """Return /beams: length and direction of each beam in the machine, and how far it misses the unit."""
+    """Return /beams: length and direction of each beam in the machine, and its distance from the unit."""
     readings = located.readings
     out = readings.receiver - located.place
     length = np.linalg.norm(out, axis=1)
@@ -120,7 +120,7 @@ def _beams(located: Located) -> Table:
 
 
 def _residuals(parts: list[tuple[Group, Residuals]]) -> Table:
-    """Return the residuals of groups of one unit, with the least error of each reading that would be detected."""
+    """Return the residuals of groups with a common unit, with the minimal detectable error of each reading."""
     groups, found = [group.observations for group, _ in parts], [residuals for _, residuals in parts]
     columns: dict[str, Values] = {
         key: np.concatenate([np.array(o.keys[key]) for o in groups]) for key in ("pose", "reading")
@@ -138,14 +138,14 @@ def _residuals(parts: list[tuple[Group, Residuals]]) -> Table:
 
 
 def _detectable(found: Residuals) -> Array:
-    """Return the least error of each reading that a test finds, inf where the reading is not controlled."""
+    """Return the minimal detectable error of each reading, inf if the reading is uncontrolled."""
     controlled = found.redundancy > _CONTROLLED
     root = np.sqrt(np.where(controlled, found.redundancy, 1.0))
     return np.where(controlled, _DELTA0 * found.sigma / root, np.inf)
 
 
 def _outliers(located: Located) -> Table:
-    """Return the readings that do not fit the others, the largest first."""
+    """Return /outliers: the readings that do not fit the others, the largest first."""
     found = located.outliers
     return Table(
         {
@@ -164,9 +164,9 @@ def _told(outliers: Table, critical: float, removed: bool) -> list[str]:
 
 
 def _repeated(readings: Readings) -> list[str]:
-    """Return a warning of rows that hold the same readings."""
+    """Return a warning of poses that hold identical readings."""
     rows = np.column_stack([readings.receiver, readings.spindle, readings.angles.T])
     _, first, counts = np.unique(rows, axis=0, return_inverse=True, return_counts=True)
     same = [name for name, at in zip(readings.names, first.ravel(), strict=True) if counts[at] > 1]
-    text = f"poses with the same readings to the last digit count as if measured twice: {listed(same)}"
+    text = f"poses with identical readings count as if measured twice: {listed(same)}"
     return [text] if same else []

@@ -1,4 +1,4 @@
-"""What a job of locate-launch-unit says."""
+"""Settings of a locate-launch-unit job."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ METHODS = ("adjustment", "lines", "closed-loop")
 
 @dataclass(frozen=True)
 class Inputs:
-    """Aligned poses."""
+    """Aligned poses, and positions to measure at."""
 
     poses: Path = setting(TableFile(POSES), "receiver positions and encoder angles of aligned poses")
     places: Path | None = setting(
@@ -27,7 +27,7 @@ class Inputs:
 
 @dataclass(frozen=True)
 class Files:
-    """What the inputs hold; poses are absent before the measurement."""
+    """Contents of the inputs; the poses are absent before the measurement."""
 
     poses: Table = ABSENT
     places: Table | None = None
@@ -37,13 +37,15 @@ class Files:
 class Noise:
     """Standard deviations of the readings."""
 
-    encoder: float = setting(Quantity("angle", positive=True), "of each encoder angle")
-    distance: float | None = setting(Quantity("length", positive=True), "of a distance", default=None)
+    encoder: float = setting(Quantity("angle", positive=True), "standard deviation of each encoder angle")
+    distance: float | None = setting(
+        Quantity("length", positive=True), "standard deviation of a distance", default=None
+    )
 
 
 @dataclass(frozen=True)
 class Truth:
-    """Where the unit truly is, for `metrocli simulate`."""
+    """True place of the unit, for `metrocli simulate`."""
 
     place: tuple[float, ...] = setting(ListOf(Quantity("length"), length=3), "x, y, z of the unit")
     gamma: float = setting(Quantity("angle"), "set-up angle of the unit about z", default=0.0)
@@ -57,12 +59,14 @@ class Settings:
     inputs: Inputs = setting(Section(Inputs), "the files of the job")
     noise: Noise = setting(Section(Noise), "standard deviations of the readings")
     method: str = setting(Choice(*METHODS), "adjustment, or one of the paper's two", default="adjustment")
-    plan: Planned | None = setting(Section(Planned), "the lines to measure from there", default=None)
-    outliers: str = setting(Choice("report", "remove"), "name outliers, or leave them out", default="report")
+    plan: Planned | None = setting(Section(Planned), "the lines to measure from the located unit", default=None)
+    outliers: str = setting(
+        Choice("report", "remove"), "report outliers only, or also leave them out", default="report"
+    )
     simulation: Truth | None = setting(Section(Truth), "the truth for `metrocli simulate`", default=None)
 
     def faults(self) -> Iterable[tuple[str, str]]:
-        """Distances need their standard deviation."""
+        """Check that distances have a standard deviation."""
         distances = self.simulation is not None and self.simulation.distances
         if self.noise.distance is None and (distances or self.method == "closed-loop"):
             yield "noise", "distances need their standard deviation: add `distance: 1 um`"

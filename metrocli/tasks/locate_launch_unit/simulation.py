@@ -1,4 +1,4 @@
-"""Simulated alignments: what the encoders read when receiver and launch unit look at each other."""
+"""Simulated alignments: the readings of the encoders when receiver and launch unit point at each other."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def simulated(
     rng: np.random.Generator,
     effects: Sequence[Wanted] = (),
 ) -> Simulation:
-    """Return the poses of a measurement at the listed places, with effects and noise."""
+    """Return simulated poses at the listed places, with effects and noise."""
     readings, added = _exact(truth, noise, places, effects)
     angles = wrapped(readings.angles + rng.normal(size=readings.angles.shape) * noise.encoder)
     columns: dict[str, Values] = {"pose": np.array(readings.names)}
@@ -49,7 +49,7 @@ def simulated(
 
 
 def _exact(truth: Truth, noise: Noise, places: Table, effects: Sequence[Wanted]) -> tuple[Readings, dict[str, float]]:
-    """Return readings without noise, and the values of the effects in them; vertical beams are left as they are."""
+    """Return readings without noise, and the true values of their effects; vertical beams stay without effects."""
     receiver, spindle = places.stacked("xyz"), places.numbers("spindle")
     angles, distance = aligned(np.array(truth.place), truth.gamma, receiver, spindle)
     conditions = {name: places.numbers(name) for name in ("t", "temp") if name in places}
@@ -68,7 +68,7 @@ def _exact(truth: Truth, noise: Noise, places: Table, effects: Sequence[Wanted])
 
 
 def aligned(place: Array, gamma: float, receiver: Array, spindle: Array) -> tuple[Array, Array]:
-    """Return the angles phi1..phi4 (4, n) and distances (n,) of units that look at each other (Kuprin et al. eq. 5).
+    """Return the angles phi1..phi4 (4, n) and distances (n,) of units that point at each other (Kuprin et al. eq. 5).
 
     `phi1 = atan2(b) - gamma`, `phi2 = asin(bz/|b|)`, `phi3 = -phi2`, `phi4 = atan2(-b) - psi`, b from unit to receiver.
     """

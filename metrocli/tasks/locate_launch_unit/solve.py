@@ -1,4 +1,4 @@
-"""Locating a launch unit by each of the three methods."""
+"""Location of a launch unit by each of the three methods."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ from metrocli.tasks.locate_launch_unit.settings import Noise
 from metrocli.words import listed
 
 _ABSURD = 100.0
-"""A sigma0 that no noise makes"""
+"""sigma0 above this cannot come from noise"""
 _ENOUGH = 1
-"""More poses than this can tell that the columns hold something else"""
+"""With more poses than this, wrong columns can be recognised"""
 
 
 @dataclass(frozen=True)
 class How:
-    """How to locate a unit."""
+    """Method, treatment of outliers, and effects of a location."""
 
     method: str = "adjustment"
     """adjustment, lines or closed-loop"""
     remove: bool = False
-    """Leave outliers out"""
+    """Whether to leave outliers out"""
     effects: Sequence[Wanted] = ()
 
 
@@ -48,23 +48,27 @@ class Located:
     values: Array
     """x y z gamma"""
     covariance: Array
-    """(4, 4)"""
+    """Covariance of x y z gamma, (4, 4)"""
     readings: Readings
     problem: Problem | None = None
-    """Of the adjustment; None for the methods of the paper"""
+    """The adjusted problem; None for the methods of the paper"""
     solution: Solution | None = None
     outliers: tuple[Outlier, ...] = ()
     critical: float = float("nan")
-    """The bound of their test"""
+    """Bound of |w| for an outlier"""
 
     @property
     def place(self) -> Array:
-        """p, (3,)"""
+        """Place of the unit, p, (3,)."""
         return self.values[:3]
 
 
 def locate(readings: Readings, noise: Noise, how: How | None = None) -> Located:
-    """Return the located unit; InputError, UndeterminedError or NotConvergedError where there is none."""
+    """Return the located unit.
+
+    Raises InputError if readings are impossible or fit no place, UndeterminedError if the poses do not determine the
+    place, NotConvergedError if the adjustment does not converge.
+    """
     how = how or How()
     try:
         located = _located(readings, noise, how)
@@ -105,12 +109,12 @@ def _located(readings: Readings, noise: Noise, how: How) -> Located:
 
 
 def _undetermined(problem: Problem, solution: Solution) -> str:
-    """Say what is undetermined: an effect that the other unknowns absorb, or the place itself."""
+    """Return the message of what is undetermined: an effect that the other unknowns absorb, or the place itself."""
     hidden = absorbed(problem.effects, solution, None)
     if hidden:
         return "\n".join(
-            f"{one.label} cannot be told from the other unknowns of this job, which absorb it; "
-            f"leave it out; what may tell it: {one.effect.reveal}"
+            f"{one.label} cannot be separated from the other unknowns of this job, which absorb it; "
+            f"leave it out; what would separate it: {one.effect.reveal}"
             for one in hidden
         )
     found = f"undetermined: {solution.undetermined[0]}" if solution.undetermined else solution.outcome.value
@@ -118,7 +122,7 @@ def _undetermined(problem: Problem, solution: Solution) -> str:
 
 
 def _must_suffice(readings: Readings, noise: Noise, method: str) -> None:
-    """Raise where the poses cannot locate anything by this method, before any computing."""
+    """Raise InputError or UndeterminedError if the poses cannot determine the place by this method."""
     measured = readings.beams.measured
     if measured.any() and noise.distance is None and method != "lines":
         raise InputError("noise: the poses have distances; add `distance: 1 um`, their standard deviation")
@@ -137,7 +141,7 @@ def _must_suffice(readings: Readings, noise: Noise, method: str) -> None:
 
 
 def explained(readings: Readings, found: str) -> str:
-    """Say what is undetermined, why, and what would determine it."""
+    """Return the message of what is undetermined, why, and what would determine it."""
     n = len(readings.names)
     angle = np.rad2deg(np.arcsin(min(spread(readings.beams) / np.sqrt(n), 1.0)))
     why = "there is one pose" if n == 1 else f"all {n} poses lie on nearly one beam (within {angle:.2g} degrees)"
@@ -149,7 +153,7 @@ def explained(readings: Readings, found: str) -> str:
 
 
 def _refuse_mirrored(readings: Readings, noise: Noise) -> None:
-    """Raise InputError where receivers look away from the place where the beams meet: the same line, the other way."""
+    """Raise InputError if a receiver points away from the place where the beams meet (the mirror solution)."""
     if uncertainty_along(readings, noise) > WEAK:
         return
     beams = readings.beams
@@ -157,14 +161,14 @@ def _refuse_mirrored(readings: Readings, noise: Noise) -> None:
     behind = [name for name, along in zip(readings.names, ahead, strict=True) if along <= 0]
     if behind:
         raise InputError(
-            f"the receiver looks away from the unit in {len(behind)} of {len(ahead)} poses: {listed(behind)}; the "
+            f"the receiver points away from the unit in {len(behind)} of {len(ahead)} poses: {listed(behind)}; the "
             "beams meet behind it (the mirror solution). phi3, phi4 must describe the direction from the receiver "
             "to the launch unit: there phi3 has the other sign and phi4 differs by 180 degrees"
         )
 
 
 def _as_printed(readings: Readings, noise: Noise, method: str) -> Located:
-    """Return the place by one of the paper's methods, with the declared noise propagated to first order."""
+    """Return the place by one of the methods of Kuprin et al., with the declared noise propagated to first order."""
     beams = readings.beams
     meeting = lines(beams) if method == "lines" else closed_loop(beams)
     values = np.array([*meeting.place, set_up_angle(beams)])
@@ -172,7 +176,10 @@ def _as_printed(readings: Readings, noise: Noise, method: str) -> Located:
 
 
 def _propagated(beams: Beams, meeting: Meeting, noise: Noise) -> Array:
-    """Return the covariance (4, 4) of x y z gamma; gamma has phi4 - phi1 of each pose, the place phi4, phi3 and l."""
+    """Return the covariance (4, 4) of x y z gamma.
+
+    gamma depends on phi4 - phi1 of each pose, the place on phi4, phi3 and the distance.
+    """
     n = len(beams.base)
     share = np.full((n, 1), 1 / n)
     nothing = np.zeros((n, 3))

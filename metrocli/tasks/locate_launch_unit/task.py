@@ -1,4 +1,4 @@
-"""What locate-launch-unit does with a job."""
+"""The functions of locate-launch-unit."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from metrocli.tasks.locate_launch_unit.solve import How, locate
 
 
 def run(job: Job[Settings, Files]) -> Result:
-    """Locate the unit; raises InputError, UndeterminedError or NotConvergedError."""
+    """Return the located unit; raises InputError, UndeterminedError or NotConvergedError."""
     return report(locate(read(job.files.poses), job.settings.noise, _how(job)), job.settings.method)
 
 
 def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
-    """Return the job as diagnosis sees it, with all its readings; raises as `run` does."""
+    """Return the adjusted job in the form that diagnosis needs, with all readings; raises as `run` does."""
     return adjusted_job(locate(read(job.files.poses), job.settings.noise, replace(_how(job), remove=False)))
 
 
@@ -39,7 +39,7 @@ def _how(job: Job[Settings, Files]) -> How:
 
 
 def compare(job: Job[Settings, Files]) -> Table:
-    """Return what each method makes of the poses."""
+    """Return the result of each method for the poses, or the reason why it was refused."""
     readings, noise = read(job.files.poses), job.settings.noise
     rows: list[list[float]] = []
     outcome = []
@@ -59,16 +59,16 @@ def compare(job: Job[Settings, Files]) -> Table:
 
 
 def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulation:
-    """Return the alignments of a unit at the place of `simulation:`, with effects in them.
+    """Return simulated poses of a unit at the place of `simulation:`, with effects.
 
-    They are made at the listed places, or at those of the poses.
+    The receiver stands at the listed places, or at those of the poses. Raises InputError if either is missing.
     """
     settings, files = job.settings, job.files
     where = files.places if files.places is not None else files.poses or None
     if settings.simulation is None or where is None:
         raise InputError(
             "simulate needs the truth, `simulation: {place: [0 mm, 1 m, 1.5 m], gamma: 20 deg}`, and the receiver's "
-            "positions, `inputs: {places: places.csv}` or those of the poses"
+            "positions, from `inputs: {places: places.csv}` or from the poses"
         )
     rng = np.random.default_rng(options.seed)
     return simulated(settings.simulation, settings.noise, where, rng, job.effects)
@@ -77,7 +77,8 @@ def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulatio
 def plan(job: Job[Settings, Files]) -> Plan:
     """Return the lines to measure from the located unit, with their margins and NC programs.
 
-    Before the poses are measured: what the listed places will determine of a unit at the place of `simulation:`.
+    Before the poses are measured, the location is the one expected from poses at the listed places, for a unit at the
+    place of `simulation:`. Raises InputError without poses or places, UndeterminedError if no line can be measured.
     """
     settings, poses, places = job.settings, job.files.poses, job.files.places
     if poses:
@@ -87,11 +88,11 @@ def plan(job: Job[Settings, Files]) -> Plan:
         exact = replace(settings.noise, encoder=0.0, distance=0.0)
         expected = simulated(settings.simulation, exact, places, np.random.default_rng(0)).files["poses.csv"]
         located = locate(read(expected), settings.noise, _how(job))
-        first = f"expected of {len(places)} poses that are still to be measured"
+        first = f"expected from {len(places)} poses that are still to be measured"
     else:
         raise InputError(
             "plan needs measured poses, or before they are measured `inputs: {places: places.csv}` and "
-            "`simulation: {place: [0 mm, 1 m, 1.5 m]}`, about where the unit stands"
+            "`simulation: {place: [0 mm, 1 m, 1.5 m]}`, the approximate place of the unit"
         )
     if settings.plan is None:
         return Plan(KIND.name, (first,), figures(located))

@@ -1,4 +1,4 @@
-"""Gross errors among the lengths of a network, found point by point before the adjustment."""
+"""Gross errors among the lengths of a network: they are found point by point before the adjustment."""
 
 from __future__ import annotations
 
@@ -14,39 +14,41 @@ from metrocli.instruments import tracer as t
 from metrocli.tasks.multilaterate.problem import Network
 
 _GROSS = 8.0
-"""Misfit beyond all chance, in standard deviations"""
+"""Misfit, in standard deviations, from which a length cannot be off by chance"""
 _MAD = 1.4826
 """Standard deviation of a normal sample over its median absolute deviation"""
 _STEPS = 6
-"""Gauss-Newton steps from the mover's reading to the point"""
+"""Gauss-Newton steps from the mover's reading to the intersection of the lengths"""
 _TRIED = 3
-"""Wrong lengths of one point that are looked for at most"""
+"""Largest number of wrong lengths that is searched at one point"""
 
 
 def most_wrong(lengths: Index) -> Index:
-    """Return how many wrong lengths of a point of so many can be told from right ones, `(n - 3) / 2`.
+    """Return how many wrong lengths can be identified at a point with n lengths, `(n - 3) / 2` rounded down.
 
-    With more the wrong ones may agree among themselves as well as the right ones do: the breakdown of every estimate of
-    three unknowns from n readings (Rousseeuw and Leroy 1987).
+    If more are wrong, the wrong ones may agree among themselves as well as the right ones do. This is the breakdown
+    point of every estimate of three unknowns from n readings (Rousseeuw and Leroy 1987).
     """
     return np.maximum(lengths - 3, 0) // 2
 
 
 @dataclass(frozen=True)
 class Rejected:
-    """A length that was left out."""
+    """A length that was left out of the adjustment."""
 
     row: int
+    """Its row among all lengths"""
     test: float
-    """|w|, nan where it was left out before there was one"""
+    """|w|, the absolute normalised residual; nan if the length was left out before one was computed"""
     reason: str
+    """Key of the sentence in the report: gross, outlier, alike, point, few or doubt"""
 
 
 def far_off(network: Network, state: Mapping[str, Block]) -> dict[int, Rejected]:
-    """Return lengths that are off beyond all chance, by row, with the tracers where `state` has them.
+    """Return the lengths with gross errors, by row, for tracers at the places in `state`.
 
-    Of each point whose lengths do not meet in one place the fewest are taken without which the rest do; all of them
-    where several choices would serve.
+    At a point whose lengths do not meet in one place, the smallest set is taken without which the others meet. If
+    several sets of that size qualify, or no set of up to three does, all lengths of the point are taken.
     """
     observations = network.lengths.observations
     point = observations.index[t.POINT]
@@ -66,17 +68,17 @@ def far_off(network: Network, state: Mapping[str, Block]) -> dict[int, Rejected]
 
 @dataclass(frozen=True)
 class _Sight:
-    """The lengths to one point from tracers of known place."""
+    """All lengths to one point, from tracers at known places."""
 
     near: Array
-    """Where the point is about, (3,)"""
+    """Approximate place of the point, (3,)"""
     tracers: Array
-    """(m, 5)"""
+    """x0, y0, z0, dead path and scale of the tracer of each length, (m, 5)"""
     lengths: Array
     sigma: Array
 
     def misfit(self, chosen: list[int]) -> float:
-        """Return the sum of squares of the chosen lengths in the place where they meet best."""
+        """Return the weighted sum of squares of the chosen lengths at the point that fits them best."""
         place, tracers, sigma = self.near, self.tracers[chosen], self.sigma[chosen]
         for _ in range(_STEPS):
             away = place - tracers[:, :3]
@@ -89,7 +91,7 @@ class _Sight:
 
 
 def _wrong(sight: _Sight, bound: float) -> list[int]:
-    """Return the fewest lengths of a point without which the rest meet within the bound; all if that cannot be told."""
+    """Return the smallest set of lengths without which the others meet within the bound; all if it is not unique."""
     everything = list(range(len(sight.lengths)))
     if sight.misfit(everything) <= bound:
         return []

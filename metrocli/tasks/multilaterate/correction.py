@@ -1,4 +1,4 @@
-"""Task-specific correction: a measurement corrected by the mover's error at each point (Härtig et al. section 2)."""
+"""Task-specific correction: probing points are corrected by the mover's error at each (Härtig et al. section 2)."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ if TYPE_CHECKING:
     from metrocli.table import Values
 
 _FAR, _PLAIN, _ENOUGH = 12.0, 1e-4, 6
-"""A point is told that is this many times further from its entry than the median, and further than this share of the
-volume, where there are so many points"""
+"""A list entry is reported as wrong from this multiple of the median deviation of all points, if the deviation also
+exceeds this share of the volume and there are at least so many points"""
 
 
 _NOWHERE = "probing point '{}' has no replayed point of its name or within {:g} mm"
-_LEFT_OUT = "the replayed point of probing point '{}' was left out: too few of its lengths are right"
+_LEFT_OUT = "the replayed point of probing point '{}' was left out: too few of its lengths are correct"
 
 
 def refuse_lost(network: Network, probing: Table, tolerance: float) -> None:
-    """Raise InputError that lists every probing point without a replayed point of its name or within the tolerance."""
+    """Raise InputError for every probing point with no replayed point of its name or within the tolerance (mm)."""
     _refuse(probing, _matches(network, probing, tolerance), _NOWHERE, tolerance)
 
 
 def corrected(network: Network, solution: Solution, probing: Table, tolerance: float) -> Table:
-    """Return the probing points with the mover's error at their replayed points taken off, in the shape they came.
+    """Return the probing points, corrected by the mover's error at their replayed points, in the columns of the input.
 
     A probing point belongs to the replayed point of its name, else to the nearest nominal point within the tolerance.
-    Raises InputError that lists every probing point whose replayed one the adjustment left out.
+    Raises InputError that lists every probing point whose replayed point the adjustment left out.
     """
     match = _matches(network, probing, tolerance)
     _refuse(probing, match, _LEFT_OUT, tolerance)
@@ -53,7 +53,7 @@ def _refuse(probing: Table, match: Index, text: str, tolerance: float) -> None:
 
 
 def distant(network: Network, probing: Table | None, tolerance: float) -> tuple[str, ...]:
-    """Return the warning that points were replayed elsewhere than they were probed, where they were."""
+    """Return a warning if points were replayed farther than the tolerance from where they were probed."""
     if probing is None:
         return ()
     gap = np.linalg.norm(probing.stacked("xyz") - network.nominal[_matches(network, probing, tolerance)], axis=1)
@@ -62,12 +62,12 @@ def distant(network: Network, probing: Table | None, tolerance: float) -> tuple[
         return ()
     return (
         f"{far} probing points were replayed up to {gap.max():.3g} mm away from where they were probed: "
-        "the correction holds where the mover's error is the same at both places",
+        "the correction is valid only if the mover's error is the same at both places",
     )
 
 
 def wrong_entries(network: Network, solution: Solution) -> tuple[str, ...]:
-    """Return the warning that the frame of a free network rests on entries of the points' list that look wrong."""
+    """Return a warning if the frame of a free network depends on entries of the list of points that look wrong."""
     rows = np.flatnonzero((network.seen > 0) & network.unknown)
     if network.datum is None or len(rows) < _ENOUGH:
         return ()
@@ -78,13 +78,14 @@ def wrong_entries(network: Network, solution: Solution) -> tuple[str, ...]:
         return ()
     names = [network.blocks[t.POINT].members[rows[i]] for i in far[np.argsort(-size[far])]]
     return (
-        f"the entries of {len(names)} points may be wrong: {listed(names)} lie up to {size.max():.3g} mm from where "
-        f"their list says, the others about {np.median(size):.3g} mm; such entries turn and shift the frame: mend them",
+        f"the entries of {len(names)} points may be wrong: {listed(names)} lie up to {size.max():.3g} mm from their "
+        f"place in the list of points, the others about {np.median(size):.3g} mm; wrong entries turn and shift the "
+        "frame: correct them",
     )
 
 
 def _matches(network: Network, probing: Table, tolerance: float) -> Index:
-    """Return the replayed point of each probing point, -1 where there is none."""
+    """Return the row of the replayed point of each probing point, (n,), or -1 without one."""
     from scipy.spatial import cKDTree
 
     replayed = np.flatnonzero(network.seen > 0)

@@ -1,4 +1,4 @@
-"""A multilateration as diagnosis sees it."""
+"""A multilateration in the form that diagnosis needs."""
 
 from __future__ import annotations
 
@@ -25,14 +25,16 @@ from metrocli.tasks.multilaterate.solve import Solved, refitted
 from metrocli.units import parse_quantity
 
 FOLDS = 10
+"""Parts into which points are divided for cross-validation"""
 _CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
 _BEYOND = 0.2
-"""By how much of its size the box of offered points goes beyond points and tracers"""
+"""Share of its size by which the box of offered points exceeds points and tracers on each side"""
 _BAR = parse_quantity("1 um", "length")
+"""Standard uncertainty of an offered calibrated distance"""
 
 
 def adjusted_job(solved: Solved) -> AdjustedJob:
-    """Return the job of an adjusted network."""
+    """Return an adjusted network in the form that diagnosis needs."""
     network = solved.network
     model = with_conditions(replace(network.model, blocks=solved.solution.blocks, groups=solved.solution.groups))
 
@@ -57,11 +59,14 @@ def adjusted_job(solved: Solved) -> AdjustedJob:
 
 
 _POINTS_NEAR, _TRACERS_NEAR = 0.02, 0.5
-"""How far points and tracers may be from where their lists say, as shares of the measured volume"""
+"""Plausible deviations of points and tracers from their lists, as shares of the measured volume"""
 
 
 def _astray(solved: Solved) -> float:
-    """Return how far places are from what the files say, over what is plausible, root mean square."""
+    """Return how far points and tracers lie from their lists, relative to the plausible deviation.
+
+    The deviation of the points is a root mean square, that of the tracers a median; the larger ratio counts.
+    """
     network, blocks = solved.whole, solved.solution.blocks
     seen = network.seen > 0
     extent = float(np.ptp(network.nominal[seen], axis=0).max()) or 1.0
@@ -73,7 +78,7 @@ def _astray(solved: Solved) -> float:
 
 
 def covariates(model: Model) -> list[Covariate]:
-    """Return what an unknown effect on lengths could vary with."""
+    """Return the quantities with which an unknown effect on lengths could vary."""
     observations = model.readings[0].observations
     conditions = observations.conditions
     found = [
@@ -94,7 +99,7 @@ def covariates(model: Model) -> list[Covariate]:
 
 
 def folds(point: Index, conditions: Mapping[str, Array]) -> Index:
-    """Return ten parts of about equally many points, in the order of time where there is one."""
+    """Return the part of each length, (n,): ten parts with about equal numbers of points, in order of time if given."""
     points = np.unique(point)
     when = conditions.get("t", np.arange(len(point), dtype=float))
     mean = np.bincount(point, when) / np.maximum(np.bincount(point), 1)
@@ -104,11 +109,11 @@ def folds(point: Index, conditions: Mapping[str, Array]) -> Index:
 
 
 _CLOSING = 4
-"""One point in so many is measured again"""
+"""One point in this many is measured again"""
 
 
 def offers(model: Model) -> Iterator[tuple[str, Model]]:
-    """Yield what could be measured in addition, the cheapest first."""
+    """Yield additional measurements that could be made, each with the extended model, the cheapest first."""
     group = model.readings[0]
     observations = group.observations
     points = observations.index[t.POINT]
@@ -133,7 +138,10 @@ def offers(model: Model) -> Iterator[tuple[str, Model]]:
 
 
 def _with_repeats(model: Model, rows: Index, later: float, warmer: float = 0.0) -> Model:
-    """Return the model with some readings taken again, later by a share of the time that the measurement took."""
+    """Return the model with some readings repeated after the measurement.
+
+    `later` is the break before the repetition, as a share of the duration of the measurement; `warmer` is in K.
+    """
     group = model.readings[0]
     old = group.observations
     new = old.selected(rows)
@@ -152,7 +160,7 @@ def _with_repeats(model: Model, rows: Index, later: float, warmer: float = 0.0) 
 
 
 def _with_corners(model: Model) -> Model:
-    """Return the model with new points at the corners of a box that holds tracers and points, read at two times."""
+    """Return the model with new points, read at begin and end, at the corners of a box around tracers and points."""
     group, block, tracers = model.readings[0], model.blocks[t.POINT], model.blocks[t.TRACER]
     places = np.concatenate([block.values, tracers.values[:, :3]])
     low, high = places.min(axis=0), places.max(axis=0)
@@ -195,7 +203,7 @@ def _with_corners(model: Model) -> Model:
 
 
 def _of_more(group: Group, block: Block) -> Group:
-    """Return a group whose priors of a block know the members that the block has in addition."""
+    """Return a group of priors whose reference includes the new members of the block."""
     links = tuple(
         replace(link, reference=np.concatenate([link.reference, block.values[len(link.reference) :]]))
         if isinstance(link, ReadBlock) and link.block == block.name
@@ -206,7 +214,7 @@ def _of_more(group: Group, block: Block) -> Group:
 
 
 def _far_apart(points: Array) -> tuple[int, int]:
-    """Return two points that are nearly as far apart as any."""
+    """Return the rows of two points whose distance is about the largest of all."""
     one = int(np.argmax(((points - points.mean(axis=0)) ** 2).sum(axis=1)))
     return one, int(np.argmax(((points - points[one]) ** 2).sum(axis=1)))
 

@@ -1,6 +1,6 @@
 """Distance of two points of a result with its uncertainty, from the covariance of the pair.
 
-A result holds the covariance of each point, and factors of what any two points share: `Q_ab = C_a K C_b'`.
+A result holds the covariance of each point, and factors of the covariance between any two: `Q_ab = C_a K C_b'`.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from metrocli.words import suggestion
 
 COMMON, CORE = "points_common", "points_core"
 _LARGEST = 4_000_000
-"""Numbers that the factors may have; larger networks are written without them"""
+"""Largest size of the factors, in numbers; results of larger networks do not hold them"""
 
 
 def factors(covariance: Covariance, chosen: Mask) -> dict[str, Array]:
-    """Return the factors C (points, 3, k) and K (k, k) of the chosen points; nothing where they are too large.
+    """Return the factors C (points, 3, k) and K (k, k) of the chosen points; an empty mapping if they are too large.
 
-    Of eliminated points the shared part is `W Q_r W'`, and `-E S' - S E'` where the datum is on them.
+    If the points are eliminated, their shared covariance is `W Q_r W'`; a datum on the points adds `-E S' - S E'`.
     """
     if covariance.layout.eliminated == t.POINT:
         points = covariance.eliminated
@@ -48,7 +48,7 @@ def factors(covariance: Covariance, chosen: Mask) -> dict[str, Array]:
 def distance(result: Result, first: str, second: str) -> Estimate:
     """Return the distance of two points of a result with its standard uncertainty.
 
-    Raises UsageError for a name that is not in the result, InputError where it does not hold what two points share.
+    Raises UsageError if the result lacks one of the points, InputError if it lacks the covariance between points.
     """
     if "points" not in result.tables or COMMON not in result.arrays:
         raise InputError("the result does not hold the covariance between points (too many points, or another kind)")
@@ -67,7 +67,7 @@ def distance(result: Result, first: str, second: str) -> Estimate:
 def between_two(places: Array, own: Array, shared: Mapping[str, Array]) -> tuple[float, float]:
     """Return the distance of two points and its standard uncertainty, from their `factors`.
 
-    `u^2 = e' (Q_aa + Q_bb - Q_ab - Q_ba) e`, e the direction from one to the other; own is (2, 3, 3).
+    `u^2 = e' (Q_aa + Q_bb - Q_ab - Q_ba) e`, e the unit vector between them; places (2, 3), own covariances (2, 3, 3).
     """
     away = places[0] - places[1]
     length = float(np.linalg.norm(away))

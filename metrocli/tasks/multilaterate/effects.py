@@ -25,7 +25,7 @@ def _refraction(by: str, condition: str, need: str, rate: Parameter) -> Effect:
 
     return Effect(
         "refraction-drift",
-        "the refractive index of the air changes while the tracers measure, and no correction follows it",
+        "the refractive index of the air changes during the measurement without being corrected",
         (rate,),
         link,
         by=by,
@@ -49,7 +49,7 @@ EFFECTS: tuple[Effect, ...] = (
     ),
     Effect(
         "length-scale",
-        "all lengths are too long or too short in proportion: one wavelength, air correction or unit for all",
+        "all lengths are too long or too short in proportion: the common wavelength, air correction or unit is wrong",
         (_size("scale", "ratio", "5 percent"),),
         lambda block, where: BeamScale(block),
         confused_with=("length-offset",),
@@ -58,7 +58,7 @@ EFFECTS: tuple[Effect, ...] = (
     ),
     Effect(
         "length-offset",
-        "all absolute distances are off by one amount: zero of the instrument, delay of its electronics",
+        "all absolute distances are off by the same amount: zero error of the instrument, delay of its electronics",
         (_size("offset", "length", "1 m"),),
         lambda block, where: LengthOffset(block),
         confused_with=("length-scale",),
@@ -75,12 +75,12 @@ EFFECTS: tuple[Effect, ...] = (
         where=("tracer",),
         needs=("t",),
         confused_with=("tracer-drift", "refraction-drift"),
-        reveal="the first points again at the end, from far apart directions of this tracer",
+        reveal="the first points again at the end, in widely different directions from this tracer",
         source="Schwenke et al. 2008, Geometric error measurement and compensation of machines, CIRP Annals 57",
     ),
     Effect(
         "dead-path-jump",
-        "the beam of one tracer was broken and found again, or the tracer was bumped along the beam",
+        "the beam of one tracer was interrupted and recovered, or the tracer was displaced along the beam",
         (_size("step", "length", "1 mm"),),
         lambda block, where: LengthJump(block),
         where=("tracer",),
@@ -92,14 +92,14 @@ EFFECTS: tuple[Effect, ...] = (
     ),
     Effect(
         "tracer-drift",
-        "one tracer moves on its stand while it measures",
+        "one tracer moves on its stand during the measurement",
         tuple(_size(name, "speed", "1 um/min") for name in ("vx", "vy", "vz")),
         lambda block, where: TracerDrift(block),
         where=("tracer",),
         needs=("t",),
         turns=True,
         confused_with=("dead-path-drift",),
-        reveal="the first points again at the end, seen by this tracer in three directions far apart",
+        reveal="the first points again at the end, in three widely different directions from this tracer",
         source="Schwenke et al. 2008, CIRP Annals 57",
     ),
     Effect(
@@ -109,8 +109,8 @@ EFFECTS: tuple[Effect, ...] = (
         lambda block, where: LengthTerms(block, (COS_2A, SIN_2A)),
         where=("tracer",),
         confused_with=("tracer-scale",),
-        reveal="this tracer turned by 45 degrees about its vertical axis and the points measured again",
-        source="the first harmonic of the azimuth is a shift of the centre; the second is the lowest that is seen",
+        reveal="the points again with this tracer turned by 45 degrees about its vertical axis",
+        source="the first harmonic of the azimuth equals a shift of the centre; the second is the lowest observable",
     ),
     Effect(
         "reflector-incidence",
@@ -118,18 +118,18 @@ EFFECTS: tuple[Effect, ...] = (
         (_size("c", "length", "20 um"),),
         lambda block, where: LengthTerms(block, (INCIDENCE,)),
         confused_with=("tracer-scale",),
-        reveal="points measured again with the reflector turned to another axis",
+        reveal="points measured again with the reflector turned to another direction",
         source="Lin et al. 2002; Ouyang et al. 2007 (corner cubes within 20 degrees)",
     ),
     Effect(
         "reseated-reflector",
-        "the reflector was taken out and put back, and sits elsewhere in its nest",
+        "the reflector was taken out of its nest, put back, and sits in another place",
         tuple(_size(name, "length", "1 mm") for name in ("dx", "dy", "dz")),
         lambda block, where: PointStep(block),
         scanned=(Parameter("at", "time", grid=change_points),),
         needs=("t",),
         confused_with=("tracer-drift", "dead-path-jump"),
-        reveal="some points measured before and after the reflector is touched",
+        reveal="some points measured both before and after the reflector is touched",
         source="geodetic practice: closing points",
     ),
     Effect(
@@ -143,4 +143,4 @@ EFFECTS: tuple[Effect, ...] = (
         of_one_reading=True,
     ),
 )
-"""The table; its order is that of the documents"""
+"""The table of effects, in the order of docs/effects"""

@@ -1,4 +1,4 @@
-"""A measurement of lengths before it is made: what will be read from where, and the covariance that this gives."""
+"""A planned measurement of lengths: which tracer reads which point, and the covariance that follows."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ _KEPT = ("point", "tracer", "t", "temp")
 
 @dataclass(frozen=True)
 class Planned:
-    """A measurement before it is made: where the mover is sent, where the tracers stand, and what is read when."""
+    """A planned measurement: the points, the places of the tracers, and which point each tracer reads at what time."""
 
     points: Table
     tracers: Table
     lengths: Table | None = None
-    """Its points, tracers, times and temperatures are read again; without it every tracer reads every point"""
+    """Lengths whose points, tracers, times and temperatures are taken over; if None, every tracer reads every point"""
 
     def design(self, pace: LengthSimulation | None) -> Table:
-        """Return point, tracer and the conditions of each reading; times only where there is a pace."""
+        """Return point, tracer and conditions of each reading; times and temperatures follow from `pace`, if given."""
         if self.lengths is not None:
             return _with(self.lengths, {name: self.lengths.columns[name] for name in _KEPT if name in self.lengths})
         names, stations = self.points.texts("point"), self.tracers.texts("tracer")
@@ -53,7 +53,7 @@ class Planned:
         return Table(columns)
 
     def with_tracer(self, name: str, place: Array) -> Planned:
-        """Return the measurement with one more tracer, which reads every point that is read."""
+        """Return the measurement with one more tracer, which reads every point that the others read."""
         row = {"tracer": name, **dict(zip("xyz", place.tolist(), strict=True))}
         added: dict[str, Values] = {key: np.array([row.get(key, np.nan)]) for key in self.tracers}
         more = replace(self, tracers=_with(self.tracers, _appended(self.tracers, added), False))
@@ -65,7 +65,7 @@ class Planned:
         return replace(more, lengths=_with(self.lengths, _appended(self.lengths, added), False))
 
     def of_points(self, rows: Index) -> Planned:
-        """Return the measurement of some of its points."""
+        """Return the measurement with only these points."""
         fewer = replace(self, points=_chosen(self.points, rows))
         if self.lengths is None:
             return fewer
@@ -75,7 +75,7 @@ class Planned:
 
 @dataclass(frozen=True)
 class Layout:
-    """A planned measurement as it will be adjusted."""
+    """A planned measurement with the settings and effects of its adjustment."""
 
     settings: Settings
     planned: Planned
@@ -85,7 +85,10 @@ class Layout:
 
     @cached_property
     def network(self) -> Network:
-        """The network with the lengths that will be read but for their noise; InputError for impossible places."""
+        """The network with the expected lengths, free of noise.
+
+        Raises InputError if a name is unknown or a tracer stands at a point.
+        """
         points, tracers = self.planned.points, self.planned.tracers
         design = self.planned.design(self.settings.simulation)
         ends = matched(design, "point", points.texts("point"), points.file or "the list of points")
@@ -102,38 +105,38 @@ class Layout:
 
     @cached_property
     def solution(self) -> Solution:
-        """The covariance at the planned places."""
+        """The solution at the planned places, for its covariance."""
         network = self.network
         return covariance_at(network.blocks.values(), [network.lengths, *network.others], network.datum)
 
     @property
     def names(self) -> list[str]:
-        """The points that are read."""
+        """Names of the points that are read."""
         members, seen = self.network.blocks[t.POINT].members, self.network.seen
         return [name for name, n in zip(members, seen, strict=True) if n]
 
     @property
     def places(self) -> Array:
-        """Where the points that are read will be (points, 3)."""
+        """Planned places of the points that are read, (points, 3)."""
         return self.network.nominal[self.network.seen > 0]
 
     @cached_property
     def covariances(self) -> Array:
-        """Covariance of each point that is read (points, 3, 3)."""
+        """Covariance of each point that is read, (points, 3, 3) in mm^2."""
         return self.solution.known().members(t.POINT)[self.network.seen > 0]
 
     def with_tracer(self, name: str, place: Array) -> Layout:
-        """Return the layout with one more tracer of which nothing is known but about where it stands."""
+        """Return the layout with one more tracer, whose place, dead path and scale will be unknowns."""
         return replace(self, planned=self.planned.with_tracer(name, place))
 
 
 def worst_direction(covariances: Array) -> Array:
-    """Return the standard uncertainty of each point in its worst direction, (n,), from (n, 3, 3)."""
+    """Return the standard uncertainty (n,) of each point in its worst direction, from covariances (n, 3, 3)."""
     return np.asarray(np.sqrt(np.maximum(np.linalg.eigvalsh(covariances)[:, -1], 0.0)))
 
 
 def root_mean_square(covariances: Array) -> float:
-    """Return the standard uncertainty of a coordinate, root mean square over all points, from (n, 3, 3)."""
+    """Return the root mean square standard uncertainty of all coordinates, from covariances (n, 3, 3)."""
     return float(np.sqrt(max(np.einsum("mii->m", covariances).mean() / 3, 0.0)))
 
 

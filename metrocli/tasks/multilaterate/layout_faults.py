@@ -1,4 +1,4 @@
-"""Layouts that cannot carry the answer: what is wrong with them, in words, and what would mend it."""
+"""Layouts that are undetermined or weak: what is wrong with them, for messages, and what would correct it."""
 
 from __future__ import annotations
 
@@ -16,16 +16,17 @@ from metrocli.tasks.multilaterate.problem import Network
 from metrocli.words import listed
 
 TOO_WEAK, WEAK = 300.0, 10.0
-"""Uncertainty of a point over that of a length: beyond the first nothing is given out, beyond the second it is said"""
+"""Ratios of the uncertainty of points to that of lengths: above the first it is an error, above the second a warning"""
 _THIN = 0.02
-"""Points thinner than this share of their length lie on a line or plane"""
+"""Points whose thickness is below this share of their extent lie on a line or in a plane"""
 _CLOSE = 0.05
-"""Tracers nearer than this share of the layout stand at one place"""
+"""Tracers closer together than this share of the layout stand nearly at one place"""
 _FEW = 6
+"""Number of points per tracer, and of tracers in one plane, that suffices"""
 
 
 def weakness(network: Network, solution: Solution) -> float:
-    """Return the uncertainty of the points over that of the lengths, both root mean squares; 1 to 3 is good."""
+    """Return the ratio of the uncertainty of points to that of lengths, both root mean squares; 1 to 3 is good."""
     if solution.covariance is None:
         return float("inf")
     members = solution.covariance.members(t.POINT)[network.seen > 0]
@@ -34,46 +35,46 @@ def weakness(network: Network, solution: Solution) -> float:
 
 
 def carries(network: Network, solution: Solution) -> bool:
-    """Tell whether the layout determines the points well enough to give them out."""
+    """Return whether the layout determines the points well enough for a result."""
     if solution.undetermined or solution.outcome is Outcome.TOO_FEW:
         return False
     return solution.covariance is None or weakness(network, solution) <= TOO_WEAK
 
 
 def warnings(network: Network, solution: Solution) -> list[str]:
-    """Return what makes a layout weak that determines its points."""
+    """Return a warning for each cause of weakness in a layout that determines its points."""
     ratio = weakness(network, solution)
     if ratio <= WEAK:
         return []
     return [
-        f"the layout is weak, points are {ratio:.2g} times less certain than lengths: {reason}"
+        f"the layout is weak, points are {ratio:.2g} times as uncertain as lengths: {reason}"
         for reason in reasons(network, solution)
     ]
 
 
 def explained(network: Network, solution: Solution) -> str:
-    """Say what is undetermined, why, and what would determine it."""
+    """Return the message of what is undetermined, why, and what would determine it."""
     lines = [
         f"the layout does not determine the points: {solution.observations} readings, {solution.unknowns} unknowns"
     ]
     lines += [f"  undetermined: {combination}" for combination in solution.undetermined[:3]]
     if not solution.undetermined and solution.covariance is not None:
-        lines.append(f"  points are {weakness(network, solution):.2g} times less certain than lengths")
+        lines.append(f"  points are {weakness(network, solution):.2g} times as uncertain as lengths")
     lines += [f"  why: {reason}" for reason in reasons(network, solution)]
     return "\n".join(lines)
 
 
 def reasons(network: Network, solution: Solution) -> list[str]:
-    """Return what is wrong with the layout of a network that is undetermined or weak."""
+    """Return the reasons why the layout of a network is undetermined or weak."""
     hidden = absorbed(network.effects, solution, network.datum) if solution.undetermined else ()
     if hidden:
         return [
-            f"{one.label} cannot be told from the other unknowns of this job, which absorb it; "
-            f"leave it out, or measure {one.effect.reveal}"
+            f"{one.label} cannot be separated from the other unknowns of this job, which absorb it; "
+            f"leave it out; what would separate it: {one.effect.reveal}"
             for one in hidden
         ]
     found = [*_counts(network, solution), *_shapes(network, solution)]
-    return found or ["the tracers see the points from too few directions; add tracers or points away from the others"]
+    return found or ["the tracers see the points from too few directions; add tracers or points far from the others"]
 
 
 def _counts(network: Network, solution: Solution) -> Iterator[str]:
@@ -86,22 +87,22 @@ def _counts(network: Network, solution: Solution) -> Iterator[str]:
     there = int((network.seen > 0).sum())
     needed = math.ceil((per_tracer * m - 6) / (m - 3)) if m > 3 else 0
     if solution.dof < 0 and there < needed:
-        yield f"too few points: {there}, where {m} tracers need {needed}, and more to be checked"
+        yield f"too few points: {there}, where {m} tracers need {needed}, and more for a check"
     few = [name for name, n in zip(network.blocks[t.POINT].members, network.seen, strict=True) if 0 < n < 3]
     if few and network.unknown[network.seen > 0].any():
         yield (
             f"points read by fewer than three tracers: {listed(few)}; `outliers: remove` leaves them out, or read them "
-            "by more"
+            "with more tracers"
         )
     reads = np.bincount(index[t.TRACER], minlength=m)
     poor = [f"{name} ({n})" for name, n in zip(tracers.members, reads, strict=True) if n < _FEW]
     if poor:
-        yield f"tracers that read too few points for their place: {listed(poor)}; six or more spread in space are sound"
+        yield f"tracers that read too few points for their place: {listed(poor)}; use six or more, spread in space"
 
 
 def _three(network: Network) -> str:
     known = "where points or tracers are known (sigma_mm)"
-    return f"; three are enough {known}" if network.absolute and network.unknown.all() else ""
+    return f"; three suffice {known}" if network.absolute and network.unknown.all() else ""
 
 
 def _shapes(network: Network, solution: Solution) -> Iterator[str]:
@@ -121,7 +122,7 @@ def _shapes(network: Network, solution: Solution) -> Iterator[str]:
     if not near and 3 < m < _FEW and _flat(places, 2):
         yield (
             f"the {m} tracers stand in one plane (within {_thickness(places, 2):.3g} mm): "
-            "move one out of it by a good part of their distances, or use six"
+            "move one out of it by a large part of their distances, or use six"
         )
 
 
@@ -134,7 +135,7 @@ def _span(points: Array) -> float:
 
 
 def _thickness(points: Array, dimensions: int) -> float:
-    """Return how far points lie from the best line (1) or plane (2), root mean square."""
+    """Return how far points lie from their centroid (0), best line (1) or best plane (2), root mean square."""
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return float(spread[dimensions:].max(initial=0.0) / np.sqrt(len(points)))
 

@@ -1,4 +1,8 @@
-"""What a planned multilateration will determine: points, distances, wrong lengths that stay hidden, one more tracer."""
+"""What a planned multilateration will determine.
+
+It predicts the uncertainty of points and distances and the errors of lengths that stay hidden, and ranks places for one
+more tracer.
+"""
 
 from __future__ import annotations
 
@@ -29,15 +33,18 @@ if TYPE_CHECKING:
 
 _HEAD = "tracers, and distances of points along lines through the volume:"
 _FEWEST_CHECKED = 4
-"""Lengths of a point that show that one is wrong, and not which"""
+"""Number of lengths of a point that reveals a wrong length but does not identify it"""
 _TOLD = 3
-"""Places for one more tracer that are told"""
+"""Number of places for one more tracer in the summary"""
 _UNCONTROLLED = 0.01
-"""Redundancy below which a test of the length says nothing: its least detectable error exceeds 41 sigma"""
+"""Redundancy below which a test of the length is useless: its minimal detectable error exceeds 41 sigma"""
 
 
 def planned(layout: Layout, candidates: Table | None) -> Plan:
-    """Return what a layout will determine; UndeterminedError, with what would help, where it does not."""
+    """Return what a layout will determine.
+
+    Raises UndeterminedError, with what would determine the points, if the layout does not.
+    """
     ranking = ranked(layout, candidates)
     if not layout_faults.carries(layout.network, layout.solution):
         best = _best(ranking)
@@ -63,7 +70,7 @@ def _points(layout: Layout) -> Table:
 
 
 def _lengths(layout: Layout) -> Table:
-    """Return each length with its redundancy, its least detectable error, and how far that moves the point unseen."""
+    """Return redundancy, minimal detectable error and external reliability of each length."""
     group = layout.network.lengths
     found = residuals_of(layout.solution, group)
     columns: dict[str, Values] = {name: np.array(values) for name, values in group.observations.keys.items()}
@@ -78,7 +85,7 @@ def _tracers(solution: Solution) -> Iterator[Estimate]:
 
 
 def _lines(layout: Layout) -> Iterator[Estimate]:
-    """Yield distances of points near the ends of lines through the volume: along the axes, and its diagonals."""
+    """Yield the distances of points at opposite ends of the volume: along its axes and its diagonals."""
     points, names, read = layout.places, layout.names, np.flatnonzero(layout.network.seen > 0)
     middle, half = (points.max(axis=0) + points.min(axis=0)) / 2, np.ptp(points, axis=0) / 2
     told = set()
@@ -109,30 +116,30 @@ def _quality(layout: Layout) -> Iterator[str]:
 
 
 def _of_lengths(layout: Layout, lengths: Table) -> Iterator[str]:
-    """Yield what tests of the lengths will find, and what they will not."""
+    """Yield which errors of single lengths the tests will detect, and which they will not."""
     least, moves = lengths.numbers("detectable"), lengths.numbers("moves_point")
     yield (
-        f"an error of one length will be found from {roughly(float(np.median(least)), 'um')} on in half of the lengths "
-        "(0.1 % level, 80 % power)"
+        f"minimal detectable error of one length: {roughly(float(np.median(least)), 'um')} in the median "
+        "(0.1 % level of significance, 80 % power)"
     )
     row = int(np.argmax(np.where(np.isfinite(moves), moves, np.inf)))
     name = f"{lengths.texts('point')[row]}/{lengths.texts('tracer')[row]}"
     if np.isfinite(moves[row]):
-        yield f"unseen, the error of one length moves its point by {roughly(moves[row], 'um')} at most ({name})"
+        yield f"an undetected error of one length moves its point by up to {roughly(moves[row], 'um')} ({name})"
     poor = int((lengths.numbers("redundancy") < _UNCONTROLLED).sum())
     if poor:
         yield f"{poor} lengths are hardly controlled by the others (redundancy below {_UNCONTROLLED:g}), such as {name}"
     if (layout.network.seen[layout.network.unknown] == _FEWEST_CHECKED).any():
-        yield "a wrong length will show in its point, but with four tracers nobody can tell whose it is: a fifth would"
+        yield "with four tracers a wrong length shows at its point but cannot be identified; a fifth would identify it"
 
 
 def _best(ranking: Ranking) -> Iterator[str]:
     """Yield the best places for one more tracer."""
     table = ranking.table
     if not len(table):
-        yield f"one more tracer alone would not help: none of {ranking.tried} places tried"
+        yield f"one more tracer alone would not help: {ranking.tried} places were tried"
         return
-    yield f"one more tracer would serve best of {ranking.tried} places tried at"
+    yield f"one more tracer would serve best at ({ranking.tried} places tried):"
     for row in range(min(_TOLD, len(table))):
         place = ", ".join(f"{table.numbers(axis)[row]:.0f}" for axis in "xyz")
         rms, worst, gain, gain_worst = (

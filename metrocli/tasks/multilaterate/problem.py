@@ -1,4 +1,4 @@
-"""The adjustment of a network of lengths, from readings to blocks and groups with starting values."""
+"""The adjustment of a network of lengths: its blocks, groups and datum, built from the readings."""
 
 from __future__ import annotations
 
@@ -30,14 +30,16 @@ LENGTHS, DISTANCES = "lengths", "distances"
 
 @dataclass(frozen=True)
 class Network(Modelled):
-    """A network of lengths ready to adjust."""
+    """A network of lengths, ready to be adjusted."""
 
     noise: Noise
+    """Standard deviations of the lengths, as a function of the adjusted paths"""
     nominal: Array
-    """The mover's readings of the points (points, 3)"""
+    """The mover's readings of the points, (points, 3)"""
     absolute: bool
+    """Whether lengths are absolute distances, without a dead path"""
     said: Array = field(default_factory=lambda: np.zeros((0, 3)))
-    """Where the tracers are said to be (tracers, 3), nan where nothing is said"""
+    """Listed places of the tracers, (tracers, 3), nan if not listed"""
     warnings: tuple[str, ...] = ()
 
     @property
@@ -47,17 +49,17 @@ class Network(Modelled):
 
     @property
     def aspects(self) -> Mapping[str, Aspect]:
-        """What the effects in the network depend on and the solution decides."""
+        """Conditions that effects in the network vary with and that follow from its geometry; none without effects."""
         return t.ASPECTS if self.effects else {}
 
     @property
     def seen(self) -> Index:
-        """Number of lengths to each point."""
+        """Number of lengths to each point, (points,)."""
         return np.bincount(self.lengths.observations.index[t.POINT], minlength=len(self.nominal))
 
     @property
     def unknown(self) -> Mask:
-        """Points of which nothing is known but the lengths."""
+        """Points that only the lengths determine: free, and in no prior or calibrated distance, (points,)."""
         held = np.zeros(len(self.nominal), dtype=bool)
         for group in self.others:
             if t.POINT in group.observations.index:
@@ -65,7 +67,7 @@ class Network(Modelled):
         return self.blocks[t.POINT].free.all(axis=1) & ~held
 
     def only(self, keep: Mask) -> Network:
-        """Return the network with some of its lengths; points without any are no unknowns any more."""
+        """Return the network with only these lengths; points that lose all their lengths are no longer unknowns."""
         lengths = self.lengths.selected(keep)
         left = np.bincount(lengths.observations.index[t.POINT], minlength=len(self.nominal)) > 0
         points = self.blocks[t.POINT]
@@ -82,7 +84,7 @@ def _without(group: Group, left: Mask) -> Group:
 
 
 def build(settings: Settings, lengths: Table, points: Table, tracers: Table | None, distances: Table | None) -> Network:
-    """Return the adjustment with its starting values."""
+    """Return the adjustment of the files, with starting values found from the lengths; raises as `places_of` does."""
     readings = join(lengths, points, tracers, settings.measures == "absolute")
     return network_of(settings, readings, places_of(readings), lengths, distances)
 
@@ -90,7 +92,10 @@ def build(settings: Settings, lengths: Table, points: Table, tracers: Table | No
 def network_of(
     settings: Settings, readings: Readings, places: Array, lengths: Table, distances: Table | None
 ) -> Network:
-    """Return the adjustment of readings from tracers that start at `places` (tracers, 5)."""
+    """Return the adjustment of readings; `places` (tracers, 5) are the starting values of the tracers.
+
+    Raises InputError that lists every fault in the calibrated distances.
+    """
     names, sigma = readings.names, readings.point_sigma
     free = (sigma != 0) & (readings.seen > 0)[:, None]
     point_block = t.point_block(readings.nominal, names, free, readings.extent)
@@ -127,10 +132,10 @@ def network_of(
 
 
 def _unused(readings: Readings) -> tuple[str, ...]:
-    """Return warnings of points without a length and of tracers that read nothing."""
+    """Return a warning of points without a length, and one of tracers without a reading."""
     unseen = [name for name, n in zip(readings.names, readings.seen, strict=True) if n == 0]
     warnings = (f"{len(unseen)} points have no length: {listed(unseen)}",) if unseen else ()
-    return warnings + ((f"tracers that read nothing are left out: {listed(readings.idle)}",) if readings.idle else ())
+    return warnings + ((f"tracers without a reading are left out: {listed(readings.idle)}",) if readings.idle else ())
 
 
 def _tracers(settings: Settings, readings: Readings, places: Array) -> Block:

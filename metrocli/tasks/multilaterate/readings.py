@@ -1,4 +1,4 @@
-"""Readings of tracers joined to their points and tracers, with what the files say is known of these."""
+"""Readings of tracers, matched to the lists of points and tracers and their uncertainties."""
 
 from __future__ import annotations
 
@@ -17,40 +17,43 @@ from metrocli.words import nearest
 
 @dataclass(frozen=True)
 class Readings:
-    """Lengths with their places in the lists of points and tracers."""
+    """Lengths, each with its rows in the lists of points and tracers."""
 
     names: tuple[str, ...]
     stations: tuple[str, ...]
-    """Tracers that read something"""
+    """Tracers with at least one reading"""
     idle: tuple[str, ...]
-    """Tracers of the list that read nothing"""
+    """Listed tracers without a reading"""
     length: Array
     point: Index
     station: Index
     nominal: Array
-    """(points, 3)"""
+    """Listed places of the points, (points, 3)"""
     said: Array
-    """Where the tracers are said to be, (tracers, 3), nan where nothing is said"""
+    """Listed places of the tracers, (tracers, 3), nan if not listed"""
     point_sigma: Array
-    """(points, 3), nan where nothing is known"""
+    """Standard uncertainties of the listed points, (points, 3), nan if not given"""
     tracer_sigma: Array
-    """(tracers, 3)"""
+    """Standard uncertainties of the listed tracers, (tracers, 3), nan if not given"""
     absolute: bool
     file: str = ""
 
     @property
     def seen(self) -> Index:
-        """Number of lengths to each point."""
+        """Number of lengths to each point, (points,)."""
         return np.bincount(self.point, minlength=len(self.names))
 
     @property
     def extent(self) -> float:
-        """Largest side of the box around the points that are read."""
+        """Largest side of the box around the points that are read [mm]."""
         return float(np.ptp(self.nominal[self.seen > 0], axis=0).max()) or 1.0
 
 
 def join(lengths: Table, points: Table, tracers: Table | None, absolute: bool) -> Readings:
-    """Match lengths to points and tracers; InputError for every length that has none, and for impossible readings."""
+    """Match lengths to points and tracers.
+
+    Raises InputError that lists every length without a point or tracer, and every impossible reading.
+    """
     if len(lengths) == 0:
         raise InputError([lengths.fault("the file has no lengths")])
     used = sorted(set(lengths.texts("tracer")))
@@ -87,9 +90,9 @@ def join(lengths: Table, points: Table, tracers: Table | None, absolute: bool) -
 
 
 def matched(table: Table, column: str, names: Sequence[str], where: str, known: Sequence[str] = ()) -> Index:
-    """Return for each row the place of its name in `names`; InputError for every name that is not there.
+    """Return for each row of a column the position of its name in `names`, (n,).
 
-    `known` are the names that could have been meant, where these are more.
+    Raises InputError that lists every name not found, with the nearest name in `known` (default `names`) as a hint.
     """
     place = {name: i for i, name in enumerate(names)}
     different, which = np.unique(np.asarray(table.columns[column], dtype=str), return_inverse=True)
@@ -116,10 +119,10 @@ def _refuse_readings(lengths: Table, absolute: bool) -> None:
 
 
 def _refuse_negative_paths(lengths: Table, station: Index, tracers: Table, rows: Sequence[int]) -> None:
-    """Raise InputError where a length and the dead path that is given for its tracer make no path."""
+    """Raise InputError that lists every length whose sum with the given dead path is not above zero."""
     dead = tracers.numbers("dead_path", float("nan"))[list(rows)][station]
     path = lengths.numbers("length") + dead
     bad = np.flatnonzero(path <= 0)
     if bad.size:
-        text = "length and dead path together make a path of {:g} mm, which is not above zero"
+        text = "length plus dead path is {:g} mm, which is not above zero"
         raise InputError(lengths.faults_at(bad, lambda row: text.format(path[row])))

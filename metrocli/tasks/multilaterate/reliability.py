@@ -1,4 +1,4 @@
-"""Reliability of lengths: the least error of each that a test finds, and how far one that small moves its point."""
+"""Reliability of lengths: the minimal detectable error of each, and how far that error moves its point."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from metrocli.instruments import tracer as t
 
 UNITS = {"detectable": "mm", "moves_point": "mm"}
 _DELTA0 = 4.13
-"""Non-centrality of a w-test at 0.1 % with 80 % power (Baarda 1968): the least detectable bias is 4.13 s / sqrt(r)"""
+"""Non-centrality of a w-test at 0.1 % and 80 % power (Baarda 1968): the minimal detectable error is 4.13 s / sqrt(r)"""
 _SINGULAR = 1e-6
-"""Redundancy below which a length is not controlled at all"""
+"""Redundancy below which a length is uncontrolled"""
 
 
 def reliability(solution: Solution, group: Group, found: Residuals) -> dict[str, Array]:
-    """Return redundancy, least detectable error and the shift of the point by it, of each length (n,).
+    """Return redundancy, minimal detectable error and the shift of the point by that error, of each length (n,).
 
-    Internal and external reliability after Baarda 1968; a length that nothing controls has an infinite error.
+    These are internal and external reliability after Baarda 1968. The error of an uncontrolled length is infinite.
     """
     redundancy = found.redundancy[0]
     controlled = redundancy > _SINGULAR
@@ -33,7 +33,7 @@ def reliability(solution: Solution, group: Group, found: Residuals) -> dict[str,
 
 
 def _point_shift(solution: Solution, group: Group) -> Array:
-    """Return how far a point moves for a unit error of one of its lengths, |Q_x. J' / sigma^2|, (n,)."""
+    """Return how far a point moves per unit error of one of its lengths, |Q_x. J' / sigma^2|, (n,)."""
     covariance = solution.covariance
     if covariance is None:
         raise RuntimeError(solution.outcome.value)

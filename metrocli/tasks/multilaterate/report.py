@@ -1,4 +1,4 @@
-"""The result of a multilateration: points with their covariance, tracers, reliability, and the corrected probing."""
+"""The result of a multilateration: points with their covariance, tracers, reliability, and corrected probing points."""
 
 from __future__ import annotations
 
@@ -29,20 +29,20 @@ if TYPE_CHECKING:
 
 _UNITS = ("mm", "mm", "mm", "mm", "1")
 _ELSEWHERE = 0.5
-"""A tracer is told that is this share of its distance from the points away from where its list says"""
+"""Warn if a tracer is farther from its listed place than this share of its distance from the points"""
 
 _REASONS = {
     "gross": "far off before the adjustment",
     "outlier": "outlier",
-    "alike": "one of the point's lengths is wrong; which cannot be told",
-    "point": "too few lengths of the point are left to be checked",
+    "alike": "one of the point's lengths is wrong, but cannot be identified",
+    "point": "too few lengths of the point remain for a check",
     "few": "fewer than three tracers read the point",
-    "doubt": "the point lost a length, and the others do not meet either",
+    "doubt": "the point lost a length, and its other lengths do not meet",
 }
 
 
 def report(solved: Solved, probing: Table | None, tolerance: float) -> Result:
-    """Return the result of a solved network."""
+    """Return the result of a solved network; raises InputError if a probing point cannot be corrected."""
     solution = solved.solution
     added = solved.network.effects
     found = (*_tracer_estimates(solution), *estimates(added, solution))
@@ -96,7 +96,7 @@ def _tracer_estimates(solution: Solution) -> tuple[Estimate, ...]:
 
 
 def _points(solved: Solved) -> tuple[Table, dict[str, Array]]:
-    """Return /points, with the mover's error at each (its reading minus the point), and their covariances."""
+    """Return /points, with the mover's error at each point (its reading minus the point), and their covariances."""
     solution, network = solved.solution, solved.network
     block, seen = solution.blocks[t.POINT], network.seen > 0
     each = solution.known().members(t.POINT)[seen]
@@ -121,7 +121,7 @@ def _tracers(solution: Solution) -> Table:
 
 
 def _residuals(solved: Solved) -> Table:
-    """Return /residuals with the least detectable error of each length, and how far it could move its point unseen."""
+    """Return /residuals, with minimal detectable error and external reliability of each length."""
     observations, found = solved.group.observations, solved.residuals
     columns: dict[str, Values] = {name: np.array(values) for name, values in observations.keys.items()}
     columns |= {
@@ -154,7 +154,7 @@ def _suspects(solved: Solved) -> Table:
     return Table(
         {
             "point": np.array([one.point for one in found], dtype=str),
-            "tracer": np.array([one.tracer or "cannot be told" for one in found], dtype=str),
+            "tracer": np.array([one.tracer or "ambiguous" for one in found], dtype=str),
             "or": np.array([" ".join(one.others) for one in found], dtype=str),
             "w": np.array([one.test for one in found], dtype=float),
         }
@@ -180,21 +180,21 @@ def _warnings(solved: Solved) -> list[str]:
     alike = [f"{one.point} (w = {one.test:.1f}: {' or '.join(one.others)})" for one in untold]
     bound = f"the outlier bound |w| = {solved.critical:.2f}"
     if told:
-        lines.append(f"{len(told)} lengths exceed {bound}: {listed(told, 5)}; `outliers: remove` leaves such out")
+        lines.append(f"{len(told)} lengths exceed {bound}: {listed(told, 5)}; `outliers: remove` leaves them out")
     if alike:
         lines.append(
-            f"{len(alike)} points have a wrong length beyond {bound}: {listed(alike, 5)}; whose it is cannot be told, "
-            "since their |w| are alike (of a point with four lengths all are equal): one more tracer would tell"
+            f"{len(alike)} points have a wrong length beyond {bound}: {listed(alike, 5)}; it cannot be identified, "
+            "since |w| are alike at the point (with four lengths all are equal); one more tracer would identify it"
         )
     gone = [name for name, n, before in _lost(solved) if n == 0 < before]
     if gone:
-        lines.append(f"{len(gone)} points are left out, since too few of their lengths are left: {listed(gone)}")
+        lines.append(f"{len(gone)} points are left out, since too few of their lengths remain: {listed(gone)}")
     lines += [*wrong_entries(solved.network, solved.solution), *_elsewhere(solved)]
     return lines + layout_faults.warnings(solved.network, solved.solution)
 
 
 def _elsewhere(solved: Solved) -> Iterator[str]:
-    """Yield the warning of tracers far from their list: lengths do not tell a layout from its mirror image."""
+    """Yield a warning of tracers far from their listed places: lengths fit a layout and its mirror image alike."""
     found, network = solved.solution.blocks[t.TRACER], solved.network
     if not len(network.said):
         return
@@ -204,7 +204,7 @@ def _elsewhere(solved: Solved) -> Iterator[str]:
     if far.size:
         places = [f"{found.members[i]} ({gap[i]:.0f} mm)" for i in far]
         yield (
-            f"tracers are far from where their list says: {listed(places)}; are axes and signs of both lists the same? "
+            f"tracers are far from their listed places: {listed(places)}; are axes and signs of both lists the same? "
             "If those of the points are wrong, so is the result"
         )
 

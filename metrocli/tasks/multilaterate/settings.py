@@ -1,4 +1,4 @@
-"""What a job of multilaterate says, and the columns of its files."""
+"""Settings of a multilaterate job, and the columns of its files."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ DISTANCES = Columns(
 
 @dataclass(frozen=True)
 class Inputs:
-    """What the tracers read, and where the mover says the points are."""
+    """The lengths that the tracers read, and the mover's readings of the points."""
 
     lengths: Path = setting(TableFile(LENGTHS), "lengths read by the tracers")
     points: Path = setting(TableFile(POINTS), "approximate points: the mover's readings")
@@ -59,7 +59,7 @@ class Inputs:
 
 @dataclass(frozen=True)
 class Files:
-    """What the inputs hold; lengths are absent before the measurement."""
+    """Contents of the inputs; the lengths are absent before the measurement."""
 
     lengths: Table = ABSENT
     points: Table = ABSENT
@@ -79,7 +79,7 @@ class LengthNoise:
 
 @dataclass(frozen=True)
 class Scale:
-    """What is known of the tracers' scales."""
+    """Prior knowledge of the tracers' scales."""
 
     uncertainty: float = setting(
         Quantity("ratio", positive=True), "standard uncertainty of each tracer's scale about 1 (eq. 4)"
@@ -88,20 +88,20 @@ class Scale:
 
 @dataclass(frozen=True)
 class LengthSimulation:
-    """The truth that `metrocli simulate` starts from, with the tracers where their list says."""
+    """The truth for `metrocli simulate`; the tracers stand at their listed places."""
 
     mover_error: float = setting(
         Quantity("length", minimum=0.0), "standard deviation of the mover's readings", default=0.0
     )
-    mover_scale: float = setting(Quantity("ratio"), "how much too long the mover reads distances", default=0.0)
+    mover_scale: float = setting(Quantity("ratio"), "relative error of the distances that the mover reads", default=0.0)
     tracer_error: float = setting(
-        Quantity("length", minimum=0.0), "standard deviation of the places that are written", default=0.0
+        Quantity("length", minimum=0.0), "standard deviation of the tracers' places in the file written", default=0.0
     )
     interval: float | None = setting(
         Quantity("time", positive=True), "time from point to point; without it no times are written", default=None
     )
     warming: float = setting(
-        Quantity("temperature difference"), "how much the air warms up from the first point to the last", default=0.0
+        Quantity("temperature difference"), "warming of the air from the first point to the last", default=0.0
     )
 
 
@@ -116,11 +116,15 @@ class Settings:
     )
     scale: Scale | None = setting(Section(Scale), "estimate the tracers' scales; fixed at 1 without it", default=None)
     datum: str | None = setting(
-        Choice("inner-constraints", "points"), "what fixes the frame; by the points' sigma unless given", default=None
+        Choice("inner-constraints", "points"),
+        "what fixes the frame; chosen by the points' sigma unless given",
+        default=None,
     )
-    outliers: str = setting(Choice("report", "remove"), "name outliers, or leave them out", default="report")
+    outliers: str = setting(
+        Choice("report", "remove"), "report outliers only, or also leave them out", default="report"
+    )
     tolerance: float = setting(
-        Quantity("length", positive=True), "how near a probing point must be to its replayed point", default=1.0
+        Quantity("length", positive=True), "largest distance of a probing point from its replayed point", default=1.0
     )
     simulation: LengthSimulation | None = setting(
         Section(LengthSimulation), "the truth for `metrocli simulate`", default=None

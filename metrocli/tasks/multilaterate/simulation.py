@@ -1,4 +1,4 @@
-"""Simulated lengths: what tracers read of a mover that is not where it says."""
+"""Simulated lengths from tracers to points that differ from the mover's readings."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ if TYPE_CHECKING:
 def simulated(
     settings: Settings, truth: LengthSimulation, planned: Planned, effects: Sequence[Wanted], rng: np.random.Generator
 ) -> Simulation:
-    """Return lengths to the points where they really are, from tracers at the places listed, with effects in them.
+    """Return lengths from tracers at their listed places to the true points, with effects and noise.
 
-    The mover's readings are the list of points; the points themselves are off by its error. Interferometers are set to
-    zero at the first point; scales are off by their uncertainty.
+    The list of points holds the mover's readings; the true points differ from them by the mover's error.
+    Interferometers are set to zero at the first point. The errors of the scales are drawn from their uncertainty.
     """
     nominal, places = planned.points.stacked("xyz"), planned.tracers.stacked("xyz")
     if len(nominal) == 0 or len(places) == 0:
@@ -73,7 +73,7 @@ def _named(names: Sequence[str], stations: Array) -> dict[str, float]:
 
 
 def _model(design: Table, planned: Planned, points: Array, stations: Array) -> Model:
-    """Return the forward model of the design at the truth, with readings of zero."""
+    """Return the forward model of the design at the truth; its readings are zero."""
     names, tracers = planned.points.texts("point"), planned.tracers.texts("tracer")
     index = {t.POINT: matched(design, "point", names, "the points")}
     index[t.TRACER] = matched(design, "tracer", tracers, "the tracers")

@@ -1,4 +1,4 @@
-"""Solving a network of lengths: weights from the adjusted paths, gross errors held off, named or left out."""
+"""Solution of a network of lengths: robust start, weights from the adjusted paths, and treatment of outliers."""
 
 from __future__ import annotations
 
@@ -22,58 +22,62 @@ from metrocli.tasks.multilaterate.layout_faults import carries, explained
 from metrocli.tasks.multilaterate.problem import LENGTHS, Network
 
 _EQUAL = 1e-4
-"""Tests of a point that differ by less than this share are the same test"""
+"""Tests of a point that differ by less than this share are equal"""
 _ODDS, _TOSS = 4.0, 0.5
-"""Tests whose squares differ by less leave odds below e^2 = 7 to 1, or e^(1/4) = 1.3 to 1, between two lengths"""
+"""Differences of squared tests of two lengths: below them the odds are under e^2 = 7 to 1, or e^(1/4) = 1.3 to 1"""
 _INNOCENT = 3.0
-"""A length left out at the start comes back if it misses by less than this many standard deviations"""
+"""A length left out at the start is used again if its residual is less than this many standard deviations"""
 _ASTRAY = 0.05
-"""Points further from the mover's readings than this share of the volume are a wrong solution"""
+"""A solution is wrong if the median point is farther from the mover's reading than this share of the volume"""
 _DOUBT = 0.05
-"""Level at which the lengths left of a point that lost some must meet"""
+"""Level of significance of the test of the remaining lengths at a point that lost some"""
 _ROUNDS = 30
+"""Largest number of adjustments while outliers are removed"""
 _SMALL_ENOUGH = 1000
-"""Networks of up to so many points are looked at before they are adjusted"""
+"""Networks of up to so many points are checked for determinacy before they are adjusted"""
 
 
 @dataclass(frozen=True)
 class Suspect:
-    """A length that is wrong, or a point of which one length is and none can be told."""
+    """A wrong length, or a point with a wrong length that cannot be identified."""
 
     point: str
     tracer: str
-    """Empty where it cannot be told"""
+    """Empty if the length cannot be identified"""
     test: float
     """|w|"""
     others: tuple[str, ...]
-    """Tracers whose length explains the point nearly as well; all that might be it where it cannot be told"""
+    """Other tracers whose length explains the misfit nearly as well; all candidates if `tracer` is empty"""
     rows: tuple[int, ...]
-    """The lengths that it could be"""
+    """Rows of the candidates for the wrong length"""
 
 
 @dataclass(frozen=True)
 class Solved:
-    """An adjusted network with what was left out on the way."""
+    """An adjusted network, with the lengths that were left out."""
 
     network: Network
-    """Of the lengths that were used"""
+    """The network of the lengths used"""
     whole: Network
+    """The network of all lengths"""
     solution: Solution
     residuals: Residuals
     rejected: tuple[Rejected, ...]
     suspects: tuple[Suspect, ...]
     critical: float
+    """Bound of |w| for an outlier"""
 
     @property
     def group(self) -> Group:
-        """The lengths that were used, with the weights they were given."""
+        """The lengths used, with their final weights."""
         return next(group for group in self.solution.groups if group.name == LENGTHS)
 
 
 def solve(network: Network, remove: bool) -> Solved:
-    """Adjust with a robust start; leave outliers out where `remove` says so.
+    """Adjust the network from a robust start; with `remove`, leave outliers out.
 
-    Raises UndeterminedError where the layout cannot carry the answer, NotConvergedError where no solution was found.
+    Raises UndeterminedError if the layout does not determine the points, NotConvergedError if the adjustment does not
+    converge or converges far from the mover's readings.
     """
     out = _too_few(network) if remove else {}
     start = network.only(_kept(network, out))
@@ -101,7 +105,7 @@ def solve(network: Network, remove: bool) -> Solved:
 
 
 def _brought_back(network: Network, state: Mapping[str, Block], gross: Mapping[int, Rejected]) -> dict[str, Block]:
-    """Return the start with points that gross errors may have carried away where the mover says they are."""
+    """Return the start with points that have gross errors moved back to the mover's readings."""
     rows = np.unique(network.lengths.observations.index[t.POINT][list(gross)])
     block = state[t.POINT]
     values = block.values.copy()
@@ -110,7 +114,7 @@ def _brought_back(network: Network, state: Mapping[str, Block], gross: Mapping[i
 
 
 def refitted(network: Network, keep: Mask) -> Solution:
-    """Adjust a network from where its blocks are to some of its lengths, with weights from the adjusted paths."""
+    """Adjust a network to some of its lengths, from the present values, with weights from the adjusted paths."""
     used = network.only(keep)
     groups = [used.lengths, *used.others]
     noise = (LENGTHS, network.noise)
@@ -147,7 +151,7 @@ def _kept(network: Network, out: Mapping[int, Rejected]) -> Mask:
 
 
 def _too_few(network: Network) -> dict[int, Rejected]:
-    """Return the lengths of points that too few tracers read to locate them."""
+    """Return the lengths of points that fewer than three tracers read."""
     few = ((network.seen < 3) & network.unknown)[network.lengths.observations.index[t.POINT]]
     return {int(row): Rejected(int(row), float("nan"), "few") for row in np.flatnonzero(few)}
 
@@ -158,24 +162,24 @@ def _must_carry(network: Network, solution: Solution) -> None:
 
 
 def _must_see_effects(network: Network, solution: Solution) -> None:
-    """Refuse effects that the unknowns absorb where they are small; the adjustment would carry them far away."""
+    """Raise UndeterminedError if the other unknowns absorb an effect; the adjustment could make it very large."""
     if solution.undetermined and absorbed(network.effects, solution, network.datum):
         raise UndeterminedError(explained(network, solution))
 
 
 def _must_be_near(network: Network, solution: Solution) -> None:
-    """Refuse a solution far from the mover's readings, such as the mirror image of the layout."""
+    """Raise NotConvergedError if the solution is far from the mover's readings, such as the mirror image."""
     seen = network.seen > 0
     away = np.linalg.norm(solution.blocks[t.POINT].values[seen] - network.nominal[seen], axis=1)
     if np.median(away) > _ASTRAY * np.ptp(network.nominal[seen], axis=0).max():
         raise NotConvergedError(
-            f"the points found lie {np.median(away):.3g} mm from where their list says (median): the adjustment ended "
-            "in a wrong place, such as the mirror image; say about where the tracers stand in `inputs: tracers`"
+            f"the points found lie {np.median(away):.3g} mm from their listed places (median): the adjustment ended in "
+            "a wrong place, such as the mirror image; give approximate places of the tracers in `inputs: tracers`"
         )
 
 
 def _unchecked(network: Network, keep: Mask) -> Mask:
-    """Return the lengths of points that lost so many that those left cannot be trusted, (n,)."""
+    """Return which lengths belong to points that lost so many that the others cannot be trusted, (n,)."""
     point = network.lengths.observations.index[t.POINT]
     lost = network.seen - np.bincount(point, keep, minlength=len(network.nominal))
     gone = (lost > most_wrong(network.seen)) & network.unknown
@@ -183,9 +187,10 @@ def _unchecked(network: Network, keep: Mask) -> Mask:
 
 
 def _doubtful(solved: Solved) -> dict[int, Rejected]:
-    """Return the lengths of points that lost some, where the rest do not meet at 5 % of each point by itself.
+    """Return the lengths of points that lost some and whose others fail a chi-square test at 5 %, each point by itself.
 
-    Where one length is wrong a second is likely, and two may pass for another single one: `v'Pv` of the rest tells.
+    Where one length is wrong, a second is likely, and two wrong ones may look like a single other one. `v'Pv` of the
+    remaining lengths reveals this.
     """
     from scipy.special import chdtri
 
@@ -199,7 +204,10 @@ def _doubtful(solved: Solved) -> dict[int, Rejected]:
 
 
 def _units(solution: Solution, found: Residuals) -> Array:
-    """Return what each |w| is held against (n,): sigma0 where it is above 1; for the largest that of all the others."""
+    """Return the divisor of each |w|, (n,): sigma0, but at least 1.
+
+    For the largest |w| it is the sigma0 of an adjustment without that length, so that its own error does not hide it.
+    """
     w = np.abs(found.normalised[0])
     units = np.full(len(w), max(1.0, np.nan_to_num(solution.sigma0, nan=1.0)))
     if solution.dof > 1 and len(w):
@@ -209,7 +217,7 @@ def _units(solution: Solution, found: Residuals) -> Array:
 
 
 def _suspects(group: Group, w: Array, units: Array, bound: float) -> tuple[Suspect, ...]:
-    """Return the worst length of each point that has one beyond the bound, the largest first."""
+    """Return the worst length of each point that has a test beyond the bound, the largest first."""
     point = group.observations.index[t.POINT]
     keys = group.observations.keys
     suspects = []
@@ -236,14 +244,17 @@ def _suspects(group: Group, w: Array, units: Array, bound: float) -> tuple[Suspe
 
 
 def _worst(solved: Solved) -> dict[int, Rejected]:
-    """Return the lengths to leave out next: the worst suspects, whose errors hide behind no larger ones."""
+    """Return the lengths to leave out next: suspects with at least half of the largest test.
+
+    Smaller ones may only be the effect of larger errors and are tested again in the next adjustment.
+    """
     most = max((one.test for one in solved.suspects), default=0.0)
     chosen = [one for one in solved.suspects if one.test >= most / 2]
     return {row: Rejected(row, one.test, "outlier" if one.tracer else "alike") for one in chosen for row in one.rows}
 
 
 def _without_innocent(solved: Solved, out: dict[int, Rejected]) -> dict[int, Rejected]:
-    """Return what stays out: lengths left out at the start that fit the solution come back."""
+    """Return the lengths that stay out; those left out at the start that fit the solution are used again."""
     observations = solved.whole.lengths.observations
     miss: Array = solved.whole.lengths.residuals(solved.solution.blocks)[0] / observations.sigma[0]
     alive = solved.network.seen[observations.index[t.POINT]] > 0

@@ -1,4 +1,4 @@
-"""Where tracers stand before the adjustment, from the data; and readings that fit no place are refused in words."""
+"""Starting values of the tracers from their lengths; lengths that fit no place are rejected with the likely cause."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from metrocli.instruments.tracer_start import start
 from metrocli.tasks.multilaterate.readings import Readings
 
 _MISFIT = 0.05
-"""Lengths whose median misfit is more than this share of the volume are not those of these points"""
+"""Lengths whose median misfit exceeds this share of the volume do not belong to these points"""
 _REMOTE = 500.0
-"""A place further away than this many times the volume is none: from there all lengths change alike"""
+"""A tracer farther away than this many times the volume is rejected: from there all lengths change alike"""
 _SPARE = 3
-"""Lengths more than unknowns that a tracer needs before its misfit says something"""
+"""Redundant lengths that a tracer needs before its misfit is meaningful"""
 
 
 def places_of(readings: Readings) -> Array:
-    """Return x0, y0, z0, dead path and scale 1 of each tracer (tracers, 5).
+    """Return x0, y0, z0, dead path and scale 1 of each tracer, (tracers, 5).
 
-    Raises UndeterminedError for a tracer that reads too few points for its place, or to find it; InputError where
-    lengths and points cannot belong together: other units, a turned sign, the rows of one tracer in another order.
+    Raises UndeterminedError if a tracer reads too few points to determine or to find its place. Raises InputError if
+    lengths and points do not belong together: wrong units, a reversed sign, the rows of one tracer in another order.
     """
     values = np.zeros((len(readings.stations), 5))
     values[:, 4] = 1.0
@@ -33,7 +33,7 @@ def places_of(readings: Readings) -> Array:
         if mine.sum() < fewest and not (readings.tracer_sigma[i] == 0).all():
             raise UndeterminedError(
                 f"tracer {name} reads {mine.sum()} points: its place{'' if readings.absolute else ' and dead path'} "
-                f"need {fewest} at least, not in one plane, and {fewest + 2} to be checked"
+                f"need at least {fewest}, not in one plane, and {fewest + 2} for a check"
             )
         points, lengths = readings.nominal[readings.point[mine]], readings.length[mine]
         values[i, :4] = _start_of(readings, i, points, lengths)
@@ -48,7 +48,7 @@ def places_of(readings: Readings) -> Array:
 
 
 def _start_of(readings: Readings, i: int, points: Array, lengths: Array) -> Array:
-    """Return the start of one tracer, found from the data; a place that is known stays as it is given."""
+    """Return x0, y0, z0 and dead path of one tracer from its lengths; coordinates with a sigma stay as listed."""
     given = readings.said[i]
     said = None if np.isnan(given).any() else given
     known = np.isfinite(readings.tracer_sigma[i])
@@ -59,7 +59,7 @@ def _start_of(readings: Readings, i: int, points: Array, lengths: Array) -> Arra
     if np.isnan(found).any():
         raise UndeterminedError(
             f"tracer {readings.stations[i]} reads {len(points)} points, too few to find where it stands: "
-            "let it read two more, or say about where it stands in `inputs: tracers`"
+            "let it read two more, or give its approximate place in `inputs: tracers`"
         )
     return np.array([*np.where(known, given, found[:3]), found[3]])
 
@@ -71,7 +71,9 @@ def _misfit(points: Array, lengths: Array, tracer: Array) -> float:
 def _strange(readings: Readings, i: int, misfit: float, bad: int) -> Fault:
     mine = readings.station == i
     points, lengths = readings.nominal[readings.point[mine]], readings.length[mine]
-    text = f"the lengths of tracer {readings.stations[i]} do not belong to these points: they miss by {misfit:.3g} mm"
+    text = (
+        f"the lengths of tracer {readings.stations[i]} do not belong to these points: they are off by {misfit:.3g} mm"
+    )
     hint = (
         "are its rows in another order?" if bad < len(readings.stations) else "do points and lengths belong together?"
     )
@@ -88,7 +90,7 @@ def _strange(readings: Readings, i: int, misfit: float, bad: int) -> Fault:
 
 
 def _factors() -> list[tuple[float, str]]:
-    """Return what lengths may have been multiplied by: the sign, or units taken for others."""
+    """Return factors that correct likely mistakes in lengths, each with its cause: a reversed sign, or wrong units."""
     ones = {unit.symbol: unit.inside(1.0) for unit in units.DIMENSIONS["length"].units}
     ratios = {f"{a} written as {b}": ones[a] / ones[b] for a in ones for b in ones if a != b}
     return [(-1.0, ""), *((ratio, name) for name, ratio in ratios.items())]

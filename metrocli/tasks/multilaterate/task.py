@@ -1,4 +1,4 @@
-"""What multilaterate does with a job."""
+"""The functions of multilaterate."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from metrocli.tasks.multilaterate.solve import solve
 
 
 def run(job: Job[Settings, Files]) -> Result:
-    """Find the points; raises InputError, UndeterminedError or NotConvergedError."""
+    """Return the points; raises InputError, UndeterminedError or NotConvergedError."""
     network, probing, tolerance = _network(job), job.files.probing, job.settings.tolerance
     if probing is not None:
         refuse_lost(network, probing, tolerance)
@@ -39,7 +39,7 @@ def _network(job: Job[Settings, Files]) -> Network:
 
 
 def check(job: Job[Settings, Files]) -> None:
-    """Raise InputError with what is wrong with the files together and with the effects, without computing."""
+    """Raise InputError that lists the faults in the combination of files and in the effects, without computing."""
     settings, files = job.settings, job.files
     readings = join(files.lengths, files.points, files.tracers, settings.measures == "absolute")
     places = np.column_stack([np.nan_to_num(readings.said), np.zeros(len(readings.said)), np.ones(len(readings.said))])
@@ -52,26 +52,27 @@ def check(job: Job[Settings, Files]) -> None:
 
 
 def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
-    """Return the job as diagnosis sees it; raises as `run` does."""
+    """Return the adjusted job in the form that diagnosis needs, with all lengths; raises as `run` does."""
     return adjusted_job(solve(_network(job), remove=False))
 
 
 def plan(job: Job[Settings, Files]) -> Plan:
-    """Return what lengths from every listed tracer to every point will determine; UndeterminedError where they do not.
+    """Return what lengths from every listed tracer to every point will determine.
 
-    Where the job's lengths exist, only what they read is planned.
+    If the job's lengths exist, only the pairs of point and tracer in them are planned. Raises InputError without a list
+    of tracers, UndeterminedError if the layout does not determine the points.
     """
     files = job.files
     if files.tracers is None:
-        raise InputError("plan needs to know where the tracers will stand: `inputs: {tracers: tracers.csv}`")
+        raise InputError("plan needs the places where the tracers will stand: `inputs: {tracers: tracers.csv}`")
     measurement = Planned(files.points, files.tracers, files.lengths or None)
     return planned(Layout(job.settings, measurement, files.distances, job.effects), files.candidates)
 
 
 def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulation:
-    """Return the lengths of a measurement with the mover and tracers of `simulation:`, and with effects in it.
+    """Return simulated lengths for the mover and tracers of `simulation:`, with effects.
 
-    Where the job's lengths exist, their times and temperatures are those of the simulation.
+    If the job's lengths exist, the simulation takes points, tracers, times and temperatures from them.
     """
     settings, files = job.settings, job.files
     if settings.simulation is None or files.tracers is None:

@@ -1,4 +1,4 @@
-"""Where one more tracer would serve a planned measurement best."""
+"""Ranking of places for one more tracer in a planned measurement."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ if TYPE_CHECKING:
     from metrocli.table import Values
 
 _ACROSS, _BEYOND = 5, 0.5
-"""Places along each axis of the grid that is tried without candidates; it exceeds the volume by this share"""
+"""Grid that is tried if no candidates are listed: places along each axis, and share by which it exceeds the volume"""
 _CLEAR = 0.1
-"""Places nearer to the volume than this share of it are in the way"""
+"""Grid places nearer to the volume than this share of it are left out, since a tracer there is in the way"""
 _THICK = 0.2
-"""A volume is taken as at least so thick, as a share of its largest side"""
+"""Least thickness assumed for the volume, as a share of its largest side"""
 _MOST = 300
-"""Points by which candidates are compared"""
+"""Largest number of points used to compare candidates"""
 
 
 @dataclass(frozen=True)
@@ -30,14 +30,16 @@ class Ranking:
     """Candidates for one more tracer, the best first."""
 
     table: Table
-    """candidate, x, y, z, rms, worst, gain_rms, gain_worst: points' uncertainties with it, and by how much less"""
+    """candidate, x, y, z, rms, worst, gain_rms, gain_worst: uncertainties of the points with it, and relative gains"""
     tried: int
+    """Number of candidates compared"""
 
 
 def ranked(layout: Layout, candidates: Table | None) -> Ranking:
     """Rank places for one more tracer by the root mean square uncertainty of the points with it.
 
-    Candidates with which the points stay undetermined are left out; without any a grid around the points is tried.
+    Candidates with which the points stay undetermined are left out. If none are listed, a grid around the points is
+    tried.
     """
     names, places = _places(layout) if candidates is None else _listed(candidates)
     part = _part(layout)
@@ -54,7 +56,7 @@ def ranked(layout: Layout, candidates: Table | None) -> Ranking:
 
 
 def _worth(layout: Layout) -> tuple[float, float]:
-    """Return the points' uncertainty, root mean square and worst; inf where they are undetermined."""
+    """Return the uncertainty of the points, root mean square and worst; inf if they are undetermined."""
     if not carries(layout.network, layout.solution) or layout.solution.covariance is None:
         return float("inf"), float("inf")
     return root_mean_square(layout.covariances), float(worst_direction(layout.covariances).max())
@@ -65,7 +67,7 @@ def _listed(candidates: Table) -> tuple[list[str], Array]:
 
 
 def _places(layout: Layout) -> tuple[list[str], Array]:
-    """Return a grid around the points, without the places in the volume."""
+    """Return names and places of a grid around the points, without those in the volume."""
     points = layout.planned.points.stacked("xyz")
     low, high = points.min(axis=0), points.max(axis=0)
     side = np.maximum(high - low, _THICK * (high - low).max())
@@ -77,7 +79,7 @@ def _places(layout: Layout) -> tuple[list[str], Array]:
 
 
 def _part(layout: Layout) -> Layout:
-    """Return the layout with some of its points, spread evenly over their list, and all those that are known."""
+    """Return the layout with some of its points, evenly spread over their list, and with all known points."""
     n = len(layout.planned.points)
     if n <= _MOST:
         return layout

@@ -1,4 +1,4 @@
-"""What no residual of a multilateration can show: the points follow such an error as if it were true."""
+"""Errors that no residual of a multilateration can show, because the points absorb them."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
 
 def uncontrolled(network: Network) -> Table:
-    """Return effects that the measurement cannot tell from the points, what each could hide, and what would control it.
+    """Return effects that the points absorb, the error of the points from each, and what would control it.
 
-    The sizes are those of plausible causes, named in `assumed`; they grow in proportion.
+    The error in `hides` is that of the plausible cause in `assumed`, and is proportional to it.
     """
     rows = list(_rows(network)) if network.unknown[network.seen > 0].any() else []
     types = {"effect": str, "assumed": str, "hides": float, "control": str}
@@ -30,12 +30,12 @@ def uncontrolled(network: Network) -> Table:
 
 
 def in_words(hidden: Table) -> tuple[str, ...]:
-    """Return what no residual of the measurement shows, as lines of text; none where every point is known."""
+    """Return the lines of a summary of the uncontrolled effects; empty if every point is known."""
     if not len(hidden):
         return ()
     rows = zip(*(hidden.texts(name) for name in ("effect", "assumed")), hidden.numbers("hides"), strict=True)
     lines = [f"  {effect}: {units.roughly(size, 'um')} by {assumed}" for effect, assumed, size in rows]
-    return ("", "not controlled by this design (table not_controlled says what would):", *lines)
+    return ("", "not controlled by this design (table not_controlled lists what would control it):", *lines)
 
 
 def _rows(network: Network) -> Iterator[tuple[str, str, float, str]]:
@@ -52,7 +52,7 @@ def _rows(network: Network) -> Iterator[tuple[str, str, float, str]]:
         "common drift of tracers or part",
         "2 um over the measurement",
         moved,
-        "closing points: the first points measured again at the end, under names of their own",
+        "closing points: the first points measured again at the end, under new names",
     )
     yield (
         "growth of part or mover",
@@ -69,7 +69,7 @@ def _rows(network: Network) -> Iterator[tuple[str, str, float, str]]:
 
 
 def _scaled(network: Network) -> bool:
-    """Whether known lengths or places tell the scale."""
+    """Return whether known lengths or places determine the scale."""
     known = int((~network.unknown & (network.seen > 0)).sum())
     fixed = int((~network.blocks[t.TRACER].free[:, :3]).all(axis=1).sum())
     bars = any(group.name == DISTANCES for group in network.others)

@@ -64,7 +64,11 @@ def test_what_simulate_plants_a_job_finds(label: str, job: Path, metrocli: Calla
 
 
 REFUSED = {
-    "phi1": ("{name: encoder-offset, encoder: phi1}", 4, "encoder-offset.phi1 cannot be told from the other unknowns"),
+    "phi1": (
+        "{name: encoder-offset, encoder: phi1}",
+        4,
+        "encoder-offset.phi1 cannot be separated from the other unknowns",
+    ),
     "encoder": ("{name: encoder-offset, encoder: phi5}", 3, "there is no encoder 'phi5'"),
     "axis": ("{name: machine-scale, axis: a}", 3, "there is no axis 'a'"),
 }

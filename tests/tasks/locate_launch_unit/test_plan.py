@@ -152,9 +152,12 @@ def test_the_paper_s_scenario_has_next_to_no_margin_and_says_why() -> None:
     assert lines.numbers("probability_at_range")[0] == pytest.approx(0.46, abs=0.03)
     text = "\n".join(plan.notes)
     # the encoders alone, square to the beam twice 200 um at 4 m: 1 - exp(-250^2 / (2 200^2)) = 54.2 %
-    assert "a unit whose place is known exactly would have 53.8 %" in text or "54." in text
-    assert "no number gives more than" in text
-    assert "aligned at the far end by the receiver's own readings, it stays in range with more than 99.9 %" in text
+    assert "with a unit whose place is known exactly it would be 53.8 %" in text or "54." in text
+    assert "no number of poses gives more than" in text
+    assert (
+        "aligned at the far end by the receiver's own readings, it stays in range with more than 99.9 % probability"
+        in text
+    )
 
 
 def test_encoders_of_5_arcsec_need_six_poses() -> None:
@@ -176,7 +179,7 @@ def test_before_measuring_the_places_tell_what_to_expect() -> None:
     places = replace(table, columns={name: table.columns[name] for name in ("pose", "x", "y", "z", "spindle")})
     job = replace(settings(), plan=PAPER_PLAN, simulation=Truth(tuple(PAPER_UNIT), 0.3))
     expected = locate_launch_unit.plan(locate_launch_unit.TASK.job(job, places=places))
-    assert expected.notes[0] == "expected of 3 poses that are still to be measured"
+    assert expected.notes[0] == "expected from 3 poses that are still to be measured"
     assert [e.std for e in expected.figures] == pytest.approx([e.std for e in planned(paper()).figures], rel=1e-6)
     with pytest.raises(InputError, match="plan needs measured poses"):
         locate_launch_unit.plan(locate_launch_unit.TASK.job(replace(job, simulation=None), places=places))

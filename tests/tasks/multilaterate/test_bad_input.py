@@ -69,7 +69,7 @@ CASES: dict[str, tuple[str, Callable[[list[str]], list[str]], str]] = {
     "a negative path": (
         "tracers.csv",
         lambda rows: [f"{rows[0]},dead_path_mm", *(f"{row},-2000" for row in rows[1:])],
-        "lengths.csv:2: error: length and dead path together make a path of",
+        "lengths.csv:2: error: length plus dead path is -",
     ),
     "all lengths equal": (
         "lengths.csv",
@@ -171,10 +171,10 @@ def test_files_in_different_units_that_say_so_are_one(folder: Path, metrocli: Me
 
 def test_a_mirrored_list_of_points_is_told_by_the_tracers(folder: Path, metrocli: Metrocli) -> None:
     """Lengths fit the mirror image as well: the list of tracers alone shows it."""
-    assert "far from where their list says" not in metrocli("multilaterate", "job.yaml").err
+    assert "far from their listed places" not in metrocli("multilaterate", "job.yaml").err
     change(folder / "points.csv", lambda rows: [rows[0].replace("x_mm,y_mm", "y_mm,x_mm"), *rows[1:]])
     ran = metrocli("multilaterate", "job.yaml")
-    assert "tracers are far from where their list says: T1" in ran.err
+    assert "tracers are far from their listed places: T1" in ran.err
 
 
 def test_one_gross_error_is_not_taken_for_a_shuffle(folder: Path, metrocli: Metrocli) -> None:

@@ -27,9 +27,9 @@ def test_with_five_tracers_a_coin_is_not_tossed() -> None:
             if point == "P7":
                 rows = [i for i, name in enumerate(result.tables["residuals"].texts("point")) if name == "P7"]
                 w = np.sort(np.abs(result.tables["residuals"].numbers("normalised")[rows]))
-                shares[tracer == "cannot be told"] = shares.get(tracer == "cannot be told", 0) + 1
-                assert (tracer == "cannot be told") == (w[-1] ** 2 - w[-2] ** 2 < 0.5)
-                assert tracer != "cannot be told" or len(others.split()) >= 2
+                shares[tracer == "ambiguous"] = shares.get(tracer == "ambiguous", 0) + 1
+                assert (tracer == "ambiguous") == (w[-1] ** 2 - w[-2] ** 2 < 0.5)
+                assert tracer != "ambiguous" or len(others.split()) >= 2
     assert shares[False] >= 3
 
 
@@ -53,9 +53,9 @@ def test_with_four_tracers_the_point_is_named_and_no_tracer() -> None:
     result = multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table()))
     suspects = result.tables["suspects"]
     assert suspects.texts("point") == ["P7"]
-    assert suspects.texts("tracer") == ["cannot be told"]
+    assert suspects.texts("tracer") == ["ambiguous"]
     (line,) = [line for line in result.warnings if "P7" in line]
-    assert "whose it is cannot be told" in line and "one more tracer would tell" in line
+    assert "it cannot be identified" in line and "one more tracer would identify it" in line
     assert suspects.texts("or") == ["T0 T1 T2 T3"]
     of_point = [i for i, name in enumerate(result.tables["residuals"].texts("point")) if name == "P7"]
     w = np.abs(result.tables["residuals"].numbers("normalised")[of_point])
@@ -79,7 +79,7 @@ def test_what_is_left_out_with_four_tracers_is_the_whole_point() -> None:
     assert len(result.tables["points"]) == 39
     rejected = result.tables["rejected"]
     assert set(rejected.texts("point")) == {"P7"} and len(rejected) == 4
-    assert all("cannot be told" in reason for reason in rejected.texts("reason"))
+    assert all("cannot be identified" in reason for reason in rejected.texts("reason"))
     assert any("P7" in line and "left out" in line for line in result.warnings)
 
 

@@ -93,7 +93,7 @@ REFUSED = {
     "unit": ("{name: dead-path-drift, tracer: LT2, rate: 1 mm}", 3, "not of a speed"),
     "key": ("{name: dead-path-drift, tracr: LT2}", 3, "did you mean 'tracer'?"),
     "time": ("{name: dead-path-jump, tracer: LT2}", 3, "the key 'at' is missing"),
-    "absorbed": ("{name: length-scale}", 4, "length-scale cannot be told from the other unknowns"),
+    "absorbed": ("{name: length-scale}", 4, "length-scale cannot be separated from the other unknowns"),
 }
 
 

@@ -159,7 +159,7 @@ def test_the_mirror_image_is_no_result() -> None:
         turned[name] = block.with_values(values)
     datum = replace(built.datum, reference=turned["point"].values) if built.datum else None
     with pytest.raises(
-        NotConvergedError, match="mm from where their list says .median.: the adjustment ended in a wrong"
+        NotConvergedError, match="mm from their listed places .median.: the adjustment ended in a wrong"
     ):
         solve(built.with_model(replace(built.model, blocks=turned, datum=datum)), remove=False)
     assert solve(built, remove=False).solution.outcome.good
