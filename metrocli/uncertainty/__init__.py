@@ -1,1 +1,1 @@
-"""Uncertainty: models as expressions, their derivatives, GUM and Monte Carlo propagation, and what follows from it."""
+"""Uncertainty: models as expressions, their derivatives, GUM and Monte Carlo propagation, validation and decisions."""

@@ -1,4 +1,4 @@
-"""Random draws of quantities that are correlated."""
+"""Random draws of correlated quantities."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from metrocli.uncertainty.distributions import Distribution, Sampled
 
 Array = npt.NDArray[np.float64]
 CLIP = 1e-12
-"""An eigenvalue below this share of the largest is rounding."""
+"""Eigenvalues below this share of the largest are rounding errors and count as 0"""
 
 
 def factor(covariance: Array) -> Array:
-    """Return F with F F' = covariance, its columns as many as the rank, tiny negative eigenvalues clipped."""
+    """Return F (n, rank) with `F F' = covariance`; tiny negative eigenvalues count as 0."""
     std = np.sqrt(np.diag(covariance))
     scale = np.where(std > 0, std, 1.0)
     values, vectors = np.linalg.eigh(covariance / scale[:, None] / scale)
@@ -44,7 +44,7 @@ class Ellipse:
 
 @dataclass(frozen=True)
 class Rows:
-    """Values of one earlier evaluation, drawn row by row: they stay together as they came out there."""
+    """Values of an earlier evaluation, drawn row by row, which keeps their joint distribution."""
 
     indices: tuple[int, ...]
     shapes: tuple[Sampled, ...]
@@ -56,10 +56,10 @@ class Rows:
 
 @dataclass(frozen=True)
 class Dependent:
-    """Quantities of any distributions with given correlations: normal numbers taken through each one's quantiles.
+    """Quantities of any distributions with given correlations (Cario and Nelson 1997, "normal to anything").
 
-    The correlations of the normal numbers are those that give the correlations wanted after that (Cario and Nelson
-    1997, "normal to anything").
+    Correlated normal numbers are drawn and transformed by the quantile function of each quantity. The correlations of
+    the normal numbers are chosen so that the transformed quantities have the given correlations.
     """
 
     indices: tuple[int, ...]
@@ -68,7 +68,10 @@ class Dependent:
 
     @classmethod
     def of(cls, indices: tuple[int, ...], distributions: Sequence[Distribution], correlation: Array) -> Dependent:
-        """Return the draw of quantities with this correlation matrix; raises UnreachableError."""
+        """Return the draw of quantities with a correlation matrix.
+
+        Raises UnreachableError if two distributions cannot have their correlation.
+        """
         normal = np.eye(len(indices))
         for i in range(len(indices)):
             for j in range(i):
@@ -86,24 +89,24 @@ class Dependent:
         from scipy.special import ndtr
 
         probability = ndtr(self.factor @ rng.standard_normal((self.factor.shape[1], count)))
-        # A probability that rounds to 1 would draw an infinite value.
+        # a probability that rounds to 1 would give an infinite value
         np.clip(probability, 1e-300, 1 - 2**-53, out=probability)
         drawn = zip(self.indices, self.distributions, probability, strict=True)
         return [(index, distribution.quantile(p)) for index, distribution, p in drawn]
 
 
 class UnreachableError(ValueError):
-    """Two distributions cannot have the correlation asked for."""
+    """Error for two distributions that cannot have the given correlation."""
 
     between: tuple[int, int]
-    """Their places among the quantities"""
+    """Their indices among the quantities"""
 
     def __init__(self, largest: float) -> None:
         super().__init__(f"quantities of these shapes can have a correlation up to {largest:.3g} only")
 
 
 def _normal_correlation(a: Distribution, b: Distribution, wanted: float) -> float:
-    """Return the correlation of two normal numbers that become `wanted` after their quantiles."""
+    """Return the correlation of two normal numbers that gives `wanted` after the quantile transformation."""
     if wanted == 0 or (type(a) is type(b) and abs(wanted) == 1 and _symmetric(a)):
         return wanted
     nodes, weights = np.polynomial.hermite_e.hermegauss(64)

@@ -11,37 +11,37 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 GOLDEN = 0.2
-"""Largest share of the tolerance that the expanded uncertainty may take (Berndt)."""
+"""Largest ratio of expanded uncertainty to tolerance (Berndt)"""
 FACTOR_2017 = 1.65
 """Guard band of ISO 14253-1:2017 in standard uncertainties: 95 % on one side"""
 _REACH = 9.0
-"""Standard deviations beyond which a normal density counts as nothing (1e-19)"""
+"""Number of standard deviations beyond which a normal probability (1e-19) is neglected"""
 
 
 @dataclass(frozen=True)
 class Interval:
-    """Lower and upper limit, infinite where there is none."""
+    """Lower and upper limit; a missing limit is infinite."""
 
     low: float = -math.inf
     high: float = math.inf
 
     @property
     def width(self) -> float:
-        """The tolerance T."""
+        """Width of the interval, the tolerance T."""
         return self.high - self.low
 
     def inside(self, guard: float) -> Interval:
-        """Return what is left when a guard band is taken off each limit; a negative one widens it."""
+        """Return the interval reduced by a guard band at each limit; a negative guard band widens it."""
         return Interval(self.low + guard, self.high - guard)
 
 
 def capable(expanded: float, tolerance: float) -> bool:
-    """Tell whether U takes at most a fifth of the tolerance T, its full width (Berndt); rounding does not decide."""
+    """Return whether U is at most a fifth of the full tolerance T (Berndt), with an allowance for rounding."""
     return expanded <= GOLDEN * tolerance * (1 + 1e-9)
 
 
 def zone(value: float, limits: Interval, guard: float) -> str:
-    """Return where a value lies (ISO 14253-1): conforming, non-conforming, or undecided within U of a limit."""
+    """Return the zone of a value (ISO 14253-1): conforming, non-conforming, or undecided within `guard` of a limit."""
     kept, beyond = limits.inside(guard), limits.inside(-guard)
     if kept.low <= value <= kept.high:
         return "conforming"
@@ -68,7 +68,7 @@ def _cumulative(z: float, dof: float) -> float:
 
 @dataclass(frozen=True)
 class Items:
-    """What is known of the items before they are measured: normal."""
+    """Prior distribution of the items, a normal distribution."""
 
     mean: float
     std: float
@@ -87,10 +87,10 @@ class Risks:
 
 
 def global_risk(items: Items, std: float, limits: Interval, accepted: Interval) -> Risks:
-    """Return the risks when items `Y ~ N(mean, s)` are measured with u and accepted within an interval.
+    """Return the risks if items `Y ~ N(mean, s)` are measured with u and accepted within an interval.
 
-    Integrals over Y of the density times the probability of the decision, by Gauss-Legendre panels near the limits,
-    where alone both are more than nothing; to 1e-10.
+    Each risk is the integral over Y of the density times the probability of the decision. It uses Gauss-Legendre panels
+    near the limits, where the integrand is not negligible, and is accurate to 1e-10.
     """
 
     def acceptance(y: Array) -> Array:
@@ -128,7 +128,7 @@ def _at_edges(limits: Interval, accepted: Interval, std: float) -> list[Interval
 
 
 def _integral(items: Items, chance: Callable[[Array], Array], part: Interval, step: float) -> float:
-    """Integrate density times chance over a part, cut to where the density is more than nothing."""
+    """Return the integral of density times chance over the part where the density is not negligible."""
     low = max(part.low, items.mean - _REACH * items.std)
     high = min(part.high, items.mean + _REACH * items.std)
     if not high > low:
@@ -143,9 +143,9 @@ def _integral(items: Items, chance: Callable[[Array], Array], part: Interval, st
 
 
 def guard_for_specific(std: float, risk: float, limits: Interval, dof: float = math.inf) -> float:
-    """Return the guard band at which a value on the acceptance limit has this risk of not conforming.
+    """Return the guard band for which a value on the acceptance limit has this risk of non-conformity.
 
-    NaN where even the middle of the tolerance has a larger one.
+    Return NaN if the risk is larger even in the middle of the tolerance.
     """
     from scipy.special import ndtri, stdtrit
 
@@ -156,13 +156,13 @@ def guard_for_specific(std: float, risk: float, limits: Interval, dof: float = m
     def failing(guard: float) -> float:
         return 1 - conformance(limits.low + guard, std, limits, dof)
 
-    # The other limit takes its part: the band is at least that of one limit.
+    # the other limit adds to the risk, so the band is at least that of a single limit
     low, high = factor * std, limits.width / 2
     return math.nan if failing(high) > risk else _root(failing, low, high, risk)
 
 
 def _root(falling: Callable[[float], float], low: float, high: float, wanted: float) -> float:
-    """Return where a falling function comes down to a value, by bisection; on its safe side."""
+    """Return where a falling function reaches a value, by bisection, rounded to the side where it is below."""
     for _ in range(60):
         middle = (low + high) / 2
         low, high = (middle, high) if falling(middle) > wanted else (low, middle)
@@ -170,9 +170,9 @@ def _root(falling: Callable[[float], float], low: float, high: float, wanted: fl
 
 
 def guard_for_global(items: Items, std: float, limits: Interval, risk: float) -> float:
-    """Return the guard band at which the consumer's global risk is `risk`; negative where none is needed.
+    """Return the guard band for which the global consumer's risk is `risk`; it can be negative.
 
-    NaN where no band between -6 u and half of the tolerance (10 u for one limit) gives it.
+    Return NaN if no band between -6 u and half of the tolerance (10 u for a single limit) gives this risk.
     """
 
     def consumer(guard: float) -> float:

@@ -1,8 +1,9 @@
-"""Expressions carried out with exact first and second derivatives, and the third in one direction.
+"""Exact first and second derivatives of expressions, and the third derivative in one direction.
 
-Forward mode: each step of an expression takes value, gradient and Hessian of its arguments to its own by the chain
-rule. Derivatives stand in the first axes, points of evaluation in the last: value (...), gradient (n, ...), Hessian
-(n, n, ...). A derivative that is zero throughout is the number 0, so that a sum of many inputs costs no Hessians.
+Forward-mode automatic differentiation: each step of an expression calculates its value, gradient and Hessian from those
+of its arguments by the chain rule. Derivatives are in the first axes, points of evaluation in the last: value (...),
+gradient (n, ...), Hessian (n, n, ...). A derivative that is zero everywhere is the number 0, which saves the Hessians
+of sums of many inputs.
 """
 
 from __future__ import annotations
@@ -57,19 +58,19 @@ class Jets:
         value = self.values[part.name]
         if part.name not in self.names:
             return self._flat(value, 0.0)
-        # One axis for each axis of the points, also for a value that is the same at all of them.
+        # one axis for each axis of the points, also for a value that is the same at all points
         points = (1,) * max(map(np.ndim, self.values.values()), default=0)
         unit = np.zeros(len(self.names))
         unit[self.names.index(part.name)] = 1.0
         return self._flat(value, unit.reshape(-1, *points))
 
     def _flat(self, value: Any, gradient: Any) -> Jet:
-        """Return a jet without curvature; its value a number of numpy: Python's raise where a result is infinite."""
+        """Return a jet without curvature; its value is a numpy number, since Python floats raise on overflow."""
         curved = 0.0 if self.order > 1 else None
         return Jet(np.asarray(value, dtype=float)[()], gradient, curved, 0.0 if self.direction is not None else None)
 
     def apply(self, part: Part, arguments: Sequence[Jet]) -> Jet:
-        """Return the outcome of one operation; raises NoValueError where it, or a derivative, is not finite."""
+        """Return the outcome of one operation; raises NoValueError if it or a derivative is not finite."""
         with np.errstate(all="ignore"):
             jet = self._applied(part.operation, arguments)
         if not np.isfinite(jet.value).all():
@@ -93,7 +94,7 @@ class Jets:
         if operation == "**":
             return self._raised(first, second)
         if operation == "atan2":
-            # atan2(y, x) is the imaginary part of log(x + i y), whose derivatives have no special directions.
+            # atan2(y, x) is the imaginary part of log(x + i y), whose derivatives are regular in all directions
             argument = _sum(second, first, 1j)
             return _imaginary(self._composed(argument, _FUNCTIONS["log"](argument.value)))
         return self._composed(first, _FUNCTIONS[operation](first.value))
@@ -145,7 +146,7 @@ def _not_differentiable(message: str, start: int) -> NoValueError:
 
 
 def _times(factor: Any, derivative: Any) -> Any:
-    """Return the product; the number 0 stays it, whatever the shape of the factor."""
+    """Return the product; a derivative that is the number 0 stays the number 0."""
     return factor * derivative if np.ndim(derivative) else 0.0
 
 
@@ -176,7 +177,7 @@ def _imaginary(x: Jet) -> Jet:
 
 
 def _power(x: Any, p: float) -> tuple[Any, ...]:
-    """Return x**p and its derivatives; a factor of 0 wins over an infinite power, as in x**2 at 0."""
+    """Return x**p and its derivatives; a factor 0 times an infinite power counts as 0, as for x**2 at 0."""
     found, factor = [], 1.0
     for order in range(4):
         found.append(factor * np.power(x, p - order) if factor else np.zeros_like(x))

@@ -1,7 +1,7 @@
-"""Units of whole expressions: "kg/m^3", and what a model makes of the units of its inputs.
+"""Units of whole expressions such as "kg/m^3", and the unit of a model from the units of its inputs.
 
-Values are carried in mm, s, kg, A, K, px, mol, cd; angles are plain numbers (rad). A temperature in degC is a point on
-a scale: two of them may be subtracted, and a difference in K be added; nothing else is done with one.
+Values are stored in mm, s, kg, A, K, px, mol, cd; angles are plain numbers (rad). A temperature in degC is a point on a
+scale: two of them can be subtracted, and a difference in K can be added. No other operation is allowed.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _TEMPERATURE: Powers = (("K", Fraction(1)),)
 
 @dataclass(frozen=True)
 class Compound:
-    """A unit made of others: value in base units = number * factor (+ nothing: a point in degC stays in degC)."""
+    """A product of units: value in base units = number * factor; a point in degC stays in degC."""
 
     text: str
     factor: float
@@ -31,12 +31,12 @@ class Compound:
 
     @property
     def number(self) -> bool:
-        """Whether it is the unit of a plain number."""
+        """Whether this is the unit of a plain number."""
         return not self.powers
 
 
 def compound(text: str) -> Compound:
-    """Return the unit of a text such as "kg/m^3", "mPa s" or "1/K"; QuantityError says what is wrong with it."""
+    """Return the unit of a text such as "kg/m^3", "mPa s" or "1/K"; raises QuantityError if it is not a unit."""
     text = text.strip()
     if units.plain_symbol(text) == "degC":
         return Compound("degC", 1.0, _TEMPERATURE, point=True)
@@ -60,7 +60,7 @@ def compound(text: str) -> Compound:
 
 
 def _atom(symbol: str, whole: str) -> tuple[float, Powers]:
-    """Return the value of one unit in base units, and what it is made of."""
+    """Return the value of one unit in base units, and its powers of the base units."""
     plain = units.plain_symbol(symbol)
     for dimension in units.DIMENSIONS.values():
         for unit in dimension.units:
@@ -90,7 +90,7 @@ def _sorted(powers: Mapping[str, Fraction]) -> Powers:
 
 
 def converted(value: float, unit: str, into: str) -> float:
-    """Return a value in another unit of the same kind; raises QuantityError where it is none."""
+    """Return a value in another unit; raises QuantityError if the units are of different kinds."""
     from_, to = compound(unit), compound(into)
     if from_.powers != to.powers or from_.point != to.point:
         raise units.QuantityError(f"'{unit}' is {described(from_)}, '{into}' {described(to)}", f"write it in {into}")
@@ -98,7 +98,7 @@ def converted(value: float, unit: str, into: str) -> float:
 
 
 def described(unit: Compound) -> str:
-    """Return what a unit measures, in words: "a length", "a plain number", "a quantity in kg mm-3"."""
+    """Return the kind of quantity of a unit in words: "a length", "a plain number", "a quantity in kg mm-3"."""
     if unit.point:
         return "a temperature on a scale (degC)"
     if unit.number:
@@ -160,7 +160,7 @@ class _Units:
         return Compound("1", 1.0, ())
 
     def _sum(self, part: Part, first: _Traced, second: _Traced) -> Compound:
-        """Return the unit of a sum: points on a scale differ by a difference, which may be added to a point."""
+        """Return the unit of a sum: point - point gives a difference, point + difference gives a point."""
         if first.unit.powers != second.unit.powers:
             self._same(first, second)
         a, b = first.unit, second.unit
@@ -222,5 +222,5 @@ def _to_the(a: Compound, power: Fraction) -> Compound:
 
 
 def unit_of(expression: Expression, names: Mapping[str, Compound]) -> Compound:
-    """Return the unit of a model in base units; raises ExpressionError where its terms do not fit together."""
+    """Return the unit of a model in base units; raises ExpressionError if its terms have different units."""
     return expression.carried_out(_Units(expression, names)).unit

@@ -1,6 +1,6 @@
 """Distributions of input quantities as JCGM 101, clause 6.4, assigns them: standard deviation, random draws, quantiles.
 
-Each describes the deviation from the best estimate, so that drawing never loses digits of a large value.
+Each describes the deviation from the best estimate, so that draws do not lose digits of a large value.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ class Distribution(Protocol):
 
     @property
     def std(self) -> float:
-        """Standard uncertainty as the GUM counts it."""
+        """Standard uncertainty according to the GUM."""
 
     @property
     def words(self) -> str:
-        """Its name, for people."""
+        """Name of the distribution, for reports."""
 
     def draw(self, rng: Random, count: int) -> Array:
         """Return random deviations."""
@@ -204,7 +204,7 @@ class Arcsine:
 
 @dataclass(frozen=True)
 class Exponential:
-    """Of a quantity that is not negative and of which only the best estimate is known (6.4.10)."""
+    """Exponential: a quantity that is not negative, of which only the best estimate is known (6.4.10)."""
 
     mean: float
     words = "exponential"
@@ -249,12 +249,12 @@ class Counts:
 
 @dataclass(frozen=True)
 class Sampled:
-    """Values of an earlier evaluation, each as probable as the other."""
+    """Values of an earlier evaluation, each with the same probability."""
 
     deviations: tuple[float, ...]
-    """From their mean, in the order of the evaluation"""
+    """Deviations from the mean, in the order of the evaluation"""
     file: str = ""
-    """Where they stand: quantities of one file are drawn row by row together"""
+    """File of the values: quantities of the same file are drawn together, row by row"""
 
     @property
     def words(self) -> str:
@@ -273,11 +273,11 @@ class Sampled:
 
 
 def in_trials(distribution: Distribution, dof: float) -> Distribution:
-    """Return what stands for a quantity in Monte Carlo, where its standard uncertainty has finite degrees of freedom.
+    """Return the Monte Carlo distribution of a quantity whose standard uncertainty has finite degrees of freedom.
 
-    Normal becomes a scaled t (JCGM 101, 6.4.9). A uniform's half-width becomes inexact by the share that the degrees of
-    freedom say, `1/sqrt(2 dof)` (GUM G.4.2, JCGM 101, 9.5.2). Other shapes stay: their degrees of freedom count in the
-    Welch-Satterthwaite formula only.
+    A normal distribution becomes a scaled t (JCGM 101, 6.4.9). The half-width of a uniform distribution gets the
+    relative inexactness `1/sqrt(2 dof)` (GUM G.4.2, JCGM 101, 9.5.2). Other distributions stay as they are; their
+    degrees of freedom enter the Welch-Satterthwaite formula only.
     """
     if not math.isfinite(dof):
         return distribution

@@ -1,7 +1,7 @@
-"""Models as text: `ls*(1 + alpha*theta) + d` to a list of steps, by an allow-list and hard limits.
+"""Parser of models: from a text such as `ls*(1 + alpha*theta) + d` to a list of steps.
 
-Nothing of the text is ever executed. Python's grammar gives the tree; what is not a number, a name, + - * / **, a
-bracket or one of the functions below is refused with its column.
+No part of the text is ever executed. Python's grammar gives the syntax tree. Only numbers, names, + - * / **, brackets
+and the functions below are allowed; anything else is rejected with its column. The size of a model is limited.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import Any, Protocol, TypeVar
 from metrocli.words import suggestion
 
 LONGEST, MOST_PARTS, DEEPEST = 4096, 2000, 100
-"""Most characters, most operations and names, most brackets within each other."""
+"""Largest number of characters, of operations and names, and of nested brackets"""
 FUNCTIONS: dict[str, int] = dict.fromkeys(
     ("sqrt", "exp", "log", "log10", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "abs"), 1
 ) | {"atan2": 2}
@@ -48,7 +48,7 @@ T = TypeVar("T")
 
 
 class ExpressionError(ValueError):
-    """A model is refused: at `start` (counted from 0) of its text, with what to write instead."""
+    """Error in a model at `start` of its text (counted from 0), with a hint what to write instead."""
 
     def __init__(self, message: str, start: int = 0, hint: str = _ALLOWED) -> None:
         super().__init__(message)
@@ -71,13 +71,13 @@ class Part:
 
 
 class Algebra(Protocol[T]):
-    """What the steps of an expression are carried out in: numbers, units, derivatives."""
+    """Rules to carry out the steps of an expression, for numbers, units or derivatives."""
 
     def number(self, value: float) -> T:
         """Return a plain number."""
 
     def name(self, part: Part) -> T:
-        """Return what a name stands for."""
+        """Return the value of a name."""
 
     def apply(self, part: Part, arguments: Sequence[T]) -> T:
         """Return the outcome of one operation."""
@@ -116,9 +116,9 @@ class Expression:
 
 
 def parse(text: str) -> Expression:
-    """Return the expression of a text; raises ExpressionError with the place of the first thing that is refused."""
+    """Return the expression of a text; raises ExpressionError with the place of the first part that is not allowed."""
     _refuse_text(text)
-    # Line ends become blanks, so that an expression may go on in the next line and columns stay.
+    # line ends become blanks, so that an expression can continue on the next line and columns stay valid
     one_line = re.sub(r"\s", " ", text)
     try:
         with warnings.catch_warnings():
@@ -138,7 +138,7 @@ def _near(text: str, start: int) -> str:
 
 
 def _refuse_text(text: str) -> None:
-    """Refuse by the text alone what the grammar need not see; this bounds the work of everything that follows."""
+    """Raise ExpressionError for faults that show in the text itself, which limits the work of the parser."""
     if len(text) > LONGEST:
         raise ExpressionError(f"the model has {len(text)} characters, at most {LONGEST} are allowed", LONGEST)
     foreign = _FOREIGN.search(text)
@@ -156,7 +156,7 @@ def _refuse_text(text: str) -> None:
         if token == "(":
             open_brackets.append(start)
         if token == ")" and not open_brackets:
-            raise ExpressionError("this bracket closes nothing", start, "a '(' is missing before it")
+            raise ExpressionError("this bracket has no opening bracket", start, "a '(' is missing before it")
         if token == ")":
             open_brackets.pop()
         if len(open_brackets) > DEEPEST:
@@ -166,7 +166,7 @@ def _refuse_text(text: str) -> None:
         if keyword.iskeyword(token):
             raise ExpressionError(f"'{token}' cannot stand in a model", start)
         if "__" in token and token[0].isalpha() | (token[0] == "_"):
-            raise ExpressionError(f"'{token}' cannot stand in a model", start, "a name has no two underscores in a row")
+            raise ExpressionError(f"'{token}' cannot stand in a model", start, "write names without double underscores")
         if (token[0].isdigit() or token[0] == ".") and not _NUMBER.fullmatch(token):
             raise ExpressionError(f"'{token}' is not a number", start, "write e.g. 2*x, 1000 or 1e3")
     if open_brackets:
@@ -176,7 +176,7 @@ def _refuse_text(text: str) -> None:
 
 
 def _postfix(body: ast.expr) -> Iterator[Part]:
-    """Yield the steps of a tree, arguments before what is done with them, without recursion."""
+    """Yield the steps of a tree, arguments before their operation, without recursion."""
     waiting: list[tuple[ast.expr, bool]] = [(body, False)]
     count = 0
     while waiting:
@@ -217,7 +217,7 @@ def _finite(node: ast.Constant, start: int) -> float:
 
 
 def _operation(node: ast.expr) -> tuple[str, list[ast.expr]]:
-    """Return what a node does and to what; no arguments for a number or a name."""
+    """Return the operation of a node and its arguments; a number or a name has no arguments."""
     start = max(node.col_offset - 1, 0)
     if isinstance(node, ast.BinOp) and type(node.op) in _OPERATORS:
         return _OPERATORS[type(node.op)], [node.left, node.right]
@@ -248,7 +248,7 @@ def _called(node: ast.Call, start: int) -> tuple[str, list[ast.expr]]:
 
 
 def _dotted(node: ast.expr) -> str:
-    """Return `part.x` for a name with points in it, "" for anything else."""
+    """Return `part.x` for a name with dots in it, "" for anything else."""
     names: list[str] = []
     while isinstance(node, ast.Attribute):
         names.append(node.attr)
@@ -257,7 +257,7 @@ def _dotted(node: ast.expr) -> str:
 
 
 def _folded(parts: list[Part]) -> Iterator[Part]:
-    """Yield the steps with every operation on plain numbers carried out; 9**9**9**9 is refused where it stands."""
+    """Yield the steps with every operation on plain numbers carried out; rejects overflows such as 9**9**9**9."""
     stack: list[list[Part]] = []
     for part in parts:
         if part.arity == 0:

@@ -1,4 +1,4 @@
-"""The input quantities of a model together: best estimates, joint covariance, degrees of freedom, and random draws."""
+"""Joint description of the input quantities: best estimates, covariance, degrees of freedom, and random draws."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Block:
-    """Quantities that come with their covariance from one result."""
+    """Quantities from one result, with their covariance."""
 
     names: tuple[str, ...]
     covariance: Array
 
 
 class NotSemiDefiniteError(ValueError):
-    """A correlation matrix that no quantities can have; `names` and `entries` say which of them contradict."""
+    """Error for a correlation matrix that is not positive semi-definite, with the names that contradict each other."""
 
     def __init__(self, names: Sequence[str], eigenvalue: float) -> None:
         super().__init__(f"no quantities have these correlations: smallest eigenvalue {eigenvalue:.3g}")
@@ -58,7 +58,7 @@ class Inputs:
     covariance: Array
     """(n, n)"""
     groups: tuple[tuple[int, ...], ...]
-    """Quantities that are correlated with each other or come from one result, each in one group"""
+    """Groups of quantities that are correlated with each other or come from one result; each is in one group"""
     together: tuple[tuple[int, ...], ...] = ()
     """Groups of samples that are drawn row by row"""
 
@@ -73,7 +73,7 @@ class Inputs:
         return {quantity.name: quantity.value for quantity in self.quantities}
 
     def sources(self) -> tuple[Callable[[np.random.Generator, int], Sequence[tuple[int, Array]]], ...]:
-        """Return what draws deviations, one for each group, in the order of the quantities."""
+        """Return functions that draw deviations, one for each group, in the order of the quantities."""
         return tuple(
             self._source(group) for group in self.groups if self.covariance[group[0], group[0]] > 0 or len(group) > 1
         )
@@ -90,7 +90,7 @@ class Inputs:
         root, dofs = factor(part), {self.quantities[i].dof for i in group}
         ellipse = Ellipse(group, root, min(dofs))
         normal = all(isinstance(self._shape(i), Normal) for i in group)
-        # t distributions of different dof cannot keep what a singular covariance says to be exact.
+        # t distributions of different dof would break the exact relations of a singular covariance
         if normal and (len(dofs) == 1 or root.shape[1] < len(moving)):
             return ellipse
         correlation = part[np.ix_(moving, moving)] / std[moving][:, None] / std[moving]
@@ -124,8 +124,8 @@ def join(
 ) -> Inputs:
     """Return the quantities with their joint covariance; raises NotSemiDefiniteError.
 
-    Covariances of blocks are taken as they stand, rank-deficient ones too; correlations are added to them. `rows` are
-    samples that are drawn row by row.
+    Covariances of blocks are used unchanged, also rank-deficient ones; correlations are added to them. `rows` are the
+    samples that are drawn together, row by row.
     """
     place = {quantity.name: i for i, quantity in enumerate(quantities)}
     std = np.array([quantity.std for quantity in quantities])
@@ -138,7 +138,7 @@ def join(
     _must_be_semi_definite(covariance, tuple(place))
     linked = covariance != 0
     for block in blocks:
-        # Uncorrelated estimates of one adjustment still share its estimated noise.
+        # even uncorrelated estimates of one adjustment share its estimated noise
         held = [place[name] for name in block.names]
         linked[np.ix_(held, held)] = True
     together = [tuple(sorted(place[name] for name in names)) for names in rows]

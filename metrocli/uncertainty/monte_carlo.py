@@ -1,8 +1,13 @@
-"""Monte Carlo propagation (JCGM 101 and 102), fixed or adaptive, the same to the bit whoever does the chunks.
+"""Monte Carlo propagation (JCGM 101 and 102) with a fixed or adaptive number of trials.
 
+<<<<<<< HEAD
 Chunks are put together in their order. Up to KEPT trials all values are kept and sorted; beyond that they are counted
 in bins.
 Method: docs/algorithms/monte-carlo-chunks.md.
+=======
+Chunks are joined in their order, so the result is identical to the bit for any number of workers. Up to KEPT trials
+all values are kept and sorted; larger numbers of trials are counted in bins.
+>>>>>>> h-w4
 """
 
 from __future__ import annotations
@@ -24,26 +29,29 @@ from metrocli.uncertainty.workers import Workers
 
 Array = npt.NDArray[np.float64]
 KEPT, KEPT_VALUES = 2_000_000, 8_000_000
-"""Trials of which all values are kept, and values of all measurands together at most"""
+"""Largest number of trials of which all values are kept, and of values of all measurands together"""
 CHUNKS_OF_A_BATCH, PILOT = 100, 10
 MOST_OF_TWO_CHUNKS = 10_000_000
-"""Trials of two chunks of an adaptive run that fit into memory"""
+"""Largest number of trials in two chunks of an adaptive run, so that they fit into memory"""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What Monte Carlo says of the measurands."""
+    """The Monte Carlo result of the measurands."""
 
     means: Array
     covariance: Array
     samples: tuple[Sample, ...]
-    """Of each measurand, as deviations from `centres`"""
+    """Sample of each measurand, as deviations from `centres`"""
     centres: tuple[float, ...]
     trials: int
 
 
 def run(plan: Plan, workers: Workers, digits: int = 2, most: int = 0) -> Outcome:
-    """Carry out the trials; raises NoOutcomeError, and NotConvergedError at `most` trials of an adaptive run."""
+    """Return the result of the trials of a plan.
+
+    Raises NoOutcomeError if a trial has no value, NotConvergedError if an adaptive run reaches `most` trials.
+    """
     if plan.trials is None:
         return _adaptive(plan, workers, digits, most)
     chunks = math.ceil(plan.trials / plan.chunk)
@@ -62,7 +70,7 @@ def run(plan: Plan, workers: Workers, digits: int = 2, most: int = 0) -> Outcome
 
 
 def _kept(plan: Plan) -> int:
-    """Return up to how many trials all values are kept."""
+    """Return the number of trials up to which all values are kept."""
     return min(KEPT, KEPT_VALUES // len(plan.models))
 
 
@@ -79,7 +87,7 @@ def _edges(plan: Plan) -> tuple[Edges, ...]:
 
 
 def _resumed(work: Work, workers: Workers, numbers: Sequence[int]) -> Iterator[Batch]:
-    """Yield all batches in order: those that an earlier run has finished as they were kept, the others done now."""
+    """Yield all batches in order: stored ones of an earlier run, and the others computed now."""
     key = hashlib.sha256(pickle.dumps((work, np.__version__), protocol=4)).hexdigest()[:16]
     kept = ((number, workers.finished.get(key, number)) for number in numbers)
     held = {number: Batch.restored(arrays) for number, arrays in kept if arrays is not None}
@@ -100,7 +108,7 @@ def _both(a: Batch, b: Batch) -> Batch:
 
 
 def _gathered(plan: Plan, batches: Sequence[Batch]) -> Outcome:
-    """Put kept values together."""
+    """Return the result from batches whose values are all kept."""
     total = batches[0]
     for batch in batches[1:]:
         total = _both(total, batch)
@@ -126,7 +134,7 @@ def _errors(spread: Array) -> Array:
 
 
 def tolerance_of(std: float, digits: int) -> float:
-    """Return half of the last digit that is meant when a standard uncertainty is given to `digits` (7.9.2)."""
+    """Return the numerical tolerance: half of the last of `digits` significant digits of u (JCGM 101, 7.9.2)."""
     if not std > 0:
         return 0.0
     exponent = math.floor(math.log10(float(f"{std:.{digits - 1}e}"))) - (digits - 1)
@@ -134,12 +142,12 @@ def tolerance_of(std: float, digits: int) -> float:
 
 
 def _adaptive(plan: Plan, workers: Workers, digits: int, most: int) -> Outcome:
-    """Add chunks until mean, standard uncertainty and interval ends are known to the digits wanted (JCGM 101, 7.9)."""
+    """Add chunks until mean, standard uncertainty and interval ends are accurate to `digits` (JCGM 101, 7.9)."""
     if 2 * plan.chunk > min(most, MOST_OF_TWO_CHUNKS):
         raise NotConvergedError(
             f"{100 * plan.probability:.12g} % needs chunks of {plan.chunk} trials in an adaptive run "
             f"(JCGM 101, 7.9.4 a), and two of them are more than {min(most, MOST_OF_TWO_CHUNKS)}\n"
-            "  fix the number of trials (`trials`), or ask for a smaller probability or k"
+            "  fix the number of trials (`trials`), or choose a smaller probability or k"
         )
     kept: list[Batch] = []
     settled = False
@@ -167,7 +175,7 @@ def _adaptive(plan: Plan, workers: Workers, digits: int, most: int) -> Outcome:
 
 @dataclass(frozen=True)
 class _Later:
-    """Batches of chunks that begin behind those done one by one."""
+    """Work on batches of chunks that follow the chunks done one by one."""
 
     work: Work
     first: int
@@ -203,7 +211,7 @@ def _small(tally: Tally, spread: Array, units: Sequence[float], digits: int) -> 
 
 
 def _wanted(tally: Tally, units: Sequence[float], digits: int) -> Array:
-    """Return the numerical tolerance of each measurand, of its standard uncertainty as written in its unit."""
+    """Return the numerical tolerance of each measurand, from its standard uncertainty in its own unit."""
     std = np.sqrt(np.diag(tally.covariance))
     return np.array([unit * tolerance_of(float(s) / unit, digits) for s, unit in zip(std, units, strict=True)])
 
@@ -211,6 +219,6 @@ def _wanted(tally: Tally, units: Sequence[float], digits: int) -> Array:
 def _unsettled(tally: Tally, spread: Array, units: Sequence[float], digits: int) -> str:
     wanted = _wanted(tally, units, digits)
     worst = 2 * _errors(spread).max(axis=0) / np.where(wanted > 0, wanted, 1.0)
-    less = f"{worst.max():.1f} times less well than {digits} digits of the standard uncertainty ask for"
-    hint = "ask for fewer digits, allow more trials (`most`), or fix their number (`trials`)"
+    less = f"{worst.max():.1f} times less well than {digits} digits of the standard uncertainty require"
+    hint = "choose fewer digits, allow more trials (`most`), or fix their number (`trials`)"
     return f"after {tally.count} trials the results are known {less}\n  {hint}"

@@ -1,4 +1,4 @@
-"""Expressions carried out in numbers: whole arrays of trials at once."""
+"""Evaluation of expressions in numbers, for whole arrays of trials at once."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _FUNCTIONS: dict[str, Callable[..., Any]] = {
 
 @dataclass(frozen=True)
 class Numbers:
-    """Values by name, each a number or an array of trials; what has no value is NaN or infinite."""
+    """Values by name, each a number or an array of trials; undefined values are NaN or infinite."""
 
     values: Mapping[str, Any]
 

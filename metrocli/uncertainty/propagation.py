@@ -16,12 +16,12 @@ from metrocli.uncertainty.numbers import evaluate
 
 Array = npt.NDArray[np.float64]
 GUARD = 1e-2
-"""Effective degrees of freedom are cut to a whole number; this much below it counts as it (18.9987 is 19)."""
+"""Tolerance when effective degrees of freedom are truncated to a whole number: 18.9987 counts as 19"""
 
 
 @dataclass(frozen=True)
 class Coverage:
-    """What the expanded uncertainty is to cover: a probability, or a stated factor k."""
+    """Coverage of the expanded uncertainty: a probability, or a given factor k."""
 
     probability: float = 0.95
     k: float | None = None
@@ -29,7 +29,7 @@ class Coverage:
 
 @dataclass(frozen=True)
 class Linear:
-    """A measurand by the law of propagation."""
+    """One measurand by the law of propagation."""
 
     value: float
     std: float
@@ -38,13 +38,13 @@ class Linear:
     contributions: Array
     """(n,): |c_i| u(x_i)"""
     dof: float
-    """Effective degrees of freedom (Welch-Satterthwaite), not cut"""
+    """Effective degrees of freedom (Welch-Satterthwaite), not truncated"""
     second_value: float
-    """y + sum of second derivatives and covariances, halved"""
+    """Second-order value `y + tr(H V)/2`"""
     second_std: float
     """NaN where the second-order terms make the variance negative"""
     nonlinear: float
-    """Share of the second-order variance that the first order lacks"""
+    """Share of the second-order variance that is missing in the first order"""
     used: tuple[int, ...] = ()
     """Quantities that the model names"""
     notes: tuple[str, ...] = ()
@@ -61,9 +61,10 @@ class Propagated:
 
 
 def propagate(models: Mapping[str, Expression], inputs: Inputs) -> Propagated:
-    """Return each measurand by `u^2 = g' V g`, and to the second order; raises NoValueError without a value.
+    """Return each measurand by `u^2 = g' V g`, and to the second order.
 
-    A model that has a value and no derivative at the best estimates is marked as `replaced`.
+    A model that has a value but no derivative at the best estimates is marked as `replaced`. Raises NoValueError if a
+    model has no value there.
 
     Second order (JCGM 100, 5.1.2 note, with correlations): `y = f + tr(H V)/2`,
     `u^2 = g'Vg + tr(HVHV)/2 + sum_i (Vg)_i sum_jk f_ijk V_jk`.
@@ -89,7 +90,7 @@ def _attempt(model: Expression, inputs: Inputs) -> Linear:
 
 def _linear(model: Expression, inputs: Inputs) -> Linear:
     names, values, covariance = inputs.names, inputs.values, inputs.covariance
-    # Derivatives of the names in the model only: a budget of a hundred quantities has models of a few.
+    # only derivatives by the names in the model: a budget of a hundred quantities has models of a few
     used = [i for i, name in enumerate(names) if name in model.names]
     own = covariance[np.ix_(used, used)]
     algebra = Jets(model, tuple(names[i] for i in used), values)
@@ -103,7 +104,7 @@ def _linear(model: Expression, inputs: Inputs) -> Linear:
     slopes = np.zeros(len(names))
     slopes[used] = gradient
     dof, notes = effective_dof(inputs, slopes)
-    # Where the second-order terms outweigh the first the expansion says nothing.
+    # if the second-order terms make the variance negative, the expansion is not valid
     second = math.sqrt(variance + more) if 0 <= variance + more < math.inf else math.nan
     return Linear(
         value=float(jet.value),
@@ -120,10 +121,10 @@ def _linear(model: Expression, inputs: Inputs) -> Linear:
 
 
 def effective_dof(inputs: Inputs, slopes: Array) -> tuple[float, tuple[str, ...]]:
-    """Return `u^4 / sum(u_i^4 / dof_i)` (JCGM 100, G.4.1), correlated quantities taken as one contribution.
+    """Return `u^4 / sum(u_i^4 / dof_i)` (JCGM 100, G.4.1), and notes; correlated quantities are one contribution.
 
-    Quantities that are correlated and have the same finite dof share them (readings taken together, H.2). Where the
-    dof differ the formula has no answer: the least of them is taken, and a note says so.
+    Correlated quantities with the same finite dof share them (readings taken together, H.2). The formula does not cover
+    different dof in one contribution: the least of them is used, with a note.
     """
     total, weighted = 0.0, 0.0
     notes = []
@@ -135,21 +136,19 @@ def effective_dof(inputs: Inputs, slopes: Array) -> tuple[float, tuple[str, ...]
         dofs = {inputs.quantities[i].dof for i in acting}
         if len(dofs) > 1:
             names = ", ".join(inputs.quantities[i].name for i in acting)
-            notes.append(
-                f"{names} are correlated with different degrees of freedom; the least, {min(dofs):g}, is taken"
-            )
+            notes.append(f"{names} are correlated with different degrees of freedom; the least, {min(dofs):g}, is used")
         if dofs and math.isfinite(min(dofs)):
             weighted += variance**2 / min(dofs)
     return (total**2 / weighted if weighted > 0 else math.inf), tuple(notes)
 
 
 def whole_dof(dof: float) -> float:
-    """Return degrees of freedom cut to a whole number, at least 1; infinite ones as they are."""
+    """Return degrees of freedom truncated to a whole number, at least 1; inf stays inf."""
     return math.inf if not math.isfinite(dof) else float(max(math.floor(dof + GUARD), 1))
 
 
 def coverage_factor(coverage: Coverage, dof: float) -> float:
-    """Return k: as stated, or from the t distribution with the whole part of the effective dof (JCGM 100, G.6.4)."""
+    """Return k: as given, or from the t distribution with truncated effective dof (JCGM 100, G.6.4)."""
     from scipy.special import ndtri, stdtrit
 
     if coverage.k is not None:
@@ -160,7 +159,7 @@ def coverage_factor(coverage: Coverage, dof: float) -> float:
 
 
 def covered(coverage: Coverage) -> float:
-    """Return the probability that is covered: as stated, or that of k for a normal distribution."""
+    """Return the coverage probability: as given, or that of k for a normal distribution."""
     return coverage.probability if coverage.k is None else math.erf(coverage.k / math.sqrt(2))
 
 

@@ -1,4 +1,4 @@
-"""Values of many trials: their quantiles, coverage intervals and probabilities, kept whole or as counts in bins.
+"""Values of many trials, all kept or counted in bins: quantiles, coverage intervals and probabilities.
 
 Method: docs/algorithms/monte-carlo-chunks.md.
 """
@@ -14,7 +14,7 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 Counts = npt.NDArray[np.int64]
 BINS = 1 << 17
-"""Bins of the counts; their width bounds the error of every quantile."""
+"""Number of bins; their width limits the error of every quantile"""
 
 
 class Sample(Protocol):
@@ -22,7 +22,7 @@ class Sample(Protocol):
 
     @property
     def resolution(self) -> float:
-        """How far an end of an interval can be off because values were counted in bins; 0 where all are kept."""
+        """Largest error of an interval end from counting in bins; 0 if all values are kept."""
 
     def symmetric(self, probability: float) -> tuple[float, float]:
         """Return the probabilistically symmetric coverage interval (JCGM 101, 7.7.2)."""
@@ -56,14 +56,14 @@ class Sorted:
 
 @dataclass(frozen=True)
 class Edges:
-    """Equal bins, two open ones at the ends included."""
+    """Edges of equal bins, with one open bin at each end."""
 
     low: float
     width: float
 
     @classmethod
     def around(cls, values: Array) -> Edges:
-        """Return bins that reach as far beyond the values of a pilot run as these are wide."""
+        """Return bins that extend beyond the values of a pilot run by their range at each end."""
         low, high = float(values.min()), float(values.max())
         span = (high - low) or max(abs(low), 1.0) * 1e-9
         return cls(low - span / 2, 2 * span / BINS)
@@ -79,7 +79,7 @@ class Edges:
 
 @dataclass(frozen=True)
 class Binned:
-    """How many values fell into each bin."""
+    """Number of values in each bin."""
 
     edges: Edges
     counts: Counts
@@ -90,7 +90,7 @@ class Binned:
         return self.edges.width
 
     def _at(self, ranks: Array, reached: Counts) -> Array:
-        """Return the values of these ranks (1 for the smallest), each within its bin; `reached` are sums of counts."""
+        """Return the values of these ranks (1: smallest), interpolated in bins; `reached` is the cumulative count."""
         bins = np.searchsorted(reached, ranks, "left")
         before = reached[bins] - self.counts[bins]
         values: Array = self.edges.low + self.edges.width * (bins - 1 + (ranks - before) / self.counts[bins])
@@ -118,7 +118,11 @@ class Binned:
 
 
 def _ranks(count: int, probability: float) -> tuple[int, int]:
+<<<<<<< HEAD
     """Return the rank of the lower end of a symmetric interval, and how many ranks the upper end is above it."""
     # JCGM 101, 7.7.1: q is pM if that is an integer, else the integer part of pM + 1/2
+=======
+    """Return the rank of the lower end of a symmetric interval, and the number of ranks to the upper end."""
+>>>>>>> h-w4
     inside = min(int(probability * count + 0.5), count - 1)
     return max((count - inside + 1) // 2, 1), inside

@@ -1,7 +1,11 @@
-"""Trials of Monte Carlo in chunks: each a pure function of its number, and what is kept of it.
+"""Monte Carlo trials in chunks: each chunk is a pure function of its number.
 
+<<<<<<< HEAD
 Each chunk has a random stream of its own, made from the seed and the number of the chunk.
 Method: docs/algorithms/monte-carlo-chunks.md.
+=======
+Each chunk has its own random stream from the seed and the number of the chunk.
+>>>>>>> h-w4
 """
 
 from __future__ import annotations
@@ -22,40 +26,40 @@ from metrocli.uncertainty.samples import BINS, Counts, Edges, Sorted
 
 Array = npt.NDArray[np.float64]
 CHUNK = 10_000
-"""Least trials of a chunk (JCGM 101, 7.9.4 a)"""
+"""Least number of trials of a chunk (JCGM 101, 7.9.4 a)"""
 LARGEST = 1e150
-"""A larger value has no square, and counts as none"""
+"""Largest value of a trial: the square of a larger one overflows"""
 Source = Callable[[np.random.Generator, int], Sequence[tuple[int, Array]]]
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What is drawn and computed: everything that a chunk needs besides its number."""
+    """Everything that a chunk needs besides its number: models, quantities, seed, probability, trials."""
 
     models: tuple[Expression, ...]
     names: tuple[str, ...]
     values: tuple[float, ...]
     """Best estimates of the quantities"""
     centres: tuple[float, ...]
-    """Model values at the best estimates, from which trials are counted"""
+    """Model values at the best estimates; trials are stored as deviations from them"""
     sources: tuple[Source, ...]
     seed: int
     probability: float
     trials: int | None
-    """None: adaptive"""
+    """Number of trials; None for an adaptive run"""
     units: tuple[float, ...]
-    """Of the measurands, in base units: the digits of an adaptive run are those of values in them"""
+    """Units of the measurands in base units; the digits of an adaptive run refer to values in these units"""
 
     @property
     def chunk(self) -> int:
-        """Trials of one chunk; in an adaptive run enough for the interval of each (JCGM 101, 7.9.4 a)."""
+        """Number of trials of a chunk; in an adaptive run enough for its own interval (JCGM 101, 7.9.4 a)."""
         if self.trials is not None:
             return CHUNK
         outside = max(1 - self.probability, 1e-15)
         return max(CHUNK, math.ceil(100 / outside * (1 - 1e-9)))
 
     def count(self, number: int) -> int:
-        """Return the trials of a chunk; the last one of a fixed number may be smaller."""
+        """Return the number of trials of a chunk; the last chunk of a fixed number can be smaller."""
         return self.chunk if self.trials is None else min(self.chunk, self.trials - number * self.chunk)
 
     def outcomes(self, number: int) -> Array:
@@ -82,9 +86,9 @@ def plan_of(
     trials: int | None,
     units: Mapping[str, float] | None = None,
 ) -> Plan:
-    """Return the plan of a run; raises UnreachableError where correlations cannot be drawn.
+    """Return the plan of a run; raises UnreachableError if distributions cannot have their correlation.
 
-    `units` are those of the measurands in base units, 1 unless given.
+    `units` are those of the measurands in base units, 1 by default.
     """
     values = inputs.values
     centres = [float(evaluate(model, values)) for model in models.values()]
@@ -97,7 +101,7 @@ def plan_of(
 
 @dataclass(frozen=True)
 class Tally:
-    """Counts, means and sums of products of some trials; two of them add up to those of both."""
+    """Count, means and sums of products of some trials; the sum of two tallies is that of both sets of trials."""
 
     count: int
     mean: Array
@@ -127,15 +131,15 @@ class Tally:
 
 @dataclass(frozen=True)
 class Batch:
-    """What comes back of some chunks."""
+    """The outcome of some chunks."""
 
     tally: Tally
     spread: Array
     """(chunks, 4, m): mean, standard deviation and symmetric interval of each chunk"""
     values: Array | None
-    """(m, trials), where all are kept"""
+    """(m, trials), if all values are kept"""
     counts: Counts | None
-    """(m, BINS + 2), where they are counted"""
+    """(m, BINS + 2), if values are counted"""
 
     def arrays(self) -> dict[str, Any]:
         """Return a counted batch as arrays by name."""
@@ -151,13 +155,13 @@ class Batch:
 
 @dataclass(frozen=True)
 class Work:
-    """Do batches of chunks."""
+    """Computation of a batch of chunks."""
 
     plan: Plan
     chunks: int
-    """Of one batch"""
+    """Number of chunks of a batch"""
     edges: tuple[Edges, ...] = ()
-    """Of each measurand; empty where all values are kept"""
+    """Bins of each measurand; empty if all values are kept"""
 
     def __call__(self, number: int) -> Batch:
         tally: Tally | None = None
@@ -182,13 +186,13 @@ class Work:
 
 
 def counted(places: Sequence[Sequence[npt.NDArray[np.int32]]]) -> Counts:
-    """Return how many values fell into each bin, (m, BINS + 2), from the bins of the values of some chunks."""
+    """Return the number of values in each bin, (m, BINS + 2), from the bins of the values of some chunks."""
     rows = [np.bincount(np.concatenate(column), minlength=BINS + 2) for column in zip(*places, strict=True)]
     return np.array(rows, dtype=np.int64)
 
 
 class NoOutcomeError(UndeterminedError):
-    """Trials in which a model has no value."""
+    """Error for trials in which a model has no value."""
 
 
 def _refuse_lost(found: Array, plan: Plan) -> None:
@@ -197,8 +201,8 @@ def _refuse_lost(found: Array, plan: Plan) -> None:
         row = int(np.argmax(lost.any(axis=1)))
         raise NoOutcomeError(
             f"{int(lost[row].sum())} of {found.shape[1]} trials of '{plan.models[row].text}' have no value: a root or "
-            f"logarithm of a negative number, a division by zero, or a number above {LARGEST:g}\n"
-            "  a distribution reaches beyond what the model allows: bound it (uniform, triangular), or change the model"
+            f"logarithm of a negative number, a division by zero, or a number above {LARGEST:g}.\n"
+            "  A distribution reaches beyond what the model allows: bound it (uniform, triangular), or change the model"
         )
 
 

@@ -1,4 +1,4 @@
-"""Whether the law of propagation may be used: its interval against that of Monte Carlo (JCGM 101, clause 8)."""
+"""Validation of the law of propagation: its interval against that of Monte Carlo (JCGM 101, clause 8)."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from metrocli.uncertainty.monte_carlo import tolerance_of
 
 _NOTABLE = 0.05
-"""A share of the variance, or of a width, that is worth telling."""
+"""Smallest share of a variance or of a width that is reported"""
 
 
 @dataclass(frozen=True)
 class Judged:
-    """What the two methods say of one measurand."""
+    """The results of both methods for one measurand."""
 
     value: float
     std: float
@@ -22,28 +22,28 @@ class Judged:
     nonlinear: float
     """Share of the second order in the variance"""
     second_std: float
-    """To the second order; NaN where that says nothing"""
+    """Second-order standard uncertainty; NaN if its variance is negative"""
     mean: float
     mc_std: float
     interval: tuple[float, float]
-    """Symmetric, of Monte Carlo"""
+    """Symmetric coverage interval of Monte Carlo"""
     normal_factor: float
-    """k of the probability for a normal distribution"""
+    """Coverage factor of the probability for a normal distribution"""
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """Whether GUM holds, and why not."""
+    """Whether Monte Carlo validates GUM, and the reasons if not."""
 
     valid: bool
     reasons: tuple[str, ...]
 
 
 def judge(found: Judged, digits: int) -> Verdict:
-    """Compare the ends of both intervals with half of the last digit of u that counts (JCGM 101, 8.1).
+    """Return the verdict: valid if the interval ends differ by at most half of the last digit of u (JCGM 101, 8.1).
 
-    Where they differ by more, the reasons are looked for: a non-linear model (share of the second order, shift of the
-    mean), a shape that is not normal (the factor k that Monte Carlo finds), tails of quantities with few dof.
+    Otherwise the verdict lists reasons: a non-linear model (share of the second order, shift of the mean), a
+    distribution that is not normal (k by Monte Carlo), or quantities with few degrees of freedom.
     """
     allowed = tolerance_of(found.std or found.mc_std, digits)
     low = abs(found.value - found.U - found.interval[0])
@@ -63,18 +63,18 @@ def _reasons(found: Judged) -> Sequence[str]:
         lines.append(f"the mean is shifted by {shift / found.std:+.2f} u against the value at the best estimates")
     if found.mc_std > found.second_std * (1 + _NOTABLE):
         more = found.mc_std / found.second_std
-        lines.append(f"the trials vary {more:.2f} times as much as to the second order: few degrees of freedom")
+        lines.append(f"the std of the trials is {more:.2f} times the second-order u: few degrees of freedom")
     if found.mc_std > 0:
         half = (found.interval[1] - found.interval[0]) / 2
         factor = half / found.mc_std
         if abs(factor / found.normal_factor - 1) > _NOTABLE / 2:
-            normal = f"what takes {found.normal_factor:.2f} in a normal one"
-            lines.append(f"the distribution is not normal: k = {factor:.2f} covers {normal}")
+            normal = f"a normal one needs {found.normal_factor:.2f}"
+            lines.append(f"the distribution is not normal: it needs k = {factor:.2f}, {normal}")
         skew = (found.interval[1] + found.interval[0]) / 2 - found.mean
         if abs(skew) > 2 * _NOTABLE * half:
             lines.append(
                 f"the distribution is skew: the middle of its interval lies {skew / found.mc_std:+.2f} u from its mean"
             )
         if not lines and not math.isclose(found.U, half, rel_tol=_NOTABLE / 2):
-            lines.append(f"U is {found.U / half:.3f} times the half-width that covers the probability")
-    return lines or ["the intervals differ by a little more than the digits that count"]
+            lines.append(f"U is {found.U / half:.3f} times the half-width of the coverage interval")
+    return lines or ["the intervals differ by slightly more than the significant digits allow"]

@@ -1,4 +1,4 @@
-"""Uncertainty at the points of a working volume: what each contributor brings along each axis, and the extremes."""
+"""Uncertainty at the points of a working volume: each contribution along each axis, and the extremes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ AXES = ("x", "y", "z")
 
 @dataclass(frozen=True)
 class Contribution:
-    """What one contributor brings to every point: standard uncertainties along the axes (n, 3), (1, 3) where equal."""
+    """Standard uncertainties of one contributor along the axes at each point, (n, 3), or (1, 3) if all are equal."""
 
     name: str
     std: Array
@@ -40,7 +40,7 @@ def grid(low: Sequence[float], high: Sequence[float], counts: Sequence[int]) -> 
 def of_pose(euler: Array, covariance: Array, points: Array) -> Array:
     """Return the standard uncertainty of `X' = R X + d` from that of (x, y, z, alpha, beta, gamma), (n, 3).
 
-    In steps of the pose, shift and turn w from the left, `dX' = dd + w x (R X)`.
+    For a change dd of the shift and a small rotation w from the left, `dX' = dd + w x (R X)`.
     """
     pose = poses.pose_from_euler(euler[:3], euler[3:])
     by_step = np.linalg.inv(poses.euler_form_by_step(pose))
@@ -53,9 +53,9 @@ def of_pose(euler: Array, covariance: Array, points: Array) -> Array:
 
 
 def of_models(models: Sequence[Expression], values: dict[str, Any], covariance: Array, names: Sequence[str]) -> Array:
-    """Return the standard uncertainty of expressions in uncertain values and the places of points, (n, 3).
+    """Return the standard uncertainty of expressions in uncertain values and coordinates of points, (n, 3).
 
-    `values` holds estimates as numbers and the points' places as arrays; `covariance` is that of `names`.
+    `values` holds estimates as numbers and coordinates as arrays; `covariance` is that of `names`.
     """
     columns = []
     for model in models:
@@ -71,19 +71,19 @@ class Extremes:
     """The largest uncertainty in the volume along each axis."""
 
     largest: Array
-    """(contributors, 3): the largest of each contributor, wherever it is"""
+    """(contributors, 3): the largest value of each contributor in the volume"""
     by_contributor: Array
-    """(3,): root of the sum of squares of these, as tables of maxima take it"""
+    """(3,): root of the sum of squares of these maxima"""
     pointwise: Array
-    """(3,): the largest of all points; never above `by_contributor`"""
+    """(3,): the largest combined uncertainty of all points; never above `by_contributor`"""
     places: Array
     """(3, 3): for each axis the point where it is largest"""
     each: Array
-    """(n, 3): at every point"""
+    """(n, 3): combined uncertainty at every point"""
 
 
 def extremes(contributions: Sequence[Contribution], points: Array) -> Extremes:
-    """Return what the contributions come to: sources are independent, contributions of one source add linearly."""
+    """Return the combined uncertainty: contributions of one source add linearly, different sources in quadrature."""
     variance = np.zeros((len(points), 3))
     maxima = np.zeros(3)
     for group in by_source(contributions):

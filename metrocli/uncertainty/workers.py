@@ -1,7 +1,11 @@
-"""Who does the chunks of a long computation: threads of this process, or a Dask cluster; the outcome is the same.
+"""Workers for the chunks of a long computation: threads of this process, or a Dask cluster.
 
+<<<<<<< HEAD
 A chunk is a pure function of its number, so that it does not matter who does it, or how often.
 Method: docs/algorithms/monte-carlo-chunks.md.
+=======
+A chunk is a pure function of its number, so the outcome does not depend on the workers.
+>>>>>>> h-w4
 """
 
 from __future__ import annotations
@@ -17,27 +21,27 @@ from metrocli.errors import InputError
 
 T = TypeVar("T")
 PATIENCE_S = 2.5
-"""How long a scheduler may take to answer."""
+"""Longest time for a scheduler to answer [s]"""
 PATIENCE_WITH_WORKERS_S = 60.0
-"""How long the first worker of a cluster may take to appear."""
+"""Longest time until the first worker of a cluster appears [s]"""
 
 
 class Finished(Protocol):
-    """Chunks that an earlier run has finished, by the key of the computation and their number."""
+    """Store of chunks that an earlier run has finished, by the key of the computation and their number."""
 
     def get(self, key: str, number: int) -> dict[str, Any] | None:
-        """Return the arrays that were kept, None where nothing was."""
+        """Return the stored arrays of a chunk, or None."""
 
     def put(self, key: str, number: int, value: dict[str, Any]) -> None:
-        """Keep the arrays of a finished chunk."""
+        """Store the arrays of a finished chunk."""
 
     def clear(self) -> None:
-        """Forget everything: the computation is done."""
+        """Remove all chunks, after the computation is complete."""
 
 
 @dataclass(frozen=True)
 class Nothing:
-    """No chunks are kept."""
+    """Store that keeps no chunks."""
 
     def get(self, key: str, number: int) -> dict[str, Any] | None:
         return None
@@ -51,18 +55,18 @@ class Nothing:
 
 @dataclass(frozen=True)
 class Workers:
-    """How chunks are done."""
+    """Where chunks are computed: threads or a Dask cluster, with progress and store."""
 
     count: int = 0
-    """Threads; 0 for one a core"""
+    """Number of threads; 0 for one per core"""
     scheduler: str = ""
     """Address of a Dask scheduler, tcp://..., or the path of its scheduler file; "" for this process"""
     finished: Finished = Nothing()
     tell: Callable[[int, int | None], None] = lambda done, of: None
-    """Takes how many chunks are done, and of how many"""
+    """Progress function: takes the number of finished chunks and the total"""
 
     def ordered(self, work: Callable[[int], T], numbers: Iterable[int]) -> Iterator[T]:
-        """Yield work(number) in the order of the numbers; those behind are done ahead of time."""
+        """Yield work(number) in the order of the numbers, while workers compute later ones in advance."""
         if self.scheduler:
             yield from _on_cluster(self.scheduler, work, numbers)
         elif self.threads == 1:
@@ -86,8 +90,12 @@ def _on_threads(count: int, work: Callable[[int], T], numbers: Iterable[int]) ->
 
 
 def _window(submit: Callable[[int], Any], numbers: Iterable[int], most: int) -> Iterator[Any]:
+<<<<<<< HEAD
     """Yield results in order with at most `most` of them under way."""
     # in order, so that sums have the same rounding and an adaptive run stops at the same chunk for any count
+=======
+    """Yield results in order, with at most `most` of them in progress."""
+>>>>>>> h-w4
     waiting: deque[Any] = deque()
     for number in numbers:
         waiting.append(submit(number))
@@ -122,7 +130,7 @@ def _do(work: Callable[[int], T], number: int) -> T:
 
 
 def _must_listen(address: str) -> None:
-    """Raise InputError where nothing listens at tcp://HOST:PORT: at once, before the library is imported."""
+    """Raise InputError if nothing listens at tcp://HOST:PORT; checked before the slow import of the library."""
     import socket
     from urllib.parse import urlsplit
 

@@ -1,4 +1,4 @@
-"""report-uncertainty: GUM and Monte Carlo, from quantities and other jobs' results to an uncertainty and a decision."""
+"""report-uncertainty: uncertainty and decision by GUM and Monte Carlo, from quantities and results of other jobs."""
 
 from metrocli.tasks.kind import Kind
 

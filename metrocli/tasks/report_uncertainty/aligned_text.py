@@ -1,4 +1,4 @@
-"""Rows of text in columns, for the notes of a result."""
+"""Layout of text in aligned columns, for the notes of a result."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 
 
 def aligned(rows: Sequence[Sequence[str]], left: Collection[int] = (0,)) -> list[str]:
-    """Return rows as lines, each column as wide as its widest cell; columns in `left` begin on the left."""
+    """Return rows as lines with aligned columns; the columns in `left` are left-aligned, the others right-aligned."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = []
     for row in rows:

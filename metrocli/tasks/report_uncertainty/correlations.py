@@ -1,4 +1,4 @@
-"""Correlations of a job: those it declares, with their faults, and those of readings taken together."""
+"""Correlations of a job: checks of the declared ones, and those of readings taken together."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from metrocli.words import suggestion
 
 
 def misnamed(declared: Sequence[Placed], known: Collection[str], with_results: bool) -> Iterable[Fault]:
-    """Yield a fault for each name that is none, and for each pair that stands twice."""
+    """Yield a fault for each name that is not a quantity, and for each pair that is given twice."""
     seen: set[frozenset[str]] = set()
     for placed in declared:
         pair = placed.value.between
         for name in pair:
             if name not in known and (with_results or "." not in name):
-                said = f"correlation of '{name}', which is no quantity"
+                said = f"correlation of '{name}', which is not a quantity"
                 yield placed.node.at("between").fault(said, suggestion(name, known))
         if frozenset(pair) in seen:
             yield placed.node.fault(f"the correlation of {pair[0]} and {pair[1]} is given twice", "give it once")
@@ -31,20 +31,22 @@ def misnamed(declared: Sequence[Placed], known: Collection[str], with_results: b
 
 
 def refused(declared: Sequence[Placed], quantities: Mapping[str, Quantity], blocks: Sequence[Block]) -> Iterable[Fault]:
-    """Yield a fault for each pair whose correlation is stated already, or that has no uncertainty."""
+    """Yield a fault for each pair of estimates of one result, and for each quantity without uncertainty."""
     for placed in declared:
         a, b = placed.value.between
         if any(a in block.names and b in block.names for block in blocks):
-            said = f"{a} and {b} are estimates of one result, which states their covariance"
+            said = f"{a} and {b} are estimates of one result, which contains their covariance"
             yield placed.node.fault(said, "leave this correlation out")
         for name in (a, b):
             if quantities[name].std == 0:
-                yield placed.node.fault(f"{name} has no uncertainty that could be correlated", "leave it out")
+                yield placed.node.fault(
+                    f"{name} has no uncertainty, so it has no correlation", "leave this correlation out"
+                )
 
 
 @dataclass(frozen=True)
 class Together:
-    """A correlation that readings show."""
+    """A correlation calculated from readings, with the sentence that reports it."""
 
     between: tuple[str, str]
     value: float
@@ -52,7 +54,10 @@ class Together:
 
 
 def simultaneous(readings: Iterable[tuple[str, Table, str]], given: Collection[frozenset[str]]) -> list[Together]:
-    """Return the correlations of readings in the rows of one file (JCGM 100, 5.2.3), but for those that are given."""
+    """Return the correlations of quantities read in the same rows of a file (JCGM 100, 5.2.3).
+
+    Pairs with a declared correlation (`given`) are left out.
+    """
     files: dict[str, list[tuple[str, Table, str]]] = {}
     for reading in readings:
         files.setdefault(reading[1].file, []).append(reading)
@@ -61,13 +66,13 @@ def simultaneous(readings: Iterable[tuple[str, Table, str]], given: Collection[f
         for (a, first, one), (b, second, other) in combinations(held, 2):
             if frozenset((a, b)) not in given:
                 r = float(np.corrcoef(first.numbers(one), second.numbers(other))[0, 1])
-                said = f"{a} and {b} are columns of one file, {file}: their correlation there, {r:+.3f}, is taken"
-                found.append(Together((a, b), r, f"{said}; declare 0 if the rows do not belong together"))
+                said = f"{a} and {b} are columns of one file, {file}: the correlation of its rows, {r:+.3f}, is used"
+                found.append(Together((a, b), r, f"{said}; declare 0 if they were not read together"))
     return found
 
 
 def contradiction(error: NotSemiDefiniteError, declared: Sequence[Placed], otherwise: Node) -> Fault:
-    """Return the fault of correlations that no quantities can have, at the first that takes part."""
+    """Return the fault of contradictory correlations, at the first of those involved, otherwise at `otherwise`."""
     pairs = [placed for placed in declared if set(placed.value.between) <= set(error.names)]
     hint = "no quantities can have all of them: one is too large, or has the wrong sign"
     if not pairs:

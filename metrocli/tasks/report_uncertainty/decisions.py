@@ -1,4 +1,4 @@
-"""Tolerances of measurands: their faults, and the decision that follows from value and uncertainty."""
+"""Tolerances of measurands: checks of their limits, and the decision from value and uncertainty."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ from metrocli.words import suggestion
 PLAIN = (
     "U_over_T", "conformance", "conformance_mc", "consumer", "consumer_of_accepted", "producer", "wanted_risk",
 )  # fmt: skip
-"""Names in a decision that are plain numbers"""
+"""Keys of a decision whose values have no unit"""
 
 
 def limits_of(placed: Placed) -> Limits:
-    """Return a tolerance, however it is written."""
+    """Return the limits of a tolerance, which is written as a pair or as a section."""
     return placed.value if isinstance(placed.value, Limits) else Limits(placed.value)
 
 
 def faults(tolerance: Any, wanted: Mapping[str, Placed]) -> Iterable[Fault | tuple[str, ...]]:
-    """Yield what is wrong with the tolerances of measurands."""
+    """Yield the faults of the tolerances of measurands."""
     if tolerance is None:
         return
     if isinstance(tolerance, Placed):
@@ -47,7 +47,7 @@ def faults(tolerance: Any, wanted: Mapping[str, Placed]) -> Iterable[Fault | tup
         return
     for name, placed in tolerance.items():
         if name not in wanted:
-            yield placed.node.fault(f"tolerance of '{name}', which is no measurand", suggestion(name, wanted))
+            yield placed.node.fault(f"tolerance of '{name}', which is not a measurand", suggestion(name, wanted))
             continue
         try:
             unit = compound("" if wanted[name].value.unit == "1" else wanted[name].value.unit)
@@ -63,11 +63,12 @@ def _of_one(placed: Placed, unit: Compound) -> Iterable[Fault]:
     for measure in (low, high, *((process.mean, process.std) if process else ())):
         if measure is not None and measure.unit.powers != unit.powers:
             yield measure.fault(
-                f"{described(measure.unit)}, the measurand is {described(unit)}", f"write it in {unit.text}"
+                f"the value is {described(measure.unit)}, the measurand is {described(unit)}",
+                f"write it in {unit.text}",
             )
     if low is None and high is None:
         yield placed.node.fault(
-            f"{placed.node.path}: there is no limit", "write [lower, upper], one of them may be none"
+            f"{placed.node.path}: both limits are missing", "write [lower, upper]; one of them may be none"
         )
     elif low is not None and high is not None and low.value >= high.value:
         yield high.fault("the upper limit is not above the lower one", "write [lower, upper]")
@@ -77,7 +78,7 @@ def _of_one(placed: Placed, unit: Compound) -> Iterable[Fault]:
 
 @dataclass(frozen=True)
 class Measured:
-    """A measurand before the decision, in base units."""
+    """A measurand as the decision needs it, in base units."""
 
     value: float
     std: float
@@ -88,7 +89,10 @@ class Measured:
 
 
 def decide(limits: Limits, found: Measured, factor: float) -> dict[str, Any]:
-    """Return the decision in the unit of the measurand, whose value in base units is `factor`."""
+    """Return the decision in the unit of the measurand; `factor` is the size of this unit in base units.
+
+    Acceptance zones with U and with 1.65 u (ISO 14253-1), U/T, and the probability of conformity (JCGM 106).
+    """
     ends = Interval(_end(limits.between[0], -math.inf), _end(limits.between[1], math.inf))
     narrow = FACTOR_2017 * found.std
     decision: dict[str, Any] = {
@@ -110,7 +114,7 @@ def decide(limits: Limits, found: Measured, factor: float) -> dict[str, Any]:
 
 
 def _risks(limits: Limits, found: Measured, ends: Interval, factor: float) -> dict[str, Any]:
-    """Return global risks of simple acceptance where the items are known, and the guard band for a wanted risk."""
+    """Return the global risks of simple acceptance if the items are known, and the guard band if a risk is wanted."""
     if found.std == 0:
         return {}
     said: dict[str, Any] = {}
@@ -141,20 +145,20 @@ def _end(limit: Measure | None, otherwise: float) -> float:
 
 
 def _shown(interval: Interval, factor: float) -> list[float]:
-    """Return an interval in the unit of the measurand, empty where nothing is left of it."""
+    """Return an interval in the unit of the measurand, or an empty list if its ends cross."""
     return [interval.low / factor, interval.high / factor] if interval.low <= interval.high else []
 
 
 def lines(decision: Mapping[str, Any], unit: str) -> list[str]:
-    """Return a decision in words."""
+    """Return a decision as lines of text."""
     low, high = decision["limits"]
     zones = f"{decision['zone']} with U (ISO 14253-1), {decision['zone_2017']} with 1.65 u"
     said = [f"tolerance {low:.10g} to {high:.10g} {unit}: {zones}"]
     if not decision["acceptance"]:
-        said.append("U is larger than half of the tolerance: no value is within the acceptance zone of ISO 14253-1")
+        said.append("U is larger than half of the tolerance: the acceptance zone of ISO 14253-1 is empty")
     if "T" in decision:
         words = "capable" if decision["capable"] else "not capable"
-        said.append(f"U/T = {100 * decision['U_over_T']:.1f} %: {words} by the 20 % of Berndt")
+        said.append(f"U/T = {100 * decision['U_over_T']:.1f} %: {words} by the 20 % rule of Berndt")
     mc = f", by Monte Carlo {decision['conformance_mc']:.6g}" if "conformance_mc" in decision else ""
     said.append(f"probability of conformity {decision['conformance']:.6g} (JCGM 106){mc}")
     if "consumer" in decision:
@@ -164,7 +168,9 @@ def lines(decision: Mapping[str, Any], unit: str) -> list[str]:
     if "guard_band" in decision:
         ends = decision["acceptance_guarded"]
         accept = (
-            f"{decision['guard_band']:.4g} {unit}: accept {ends[0]:.10g} to {ends[1]:.10g}" if ends else "there is none"
+            f"{decision['guard_band']:.4g} {unit}: accept {ends[0]:.10g} to {ends[1]:.10g}"
+            if ends
+            else "no value can be accepted"
         )
         said.append(f"guard band for a risk of {decision['wanted_risk']:g}: {accept}")
     return said

@@ -1,4 +1,4 @@
-"""The keys of a job of report-uncertainty, each with what it means alone."""
+"""The keys of a report-uncertainty job, each with its meaning and its own checks."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ SHAPES = (
     "normal", "t", "uniform", "triangular", "trapezoidal", "curvilinear-trapezoid", "arcsine", "exponential", "counts",
     "sampled", "rectangular", "U", "poisson",
 )  # fmt: skip
-"""Distributions; the last three are other names."""
+"""Distributions; the last three are synonyms."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Inputs:
 
 @dataclass(frozen=True)
 class Files:
-    """What the inputs hold, and what other keys name: tables by the path of their key."""
+    """The content of the input files, and of the tables that other keys name, by the path of the key."""
 
     results: Mapping[str, Result] = field(default_factory=dict)
     files: Mapping[str, Table] = field(default_factory=dict)
@@ -65,7 +65,7 @@ class Files:
 
 @dataclass(frozen=True)
 class Given:
-    """An input quantity: best estimate and how well it is known."""
+    """An input quantity: its best estimate and its uncertainty."""
 
     value: Measure | None = setting(AnyQuantity(), "best estimate", default=None)
     mean: Measure | None = setting(AnyQuantity(), "best estimate (the same as value)", default=None)
@@ -89,16 +89,17 @@ class Given:
     )
 
     def faults(self) -> Iterable[tuple[str, ...]]:
-        """Yield what does not fit together."""
+        """Yield the faults of keys that contradict each other or are incomplete."""
         others = [name for name, _ in settings_of(type(self)).items() if name != "estimate"]
         extra = next((name for name in others if getattr(self, name) is not None), None)
         if self.estimate is not None and extra is not None:
-            yield extra, f"the result says all of an estimate; {extra} is too much", f"leave {extra} out"
+            said = f"the result gives the value and uncertainty of an estimate; {extra} is too much"
+            yield extra, said, f"leave {extra} out"
 
 
 @dataclass(frozen=True)
 class Correlation:
-    """How two quantities are correlated."""
+    """The correlation of two quantities."""
 
     between: tuple[str, str] = setting(ListOf(Text(), 2, distinct=True), "two quantities")
     value: float = setting(Number(-1, 1), "correlation coefficient")
@@ -114,20 +115,20 @@ class Measurand:
 
 @dataclass(frozen=True)
 class CoverageSetting:
-    """What the expanded uncertainty covers."""
+    """Coverage of the expanded uncertainty: a probability or a factor k."""
 
     probability: float | None = setting(Probability(), "coverage probability", default=None)
     k: float | None = setting(Number(above=0, maximum=20), "coverage factor", default=None)
 
     def faults(self) -> Iterable[tuple[str, ...]]:
-        """Yield what does not fit together."""
+        """Yield the faults of keys that contradict each other or are incomplete."""
         if self.probability is not None and self.k is not None:
             yield "k", "probability and k are both given", "give one of them"
 
 
 @dataclass(frozen=True)
 class MonteCarlo:
-    """How many trials, and from which seed."""
+    """Settings of the Monte Carlo method: trials, digits, seed."""
 
     trials: int | None = setting(Trials(), "number of trials, or adaptive", default=1_000_000)
     digits: int = setting(
@@ -141,7 +142,7 @@ class MonteCarlo:
 
 @dataclass(frozen=True)
 class Process:
-    """What is known of the items before they are measured."""
+    """Prior distribution of the measured items."""
 
     mean: Measure = setting(AnyQuantity(), "mean of the items")
     std: Measure = setting(AnyQuantity(), "their standard deviation")
@@ -149,7 +150,7 @@ class Process:
 
 @dataclass(frozen=True)
 class Limits:
-    """A tolerance with what else a decision needs."""
+    """A tolerance, and optionally the items and the wanted risk for a decision by JCGM 106."""
 
     between: tuple[Measure | None, Measure | None] = setting(ListOf(Limit(), 2), "lower and upper limit")
     process: Process | None = setting(Section(Process), "items before measurement, for global risks", default=None)
@@ -158,7 +159,7 @@ class Limits:
 
 @dataclass(frozen=True)
 class Volume:
-    """Points of a working volume, in the frame of the part."""
+    """Grid of points in a working volume, in the frame of the part."""
 
     from_: tuple[float, float, float] = setting(ListOf(Quantity("length"), 3), "one corner", key="from")
     to: tuple[float, float, float] = setting(ListOf(Quantity("length"), 3), "the opposite corner")
@@ -168,7 +169,7 @@ class Volume:
     )
 
     def faults(self) -> Iterable[tuple[str, ...]]:
-        """Yield what does not fit together."""
+        """Yield the faults of keys that contradict each other or are incomplete."""
         points = self.grid[0] * self.grid[1] * self.grid[2]
         if points > 2_000_000:
             yield (
@@ -195,7 +196,7 @@ class Expansion:
     )
 
     def faults(self) -> Iterable[tuple[str, ...]]:
-        """Yield what does not fit together."""
+        """Yield the faults of keys that contradict each other or are incomplete."""
         if (self.half_width is None) == (self.std is None):
             yield "", "an expansion needs half_width or std of the temperature", "give one of them"
 
@@ -210,7 +211,7 @@ class LengthError:
 
 @dataclass(frozen=True)
 class Contributor:
-    """A cause of uncertainty of the points of the volume."""
+    """A source of uncertainty of the points of the volume."""
 
     name: str = setting(Text(), "name, for the budget")
     result: str | None = setting(Text(), "result of another job, propagated to each point", default=None)
@@ -233,10 +234,10 @@ class Contributor:
     includes: tuple[str, ...] = setting(ListOf(Text()), "sources that its figures contain already", default=())
 
     def faults(self) -> Iterable[tuple[str, ...]]:
-        """Yield what does not fit together."""
+        """Yield the faults of keys that contradict each other or are incomplete."""
         given = [name for name in FORMS if getattr(self, name) is not None]
         if len(given) != 1:
-            said = f"has {' and '.join(given)}" if given else "says nothing of its size"
+            said = f"has {' and '.join(given)}" if given else "has no uncertainty"
             yield "", f"the contributor '{self.name}' {said}", f"give one of {', '.join(FORMS)}"
 
 
@@ -245,7 +246,7 @@ FORMS = ("result", "std", "half_width", "expansion", "length_error", "model")
 
 @dataclass(frozen=True)
 class Entries:
-    """All keys of a job."""
+    """All keys of a report-uncertainty job."""
 
     inputs: Inputs = setting(Section(Inputs), "results of other jobs", default=Inputs())
     quantities: Mapping[str, Placed] = setting(

@@ -1,4 +1,4 @@
-"""A job of report-uncertainty as quantities, models and their units, or all that is wrong with it."""
+"""The propagation problem of a report-uncertainty job (quantities, models, units), or all faults of the job."""
 
 from __future__ import annotations
 
@@ -35,18 +35,18 @@ _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 @dataclass(frozen=True)
 class Problem:
-    """What is propagated."""
+    """The quantities and models to propagate."""
 
     inputs: Inputs
     models: Mapping[str, Expression]
     units: Mapping[str, Compound]
-    """Of each measurand, as the job wants it"""
+    """Unit of each measurand, as the job states it"""
     nodes: Mapping[str, Placed]
     warnings: tuple[str, ...] = ()
 
 
 def faults(settings: Entries) -> Iterable[Fault | tuple[str, ...]]:
-    """Yield what is wrong with a job as far as it shows without its files."""
+    """Yield the faults of a job that show without its files."""
     for key, wanted in (("measurands", settings.measurands), ("quantities", settings.quantities)):
         if not wanted and not (key == "quantities" and settings.inputs.results):
             yield key, f"the key '{key}' is missing", "or give volume and contributors"
@@ -55,7 +55,7 @@ def faults(settings: Entries) -> Iterable[Fault | tuple[str, ...]]:
 
 
 def build(settings: Entries, results: Mapping[str, Result], files: Mapping[str, Table]) -> Problem | list[Fault]:
-    """Return the problem of a job with its files, or its faults."""
+    """Return the problem of a job with its files, or the faults of the job."""
     gathered = _Gathering(settings, results, files)
     if gathered.faults:
         return gathered.faults
@@ -69,13 +69,13 @@ def build(settings: Entries, results: Mapping[str, Result], files: Mapping[str, 
 
 def _heavy_tails(inputs: Inputs) -> list[str]:
     few = [q.name for q in inputs.quantities if q.dof <= 2 and isinstance(q.distribution, Normal)]
-    said = "has 2 degrees of freedom or fewer, and a t distribution of these no standard deviation"
-    return [f"{name} {said}: mean and std of Monte Carlo depend on chance, its intervals do not" for name in few]
+    said = "has 2 degrees of freedom or fewer: its t distribution has no standard deviation"
+    return [f"{name} {said}. Mean and std of Monte Carlo depend on chance, its intervals do not" for name in few]
 
 
 @dataclass
 class _Gathering:
-    """Puts a job together and keeps what is wrong; without files it goes as far as it can."""
+    """Collects quantities and models of a job, and its faults; without files it checks what it can."""
 
     settings: Entries
     results: Mapping[str, Result] | None
@@ -116,7 +116,7 @@ class _Gathering:
         elif name in FUNCTIONS or name in CONSTANTS or _keyword(name):
             self.reserved.add(name)
             hint = f"write {name}_ or {name}1"
-            self.faults.append(node.fault(f"'{name}' is reserved: it has a meaning of its own", hint))
+            self.faults.append(node.fault(f"'{name}' is reserved: it names a function, a constant or a keyword", hint))
         elif name in self.settings.inputs.results:
             self.faults.append(node.fault(f"'{name}' is the name of a result too", "give one of them another name"))
         if self.target(name) != name:
@@ -133,7 +133,7 @@ class _Gathering:
             self.units[name] = found.unit
 
     def target(self, name: str) -> str:
-        """Return the estimate that a quantity stands for, the name itself where it stands for none."""
+        """Return the name of the estimate that a quantity stands for, or its own name if it is not an estimate."""
         placed = self.settings.quantities.get(name)
         return (getattr(placed.value, "estimate", None) or name) if placed is not None else name
 
@@ -150,7 +150,7 @@ class _Gathering:
                 self.faults.append(node.fault(f"the result '{prefix}' has no estimate '{estimate}'", hint))
 
     def _results(self) -> list[Block]:
-        """Take the estimates of results that the models name: one block for each file, however many names it has."""
+        """Return the estimates that the models name: one block for each file, even if it has several names."""
         files: dict[str, list[tuple[str, Result, int]]] = {}
         for name in self.named:
             prefix, _, estimate = self.target(name).partition(".")
@@ -169,9 +169,7 @@ class _Gathering:
         size = np.sqrt(np.abs(np.diag(covariance)))
         if not np.isfinite(covariance).all() or (abs(covariance - covariance.T) > 1e-6 * np.outer(size, size)).any():
             node = self.settings.measurands[next(iter(self.settings.measurands))].node
-            self.faults.append(
-                node.fault(f"the result of {held[0][0]} has no covariance that can be used", "run its job again")
-            )
+            self.faults.append(node.fault(f"the result of {held[0][0]} has no valid covariance", "run its job again"))
             return None
         dofs = [degrees_of_freedom(result, index) for index in at]
         for (name, _, index), unit, dof, variance in zip(held, found, dofs, np.diag(covariance), strict=True):
@@ -204,7 +202,7 @@ class _Gathering:
     def _unused(self) -> None:
         for name, placed in self.settings.quantities.items():
             if name not in self.named and self.settings.measurands and name not in self.reserved:
-                hint = "a misspelt name in a model? else leave it out"
+                hint = "check the names in the models, or leave the quantity out"
                 self.faults.append(placed.node.fault(f"the quantity '{name}' is in no model", hint))
 
     def _measurand(self, name: str, placed: Placed) -> None:
@@ -234,7 +232,7 @@ class _Gathering:
         self.wanted[name] = wanted
 
     def _join(self, blocks: list[Block]) -> None:
-        """Put the quantities together with their correlations."""
+        """Join the quantities with their correlations."""
         declared = [placed.value for placed in self.settings.correlations]
         self.faults += correlations.refused(self.settings.correlations, self.quantities, blocks)
         if self.faults:
@@ -242,7 +240,7 @@ class _Gathering:
         together = correlations.simultaneous(self._readings(), {frozenset(pair.between) for pair in declared})
         self.noted += [pair.said for pair in together]
         pairs = [(*pair.between, pair.value) for pair in (*declared, *together)]
-        # In the order of the job, then estimates of results in that of the models.
+        # quantities in the order of the job, then estimates of results in the order of the models
         order = [quantity for name, quantity in self.quantities.items() if name in self.named]
         try:
             self.inputs = join(order, pairs, blocks, self._rows({name for pair in declared for name in pair.between}))
@@ -251,7 +249,7 @@ class _Gathering:
             self.faults.append(correlations.contradiction(error, self.settings.correlations, first))
 
     def _readings(self) -> Iterable[tuple[str, Table, str]]:
-        """Yield the name, file and column of each quantity that is evaluated from readings, or drawn from samples."""
+        """Yield the name, table and column of each quantity that is given by readings or by samples."""
         for name in self.named:
             placed = self.settings.quantities.get(name)
             for key in ("readings", "samples"):
@@ -260,7 +258,7 @@ class _Gathering:
                     yield name, table, column_of(placed.value, table)
 
     def _rows(self, declared: Collection[str]) -> Iterable[list[str]]:
-        """Yield the names of samples in one file, but for those whose correlation the job declares itself."""
+        """Yield the names of samples in the same file, without those whose correlation the job declares."""
         files: dict[str, list[str]] = {}
         for name in self.named:
             shape = self.quantities[name].distribution
@@ -283,7 +281,7 @@ def _example(unit: Compound) -> str:
 
 
 def degrees_of_freedom(result: Result, index: int) -> float:
-    """Return the degrees of freedom of an estimate: as it states them, those of an estimated noise, or infinite."""
+    """Return the degrees of freedom of an estimate: its own, those of the estimated noise, or inf."""
     stated = result.details.get(result.estimates[index].name, {}).get("dof")
     if isinstance(stated, int | float) and math.isfinite(stated):
         return float(stated)

@@ -1,4 +1,4 @@
-"""One input quantity of a job: what is written of it to best estimate, distribution and degrees of freedom."""
+"""One input quantity of a job: its best estimate, distribution and degrees of freedom from its keys."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ from metrocli.uncertainty.inputs import Quantity
 
 _OTHER_NAMES = {"rectangular": "uniform", "U": "arcsine", "poisson": "counts"}
 _WIDTHS = {"uniform": math.sqrt(3), "triangular": math.sqrt(6), "arcsine": math.sqrt(2)}
-"""Half-width over standard deviation"""
+"""Ratio of half-width to standard deviation"""
 
 
 class _Wrong(Exception):
-    """What is wrong with a quantity: the key, what was found, what to write."""
+    """A fault of a quantity: the key, the message, and a hint what to write."""
 
     def __init__(self, key: str, message: str, hint: str) -> None:
         super().__init__(message)
@@ -53,7 +53,7 @@ class Spread:
 
 
 def unit_of(placed: Placed) -> Compound | None:
-    """Return the unit of a quantity as far as the job says it, None where it is wrong."""
+    """Return the unit of a quantity from its value or the name of its column; None if neither gives one."""
     given = placed.value
     if isinstance(given, Measure):
         return given.unit
@@ -64,7 +64,7 @@ def unit_of(placed: Placed) -> Compound | None:
 
 
 def quantity(name: str, placed: Placed, table: Table | None, faults: list[Fault]) -> Quantity | None:
-    """Return the quantity of a job; None with faults where it is wrong. `table` holds its readings or samples."""
+    """Return a quantity of a job, or None and append to `faults`; `table` holds its readings or samples."""
     given = placed.value
     if isinstance(given, Measure):
         return Quantity(name, given.value, None, math.inf, given.unit)
@@ -84,7 +84,7 @@ def _written(name: str, given: Given) -> Quantity:
     if given.column is not None:
         raise _Wrong("column", "a column is named, but no readings or samples", "give readings: FILE.csv")
     spread = _spread(given, best)
-    # The mean of what q events leave is q + 1 (JCGM 101, 6.4.11).
+    # q counted events give a gamma distribution with mean q + 1 (JCGM 101, 6.4.11)
     value = best.value + 1 if isinstance(spread.distribution, Counts) else best.value
     return Quantity(name, value, spread.distribution, spread.dof, best.unit)
 
@@ -92,7 +92,7 @@ def _written(name: str, given: Given) -> Quantity:
 def _spread(given: Given, best: Measure) -> Spread:
     widths = [key for key in ("std", "half_width", "U") if getattr(given, key) is not None]
     if len(widths) > 1:
-        raise _Wrong(widths[1], f"{' and '.join(widths)} are both given", "one of them says how well it is known")
+        raise _Wrong(widths[1], f"{' and '.join(widths)} are both given", "give one uncertainty only")
     if (given.U is None) != (given.k is None):
         raise _Wrong("U" if given.U else "k", "U needs its k, and k its U", "write e.g. {value: .., U: 30 nm, k: 2}")
     width = _size(getattr(given, widths[0]), best) if widths else None
@@ -102,7 +102,7 @@ def _spread(given: Given, best: Measure) -> Spread:
         return Spread(_of_value_alone(shape, best, widths), dof)
     if width is None:
         if given.distribution or given.dof is not None or given.inexactness or given.beta is not None:
-            raise _Wrong("", "nothing says how well it is known", "give std or half_width")
+            raise _Wrong("", "there is no uncertainty", "give std or half_width")
         return Spread(None)
     std = width / given.k if given.k is not None else width
     distribution = _shaped(shape, given, std, best)
@@ -126,7 +126,7 @@ def _of_value_alone(shape: str, best: Measure, widths: list[str]) -> Distributio
 
 
 def _shaped(shape: str, given: Given, width: float, best: Measure) -> Distribution:
-    """Return the distribution of a shape, its width given as standard deviation or half-width."""
+    """Return the distribution of a shape, with a width that is a standard deviation or a half-width."""
     by_half_width = given.half_width is not None
     if shape == "sampled":
         raise _Wrong("distribution", "a sampled distribution needs its values", "give samples: FILE.csv")
@@ -160,7 +160,7 @@ def _curvilinear(given: Given, width: float, best: Measure) -> Distribution:
 
 
 def _size(measure: Measure, best: Measure) -> float:
-    """Return a width in base units, never negative, of the unit of its quantity."""
+    """Return a width in base units; it must have the kind of unit of its quantity and not be negative."""
     key = measure.node.path.rpartition(".")[2]
     if measure.unit.powers != best.unit.powers:
         said = f"{key} is {described(measure.unit)}, the value {described(best.unit)}"
@@ -171,20 +171,20 @@ def _size(measure: Measure, best: Measure) -> float:
 
 
 def _from_table(name: str, given: Given, table: Table | None) -> Quantity:
-    """Return mean and standard uncertainty of the mean of readings (JCGM 100, 4.2), or the distribution of samples."""
+    """Return the quantity of a table: readings by mean and its standard uncertainty (JCGM 100, 4.2), or samples."""
     sampled = given.samples is not None or given.distribution == "sampled"
     others = ("value", "mean", "std", "half_width", "U", "k", "dof", "inexactness", "beta")
     extra = [key for key in others if getattr(given, key) is not None]
     if extra or (given.readings and given.samples) or given.distribution not in (None, "sampled"):
         key = extra[0] if extra else "distribution" if given.distribution else "samples"
-        raise _Wrong(key, f"readings say all of it; {key} is too much", f"leave {key} out")
+        raise _Wrong(key, f"readings or samples give the whole quantity; {key} is too much", f"leave {key} out")
     if table is None:
-        raise _Wrong("readings", "the readings were not read", "give the path of a CSV")
+        raise _Wrong("readings", "the file of readings is missing", "give the path of a CSV")
     column = column_of(given, table)
     unit = _unit_of_column(column)
     values = table.numbers(column) * unit.factor
     if len(values) < 2:
-        raise _Wrong("readings", "one reading says nothing of its spread", "two readings or more")
+        raise _Wrong("readings", "one reading gives no standard deviation", "give two readings or more")
     mean = float(values.mean())
     if sampled:
         deviations = tuple((values - mean).tolist())
@@ -194,7 +194,7 @@ def _from_table(name: str, given: Given, table: Table | None) -> Quantity:
 
 
 def column_of(given: Given, table: Table) -> str:
-    """Return the column of a quantity: the one it names, or the only one of numbers."""
+    """Return the column of a quantity: the one it names, or the only column of numbers."""
     from metrocli.words import suggestion
 
     numeric = [column for column in table if table.columns[column].dtype.kind == "f"]
@@ -218,7 +218,7 @@ def _first_text(column: str, table: Table) -> str:
 
 
 def _unit_of_column(column: str) -> Compound:
-    """Return the unit that the name of a column ends in, that of a plain number where it ends in none."""
+    """Return the unit at the end of a column's name; without one, the column holds plain numbers."""
     endings = {ending: unit.symbol for d in units.DIMENSIONS for ending, unit in units.suffixes(d).items()}
     found = [ending for ending in endings if column.endswith(f"_{ending}")]
     return compound(endings[max(found, key=len)] if found else "1")

@@ -37,7 +37,7 @@ PLAIN = ("k", "dof", "probability", "trials", "gum_valid", "capable", *DECIDED)
 
 @dataclass(frozen=True)
 class Found:
-    """What both methods say."""
+    """The results of both methods, GUM and Monte Carlo."""
 
     problem: Problem
     propagated: Propagated
@@ -48,7 +48,7 @@ class Found:
 
 @dataclass(frozen=True)
 class _Measurand:
-    """One measurand, in its own unit."""
+    """One measurand with its results, in its own unit."""
 
     name: str
     unit: str
@@ -66,7 +66,7 @@ def report(found: Found) -> Result:
     factors = np.array([found.problem.units[name].factor for name in names])
     covariance = found.propagated.covariance.copy()
     if found.outcome is not None:
-        # A measurand that the law of propagation cannot reach has the covariance of the trials.
+        # where the law of propagation does not apply, the covariance is that of the trials
         missing = [n for n, m in enumerate(measurands) if m.linear.replaced]
         covariance[missing, :] = found.outcome.covariance[missing, :]
         covariance[:, missing] = found.outcome.covariance[:, missing]
@@ -124,7 +124,7 @@ def _measurand(found: Found, index: int, name: str) -> _Measurand:
 
 
 def _verdict(found: Found, linear: Linear, k: float, factor: float, mc: dict[str, Any]) -> Verdict:
-    """Return whether the law of propagation holds against Monte Carlo, by digits of u in the unit of the measurand."""
+    """Return the validation of the law of propagation by Monte Carlo (JCGM 101, 8), with u in the measurand's unit."""
     if linear.replaced:
         return Verdict(False, linear.notes)
     normal = coverage_factor(Coverage(covered(found.coverage)), math.inf)
@@ -206,9 +206,7 @@ def _share(linear: Linear, along: Any, i: int) -> float:
 def _warnings(measurand: _Measurand) -> list[str]:
     said = [f"{measurand.name}: {note}" for note in measurand.linear.notes]
     if measurand.verdict is not None and not measurand.verdict.valid and not measurand.linear.replaced:
-        said.append(
-            f"{measurand.name}: the interval of GUM does not hold against Monte Carlo; take that of Monte Carlo"
-        )
+        said.append(f"{measurand.name}: Monte Carlo does not validate the interval of GUM; use that of Monte Carlo")
     return said
 
 
@@ -232,7 +230,7 @@ def _notes(found: Found, measurand: _Measurand) -> list[str]:
         mean = " ± ".join(rounded(mc["mean"], mc["std"]))
         said.append(f"  Monte Carlo, {mc['trials']} trials: {mean}{unit}, interval {ends[0]}, shortest {ends[1]}{unit}")
         if mc.get("resolution"):
-            said.append(f"  values counted in bins: ends of intervals to ± {mc['resolution']:.1e}{unit}")
+            said.append(f"  trials counted in bins: interval ends are known to ± {mc['resolution']:.1e}{unit}")
     said += _judgement(measurand)
     said += [f"  {line}" for line in _budget_lines(found, measurand)]
     if "tolerance" in details:
@@ -245,8 +243,8 @@ def _judgement(measurand: _Measurand) -> list[str]:
     if verdict is None:
         return []
     if verdict.valid:
-        return ["  GUM holds against Monte Carlo (JCGM 101, clause 8)"]
-    return ["  GUM does not hold against Monte Carlo (JCGM 101, clause 8):"] + [
+        return ["  Monte Carlo validates GUM (JCGM 101, clause 8)"]
+    return ["  Monte Carlo does not validate GUM (JCGM 101, clause 8):"] + [
         f"    {reason}" for reason in verdict.reasons
     ]
 

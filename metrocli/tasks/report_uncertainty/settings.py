@@ -1,4 +1,4 @@
-"""What a job of report-uncertainty says: its keys, and what is wrong with them together."""
+"""The settings of a report-uncertainty job: its keys and the checks of their combination."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from metrocli.tasks.report_uncertainty.entries import Entries
 
 @dataclass(frozen=True)
 class Settings(Entries):
-    """Carry uncertainties of inputs and of other jobs' results to measurands or to a volume, and to a decision."""
+    """Propagate uncertainties of inputs and of other jobs' results to measurands or a volume, and to a decision."""
 
     def faults(self) -> Iterable[tuple[str, ...] | Fault]:
-        """Yield what does not fit together, as far as it shows without the files of the job."""
+        """Yield the faults that show without the files of the job."""
         from metrocli.tasks.report_uncertainty import problem, volume_problem
 
         if self.volume is not None or self.contributors:

@@ -1,4 +1,4 @@
-"""What results have in common: the same file twice, a shared input, a contributor that is counted twice."""
+"""Common sources of results: the same file, a shared input, a contributor that is counted twice."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from metrocli.result import Result
 
 
 def identity(result: Result) -> str:
-    """Return what tells two results apart: the content of their files."""
+    """Return a hash of the content of a result's file, equal for results of the same file."""
     return result.made_from[0].sha256 if result.made_from else str(id(result))
 
 
@@ -25,7 +25,7 @@ def _included(result: Result) -> Iterable[str]:
 
 
 def shared(results: Mapping[str, Result], named: Iterable[str] = ()) -> list[str]:
-    """Say what results have in common, and what of their budgets is named in this job too (`named`)."""
+    """Return warnings of common sources of results, and of contributors that this job names too (`named`)."""
     lines = []
     for (a, first), (b, second) in combinations(results.items(), 2):
         if identity(first) == identity(second):
@@ -43,8 +43,8 @@ def _between(a: str, first: Result, b: str, second: Result) -> list[str]:
     lines = []
     if common:
         lines.append(
-            f"{a} and {b} have a common source, {', '.join(dict.fromkeys(common))}: their errors are correlated by an "
-            "amount that neither result states; they are taken as independent"
+            f"{a} and {b} have a common source, {', '.join(dict.fromkeys(common))}. Their errors are correlated, but "
+            "neither result states the correlation; this job treats them as independent"
         )
     twice = sorted(contributors(first) & contributors(second))
     return lines + [f"'{item}' is counted twice: it is in the budgets of {a} and of {b}" for item in twice]

@@ -1,4 +1,4 @@
-"""What report-uncertainty does with a job."""
+"""The task report-uncertainty: run and check a job."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ def run(job: Job[Settings, Files]) -> Result:
         name = next(name for name, linear in propagated.measurands.items() if linear.replaced)
         raise UndeterminedError(
             f"{name}: {propagated.measurands[name].notes[0]}\n  the law of propagation does not apply there; "
-            "ask for Monte Carlo: `monte_carlo: {trials: 1000000}`"
+            "use Monte Carlo: `monte_carlo: {trials: 1000000}`"
         )
     return report(Found(problem, propagated, coverage, outcome, settings))
 
 
 def check(job: Job[Settings, Files]) -> None:
-    """Raise InputError with all that is wrong with a job and its files, without computing."""
+    """Raise InputError with all faults of a job and its files, without a Monte Carlo run."""
     if job.settings.volume is not None:
         volume_problem.build(job.settings, job.files.results)
     else:
@@ -60,7 +60,7 @@ def _propagated(problem: Problem) -> Propagated:
         return propagate(problem.models, problem.inputs)
     except NoValueError as error:
         models: list[Model] = [placed.value.model for placed in problem.nodes.values()]
-        # The expression in which the part stands that has no value.
+        # the message points to the model whose part has no value
         model = next(model for model in models if _fails(model, problem))
         raise InputError([model.fault(error)]) from error
 
@@ -80,7 +80,8 @@ def _trials(settings: Settings, problem: Problem, probability: float, workers: W
         plan = plan_of(problem.models, problem.inputs, wanted.seed, probability, wanted.trials, units)
     except UnreachableError as error:
         pair = {problem.inputs.names[index] for index in error.between}
-        # Estimates of a result can be the pair, which a declared correlation ties to other shapes.
+        # the pair can be estimates of a result, correlated through quantities of other shapes; then no declared
+        # correlation is that of the pair itself
         declared = [placed for placed in settings.correlations if set(placed.value.between) == pair]
         node = (*declared, *settings.correlations)[0].node
         said = f"{' and '.join(sorted(pair))}: {error}"

@@ -1,4 +1,4 @@
-"""Values in jobs of report-uncertainty: quantities of any unit, models, probabilities, limits, each with its place."""
+"""Values in report-uncertainty jobs: quantities of any unit, models, probabilities, limits, each with its place."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from metrocli.uncertainty.expression import Expression, ExpressionError, parse
 
 INFINITE = ("inf", ".inf", "infinite")
 SMALLEST, LARGEST = 1e-100, 1e100
-"""Values in base units whose squares and products are numbers too"""
+"""Range of values in base units whose squares and products do not overflow"""
 _NUMBER = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
 _QUANTITY = re.compile(rf"({_NUMBER})\s*(.*)", re.DOTALL)
 _COMMA = re.compile(r"([+-]?[0-9]*),([0-9]+)(.*)", re.DOTALL)
@@ -24,7 +24,7 @@ _COMMA = re.compile(r"([+-]?[0-9]*),([0-9]+)(.*)", re.DOTALL)
 
 @dataclass(frozen=True)
 class Measure:
-    """A number with its unit as it was written."""
+    """A number with its unit, as written in the job."""
 
     number: float
     unit: Compound
@@ -32,17 +32,17 @@ class Measure:
 
     @property
     def value(self) -> float:
-        """In base units."""
+        """The value in base units."""
         return self.number * self.unit.factor
 
     def fault(self, message: str, hint: str | None = None) -> Fault:
-        """Return a fault at its place."""
+        """Return a fault at the place of this value in the job."""
         return self.node.fault(f"{self.node.path}: {message}", hint)
 
 
 @dataclass(frozen=True)
 class AnyQuantity:
-    """A number with any unit of the table, or a product of them; without one it is a plain number."""
+    """A number with any known unit or a product of units; a number without a unit is a plain number."""
 
     expects = "a number with its unit such as '50.000623 mm' or '1180 kg/m^3', or a plain number"
 
@@ -100,7 +100,7 @@ class Model:
     node: Node
 
     def fault(self, error: ExpressionError) -> Fault:
-        """Return what is wrong with the model, at the column of the part that is meant."""
+        """Return the fault of an error in the model, at the column of the part that caused it."""
         return _at(self.node, error)
 
 
@@ -138,7 +138,7 @@ class ModelText:
 
 @dataclass(frozen=True)
 class Probability:
-    """A number between 0 and 1, without them."""
+    """A number above 0 and below 1."""
 
     expects = "a probability such as 0.95"
 
@@ -186,7 +186,7 @@ class Trials:
             return None
         value = Number().read(node, [])
         if value is BAD or value != int(value) or not (value == 0 or 1000 <= value <= 1e9):
-            return _refused(node, faults, f"'{node.text}' is no number of trials", f"expected {self.expects}")
+            return _refused(node, faults, f"'{node.text}' is not a number of trials", f"expected {self.expects}")
         return int(value)
 
     def schema(self) -> Schema:

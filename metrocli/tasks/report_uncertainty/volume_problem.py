@@ -1,4 +1,4 @@
-"""The volume form of a job: points and what each contributor brings to them, or all that is wrong with it."""
+"""The volume form of a job: its points and the uncertainty from each contributor, or all faults of the job."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float64]
 PLACES = ("X", "Y", "Z")
-"""Names of a point's place in the models of contributors"""
+"""Names of a point's coordinates in the models of contributors"""
 
 
 @dataclass(frozen=True)
 class VolumeProblem:
-    """Points and contributions."""
+    """Points of the volume, and the contributions to their uncertainty."""
 
     points: Array
     contributions: tuple[Contribution, ...]
@@ -41,13 +41,13 @@ class VolumeProblem:
 
 
 def faults(settings: Entries) -> Iterable[Fault | tuple[str, ...]]:
-    """Yield what is wrong with a job as far as it shows without its files."""
+    """Yield the faults of a job that show without its files."""
     for key in ("volume", "contributors"):
         if not getattr(settings, key):
             yield key, f"the key '{key}' is missing", "a volume needs its contributors"
     for key in ("quantities", "measurands", "correlations"):
         if getattr(settings, key):
-            yield key, f"{key} and a volume are both given", "make two jobs of it"
+            yield key, f"{key} and a volume are both given", "write two jobs"
     tolerance = settings.tolerance
     if tolerance is not None and not (isinstance(tolerance, Placed) and isinstance(tolerance.value, Measure)):
         yield "tolerance", "the tolerance of a volume is one width", "write e.g. 'tolerance: 2 mm', the full width"
@@ -63,7 +63,7 @@ def _of_contributors(settings: Entries) -> Iterable[Fault]:
     for placed in settings.contributors:
         given: Contributor = placed.value
         if given.name in seen:
-            yield placed.node.fault(f"two contributors have the name '{given.name}'", "give each a name of its own")
+            yield placed.node.fault(f"two contributors have the name '{given.name}'", "give each a different name")
         seen[given.name] = placed
         if given.result is not None and given.result not in settings.inputs.results:
             hint = suggestion(given.result, settings.inputs.results) if settings.inputs.results else "name it there"
@@ -75,7 +75,9 @@ def _of_contributors(settings: Entries) -> Iterable[Fault]:
                 if part.operation == NAME and part.name not in PLACES and prefix not in settings.inputs.results:
                     hint = suggestion(prefix, [*PLACES, *settings.inputs.results])
                     yield model.fault(
-                        ExpressionError(f"'{part.name}' is neither X, Y, Z nor of a result", part.start, hint)
+                        ExpressionError(
+                            f"'{part.name}' is neither X, Y, Z nor an estimate of a result", part.start, hint
+                        )
                     )
 
 
@@ -102,7 +104,7 @@ def build(settings: Entries, results: Mapping[str, Result]) -> VolumeProblem:
 
 
 def _size(placed: Placed, results: Mapping[str, Result], points: Array, lengths: Array) -> tuple[Array, bool, float]:
-    """Return standard uncertainties (n, 3) or (1, 3), whether they are of a rectangle, and their dof."""
+    """Return standard uncertainties (n, 3) or (1, 3), whether the distribution is rectangular, and the dof."""
     given: Contributor = placed.value
     if given.result is not None:
         result = results[given.result]
@@ -131,7 +133,7 @@ def _dof(result: Result) -> float:
 
 
 def _of_result(placed: Placed, result: Result, points: Array) -> Array:
-    """Return what the pose of a part brings, or the plain uncertainties of a result with x, y and z only."""
+    """Return the standard uncertainties (n, 3) from the pose in a result, or from x, y and z alone."""
     names = [estimate.name for estimate in result.estimates]
     wanted = EULER if all(name in names for name in EULER) else AXES
     missing = [name for name in wanted if name not in names]
@@ -143,7 +145,7 @@ def _of_result(placed: Placed, result: Result, points: Array) -> Array:
     scale = np.array([compound(result.estimates[index].unit).factor for index in at])
     covariance = np.asarray(result.covariance)[np.ix_(at, at)] * scale[:, None] * scale
     if not np.isfinite(covariance).all():
-        raise InputError([placed.node.at("result").fault("its covariance has entries that are no numbers")])
+        raise InputError([placed.node.at("result").fault("its covariance has entries that are not finite")])
     if wanted is AXES:
         return np.sqrt(np.maximum(np.diag(covariance), 0.0))[None, :]
     values = np.array([result.estimates[index].value for index in at]) * scale
@@ -151,7 +153,7 @@ def _of_result(placed: Placed, result: Result, points: Array) -> Array:
 
 
 def _of_model(placed: Placed, results: Mapping[str, Result], points: Array) -> Array:
-    """Return what expressions in estimates of one or more results bring."""
+    """Return the standard uncertainties (n, 3) from expressions in estimates of one or more results."""
     models = placed.value.model
     names = list(dict.fromkeys(name for model in models for name in model.expression.names if name not in PLACES))
     values: dict[str, float | Array] = dict(zip(PLACES, points.T, strict=True))
@@ -193,7 +195,7 @@ def _of_model(placed: Placed, results: Mapping[str, Result], points: Array) -> A
 
 
 def _double(settings: Entries, results: Mapping[str, Result]) -> Iterable[str]:
-    """Say what is counted more than once: a source that others include, a source with several contributors."""
+    """Yield warnings of sources that are counted twice, and of contributors with a common source."""
     placed = [item.value for item in settings.contributors]
     labels = {label: given.name for given in placed for label in (given.source, given.name) if label}
     for given in placed:
@@ -208,7 +210,7 @@ def _double(settings: Entries, results: Mapping[str, Result]) -> Iterable[str]:
     for source, names in sources.items():
         if len(names) > 1:
             said = f"{' and '.join(names)} have the common source '{source}'"
-            yield f"{said}: they are added linearly, as fully correlated"
+            yield f"{said}: they are added linearly, because they are fully correlated"
     yield from _of_results(placed, results, labels)
 
 

@@ -1,4 +1,8 @@
-"""The result of the volume form: per axis the largest uncertainty, contributor by contributor and point by point."""
+"""The result of the volume form: the largest uncertainty per axis, by contributor and by point.
+
+By contributor, the root sum of squares of each contributor's maximum in the volume. By point, the maximum of the root
+sum of squares at each point.
+"""
 
 from __future__ import annotations
 
@@ -45,7 +49,7 @@ PLAIN = (
 
 @dataclass(frozen=True)
 class _Axis:
-    """One axis: u is that of the contributors' maxima."""
+    """Result along one axis; `std` combines the contributors' maxima, `pointwise` is the largest at a point."""
 
     name: str
     std: float
@@ -57,7 +61,7 @@ class _Axis:
 
 
 def run(settings: Entries, results: Mapping[str, Result], workers: Workers) -> Result:
-    """Return the result of a job with a volume; raises InputError."""
+    """Return the result of a job with a volume; raises InputError with its faults."""
     problem = build(settings, results)
     found = extremes(problem.contributions, problem.points)
     axes = [_axis(n, found, problem.contributions, settings, workers) for n in range(3)]
@@ -81,7 +85,7 @@ def run(settings: Entries, results: Mapping[str, Result], workers: Workers) -> R
 
 
 def _sum(parts: tuple[Contribution, ...], axis: int) -> tuple[Inputs, Expression]:
-    """Return the contributors' maxima along one axis as quantities, one for each source, and their sum."""
+    """Return the contributors' maxima along one axis as quantities, one for each source, and the model of their sum."""
     quantities = []
     for n, group in enumerate(by_source(parts)):
         std = sum(float(part.std[:, axis].max()) for part in group)
@@ -105,7 +109,7 @@ def _axis(axis: int, found: Extremes, parts: tuple[Contribution, ...], settings:
 
 
 def coverage_of(settings: Entries) -> Coverage:
-    """Return what U covers."""
+    """Return the coverage of U."""
     return Coverage(settings.coverage.probability or 0.95, settings.coverage.k)
 
 
@@ -130,12 +134,12 @@ def _details(axis: _Axis, settings: Entries) -> dict[str, Any]:
 
 
 def _left(width: float, guard: float) -> float:
-    """Return the half-width of what can be accepted, NaN where nothing is left."""
+    """Return the half-width of the acceptance zone, or NaN if it is empty."""
     return width / 2 - guard if guard <= width / 2 else math.nan
 
 
 def _against_trials(axis: _Axis, mc: monte_carlo.Outcome, U: float, settings: Entries) -> dict[str, Any]:
-    """Return what Monte Carlo says of the sum of the maxima, and whether k u holds against it."""
+    """Return the Monte Carlo result for the sum of the maxima, and whether it validates k u."""
     probability = covered(coverage_of(settings))
     sample, std = mc.samples[0], math.sqrt(mc.covariance[0, 0])
     interval = sample.symmetric(probability)
@@ -188,7 +192,7 @@ def _tables(problem: VolumeProblem, found: Extremes, axes: list[_Axis], settings
 
 
 def _sources(settings: Entries) -> Table:
-    """Return what each contributor stands for, so that a job that uses this result sees what is in it already."""
+    """Return the sources that each contributor contains, so that a job that uses this result can detect duplicates."""
     given = [placed.value for placed in settings.contributors]
     rows = [(label, item.name) for item in given for label in (item.name, item.source, *item.includes) if label]
     labels, names = zip(*rows, strict=True)
@@ -201,8 +205,8 @@ def _warnings(details: Mapping[str, Mapping[str, Any]]) -> list[str]:
         mc = detail.get("mc")
         if mc is not None and not detail["gum_valid"]:
             said.append(
-                f"{name}: k = {detail['k']:.3g} covers {100 * mc['covered']:.2f} % of the sum of these distributions; "
-                f"k = {mc['k_trials']:.2f} covers {100 * detail['probability']:.4g} %"
+                f"{name}: by Monte Carlo, k = {detail['k']:.3g} covers {100 * mc['covered']:.2f} % of the distribution "
+                f"of the sum; k = {mc['k_trials']:.2f} covers {100 * detail['probability']:.4g} %"
             )
     return said
 

@@ -9,7 +9,7 @@ KIND = Kind(
     planned=("views",),
     questions=(
         Question(
-            "compare", "Adjust as the paper does, views fitted first, and print what that loses, without a result."
+            "compare", "Compare the joint adjustment with the paper's sequence of fits; print both, write no result."
         ),
     ),
     result_questions=(

@@ -1,4 +1,4 @@
-"""A self-calibration as diagnosis sees it."""
+"""The adjusted self-calibration in the form that diagnosis works on."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from metrocli.tasks.selfcal_grid.solve import Solved
 
 FOLDS = 10
 _FEWEST = 4
-"""Components that an effect must touch: what touches one reading only is an outlier"""
+"""Least number of coordinates that an effect must change: an effect on one reading only is an outlier"""
 
 
 def adjusted_job(solved: Solved) -> AdjustedJob:
-    """Return the job of an adjusted self-calibration."""
+    """Return an adjusted self-calibration in the form that diagnosis works on."""
     problem = solved.problem.held(solved.design)
     model = with_conditions(replace(problem.model_with_datum, blocks=solved.solution.blocks))
 
@@ -52,7 +52,7 @@ def adjusted_job(solved: Solved) -> AdjustedJob:
 
 
 def _covariates(model: Model) -> Iterator[Covariate]:
-    """Yield what an unknown effect could vary with."""
+    """Yield the quantities that an unknown effect could vary with: time, temperature, place in the machine."""
     observations = model.readings[0].observations
     for name, key in (("t_s", ELAPSED), ("temp_degC", WARMING)):
         if key in observations.conditions:
@@ -64,14 +64,14 @@ def _covariates(model: Model) -> Iterator[Covariate]:
 
 
 def offers(problem: Problem, model: Model) -> Iterator[tuple[str, Model]]:
-    """Yield what could be measured in addition, the cheapest first."""
+    """Yield further measurements that would help, the cheapest first: words, and the model with their readings."""
     if ELAPSED in model.readings[0].observations.conditions:
         yield "each view forth and back, in the reverse order", _forth_and_back(model)
-    yield "two views more, shifted by one pitch along y and along z", _with_views(problem, model)
+    yield "two more views, shifted by one pitch along y and along z", _with_views(problem, model)
 
 
 def _forth_and_back(model: Model) -> Model:
-    """Return the model with each view measured again from its last ball to its first."""
+    """Return the model with each view measured a second time, from its last ball to its first."""
     group = model.readings[0]
     old = group.observations
     time, view = old.conditions[ELAPSED], old.index[bg.VIEW]
@@ -83,7 +83,7 @@ def _forth_and_back(model: Model) -> Model:
 
 
 def _with_views(problem: Problem, model: Model) -> Model:
-    """Return the model with two views more, shifted along y and z, after the others."""
+    """Return the model with two more views after the others, shifted by one pitch along y and along z."""
     group, old = model.readings[0], model.readings[0].observations
     views = (*problem.views, *(bg.View(f"+{'xyz'[a]}", np.eye(3), np.eye(3)[a]) for a in (1, 2)))
     ball = np.concatenate([np.arange(len(problem.grid.balls))] * 2)
@@ -111,5 +111,8 @@ def _with_views(problem: Problem, model: Model) -> Model:
 
 
 def folds(ball: Index, view: Index) -> Index:
-    """Return ten parts such that no ball loses more than one reading to a part, where it has no more than ten."""
+    """Return the part (0 to 9) of each reading for cross-validation.
+
+    A ball with at most ten readings loses no more than one of them to each part.
+    """
     return np.asarray((7 * ball + 3 * view + ball // FOLDS) % FOLDS)

@@ -80,4 +80,4 @@ EFFECTS: tuple[Effect, ...] = (
         source="ISO 230-1:2012 (EXX, EYY, EZZ); steel scales 11.5 ppm/K",
     ),
 )
-"""The table; its order is that of the documents"""
+"""The effects, in the order of the documentation"""

@@ -1,7 +1,8 @@
 """The machine error between the sites: trilinear, and a smooth form with its own uncertainty.
 
-The smooth form is a polynomial in x, y, z of the total degree with the smallest error at sites left out (PRESS); what
-of that error the noise of the sites does not explain is counted in its uncertainty beside what the measurement brings.
+The smooth form is a polynomial in x, y, z. Its total degree is the one with the smallest error at sites left out of the
+fit (PRESS). The part of that error beyond the noise of the sites is the misfit. The uncertainty of the smooth form
+combines the misfit and the uncertainty of the measurement.
 """
 
 from __future__ import annotations
@@ -21,9 +22,9 @@ from metrocli.table import Table
 _DEGREES = 6
 _AT_ONCE = 200
 _TRIED = 20
-"""Sites at which the noise of what is left out is taken"""
+"""Number of sites at which the noise of the left-out errors is calculated"""
 Covariance = Callable[[Array], Array]
-"""From weights (rows, sites) on one component to the covariance (3, rows, rows) of the weighted errors"""
+"""Function from weights (rows, sites) to the covariance (3, rows, rows) of the weighted errors, per component"""
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,7 @@ class SiteErrors:
     """The machine error at sites."""
 
     sites: Index
-    """(sites, 3) in pitches"""
+    """Index of each site, (sites, 3), in pitches"""
     pitch: float
     values: Array
     """(sites, 3) [mm]"""
@@ -51,7 +52,7 @@ class SiteErrors:
 
 @dataclass(frozen=True)
 class Smooth:
-    """A polynomial of the machine error in coordinates scaled to -1 ... 1 in the grid."""
+    """The machine error as a polynomial, in coordinates scaled to -1 ... 1 over the grid."""
 
     degree: int
     centre: Array
@@ -62,10 +63,10 @@ class Smooth:
     covariance: Array
     """(3, terms, terms)"""
     misfit: Array
-    """Root mean square error at sites left out beyond what their noise explains, (3,) [mm]"""
+    """Root mean square error at sites left out of the fit, without the part that is noise, (3,) [mm]"""
 
     def at(self, points: Array) -> tuple[Array, Array]:
-        """Return the error (n, 3) at points [mm], and its standard uncertainty with the misfit (n, 3)."""
+        """Return the error (n, 3) at points [mm], and its standard uncertainty (n, 3), which includes the misfit."""
         design = _terms((points - self.centre) / self.half, self.degree)
         own = np.einsum("nt,ctu,nu->nc", design, self.covariance, design)
         return design @ self.coefficients, np.sqrt(np.maximum(own, 0.0) + self.misfit**2)
@@ -82,7 +83,7 @@ def _terms(scaled: Array, degree: int) -> Array:
 
 
 def smooth(field: SiteErrors, covariance: Covariance) -> Smooth | None:
-    """Return the smooth form of a field; None where the sites do not span space."""
+    """Return the smooth form of a field, or None if the sites lie in a plane or are too few for a polynomial."""
     places, errors = field.places, field.values
     centre = (places.max(axis=0) + places.min(axis=0)) / 2
     half = (places.max(axis=0) - places.min(axis=0)) / 2
@@ -90,7 +91,8 @@ def smooth(field: SiteErrors, covariance: Covariance) -> Smooth | None:
         return None
     scaled = (places - centre) / half
     best: tuple[int, Array, Array] | None = None
-    # a degree that meets all sites of a line shows there nothing of what it misses between them
+    # the degree stays below the number of sites on a line: a polynomial through all of them has no error at the
+    # sites, however large its error is between them
     layers = min(len(np.unique(places[:, a])) for a in range(3))
     for degree in range(1, min(_DEGREES, max(layers - 2, 1)) + 1):
         design = _terms(scaled, degree)
@@ -113,7 +115,10 @@ def smooth(field: SiteErrors, covariance: Covariance) -> Smooth | None:
 
 
 def _left_out(design: Array, inverse: Array, sites: Index) -> Array:
-    """Return the weights of all sites in what some are off when they are left out, (sites, all)."""
+    """Return the weights of all sites in the error at each of some sites left out of the fit, (sites, all).
+
+    With the hat matrix H, row n is `(e_n - H_n) / (1 - H_nn)`.
+    """
     hat = design[sites] @ inverse
     own = np.zeros_like(hat)
     own[np.arange(len(sites)), sites] = 1.0
@@ -121,7 +126,7 @@ def _left_out(design: Array, inverse: Array, sites: Index) -> Array:
 
 
 def trilinear(sites: Index, pitch: float, points: Array) -> tuple[Index, Array]:
-    """Return the eight sites around each point and their weights, (n, 8) each; sites are -1 where it is outside."""
+    """Return the eight sites around each point and their weights, (n, 8) each; sites are -1 for points outside."""
     scaled = points / pitch
     low, high = sites.min(axis=0), sites.max(axis=0)
     corner = np.clip(np.floor(scaled), low, np.maximum(high - 1, low)).astype(np.intp)
@@ -135,11 +140,12 @@ def trilinear(sites: Index, pitch: float, points: Array) -> tuple[Index, Array]:
 
 
 def error_map(points: Table, field: SiteErrors, covariance: Covariance, form: Smooth | None) -> Table:
-    """Return the machine error at points, trilinear and smooth; InputError for points outside the sites.
+    """Return the machine error at points, trilinear and by the smooth form.
 
-    The uncertainty of the trilinear value counts, beside the measurement, the bend of the field between sites, `h^2/8`
-    times its second differences beyond their noise, taken as the limit of an even distribution; it is inf where a site
-    is undetermined.
+    The uncertainty of the trilinear value has two parts: the measurement, and the bend of the field between sites.
+    The bend is at most 1/8 of the second differences, from which their noise is removed. It is the half-width of a
+    rectangular distribution. The uncertainty is inf where a site is undetermined.
+    Raises InputError if a point is not between measured sites.
     """
     sites, pitch = field.sites, field.pitch
     places = points.stacked("xyz")
@@ -165,7 +171,7 @@ def error_map(points: Table, field: SiteErrors, covariance: Covariance, form: Sm
 
 
 def _trilinear_errors(corners: tuple[Index, Array], field: SiteErrors, covariance: Covariance) -> tuple[Array, Array]:
-    """Return the weighted errors (n, 3) and their standard uncertainties (n, 3), some hundred points at a time."""
+    """Return the weighted errors (n, 3) and their standard uncertainties (n, 3), calculated in portions of points."""
     at, weights = corners
     std = np.empty((len(at), 3))
     for start in range(0, len(at), _AT_ONCE):
@@ -178,7 +184,7 @@ def _trilinear_errors(corners: tuple[Index, Array], field: SiteErrors, covarianc
 
 
 def _bend(field: SiteErrors) -> Array:
-    """Return an eighth of the second differences at each site beyond their noise, added over the directions."""
+    """Return 1/8 of the second differences at each site without their noise, summed over the directions, (sites, 3)."""
     sites, errors, variance = field.sites, field.values, np.where(field.open, 0.0, field.std) ** 2
     total = np.zeros_like(errors)
     for axis in np.eye(3, dtype=np.intp):

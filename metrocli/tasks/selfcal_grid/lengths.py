@@ -1,4 +1,4 @@
-"""Length errors of a machine from its error at sites: what a calibrated length would show, in every direction."""
+"""Length errors of a machine from its error at sites, as calibrated lengths in all directions would show them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from metrocli.table import Values
 
 _MOST = 1400
-"""Sites between which all pairs are taken"""
+"""Largest number of sites of which all pairs are calculated"""
 _BINS = 12
 
 
@@ -30,14 +30,14 @@ class LengthError:
     table: Table
     """Largest and root mean square error by length"""
     sites: int
-    """Between how many sites lengths were taken"""
+    """Number of sites of which all pairs were calculated"""
 
 
 def largest(places: Array, errors: Array) -> LengthError | None:
-    """Return the largest length error of a field (n, 3) at places (n, 3); of a regular part of it where n is large.
+    """Return the largest length error of a field (n, 3) at places (n, 3), or None for fewer than two sites.
 
-    ISO 10360-2 asks for the largest error of lengths in any direction; here every pair of sites is a length. None
-    for fewer than two sites.
+    ISO 10360-2 asks for the largest error of lengths in any direction; here every pair of sites is a length. If n is
+    large, a regular part of the sites is used.
     """
     chosen = _thinned(places)
     if len(chosen) < 2:
@@ -55,7 +55,7 @@ def largest(places: Array, errors: Array) -> LengthError | None:
 
 
 def _thinned(places: Array) -> Index:
-    """Return all sites, or those of every second, third ... layer in each direction, always with the outermost."""
+    """Return all sites, or those of every second, third, ... layer in each direction, with the outermost layers."""
     layers = [np.unique(places[:, a], return_inverse=True) for a in range(3)]
     for step in range(1, 200):
         keep = np.ones(len(places), dtype=bool)

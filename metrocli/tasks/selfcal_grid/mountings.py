@@ -1,9 +1,9 @@
-"""How the artefact stood in each view according to the readings, against what the job says.
+"""Check how the artefact stood in each view: the readings against the declaration in the job.
 
-An affine fit of the readings of a view to its balls is, but for a tilt and errors far below a pitch, one of the 48
-matrices that bring the grid onto itself. A rotation that is not the declared one is a wrong sense or a swapped view; a
-reflection an exchange of indices. So all alternatives are tried at once, and the one that the readings fit is named.
-Balls of one plane leave the side of the artefact open: they are taken as seen from above, turned over if need be.
+An affine fit of the readings of a view to its balls gives one of the 48 matrices that bring the grid onto itself, apart
+from a tilt and errors far below a pitch. A rotation other than the declared one points to a wrong sense or to swapped
+views. A reflection points to exchanged indices. The message names the mounting that the readings fit.
+Balls in one plane do not show the side of the artefact: the fit takes a rotation, never a reflection across the plane.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ from metrocli.tasks.selfcal_grid.readings import Readings, ball_name
 from metrocli.tasks.selfcal_grid.settings import shift_in_words, turn_in_words
 
 _OFF = 0.25
-"""A reading further than this share of a pitch from its place is another ball's, or wrong"""
+"""Largest distance of a reading from its place, in pitches: one farther away belongs to another ball or is wrong"""
 _TILT = 0.2
-"""Entries of a fit may differ from whole numbers by less than this, unless its balls are few and near each other"""
+"""Largest difference of a fitted entry from a whole number; few balls near each other may differ by more"""
 _DOUBTFUL = 0.005
-"""Share by which the distance of neighbouring balls may differ from the pitch before it is told"""
+"""Warn if the distance of neighbouring balls differs from the pitch by more than this share"""
 _OFF_SITE = 0.05
 _MOST = 20
 
 
 @dataclass(frozen=True)
 class Observed:
-    """How the artefact stood in a view: a ball b was read near `pitch scale (turn + tilt) b + origin`."""
+    """How the artefact stood in a view: the reading of ball b is near `pitch (scale (turn + tilt) b + origin)`."""
 
     turn: Array
     """(3, 3) of whole numbers, a reflection where indices are exchanged"""
@@ -43,13 +43,16 @@ class Observed:
     """(3,) in pitches"""
 
     def off(self, balls: Index, values: Array) -> Array:
-        """Return how far readings (n, 3) are from where the fit has their balls, in pitches."""
+        """Return the differences of readings (n, 3) from the fitted places of their balls, in pitches."""
         place = values - self.scale * balls @ (self.turn + self.tilt).T
         return np.asarray(place - np.median(place, axis=0))
 
 
 def check(readings: Readings, pitch: float) -> list[str]:
-    """Return warnings; InputError names every view that stood otherwise than declared, and readings of other balls."""
+    """Return warnings on the pitch and on views far from their sites.
+
+    Raises InputError if a view stood otherwise than declared, and for readings that belong to another ball.
+    """
     found = [_observed(readings, n, pitch) for n in range(len(readings.views))]
     file = readings.table.file
     for faults in (
@@ -66,7 +69,7 @@ def check(readings: Readings, pitch: float) -> list[str]:
 
 
 def _observed(readings: Readings, view: int, pitch: float) -> Observed | None:
-    """Return how a view stood; None where its balls stand in a row or are too few."""
+    """Return how the artefact stood in a view, or None if its balls stand in a row or are too few."""
     rows = readings.at(view)
     balls, values = readings.balls[rows].astype(float), readings.values[rows] / pitch
     keep: Mask = np.ones(len(balls), dtype=bool)
@@ -83,7 +86,10 @@ def _observed(readings: Readings, view: int, pitch: float) -> Observed | None:
 
 
 def _affine(balls: Array, values: Array) -> Array:
-    """Return the matrix (3, 3) that brings balls (n, 3) to values but for a shift; across a plane that of a turn."""
+    """Return the matrix (3, 3) that maps balls (n, 3) to values apart from a shift.
+
+    For balls in one plane the third direction is that of a rotation.
+    """
     inner = balls - balls.mean(axis=0)
     fit = np.asarray(np.linalg.lstsq(inner, values - values.mean(axis=0), rcond=None)[0].T)
     _, sizes, axes = np.linalg.svd(inner, full_matrices=False)
@@ -96,7 +102,7 @@ def _affine(balls: Array, values: Array) -> Array:
 
 
 def _nearest(matrix: Array) -> Array:
-    """Return the one of the 48 matrices of the grid that is nearest to a matrix."""
+    """Return the nearest of the 48 matrices that bring the grid onto itself."""
     every = [
         np.eye(3)[list(order)] * np.array(signs)[:, None]
         for order in permutations(range(3))
@@ -106,7 +112,7 @@ def _nearest(matrix: Array) -> Array:
 
 
 def _other_pitch(readings: Readings, found: list[Observed | None], pitch: float) -> list[str]:
-    """Return the views whose readings are no grid of this pitch, all of them together where none is one."""
+    """Return the faults of views whose readings do not form a grid of this pitch; one fault if no view does."""
     known = [(view.name, seen) for view, seen in zip(readings.views, found, strict=True) if seen is not None]
     reach = [_reach(readings.balls[readings.at(n)]) for n, seen in enumerate(found) if seen is not None]
     wrong = {
@@ -126,11 +132,11 @@ def _other_pitch(readings: Readings, found: list[Observed | None], pitch: float)
         for (name, seen), far in zip(known, reach, strict=True)
         if (tilt := float(np.abs(seen.tilt).max())) > _TILT and tilt * far > 2 * _OFF
     ]
-    return texts or [f"the readings of view '{name}' are no grid turned by a multiple of 90 deg" for name in skew]
+    return texts or [f"the readings of view '{name}' do not fit a grid turned by a multiple of 90 deg" for name in skew]
 
 
 def _reach(balls: Index) -> float:
-    """Return how far the outermost ball is from the middle of some, in pitches."""
+    """Return the distance of the outermost ball from the mean of all balls, in pitches."""
     return float(np.linalg.norm(balls - balls.mean(axis=0), axis=1).max())
 
 
@@ -140,12 +146,13 @@ def _doubtful_pitch(found: list[Observed | None], pitch: float) -> list[str]:
     if abs(scale - 1) < _DOUBTFUL:
         return []
     return [
-        f"the balls are read {scale * pitch:.5g} mm apart, the pitch is {pitch:g} mm: machine and artefact share that"
+        f"the balls are read {scale * pitch:.5g} mm apart, the pitch is {pitch:g} mm: the machine error and the "
+        "artefact error share the difference"
     ]
 
 
 def _exchanged(views: tuple[View, ...], found: list[Observed | None]) -> list[str]:
-    """Return what is exchanged: indices or axes in all views alike, or indices in one, where readings are mirrored."""
+    """Return the faults of exchanged indices or axes, common to all views, or of mirrored readings in single views."""
     known = [(view, seen) for view, seen in zip(views, found, strict=True) if seen is not None]
     for names, matrices in (
         ("ijk", [view.turn.T @ seen.turn for view, seen in known]),
@@ -177,7 +184,7 @@ def _exchange(matrix: Array, names: str) -> str:
 
 
 def _otherwise(views: tuple[View, ...], found: list[Observed | None]) -> list[str]:
-    """Return what is wrong with the views that stood otherwise than declared, as rotations and as shifts."""
+    """Return the faults of views that stood otherwise than declared: another rotation, shift, or swapped views."""
     known = [(n, seen) for n, seen in enumerate(found) if seen is not None]
     right = [(n, seen) for n, seen in known if np.array_equal(seen.turn, views[n].turn)]
     origins = np.array([seen.origin - views[n].shift for n, seen in (right or known)])
@@ -207,7 +214,7 @@ def _stood(views: tuple[View, ...], n: int, stood: tuple[Array, Array], others: 
     like = f", which is how view '{views[others[0]].name}' is declared" if others else ""
     if np.array_equal(turn, view.turn):
         return (
-            f"view '{view.name}' stands shifted by {shift_in_words(shift)} pitches against the others, "
+            f"view '{view.name}' stands shifted by {shift_in_words(shift)} pitches relative to the others, "
             f"declared {shift_in_words(view.shift)}{like}"
         )
     sense = "; is the sense of its rotation wrong?" if np.array_equal(turn, view.turn.T) else ""
@@ -215,7 +222,7 @@ def _stood(views: tuple[View, ...], n: int, stood: tuple[Array, Array], others: 
 
 
 def _astray(readings: Readings, n: int, seen: Observed, pitch: float) -> list[Fault]:
-    """Return the readings that are not where their ball stands, with the ball that stands there."""
+    """Return the faults of readings far from their ball, each with the ball that is nearest to the reading."""
     rows, view = np.flatnonzero(readings.at(n)), readings.views[n]
     off = seen.off(readings.balls[rows], readings.values[rows] / pitch)
     faults = []
@@ -230,7 +237,7 @@ def _astray(readings: Readings, n: int, seen: Observed, pitch: float) -> list[Fa
 
 
 def _off_site(readings: Readings, found: list[Observed | None]) -> list[str]:
-    """Return warnings of views with balls so far from their sites that the machine error there is another one."""
+    """Return warnings of views with balls so far from their sites that the machine error differs there."""
     known = [(n, seen) for n, seen in enumerate(found) if seen is not None]
     if not known:
         return []
@@ -241,6 +248,6 @@ def _off_site(readings: Readings, found: list[Observed | None]) -> list[str]:
         if share > _OFF_SITE:
             texts.append(
                 f"view '{readings.views[n].name}' stands up to {share:.2g} pitches from its sites: the machine error "
-                "there is not that at the site"
+                "there differs from that at the sites"
             )
     return texts

@@ -1,4 +1,4 @@
-"""Patterns that fields of machine errors can have when views leave them undetermined, as projectors."""
+"""Patterns of machine errors that views can leave undetermined, as projectors."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from metrocli.instruments import ball_grid as bg
 from metrocli.tasks.selfcal_grid.problem import Problem
 
 Projector = Callable[[Array], Array]
-"""From fields (sites, 3, k) to their part of a pattern"""
+"""Function from fields (sites, 3, k) to the part of them that has the pattern"""
 
 
 def patterns(problem: Problem) -> Iterator[tuple[str, Projector]]:
@@ -48,7 +48,7 @@ def patterns(problem: Problem) -> Iterator[tuple[str, Projector]]:
 
 
 def _lonely(problem: Problem) -> Array:
-    """Return the sites (n,) that one reading only touches, of a ball that no other reading touches."""
+    """Return the sites (n,) with a single reading, of a ball that has no other reading."""
     index = problem.readings.observations.index
     site, ball = index[bg.MACHINE], index[bg.ARTEFACT]
     alone = (np.bincount(site)[site] == 1) & (np.bincount(ball)[ball] == 1)
@@ -68,7 +68,7 @@ def _onto(field: Array) -> Projector:
 
 
 def _planes(keys: Index, components: tuple[int, ...]) -> Projector:
-    """Return the projector onto fields that are constant over sites with equal keys, in some components."""
+    """Return the projector onto fields whose `components` are constant over sites with equal keys."""
     _, label = np.unique(keys, axis=0, return_inverse=True)
     label = label.reshape(-1)
     counts = np.bincount(label)
@@ -85,7 +85,7 @@ def _planes(keys: Index, components: tuple[int, ...]) -> Projector:
 
 
 def _group(turns: list[Array]) -> list[Array]:
-    """Return all products of the rotations."""
+    """Return the group of all products of the rotations."""
     found = {np.eye(3).tobytes(): np.eye(3)}
     while True:
         more = {(a @ b + 0.0).tobytes(): a @ b + 0.0 for a in found.values() for b in turns}
@@ -95,7 +95,7 @@ def _group(turns: list[Array]) -> list[Array]:
 
 
 def _symmetric(sites: Index, turns: list[Array]) -> Projector:
-    """Return the projector onto fields with `G(R q) = R G(q)`; sites without all their images count as they are."""
+    """Return the projector onto fields with `G(R q) = R G(q)`; sites without all their images stay unchanged."""
     at = np.stack([bg.numbers_at(sites, np.rint(sites @ turn.T).astype(np.intp)) for turn in turns])
     whole = np.asarray((at >= 0).all(axis=0))
 

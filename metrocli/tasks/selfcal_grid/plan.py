@@ -1,4 +1,4 @@
-"""Which views determine what, before anything is measured: null space and noise gain of planned and other views."""
+"""Planning of views before the measurement: undetermined directions and noise gain of planned and other views."""
 
 from __future__ import annotations
 
@@ -26,30 +26,30 @@ if TYPE_CHECKING:
     from metrocli.table import Values
 
 _TRIED = 5
-"""Sets of views are compared on a grid of at most so many balls a side; noise gains hardly depend on it"""
+"""Largest number of balls per side of the grid on which sets of views are compared; noise gains hardly depend on it"""
 _WORKED_OUT = 11
 
 
 @dataclass(frozen=True)
 class _Worth:
-    """What a set of views is worth."""
+    """What a set of views determines, and how well."""
 
     found: Open
     gain: float
-    """Root mean square standard uncertainty of the machine error over the noise; inf where something is open"""
+    """Root mean square standard uncertainty of the machine error over the noise; inf if a direction is open"""
     largest: float
     readings: int
 
 
 @dataclass(frozen=True)
 class _Given:
-    """What does not depend on the views."""
+    """The part of the job that does not depend on the views."""
 
     settings: Settings
     lengths: Table | None
 
     def lengths_on(self, half: Index) -> Table | None:
-        """Return the calibrated lengths as they would be on a grid, ends beyond it at its rim; None for none."""
+        """Return the calibrated lengths on a grid, with ends beyond it moved to its rim; None without lengths."""
         if self.lengths is None:
             return None
         names = [[f"{name}{end}" for name in "ijk"] for end in "12"]
@@ -63,7 +63,7 @@ class _Given:
 
 
 def plan(settings: Settings, lengths: Table | None = None) -> Plan:
-    """Return the null space and the uncertainties of the planned views, and what one view more or less would change."""
+    """Return the undetermined directions and uncertainties of the planned views, and of sets with one more or less."""
     given = _Given(settings, lengths)
     views, half = views_on_the_grid(settings), settings.grid.half
     small = np.minimum(half, _TRIED // 2)
@@ -85,7 +85,7 @@ def plan(settings: Settings, lengths: Table | None = None) -> Plan:
 
 
 def _sets(views: Sequence[bg.View]) -> Iterator[tuple[str, list[bg.View]]]:
-    """Yield the planned views, these with one more, and with one less."""
+    """Yield the planned views, the planned views with one more, and with one less."""
     yield "planned", list(views)
     for words, view in candidates():
         yield f"with a view {words}", [*views, view]
@@ -110,7 +110,7 @@ def _worth(views: Sequence[bg.View], half: Index, given: _Given) -> _Worth:
 
 
 def _problem(views: Sequence[bg.View], half: Index, given: _Given) -> Problem:
-    """Return the adjustment of views whose readings are those of a grid without errors."""
+    """Return the adjustment of views with the readings of a grid without errors."""
     settings = given.settings
     each = [balls_on(view, half) for view in views]
     values = [view.sites(one) * settings.grid.pitch for view, one in zip(views, each, strict=True)]
@@ -134,7 +134,7 @@ def _table(rows: Sequence[tuple[str, _Worth | None]]) -> Table:
 
 
 def _sheet(settings: Settings, views: Sequence[bg.View]) -> Table:
-    """Return where each ball is to be measured, in the order of the views."""
+    """Return the nominal place of each ball, in the order of the views."""
     each = [balls_on(view, settings.grid.half) for view in views]
     places = np.concatenate([view.sites(one) for view, one in zip(views, each, strict=True)]) * settings.grid.pitch
     ball = np.concatenate(each)

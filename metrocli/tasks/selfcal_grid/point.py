@@ -17,8 +17,9 @@ from metrocli.tasks.selfcal_grid.error_map import SiteErrors, Smooth, error_map
 def error_at(result: Result, place: Sequence[str]) -> tuple[Estimate, ...]:
     """Return the machine error at x, y, z, trilinear and by the smooth form, with standard uncertainties.
 
-    Where the covariance of the sites is not in the result the sites count as fully correlated, which is the most that
-    their uncertainties allow. UsageError where the result has no machine error or a coordinate is no length.
+    If the result holds no covariance of the sites, the sites count as fully correlated, which gives the largest
+    uncertainty that is possible. Raises UsageError if the result has no machine error, a coordinate is not a length, or
+    the point is not between measured sites.
     """
     if "machine_error" not in result.tables:
         raise UsageError(f"the result of {result.kind} has no machine error")

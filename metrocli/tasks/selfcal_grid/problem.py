@@ -25,10 +25,10 @@ from metrocli.tasks.selfcal_grid.readings import Readings, ball_name
 from metrocli.words import suggestion
 
 _EXACT = 1e-2
-"""Standard deviation of a condition of the datum where it stands among readings, over theirs"""
+"""Standard deviation of a datum condition written as a reading, relative to that of the readings"""
 _DEPENDENT = 1e-9
 READINGS, LENGTHS = "views", "lengths"
-"""Names of the groups: readings of the views, and calibrated distances of balls"""
+"""Names of the groups: readings of the views, and calibrated distances between balls"""
 
 
 @dataclass(frozen=True)
@@ -38,12 +38,12 @@ class Problem(Modelled):
     grid: bg.Grid
     views: tuple[bg.View, ...]
     conditions: Mapping[str, Array]
-    """The datum of the fields, see `Fields`"""
+    """The datum conditions of the fields, see `Fields`"""
     warnings: tuple[str, ...] = ()
 
     @cached_property
     def fields(self) -> Fields:
-        """What is adjusted."""
+        """The coupled fields to adjust."""
         fields = bg.fields(self.grid, self.blocks, self.model.groups, self.scale_given)
         return replace(fields, conditions=self.conditions)
 
@@ -54,7 +54,7 @@ class Problem(Modelled):
         return self.with_model(self.model.with_group(readings))
 
     def held(self, design: Design) -> Problem:
-        """Return the problem with a condition on the fields for everything that the design leaves open in them."""
+        """Return the problem with one datum condition for each direction of the fields that the design leaves open."""
         places = {name: design.partition.columns[name] for name in (bg.MACHINE, bg.ARTEFACT)}
         parts = [np.where(at >= 0, design.constraint[:, np.maximum(at, 0)], 0.0) for at in places.values()]
         _, sizes, rows = np.linalg.svd(
@@ -67,18 +67,18 @@ class Problem(Modelled):
 
     @property
     def model_with_datum(self) -> Model:
-        """The model with its datum as readings, for those who know nothing of fields."""
+        """The model with its datum conditions as readings, for callers that do not know fields."""
         datum = bg.as_readings(self.conditions, _EXACT * self.noise)
         return replace(self.model, groups=(*self.model.groups, datum))
 
     def with_model(self, model: Model) -> Self:
-        """Return the problem with a model made from its own, with or without the datum as readings."""
+        """Return the problem with a changed model; a datum written as readings is dropped from it."""
         groups = tuple(group for group in model.groups if group.name in (READINGS, LENGTHS))
         return replace(self, model=replace(model, groups=groups))
 
     @property
     def noise(self) -> float:
-        """Standard deviation of a coordinate that is read."""
+        """Standard deviation of a read coordinate [mm]."""
         return float(self.readings.observations.sigma.mean())
 
     @property
@@ -92,11 +92,11 @@ class Problem(Modelled):
         return len(self.model.groups) > 1
 
     def warned(self, warnings: Sequence[str]) -> Problem:
-        """Return the problem with what is to be told of its readings."""
+        """Return the problem with further warnings."""
         return replace(self, warnings=(*self.warnings, *warnings))
 
     def only(self, keep: Mask) -> Problem:
-        """Return the problem with some of its readings; what they do not touch is no unknown any more."""
+        """Return the problem with some of its readings; sites, balls and views without readings are no unknowns."""
         readings = self.readings.selected(keep)
         blocks = dict(self.blocks)
         for name in (bg.MACHINE, bg.ARTEFACT, bg.VIEW):
@@ -119,13 +119,13 @@ def _present(groups: Sequence[Group]) -> tuple[Group, ...]:
 
 
 def _conditions_on(grid: bg.Grid, blocks: Mapping[str, Block], scale_given: bool) -> dict[str, Array]:
-    """Return the datum of the fields on the sites and balls that are read."""
+    """Return the datum conditions over the sites and balls that have readings."""
     seen = {name: np.asarray(blocks[name].free.all(axis=1)) for name in (bg.MACHINE, bg.ARTEFACT)}
     return {name: given * seen[name][None, :, None] for name, given in bg.datum(grid, scale_given).items()}
 
 
 def build(readings: Readings, size: tuple[Index, float], noise: float, lengths: Table | None = None) -> Problem:
-    """Return the adjustment; size is (half, pitch) of the grid."""
+    """Return the adjustment with its starting values; size is (largest indices, pitch [mm]) of the grid."""
     half, pitch = size
     sites = np.empty_like(readings.balls)
     for n, view in enumerate(readings.views):
@@ -174,14 +174,18 @@ def _keys(table: Table) -> dict[str, tuple[str, ...]]:
 
 
 def _start(readings: Readings, n: int, pitch: float) -> Array:
-    """Return the mounting (6,) that fits a view if neither machine nor artefact had errors."""
+    """Return the mounting (6,) of a view by a rigid fit, as if machine and artefact had no errors."""
     rows, view = readings.at(n), readings.views[n]
     nominal: Array = np.asarray(view.sites(readings.balls[rows]) * pitch, dtype=float)
     return fit_pose(nominal, readings.values[rows])
 
 
 def _lengths(table: Table, views: Sequence[bg.View], balls: Index, pitch: float) -> Group:
-    """Return the calibrated distances; InputError for balls that no view has and for distances that cannot be."""
+    """Return the calibrated distances as a group.
+
+    Raises InputError if a ball or view has no readings, a distance cannot be that of its balls, or its standard
+    uncertainty is not above zero.
+    """
     ends = [np.rint(table.stacked([f"{name}{end}" for name in "ijk"])).astype(np.intp) for end in "12"]
     index = np.stack([bg.numbers_at(balls, end) for end in ends])
     faults = [

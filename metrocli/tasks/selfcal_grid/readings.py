@@ -1,4 +1,4 @@
-"""Readings of the views, joined to balls and sites; every row that cannot be one is told."""
+"""Readings of the views, matched to views and balls; every row without a match is reported."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ _MOST = 20
 
 @dataclass(frozen=True)
 class Readings:
-    """What the machine read, row by row."""
+    """The readings of the machine, row by row."""
 
     views: tuple[View, ...]
     """Those that have readings"""
     view: Index
-    """(n,)"""
+    """View of each reading (n,)"""
     balls: Index
     """Ball of each reading (n, 3)"""
     values: Array
@@ -37,7 +37,7 @@ class Readings:
 
 
 def read(views: Sequence[View], half: Index, table: Table) -> Readings:
-    """Match the rows to views and balls; InputError for every row that names none."""
+    """Return the rows matched to views and balls; raises InputError with every row that has no match."""
     names = [view.name for view in views]
     said = table.texts("view")
     balls = np.asarray(np.rint(table.stacked("ijk")), dtype=np.intp)
@@ -65,7 +65,7 @@ def read(views: Sequence[View], half: Index, table: Table) -> Readings:
 
 
 def _counted_from(balls: Index, half: Index) -> int | None:
-    """Return 0 or 1 where all indices count from there in a grid of this size."""
+    """Return 0 or 1 if all indices count from there in a grid of this size, else None."""
     for first in (0, 1):
         if np.array_equal(balls.min(axis=0), np.full(3, first)) and np.array_equal(balls.max(axis=0), first + 2 * half):
             return first if half.any() else None

@@ -1,4 +1,4 @@
-"""The result of a self-calibration: error fields with uncertainty, what is undetermined, views, residuals."""
+"""The result of a self-calibration: error fields with uncertainty, undetermined directions, views, residuals."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ if TYPE_CHECKING:
 
 _UNITS = ("mm", "mm", "mm", "rad", "rad", "rad")
 _KEPT = 4_000_000
-"""Numbers of a covariance that are written"""
+"""Largest number of elements of a covariance matrix that is written"""
 _CONTROLLED = 1e-6
-"""Redundancy of a view below which it is rounding"""
+"""Redundancy of a view below which it is a rounding error"""
 
 
 @dataclass(frozen=True)
 class _Field:
-    """A solved error field on the grid proper."""
+    """A solved error field at the places that have readings."""
 
     indices: Index
     values: Array
@@ -82,7 +82,7 @@ def report(solved: Solved, found: Open, left_out: Sequence[LeftOut], points: Tab
 
 
 def _forms(solved: Solved, machine: _Field) -> tuple[Smooth | None, LengthError | None]:
-    """Return the smooth form and the length errors; None where a part of the field is undetermined."""
+    """Return the smooth form and the length errors; both are None if a part of the field is undetermined."""
     if not np.isfinite(machine.std).all():
         return None, None
     sites = _at_sites(solved, machine)
@@ -94,7 +94,7 @@ def _at_sites(solved: Solved, machine: _Field) -> SiteErrors:
 
 
 def _field(solved: Solved, name: str) -> _Field:
-    """Return a field where it was measured; the machine's on the sites of the grid and those outside alike."""
+    """Return a field at its measured places; the machine error includes sites outside the grid."""
     block = solved.solution.blocks[name]
     indices = solved.problem.grid.sites if name == bg.MACHINE else solved.problem.grid.balls
     seen: Mask = np.asarray(block.free.all(axis=1))
@@ -110,7 +110,7 @@ def _table(field: _Field) -> Table:
 
 
 def _correction(solved: Solved, field: _Field) -> Table:
-    """Return what is to be added to a reading near each site: minus the machine error."""
+    """Return the correction to add to a reading near each site, which is minus the machine error."""
     places = field.indices * solved.problem.grid.pitch
     columns: dict[str, Values] = {name: np.asarray(places[:, n], dtype=float) for n, name in enumerate("xyz")}
     columns |= {f"add_{name}": -field.values[:, n] for n, name in enumerate("xyz")}
@@ -119,7 +119,7 @@ def _correction(solved: Solved, field: _Field) -> Table:
 
 
 def _of_machine(solved: Solved) -> Covariance:
-    """Return what gives the covariance of weighted machine errors, component by component."""
+    """Return a function for the covariance of weighted machine errors, component by component."""
     from scipy.sparse import csr_array
 
     block = solved.solution.blocks[bg.MACHINE]
@@ -137,7 +137,7 @@ def _of_machine(solved: Solved) -> Covariance:
 
 
 def _mountings(solved: Solved) -> tuple[list[Estimate], Array]:
-    """Return the mountings, and the covariance of them and of the effects' parameters."""
+    """Return the estimated mountings, and the covariance of mountings and effect parameters."""
     columns = solved.design.partition.columns
     block, places = solved.solution.blocks[bg.VIEW], columns[bg.VIEW].ravel()
     effects = [columns[one.block].ravel() for one in solved.problem.effects]
@@ -160,7 +160,7 @@ def _undetermined(found: Open) -> Table:
 
 
 def _views(solved: Solved, left_out: Sequence[LeftOut]) -> Table:
-    """Return how each view fits: within the adjustment, and against the others."""
+    """Return the fit of each view, within the adjustment and against the other views."""
     group, residuals = solved.problem.readings, solved.residuals[0]
     view = group.observations.index[bg.VIEW]
     count = len(solved.problem.views)
@@ -276,5 +276,5 @@ def _smooth_note(form: Smooth | None) -> tuple[str, ...]:
         return ()
     um = find_unit("um", "length")
     misfit = ", ".join(f"{um.outside(value):.2f}" for value in form.misfit)
-    words = f"off at sites left out by {misfit} um in x, y, z (rms) beyond their noise"
+    words = f"rms error at sites left out of the fit, without noise: {misfit} um in x, y, z"
     return (f"smooth form: polynomial of degree {form.degree}, {words}",)

@@ -1,9 +1,10 @@
-"""The sequence of Dang, Lee and Kim beside the joint adjustment.
+"""The sequence of Dang, Lee and Kim, for comparison with the joint adjustment.
 
-Views without a shift have their mountings from a rigid fit of the readings (their eq. 6), on the assumption that
-neither field has rigid motion; the artefact error then drops out of the differences against view 1 (eq. 7-9), from
-which the machine error follows together with the mountings of the shifted views. Their algebra is not printed; least
-squares with equal weights stands for it. Differences against one view are correlated, which it does not know: its loss.
+A rigid fit of the readings gives the mountings of views without a shift (their eq. 6). It assumes that neither field
+has rigid motion. The artefact error then drops out of the differences against view 1 (eq. 7-9). The differences give
+the machine error together with the mountings of the shifted views. The paper does not print this step; least squares
+with equal weights stands for it. Differences against one view are correlated. The sequence neglects this, which
+increases its noise gain.
 """
 
 from __future__ import annotations
@@ -33,31 +34,32 @@ _DRAWS = 20
 
 @dataclass(frozen=True)
 class _Sequence:
-    """Differences against the first view, and how the machine error follows from them."""
+    """Differences against the first view without a shift, and the least squares that gives the machine error."""
 
     differences: Sparse
-    """From whitened readings to differences"""
+    """Matrix from whitened readings to differences"""
     jacobian: Sparse
-    """Of the differences by machine error and mountings of shifted views"""
+    """Derivatives of the differences by machine error and mountings of shifted views"""
     reduction: BorderedFactor
 
     def machine(self, readings: Array) -> Array:
-        """Return the machine error from whitened readings with the unshifted views fitted, (net,) or (net, k)."""
+        """Return the machine error, (net,) or (net, k), from whitened readings after the fit of unshifted views."""
         return self.reduction.solve(self.jacobian.T @ (self.differences @ readings))[: self.reduction.sizes.net]
 
 
 def in_sequence(problem: Problem) -> Table:
-    """Return the noise gain and the machine errors' difference for both ways, a row each.
+    """Return a table with one row for the joint adjustment and one for the sequence.
 
-    Both are compared without rigid motion and scale. The noise gain is the root mean square change of the machine
-    error for readings of pure noise, over that noise, from 20 draws. InputError where no view is without a shift, from
-    which to count differences.
+    Each row has the noise gain, the size of the machine error, and its difference from the joint adjustment. Rigid
+    motion and scale are removed from both. The noise gain is the root mean square machine error from readings of pure
+    noise, over that noise, from 20 draws.
+    Raises InputError if every view has a shift, and UndeterminedError if more than rigid motion and scale is open.
     """
     design = design_of(problem.fields)
     if design.null.shape[1] > 13 - problem.scale_given:
         raise UndeterminedError(
-            "the views leave more open than rigid motions and scale: there is nothing to compare; run the job without "
-            "--compare to see what"
+            "the views leave more undetermined than rigid motions and scale, so the two ways cannot be compared; run "
+            "the job without --compare to see what is undetermined"
         )
     joint = adjust_fields(problem.fields, design).solution.blocks[bg.MACHINE].values
     places = _grid_places(problem, design)
@@ -76,7 +78,7 @@ def in_sequence(problem: Problem) -> Table:
 
 
 def noise_gains(problem: Problem, rng: np.random.Generator, draws: int) -> tuple[float, float]:
-    """Return the noise gain of the machine error, joint and in sequence, from draws of pure noise at the design."""
+    """Return the noise gains of the machine error, joint and in sequence, from draws of pure noise."""
     design = design_of(problem.fields)
     observations = problem.readings.observations
     noise = rng.normal(0.0, 1.0, (3, observations.count, draws))
@@ -114,7 +116,7 @@ def _sequence(problem: Problem, design: Design) -> _Sequence:
     reference = np.full(parts.local, -1, dtype=np.intp)
     first = next((n for n, one in enumerate(problem.views) if not one.shift.any()), None)
     if first is None:
-        raise InputError("the sequence needs a view without a shift to count differences from")
+        raise InputError("the sequence needs a view without a shift as the reference of its differences")
     base = view[rows] == first
     reference[unknown[base]] = np.flatnonzero(base)
     pairs = np.flatnonzero((view[rows] != first) & (reference[unknown] >= 0))
@@ -133,14 +135,14 @@ def _sequence(problem: Problem, design: Design) -> _Sequence:
 
 
 def _shape(problem: Problem, machine: Array) -> Array:
-    """Return machine errors on the grid, (3 sites, ...), without rigid motion and scale: what both ways determine."""
+    """Return machine errors on the grid, (3 sites, ...), without rigid motion and scale, which both ways determine."""
     places = problem.grid.site_places
     motions = np.concatenate([bg.rigid(places), places[:, :, None]], axis=2).reshape(-1, 7)[_on_grid(problem)]
     return np.asarray(machine - motions @ np.linalg.lstsq(motions, machine, rcond=None)[0])
 
 
 def _reduced_readings(problem: Problem) -> Array:
-    """Return the whitened readings minus their nominal places, each unshifted view fitted and turned back (3n,)."""
+    """Return the whitened residuals (3n,), turned back by the rotation of their view."""
     group = problem.readings
     observations = group.observations
     residual = group.residuals(problem.fields.blocks)
@@ -150,7 +152,7 @@ def _reduced_readings(problem: Problem) -> Array:
 
 
 def _without_mountings(problem: Problem, noise: Array) -> Array:
-    """Return noise (3, n, k) without the rigid motion that the fit of each unshifted view takes from it."""
+    """Return noise (3, n, k) without the rigid motion that the fit of each unshifted view absorbs."""
     index = problem.readings.observations.index
     left = noise.copy()
     for n, view in enumerate(problem.views):

@@ -47,7 +47,7 @@ POINTS = Columns((Column("point", TEXT), *_PLACE), ("point",), "points at which 
 
 @dataclass(frozen=True)
 class Inputs:
-    """What was measured, and what is known besides."""
+    """The files of measured and of known values."""
 
     views: Path = setting(TableFile(VIEWS), "what the machine reads of each ball in each view")
     lengths: Path | None = setting(TableFile(LENGTHS), "calibrated distances of balls", default=None)
@@ -56,7 +56,7 @@ class Inputs:
 
 @dataclass(frozen=True)
 class Files:
-    """What the inputs hold; views are absent before the measurement."""
+    """The content of the input files; views are absent before the measurement."""
 
     views: Table = ABSENT
     lengths: Table | None = None
@@ -71,7 +71,7 @@ class GridSettings:
     pitch: float = setting(Quantity("length", positive=True), "distance of neighbouring balls")
 
     def faults(self) -> Iterator[tuple[str, str]]:
-        """Yield what is wrong with the size."""
+        """Yield a fault for each even size."""
         for n in self.size:
             if n % 2 == 0:
                 yield "size", f"{n} is even; balls are counted from the middle one, so each size is odd"
@@ -90,20 +90,20 @@ class Rotate:
     angle: float = setting(Quantity("angle"), "a multiple of 90 deg, anticlockwise seen against the axis")
 
     def faults(self) -> Iterator[tuple[str, str]]:
-        """Yield where the angle is not one that brings the grid onto itself."""
+        """Yield a fault if the angle does not bring the grid onto itself."""
         if abs(self.angle / _QUARTER - round(self.angle / _QUARTER)) > 1e-9:
             yield "angle", "only multiples of 90 deg bring the balls back to sites of the grid"
 
     @property
     def matrix(self) -> Array:
-        """The rotation, of whole numbers."""
+        """The rotation matrix (3, 3), of whole numbers."""
         vector = np.eye(3)["xyz".index(self.axis)] * self.angle
         return np.asarray(np.rint(rotation_from_vector(vector)))
 
 
 @dataclass(frozen=True)
 class ViewSettings:
-    """How the artefact stands in one view: turned, then shifted."""
+    """The nominal mounting of the artefact in one view: turned, then shifted."""
 
     name: str = setting(Text(), "the name in the column `view`")
     rotate: Rotate | tuple[Rotate, ...] = setting(
@@ -155,11 +155,11 @@ class Settings:
 
     @property
     def declared(self) -> float:
-        """The noise, or the unit in which it is found where it is to be estimated."""
+        """The declared noise [mm], or 1 um as a starting value if the noise is to be estimated."""
         return _UNIT if isinstance(self.noise, str) else self.noise
 
     def faults(self) -> Iterator[tuple[str, str]]:
-        """Yield names that stand twice, and a list without views."""
+        """Yield a fault for an empty list of views and for each name of more than one view."""
         names = [view.name for view in self.views]
         if not names:
             yield "views", "there is no view"
@@ -173,7 +173,7 @@ def views_of(settings: Settings) -> list[View]:
 
 
 def turn_in_words(turn: Array) -> str:
-    """Return a rotation of whole numbers in words: 'turned by 90 deg about z'."""
+    """Return a rotation matrix of whole numbers in words: 'turned by 90 deg about z'."""
     for axis in "xyz":
         for degrees, angle in ((90, _QUARTER), (180, 2 * _QUARTER), (-90, -_QUARTER)):
             if np.array_equal(Rotate(axis, angle).matrix, turn):

@@ -1,4 +1,4 @@
-"""Simulated views of a ball grid, on a machine with errors, of an artefact with larger ones."""
+"""Simulated views of a ball grid with errors, measured on a machine with errors."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def balls_on(view: View, half: Index) -> Index:
 
 
 def views_on_the_grid(settings: Settings) -> list[View]:
-    """Return the nominal mountings; InputError for those that bring no ball to a site of the grid."""
+    """Return the nominal mountings; raises InputError if one of them brings no ball to a site of the grid."""
     views = views_of(settings)
     lost = [view.name for view in views if not len(balls_on(view, settings.grid.half))]
     if lost:
@@ -55,10 +55,10 @@ def simulated(
     rng: np.random.Generator,
     lengths: Table | None = None,
 ) -> Simulation:
-    """Return the readings of each view with errors drawn for machine, artefact and mountings, and with effects.
+    """Return the readings of each view, with random errors of machine, artefact and mountings, and with effects.
 
-    The machine's error is smooth, a polynomial of third order. Errors are free of rigid motion and of scale, as the
-    result states them. Sites outside the grid have no error. Calibrated lengths are drawn anew between their balls.
+    The machine error is smooth, a polynomial of third order. The errors contain no rigid motion and no scale, like
+    those of the result. Sites outside the grid have no error. New calibrated lengths are drawn between the same balls.
     """
     truth, half, pitch = settings.simulation or GridSimulation(), settings.grid.half, settings.grid.pitch
     balls = balls_of(half)
@@ -87,7 +87,7 @@ def simulated(
 
 
 def _drawn(places: Array, truth: GridSimulation, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Return errors of a machine and of an artefact at places (n, 3), each (n, 3)."""
+    """Return random errors of machine and artefact at places (n, 3), each (n, 3)."""
     artefact = rng.normal(0.0, 1.0, places.shape) * truth.artefact_error
     machine = _shape(places, smooth_error(places / np.abs(places).max(), rng))
     largest = max(float(np.linalg.norm(machine, axis=1).max()), 1e-300)
@@ -95,19 +95,19 @@ def _drawn(places: Array, truth: GridSimulation, rng: np.random.Generator) -> tu
 
 
 def _shape(places: Array, field: Array) -> Array:
-    """Return a field (n, 3) free of rigid motion and of scale, so that it is in the gauge of the result."""
+    """Return a field (n, 3) without rigid motion and scale, so that it has the datum of the result."""
     motions = np.concatenate([rigid(places), places[:, :, None]], axis=2).reshape(-1, 7)
     return np.asarray(field - (motions @ np.linalg.lstsq(motions, field.ravel(), rcond=None)[0]).reshape(-1, 3))
 
 
 def _at(balls: Index, indices: Index, field: Array) -> Array:
-    """Return the values of a field on the grid at sites, 0 outside."""
+    """Return the values at sites of a field that is given on the grid; 0 outside the grid."""
     at = numbers_at(balls, indices)
     return np.where((at >= 0)[:, None], field[np.maximum(at, 0)], 0.0)
 
 
 def _design(settings: Settings, truth: GridSimulation) -> Table:
-    """Return the balls of each view whose sites are on the grid, at their nominal places, one after the other."""
+    """Return the nominal readings: view by view, the balls whose sites are on the grid."""
     views = views_on_the_grid(settings)
     each = [np.tile(balls_on(view, settings.grid.half), (truth.repeats, 1)) for view in views]
     count, ball = [len(one) for one in each], np.concatenate(each)
@@ -123,13 +123,13 @@ def _design(settings: Settings, truth: GridSimulation) -> Table:
 
 
 def _read(design: Table, readings: Array) -> Table:
-    """Return a table with other readings."""
+    """Return a table with its readings replaced."""
     columns = dict(design.columns) | {name: np.ascontiguousarray(readings[:, n]) for n, name in enumerate("xyz")}
     return Table(columns, {name: unit for name, unit in _FILE_UNITS.items() if name in columns})
 
 
 def smooth_error(scaled: Array, rng: np.random.Generator) -> Array:
-    """Return a smooth error field with second and third order terms of random size, (n, 3); scaled is -1 ... 1."""
+    """Return a random smooth error field (n, 3), a polynomial of third order of coordinates scaled to -1 ... 1."""
     powers = [(p, q, r) for p in range(4) for q in range(4) for r in range(4) if 0 < p + q + r <= 3]
     terms = np.stack([scaled[:, 0] ** p * scaled[:, 1] ** q * scaled[:, 2] ** r for p, q, r in powers], axis=1)
     return np.asarray(terms @ rng.normal(0.0, 1.0, (len(powers), 3)))

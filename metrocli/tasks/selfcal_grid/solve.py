@@ -1,4 +1,4 @@
-"""Solving a self-calibration: outliers named or left out, each view left out in turn."""
+"""Solution of a self-calibration: outliers reported or removed, each view left out in turn."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from metrocli.tasks.selfcal_grid.undetermined import with_determined_datum
 
 _ROUNDS = 30
 _TAKEN = 1e-9
-"""Share of its reach that an effect may have in a direction that no reading sees"""
+"""Largest component of an effect, as a share of its reach, in a direction that the readings do not determine"""
 
 
 @dataclass(frozen=True)
@@ -27,40 +27,40 @@ class Solved:
     """An adjusted self-calibration."""
 
     problem: Problem
-    """With the readings that were used"""
+    """The problem with the readings that were used"""
     whole: Problem
     found: FieldSolution
     residuals: tuple[Residuals, ...]
-    """Of each group"""
+    """Residuals of each group of readings"""
     suspects: Suspects
     rejected: tuple[tuple[int, float], ...]
     """Rows left out, with their |w|"""
 
     @property
     def design(self) -> Design:
-        """Rank and covariance."""
+        """Rank and covariance of the design."""
         return self.found.design
 
     @property
     def solution(self) -> Solution:
-        """Values and statistics."""
+        """Adjusted values and statistics."""
         return self.found.solution
 
 
 @dataclass(frozen=True)
 class LeftOut:
-    """What the other views say of one: the fall of the sum of squares without it."""
+    """Test of one view against the others: by how much the sum of squares falls without it."""
 
     view: str
     chi2: float
     dof: int
     rest_chi2: float
-    """Of the other views alone"""
+    """Sum of squares of the other views alone"""
     rest_dof: int
 
     @property
     def p_value(self) -> float:
-        """Probability of a fall at least as large if the view is as the others."""
+        """Probability of a fall at least as large if the view agrees with the others."""
         return _tail(self.chi2, self.dof)
 
     @property
@@ -76,7 +76,11 @@ def _tail(chi2: float, dof: int) -> float:
 
 
 def design(problem: Problem) -> Design:
-    """Return rank and covariance; UndeterminedError where views do not separate machine and artefact at all."""
+    """Return rank and covariance of the design.
+
+    Raises UndeterminedError if there is one view only, the balls stand in one row, the views do not separate machine
+    and artefact error, or they do not determine an effect of the job.
+    """
     if len(problem.views) < 2:
         raise UndeterminedError(
             "one view shows only the sum of machine and artefact error: measure the artefact in another one too, "
@@ -90,15 +94,15 @@ def design(problem: Problem) -> Design:
         found = design_of(problem.fields)
     except OpenDesignError as error:
         raise UndeterminedError(
-            f"the views leave machine and artefact error undetermined: {error}; views turned by 90 deg about two axes "
-            "and one shifted by a pitch leave 13, all rigid motions or scale"
+            f"the views leave machine and artefact error undetermined: {error}; with views turned by 90 deg about two "
+            "axes and one view shifted by a pitch, only the 13 directions of rigid motion and scale are undetermined"
         ) from error
     _refuse_absorbed(problem, found)
     return with_determined_datum(problem, found)
 
 
 def _refuse_absorbed(problem: Problem, found: Design) -> None:
-    """Raise UndeterminedError for effects that the other unknowns can take the place of in these views."""
+    """Raise UndeterminedError if the other unknowns can absorb an effect of the job in these views."""
     null = found.null / np.maximum(np.abs(found.null).max(axis=0), 1e-300) if found.null.size else found.null
     for one in problem.effects:
         columns = found.partition.columns[one.block]
@@ -106,13 +110,16 @@ def _refuse_absorbed(problem: Problem, found: Design) -> None:
         reach = np.broadcast_to(block.reach, columns.shape)[columns >= 0]
         if (np.abs(null[columns[columns >= 0]]) > _TAKEN * reach[:, None]).any():
             raise UndeterminedError(
-                f"these views do not determine {one.label}: machine and artefact error take its place; "
-                f"{one.effect.reveal} would"
+                f"these views do not determine {one.label}: machine and artefact error absorb it; "
+                f"to determine it, measure {one.effect.reveal}"
             )
 
 
 def solve(problem: Problem, remove: bool) -> Solved:
-    """Adjust; with `remove` leave out the worst outliers first, until none is left. Raises NotConvergedError."""
+    """Return the adjusted problem; with `remove`, adjust again without the worst outliers until none is left.
+
+    Raises NotConvergedError, or UndeterminedError as `design` does.
+    """
     out: dict[int, float] = {}
     whole = problem
     for _ in range(_ROUNDS):
@@ -138,7 +145,7 @@ def _once(problem: Problem, whole: Problem, out: dict[int, float]) -> Solved:
 
 
 def _worst(solved: Solved, out: dict[int, float]) -> dict[int, float]:
-    """Return the suspects to leave out next, by their rows in the whole."""
+    """Return the suspects to leave out next: row among all readings, and |w|."""
     rows, tests = solved.suspects.rows, solved.suspects.tests
     if not len(rows):
         return {}
@@ -148,7 +155,7 @@ def _worst(solved: Solved, out: dict[int, float]) -> dict[int, float]:
 
 
 def leave_one_out(solved: Solved) -> list[LeftOut]:
-    """Return for each view what the sum of squares loses without it, and the degrees of freedom that go with it."""
+    """Return for each view the fall of the sum of squares without it, and that of the degrees of freedom."""
     view = solved.problem.readings.observations.index[bg.VIEW]
     found = []
     for n, one in enumerate(solved.problem.views):
@@ -162,7 +169,7 @@ def leave_one_out(solved: Solved) -> list[LeftOut]:
 
 
 def _adjusted(rest: Problem) -> Solution | None:
-    """Return the adjustment of some views; None where it is of one view only, too open, or does not converge."""
+    """Return the adjustment of some views; None if there is one view only, it is too open, or does not converge."""
     if len(np.unique(rest.readings.observations.index[bg.VIEW])) < 2:
         return None
     try:

@@ -1,4 +1,4 @@
-"""What selfcal-grid does with a job."""
+"""The task selfcal-grid: run, diagnose, compare, simulate and plan a job."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from metrocli.tasks.selfcal_grid.solve import Solved, leave_one_out, solve
 from metrocli.tasks.selfcal_grid.undetermined import opened
 
 _MANY = 20_000
-"""Readings beyond which views are left out in turn only where the job asks for it"""
+"""Number of readings above which views are left out in turn only if the job asks for it"""
 
 
 def run(job: Job[Settings, Files]) -> Result:
-    """Find both fields; raises InputError, UndeterminedError or NotConvergedError."""
+    """Return the result with both error fields; raises InputError, UndeterminedError or NotConvergedError."""
     settings, files = job.settings, job.files
     solved = solve(_problem(job), settings.outliers == "remove")
     if settings.noise == "estimated":
@@ -46,27 +46,33 @@ def run(job: Job[Settings, Files]) -> Result:
 
 
 def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
-    """Return the job as diagnosis sees it, with all its readings; raises as `run` does."""
+    """Return the adjusted job for diagnosis, with all its readings.
+
+    Raises the errors of `run`, and UndeterminedError without degrees of freedom.
+    """
     solved = solve(_problem(job), remove=False)
     if solved.solution.dof <= 0:
-        raise UndeterminedError("there are no more readings than unknowns: no residual shows what the model gets wrong")
+        raise UndeterminedError("there are no more readings than unknowns: no residual can show an error of the model")
     return adjusted_job(solved)
 
 
 def _with_noise_found(solved: Solved, remove: bool) -> Solved:
-    """Return the adjustment again with the noise that its residuals show; UndeterminedError without redundancy."""
+    """Return the adjustment with the noise estimated from its residuals.
+
+    Raises UndeterminedError without degrees of freedom.
+    """
     if solved.solution.dof <= 0:
         raise UndeterminedError("noise: estimated: there are no more readings than unknowns; declare the noise")
     return solve(solved.whole.with_noise(solved.problem.noise * solved.solution.sigma0), remove)
 
 
 def compare(job: Job[Settings, Files]) -> Table:
-    """Return the joint adjustment beside the sequence of the paper, views 1-3 fitted first."""
+    """Return a table of the joint adjustment and of the sequence of the paper, which fits views 1-3 first."""
     return in_sequence(_problem(replace(job, effects=())))
 
 
 def _problem(job: Job[Settings, Files]) -> Problem:
-    """Return the adjustment with the effects of the job."""
+    """Return the problem of the job, with its effects."""
     settings, files = job.settings, job.files
     read = readings.read(views_of(settings), settings.grid.half, files.views)
     warnings = mountings.check(read, settings.grid.pitch)
@@ -77,10 +83,10 @@ def _problem(job: Job[Settings, Files]) -> Problem:
 
 
 def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulation:
-    """Return views of an artefact and a machine with the errors of `simulation:`, and with effects in them.
+    """Return simulated views with the errors that `simulation:` describes, and with effects.
 
-    Where the job's views exist, their balls, times and temperatures are those of the simulation; calibrated lengths
-    are between the balls of the job's.
+    If the views of the job exist, the simulation uses their balls, times and temperatures. Calibrated lengths are
+    between the same balls as those of the job. Raises InputError without `simulation:` or without declared noise.
     """
     settings, files = job.settings, job.files
     if settings.simulation is None or isinstance(settings.noise, str):
@@ -93,7 +99,7 @@ def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulatio
 
 
 def plan(job: Job[Settings, Files]) -> Plan:
-    """Return what the views and lengths of the job will determine, and what others would."""
+    """Return what the planned views and lengths will determine, and what other sets of views would."""
     return planned_views.plan(job.settings, job.files.lengths)
 
 

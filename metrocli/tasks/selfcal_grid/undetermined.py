@@ -1,8 +1,9 @@
-"""What a set of views leaves undetermined, named by pattern before any number, and which view would remove it.
+"""Directions that a set of views leaves undetermined (open), named by pattern, and the views that would remove them.
 
-Six rigid motions of the machine error, six of the artefact error and one common scale stay open whatever the views are;
-anything more is a family of fields. A family is named by how much of a pattern's space lies among the open directions:
-the eigenvalues 1 of `Q' P Q`, Q an orthonormal basis of the open machine errors, P the projector onto the pattern.
+Six rigid motions of the machine error, six of the artefact error and one common scale are open for every set of views.
+Further open directions form families of fields. A family has the name of a pattern that lies within the open
+directions. Such a pattern gives eigenvalues 1 of `Q' P Q`, where Q is an orthonormal basis of the open machine errors
+and P the projector onto the pattern.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ class Family:
 
 @dataclass(frozen=True)
 class Remedy:
-    """A further view, and what would then be left."""
+    """A further view, and the number of directions that it would leave open."""
 
     words: str
     left: int
@@ -45,18 +46,18 @@ class Remedy:
 
 @dataclass(frozen=True)
 class Open:
-    """What the views leave undetermined."""
+    """The directions that the views leave undetermined."""
 
     scale: bool
-    """Whether the common scale is"""
+    """Whether the common scale is undetermined"""
     families: tuple[Family, ...]
-    """Beyond the rigid motions and the scale"""
+    """Further directions, beyond the rigid motions and the scale"""
     remedies: tuple[Remedy, ...]
     """Views that would remove some of the families, the best first"""
 
     @property
     def count(self) -> int:
-        """Undetermined directions in all."""
+        """Total number of undetermined directions."""
         return 12 + self.scale + sum(family.count for family in self.families)
 
     def sentences(self) -> list[str]:
@@ -67,16 +68,16 @@ class Open:
         lines = [f"{self.count} directions undetermined: {rigid}{scale}"]
         if self.families:
             families = "; ".join(f"{one.pattern} ({one.count})" for one in self.families)
-            lines.append(f"the views also leave open: {families}")
+            lines.append(f"the views also leave undetermined: {families}")
         if self.remedies:
             least = self.remedies[0].left
             best = [one.words for one in self.remedies if one.left == least]
-            lines.append(f"a further view {' or '.join(best)} would leave {least}")
+            lines.append(f"a further view {' or '.join(best)} would leave {least} directions undetermined")
         return lines
 
 
 def opened(problem: Problem, design: Design) -> Open:
-    """Return the open directions of a design, named."""
+    """Return the open directions of a design with their names and remedies."""
     scale = not problem.scale_given
     extra = design.null.shape[1] - 12 - scale
     if extra <= 0:
@@ -89,11 +90,12 @@ def opened(problem: Problem, design: Design) -> Open:
 
 
 def determined(problem: Problem, design: Design) -> dict[str, Mask]:
-    """Return which entries of both fields and of the mountings are determined but for rigid motion and scale.
+    """Return which entries of both fields and of the mountings are determined apart from rigid motion and scale.
 
-    The open directions Z agree there with a combination of the standard ones E: `min sum_i |Z_i - E_i M|` over the
-    fields, by reweighted least squares, makes the rows that can agree do so. Where that holds for less than a third of
-    the entries the datum over all of them is kept: determined is what no direction moves in it.
+    At a determined entry the open directions Z equal a combination E M of the standard directions E (rigid motion and
+    scale). M minimises `sum_i |Z_i - E_i M|` over the fields, by reweighted least squares, which makes as many rows as
+    possible agree. If less than a third of the entries agree, M is the ordinary least squares fit over all entries,
+    which corresponds to the datum over all of them.
     """
     columns = {name: design.partition.columns[name] for name in (bg.MACHINE, bg.ARTEFACT, bg.VIEW)}
     if design.null.shape[1] <= 13 - problem.scale_given:
@@ -113,7 +115,7 @@ def determined(problem: Problem, design: Design) -> dict[str, Mask]:
 
 
 def _reach(problem: Problem, design: Design) -> Array:
-    """Return how far a unit of each unknown moves a ball, (unknowns,): 1, and for turns half the size of the grid."""
+    """Return how far one unit of each unknown moves a ball, (unknowns,): 1, for rotations half the size of the grid."""
     reach = np.ones(design.partition.width)
     turns = design.partition.columns[bg.VIEW][:, 3:]
     reach[turns[turns >= 0]] = problem.grid.pitch * problem.grid.half.max()
@@ -121,7 +123,7 @@ def _reach(problem: Problem, design: Design) -> Array:
 
 
 def _evened(problem: Problem, design: Design) -> Array:
-    """Return an orthonormal basis of the open directions, all unknowns in the length that they move a ball."""
+    """Return an orthonormal basis of the open directions, with each unknown scaled to the motion of a ball."""
     return np.asarray(np.linalg.qr(design.null * _reach(problem, design)[:, None])[0])
 
 
@@ -131,7 +133,7 @@ def _agreeing(null: Array, moves: Array, fit: Array) -> Mask:
 
 
 def _fit(null: Array, moves: Array) -> Array:
-    """Return the M with the least sum of |Z_i - E_i M|."""
+    """Return the M that minimises `sum_i |Z_i - E_i M|`, by reweighted least squares."""
     weights = np.ones(len(null))
     for turn in range(_TURNS):
         fit = np.linalg.lstsq(moves * weights[:, None], null * weights[:, None], rcond=None)[0]
@@ -141,7 +143,10 @@ def _fit(null: Array, moves: Array) -> Array:
 
 
 def with_determined_datum(problem: Problem, design: Design) -> Design:
-    """Return the design with its datum over the determined entries only, where the views leave more than 13 open."""
+    """Return the design with its datum over the determined entries only.
+
+    Without directions open beyond rigid motion and scale, the design stays as it is.
+    """
     if design.null.shape[1] <= 13 - problem.scale_given:
         return design
     known = determined(problem, design)
@@ -150,7 +155,7 @@ def with_determined_datum(problem: Problem, design: Design) -> Design:
 
 
 def _standard(problem: Problem) -> dict[str, Array]:
-    """Return the directions that every set of views leaves open, in the blocks of the fields and views."""
+    """Return the directions that every set of views leaves open, by block: (members, size, 12 or 13)."""
     sites, balls = problem.grid.site_places, problem.grid.ball_places
     turns = np.stack([view.turn for view in problem.views])
     shifts = np.stack([view.shift for view in problem.views]) * problem.grid.pitch
@@ -160,7 +165,7 @@ def _standard(problem: Problem) -> dict[str, Array]:
     machine[:, :, :6] = bg.rigid(sites)
     mounting[:, :, :6] = -np.eye(6)
     artefact[:, :, 6:12] = bg.rigid(balls)
-    # a turn w of the artefact is the turn Rot w of the view, about its shifted centre
+    # a rotation w of the artefact equals the rotation R w of the view about its shifted centre; R turns the view
     mounting[:, :3, 6:9] = -turns
     mounting[:, 3:, 9:12] = -turns
     mounting[:, :3, 9:12] = -np.cross(shifts[:, :, None], turns, axis=1)
@@ -180,7 +185,7 @@ def _machine_fields(problem: Problem, design: Design) -> tuple[Array, Array]:
 
 
 def _families(problem: Problem, basis: Array, fields: Array, extra: int) -> Iterator[Family]:
-    """Yield the families, the simplest patterns first, each without what was named before it."""
+    """Yield the families, the simplest patterns first, each without the directions of the families before it."""
     named = _within(basis, _standard(problem)[bg.MACHINE].reshape(len(basis), -1))
     left = extra
     for pattern, projector in patterns(problem):
@@ -199,7 +204,7 @@ def _families(problem: Problem, basis: Array, fields: Array, extra: int) -> Iter
 
 
 def _loose_mountings(problem: Problem, design: Design) -> Iterator[Family]:
-    """Yield the views whose mounting is open by itself: it moves neither field, as of a view of a ball or a row."""
+    """Yield the views whose mounting is open and moves neither field, such as a view of one ball or of one row."""
     null, places = _evened(problem, design), design.partition.columns[bg.VIEW]
     fields = np.setdiff1d(np.arange(len(null)), places)
     _, sizes, mix = np.linalg.svd(null[fields], full_matrices=False)
@@ -220,7 +225,7 @@ def _within(basis: Array, fields: Array) -> Array:
 
 
 def _remedies(problem: Problem, design: Design) -> Iterator[Remedy]:
-    """Yield for each simple view more what would then be left open."""
+    """Yield each simple further view with the number of directions that it would leave open."""
     for words, view in candidates():
         yield Remedy(words, _left_with(problem, design, view))
 
@@ -235,7 +240,7 @@ def candidates() -> Iterator[tuple[str, bg.View]]:
 
 
 def _left_with(problem: Problem, design: Design, view: bg.View) -> int:
-    """Return how many directions stay open with one view more: Z c that a mounting of that view can follow."""
+    """Return how many directions stay open with one more view: those Z c that a mounting of this view can absorb."""
     at = bg.numbers_at(problem.grid.sites, view.sites(problem.grid.balls))
     balls = np.flatnonzero(at >= 0)
     artefact = np.einsum("ab,nbk->nak", view.turn, _entries(design, bg.ARTEFACT)[balls])

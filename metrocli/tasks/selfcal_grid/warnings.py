@@ -1,4 +1,4 @@
-"""What a self-calibration warns of: noise, what is open, outliers, lengths and views that do not agree."""
+"""Warnings of a self-calibration: noise, undetermined directions, outliers, lengths and views that do not agree."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from metrocli.words import listed
 
 
 def warnings(solved: Solved, found: Open, std: Array, left_out: Sequence[LeftOut]) -> list[str]:
-    """Return what is to be told of a self-calibration; std are those of the machine error, inf where it is open."""
+    """Return the warnings of a self-calibration; std is that of the machine error, inf where it is undetermined."""
     lines = noise_warnings(solved.solution)
     if found.families:
         open_share = float((~np.isfinite(std)).mean())
         lines += found.sentences()[1:]
         lines.append(
-            f"{open_share:.0%} of the machine error's components are not determined (standard uncertainty inf): their "
-            "values are those with the least sum of squares of machine and artefact error; the datum is over the "
-            "others, and smooth form and length errors are not given"
+            f"{open_share:.0%} of the machine error's components are not determined (standard uncertainty inf). Their "
+            "values are those with the least sum of squares of machine and artefact error. The datum is over the "
+            "other components. The smooth form and length errors are not given"
         )
     if len(solved.suspects.rows):
         observations = solved.problem.readings.observations
@@ -34,7 +34,7 @@ def warnings(solved: Solved, found: Open, std: Array, left_out: Sequence[LeftOut
 
 
 def _contradicting(solved: Solved) -> list[str]:
-    """Return a warning of the calibrated lengths that disagree with the readings or with each other."""
+    """Return a warning if calibrated lengths disagree with the readings or with each other."""
     if not solved.problem.scale_given:
         return []
     tests = np.abs(solved.residuals[1].normalised[0])
@@ -49,7 +49,7 @@ def _contradicting(solved: Solved) -> list[str]:
 
 
 def _disagreeing(left_out: Sequence[LeftOut]) -> list[str]:
-    """Return a warning of the view without which the others fit, where there is one and they do not fit with it."""
+    """Return a warning for the view that does not agree with the others, if the others fit without it."""
     bound = 0.01 / max(len(left_out), 1)
     odd = [one for one in left_out if one.p_value < bound and one.rest_p_value > bound]
     return [

@@ -33,17 +33,17 @@ BAD = [
     ("alpha*theta)", "alpha*theta) + theta", 8, 38, "'theta' is a temperature difference", "same unit"), ("alpha*theta", "alhpa*theta", 8, 23, "no quantity 'alhpa'", "did you mean 'alpha'?"),
     ("unit: mm", "unit: K", 8, 44, "the model gives a length", "'mm'"), (", unit: mm", "", 8, 14, "the model gives a length", "'mm'"), ("  theta:", "  sin:", 6, 8, "'sin' is reserved", "sin_"),
     ("  theta:", "  pi:", 6, 7, "'pi' is reserved", "pi1"), ("  theta:", "  lambda:", 6, 11, "'lambda' is reserved", "lambda_"), ("  theta:", "  the-ta:", 6, 11, "cannot be the name", "letters"),
-    ("measurands", "  extra: 5 mm\nmeasurands", 7, 10, "the quantity 'extra' is in no model", "leave it out"), ("trials: 10000", "trials: ten", 10, 23, "no number of trials", "adaptive"),
+    ("measurands", "  extra: 5 mm\nmeasurands", 7, 10, "the quantity 'extra' is in no model", "leave the quantity out"), ("trials: 10000", "trials: ten", 10, 23, "not a number of trials", "adaptive"),
     ("alpha*theta", "part.x*theta", 8, 23, "there is no result 'part'", "inputs"), ("coverage", CORRELATED, 9, 16, "contradict each other: r(ls, alpha) = 0.9, r(ls, theta) = 0.9, r(alpha, theta) = -0.9", "wrong sign"),
     ("coverage", "correlations: [{between: [ls, alfa], value: 0.9}]\ncoverage", 9, 26, "'alfa'", "did you mean 'alpha'?"), ("coverage", "correlations: [{between: [ls, alpha], value: 1.9}]\ncoverage", 9, 46, "out of range", "at most 1"),
-    ("half_width: 2e-6 1/K", "std: 2e-6 1/K, half_width: 2e-6 1/K", 5, 57, "std and half_width are both given", "one of them"), ("uniform", "unifrom", 5, 66, "unifrom", "did you mean 'uniform'?"),
+    ("half_width: 2e-6 1/K", "std: 2e-6 1/K, half_width: 2e-6 1/K", 5, 57, "std and half_width are both given", "one uncertainty only"), ("uniform", "unifrom", 5, 66, "unifrom", "did you mean 'uniform'?"),
     ("uniform", "normal", 5, 42, "has no half-width", "give std"), ("uniform", "trapezoidal", 5, 66, "needs beta", "0 to 1"), ("uniform", "curvilinear-trapezoid", 5, 66, "needs half_width and inexactness", "both"),
     ("uniform", "curvilinear-trapezoid, inexactness: 3e-6 1/K", 5, 102, "larger than the half-width", "at most"), ("dof: 18", "distribution: t", 4, 55, "needs its degrees of freedom", "dof"),
-    ("std: 25 nm", "U: 50 nm", 4, 32, "U needs its k", "k: 2"), ("std: 25 nm, dof: 18", "dof: 18", 4, 7, "nothing says how well", "std"), ("value: 50.000623 mm, std: 25 nm, dof: 18", "readings: no.csv", 4, 18, "no such file", ""),
+    ("std: 25 nm", "U: 50 nm", 4, 32, "U needs its k", "k: 2"), ("std: 25 nm, dof: 18", "dof: 18", 4, 7, "there is no uncertainty", "std"), ("value: 50.000623 mm, std: 25 nm, dof: 18", "readings: no.csv", 4, 18, "no such file", ""),
     ("ls*(1 + alpha*theta)", "ls*(1 + alpha*theta", 8, 18, "bracket is not closed", "')'"), ("ls*(1 + alpha*theta)", "ls*log(alpha*theta/(alpha*theta) - 1)", 8, 18, "has no value at the best estimates", "division"),
     ("ls*(1 + alpha*theta)", "ls*(1 + alpha*theta)*9**9**9", 8, 36, "no finite value", "1e308"), ("ls*(1 + alpha*theta)", "open(ls)", 8, 15, "unknown function 'open'", "sqrt"), ("ls*(1 + alpha*theta)", "ls.real", 8, 15, "no result 'ls'", ""),
-    ("coverage", "tolerance: {m: [1 mm, 2 mm]}\ncoverage", 9, 16, "'m', which is no measurand", "l"), ("coverage", "tolerance: {l: [2 mm, 1 mm]}\ncoverage", 9, 23, "not above", "[lower, upper]"),
-    ("coverage", "tolerance: {l: [1 K, 1 mm]}\ncoverage", 9, 17, "temperature difference", "mm"), ("coverage", "tolerance: 2 mm\ncoverage", 9, 12, "tolerance of a volume", "{NAME"), ("coverage", "tolerance: {l: [none, none]}\ncoverage", 9, 16, "no limit", ""),
+    ("coverage", "tolerance: {m: [1 mm, 2 mm]}\ncoverage", 9, 16, "'m', which is not a measurand", "l"), ("coverage", "tolerance: {l: [2 mm, 1 mm]}\ncoverage", 9, 23, "not above", "[lower, upper]"),
+    ("coverage", "tolerance: {l: [1 K, 1 mm]}\ncoverage", 9, 17, "temperature difference", "mm"), ("coverage", "tolerance: 2 mm\ncoverage", 9, 12, "tolerance of a volume", "{NAME"), ("coverage", "tolerance: {l: [none, none]}\ncoverage", 9, 16, "both limits are missing", ""),
     ("value: 50.000623 mm", "value: 50,000623 mm", 4, 18, "unknown key '000623 mm'", "comma"), ("value: 50.000623 mm", "value: '50,000623 mm'", 4, 15, "decimal comma", "50.000623 mm"), ("0.95}", "0.95, k: 2}", 9, 34, "both given", "one of them"),
     ("unit: mm", "unit: furlong", 8, 44, "unknown unit 'furlong'", ""), ("-0.1 K, std: 0.4 K", "20 degC, std: 0.4 K", 8, 29, "differences of such temperatures", "20 degC"), ("-0.1 K", "-0.1 Kelvin", 6, 18, "unknown unit 'Kelvin'", ""),
     ("quantities:", "volume: {from: [0 mm, 0 mm, 0 mm], to: [1 mm, 1 mm, 1 mm]}\nquantities:", 1, 1, "'contributors' is missing", "volume"), ("seed: 1", "seed: -1", 10, 36, "out of range", "0"), ("seed", "sed", 10, 30, "unknown key 'sed'", "seed"),
@@ -124,7 +124,7 @@ def test_there_is_nothing_to_simulate_or_plan(command: str, tmp_path: Path, metr
     (tmp_path / "job.yaml").write_text(JOB)
     ran = metrocli(command, tmp_path / "job.yaml", "--out", tmp_path / "out")
     assert ran.code == 2
-    assert "report-uncertainty has no" in ran.err
+    assert "report-uncertainty jobs cannot be" in ran.err
 
 
 UNITS_OF_ONE_JOB = [
@@ -372,8 +372,8 @@ def test_a_tolerance_that_leaves_nothing_to_accept_says_so(tmp_path: Path) -> No
     found = ran.details("y")["tolerance"]
     assert (found["acceptance"], found["acceptance_2017"], found["acceptance_guarded"]) == ([], [], [])
     assert math.isnan(found["guard_band"])
-    assert any("no value is within the acceptance zone" in line for line in ran.result.notes)
-    assert any("guard band for a risk of 0.01: there is none" in line for line in ran.result.notes)
+    assert any("the acceptance zone of ISO 14253-1 is empty" in line for line in ran.result.notes)
+    assert any("guard band for a risk of 0.01: no value can be accepted" in line for line in ran.result.notes)
 
 
 def test_samples_of_one_file_are_drawn_row_by_row(tmp_path: Path) -> None:

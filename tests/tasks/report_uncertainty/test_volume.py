@@ -209,11 +209,11 @@ def test_what_a_result_contains_already_is_reported(tmp_path: Path) -> None:
 
 
 BAD = [
-    ({"contributors": [{"name": "a"}]}, "says nothing of its size", "give one of"), ({"contributors": [{"name": "a", "std": "1 um", "result": "b"}]}, "has result and std", "one of"),
+    ({"contributors": [{"name": "a"}]}, "has no uncertainty", "give one of"), ({"contributors": [{"name": "a", "std": "1 um", "result": "b"}]}, "has result and std", "one of"),
     ({"contributors": [{"name": "a", "result": "part"}]}, "no result 'part'", "name it"), ({"contributors": [{"name": "a", "std": ["1 um", "2 um"]}]}, "expected", ""),
     ({"tolerance": {"x": ["1 mm", "2 mm"]}}, "one width", "2 mm"), ({"tolerance": "2 kg"}, "a mass", "length"), ({"tolerance": "-2 mm"}, "tolerance", "above zero"),
     ({"volume": {**BENCH, "grid": [1, 5, 3]}}, "one point along an axis", "2 or more"), ({"volume": {**BENCH, "grid": [900, 900, 900]}}, "more than 2000000", "coarser"),
-    ({"contributors": [HEAT, copy.deepcopy(HEAT)]}, "two contributors have the name", "own"), ({"contributors": [{"name": "a", "model": ["X", "Y", "Q"]}]}, "'Q' is neither", ""),
+    ({"contributors": [HEAT, copy.deepcopy(HEAT)]}, "two contributors have the name", "different name"), ({"contributors": [{"name": "a", "model": ["X", "Y", "Q"]}]}, "'Q' is neither", ""),
     ({"contributors": [{"name": "a", "expansion": {"alpha": "1e-5 1/K"}}]}, "half_width or std", "one of"), ({"quantities": {"a": 1}}, "both given", "two jobs"),
 ]  # fmt: skip
 

@@ -63,7 +63,7 @@ CASES: dict[str, tuple[str, Callable[[Rows], Rows], str]] = {
     "rotation sense about z": ("angle: 90 deg}}, {name: \"3\"=angle: -90 deg}}, {name: \"3\"", lambda rows: rows, "view '2' stands turned by 90 deg about z, declared turned by -90 deg about z; is the sense of its rotation wrong?"),
     "rotation sense about x": ("x, angle: 90 deg=x, angle: -90 deg", lambda rows: rows, "view '3' stands turned by 90 deg about x, declared turned by -90 deg about x; is the sense"),
     "wrong axis": ("axis: x=axis: y", lambda rows: rows, "view '3' stands turned by 90 deg about x, declared turned by 90 deg about y"),
-    "shift of the other sign": ("[1, 0, 0]=[-1, 0, 0]", lambda rows: [row for row in rows if row[0] != "4" or row[1] in "01"], "view '4' stands shifted by [1, 0, 0] pitches against the others, declared [-1, 0, 0]"),
+    "shift of the other sign": ("[1, 0, 0]=[-1, 0, 0]", lambda rows: [row for row in rows if row[0] != "4" or row[1] in "01"], "view '4' stands shifted by [1, 0, 0] pitches relative to the others, declared [-1, 0, 0]"),
     "views 2 and 3 swapped": ("", swapped("2", "3"), "views '2' and '3' are exchanged"),
     "views 1 and 2 swapped": ("", swapped("1", "2"), "views '1' and '2' are exchanged"),
     "views 1 and 4 swapped": ("", swapped("1", "4"), "views '1' and '4' are exchanged"),

@@ -33,10 +33,10 @@ FAMILIES = {
     "1246": [("another scale along z", 1)],
 }
 REMEDIES = {
-    "123": "a further view shifted by one pitch along x or shifted by one pitch along y or shifted by one pitch along z would leave 13",
-    "124": "a further view turned by 90 deg about x or turned by 90 deg about y would leave 13",
-    "134": "a further view turned by 90 deg about y or turned by 90 deg about z would leave 13",
-    "1246": "a further view turned by 90 deg about x or turned by 90 deg about y would leave 13",
+    "123": "a further view shifted by one pitch along x or shifted by one pitch along y or shifted by one pitch along z would leave 13 directions undetermined",
+    "124": "a further view turned by 90 deg about x or turned by 90 deg about y would leave 13 directions undetermined",
+    "134": "a further view turned by 90 deg about y or turned by 90 deg about z would leave 13 directions undetermined",
+    "1246": "a further view turned by 90 deg about x or turned by 90 deg about y would leave 13 directions undetermined",
 }
 
 
