@@ -1,13 +1,9 @@
 """Monte Carlo propagation (JCGM 101 and 102) with a fixed or adaptive number of trials.
 
-<<<<<<< HEAD
-Chunks are put together in their order. Up to KEPT trials all values are kept and sorted; beyond that they are counted
-in bins.
-Method: docs/algorithms/monte-carlo-chunks.md.
-=======
 Chunks are joined in their order, so the result is identical to the bit for any number of workers. Up to KEPT trials
 all values are kept and sorted; larger numbers of trials are counted in bins.
->>>>>>> h-w4
+
+Method: docs/algorithms/monte-carlo-chunks.md.
 """
 
 from __future__ import annotations

@@ -118,11 +118,7 @@ class Binned:
 
 
 def _ranks(count: int, probability: float) -> tuple[int, int]:
-<<<<<<< HEAD
-    """Return the rank of the lower end of a symmetric interval, and how many ranks the upper end is above it."""
-    # JCGM 101, 7.7.1: q is pM if that is an integer, else the integer part of pM + 1/2
-=======
     """Return the rank of the lower end of a symmetric interval, and the number of ranks to the upper end."""
->>>>>>> h-w4
+    # JCGM 101, 7.7.1: q is pM if that is an integer, else the integer part of pM + 1/2
     inside = min(int(probability * count + 0.5), count - 1)
     return max((count - inside + 1) // 2, 1), inside

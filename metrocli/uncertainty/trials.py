@@ -1,11 +1,8 @@
 """Monte Carlo trials in chunks: each chunk is a pure function of its number.
 
-<<<<<<< HEAD
-Each chunk has a random stream of its own, made from the seed and the number of the chunk.
-Method: docs/algorithms/monte-carlo-chunks.md.
-=======
 Each chunk has its own random stream from the seed and the number of the chunk.
->>>>>>> h-w4
+
+Method: docs/algorithms/monte-carlo-chunks.md.
 """
 
 from __future__ import annotations

@@ -1,11 +1,8 @@
 """Workers for the chunks of a long computation: threads of this process, or a Dask cluster.
 
-<<<<<<< HEAD
-A chunk is a pure function of its number, so that it does not matter who does it, or how often.
-Method: docs/algorithms/monte-carlo-chunks.md.
-=======
 A chunk is a pure function of its number, so the outcome does not depend on the workers.
->>>>>>> h-w4
+
+Method: docs/algorithms/monte-carlo-chunks.md.
 """
 
 from __future__ import annotations
@@ -90,12 +87,8 @@ def _on_threads(count: int, work: Callable[[int], T], numbers: Iterable[int]) ->
 
 
 def _window(submit: Callable[[int], Any], numbers: Iterable[int], most: int) -> Iterator[Any]:
-<<<<<<< HEAD
-    """Yield results in order with at most `most` of them under way."""
-    # in order, so that sums have the same rounding and an adaptive run stops at the same chunk for any count
-=======
     """Yield results in order, with at most `most` of them in progress."""
->>>>>>> h-w4
+    # in order, so that sums have the same rounding and an adaptive run stops at the same chunk for any count
     waiting: deque[Any] = deque()
     for number in numbers:
         waiting.append(submit(number))
