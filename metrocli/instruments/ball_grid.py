@@ -26,7 +26,7 @@ MACHINE, ARTEFACT, VIEW = "machine_error", "artefact_error", "view"
 """Blocks: machine error G at each site, artefact error A at each ball, mounting deviation d, w of each view"""
 COLUMNS = ("ex", "ey", "ez")
 HOLLOW = "hollow"
-"""Condition of a reading [mm^2]: `rho^2 - mean rho^2` of its view; rho: the ball's horizontal distance from the centre"""
+"""Condition of a reading [mm^2]: `rho^2 - mean rho^2` of its view; rho: horizontal distance from the centre"""
 
 
 @dataclass(frozen=True)

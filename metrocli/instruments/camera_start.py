@@ -94,7 +94,7 @@ def _focal_of_projections(maps: Array) -> float:
 
 
 def _plausible(ratio: float) -> float:
-    """Return the ratio of focal length and guess; 1 if it is implausible, so that the adjustment starts from the guess."""
+    """Return the ratio of focal length and guess; 1 if it is implausible, the adjustment then starts at the guess."""
     return ratio if 0.05 < ratio < 50 else 1.0
 
 

@@ -96,7 +96,7 @@ def _weights(residual: Array) -> Array:
 
 
 def _refined(local: Array, reading: Array, guess: Array, absolute: bool) -> tuple[Array, float]:
-    """Return the solution near a guess and its mean |residual|; gross errors are down-weighted in both."""
+    """Return the solution near a guess and its mean |residual|; gross errors get low weights."""
     state = guess
     for turn in range(_ROUNDS):
         before, weights = state, _weights(_residual(local, reading, state, absolute)[0])
@@ -110,7 +110,7 @@ def _refined(local: Array, reading: Array, guess: Array, absolute: bool) -> tupl
 
 
 def _descended(local: Array, reading: Array, guess: Array, absolute: bool, weights: Array) -> Array:
-    """Return the least-squares solution near a guess by damped Gauss-Newton steps; `weights` (n,) multiply residuals."""
+    """Return the least-squares solution near a guess by damped Gauss-Newton steps; weights (n,) multiply residuals."""
     state, damping = guess.copy(), 0.0
     residual, jacobian = _residual(local, reading, state, absolute, weights)
     for _ in range(_STEPS):
