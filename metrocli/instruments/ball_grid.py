@@ -1,8 +1,8 @@
-"""A grid of balls that nobody calibrated, measured in several views by a machine that nobody calibrated.
+"""An uncalibrated grid of balls, measured in several views by an uncalibrated machine.
 
-`reading = G(site) + d + R(w) (Rot (pitch b + A(b)) + pitch shift)`, site = Rot b + shift: G the error of the machine at
-a site, A that of the artefact at a ball b, Rot and shift the nominal mounting of the view, d and w what it is off
-(Dang, Lee and Kim, eq. 1-5, with exact rotations instead of a small misalignment E).
+`reading = G(site) + d + R(w) (Rot (pitch b + A(b)) + pitch shift)`, with site = Rot b + shift. G is the error of the
+machine at a site, A that of the artefact at a ball b. Rot and shift are the nominal mounting of the view, d and w its
+deviation from it (Dang, Lee and Kim, eq. 1-5, with exact rotations instead of a small misalignment E).
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from metrocli.geometry.rotations import cross_matrix
 from metrocli.instruments.frames import OutOf
 
 MACHINE, ARTEFACT, VIEW = "machine_error", "artefact_error", "view"
-"""Blocks: G at each site, A at each ball, and d, w of each view"""
+"""Blocks: machine error G at each site, artefact error A at each ball, mounting deviation d, w of each view"""
 COLUMNS = ("ex", "ey", "ez")
 HOLLOW = "hollow"
-"""Condition of a reading [mm^2]: `rho^2 - mean rho^2` of its view, rho the ball's horizontal way from the centre"""
+"""Condition of a reading [mm^2]: `rho^2 - mean rho^2` of its view; rho: horizontal distance from the centre"""
 
 
 @dataclass(frozen=True)
@@ -40,13 +40,13 @@ class View:
     """(3,) whole numbers"""
 
     def sites(self, balls: Index) -> Index:
-        """Return where balls (n, 3) stand."""
+        """Return the sites of balls (n, 3) in this view."""
         return np.asarray(np.rint(balls @ self.turn.T + self.shift), dtype=np.intp)
 
 
 @dataclass(frozen=True)
 class BallOf:
-    """A ball in the artefact: its nominal place and its error."""
+    """Start of a chain: a ball in the artefact, its nominal place plus its error."""
 
     nominal: Array
     """(balls, 3) [mm]"""
@@ -62,7 +62,7 @@ class BallOf:
 
 @dataclass(frozen=True)
 class Mounted:
-    """From the artefact into the nominal mounting of the view: `Rot x + pitch shift`."""
+    """Link from the artefact to the nominal mounting of the view: `Rot x + pitch shift`."""
 
     turns: Array
     """(views, 3, 3)"""
@@ -73,7 +73,7 @@ class Mounted:
     blocks = ()
 
     def step(self, value: Array, local: Local) -> Step:
-        """Return the ball (3, n) and its derivative by that in the artefact."""
+        """Return the mounted ball, (3, n), and its derivative by the ball in the artefact."""
         view = local.index(VIEW)
         turn = np.ascontiguousarray(np.moveaxis(self.turns, 0, -1)[:, :, view])
         return Step(np.einsum("abn,bn->an", turn, value) + self.shifts.T[:, view], turn)
@@ -81,21 +81,21 @@ class Mounted:
 
 @dataclass(frozen=True)
 class WithMachineError:
-    """What the machine reads of a point: its place and the error of the machine at the nominal site."""
+    """Link to the reading of the machine: the place of the ball plus the machine error at its nominal site."""
 
     takes = Quantity.POINT_IN_MACHINE
     gives = Quantity.MACHINE_READING
     blocks = (MACHINE,)
 
     def step(self, value: Array, local: Local) -> Step:
-        """Return `x + G(site)` (3, n), with derivatives 1 by both."""
+        """Return `x + G(site)`, (3, n), with derivatives of 1 by both."""
         one = np.eye(3)[:, :, None]
         return Step(value + local.rows(MACHINE), one, {MACHINE: one} if MACHINE in local.wanted else {})
 
 
 @dataclass(frozen=True)
 class BallDistance:
-    """Distance of two balls of the artefact."""
+    """Start of a chain: the distance of two balls of the artefact."""
 
     nominal: Array
     """(balls, 3) [mm]"""
@@ -119,7 +119,7 @@ def mounted(views: Sequence[View], pitch: float) -> Mounted:
 
 
 def chain(views: Sequence[View], balls: Index, pitch: float) -> Chain:
-    """Return the forward model of a reading; balls (n, 3) are those of the artefact's block."""
+    """Return the forward model of a reading; `balls` (n, 3) are the members of the artefact's block."""
     return Chain(
         (
             BallOf(np.asarray(balls * pitch, dtype=float)),
@@ -131,13 +131,13 @@ def chain(views: Sequence[View], balls: Index, pitch: float) -> Chain:
 
 
 def field_block(name: str, indices: Index, noun: str) -> Block:
-    """Return an error field of zero at sites or balls (n, 3)."""
+    """Return the block of an error field, zero at all sites or balls (n, 3)."""
     members = tuple(" ".join(map(str, row)) for row in indices.tolist())
     return Block(name, np.zeros((len(indices), 3)), COLUMNS, members, noun=noun)
 
 
 def view_block(views: Sequence[View], values: Array) -> Block:
-    """Return the mountings (views, 6), poses."""
+    """Return the block of the mounting deviations of the views, (views, 6), as poses."""
     names = tuple(view.name for view in views)
     return Block(VIEW, values, poses.COLUMNS, names, space=Space.POSE, noun="view")
 
@@ -153,7 +153,7 @@ def hollow(views: Sequence[View], view: Index, balls: Index, pitch: float) -> Ar
 
 
 def numbers_at(known: Index, wanted: Index) -> Index:
-    """Return which of the known sites (or balls) (n, 3) each of the wanted ones (..., 3) is, -1 where it is none."""
+    """Return the number of each wanted site or ball (..., 3) in the list of known ones (n, 3); -1 if it is absent."""
     low = known.min(axis=0)
     box = np.full(known.max(axis=0) - low + 1, -1, dtype=np.intp)
     box[tuple((known - low).T)] = np.arange(len(known))
@@ -164,7 +164,7 @@ def numbers_at(known: Index, wanted: Index) -> Index:
 
 @dataclass(frozen=True)
 class Grid:
-    """Where things stand: the sites and balls that were measured, in pitches."""
+    """The measured sites and balls, as indices in units of the pitch."""
 
     sites: Index
     """(sites, 3)"""
@@ -176,27 +176,30 @@ class Grid:
 
     @property
     def site_places(self) -> Array:
-        """Where the sites are, (sites, 3) [mm]."""
+        """Places of the sites, (sites, 3) [mm]."""
         return np.asarray(self.sites * self.pitch, dtype=float)
 
     @property
     def ball_places(self) -> Array:
-        """Where the balls are in the artefact, nominally, (balls, 3) [mm]."""
+        """Nominal places of the balls in the artefact, (balls, 3) [mm]."""
         return np.asarray(self.balls * self.pitch, dtype=float)
 
     @property
     def within(self) -> Array:
-        """1 for sites of the grid proper, 0 for those outside that only a shifted view reached, (sites,)."""
+        """1 for sites within the grid, 0 for sites outside that only shifted views reach, (sites,)."""
         return np.asarray((np.abs(self.sites) <= self.half).all(axis=1), dtype=float)
 
 
 def fields(grid: Grid, blocks: Mapping[str, Block], groups: Sequence[Group], scale_given: bool) -> Fields:
-    """Return the adjustment with its datum: G and A free of rigid motion, and `sum G.r = sum A.r` without a length."""
+    """Return the adjustment with its datum: G and A contain no rigid motion.
+
+    Without a calibrated length, `sum G.r = sum A.r` fixes the scale.
+    """
     return Fields(blocks, tuple(groups), MACHINE, ARTEFACT, folded(grid.sites), _at_rest, datum(grid, scale_given))
 
 
 def _at_rest(blocks: Mapping[str, Block]) -> dict[str, Block]:
-    """Return the design: nominal mountings, no errors; effects as they are."""
+    """Return the blocks at the design point: nominal mountings and zero errors; effects keep their values."""
     return {
         name: block.with_values(np.zeros_like(block.values)) if name in (MACHINE, ARTEFACT, VIEW) else block
         for name, block in blocks.items()
@@ -205,7 +208,7 @@ def _at_rest(blocks: Mapping[str, Block]) -> dict[str, Block]:
 
 @dataclass(frozen=True)
 class FieldSums:
-    """Sums over the machine error and the artefact error, the conditions of the datum; one reading for each."""
+    """Start of a chain: weighted sums over machine error and artefact error, the conditions of the datum."""
 
     machine: Array
     """(conditions, sites, 3)"""
@@ -216,7 +219,7 @@ class FieldSums:
     blocks = (MACHINE, ARTEFACT)
 
     def step(self, value: Array, local: Local) -> Step:
-        """Return the sums (1, conditions) and their derivatives by every member, (members, 1, 3, conditions)."""
+        """Return the sums, (1, conditions), and their derivatives by all members, (members, 1, 3, conditions)."""
         machine, artefact = local.members(MACHINE), local.members(ARTEFACT)
         sums = np.einsum("cna,na->c", self.machine, machine) + np.einsum("cna,na->c", self.artefact, artefact)
         by_block = {
@@ -227,7 +230,7 @@ class FieldSums:
 
 
 def as_readings(conditions: Mapping[str, Array], sigma: float) -> Group:
-    """Return the conditions of a datum as readings of zero: for an adjustment that knows no datum of two fields."""
+    """Return the conditions of the datum as readings of zero, for adjustments whose datum cannot span two blocks."""
     length = np.sqrt(sum((rows**2).sum(axis=(1, 2)) for rows in conditions.values()))[:, None, None]
     machine, artefact = (conditions[name] / length for name in (MACHINE, ARTEFACT))
     count = len(machine)
@@ -240,7 +243,10 @@ def as_readings(conditions: Mapping[str, Array], sigma: float) -> Group:
 
 
 def datum(grid: Grid, scale_given: bool) -> dict[str, Array]:
-    """Return the conditions on G and A, each (12 or 13, members, 3)."""
+    """Return the coefficients of the datum conditions for G and A, each (12 or 13, members, 3).
+
+    Six conditions remove the rigid motions of G, six those of A; a thirteenth fixes the scale without a given length.
+    """
     weights = grid.within[:, None, None]
     sites, balls = grid.site_places, grid.ball_places
     machine, artefact = rigid(sites) * weights, rigid(balls)
@@ -261,10 +267,10 @@ def rigid(places: Array) -> Array:
 
 
 def folded(sites: Index) -> Array:
-    """Return for each component of G at a site its place when the rotations of the cube are folded away, (n, 3, 3).
+    """Return for each component of G at each site a place that is the same for all rotations of the cube, (n, 3, 3).
 
-    Views by rotation couple the component along an axis at a site with its images under the rotation; they have the
-    same distance from the centre along the axis and the same two across it, so one place holds all of them.
+    Rotated views couple a component at a site with its images under the rotations. All images have the same distance
+    from the centre along the axis of the component, and the same two distances across it. These three are the place.
     """
     distance = np.abs(sites).astype(float)
     places = np.empty((len(sites), 3, 3))

@@ -1,4 +1,4 @@
-"""The camera: blocks and chains of its three calibrations (board, cmm, network)."""
+"""The camera: blocks and forward models of its three kinds of calibration (board, cmm, network)."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from metrocli.instruments.frames import Into, OutOf, PointOf
 from metrocli.instruments.lens import PIXELS, Lens, LensBackward
 
 LENS, VIEW, TARGET, TAPER = "lens", "view", "target", "camera"
-"""Blocks: lens parameters, a pose for each image, target coordinates, the camera in the reference frame."""
+"""Blocks: lens parameters, a pose for each image, target coordinates, pose of the camera in the reference frame."""
 
 _TURN = 0.5
-"""Plausible reach of a rotation [rad] and of a focal length or a distance as a share of itself."""
+"""Plausible reach of a rotation [rad], and relative reach of a focal length or a distance."""
 
 
 def lens_block(values: Mapping[str, float], free: Sequence[str], image_size: Sequence[int]) -> Block:
-    """Return the lens parameters (1, k); free ones are those estimated."""
+    """Return the block of lens parameters, (1, k); those in `free` are estimated."""
     reach = []
     for name in values:
         size = float(max(image_size))
@@ -40,13 +40,13 @@ def lens_block(values: Mapping[str, float], free: Sequence[str], image_size: Seq
 
 
 def view_block(values: Array, images: Sequence[str], distance: float, name: str = VIEW, noun: str = "image") -> Block:
-    """Return poses (images, 6), plausible within the working distance and half a radian."""
+    """Return the block of poses, (images, 6), with a plausible reach of the working distance and half a radian."""
     reach = np.array([_TURN * distance] * 3 + [_TURN] * 3)
     return Block(name, values, poses.COLUMNS, tuple(images), reach=reach, space=Space.POSE, noun=noun)
 
 
 def target_block(points: Array, names: Sequence[str], free: Array | bool, extent: float) -> Block:
-    """Return target coordinates (targets, 3), plausible within the extent of the targets."""
+    """Return the block of target coordinates, (targets, 3), with the extent of the targets as plausible reach."""
     return Block(
         TARGET,
         points,
@@ -66,8 +66,8 @@ def lens_link(convention: str) -> Link:
 def to_camera(rig: str) -> tuple[Link, ...]:
     """Return the links from a target to the camera frame.
 
-    board: the view's pose carries the board into the camera; cmm and network: the pose is that of the camera in the
-    frame of the targets, one for all images or one each.
+    For board, the pose of a view transforms from the board to the camera. For cmm and network, the pose is that of the
+    camera in the frame of the targets: one for all images (cmm) or one for each (network).
     """
     camera = Quantity.POINT_IN_CAMERA
     if rig == "board":
@@ -82,7 +82,7 @@ def chain(rig: str, convention: str) -> Chain:
 
 
 def view_name(rig: str) -> str:
-    """Return the name of the block of poses."""
+    """Return the name of the block of poses for a kind of calibration."""
     return TAPER if rig == "cmm" else VIEW
 
 
@@ -98,7 +98,7 @@ FREEDOMS = (
 
 
 def network_datum(targets: Block, takes_part: Array) -> Datum:
-    """Return the inner constraints of a network: targets that define the frame keep their mean place, turn and size."""
+    """Return the inner constraints of a free network: the datum targets keep their mean place, rotation and scale."""
     points = of_points(scale=True)
     views = of_members(len(poses.COLUMNS), points, turns=slice(3, 6))
     return Datum(TARGET, targets.values, takes_part, {TARGET: points, VIEW: views}, FREEDOMS)

@@ -1,4 +1,4 @@
-"""Starting values of cameras from nothing but target coordinates and image points."""
+"""Starting values of cameras from target coordinates and image points alone."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ Index = npt.NDArray[np.intp]
 Mask = npt.NDArray[np.bool_]
 
 _FLAT = 1e-3
-"""Targets whose thickness is below this share of their extent are taken as one plane."""
+"""Targets whose thickness is below this share of their extent are treated as coplanar."""
 
 
 @dataclass(frozen=True)
 class Scene:
-    """Image points of targets: which target, in which view."""
+    """Image points, each with its target and its view."""
 
     points: Array
-    """Targets (m, 3) in mm"""
+    """Coordinates of the targets, (m, 3) mm"""
     uv: Array
-    """(2, n) in px"""
+    """Image points, (2, n) px"""
     target: Index
     view: Index
     views: int
@@ -38,7 +38,7 @@ class Scene:
 
 
 def plane_frame(points: Array) -> tuple[Array, bool]:
-    """Return the pose that carries the targets' best plane to z = 0, and whether they lie in it."""
+    """Return the pose that transforms the targets' best-fit plane to z = 0, and whether they are coplanar."""
     centre = points.mean(axis=0)
     spread, axes = np.linalg.svd(np.concatenate([points - centre, np.zeros((3, 3))]), full_matrices=False)[1:]
     rotation = nearest_rotation(axes if np.linalg.det(axes) > 0 else np.diag([1.0, 1.0, -1.0]) @ axes)
@@ -46,10 +46,10 @@ def plane_frame(points: Array) -> tuple[Array, bool]:
 
 
 def start(scene: Scene, centre: Array, focal: float | None, guess: float) -> tuple[float, Array]:
-    """Return the focal length [px] and the poses (views, 6) that carry targets into each camera.
+    """Return the focal length [px] and the poses (views, 6) that transform targets into the frame of each camera.
 
-    Planar targets: homographies and the closed form of Zhang (2000) with the principal point at `centre`; others: the
-    direct linear transformation. `guess` is the focal length where the views do not tell.
+    Coplanar targets: homographies and the closed form of Zhang (2000), with the principal point at `centre`. Other
+    targets: direct linear transformation. `guess` is the focal length used if the views do not determine it.
     """
     to_plane, planar = plane_frame(scene.points[np.unique(scene.target)])
     local = poses.apply(to_plane, scene.points)
@@ -69,9 +69,10 @@ def start(scene: Scene, centre: Array, focal: float | None, guess: float) -> tup
 
 
 def _focal_of_homographies(maps: Array) -> float:
-    """Return the focal length, in units of the guess, that the homographies agree on.
+    """Return the focal length, in units of the guess, that fits all homographies best.
 
-    `h1' w h2 = 0` and `h1' w h1 = h2' w h2` with `w = diag(1/f2, 1/f2, 1)` are linear in 1/f2 (Zhang 2000).
+    `h1' w h2 = 0` and `h1' w h1 = h2' w h2`, with `w = diag(1/f2, 1/f2, 1)` and f2 = f^2, are linear in 1/f2 (Zhang
+    2000).
     """
     h1, h2 = maps[:, :, 0], maps[:, :, 1]
     a = np.concatenate([h1[:, 0] * h2[:, 0] + h1[:, 1] * h2[:, 1], (h1[:, :2] ** 2).sum(1) - (h2[:, :2] ** 2).sum(1)])
@@ -93,7 +94,7 @@ def _focal_of_projections(maps: Array) -> float:
 
 
 def _plausible(ratio: float) -> float:
-    """Return the ratio, or 1 where it is no lens's: the adjustment then finds its way from the guess."""
+    """Return the ratio of focal length and guess; 1 if it is implausible, the adjustment then starts at the guess."""
     return ratio if 0.05 < ratio < 50 else 1.0
 
 
@@ -114,13 +115,16 @@ def _poses_of_projections(maps: Array) -> Array:
 
 _ITERATIONS = 60
 _ASTRAY = 3.0
-"""A view whose misfit is this many times the median is tried again from other rotations"""
+"""A view is tried again from other rotations if its misfit exceeds this multiple of the median"""
 _PROJECTION = 6
-"""and so is one with fewer readings than this, too few for a projection to start from"""
+"""... or if it has fewer readings than this, too few to start from a projection"""
 
 
 def _resected(scene: Scene, local: Array, rays: Array, start_poses: Array) -> Array:
-    """Return poses refined in object space; views that end behind the camera or astray start anew in 24 rotations."""
+    """Return poses refined in object space.
+
+    A view that ends behind the camera or with a large misfit is tried again from the 24 rotations of a cube.
+    """
     best = _orthogonal_iteration(scene, local, rays, start_poses)
     misfit = _misfit(scene, local, rays, best)
     few = np.bincount(scene.view, minlength=scene.views) < _PROJECTION
@@ -145,7 +149,7 @@ def _resected(scene: Scene, local: Array, rays: Array, start_poses: Array) -> Ar
 
 
 def cube_rotations() -> Array:
-    """Return the 24 rotations that carry a cube into itself."""
+    """Return the 24 rotations that map a cube onto itself."""
     signed = np.array(
         [np.diag(signs)[list(order)] for signs in product((1.0, -1.0), repeat=3) for order in permutations(range(3))]
     )
@@ -154,7 +158,7 @@ def cube_rotations() -> Array:
 
 
 def _misfit(scene: Scene, local: Array, rays: Array, found: Array) -> Array:
-    """Return the root mean square distance of each view in the plane Z = 1; infinite with points behind the camera."""
+    """Return the RMS misfit of each view in the plane Z = 1; infinite if a point is behind the camera."""
     points = poses.apply(found[scene.view], local[scene.target])
     front = points[:, 2] > 0
     gap = points[:, :2] / np.where(front, points[:, 2], 1.0)[:, None] - rays.T
@@ -166,10 +170,10 @@ def _misfit(scene: Scene, local: Array, rays: Array, found: Array) -> Array:
 
 
 def _orthogonal_iteration(scene: Scene, local: Array, rays: Array, start_poses: Array) -> Array:
-    """Return poses that bring points onto their rays in object space, from any start (Lu, Hager and Mjolsness 2000).
+    """Return poses that bring points onto their rays in object space (Lu, Hager and Mjolsness 2000).
 
-    With V the projection onto a ray: the best shift for R is `t = (I - mean V)^-1 mean((V - I) R p) `, the best R turns
-    the points onto `V (R p + t)`; the two in turn converge from nearly everywhere.
+    V is the projection onto a ray. The best shift for a given R is `t = (I - mean V)^-1 mean((V - I) R p)`; the best R
+    rotates the points onto `V (R p + t)`. Alternating both converges from almost any start.
     """
     direction = np.stack([*rays, np.ones(rays.shape[1])])
     direction = direction / np.linalg.norm(direction, axis=0)
@@ -192,5 +196,5 @@ def _orthogonal_iteration(scene: Scene, local: Array, rays: Array, start_poses: 
 
 
 def _sums(values: Array, scene: Scene) -> Array:
-    """Return the sums of (c, n) over the readings of each view, (views, c)."""
+    """Return the sums of values (c, n) over the readings of each view, (views, c)."""
     return np.stack([np.bincount(scene.view, row, scene.views) for row in values], axis=1)

@@ -1,4 +1,4 @@
-"""The same lens in other words: forward and backward distortion, and the photogrammetric form in mm."""
+"""Convert lens parameters between conventions: forward and backward distortion, and the photogrammetric form in mm."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ _GRID = 33
 
 @dataclass(frozen=True)
 class Converted:
-    """Parameters of the other convention, and how far it departs from the given one over the image."""
+    """Parameters of the other convention, and their deviation from the given lens over the image."""
 
     values: Mapping[str, float]
     rms: float
-    """Over the image, in px"""
+    """RMS deviation over the image, px"""
     largest: float
 
 
@@ -32,10 +32,10 @@ def image_grid(image_size: Sequence[int], n: int = _GRID) -> tuple[Array, Array]
 
 
 def converted(values: Mapping[str, float], convention: str, image_size: Sequence[int]) -> Converted:
-    """Return the parameters of the other convention that fit best over the image, by least squares.
+    """Return the parameters of the other convention that fit the lens best over the image, by least squares.
 
-    Forward: `m = D_k(x)` (m measured, x ideal, in the plane Z = 1). Backward: `x = D_b(m)` (Brown 1966). Same focal
-    length and principal point; the coefficients k1 k2 k3 p1 p2 are linear in the sought direction.
+    Forward: `m = D_k(x)`, with m measured and x ideal in the plane Z = 1. Backward: `x = D_b(m)` (Brown 1966). Focal
+    length and principal point stay the same; the problem is linear in the new coefficients k1 k2 k3 p1 p2.
     """
     u, v = image_grid(image_size)
     mx, my = plane_point(values, u, v)
@@ -64,17 +64,21 @@ def converted(values: Mapping[str, float], convention: str, image_size: Sequence
 
 @dataclass(frozen=True)
 class Photogrammetric:
-    """A lens in mm, image y up: principal distance c and point x0 y0, balanced radial A, tangential B, affinity C.
+    """A lens in mm with image y upwards: principal distance c, principal point x0 y0, balanced distortion, affinity.
+
+    A are the coefficients of the balanced radial distortion, B those of the tangential distortion, C the affinity:
 
     `x = x0 + xi (1 + A1 (r2 - R0^2) + A2 (r4 - R0^4) + A3 (r6 - R0^6)) + B1 (r2 + 2 xi^2) + 2 B2 xi yi + C1 xi
-    + C2 yi`, y likewise without C, xi = -c X/Z in mm (Brown 1971 as used in close-range photogrammetry).
+    + C2 yi`
+
+    y likewise without C; xi = -c X/Z in mm (Brown 1971, as used in close-range photogrammetry).
     """
 
     names: tuple[str, ...]
     values: Array
     units: tuple[str, ...]
     by_lens: Array
-    """(names, lens parameters): derivative by the parameters in their order"""
+    """Derivatives by the lens parameters in their order, (names, lens parameters)"""
     reference_radius: float
     """R0 in mm"""
 
@@ -88,8 +92,8 @@ def photogrammetric(
 ) -> Photogrammetric:
     """Return the photogrammetric form of a forward lens without rational or prism terms, with its derivatives.
 
-    c follows from `f = c g`, `g = 1 - A1 R0^2 - A2 R0^4 - A3 R0^6`, `k_i = A_i c^(2i) / g`; derivatives by differences
-    of that closed form.
+    c follows from `f = c g`, `g = 1 - A1 R0^2 - A2 R0^4 - A3 R0^6`, `k_i = A_i c^(2i) / g`. The derivatives are
+    differences of this closed form.
     """
     names = tuple(values)
     at = np.array([values[name] for name in names])
@@ -120,9 +124,9 @@ def _photo(values: Mapping[str, float], pixel: float, image_size: Sequence[int],
 
 
 def projection_range(values: Mapping[str, float], image_size: Sequence[int]) -> float | None:
-    """Return the image radius [px] at which a forward lens stops growing with the field angle.
+    """Return the image radius [px] up to which the image radius of a forward lens grows with the field angle.
 
-    None where that is beyond the image. Behind it the model folds over (or has a pole) and must not be used.
+    Beyond it the model folds over (or has a pole) and must not be used. Returns None if it lies outside the image.
     """
     fx, fy = focal(values)
     corners = np.array(

@@ -1,4 +1,4 @@
-"""Links that carry points from frame to frame, shared by all instruments."""
+"""Links that transform points between frames, shared by all instruments."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from metrocli.geometry import poses
 
 @dataclass(frozen=True)
 class PointOf:
-    """The point that a reading looks at: a row of a block of coordinates, plus a fixed offset."""
+    """Start of a chain: the observed point, a row of a block of coordinates plus a fixed offset."""
 
     block: str
     gives: Quantity
@@ -23,11 +23,11 @@ class PointOf:
 
     @property
     def blocks(self) -> tuple[str, ...]:
-        """The block of coordinates."""
+        """Name of the block of coordinates."""
         return (self.block,)
 
     def step(self, value: Array, local: Local) -> Step:
-        """Return the point (3, n) and its derivative by itself."""
+        """Return the point, (3, n), and its derivative by the coordinates in the block."""
         point = local.rows(self.block)
         if any(self.offset):
             point = point + np.array(self.offset)[:, None]
@@ -36,7 +36,7 @@ class PointOf:
 
 @dataclass(frozen=True)
 class OutOf:
-    """From a frame into the one that its pose is given in: `X' = R X + d`."""
+    """Link from a frame to the frame in which its pose is given: `X' = R X + d`."""
 
     block: str
     takes: Quantity
@@ -44,7 +44,7 @@ class OutOf:
 
     @property
     def blocks(self) -> tuple[str, ...]:
-        """The block of poses."""
+        """Name of the block of poses."""
         return (self.block,)
 
     def step(self, value: Array, local: Local) -> Step:
@@ -59,7 +59,7 @@ class OutOf:
 
 @dataclass(frozen=True)
 class Into:
-    """From the frame that a pose is given in into the frame itself: `X = R' (X' - d)`."""
+    """Link to a frame from the frame in which its pose is given: `X = R' (X' - d)`."""
 
     block: str
     takes: Quantity
@@ -67,7 +67,7 @@ class Into:
 
     @property
     def blocks(self) -> tuple[str, ...]:
-        """The block of poses."""
+        """Name of the block of poses."""
         return (self.block,)
 
     def step(self, value: Array, local: Local) -> Step:
@@ -89,7 +89,7 @@ def _times(matrix: Array, vector: Array) -> Array:
 
 
 def _shift_and_turn(vector: Array) -> Array:
-    """Return (I, -[v]x), the change of v by a shift and by a turn from the left, (3, n) -> (3, 6, n)."""
+    """Return (I, -[v]x), (3, 6, n): the change of vectors v (3, n) by a shift and by a small rotation from the left."""
     x, y, z = vector
     change = np.zeros((3, 6, vector.shape[1]))
     change[0, 0] = change[1, 1] = change[2, 2] = 1.0
@@ -101,7 +101,7 @@ def _shift_and_turn(vector: Array) -> Array:
 
 @dataclass(frozen=True)
 class DistanceBetween:
-    """Distance of two points of one block, `|a - b|`: a scale bar, a calibrated length."""
+    """Link to the distance of two points of one block, `|a - b|`: a scale bar or another calibrated length."""
 
     block: str
     takes = None
@@ -109,11 +109,11 @@ class DistanceBetween:
 
     @property
     def blocks(self) -> tuple[str, ...]:
-        """The block of coordinates; each reading touches two of its members."""
+        """Name of the block of coordinates; each reading depends on two of its members."""
         return (self.block,)
 
     def step(self, value: Array, local: Local) -> Step:
-        """Return the distance (1, n) with its derivatives by both points, (2, 1, 3, n)."""
+        """Return the distance, (1, n), with its derivatives by both points, (2, 1, 3, n)."""
         points = local.members(self.block)
         first, second = local.index(self.block)
         between = (points[first] - points[second]).T

@@ -1,4 +1,4 @@
-"""Where the beams meet: the two closed solutions of Kuprin et al., which also give the adjustment its start."""
+"""Locate a launch unit by the two closed solutions of Kuprin et al.; the adjustment starts from them."""
 
 from __future__ import annotations
 
@@ -12,33 +12,33 @@ from metrocli.instruments.launch_unit import direction
 
 @dataclass(frozen=True)
 class Beams:
-    """What the receiver says of the launch unit in n poses, and the launch unit's base angle."""
+    """The readings of receiver and launch unit in n poses; angles in rad, lengths in mm."""
 
     receiver: Array
-    """r, (n, 3)"""
+    """Control points r of the receiver, (n, 3)"""
     base: Array
-    """psi + phi4, (n,)"""
+    """Base angle psi + phi4 of the receiver, (n,)"""
     tilt: Array
-    """phi3, (n,)"""
+    """Tilt angle phi3 of the receiver, (n,)"""
     launch_base: Array
-    """phi1 with phi2 within +-90 degrees, (n,)"""
+    """Base angle phi1 of the launch unit, for phi2 within +-90 degrees, (n,)"""
     distance: Array
-    """(n,), nan where none was measured"""
+    """Distance l of the control points, (n,); nan if not measured"""
 
     @property
     def towards(self) -> Array:
-        """u: from each receiver to the unit, (n, 3)."""
+        """Unit vectors u from each receiver to the launch unit, (n, 3)."""
         return direction(self.base, self.tilt)
 
     @property
     def measured(self) -> Array:
-        """Which poses have a distance, (n,)."""
+        """Whether each pose has a distance, (n,)."""
         return np.isfinite(self.distance)
 
 
 @dataclass(frozen=True)
 class Meeting:
-    """A place of the unit, and what an error of each reading does to it."""
+    """A place of the launch unit, and its derivatives by the readings."""
 
     place: Array
     """p, (3,)"""
@@ -51,21 +51,21 @@ class Meeting:
 
 
 def across(towards: Array) -> Array:
-    """Return `I - u u'`, what is square to each beam, (n, 3) -> (n, 3, 3)."""
+    """Return the projectors `I - u u'` perpendicular to beams (n, 3), (n, 3, 3)."""
     return np.eye(3) - towards[:, :, None] * towards[:, None, :]
 
 
 def spread(beams: Beams) -> float:
-    """Return the smallest root mean square sine of the angles between the beams and any one direction."""
+    """Return how much the beams differ in direction: the RMS sine of their angles to the best common direction."""
     smallest = float(np.linalg.eigvalsh(across(beams.towards).sum(axis=0))[0])
     return float(np.sqrt(max(smallest, 0.0)))
 
 
 def lines(beams: Beams) -> Meeting:
-    """Return the point nearest to all beams in least squares (Kuprin et al. eq. 5-6).
+    """Return the point nearest to all beams by least squares (Kuprin et al. eq. 5-6).
 
-    `p = (sum M)^-1 sum M r`, `M = I - u u'`: eq. 6 sums the distances; the paper solves it by QR, which minimises their
-    squares. The derivatives hold where the beams meet: a turn du of a beam of length t moves its line by t du.
+    `p = (sum M)^-1 sum M r`, `M = I - u u'`. Eq. 6 sums the distances, but the paper solves it by QR, which minimises
+    their squares. The derivatives hold if the beams meet: a rotation du of a beam of length t moves its line by t du.
     """
     towards = beams.towards
     square = across(towards)
@@ -79,7 +79,8 @@ def lines(beams: Beams) -> Meeting:
 def closed_loop(beams: Beams) -> Meeting:
     """Return the mean of the ends of the beams, `p = mean(r + l u)` (Kuprin et al. eq. 1-4).
 
-    Eq. 1 as printed ends each loop in the unit's control point, whatever its angles are, so gamma is not in it.
+    Eq. 1 as printed ends each loop in the control point of the launch unit. This does not depend on the unit's angles,
+    so that the result does not contain gamma.
     """
     has = beams.measured
     length, n = np.where(has, beams.distance, 0.0), int(has.sum())
@@ -90,7 +91,7 @@ def closed_loop(beams: Beams) -> Meeting:
 
 
 def nearest(beams: Beams) -> Array:
-    """Return the place (3,) that fits beams and distances together: beams with a distance are points, others lines."""
+    """Return the place (3,) that fits all beams best: beams with a distance count as points, others as lines."""
     towards, has = beams.towards, beams.measured
     square = np.where(has[:, None, None], np.eye(3), across(towards))
     ends = beams.receiver + np.where(has, beams.distance, 0.0)[:, None] * towards
@@ -98,9 +99,9 @@ def nearest(beams: Beams) -> Array:
 
 
 def set_up_angle(beams: Beams) -> float:
-    """Return gamma, the circular mean of the beam's direction at the launch unit minus phi1.
+    """Return gamma, the circular mean of the beam's azimuth at the launch unit minus phi1.
 
-    The paper takes the arithmetic mean, which is wrong where the differences lie on both sides of +-180 degrees.
+    The paper takes the arithmetic mean, which is wrong if the differences lie on both sides of +-180 degrees.
     """
     towards = beams.towards
     difference = np.arctan2(-towards[:, 1], -towards[:, 0]) - beams.launch_base

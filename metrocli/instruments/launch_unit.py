@@ -1,7 +1,8 @@
 """Launch unit and receiver of an interferometer, aimed at each other by four encoders (Kuprin et al., fig. 7).
 
-The beam leaves the launch unit at p along `w = (cos phi2 cos(gamma+phi1), cos phi2 sin(gamma+phi1), sin phi2)`; seen
-from the receiver at r it comes from `u = (cos phi3 cos(psi+phi4), cos phi3 sin(psi+phi4), sin phi3)`. Aligned: u = -w.
+The beam leaves the launch unit at p along `w = (cos phi2 cos(gamma+phi1), cos phi2 sin(gamma+phi1), sin phi2)`. The
+receiver at r points towards the launch unit along `u = (cos phi3 cos(psi+phi4), cos phi3 sin(psi+phi4), sin phi3)`. If
+both are aligned, u = -w.
 """
 
 from __future__ import annotations
@@ -17,28 +18,28 @@ from metrocli.adjust.model.quantities import Quantity
 from metrocli.instruments.frames import PointOf
 
 UNIT, RECEIVER, SPINDLE = "launch unit", "receiver", "spindle"
-"""Blocks: x y z gamma of the unit; the receiver's control point in each pose; the spindle's angle psi in each pose"""
+"""Blocks: x, y, z, gamma of the launch unit; control point of the receiver and spindle angle psi in each pose"""
 COLUMNS = ("x", "y", "z", "gamma")
 DISTANCE = "distance"
-"""Name of the group of distances; those of angles have the names of the encoders"""
+"""Name of the group of distances; groups of angles have the names of the encoders"""
 OVER = "over"
-"""Condition: 1 where a unit points over the top"""
+"""Condition of a reading: 1 if the unit points over the top (tilt beyond 90 degrees), else 0"""
 ENCODERS = {
     "phi1": (Quantity.LAUNCH_ANGLES, 0),
     "phi2": (Quantity.LAUNCH_ANGLES, 1),
     "phi3": (Quantity.RECEIVER_ANGLES, 1),
     "phi4": (Quantity.RECEIVER_ANGLES, 0),
 }
-"""What each encoder reads: the angles of which unit, and which of the two"""
+"""For each encoder, the pair of angles it belongs to, and its number in this pair"""
 _GAMMA = COLUMNS.index("gamma")
 _TURN = 2 * np.pi
 _REACH = 0.01
-"""How far the unit could plausibly be off, as a share of its distance, and the angle gamma [rad]"""
+"""Plausible reach of the place of the unit as a share of its distance, and of gamma [rad]"""
 
 
 @dataclass(frozen=True)
 class BeamOut:
-    """The beam from the launch unit to the receiver: `b = r - p`."""
+    """Link to the beam from the launch unit to the receiver: `b = r - p`."""
 
     block: str = UNIT
     takes = Quantity.POINT_IN_MACHINE
@@ -46,11 +47,11 @@ class BeamOut:
 
     @property
     def blocks(self) -> tuple[str, ...]:
-        """The unit."""
+        """Name of the block of the launch unit."""
         return (self.block,)
 
     def step(self, value: Array, local: Local) -> Step:
-        """Return b (3, n) with derivatives by the receiver's point and by the unit (3, 4, 1)."""
+        """Return b, (3, n), with its derivatives by the receiver's point and by the unit, (3, 4, 1)."""
         by_unit = np.zeros((3, len(COLUMNS), 1))
         by_unit[:, :3, 0] = -np.eye(3)
         return Step(value - local.rows(self.block)[:3], np.eye(3)[:, :, None], {self.block: by_unit})
@@ -58,7 +59,7 @@ class BeamOut:
 
 @dataclass(frozen=True)
 class BeamBack:
-    """The beam seen from the receiver: `b = p - r`."""
+    """Link to the beam from the receiver to the launch unit: `b = p - r`."""
 
     block: str = UNIT
     takes = Quantity.POINT_IN_MACHINE
@@ -66,11 +67,11 @@ class BeamBack:
 
     @property
     def blocks(self) -> tuple[str, ...]:
-        """The unit."""
+        """Name of the block of the launch unit."""
         return (self.block,)
 
     def step(self, value: Array, local: Local) -> Step:
-        """Return b (3, n) with derivatives by the receiver's point and by the unit (3, 4, 1)."""
+        """Return b, (3, n), with its derivatives by the receiver's point and by the unit, (3, 4, 1)."""
         by_unit = np.zeros((3, len(COLUMNS), 1))
         by_unit[:, :3, 0] = np.eye(3)
         return Step(local.rows(self.block)[:3] - value, -np.eye(3)[:, :, None], {self.block: by_unit})
@@ -78,7 +79,7 @@ class BeamBack:
 
 @dataclass(frozen=True)
 class AboutBase:
-    """Into the frame of a unit whose base is turned by an angle about z: `b' = Rz(-angle) b`."""
+    """Link to the frame of a unit whose base is rotated by an angle about z: `b' = Rz(-angle) b`."""
 
     block: str
     column: int
@@ -87,11 +88,11 @@ class AboutBase:
 
     @property
     def blocks(self) -> tuple[str, ...]:
-        """The block that has the angle."""
+        """Name of the block of the angle."""
         return (self.block,)
 
     def step(self, value: Array, local: Local) -> Step:
-        """Return b' (3, n) with derivatives by b and by the angle."""
+        """Return b', (3, n), with its derivatives by b and by the angle."""
         angle = local.rows(self.block)[self.column]
         c, s = np.cos(angle), np.sin(angle)
         zero = np.zeros_like(c)
@@ -104,9 +105,10 @@ class AboutBase:
 
 @dataclass(frozen=True)
 class Encoders:
-    """Angles that point along a beam: base `a = atan2(by, bx)`, tilt `e = atan2(bz, sqrt(bx^2 + by^2))`.
+    """Link to the angles of a beam: base `a = atan2(by, bx)`, tilt `e = atan2(bz, sqrt(bx^2 + by^2))`.
 
-    Where the condition `over` is 1 the unit points over the top: (a + 180 deg, 180 deg - e) is the same direction.
+    If the condition `over` is 1, the unit points over the top and the angles are (a + 180 deg, 180 deg - e), which
+    give the same direction.
     """
 
     takes: Quantity
@@ -114,7 +116,7 @@ class Encoders:
     blocks = ()
 
     def step(self, value: Array, local: Local) -> Step:
-        """Return base and tilt [rad] (2, n) with their derivatives by the beam."""
+        """Return base and tilt [rad], (2, n), with their derivatives by the beam."""
         x, y, z = value
         level2 = np.maximum(x * x + y * y, np.finfo(float).tiny)
         level, square = np.sqrt(level2), level2 + z * z
@@ -129,9 +131,10 @@ class Encoders:
 
 @dataclass(frozen=True)
 class Reading:
-    """What one encoder shows of a pair of angles, predicted in the turn of its reading.
+    """Link to the reading of one encoder of a pair of angles.
 
-    So residuals are small at any angle, however the encoder counts.
+    Whole turns are added to the prediction to bring it near the reading, so that residuals are small at any angle and
+    for any way of counting of the encoder.
     """
 
     takes: Quantity
@@ -140,7 +143,7 @@ class Reading:
     blocks = ()
 
     def step(self, value: Array, local: Local) -> Step:
-        """Return the angle [rad] (1, n) with its derivatives by both."""
+        """Return the angle [rad], (1, n), with its derivatives by both angles."""
         angle = value[self.component]
         turns = np.round((local.observations.readings[0] - angle) / _TURN)
         by_angles = np.zeros((1, 2, 1))
@@ -150,14 +153,14 @@ class Reading:
 
 @dataclass(frozen=True)
 class BeamLength:
-    """Distance of the control points, `|b|`."""
+    """Link to the distance of the control points, `|b|`."""
 
     takes = Quantity.BEAM_OUT
     gives = Quantity.LENGTH
     blocks = ()
 
     def step(self, value: Array, local: Local) -> Step:
-        """Return the distance (1, n) with its derivative by the beam."""
+        """Return the distance, (1, n), with its derivative by the beam."""
         distance = np.sqrt(np.einsum("an,an->n", value, value))
         return Step(distance[None], (value / distance)[None])
 
@@ -183,20 +186,20 @@ def _receiver() -> PointOf:
 
 
 def unit_block(place: Array, gamma: float, distance: float) -> Block:
-    """Return the unit at a place; an uncertainty beyond 1 % of its `distance` from the receivers says nothing."""
+    """Return the block of the launch unit at a place; its plausible reach is 1 % of its distance from the receivers."""
     reach = np.array([_REACH * distance] * 3 + [_REACH])
     return Block(UNIT, np.array([[*place, gamma]]), COLUMNS, reach=reach, noun="launch unit")
 
 
 def receiver_block(points: Array, names: Sequence[str], free: Mask, distance: float) -> Block:
-    """Return the receiver's control points (poses, 3)."""
+    """Return the block of the receiver's control points, (poses, 3)."""
     return Block(
         RECEIVER, points, ("x", "y", "z"), tuple(names), free=free, reach=np.array(_REACH * distance), noun="pose"
     )
 
 
 def spindle_block(angles: Array, names: Sequence[str]) -> Block:
-    """Return the known angles of the spindle (poses,)."""
+    """Return the block of the known angles of the spindle, (poses,)."""
     return Block(SPINDLE, angles[:, None], ("psi",), tuple(names), free=np.array(False), noun="pose")
 
 

@@ -1,4 +1,4 @@
-"""The lens: from a point in the camera to an image point in pixels, in either convention of distortion."""
+"""The lens: link from a point in the camera frame to an image point in pixels, with forward or backward distortion."""
 
 from __future__ import annotations
 
@@ -16,14 +16,15 @@ RADIAL, RATIONAL = ("k1", "k2", "k3"), ("k4", "k5", "k6")
 TANGENTIAL, PRISM = ("p1", "p2"), ("s1", "s2", "s3", "s4")
 DISTORTION = (*RADIAL, *RATIONAL, *TANGENTIAL, *PRISM)
 PARAMETERS = ("f", "fx", "fy", "aspect", "cx", "cy", "skew", *DISTORTION)
-"""`fx = f (1 + aspect)`, `fy = f` where one focal length is used (else aspect does nothing); `u += fx skew y'`."""
+"""All lens parameters. With one focal length, `fx = f (1 + aspect)` and `fy = f`, else aspect is not used; skew adds
+`fx skew y'` to u."""
 PIXELS = ("f", "fx", "fy", "cx", "cy")
-"""Parameters in pixels; all others are numbers."""
+"""Parameters in pixels; all others have no unit."""
 
 
 @dataclass(frozen=True)
 class Distorted:
-    """A distorted point of the plane Z = 1 with its derivatives."""
+    """Distorted points of the plane Z = 1 with their derivatives."""
 
     x: Array
     y: Array
@@ -35,10 +36,12 @@ class Distorted:
 
 
 def distort(x: Array, y: Array, k: Mapping[str, float], wanted: tuple[str, ...] = ()) -> Distorted:
-    """Return `x' = x R + 2 p1 x y + p2 (r2 + 2 x2) + s1 r2 + s2 r4` and likewise y'.
+    """Return the distorted points of the plane Z = 1 with derivatives by x, y and by the wanted parameters.
 
-    `R = (1 + k1 r2 + k2 r4 + k3 r6) / (1 + k4 r2 + k5 r4 + k6 r6)`; names and meaning are OpenCV's. Derivatives by x, y
-    and by the wanted parameters come with it.
+    - `x' = x R + 2 p1 x y + p2 (r2 + 2 x2) + s1 r2 + s2 r4`, and likewise y'
+    - `R = (1 + k1 r2 + k2 r4 + k3 r6) / (1 + k4 r2 + k5 r4 + k6 r6)`
+
+    Names and meaning of the parameters are those of OpenCV.
     """
     g = {name: k.get(name, 0.0) for name in DISTORTION}
     xx, yy, xy = x * x, y * y, x * y
@@ -92,7 +95,7 @@ def _terms(
 
 
 def undistort(x: Array, y: Array, k: Mapping[str, float], steps: int = 30) -> tuple[Array, Array]:
-    """Return the point whose distorted image is (x, y), by Newton's method; nan where the model has no inverse."""
+    """Return the points whose distorted images are (x, y), by Newton's method; nan if the model has no inverse."""
     px, py = x / _plain(distort(x, y, k).x, x), y / _plain(distort(x, y, k).y, y)
     for _ in range(steps):
         d = distort(px, py, k)
@@ -110,7 +113,7 @@ def undistort(x: Array, y: Array, k: Mapping[str, float], steps: int = 30) -> tu
 
 
 def _plain(distorted: Array, ideal: Array) -> Array:
-    """Return the ratio distorted / ideal, 1 near the axis: a first guess for inverting the distortion."""
+    """Return the ratio distorted / ideal, a first guess for inverting the distortion; 1 near the axis."""
     ratio = np.where(np.abs(ideal) > 1e-12, distorted / np.where(np.abs(ideal) > 1e-12, ideal, 1.0), 1.0)
     return np.where((ratio > 0.5) & (ratio < 2.0), ratio, 1.0)
 
@@ -123,28 +126,28 @@ def focal(values: Mapping[str, float]) -> tuple[float, float]:
 
 
 def _focal_terms(values: Mapping[str, float]) -> dict[str, tuple[float, float]]:
-    """Return (dfx, dfy) by each focal parameter in use."""
+    """Return the derivatives of (fx, fy) by each focal parameter in use."""
     if "f" in values:
         return {"f": (1 + values.get("aspect", 0.0), 1.0), "aspect": (values["f"], 0.0)}
     return {"fx": (1.0, 0.0), "fy": (0.0, 1.0)}
 
 
 def image_point(values: Mapping[str, float], x: Array, y: Array) -> tuple[Array, Array]:
-    """Return (u, v) in pixels of points (x, y) of the plane Z = 1, forward convention."""
+    """Return (u, v) in pixels of points (x, y) of the plane Z = 1 in the forward convention."""
     fx, fy = focal(values)
     d = distort(x, y, values)
     return fx * (d.x + values.get("skew", 0.0) * d.y) + values["cx"], fy * d.y + values["cy"]
 
 
 def plane_point(values: Mapping[str, float], u: Array, v: Array) -> tuple[Array, Array]:
-    """Return (x, y) of the plane Z = 1 that is seen at (u, v), distortion not removed."""
+    """Return the point (x, y) of the plane Z = 1 at the image point (u, v); distortion is not removed."""
     fx, fy = focal(values)
     y = (v - values["cy"]) / fy
     return (u - values["cx"]) / fx - values.get("skew", 0.0) * y, y
 
 
 def ideal_point(values: Mapping[str, float], u: Array, v: Array, convention: str = "forward") -> tuple[Array, Array]:
-    """Return (x, y) of the plane Z = 1 that is seen at (u, v), distortion removed."""
+    """Return the point (x, y) of the plane Z = 1 at the image point (u, v), with distortion removed."""
     x, y = plane_point(values, u, v)
     if convention == "backward":
         d = distort(x, y, values)
@@ -153,14 +156,14 @@ def ideal_point(values: Mapping[str, float], u: Array, v: Array, convention: str
 
 
 def _parameters(local: Local, name: str) -> dict[str, Any]:
-    """Return the lens parameters: numbers, or (n,) each where readings see different lenses."""
+    """Return the lens parameters by name: numbers, or arrays (n,) if readings belong to different lenses."""
     rows = local.rows(name)
     values = rows[:, 0].tolist() if rows.shape[1] == 1 else rows
     return dict(zip(local.blocks[name].columns, values, strict=True))
 
 
 def _wanted(local: Local, name: str) -> tuple[str, ...]:
-    """Return the lens parameters whose derivatives are used."""
+    """Return the names of the lens parameters whose derivatives are needed."""
     block = local.blocks[name]
     used = block.free.any(axis=0)
     return tuple(np.array(block.columns)[used].tolist()) if name in local.wanted else ()
@@ -168,7 +171,7 @@ def _wanted(local: Local, name: str) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Lens:
-    """Image of a point in the camera, distortion taken at the ideal point (OpenCV)."""
+    """Link to the image of a point in the camera, with the distortion as a function of the ideal point (OpenCV)."""
 
     block: str = "lens"
     takes = Quantity.POINT_IN_CAMERA
@@ -176,7 +179,7 @@ class Lens:
 
     @property
     def blocks(self) -> tuple[str, ...]:
-        """The lens parameters."""
+        """Name of the block of lens parameters."""
         return (self.block,)
 
     def step(self, value: Array, local: Local) -> Step:
@@ -217,10 +220,10 @@ class Lens:
 
 @dataclass(frozen=True)
 class LensBackward:
-    """Image of a point in the camera, the correction taken at the measured point (Brown 1966).
+    """Link to the image of a point in the camera, with the correction as a function of the measured point (Brown 1966).
 
-    The corrected measured point `D(m)` is compared with the ideal one; `value = reading - f (D(m) - x)`, so that the
-    residual is that of the corrected plane, in pixels.
+    The corrected measured point `D(m)` is compared with the ideal point x: `value = reading - f (D(m) - x)`. So the
+    residual is the one in the corrected image, in pixels.
     """
 
     block: str = "lens"
@@ -229,7 +232,7 @@ class LensBackward:
 
     @property
     def blocks(self) -> tuple[str, ...]:
-        """The lens parameters."""
+        """Name of the block of lens parameters."""
         return (self.block,)
 
     def step(self, value: Array, local: Local) -> Step:
@@ -264,7 +267,7 @@ class LensBackward:
 
     @staticmethod
     def _term(name: str, k: Mapping[str, float], measured: tuple[Array, Array], d: Distorted) -> tuple[Array, Array]:
-        """Return the change of D(m) by a parameter, through the formula and through the measured point m."""
+        """Return the derivative of D(m) by a parameter, both direct and through the measured point m."""
         if name in d.terms:
             return np.asarray(d.terms[name][0]), np.asarray(d.terms[name][1])
         fx, fy = focal(k)

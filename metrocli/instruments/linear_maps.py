@@ -1,4 +1,4 @@
-"""Homographies and projections of many views at once, by linear equations, with gross errors held off."""
+"""Homographies and projections of many views at once by linear equations, robust against gross errors."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ Index = npt.NDArray[np.intp]
 Mask = npt.NDArray[np.bool_]
 
 _SUSPECT = 5.0
-"""A view is looked into where its largest misfit is this many times its median: more than noise and distortion make"""
+"""A view is suspect if its largest misfit exceeds this multiple of its median: more than noise and distortion make"""
 _MIXED = 0.3
-"""and more than this share of the distance of neighbouring points: a lens bends less, a wrong name moves more"""
+"""... and also this share of the distance of neighbouring points: distortion is smaller, a wrong name moves more"""
 _GROSS = 12.0
-"""A reading is left out where its misfit is this many times the median of the best map"""
+"""A reading is left out if its misfit exceeds this multiple of the median misfit of the best map"""
 _ROUNDS = 60
-"""Samples drawn for each view that is looked into: one without an error is certain up to a third of wrong readings"""
+"""Samples drawn for each suspect view; with up to a third of wrong readings, one is practically sure to be correct"""
 
 
 def linear_maps(points: Array, rays: Array, view: Index, views: int) -> tuple[Array, Mask]:
-    """Return the map (views, 3, c) of homogeneous points (n, c) onto image points (2, n), and the readings it rests on.
+    """Return the maps (views, 3, c) of homogeneous points (n, c) onto image points (2, n), and the readings used, (n,).
 
-    Views with readings that do not fit are mapped by the least median of squares over samples of the fewest readings
-    that give a map (Rousseeuw 1984), then again from all readings that agree with the best.
+    For suspect views, samples of the smallest number of readings that determine a map are drawn. The map with the least
+    median of squares (Rousseeuw 1984) decides which readings agree; the final map uses all of these.
     """
     maps = _fitted(points, rays, view, views)
     keep = np.ones(len(points), dtype=bool)
@@ -46,7 +46,7 @@ def linear_maps(points: Array, rays: Array, view: Index, views: int) -> tuple[Ar
 
 
 def _fitted(points: Array, rays: Array, view: Index, views: int) -> Array:
-    """Return the maps whose equations `u (m3 X) = m1 X`, `v (m3 X) = m2 X` are nearest to zero, (views, 3, c)."""
+    """Return the maps that fulfil `u (m3 X) = m1 X`, `v (m3 X) = m2 X` best (algebraic error), (views, 3, c)."""
     n, c = points.shape
     rows = np.zeros((n, 2, 3 * c))
     rows[:, 0, :c] = rows[:, 1, c : 2 * c] = points
@@ -65,7 +65,7 @@ def _misfit(maps: Array, points: Array, rays: Array, view: Index) -> Array:
 
 
 def _spacing(rays: Array, view: Index, views: int) -> Array:
-    """Return the distance of neighbouring image points of each view if they filled a square evenly, (views,)."""
+    """Return the typical distance of neighbouring image points of each view, as if they filled a square, (views,)."""
     counts = np.maximum(np.bincount(view, minlength=views), 1)
     middle, square = (np.stack([np.bincount(view, row, views) for row in part]) / counts for part in (rays, rays**2))
     side = np.sqrt(6 * np.maximum((square - middle**2).sum(axis=0), 0.0))
@@ -83,7 +83,7 @@ def _medians(values: Array, view: Index, views: int) -> Array:
 
 
 def _sampled(points: Array, rays: Array, view: Index, views: int) -> Array:
-    """Return for each view the map through a sample of readings that leaves the least median misfit."""
+    """Return for each view the map through a random sample of readings that has the least median misfit."""
     rng = np.random.default_rng(0)
     size = 3 * points.shape[1] // 2
     best, least = np.zeros((views, 3, points.shape[1])), np.full(views, np.inf)

@@ -1,8 +1,9 @@
 """Geometric errors of a machine with three linear axes, in the names and signs of ISO 230-1 (actual minus commanded).
 
-With L_a the sum of the positions of the axes nearer to the tool than a, plus the tool vector T, the tool moves against
-the workpiece by `d = sum_a [E_a(x_a) + theta_a(x_a) x L_a] + q`, `q = (-C0Y y + B0Z z, -A0Z z, 0)`, to first order; one
-formula for all six orders of axes. Where the bed stands in the chain makes no difference at first order.
+The lever L_a of axis a is the sum of the positions of the axes nearer to the tool, plus the tool vector T. To first
+order, the tool is displaced against the workpiece by `d = sum_a [E_a(x_a) + theta_a(x_a) x L_a] + q`, with
+`q = (-C0Y y + B0Z z, -A0Z z, 0)`. The formula holds for all six orders of axes; the place of the bed in the chain makes
+no difference to first order.
 """
 
 from __future__ import annotations
@@ -22,13 +23,13 @@ from metrocli.geometry.rotations import cross_matrix
 
 AXES = ("X", "Y", "Z")
 POSITION = ("x", "y", "z")
-"""Conditions of an observation that hold the commanded position"""
+"""Conditions of an observation that contain the commanded position"""
 SQUARENESS, TOOL = "squareness", "tool"
-"""Blocks besides those of the axes"""
+"""Names of the blocks besides those of the axes"""
 SQUARENESS_NAMES = ("A0Z", "B0Z", "C0Y")
 ANGLES = ("A", "B", "C")
 _MOST_LENGTH, _MOST_ANGLE = 1.0, 1e-3
-"""Largest plausible entries of a table [mm, rad]: what could be larger than this is not determined"""
+"""Largest plausible entries of a table [mm, rad]; an error with a larger standard uncertainty is not determined"""
 
 
 def errors_of(axis: str) -> tuple[str, ...]:
@@ -41,17 +42,20 @@ ALL_NAMES = (*ERRORS, *SQUARENESS_NAMES)
 
 
 def is_angle(name: str) -> bool:
-    """Tell whether an error is an angle (EAX, C0Y) and not a displacement (EXX)."""
+    """Return whether an error is an angle (EAX, C0Y) and not a displacement (EXX)."""
     return name[1] in ANGLES or name in SQUARENESS_NAMES
 
 
 def canonical(name: str) -> str:
-    """Return the name of an error as ISO 230-1 writes it; COY, BOZ and AOZ are the misprints of C0Y, B0Z and A0Z."""
+    """Return the name of an error as in ISO 230-1; COY, BOZ and AOZ are taken for C0Y, B0Z and A0Z."""
     return name.replace("O", "0") if name in ("COY", "BOZ", "AOZ") else name
 
 
 def axis_order(chain: str) -> tuple[int, ...]:
-    """Return the order of the axes (0 for X) from the workpiece to the tool, from `wXbYZt` or `XYZ`; or ValueError."""
+    """Return the order of the axes (0 for X) from the workpiece to the tool, from a text such as `wXbYZt` or `XYZ`.
+
+    Raises ValueError if the text is not a chain of the three axes.
+    """
     letters = re.sub(r"[\s\[\]]", "", chain)
     match = re.fullmatch(r"w?((?:[XYZ]|b(?=[XYZbt]|$))+)t?", letters)
     order = tuple(AXES.index(letter) for letter in (match[1] if match else "").replace("b", ""))
@@ -64,8 +68,8 @@ def axis_order(chain: str) -> tuple[int, ...]:
 class Axis:
     """The six error tables of an axis, linear between knots.
 
-    Unknowns are raw values r at the knots, straightness being 0 at both ends. Positioning and angles are
-    `E(x) = r(x) - r(reference)`, with r = 0 at the knot nearest to the reference, so that they are 0 there.
+    Unknowns are raw values r at the knots. For straightness r is 0 at both ends. Positioning and angles are
+    `E(x) = r(x) - r(reference)`, so that they are 0 at the reference; r is held at 0 at the knot nearest to it.
     """
 
     letter: str
@@ -74,23 +78,23 @@ class Axis:
 
     @property
     def block(self) -> str:
-        """Name of the block of raw values, (knots, 6)."""
+        """Name of the axis' block of raw values, (knots, 6)."""
         return f"axis {self.letter}"
 
     @property
     def number(self) -> int:
-        """0, 1, 2 for X, Y, Z."""
+        """Number of the axis: 0, 1, 2 for X, Y, Z."""
         return AXES.index(self.letter)
 
     @property
     def reference(self) -> float:
-        """Position where positioning and angles are 0: 0, or the lowest where 0 is outside the range."""
+        """Position at which positioning and angles are 0: position 0, or the lowest position if 0 is out of range."""
         low, high = float(self.knots[0]), float(self.knots[-1])
         return 0.0 if low <= 0 <= high else low
 
     @property
     def straightness(self) -> Mask:
-        """(6,) True for the two straightness errors."""
+        """Mask of the two straightness errors among the six errors, (6,)."""
         mask = np.zeros(6, dtype=bool)
         mask[:3] = np.arange(3) != self.number
         return mask
@@ -101,9 +105,9 @@ class Axis:
         return np.array([lower[0], lower[0] + 1]), np.array([1 - share[0], share[0]])
 
     def places(self, position: Array) -> tuple[Index, Array]:
-        """Return the knots that errors depend on at each position, (k, n), and their weights, (k, 6, n) or (k, 1, n).
+        """Return the knots on which errors depend at each position, (k, n), and their weights, (k, 6, n) or (k, 1, n).
 
-        k is 2, or 4 where the reference lies between two knots.
+        k is 2, or 4 if the reference lies between two knots.
         """
         lower, share = bracket(self.knots, position)
         index, weight = np.stack([lower, lower + 1]), np.stack([1 - share, share])[:, None, :]
@@ -118,7 +122,7 @@ class Axis:
         )
 
     def free(self, estimated: Collection[str]) -> Mask:
-        """Return which raw values are unknown, (knots, 6)."""
+        """Return the mask of raw values that are unknown, (knots, 6)."""
         free = np.ones((len(self.knots), 6), dtype=bool)
         knots, weights = self._at_reference
         free[[[0], [-1]], self.straightness] = False
@@ -126,7 +130,10 @@ class Axis:
         return np.asarray(free & np.array([name in estimated for name in errors_of(self.letter)]))
 
     def block_of(self, tables: Mapping[str, Array], estimated: Collection[str]) -> Block:
-        """Return the block that gives tables (by name, at the knots, in the gauge); zero for those not named."""
+        """Return the block of raw values for given tables, by name; tables that are not given are zero.
+
+        The tables are given at the knots and in the gauge: zero at the reference, straightness zero at both ends.
+        """
         values = np.stack([tables.get(name, np.zeros(len(self.knots))) for name in errors_of(self.letter)], axis=1)
         knots, weights = self._at_reference
         values = values - np.where(self.straightness, 0.0, values[knots[np.argmax(weights)]])
@@ -138,7 +145,7 @@ class Axis:
 
     @cached_property
     def from_raw(self) -> Array:
-        """The matrices that lead from raw values to tables, (6, knots, knots)."""
+        """Matrices that convert raw values to tables, (6, knots, knots)."""
         index, weight = self.places(self.knots)
         n = len(self.knots)
         matrices = np.zeros((6, n, n))
@@ -149,7 +156,7 @@ class Axis:
 
 
 def bracket(knots: Array, position: Array) -> tuple[Index, Array]:
-    """Return the lower knot of the interval of each position, and how far between the two it lies, 0..1."""
+    """Return the lower knot of the interval of each position, and the position in the interval as a share, 0 to 1."""
     lower = np.clip(np.searchsorted(knots, position, side="right") - 1, 0, len(knots) - 2)
     return lower, (position - knots[lower]) / (knots[lower + 1] - knots[lower])
 
@@ -160,21 +167,21 @@ class Machine:
 
     order: tuple[int, ...]
     axes: tuple[Axis, Axis, Axis]
-    """X, Y, Z"""
+    """The axes X, Y and Z, in this order"""
 
     def carried(self, axis: int) -> tuple[int, ...]:
-        """Return the axes nearer to the tool than an axis."""
+        """Return the numbers of the axes that are nearer to the tool than a given axis."""
         return self.order[self.order.index(axis) + 1 :]
 
     def lever(self, axis: int, position: Array, tool: Array) -> Array:
-        """Return L_a (3, n) at positions (3, n) with tool vectors (3, n) or (3, 1)."""
+        """Return the lever L_a, (3, n), at positions (3, n) with tool vectors (3, n) or (3, 1)."""
         lever = np.repeat(tool, position.shape[1], axis=1) if tool.shape[1] == 1 else tool.copy()
         carried = list(self.carried(axis))
         lever[carried] += position[carried]
         return lever
 
     def index(self, position: Array) -> dict[str, Index]:
-        """Return the knots that readings at commanded positions (3, n) touch, by block."""
+        """Return for each block the knots on which readings at commanded positions (3, n) depend."""
         return {axis.block: axis.places(position[axis.number])[0] for axis in self.axes}
 
     @property
@@ -189,26 +196,26 @@ class Machine:
 
     @property
     def home(self) -> Array:
-        """Where the axes stand in the absence of other word: their references (3,)."""
+        """Positions of axes whose position is not given: their references (3,)."""
         return np.array([axis.reference for axis in self.axes])
 
 
 def squareness_block(values: Mapping[str, float], estimated: Collection[str]) -> Block:
-    """Return the three squareness errors; zero for those not named."""
+    """Return the block of the three squareness errors; those not given are zero."""
     free = np.array([[name in estimated for name in SQUARENESS_NAMES]])
     row = np.array([[values.get(name, 0.0) for name in SQUARENESS_NAMES]])
     return Block(SQUARENESS, row, SQUARENESS_NAMES, free=free, reach=np.array(10 * _MOST_ANGLE))
 
 
 def tool_block(vectors: Array, names: Sequence[str], uncertainty: float) -> Block:
-    """Return tool vectors (tools, 3), unknown where they are uncertain."""
+    """Return the block of tool vectors, (tools, 3); they are unknowns if their uncertainty is not zero."""
     reach = np.array(10 * max(uncertainty, _MOST_LENGTH))
     return Block(TOOL, vectors, ("x", "y", "z"), tuple(names), free=np.array(uncertainty > 0), reach=reach, noun="tool")
 
 
 @dataclass(frozen=True)
 class ErrorMotion:
-    """Displacement d and rotation theta of the tool at the commanded position, (6, n)."""
+    """Start of a chain: displacement d and rotation theta of the tool at the commanded position, (6, n)."""
 
     machine: Machine
     takes = None
@@ -216,11 +223,11 @@ class ErrorMotion:
 
     @property
     def blocks(self) -> tuple[str, ...]:
-        """The tables of the axes, squareness, and the tool vectors that are levers."""
+        """Names of the blocks of the axes, of squareness, and of the tool vectors, which are part of the levers."""
         return (*(axis.block for axis in self.machine.axes), SQUARENESS, TOOL)
 
     def step(self, value: Array, local: Local) -> Step:
-        """Return d and theta with derivatives by the two (or four) knots that each reading touches of every axis."""
+        """Return d and theta, with derivatives by the two (or four) knots of each axis on which a reading depends."""
         position = np.stack([local.observations.conditions[name] for name in POSITION])
         tool = local.rows(TOOL)
         motion, by_block = _squareness(position, local.members(SQUARENESS)[0])
@@ -247,7 +254,10 @@ def _squareness(position: Array, values: Array) -> tuple[Array, dict[str, Array]
 
 
 def _by_error(lever: Array) -> Array:
-    """Return the change of (d, theta) by the six errors of an axis with levers (3, n), (6, 6, n): d = E + theta x L."""
+    """Return the derivatives of (d, theta) by the six errors of an axis, (6, 6, n), for levers (3, n).
+
+    `d = E + theta x L`.
+    """
     change = np.zeros((6, 6, lever.shape[1]))
     change[np.arange(6), np.arange(6)] = 1.0
     change[:3, 3:] = -np.moveaxis(cross_matrix(lever.T), 0, -1)
@@ -256,18 +266,18 @@ def _by_error(lever: Array) -> Array:
 
 @dataclass(frozen=True)
 class ReachedPoint:
-    """Where the reflector at the tool's end is: commanded position, plus tool vector, plus displacement."""
+    """Link to the place of the reflector: commanded position, plus tool vector, plus displacement."""
 
     takes = Quantity.ERROR_MOTION
     gives = Quantity.POINT_IN_MACHINE
 
     @property
     def blocks(self) -> tuple[str, ...]:
-        """The tool vectors."""
+        """Name of the block of tool vectors."""
         return (TOOL,)
 
     def step(self, value: Array, local: Local) -> Step:
-        """Return the point (3, n) with derivatives by the motion (3, 6, 1) and the tool (3, 3, 1)."""
+        """Return the point, (3, n), with its derivatives by the motion, (3, 6, 1), and by the tool, (3, 3, 1)."""
         position = np.stack([local.observations.conditions[name] for name in POSITION])
         by_motion = np.eye(6)[:3, :, None]
         return Step(position + local.rows(TOOL) + value[:3], by_motion, {TOOL: np.eye(3)[:, :, None]})

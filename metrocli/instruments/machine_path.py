@@ -1,4 +1,4 @@
-"""A path of straight legs through a machine's volume, and the cells in which its errors are parabolas of the way."""
+"""A path of straight legs in a machine's volume, divided into cells in which errors are parabolas of the distance."""
 
 from __future__ import annotations
 
@@ -12,12 +12,15 @@ from metrocli.adjust.model.observations import Index
 from metrocli.instruments.machine import Machine
 
 _SAME = 1e-6
-"""Vertices nearer than this [mm] are one"""
+"""Vertices closer together than this [mm] are the same"""
 
 
 @dataclass(frozen=True)
 class Path:
-    """Legs in order; the way along them is counted through, without what lies between tools."""
+    """Legs in order of travel.
+
+    The distance along the path is counted through all legs; moves between a change of the tool are left out.
+    """
 
     start: Array
     """(legs, 3)"""
@@ -25,7 +28,7 @@ class Path:
     tool: Index
     """(legs,)"""
     vertex: Index
-    """Number of the first vertex of each leg in the list"""
+    """Number in the list of vertices at which each leg starts"""
 
     @staticmethod
     def of(vertices: Array, tool: Index) -> Path:
@@ -36,7 +39,7 @@ class Path:
 
     @cached_property
     def lengths(self) -> Array:
-        """(legs,)"""
+        """Length of each leg, (legs,)."""
         return np.asarray(np.linalg.norm(self.end - self.start, axis=1))
 
     @cached_property
@@ -46,12 +49,12 @@ class Path:
 
     @cached_property
     def before(self) -> Array:
-        """Way before each leg, (legs,)."""
+        """Distance along the path at the start of each leg, (legs,)."""
         return np.asarray(np.cumsum(self.lengths) - self.lengths)
 
     @property
     def length(self) -> float:
-        """Length of all legs."""
+        """Total length of all legs."""
         return float(self.lengths.sum())
 
     @cached_property
@@ -63,15 +66,15 @@ class Path:
         return np.stack([first, np.cross(self.direction, first)], axis=1)
 
     def at(self, leg: Index, along: Array) -> Array:
-        """Return points at a way along their legs, (3, n)."""
+        """Return the points at distances along their legs, (3, n)."""
         return np.asarray(self.start[leg].T + self.direction[leg].T * along)
 
     def leg_of(self, way: Array) -> Index:
-        """Return the leg at a way along the path."""
+        """Return the leg at each distance along the path."""
         return np.clip(np.searchsorted(self.before, way, side="right") - 1, 0, len(self.lengths) - 1)
 
     def sampled(self, count: int) -> tuple[Array, Index, Array]:
-        """Return about `count` equally spaced points: their way, leg and place (3, n)."""
+        """Return about `count` equally spaced points: distance along the path, leg, and place (3, n)."""
         each = np.maximum(np.round(count * self.lengths / self.length).astype(int), 2)
         leg = np.repeat(np.arange(len(each)), each)
         number = np.arange(len(leg)) - np.repeat(np.cumsum(each) - each, each)
@@ -79,9 +82,9 @@ class Path:
         return self.before[leg] + along, leg, self.at(leg, along)
 
     def cells(self, machine: Machine, longest: float = np.inf) -> Array:
-        """Return the ways at which a leg begins or an axis passes a knot, ascending, with the end of the path.
+        """Return the ascending boundaries of cells: where a leg begins, an axis passes a knot, or the path ends.
 
-        Between them lie more, so that no cell is longer than `longest`.
+        They are distances along the path. Further boundaries between them keep every cell shorter than `longest`.
         """
         marks = [self.before]
         if np.isfinite(longest):

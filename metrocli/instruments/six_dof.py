@@ -1,4 +1,4 @@
-"""Laser with six degrees of freedom: displacement, straightness in two directions and three angles along a line."""
+"""Lasers with six degrees of freedom: displacement, straightness in two directions and three angles along a line."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from metrocli.adjust.model.quantities import Quantity
 from metrocli.instruments.machine import ErrorMotion, Machine
 
 LINE = "line"
-"""Block: for each line its offsets in the six channels, and the slope of the beam in two directions across it"""
+"""Block: offsets of the six channels of each line, and the slope of its beam in two directions across the line"""
 COLUMNS = ("ex", "ey", "ez", "ea", "eb", "ec", "slope_1", "slope_2")
 CHANNELS = COLUMNS[:6]
 POSITION = "position"
-"""Condition of an observation: distance along its line"""
+"""Condition of an observation: distance along its line, from the middle"""
 ACROSS = tuple(f"{which}{axis}" for which in "ab" for axis in "xyz")
 """Conditions: two unit vectors across the line"""
 _REACH = np.array([10.0] * 3 + [0.1] * 5)
@@ -25,7 +25,7 @@ _REACH = np.array([10.0] * 3 + [0.1] * 5)
 
 @dataclass(frozen=True)
 class LineNoise:
-    """Standard deviations along the beam, square to it, and of angles."""
+    """Standard deviations along the beam, perpendicular to it, and of angles."""
 
     displacement: float
     straightness: float
@@ -43,15 +43,16 @@ class LineNoise:
 
 
 def line_block(names: Sequence[str]) -> Block:
-    """Return the misalignment of each line, zero, (lines, 8)."""
+    """Return the block of misalignments of the lines, (lines, 8), all zero."""
     return Block(LINE, np.zeros((len(names), 8)), COLUMNS, tuple(names), reach=_REACH, noun="line")
 
 
 @dataclass(frozen=True)
 class Misaligned:
-    """What the laser reads of an error motion: with its own zero in each channel, and a beam not quite parallel.
+    """Link from an error motion to the six readings of the laser: zero offsets of the channels, and a misaligned beam.
 
-    A slope across the beam only: that along it is a cosine error, `1 - cos a`, 0.5 um/m at 1 mrad.
+    The slope of the beam acts only on the readings across it. Along the beam it gives a cosine error, `1 - cos a`,
+    which is 0.5 um/m at 1 mrad and is neglected.
     """
 
     takes = Quantity.ERROR_MOTION
@@ -59,11 +60,11 @@ class Misaligned:
 
     @property
     def blocks(self) -> tuple[str, ...]:
-        """The lines."""
+        """Name of the block of lines."""
         return (LINE,)
 
     def step(self, value: Array, local: Local) -> Step:
-        """Return the six channels (6, n) with their derivatives by the motion and by the line (6, 8, n)."""
+        """Return the six channels, (6, n), with their derivatives by the motion and by the line, (6, 8, n)."""
         given = local.observations.conditions
         across = np.stack([given[name] for name in ACROSS]).reshape(2, 3, -1) * given[POSITION]
         by_line = np.zeros((6, 8, local.observations.count))
@@ -74,5 +75,5 @@ class Misaligned:
 
 
 def line_chain(machine: Machine) -> Chain:
-    """Return the forward model of a reading."""
+    """Return the forward model of a reading on a line."""
     return Chain((ErrorMotion(machine), Misaligned()))

@@ -16,14 +16,14 @@ from metrocli.instruments.camera import TAPER, TARGET
 from metrocli.instruments.frames import Into, OutOf, PointOf
 
 PART, SPINDLE, COUPLING = "part", "spindle", "coupling"
-"""Blocks: the part in the machine, the spindle in the machine for each image, the clamping angle"""
+"""Blocks: pose of the part in the machine, pose of the spindle in the machine for each image, clamping angle"""
 
 _ANGLE_REACH = 0.5
 
 
 @dataclass(frozen=True)
 class Coupling:
-    """From the spindle into the taper, turned by the clamping angle: `X_taper = R_S(gamma_s)' X_spindle` (eq. 22)."""
+    """Link from the spindle to the taper through the clamping angle: `X_taper = R_S(gamma_s)' X_spindle` (eq. 22)."""
 
     block: str = COUPLING
     takes = Quantity.POINT_IN_SPINDLE
@@ -31,11 +31,11 @@ class Coupling:
 
     @property
     def blocks(self) -> tuple[str, ...]:
-        """The clamping angle."""
+        """Name of the block of the clamping angle."""
         return (self.block,)
 
     def step(self, value: Array, local: Local) -> Step:
-        """Return the point in the taper (3, n) with derivatives by the point and by the angle."""
+        """Return the point in the taper, (3, n), with its derivatives by the point and by the angle."""
         angle = local.rows(self.block)[0]
         back = _coupling_rotation(angle)
         moved = np.stack(
@@ -46,7 +46,7 @@ class Coupling:
 
 
 def _coupling_rotation(angle: Array) -> Array:
-    """Return R_S' = [[c, -s, 0], [s, c, 0], [0, 0, 1]], (n,) -> (3, 3, n)."""
+    """Return R_S' = [[c, -s, 0], [s, c, 0], [0, 0, 1]], (3, 3, n), of angles (n,)."""
     c, s = np.cos(angle), np.sin(angle)
     zero, one = np.zeros_like(c), np.ones_like(c)
     return np.array([[c, -s, zero], [s, c, zero], [zero, zero, one]])
@@ -64,31 +64,34 @@ def to_camera() -> tuple[Link, ...]:
 
 
 def part_block(pose: Array, extent: float, distance: float) -> Block:
-    """Return the pose of the part in the machine, plausible within the working distance and half a radian."""
+    """Return the block with the pose of the part in the machine.
+
+    Its plausible reach is the working distance and half a radian.
+    """
     reach = np.array([max(extent, distance)] * 3 + [_ANGLE_REACH] * 3)
     return Block(PART, pose, poses.COLUMNS, reach=reach, space=Space.POSE)
 
 
 def coupling_block(angle: float, free: bool) -> Block:
-    """Return the clamping angle [rad]."""
+    """Return the block with the clamping angle [rad]."""
     return Block(COUPLING, np.array([[angle]]), ("gamma_s",), free=np.array(free), reach=np.array(_ANGLE_REACH))
 
 
 def spindle_block(values: Array, images: Sequence[str]) -> Block:
-    """Return the commanded poses of the spindle, known."""
+    """Return the block with the commanded poses of the spindle, which are known."""
     return Block(SPINDLE, values, poses.COLUMNS, tuple(images), free=np.array(False), space=Space.POSE, noun="image")
 
 
 @dataclass(frozen=True)
 class Rays:
-    """Lines of sight in the machine with the points of the part that they aim at."""
+    """Lines of sight in the machine, each with the point of the part that it observes."""
 
     origin: Array
     """(n, 3)"""
     direction: Array
     """Unit vectors (n, 3)"""
     point: Array
-    """In the part (n, 3)"""
+    """Observed points in the frame of the part (n, 3)"""
 
 
 def rays(spindle: Array, camera: Array, angle: float, ideal: Array, points: Array) -> Rays:
@@ -118,11 +121,11 @@ def part_in_camera(part: Array, spindle: Array, angle: float, camera: Array) -> 
 
 
 def start_pose(lines: Rays, turns: int = 40) -> tuple[Array, float]:
-    """Return the pose of the part that brings its points nearest to their rays, and the RMS angle left [rad].
+    """Return the pose of the part that brings its points nearest to their rays, and the remaining RMS angle [rad].
 
-    First linear in the twelve entries of R and d (`(I - v v') (R X + d - c) = 0`), then shift and rotation in turn in
-    object space (Lu, Hager and Mjolsness 2000, for several centres); tried from the linear start and from turns of 90
-    degrees where that fails.
+    The start is linear in the twelve entries of R and d: `(I - v v') (R X + d - c) = 0`. Then shift and rotation are
+    improved alternately in object space (Lu, Hager and Mjolsness 2000, for several centres). If the linear start fails,
+    rotations by multiples of 90 degrees are tried as well.
     """
     best, misfit = _best(lines, _linear(lines)[None], turns)
     if misfit > _FAILED:
@@ -134,7 +137,7 @@ def start_pose(lines: Rays, turns: int = 40) -> tuple[Array, float]:
 
 
 _FAILED = 0.01
-"""A misfit [rad] that no distortion explains"""
+"""Misfit [rad] too large to be explained by distortion: the start has failed"""
 
 
 def _across(lines: Rays) -> Array:
@@ -161,7 +164,7 @@ def _linear(lines: Rays) -> Array:
 
 
 def _best(lines: Rays, rotations: Array, turns: int) -> tuple[Array, float]:
-    """Return the pose of least misfit that is reached from any of the rotations (k, 3, 3), and that misfit."""
+    """Return the pose with the smallest misfit reached from any of the rotations (k, 3, 3), and this misfit."""
     across = _across(lines)
     gain = np.linalg.pinv(across.sum(axis=0))
     local = lines.point - lines.point.mean(axis=0)

@@ -17,7 +17,7 @@ from metrocli.adjust.movements import of_members, of_points
 from metrocli.instruments.frames import PointOf
 
 POINT, TRACER = "point", "tracer"
-"""Blocks: reflector positions, and for each tracer x0 y0 z0, dead path and scale"""
+"""Blocks: reflector positions; x0, y0, z0, dead path and scale of each tracer"""
 COLUMNS = ("x", "y", "z", "dead_path", "scale")
 FREEDOMS = (
     "shift along x",
@@ -30,12 +30,12 @@ FREEDOMS = (
 
 
 COS_2A, SIN_2A, INCIDENCE = "cos 2a", "sin 2a", "1 - cos i"
-"""Aspects of a beam: a its azimuth atan2(dy, dx), i its angle at the reflector against the axis of that"""
+"""Covariates of a beam: a is its azimuth atan2(dy, dx), i its angle of incidence to the axis of the reflector"""
 
 
 @dataclass(frozen=True)
 class LengthFrom:
-    """Length change read by a tracer: `l = s |x - x0| - l0`, after Härtig et al. eq. 1."""
+    """Link to the length change read by a tracer: `l = s |x - x0| - l0`, after Härtig et al. eq. 1."""
 
     block: str = TRACER
     takes = Quantity.POINT_IN_MACHINE
@@ -43,11 +43,11 @@ class LengthFrom:
 
     @property
     def blocks(self) -> tuple[str, ...]:
-        """The tracers."""
+        """Name of the block of tracers."""
         return (self.block,)
 
     def step(self, value: Array, local: Local) -> Step:
-        """Return the length (1, n) with derivatives by the point (1, 3, n) and the tracer (1, 5, n)."""
+        """Return the length, (1, n), with its derivatives by the point, (1, 3, n), and by the tracer, (1, 5, n)."""
         tracer = local.rows(self.block)
         from_tracer = value - tracer[:3]
         distance = np.sqrt(np.einsum("an,an->n", from_tracer, from_tracer))
@@ -81,7 +81,7 @@ def _double_azimuth(blocks: Mapping[str, Block], observations: Observations) -> 
 
 
 def _incidence(blocks: Mapping[str, Block], observations: Observations) -> Array:
-    """Return 1 - cos i against an axis of the reflector along +z: the beam goes back along -b."""
+    """Return 1 - cos i for a reflector with its axis along +z; the reflector sees the beam along -b."""
     beam = beams(blocks, observations)
     return np.asarray(1 + beam[2] / np.sqrt((beam**2).sum(axis=0)))
 
@@ -91,18 +91,18 @@ ASPECTS: dict[str, Aspect] = {
     SIN_2A: lambda blocks, observations: _double_azimuth(blocks, observations)[1],
     INCIDENCE: _incidence,
 }
-"""What effects on a beam may depend on"""
+"""Covariates on which effects on a beam may depend, by name"""
 
 
 def point_block(points: Array, names: Sequence[str], free: Mask | bool, extent: float) -> Block:
-    """Return reflector positions (points, 3), plausible within a tenth of the measured volume."""
+    """Return the block of reflector positions, (points, 3); their plausible reach is a tenth of the measured volume."""
     return Block(
         POINT, points, ("x", "y", "z"), tuple(names), free=np.asarray(free), reach=np.array(extent / 10), noun="point"
     )
 
 
 def tracer_block(values: Array, names: Sequence[str], free: Mask, extent: float) -> Block:
-    """Return tracers (tracers, 5), plausible within a tenth of the measured volume."""
+    """Return the block of tracers, (tracers, 5); their plausible reach is a tenth of the measured volume."""
     reach = np.array([extent / 10] * 4 + [1e-2])
     return Block(TRACER, values, COLUMNS, tuple(names), free=free, reach=reach, noun="tracer")
 

@@ -1,4 +1,4 @@
-"""Starting values of tracers: where they stand and their dead paths, from lengths to points roughly known."""
+"""Starting values of the places and dead paths of tracers, from lengths to points that are roughly known."""
 
 from __future__ import annotations
 
@@ -9,24 +9,24 @@ Array = npt.NDArray[np.float64]
 
 _STEPS = 60
 _FLAT = 1e-4
-"""Points thinner than this share of their extent are taken as one plane"""
+"""Points whose thickness is below this share of their extent are treated as coplanar"""
 _AS_GOOD, _ROUNDING = 1.5, 1e-9
-"""A place fits as well as the best where its misfit is not larger by more than this"""
+"""A place counts as equally good if its misfit is at most this multiple of the smallest, plus a rounding error"""
 _DRAWS, _COMPARED, _ENOUGH = 60, 300, 12
-"""Draws of a few lengths, the lengths that they are compared by, and how many a tracer needs for it"""
+"""Random samples of lengths, most lengths used to compare them, and fewest lengths of a tracer for sampling"""
 _GROSS, _ROUNDS = 12.0, 30
-"""Lengths that miss by this many times the median are held off; by so many rounds of reweighting at most"""
+"""Lengths with residuals above this multiple of the median are down-weighted; most rounds of reweighting"""
 _STILL = 1e-7
-"""Change by a round, as a share, below which the next would change nothing"""
+"""Relative change in a round of reweighting below which the rounds stop"""
 
 
 def start(points: Array, lengths: Array, absolute: bool = False, near: Array | None = None) -> Array:
-    """Return (x0, y0, z0, dead path) of one tracer from lengths (n,) to points (n, 3); nan where they do not tell.
+    """Return (x0, y0, z0, dead path) of one tracer from lengths (n,) to points (n, 3); nan if they do not determine it.
 
-    Squaring `l + l0 = |x - x0|` gives `|x|^2 - l^2 = 2 x.x0 + 2 l l0 - (|x0|^2 - l0^2)`, linear in five unknowns;
-    points in one plane leave two mirrored places. All are refined by Gauss-Newton steps, and so is the place `near`
-    which the tracer is said to be; of those that fit as well as the best, the nearest to it is taken. Where some
-    lengths are far off, the sum of |v| is minimised, which they do not spoil.
+    Squaring `l + l0 = |x - x0|` gives `|x|^2 - l^2 = 2 x.x0 + 2 l l0 - (|x0|^2 - l0^2)`, which is linear in five
+    unknowns. Coplanar points leave two mirrored places. All of them, and the listed place `near`, are refined by
+    Gauss-Newton steps. Of those that fit equally well, the one nearest to `near` is returned. If some lengths have
+    gross errors, the sum of |v| is minimised, which is robust against them.
     """
     centre = points.mean(axis=0)
     local = points - centre
@@ -69,10 +69,10 @@ def _guesses(local: Array, reading: Array, absolute: bool) -> list[Array]:
 
 
 def _unspoiled(local: Array, reading: Array, absolute: bool) -> Array:
-    """Return the place and dead path of the few lengths whose solution the others miss least, by the median.
+    """Return place and dead path from the sample of lengths with the smallest median residual of all lengths.
 
-    Lengths that are far off spoil the linear equations, whose unknowns they multiply; few that are drawn are mostly
-    free of them (Rousseeuw 1984, least median of squares).
+    Gross errors spoil the linear equations, since lengths are coefficients in them. Most small samples are free of
+    gross errors (Rousseeuw 1984, least median of squares).
     """
     rng, n = np.random.default_rng(0), len(local)
     rows = rng.integers(n, size=(_DRAWS, 7))
@@ -87,7 +87,7 @@ def _unspoiled(local: Array, reading: Array, absolute: bool) -> Array:
 
 
 def _weights(residual: Array) -> Array:
-    """Return what residuals are multiplied by so that squares become |v|; 1 where none is far off."""
+    """Return the factors of the residuals that turn squares into |v|; all 1 if no residual is far off."""
     miss = np.abs(residual)
     middle = max(float(np.median(miss)), _ROUNDING)
     if miss.max() <= _GROSS * middle:
@@ -96,7 +96,7 @@ def _weights(residual: Array) -> Array:
 
 
 def _refined(local: Array, reading: Array, guess: Array, absolute: bool) -> tuple[Array, float]:
-    """Return the solution near a guess and its mean |residual|, with lengths that are far off held off in both."""
+    """Return the solution near a guess and its mean |residual|; gross errors get low weights."""
     state = guess
     for turn in range(_ROUNDS):
         before, weights = state, _weights(_residual(local, reading, state, absolute)[0])
@@ -110,7 +110,7 @@ def _refined(local: Array, reading: Array, guess: Array, absolute: bool) -> tupl
 
 
 def _descended(local: Array, reading: Array, guess: Array, absolute: bool, weights: Array) -> Array:
-    """Return the least squares solution near a guess, by damped Gauss-Newton steps; weights (n,) of the residuals."""
+    """Return the least-squares solution near a guess by damped Gauss-Newton steps; weights (n,) multiply residuals."""
     state, damping = guess.copy(), 0.0
     residual, jacobian = _residual(local, reading, state, absolute, weights)
     for _ in range(_STEPS):
@@ -131,7 +131,7 @@ def _descended(local: Array, reading: Array, guess: Array, absolute: bool, weigh
 def _residual(
     local: Array, reading: Array, state: Array, absolute: bool, weights: Array | float = 1.0
 ) -> tuple[Array, Array]:
-    """Return `l + l0 - |x - x0|` and the derivatives of the prediction by the free unknowns, times the weights."""
+    """Return `l + l0 - |x - x0|` and the derivatives of the prediction by the free unknowns, both times the weights."""
     away = local - state[:3]
     distance = np.maximum(np.linalg.norm(away, axis=1), 1e-12)
     towards = -away / distance[:, None]

@@ -1,8 +1,8 @@
-"""Where along a path each point of a track was taken, without synchronisation: by length first, then in order.
+"""Align a track with a path without synchronisation: find the distance along the path at which each point was taken.
 
-The start lays the track onto the path by equal shares of their lengths: first to first, last to last and all between
-(for which Sanders et al. 1.2.3 take start, end and centroid). Then points are matched to the path in the order of
-time, by dynamic programming, and the frame is fitted again, until the matching no longer changes.
+The start assigns points by equal shares of the lengths of track and path (Sanders et al. 1.2.3 use start, end and
+centroid instead). Then dynamic programming matches the points to the path in order of time, and the frame is fitted
+again. Both are repeated until the matching no longer changes.
 """
 
 from __future__ import annotations
@@ -18,32 +18,35 @@ from metrocli.instruments.machine_path import Path
 
 _THINNED, _SAMPLES = 800, 2400
 _STILL = 0.1
-"""Steps below this share of the usual step are noise of a machine at rest"""
+"""Steps below this share of the usual step count as noise of a machine at rest"""
 _JUMP = 10.0
-"""Steps of so many usual steps are jumps"""
+"""Steps above this multiple of the 90 % quantile of all steps are jumps"""
 _ROUNDS = 15
 _SETTLED = 0.02
-"""The frame is found when a round moves the track by less than this share of the distance of samples"""
+"""The frame has converged when a round moves the track by less than this share of the distance of samples"""
 _WILD = 4.0
-"""Matched points farther off than this many medians are not used to fit the frame"""
+"""Matched points farther from the path than this multiple of the median are not used to fit the frame"""
 
 
 @dataclass(frozen=True)
 class Alignment:
-    """A track laid onto a path."""
+    """A track aligned with a path."""
 
     pose: Array
-    """Of the tracker in the machine (6,)"""
+    """Pose of the tracker in the machine, (6,)"""
     rows: Index
-    """Points of the track that were matched, ascending"""
+    """Numbers of the matched points of the track, ascending"""
     way: Array
-    """Way along the path at each of them"""
+    """Distance along the path at each matched point"""
     miss: float
-    """Median distance from the path"""
+    """Median distance of the matched points from the path [mm]"""
 
 
 def align(track: Array, track_tool: Index | None, path: Path, tools: Array) -> Alignment:
-    """Return the alignment of a track (3, n) with a path whose legs have tools (vectors (tools, 3))."""
+    """Return the alignment of a track (3, n) with a path.
+
+    `tools` holds the tool vectors, (tools, 3), and `track_tool` the tool of each point if the track has it.
+    """
     rows = thinned(track)
     points = track[:, rows]
     way, leg, nominal = path.sampled(_SAMPLES)
@@ -65,15 +68,18 @@ def align(track: Array, track_tool: Index | None, path: Path, tools: Array) -> A
 
 
 def _most(usual: float, spacing: float) -> float:
-    """Return the distance beyond which it does not matter how far off a point is, once most of them are near.
+    """Return the distance at which the cost of a match is limited; inf as long as most points are not near the path.
 
-    Else a point far off draws the matching to where it is least far, and all that follow past where they belong.
+    Without a limit, a wild point would draw the matching to the nearest part of the path, and all later points with it.
     """
     return max(_WILD * usual, spacing) if usual < _WILD * spacing else float("inf")
 
 
 def thinned(track: Array) -> Index:
-    """Return rows of a track (3, n) about equally spaced in length, without what stands still or is elsewhere."""
+    """Return rows of a track (3, n) about equally spaced in length.
+
+    Points at rest, and points where the tracker has lost the reflector, are left out.
+    """
     stride = max(1, track.shape[1] // (4 * _THINNED))
     rows = np.arange(0, track.shape[1], stride)
     rows = rows[~_elsewhere(track[:, rows])]
@@ -83,7 +89,7 @@ def thinned(track: Array) -> Index:
 
 
 def _elsewhere(points: Array) -> Mask:
-    """Return where a tracker without its beam looks at its nest: pieces of no length between two jumps."""
+    """Return the points where the tracker has lost the reflector and points at its nest: still pieces between jumps."""
     step = np.linalg.norm(np.diff(points, axis=1), axis=0)
     jumps = np.flatnonzero(step > _JUMP * np.quantile(step, 0.9))
     piece = np.searchsorted(jumps, np.arange(points.shape[1]), side="left")
@@ -95,7 +101,7 @@ def _elsewhere(points: Array) -> Mask:
 
 
 def _length(points: Array) -> Array:
-    """Return the length of a track up to each point, steps of a machine at rest not counted."""
+    """Return the length of a track up to each point, without the steps of a machine at rest."""
     step = np.linalg.norm(np.diff(points, axis=1), axis=0)
     moving = step > _STILL * np.quantile(step, 0.9)
     return np.concatenate([[0.0], np.cumsum(np.where(moving, step, 0.0))])
@@ -109,13 +115,13 @@ def _by_length(points: Array, nominal: Array, way: Array) -> Array:
 
 
 def _distances(points: Array, nominal: Array, other: Mask | None) -> Array:
-    """Return squared distances (points, samples), much larger where the tool is another."""
+    """Return squared distances, (points, samples), with a large penalty for pairs marked in `other` (another tool)."""
     squares = (points**2).sum(axis=0)[:, None] + (nominal**2).sum(axis=0) - 2 * points.T @ nominal
     return np.asarray(squares if other is None else np.where(other, squares + squares.max(), squares))
 
 
 def _in_order(cost: Array) -> Index:
-    """Return for each row the column of a matching that never goes back, of least total cost."""
+    """Return for each row the matched column, by the matching of least total cost that never goes back."""
     rows, columns = cost.shape
     best, choice = cost[0].copy(), np.zeros((rows, columns), dtype=np.int32)
     numbers = np.arange(columns, dtype=np.int32)

@@ -1,4 +1,4 @@
-"""Laser trackers: points in spherical coordinates about the tracker, a good distance and two poorer angles."""
+"""Laser trackers: points from one accurate distance and two less accurate angles."""
 
 from __future__ import annotations
 
@@ -14,32 +14,35 @@ from metrocli.instruments.frames import Into
 from metrocli.instruments.machine import ErrorMotion, Machine, ReachedPoint
 
 TRACKER, LEG = "tracker", "leg"
-"""Blocks: pose of the tracker in the machine, and the two directions across each leg of a path"""
+"""Blocks: pose of the tracker in the machine; two unit vectors across each leg of a path"""
 _REACH = np.array([1.0] * 3 + [1e-3] * 3)
-"""What could be left of the pose after the rough alignment [mm, rad]; large reaches cost digits"""
+"""Plausible error of the pose after the rough alignment [mm, rad]; a larger reach costs numerical accuracy"""
 
 
 @dataclass(frozen=True)
 class TrackerNoise:
-    """Standard deviations along the beam, and square to it `sqrt(c^2 + (p r)^2)` at distance r."""
+    """Standard deviations along the beam, and perpendicular to it, `sqrt(c^2 + (p r)^2)` at distance r."""
 
     beam: float
     constant: float
     proportional: float
 
     def lateral(self, distance: Array) -> Array:
-        """Return the standard deviation square to the beam."""
+        """Return the standard deviation perpendicular to the beam."""
         return np.asarray(np.sqrt(self.constant**2 + (self.proportional * distance) ** 2))
 
     def covariance(self, points: Array) -> Array:
-        """Return `s_l^2 I + (s_b^2 - s_l^2) b b'`, b the beam to points (3, n) in the tracker's frame, (3, 3, n)."""
+        """Return the covariance, (3, 3, n), of points (3, n) in the tracker's frame.
+
+        It is `s_l^2 I + (s_b^2 - s_l^2) b b'`, with b the unit vector of the beam.
+        """
         distance = np.sqrt((points**2).sum(axis=0))
         beam = points / np.maximum(distance, 1e-300)
         lateral = self.lateral(distance) ** 2
         return np.asarray(np.eye(3)[:, :, None] * lateral + (self.beam**2 - lateral) * beam[:, None] * beam[None])
 
     def drawn(self, points: Array, rng: np.random.Generator) -> Array:
-        """Return noise of points (3, n), along and square to the beam."""
+        """Return random noise of points (3, n), along and perpendicular to the beam."""
         distance = np.sqrt((points**2).sum(axis=0))
         beam = points / distance
         noise = rng.normal(size=points.shape) * self.lateral(distance)
@@ -48,13 +51,13 @@ class TrackerNoise:
 
 
 def tracker_block(pose: Array, tool_uncertainty: float = 0.0) -> Block:
-    """Return the pose of the tracker in the machine, (6,), as uncertain as the tools that were seen."""
+    """Return the block of the tracker's pose in the machine, (6,); its reach allows for uncertain tool vectors."""
     reach = _REACH * np.repeat([max(1.0, 10 * tool_uncertainty), 1.0], 3)
     return Block(TRACKER, pose[None], poses.COLUMNS, reach=reach, space=Space.POSE)
 
 
 def leg_block(across: Array) -> Block:
-    """Return two unit vectors across each leg, in the tracker's frame, (legs, 2, 3)."""
+    """Return the block of two unit vectors across each leg in the tracker's frame, from `across` (legs, 2, 3)."""
     columns = tuple(f"{which}{axis}" for which in "ab" for axis in "xyz")
     names = tuple(str(i + 1) for i in range(len(across)))
     return Block(LEG, across.reshape(-1, 6), columns, names, free=np.array(False), noun="leg")
@@ -62,29 +65,29 @@ def leg_block(across: Array) -> Block:
 
 @dataclass(frozen=True)
 class AcrossLeg:
-    """The two coordinates of a point across its leg of the path; that along it is not used (Sanders et al. 1.2.5)."""
+    """Link to the two coordinates of a point across its leg; that along the leg is not used (Sanders et al. 1.2.5)."""
 
     takes = Quantity.POINT_IN_TRACKER
     gives = Quantity.ACROSS_LEG
 
     @property
     def blocks(self) -> tuple[str, ...]:
-        """The directions."""
+        """Name of the block of directions."""
         return (LEG,)
 
     def step(self, value: Array, local: Local) -> Step:
-        """Return `A p` (2, n) and its derivative A by the point."""
+        """Return `A p`, (2, n), and its derivative A by the point p."""
         rows = local.rows(LEG)
         across = rows.reshape(2, 3, rows.shape[1])
         return Step(np.einsum("abn,bn->an", across, value), across)
 
 
 def point_chain(machine: Machine) -> Chain:
-    """Return the forward model of a point of the tracker at a commanded position."""
+    """Return the forward model of a point measured by the tracker at a commanded position."""
     into = Into(TRACKER, Quantity.POINT_IN_MACHINE, Quantity.POINT_IN_TRACKER)
     return Chain((ErrorMotion(machine), ReachedPoint(), into))
 
 
 def path_chain(machine: Machine) -> Chain:
-    """Return the forward model of a point's displacement across its leg."""
+    """Return the forward model of the coordinates of a point across its leg."""
     return Chain((*point_chain(machine).links, AcrossLeg()))

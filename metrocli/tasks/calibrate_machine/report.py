@@ -268,8 +268,7 @@ def _warnings(solved: Solved, settings: Settings) -> list[str]:
         )
     if identified.open_tools:
         lines.append(
-            f"the error of tool {listed(identified.open_tools)} cannot be predicted: it depends on errors that are not "
-            "determined"
+            f"the error of tool {listed(identified.open_tools)} cannot be predicted: it depends on undetermined errors"
         )
     if identified.ratio > WEAK:
         lines.append(

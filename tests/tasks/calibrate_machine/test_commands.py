@@ -230,10 +230,10 @@ def test_what_cannot_be_told_apart_is_refused(folder: Path, metrocli: Metrocli) 
         (
             "lateral: {constant: 2 um, proportional: 3 um/m}",
             "lateral: 2 um, radial: 2 um",
-            "lateral and radial are the same",
+            "lateral and radial are two names of one setting",
         ),
         ("method: standstill", "method: standstill\nestimate: [EXX, EXQ]", "unknown word 'EXQ'"),
-        ("method: standstill", "method: standstill\nestimate: []", "there is no error in it"),
+        ("method: standstill", "method: standstill\nestimate: []", "the list is empty"),
         ("tools: {T1", "tool: [0 mm, 0 mm, 0 mm]\n  tools: {T1", "both tool and tools are given"),
         ("120 mm]", "120]", "120 has no unit"),
         ("x: {range", "u: {range", "unknown key 'u'"),
@@ -276,7 +276,7 @@ def test_faults_of_a_job_are_told(folder: Path, old: str, new: str, said: str, m
         (
             lambda lines: [lines[0], re.sub(r"-?1.0,(?=-?1.0,T)", "17.5,", lines[1]), *lines[2:]],
             3,
-            "y = 17.5 is no dir",
+            "y = 17.5 is not a dir",
         ),
         (lambda lines: [*lines[:20], ""], 4, "combinations of errors that move"),
         (
@@ -330,7 +330,7 @@ def test_plan_needs_no_measurement_and_says_that_it_has_no_effects(folder: Path,
     job.write_text(f"{text}effects: [{{name: backlash, axis: x}}]\n")
     ran = metrocli("plan", job, "--out", folder / "plan")
     assert ran.code == 0, ran.err
-    assert "every error is determined" in ran.out and "the effects of the job are not in the plan" in ran.err
+    assert "every error is determined" in ran.out and "the plan leaves out the effects of the job" in ran.err
     assert any(path.suffix == ".nc" for path in (folder / "plan").iterdir())
 
 

@@ -165,7 +165,7 @@ def test_points_off_the_path_while_the_beam_is_lost_are_cut(machine: sim.Machine
         calibrate_machine.TASK.job(job(), path=flight.path, track=changed(flight.track, xyz))
     )
     assert result.statistics["cut_wild"] == 300
-    assert any("300 points of the track are off the path" in line for line in result.warnings)
+    assert any("300 points of the track are farther from the path" in line for line in result.warnings)
     assert result.statistics["cut_off_path"] >= 1
     _, left = sim.left_in_volume(result.tables["volume"], machine, sim.ONE["T1"])
     assert left < 0.0015
