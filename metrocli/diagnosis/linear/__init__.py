@@ -1,1 +1,1 @@
-"""The linearised adjustment and what can be added to it: candidates, their columns and their tests."""
+"""The linearised adjustment, and candidate effects that could be added to it: their signatures and score tests."""

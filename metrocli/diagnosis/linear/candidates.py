@@ -1,4 +1,4 @@
-"""Candidates: for each cause its forms and places, each with the columns that it would add to the model.
+"""Candidates: the forms and places of each cause, with the columns that each would add to the model.
 
 Method: docs/algorithms/selection-and-levels.md.
 """
@@ -24,29 +24,29 @@ _MOST_PLACES = 3000
 
 @dataclass(frozen=True)
 class Alternative:
-    """One form of a cause at one place: what a name would say."""
+    """One form of a cause at one place."""
 
     effect: Effect
     instance: tuple[str, ...]
     scanned: tuple[tuple[str, float], ...] = ()
     parameters: tuple[str, ...] = ()
-    """Those whose columns it has, in order"""
+    """Parameters, one for each of its columns, in order"""
     named: tuple[tuple[str, str], ...] = ()
-    """Of the scanned parameters those that are places, by their names"""
+    """Scanned parameters that are places: parameter and name of the place"""
 
     @property
     def where(self) -> dict[str, str]:
-        """The place as a job names it, without what was scanned."""
+        """The place as a job names it, without scanned parameters."""
         named = dict(zip(self.effect.keys, self.instance, strict=True))
         return named | ({"by": self.effect.by} if "by" in self.effect.where else {})
 
     @property
     def spot(self) -> tuple[str, tuple[str, ...]]:
-        """Cause and place, without its form and the values that were scanned."""
+        """Cause and place, without the form and the values of scanned parameters."""
         return self.effect.name, self.instance
 
     def like(self, other: Alternative) -> bool:
-        """Whether it says the same as another one but for the values of scanned parameters."""
+        """Return whether it differs from another alternative in the values of scanned parameters at most."""
         return (self.effect.name, self.effect.by, self.instance, self.parameters, self.named) == (
             other.effect.name,
             other.effect.by,
@@ -56,7 +56,7 @@ class Alternative:
         )
 
     def far_from(self, other: Alternative) -> float:
-        """Return how far its scanned parameters are from those of another one."""
+        """Return the distance of its scanned parameters from those of another alternative."""
         own = dict(self.scanned)
         return sum(abs(own[key] - value) for key, value in other.scanned)
 
@@ -66,21 +66,21 @@ class Alternative:
 
 @dataclass(frozen=True)
 class Family:
-    """A cause with all its alternatives of the same number of columns."""
+    """A cause with all its alternatives that have the same number of columns."""
 
     name: str
     alternatives: tuple[Alternative, ...]
     columns: Array
-    """What the unknowns leave of their whitened signatures, (rows, alternatives, parameters)"""
+    """Visible part of the whitened signatures, without what the unknowns absorb, (rows, alternatives, parameters)"""
     raw: Array
-    """Norm of the whole whitened signature of each, (alternatives, parameters)"""
+    """Norm of each whole whitened signature, (alternatives, parameters)"""
     unknown: str = ""
-    """The covariate of a family of smooth functions, which have no cause"""
+    """Covariate of a family of smooth functions, whose cause is not known; "" for effects"""
 
 
 @dataclass(frozen=True)
 class NotTested:
-    """An effect without candidates, with the reason; at a place, where others have some."""
+    """An effect that cannot be tested, with the reason; with a place if it can be tested at other places."""
 
     effect: Effect
     reason: str
@@ -88,7 +88,7 @@ class NotTested:
 
 
 def families_of(job: AdjustedJob, system: System) -> tuple[list[Family], list[NotTested]]:
-    """Return the candidates of all effects that the data allow to test, and those that they do not."""
+    """Return the candidates of all effects that the data can test, and the effects that they cannot test."""
     families: dict[tuple[str, int], list[Family]] = {}
     missing: list[NotTested] = []
     for effect in job.effects:
@@ -117,7 +117,7 @@ def _joined(parts: Sequence[Family]) -> Family:
 
 
 def _untestable(model: Model, effect: Effect) -> list[NotTested]:
-    """Return an effect that cannot be modelled: once where the reason is the same everywhere, else place by place."""
+    """Return the reasons why an effect cannot be modelled: one if it is the same everywhere, else place by place."""
     places = [dict(zip(effect.keys, place, strict=True)) for place in _places(model, effect)]
     found = [NotTested(effect, lacking(model, effect, at), at) for at in places if not can_act(model, effect, at)]
     if len(found) == len(places) and len({one.reason for one in found}) == 1:
@@ -152,9 +152,9 @@ def _of_effect(job: AdjustedJob, system: System, effect: Effect) -> Iterator[Fam
 
 
 def _informative(items: Sequence[tuple[Alternative, Array, Array]]) -> list[tuple[Alternative, Array, Array]]:
-    """Return the items without values of a scan at which the unknowns absorb all, where they do not at others.
+    """Return the items without scan values whose signature the unknowns absorb, if other values are visible.
 
-    A step at a time before all readings that it concerns is such a value.
+    Such a value is the time of a step that lies before all affected readings.
     """
     seen = [bool(columns.any()) for _, columns, _ in items]
     somewhere = {one.instance for (one, _, _), visible in zip(items, seen, strict=True) if visible}
@@ -162,9 +162,9 @@ def _informative(items: Sequence[tuple[Alternative, Array, Array]]) -> list[tupl
 
 
 def _absent(model: Model, effect: Effect) -> list[tuple[str, ...]]:
-    """Return the places where the model does not estimate the effect yet; a known value of it may be wrong.
+    """Return the places where the model does not estimate the effect yet; a known value of it can be wrong.
 
-    Scanned ones may be there more than once.
+    Effects with scanned parameters can act at a place more than once.
     """
     added = [one for one in model.added if (one.effect.name, one.effect.by) == (effect.name, effect.by) and one.columns]
     there = {place for one in added for place in one.instances}
@@ -173,7 +173,7 @@ def _absent(model: Model, effect: Effect) -> list[tuple[str, ...]]:
 
 
 def _scans(model: Model, effect: Effect) -> list[tuple[tuple[str, float], ...]]:
-    """Return all combinations of values of the scanned parameters to try; one empty one where there is none."""
+    """Return all combinations of scanned values to try; one empty combination without scanned parameters."""
     grids: list[list[tuple[str, float]]] = []
     for parameter in effect.scanned:
         values: Array = np.zeros(0)
@@ -186,7 +186,7 @@ def _scans(model: Model, effect: Effect) -> list[tuple[tuple[str, float], ...]]:
 
 
 def thinned(values: Array, most: int) -> Array:
-    """Return at most so many of some values, evenly from all of them."""
+    """Return at most `most` of the values, evenly spaced in their order."""
     if len(values) <= most:
         return values
     return np.asarray(values[np.linspace(0, len(values) - 1, most).astype(int)])
@@ -195,7 +195,7 @@ def thinned(values: Array, most: int) -> Array:
 def _columns(
     job: AdjustedJob, system: System, effect: Effect, places: Sequence[tuple[str, ...]]
 ) -> Iterator[tuple[Alternative, Array, Array]]:
-    """Yield for each place and scan the visible columns of its parameters (rows, parameters) and their norms before."""
+    """Yield for each place and scan the visible columns of its parameters (rows, parameters) and their full norms."""
     scans = [dict(one) for one in _scans(job.model, effect)]
     for scanned, (full, block, chosen) in zip(
         scans, scan(job.model, system, effect, places, scans) if scans else (), strict=True

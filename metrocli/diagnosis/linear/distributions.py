@@ -1,4 +1,4 @@
-"""Tails of the F distribution, also where they are smaller than any number.
+"""Tails of the F distribution as logarithms, which do not underflow.
 
 Method: docs/algorithms/selection-and-levels.md.
 """
@@ -28,7 +28,7 @@ def log_tail(share: Array, q: float, rest: float) -> Array:
 
 
 def log_family(log_p: Array | float, tests: float) -> Array:
-    """Return ln of `1 - (1 - p)^tests`, the level of the least of so many independent tests."""
+    """Return ln of `1 - (1 - p)^tests`, the level of the smallest p-value of `tests` independent tests."""
     p = np.exp(np.asarray(log_p, dtype=float))
     small = p * tests < 1e-9
     whole = -np.expm1(tests * np.log1p(-np.minimum(p, 1 - 1e-16)))
@@ -36,12 +36,12 @@ def log_family(log_p: Array | float, tests: float) -> Array:
 
 
 def single_level(level: float, tests: float) -> float:
-    """Return the level of one test where the least of `tests` has `level`."""
+    """Return the level of a single test for which the smallest of `tests` p-values has `level`."""
     return float(-np.expm1(np.log1p(-level) / tests))
 
 
 def noncentrality(level: float, q: int, rest: float, power: float = 0.8) -> float:
-    """Return lambda at which an F test of a level has a power, (Baarda 1968 for q = 1 and infinite rest)."""
+    """Return the non-centrality at which an F test of a level has a power (Baarda 1968 for q = 1, infinite rest)."""
     from scipy.special import fdtri, ncfdtrinc
 
     critical = fdtri(q, rest, 1 - level) if level > 1e-12 else _critical(level, q, rest)
@@ -50,7 +50,7 @@ def noncentrality(level: float, q: int, rest: float, power: float = 0.8) -> floa
 
 
 def _critical(level: float, q: int, rest: float) -> float:
-    """Return the F beyond which a tail of less than rounding lies, by bisection of its logarithm."""
+    """Return the critical F for a level that can be below rounding, by bisection of the logarithm of the tail."""
     low, high = 0.0, 1.0 - 1e-12
     for _ in range(80):
         middle = (low + high) / 2
@@ -61,7 +61,7 @@ def _critical(level: float, q: int, rest: float) -> float:
 
 
 def chi_interval(squares: float, dof: float, level: float = 0.95) -> tuple[float, float]:
-    """Return the interval of a standard deviation from a sum of squares, in units of the declared one."""
+    """Return the confidence interval of a standard deviation from a sum of squares, relative to the declared one."""
     from scipy.special import chdtri
 
     tail = (1 - level) / 2

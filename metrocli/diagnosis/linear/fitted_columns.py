@@ -1,4 +1,4 @@
-"""What is in the model beside its own unknowns: columns fitted together, any of which can be taken out again.
+"""Columns fitted in addition to the unknowns of the model; any of them can be removed again.
 
 Method: docs/algorithms/selection-and-levels.md.
 """
@@ -15,48 +15,48 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.linear.projection import VISIBLE, System
 
 PRIOR = 2.0
-"""Degrees of freedom for which the declared noise counts: with few readings it carries weight, with many it does not"""
+"""Weight of the declared noise in degrees of freedom: it matters with few readings, not with many"""
 
 
 @dataclass(frozen=True)
 class FittedColumns:
-    """What is in the model beside its own unknowns: an orthonormal basis of visible columns, and the residual left."""
+    """Columns fitted in addition to the unknowns: an orthonormal basis of their visible part, and the residual."""
 
     basis: Array
     """(rows, k)"""
     residual: Array
     squares: float
-    """Sum of squares of the residual, and what the declared noise adds (`PRIOR`)"""
+    """Sum of squares of the residual, with the part that the declared noise adds (`prior`)"""
     dof: float
     prior: float = PRIOR
     """The part of the squares that the declared noise adds"""
     larger: FittedColumns | None = None
-    """A model with more in it that this one was taken from, if it was"""
+    """The larger model from which columns were removed to give this one, if any"""
     freed: Array | None = None
-    """What the larger model has more, orthonormal, (rows, p)"""
+    """Orthonormal basis of the removed columns, (rows, p)"""
     remembered: dict[tuple[int, int], Array] = field(default_factory=dict, compare=False, repr=False)
-    """What it leaves of the candidates' Gram matrices"""
+    """Cache of the candidates' Gram matrices after the fit"""
 
     def with_columns(self, columns: Array) -> FittedColumns:
-        """Return it with more columns (rows, q) in the model; what is not visible beside the others adds nothing."""
+        """Return the fit with more columns (rows, q); directions not visible beside the others are ignored."""
         return FittedParts(self).with_part(columns).fitted
 
     def beside(self, columns: Array) -> Array:
-        """Return what the model leaves of columns (rows, q)."""
+        """Return columns (rows, q) without their part in the fitted basis."""
         return np.asarray(columns - self.basis @ (self.basis.T @ columns))
 
 
 @dataclass(frozen=True)
 class FittedParts:
-    """Parts of several columns each, fitted together beside a model.
+    """Parts of several columns each, fitted together in addition to a model.
 
-    Each part is held by its coordinates in one orthonormal basis of all, so that the basis without some of them is a
-    rotation of it.
+    Each part is stored by its coordinates in a common orthonormal basis, so that the basis without some parts follows
+    by a rotation.
     """
 
     start: FittedColumns
     basis: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    """Of what all parts add to the start, (rows, k)"""
+    """Orthonormal basis of all parts, (rows, k)"""
     parts: tuple[Array, ...] = ()
     """Coordinates of each part's unit columns, (k, q)"""
 
@@ -72,7 +72,7 @@ class FittedParts:
         return FittedColumns(basis, residual, squares, start.dof - self.basis.shape[1], start.prior)
 
     def with_part(self, columns: Array) -> FittedParts:
-        """Return the fit with one more part (rows, q); what is not visible beside the others adds nothing."""
+        """Return the fit with one more part (rows, q); directions not visible beside the others are ignored."""
         basis = self.basis if self.parts else np.zeros((len(columns), 0))
         unit = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
         own = unit - self.start.basis @ (self.start.basis.T @ unit)
@@ -109,7 +109,7 @@ class FittedParts:
         return FittedParts(self.start, self.basis @ kept, parts) if parts else FittedParts(self.start)
 
     def _turned(self, gone: Collection[int]) -> tuple[Array, Array]:
-        """Return orthonormal directions of the basis that the parts have without some, and those that they have not."""
+        """Return orthonormal directions of the basis that stay without the parts `gone`, and those that are removed."""
         k = self.basis.shape[1]
         left = [part for number, part in enumerate(self.parts) if number not in gone]
         inside = np.concatenate(left, axis=1) if left else np.zeros((k, 0))
@@ -119,9 +119,10 @@ class FittedParts:
 
 
 def orthonormal(columns: Array, least: float) -> Array:
-    """Return a basis of the span of columns (rows, q), without directions whose singular value is not above `least`.
+    """Return an orthonormal basis of the span of columns (rows, q), of singular values above `least`.
 
-    By the eigenvectors of the Gram matrix, twice (as Cholesky QR is done): for many rows far faster than an SVD.
+    It uses the eigenvectors of the Gram matrix twice (as Cholesky QR does), which is far faster than an SVD for many
+    rows.
     """
     bound = least**2
     for _ in range(2):
@@ -133,7 +134,7 @@ def orthonormal(columns: Array, least: float) -> Array:
 
 
 def nothing_fitted(system: System) -> FittedColumns:
-    """Return the model as it is; a noise declared larger than it is counts as large as it is."""
+    """Return the fit without additional columns; a declared noise larger than the residuals counts as theirs."""
     r = system.residual
     squares = float(r @ r)
     # a declaration that is too large would otherwise hide effects: it adds at most what the residuals have

@@ -1,9 +1,15 @@
-"""The adjustment as one dense linear system, and what of a change of the readings its unknowns leave visible.
+"""The adjustment as one dense linear system, which separates a change of the readings into two parts.
 
+<<<<<<< HEAD
 With J the whitened derivatives by all unknowns and r the whitened residuals, `M = I - J (J'J)^- J'` takes from a
 signature g what the unknowns absorb: Mg is seen, `J^- g` is by how much the unknowns would be wrong. M does not depend
 on the datum.
 Method: docs/algorithms/selection-and-levels.md.
+=======
+J are the whitened derivatives by all unknowns. The projector `M = I - J (J'J)^- J'` removes from a signature g the part
+that the unknowns absorb. `M g` is visible in the residuals. `J^- g` is the error of the unknowns (external
+reliability). M does not depend on the datum.
+>>>>>>> h-w4
 """
 
 from __future__ import annotations
@@ -24,19 +30,19 @@ from metrocli.effects.model import Model
 from metrocli.errors import InputError
 
 VISIBLE = 1e-6
-"""Share of a signature below which rounding is all that is left"""
+"""Share of a signature below which its visible part is a rounding error"""
 MOST_NUMBERS = 60_000_000
-"""Size of the dense system beyond which it is refused"""
+"""Largest number of elements of the dense system"""
 
 
 @dataclass(frozen=True)
 class System:
-    """A model linearised at its values; a row for each component of each reading, those of a reading together."""
+    """A model linearised at its values, with one row for each component of each reading, reading by reading."""
 
     model: Model
     layout: Layout
     residual: Array
-    """Whitened (rows,)"""
+    """Whitened residuals (rows,)"""
     basis: Array
     """Columns b with `b b' = J (J'J)^- J'`, (rows, unknowns)"""
     solver: Array
@@ -48,7 +54,7 @@ class System:
     sizes: Array
     """Norm of J's column of each unknown, (unknowns,)"""
     runs: dict[str, Run] = field(default_factory=dict, compare=False, repr=False)
-    """What the model's chains pass through, for groups that were asked for"""
+    """Cache of the values along the chains, by group"""
 
     @property
     def rows(self) -> int:
@@ -70,7 +76,7 @@ class System:
 
     @cached_property
     def alike(self) -> Mask:
-        """The readings in the unit of the first group of them, in which errors are told; not distances among angles."""
+        """The rows whose readings have the unit of the first group, in which errors are reported."""
         first, mask = self.model.readings[0].observations.unit, np.zeros(self.rows, dtype=bool)
         for group in self.model.readings:
             start = self.first[group.name]
@@ -78,17 +84,17 @@ class System:
         return mask
 
     def seen(self, values: Array) -> Array:
-        """Return `M values`, (rows, ...); 0 where rounding is all that is left."""
+        """Return `M values`, (rows, ...), the visible part; 0 where it is a rounding error."""
         left = values - np.tensordot(self.basis, np.tensordot(self.basis.T, values, 1), 1)
         shown = np.linalg.norm(left, axis=0) > VISIBLE * np.linalg.norm(values, axis=0)
         return np.asarray(np.where(shown, left, 0.0))
 
     def absorbed(self, values: Array) -> Array:
-        """Return what the unknowns take of values (rows, k): the change of each, (unknowns, k)."""
+        """Return the change of the unknowns (unknowns, k) that absorbs values (rows, k)."""
         return np.asarray(self.solver @ (self.basis.T @ values))
 
     def spread(self, group: Group, values: Array) -> Array:
-        """Return values of readings (n, ...) at their rows, 0 elsewhere: each component has the value."""
+        """Return values of readings (n, ...) at all rows of each reading, and 0 elsewhere."""
         d = len(group.observations.readings)
         full = np.zeros((self.rows, *values.shape[1:]))
         start = self.first[group.name]
@@ -96,21 +102,21 @@ class System:
         return full
 
     def run(self, group: Group) -> Run:
-        """Return what the chain of a group of the model passes through."""
+        """Return the values and derivatives along the chain of a group."""
         if group.name not in self.runs:
             self.runs[group.name] = run_of(group, self.model.blocks)
         return self.runs[group.name]
 
     def entries(self, block: str) -> Index:
-        """Return for each entry of a block its place among the unknowns, -1 where it is none, (members, size)."""
+        """Return the index of each entry of a block among the unknowns, -1 if it is fixed, (members, size)."""
         columns = self.layout.columns.get(block)
         shape = self.model.blocks[block].values.shape
         return np.full(shape, -1, dtype=np.intp) if columns is None else columns
 
     def shift(self, values: Array, block: str, columns: tuple[int, ...]) -> Array:
-        """Return by how much a change of the readings (rows, k) moves chosen columns of a block, (members, columns, k).
+        """Return the shift of columns of a block (members, columns, k) by a change of the readings (rows, k).
 
-        The sign is that of the change of the estimates when the readings contain it and the model does not.
+        The sign is that of the estimates if the readings contain the change and the model does not.
         """
         change = self.absorbed(values)
         places = self.entries(block)[:, list(columns)]
@@ -123,17 +129,17 @@ class System:
 
 @dataclass(frozen=True)
 class Run:
-    """The values in front of each link of a chain, and the derivatives of the reading by them."""
+    """The values before each link of a chain, and the derivatives of the reading by them."""
 
     links: tuple[Link, ...]
     values: tuple[Array, ...]
-    """(in, n) of each link, then the predicted reading"""
+    """Input (in, n) of each link, then the predicted reading"""
     outer: tuple[Array | None, ...]
-    """(d, in, n) of each link but the first; None for the reading by itself"""
+    """Derivatives (d, in, n) by the input of each link except the first; None for that of the reading by itself"""
 
 
 def run_of(group: Group, blocks: Mapping[str, Block]) -> Run:
-    """Return what a chain passes through at the blocks' values."""
+    """Return the values and derivatives along a chain at the values of the blocks."""
     links, steps = group.chain.links, group.chain.steps(blocks, group.observations, frozenset(blocks))
     outer: list[Array | None] = [None]
     for step in steps[:0:-1]:
@@ -143,14 +149,14 @@ def run_of(group: Group, blocks: Mapping[str, Block]) -> Run:
 
 
 def by_rows(linear: Linear) -> Array:
-    """Return the residuals of a group with the components of each reading together."""
+    """Return the residuals of a group ordered by reading, with the components of a reading side by side."""
     return np.ascontiguousarray(linear.residual.T).ravel()
 
 
 def linearised(model: Model, weights: Mapping[str, Array] | None = None) -> System:
-    """Return the model as a system; `weights` (n,) multiply the whitened rows of the readings of a group.
+    """Return the model as a linear system; `weights` (n,) multiply the whitened rows of the readings of a group.
 
-    Raises InputError where it is too large to be held as one dense matrix.
+    Raises InputError if the dense matrix would be too large.
     """
     layout = without_elimination(model.blocks)
     _must_fit(model, layout)
@@ -193,7 +199,7 @@ def scatter(full: Array, jacobian: Array, columns: Index) -> None:
 
 
 def _factored(model: Model, layout: Layout, jacobian: Array) -> tuple[Array, Array, Array]:
-    """Return basis, solver and sizes by a QR decomposition, with the conditions of the datum as rows of their own."""
+    """Return basis, solver and sizes by a QR decomposition, with the datum conditions as additional rows."""
     size = np.sqrt((jacobian**2).sum(axis=0))
     size = np.where(size > 0, size, 1.0)
     scaled = jacobian / size

@@ -1,8 +1,14 @@
-"""The race: every candidate's F test given what is in the model already, at a level that counts all that was tried.
+"""Score tests: the F test of every candidate beside what the model contains, at a level corrected for multiple tests.
 
+<<<<<<< HEAD
 A scan over m places is the least of m dependent tests; it counts as so many independent ones as white noise, projected
 like the residuals, says. The same noise says how many independent causes race with each other (Westfall and Young).
 Method: docs/algorithms/selection-and-levels.md.
+=======
+A scan over m places takes the smallest p-value of m dependent tests. Simulated white noise, projected like the
+residuals, gives the effective number of independent tests. The same noise gives the effective number of independent
+causes (Westfall and Young).
+>>>>>>> h-w4
 """
 
 from __future__ import annotations
@@ -20,9 +26,9 @@ from metrocli.diagnosis.linear.fitted_columns import PRIOR, FittedColumns, ortho
 from metrocli.diagnosis.linear.projection import VISIBLE, System
 
 FLAT = 1e-8
-"""Eigenvalue of several parameters' signatures, as a share of the largest, below which a direction is not seen"""
+"""Smallest eigenvalue of a Gram matrix, relative to the largest, of a visible direction of the parameters"""
 _INSIDE = 0.5
-"""Share of an effect (sum of squares) inside smooth terms from which on it lies in them"""
+"""An effect lies in smooth terms if they contain at least this share of its sum of squares"""
 _DRAWS = 1000
 _MOST_WORK = 4e9
 
@@ -32,51 +38,51 @@ class Score:
     """The tests of one family."""
 
     gain: Array
-    """By how much each alternative lowers the sum of squares"""
+    """Reduction of the sum of squares by each alternative"""
     rank: Array
-    """Visible parameters of each, 0 where nothing of it is seen"""
+    """Number of visible parameters of each alternative, 0 if it is not visible"""
     log_p: Array
-    """ln of the level of each alone"""
+    """ln of the p-value of each alternative as a single test"""
 
     @property
     def best(self) -> int:
-        """The alternative of the least level."""
+        """The alternative with the smallest p-value."""
         return int(np.argmin(self.log_p))
 
 
 @dataclass(frozen=True)
 class ScoreTests:
-    """All that races, with the number of independent tests that each family and all families together count as."""
+    """All candidates, with the effective number of independent tests of each family and of all families together."""
 
     system: System
     families: tuple[Family, ...]
     scales: tuple[Array, ...]
-    """Norm of the whole signatures, of each alternative"""
+    """Norms of the whole signatures, by family"""
     grams: tuple[Array, ...]
     """`G'G` of each alternative, (alternatives, q, q)"""
     blocks: Array
-    """M of each reading, (readings, d, d), nan-free; zero for components that it has not"""
+    """Diagonal block of M for each reading, (readings, d, d); 0 for components that it does not have"""
     places: Array
-    """Rows of each reading, (readings, d), -1 where it has fewer components"""
+    """Rows of each reading, (readings, d), -1 if it has fewer components"""
     tests: tuple[float, ...] = ()
-    """Of each family, then of the outliers"""
+    """Effective number of tests of each family, then of the outliers"""
     causes: float = 1.0
-    """Of all families together"""
+    """Effective number of all families of effects together"""
     unknowns: float = 1.0
-    """Of all families of smooth functions together"""
+    """Effective number of all families of smooth functions together"""
     excluded: Mask = field(default_factory=lambda: np.zeros(0, dtype=bool))
-    """Readings that cannot be called outliers"""
+    """Readings that cannot be named outliers"""
     adjusted: frozenset[tuple[str, tuple[str, ...]]] = frozenset()
-    """Cause and place of the effects with which the unknowns were adjusted; all, where none shall stop the race"""
+    """Cause and place of the effects with which the unknowns were adjusted; these do not stop the selection"""
     remembered: dict[tuple[int, int], tuple[Mask, ...]] = field(default_factory=dict, compare=False, repr=False)
-    """For smooth terms, what lies in them"""
+    """Cache of the effects that lie in smooth terms"""
 
     def alternative(self, family: int, number: int) -> Alternative:
         """Return an alternative of a family."""
         return self.families[family].alternatives[number]
 
     def place_of(self, other: Alternative, parameters: int) -> tuple[int, int] | None:
-        """Return family and number of an alternative of another race, scanned ones the next; None where it is not."""
+        """Return family and number here of an alternative of other tests, with the nearest scanned values, or None."""
         found = [
             (one.far_from(other), i, at)
             for i, family in enumerate(self.families)
@@ -87,11 +93,11 @@ class ScoreTests:
         return min(found)[1:] if found else None
 
     def scores(self, fitted: FittedColumns) -> list[Score]:
-        """Return the tests of all families, given what is in the model."""
+        """Return the tests of all families beside the fitted columns."""
         return [self.score(number, fitted) for number in range(len(self.families))]
 
     def score(self, number: int, fitted: FittedColumns, chosen: Sequence[int] | None = None) -> Score:
-        """Return the tests of one family."""
+        """Return the tests of one family beside the fitted columns; `chosen` limits them to some alternatives."""
         columns, scale = self.families[number].columns, self.scales[number]
         if chosen is None:
             gram = self._left(number, fitted)
@@ -104,7 +110,7 @@ class ScoreTests:
         return self._scored(gain, rank, fitted)
 
     def _left(self, number: int, fitted: FittedColumns) -> Array:
-        """Return what a model leaves of the Gram matrices of a family, (alternatives, q, q)."""
+        """Return the Gram matrices of a family without the fitted columns, (alternatives, q, q)."""
         columns = self.families[number].columns
         key = number, columns.shape[1]
         if key not in fitted.remembered:
@@ -135,7 +141,7 @@ class ScoreTests:
         return self._scored(np.where(rank > 0, gain, 0.0), rank, fitted)
 
     def lying_in(self, family: int, number: int) -> tuple[Mask, ...]:
-        """Return for each family of effects which alternatives lie in smooth terms; for families of these, none."""
+        """Return for each family which of its alternatives lie in smooth terms; False for smooth functions."""
         key = family, number
         if key not in self.remembered:
             terms = self.families[family].columns[:, number]
@@ -152,9 +158,9 @@ class ScoreTests:
         return [one for one in smooth if self.lying_in(*one)[family][number]]
 
     def causes_in(self, smooth: Sequence[tuple[int, int]]) -> float:
-        """Return as how many independent ones the effects count that lie in smooth terms, `n^2 / sum c_ij`.
+        """Return the effective number of independent effects that lie in smooth terms, `n^2 / sum c_ij`.
 
-        c is the squared correlation of two effects, 1 for aliases (the effective number of tests, Nyholt 2004).
+        c_ij is the squared correlation of two effects, 1 for aliases (effective number of tests, Nyholt 2004).
         """
         lying = {i: int(np.argmax(m)) for one in smooth for i, m in enumerate(self.lying_in(*one)) if m.any()}
         columns = [self.families[i].columns[:, at] for i, at in lying.items()]
@@ -163,11 +169,11 @@ class ScoreTests:
         return len(bases) ** 2 / float(np.sum(alike)) if bases else 1.0
 
     def level(self, number: int, log_p: float) -> float:
-        """Return ln of the level of a family's best alternative, counted over the family."""
+        """Return ln of the p-value of a family's best alternative, corrected for the tests of the family."""
         return float(log_family(log_p, self.tests[number]))
 
     def overall(self, log_level: float) -> float:
-        """Return ln of the level of the best family, counted over all."""
+        """Return ln of the p-value of the best family, corrected for all families."""
         return float(log_family(log_level, self.causes))
 
     def of_reading(self, reading: int) -> Array:
@@ -180,11 +186,11 @@ class ScoreTests:
 
 
 _REDUNDANT = 1e-3
-"""Share of a reading's error that must show for it to be called an outlier"""
+"""Smallest redundancy of a reading that can be named an outlier"""
 
 
 def lies_in(columns: Array, gram: Array, basis: Array) -> Mask:
-    """Return for columns (rows, k, q) and their Gram matrices whether most of them is inside a basis, (k,)."""
+    """Return for columns (rows, k, q) and their Gram matrices whether they lie mostly inside a basis, (k,)."""
     inside = np.einsum("kqq->k", _products(basis, columns))
     return np.asarray(inside > _INSIDE * np.einsum("kqq->k", gram))
 
@@ -214,9 +220,9 @@ def quadratic(gram: Array, right: Array, scale: Array) -> tuple[Array, Array]:
 def score_tests_of(
     system: System, families: Sequence[Family], rng: np.random.Generator, apart: bool = False
 ) -> ScoreTests:
-    """Return the race of families and outliers, with its counts of independent tests found from white noise.
+    """Return the tests of families and outliers, with effective numbers of tests from simulated white noise.
 
-    With `apart` the components of a reading go wrong one by one.
+    With `apart` each component of a reading is tested on its own.
     """
     grams = tuple(np.einsum("nkq,nkp->kqp", f.columns, f.columns) for f in families)
     places = _places(system)
@@ -230,7 +236,7 @@ def score_tests_of(
 
 
 def _places(system: System) -> Array:
-    """Return the rows of each reading of the measured groups, (readings, d), -1 where it has fewer components."""
+    """Return the rows of each reading of the measured groups, (readings, d), -1 if it has fewer components."""
     groups = system.model.readings
     most = max(len(group.observations.readings) for group in groups)
     parts = []
@@ -274,7 +280,7 @@ def _least_in_noise(columns: Array, gram: Array, scale: Array, noise: Array, squ
 
 
 def _least(gram: Array, right: Array, scale: Array, squares: Array, dof: float, chosen: Mask) -> Array:
-    """Return ln of the least level of all alternatives for each draw."""
+    """Return ln of the smallest p-value of all alternatives for each draw of noise."""
     s = np.where(scale > 0, scale, 1.0)
     values, vectors = np.linalg.eigh(gram / (s[:, :, None] * s[:, None, :]))
     good = values > np.maximum(VISIBLE**2, FLAT * values[:, -1:])
@@ -291,7 +297,10 @@ def _least(gram: Array, right: Array, scale: Array, squares: Array, dof: float, 
 
 
 def effective_number_of_tests(log_p: Array) -> float:
-    """Return as how many independent tests the least level (ln) of dependent ones counts: at 5, 10, 20 and 30 %."""
+    """Return the effective number of independent tests from draws of ln of the smallest p-value of dependent tests.
+
+    It is estimated from the 5, 10, 20 and 30 % quantiles.
+    """
     p = np.exp(log_p)
     counts = [np.log1p(-u) / np.log1p(-min(float(np.quantile(p, u)), 1 - 1e-12)) for u in (0.05, 0.1, 0.2, 0.3)]
     return max(1.0, float(np.median(counts)))

@@ -35,9 +35,9 @@ def scan(
     places: Sequence[tuple[str, ...]],
     scans: Sequence[Mapping[str, float]],
 ) -> Iterator[tuple[Array, Block, Mask]]:
-    """Yield for each set of values of the scanned parameters what an effect at some places adds, (rows, entries).
+    """Yield for each set of scanned values the columns of an effect at some places, (rows, entries).
 
-    With it its block, and the entries of that which the model did not estimate before, (members, size).
+    Each comes with the block of the effect, and the entries that the model does not estimate yet, (members, size).
     """
     extended = with_effect(model, effect, places, scans[0])
     first = extended.blocks[extended.added[-1].block]
@@ -58,7 +58,7 @@ def scan(
 
 
 def _at(block: Block, values: Mapping[str, float]) -> Block:
-    """Return the block of an effect with other values of its scanned parameters, at all its places."""
+    """Return the block of an effect with new values of its scanned parameters at all its places."""
     moved = block.values.copy()
     rows = slice(1, None) if len(block.members) > 1 else slice(None)
     for name, value in values.items():
@@ -85,9 +85,10 @@ def _whitened(system: System, group: Group, blocks: Mapping[str, Block], block: 
 
 
 def _spliced(system: System, group: Group, blocks: Mapping[str, Block], block: Block) -> Array | None:
-    """Return the derivatives (d, size, n) by the block of a link put into the chain of the model that changes nothing.
+    """Return the derivatives (d, size, n) by the block of a link that is inserted into the chain without a change.
 
-    All but its own step is as in the model. None where it does more than that, and the chain must be run anew.
+    The other links keep their values and derivatives, which saves their evaluation. None if the inserted link changes
+    the values, so that the whole chain must be evaluated.
     """
     before = next(one for one in system.model.groups if one.name == group.name)
     links, old = group.chain.links, before.chain.links

@@ -1,4 +1,4 @@
-"""Smooth functions of the covariates: what structure looks like whose cause is not known.
+"""Smooth functions of the covariates, for residual structure whose cause is not known.
 
 Method: docs/algorithms/selection-and-levels.md.
 """
@@ -18,20 +18,21 @@ from metrocli.diagnosis.linear.projection import System
 from metrocli.effects.effect import Effect, Parameter
 
 _FEWEST_STEPS = 6
-"""Values that a covariate must take for sines of it to be tried"""
+"""Least number of different values of a covariate for sines of it"""
 _MOST_PERIODS = 60.0
 _RANK = 1e-9
-"""Singular value of the terms of a smooth function, over the largest, below which they are no more of them"""
+"""Smallest singular value of independent terms of a smooth function, relative to the largest"""
 _SHOWS = 0.02
-"""Share of a smooth function that the unknowns must leave"""
+"""Smallest share of a smooth function that must be visible beside the unknowns"""
 _FEWEST_FOR = 4
-"""Readings for each term that a unit must have to get terms of its own"""
+"""Least number of readings per term for which a unit gets its own terms"""
 
 
 def smooth_families(job: AdjustedJob, system: System) -> list[Family]:
-    """Return for each covariate polynomials of it: one for all readings, and one for each unit (tracer, image).
+    """Return the families of smooth functions: polynomials of each covariate, for all readings and for each unit.
 
-    And sines where it asks for them, a scan over their periods; for those that are terms themselves, these.
+    A unit is for example a tracer or an image. Covariates that vary periodically also give sines, with a scan over
+    their periods. Covariates that are terms themselves give these terms.
     """
     apart = [covariate for covariate in job.covariates if not covariate.together]
     smooth = [family for covariate in apart for family in _of(job, system, covariate)]
@@ -65,9 +66,9 @@ def _of(job: AdjustedJob, system: System, covariate: Covariate) -> Iterator[Fami
 
 
 def _shown(system: System, columns: Array) -> Array:
-    """Return what the unknowns leave of the space of some terms (rows, k), by directions; 0 where that is little.
+    """Return the visible part of the space of some terms (rows, k), by directions; 0 if it is too small.
 
-    What is left of a thousandth of a function would be any pattern, and stands for an error a thousand times its size.
+    A visible part of a thousandth of a function would fit any pattern, and mean an error a thousand times its size.
     """
     basis, sizes, _ = np.linalg.svd(columns, full_matrices=False)
     basis = basis * (sizes > _RANK * max(float(sizes[0]), 1e-300))
@@ -87,9 +88,10 @@ def _together(job: AdjustedJob, system: System, covariate: Covariate) -> Family:
 
 
 def _waves(job: AdjustedJob, system: System, covariate: Covariate) -> Iterator[Family]:
-    """Yield cosine and sine of a covariate for each component, from one period over the measurement on.
+    """Yield cosine and sine of a covariate for each component, from one period over the measurement upwards.
 
-    Up to one in two of the steps that the covariate takes (Nyquist); half a period apart, so that none falls between.
+    The highest frequency has one period in two steps of the covariate (Nyquist). Frequencies are half a period over
+    the measurement apart, so that the scan misses none between them.
     """
     for group in job.model.readings:
         values = covariate.values.get(group.name)
@@ -111,7 +113,7 @@ def _waves(job: AdjustedJob, system: System, covariate: Covariate) -> Iterator[F
 
 
 def _parts(job: AdjustedJob, group: Group) -> Iterator[tuple[tuple[str, ...], Array]]:
-    """Yield all readings, then those of each unit."""
+    """Yield the mask of all readings, then that of each unit, with the name of the place."""
     count = group.observations.count
     yield (), np.ones(count, dtype=bool)
     for key in job.units:
@@ -123,7 +125,7 @@ def _parts(job: AdjustedJob, group: Group) -> Iterator[tuple[tuple[str, ...], Ar
 
 
 def _components(system: System, group: Group, terms: Array) -> Array:
-    """Return terms (n, k) for each component of the readings on its own, whitened, (rows, k components)."""
+    """Return whitened terms (n, k) for each component of the readings separately, (rows, k components)."""
     observations = group.observations
     d, n = observations.readings.shape
     k = terms.shape[1]

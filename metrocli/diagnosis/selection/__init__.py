@@ -1,4 +1,4 @@
-"""Selection: which candidates go into the model, which stay, and which others explain as much.
+"""Selection: which candidates enter the model, which stay in it, and which others explain the readings as well.
 
 Method: docs/algorithms/selection-and-levels.md.
 """

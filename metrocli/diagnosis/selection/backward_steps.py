@@ -1,4 +1,4 @@
-"""Settling: names swapped for better ones, and what is not worth it beside the others taken out of the model.
+"""Backward steps: names are replaced by better ones, and members that are no longer significant are removed.
 
 Method: docs/algorithms/selection-and-levels.md.
 """
@@ -16,18 +16,18 @@ from metrocli.diagnosis.selection.selection_state import Chosen, Selection, leve
 from metrocli.diagnosis.selection.thresholds import exit_level
 
 _CLEARLY = 1.0
-"""By how much the evidence (ln) of a name must be larger for it to count as a better one"""
+"""Smallest difference of the evidence (ln) by which a name counts as better than another"""
 
 
 def backward_steps(selection: Selection) -> Selection:
-    """Return the selection after swaps, and without what is not worth it beside the others."""
+    """Return the selection after swaps, without members that are not significant beside the others."""
     if len(selection.chosen) > 1:
         selection = _with_swaps(selection)
     return _without_idle(selection)
 
 
 def _without_idle(selection: Selection) -> Selection:
-    """Return the selection without those that are not beyond chance given the others, the least worth first."""
+    """Return the selection without members that are not significant beside the others, the weakest removed first."""
     while selection.chosen:
         levels = levels_of(selection)
         over = [level - np.log(exit_level(selection, one)) for level, one in zip(levels, selection.chosen, strict=True)]
@@ -39,7 +39,11 @@ def _without_idle(selection: Selection) -> Selection:
 
 
 def evidence(test_set: ScoreTests, fitted: FittedColumns, family: int, score: Score) -> Array:
-    """Return ln of the evidence for each alternative, `-(nu ln RSS + q ln nu)/2 - ln m` (Schwarz 1978)."""
+    """Return ln of the evidence for each alternative, `-(nu ln RSS + q ln nu)/2 - ln m` (Schwarz 1978).
+
+    nu are the degrees of freedom, RSS is the residual sum of squares with the alternative, q its rank, and m the
+    effective number of tests of its family.
+    """
     left = np.maximum(fitted.squares - score.gain, 1e-300)
     terms = fitted.dof * np.log(left) + score.rank * np.log(max(fitted.dof, 2.0))
     value = -terms / 2 - np.log(test_set.tests[family])
@@ -47,9 +51,10 @@ def evidence(test_set: ScoreTests, fitted: FittedColumns, family: int, score: Sc
 
 
 def _with_swaps(selection: Selection) -> Selection:
-    """Return the selection with names replaced by ones that the others leave more evidence for, if there are such.
+    """Return the selection with names replaced by others that have more evidence beside the rest of the selection.
 
-    Only by one beside which it is not needed: what says more of something else has its own turn in the race.
+    A name replaces another only if the other is then no longer needed. A name that explains something else is left to
+    the forward steps.
     """
     # swaps could go round in a circle, so their rounds are limited
     for _ in range(5):
@@ -64,12 +69,12 @@ def _with_swaps(selection: Selection) -> Selection:
 
 
 def _better(selection: Selection, one: Chosen) -> Chosen | None:
-    """Return what takes the place of one that was chosen, None where it stays."""
+    """Return the replacement of a chosen member, or None if it stays."""
     test_set, fitted = selection.test_set, selection.beside(one)
     scores = test_set.scores(fitted)
     best = [evidence(test_set, fitted, i, score) for i, score in enumerate(scores)]
     for family, number in test_set.around(one.family, one.number) if one in selection.named else ():
-        # smooth terms in which it lies win or lose in the race; beside them it is tested again
+        # smooth terms that contain the effect are no replacement: the forward steps compare them with it
         best[family][number] = -np.inf
     family = _preferred(test_set, best, one)
     number = int(np.argmax(best[family]))
@@ -86,9 +91,9 @@ def _better(selection: Selection, one: Chosen) -> Chosen | None:
 
 
 def _preferred(test_set: ScoreTests, best: Sequence[Array], one: Chosen) -> int:
-    """Return the family with clearly the most evidence; else, of effects as good, the first in the table of its kind.
+    """Return the family with clearly the most evidence, otherwise the first of the equally good ones.
 
-    The tables list what is usual first.
+    The tables of effects list the usual causes first.
     """
     most = np.array([values.max(initial=-np.inf) for values in best])
     own = best[one.family][one.number]

@@ -1,4 +1,4 @@
-"""Naming: for each effect that was found, which others would explain the readings as well (a model confidence set).
+"""Confidence sets: for each effect that was found, the others that would explain the readings as well.
 
 Method: docs/algorithms/selection-and-levels.md.
 """
@@ -20,62 +20,62 @@ from metrocli.diagnosis.selection.selection_state import Chosen, Selection, leve
 
 _ODDS = 1 / 20
 _NEEDED = 0.01
-"""Level below which an effect is still needed beside another, so that the other does not explain it"""
+"""An effect is still needed beside another if its p-value is below this level; then the other does not explain it"""
 _DISTINGUISHED = 6.6
-"""Non-centrality that what only the named effect explains must have: without it the two are not told apart"""
+"""Two effects are distinguished if the part that only the named effect explains has this non-centrality"""
 _NEAR = 0.9
-"""Cosine above which a form with more parameters counts as another explanation"""
+"""Smallest cosine at which a form with more parameters counts as another explanation"""
 _SIGNIFICANT = 0.05
 _DISTANT = 0.3
 _BLIND = 1e-2
-"""Part of a parameter in a direction that is not seen, from which on nothing is known of it"""
+"""Smallest part of a parameter in an unseen direction that leaves the parameter undetermined"""
 _DISTINCT = 1e-4
-"""Singular value of unit columns below which they are the same"""
+"""Singular value of unit columns below which they count as linearly dependent"""
 
 
 @dataclass(frozen=True)
 class Rival:
-    """Another name for what was found."""
+    """Another effect that would explain the readings as well."""
 
     alternative: Alternative
     correlation: float
-    """Cosine between the effect's fitted signature and the span of the rival's"""
+    """Cosine between the fitted signature of the named effect and the span of the rival's columns"""
     odds: float
-    """Its evidence against the named one"""
+    """Ratio of its evidence to that of the named effect"""
 
 
 @dataclass(frozen=True)
 class NamedEffect:
-    """An effect that the readings ask for, with all that explain it as well."""
+    """An effect that the readings require, with its confidence set: the rivals that explain them as well."""
 
     chosen: Chosen
     alternative: Alternative
     log_level: float
     values: Array
-    """Its parameters"""
+    """Estimated parameters (one-step, linear)"""
     covariance: Array
-    """For the noise found"""
+    """Covariance of the parameters with the estimated noise"""
     seen: Mask
     """Which parameters the readings determine together; the others are taken as 0"""
     apart: Mask
-    """Which parameters have no part in a direction that no reading shows: of the others nothing is known one by one"""
+    """Which parameters have no part in an unseen direction; the others are not determined individually"""
     rivals: tuple[Rival, ...]
     shows: float
-    """Norm of what shows of it in the readings, in standard deviations of the declared noise"""
+    """Norm of its visible part in the readings, in standard deviations of the declared noise"""
 
     @property
     def held(self) -> tuple[str, ...]:
-        """The parameters taken as 0: the readings do not see them apart from the others."""
+        """The parameters taken as 0, because the readings do not determine them beside the others."""
         return tuple(name for name, free in zip(self.alternative.parameters, self.seen, strict=True) if not free)
 
     @property
     def known(self) -> dict[str, float]:
-        """What is not estimated: the scanned parameters, and those taken as 0."""
+        """The parameters that are not estimated: the scanned ones, and those taken as 0."""
         return {**dict(self.alternative.scanned), **dict.fromkeys(self.held, 0.0)}
 
 
 def confidence_sets(selection: Selection) -> tuple[NamedEffect, ...]:
-    """Return the effects of a selection with their sets of names."""
+    """Return the effects of a selection, each with its confidence set."""
     levels = dict(zip(map(id, selection.chosen), levels_of(selection), strict=True))
     return tuple(_named(selection, one, levels[id(one)]) for one in selection.named)
 
@@ -101,7 +101,7 @@ def _named(selection: Selection, one: Chosen, level: float) -> NamedEffect:
 def _seen(left: Array, whole: Array) -> Mask:
     """Return which parameters (q,) can be estimated together.
 
-    While the readings leave a direction of them unseen, the one that lies most along it is taken out.
+    While a direction of the parameters is unseen, the parameter with the largest part in it is removed.
     """
     seen = np.ones(left.shape[1], dtype=bool)
     scaled = left / np.where(whole > 0, whole, 1.0)
@@ -115,7 +115,7 @@ def _seen(left: Array, whole: Array) -> Mask:
 
 
 def _apart(left: Array, whole: Array) -> Mask:
-    """Return which parameters (q,) have no part in a direction that the readings leave unseen."""
+    """Return which parameters (q,) have no part in an unseen direction."""
     columns = left / np.where(whole > 0, whole, 1.0)
     values, vectors = np.linalg.eigh(columns.T @ columns)
     open_ones = values <= max(VISIBLE**2, FLAT * values[-1])
@@ -123,7 +123,7 @@ def _apart(left: Array, whole: Array) -> Mask:
 
 
 def _rivals(selection: Selection, one: Chosen, fitted: FittedColumns, explained: Array) -> tuple[Rival, ...]:
-    """Return the best form of each other cause and place that belongs into the set."""
+    """Return the best form of each other cause and place that belongs to the confidence set."""
     test_set = selection.test_set
     own = test_set.families[one.family].alternatives[one.number]
     score = test_set.score(one.family, fitted, [one.number])
@@ -157,7 +157,7 @@ def _rivals(selection: Selection, one: Chosen, fitted: FittedColumns, explained:
 def _explains(
     selection: Selection, one: Chosen, fitted: FittedColumns, family: int, at: int, cosine: float, rank: int
 ) -> bool:
-    """Whether with the rival in the model the named effect is not needed any more, or could not be."""
+    """Return whether the rival makes the named effect unnecessary, or cannot be distinguished from it."""
     test_set = selection.test_set
     gain = test_set.score(one.family, fitted, [one.number]).gain[0]
     full = selection.fitted(without=selection.around(one))

@@ -1,4 +1,4 @@
-"""Steps: what is beyond chance beside a selection, and would go into the model next.
+"""Forward steps: candidates that are significant beside a selection and could enter the model next.
 
 Method: docs/algorithms/selection-and-levels.md.
 """
@@ -24,18 +24,18 @@ from metrocli.diagnosis.selection.thresholds import (
 )
 
 _SHARE = 0.1
-"""Readings that may be called outliers at most"""
+"""Largest share of the readings that can be named outliers"""
 _AS_MUCH = 0.9
-"""Share of what a smooth function explains from which effects that explain it are named first"""
+"""Effects that explain at least this share of what a smooth term explains are named before it"""
 _TOGETHER = 4
-"""Effects at most that may stand for one smooth term"""
+"""Largest number of effects that replace one smooth term"""
 _ALIKE = 0.3
-"""Correlation of two outliers above which they are not taken in one step"""
+"""Largest correlation of two outliers that are taken in one step"""
 _FEW = 3
 
 
 def forward_steps(selection: Selection) -> Iterator[Selection]:
-    """Yield the selection with each that is beyond chance, the winner of the race first."""
+    """Yield the selection with each significant candidate, the most significant first."""
     test_set, fitted = selection.test_set, selection.fitted()
     if fitted.dof < 3:
         return
@@ -57,7 +57,7 @@ def forward_steps(selection: Selection) -> Iterator[Selection]:
 
 
 def _with_smooth(selection: Selection, scores: Sequence[Score], family: int) -> Iterator[Selection]:
-    """Yield the selection with the effects that make up a smooth term or stand out of it, if any; then with itself."""
+    """Yield the selection with effects that explain a smooth term, with one that stands out of it, then with itself."""
     test_set, fitted, score = selection.test_set, selection.fitted(), scores[family]
     if carried_by_few(test_set, fitted, family, score.best) > np.log(UNKNOWN):
         return
@@ -81,7 +81,7 @@ def _with_best(selection: Selection, family: int, score: Score) -> Selection:
 
 
 def _with_effects(selection: Selection) -> Selection:
-    """Return the selection with the effects that win a race without smooth terms: several may make up one of them."""
+    """Return the selection with the best effects if there were no smooth terms: several can make up one such term."""
     test_set = selection.test_set
     for _ in range(_TOGETHER):
         fitted = selection.fitted()
@@ -104,9 +104,10 @@ def _with_effects(selection: Selection) -> Selection:
 
 
 def _standing_out(selection: Selection, scores: Sequence[Score]) -> Selection | None:
-    """Return the selection with the effect beyond chance that stands out of all smooth terms in which it lies.
+    """Return the selection with the significant effect that stands out of all smooth terms in which it lies.
 
-    Smooth terms that are many win against one effect among several that they contain; named are causes first.
+    Several effects together look like a smooth term with many parameters, which is then more significant than each of
+    them. Causes are named before smooth terms.
     """
     test_set = selection.test_set
     effects = [i for i, family in enumerate(test_set.families) if not family.unknown and len(scores[i].gain)]
@@ -129,9 +130,9 @@ def _stands_out(
 
 
 def _beside_smooth(selection: Selection) -> Iterator[Selection]:
-    """Yield the selection with each effect that stands out of those smooth terms in it in which it lies.
+    """Yield the selection with each effect that stands out of the selected smooth terms in which it lies.
 
-    What they took with them when they were chosen is seen only when all else is in the model.
+    The smooth terms absorbed such an effect when they were chosen. It shows only with all other effects in the model.
     """
     test_set, unknown = selection.test_set, selection.unknown
     found = []
@@ -155,7 +156,7 @@ def _beside_smooth(selection: Selection) -> Iterator[Selection]:
 
 
 def _together(selection: Selection, known: Selection) -> float:
-    """Return ln of the level of all that one selection has more than another, counted over their families."""
+    """Return ln of the joint level of the additional members of a larger selection, corrected for multiple tests."""
     before, after = selection.fitted(), known.fitted()
     gain, q = before.squares - after.squares, int(before.dof - after.dof)
     if q < 1:
@@ -166,9 +167,9 @@ def _together(selection: Selection, known: Selection) -> float:
 
 
 def carried_by_few(test_set: ScoreTests, fitted: FittedColumns, family: int, number: int) -> float:
-    """Return ln of the level of smooth terms without the few readings that speak for them most.
+    """Return ln of the level of smooth terms without the few readings that support them most.
 
-    A polynomial of many terms follows two or three wrong readings; structure is what stays without them.
+    A polynomial of many terms follows two or three wrong readings; true structure stays significant without them.
     """
     columns = test_set.families[family].columns[:, number]
     left = columns - fitted.basis @ (fitted.basis.T @ columns)
@@ -182,7 +183,7 @@ def carried_by_few(test_set: ScoreTests, fitted: FittedColumns, family: int, num
 
 
 def _with_outliers(selection: Selection, wrong: Score, fitted: FittedColumns) -> Selection:
-    """Return the selection with the worst reading, and others as bad that do not share its error."""
+    """Return the selection with the worst reading, and with others as bad whose tests are not correlated with it."""
     test_set = selection.test_set
     there = {one.number for one in selection.outliers}
     batch: list[int] = []

@@ -1,4 +1,4 @@
-"""Scanned parameters found more closely: between the best value of a coarse scan and its neighbours.
+"""Refinement of scanned parameters between the best value of a coarse scan and its neighbours.
 
 Method: docs/algorithms/selection-and-levels.md.
 """
@@ -21,9 +21,9 @@ _ROUNDS = 2
 
 
 def refined_scans(job: AdjustedJob, selection: Selection) -> Selection:
-    """Return the selection with the scanned parameters of its names where they explain the readings best.
+    """Return the selection with the scanned parameters of its effects at their best values.
 
-    The levels stay those of the coarse scan, which counted what was tried.
+    The levels stay those of the coarse scan, which are corrected for the number of values tried.
     """
     for _ in range(_ROUNDS):
         for one in selection.named:
@@ -35,7 +35,7 @@ def refined_scans(job: AdjustedJob, selection: Selection) -> Selection:
 
 
 def _same(selection: Selection, one: Chosen) -> Chosen:
-    """Return what is now in the selection for a cause that was in it before."""
+    """Return the present member of the selection for a cause that was in it before."""
     if any(other is one for other in selection.named):
         return one
     spot = selection.test_set.families[one.family].alternatives[one.number].spot
@@ -71,7 +71,7 @@ def _closer(job: AdjustedJob, selection: Selection, one: Chosen, name: str) -> S
 
 
 def _between(job: AdjustedJob, family: Family, alternative: Alternative, name: str) -> Array:
-    """Return values of a scanned parameter between those next to the best one that were tried."""
+    """Return values of a scanned parameter between the tried neighbours of the best value."""
     parameter = next(p for p in alternative.effect.scanned if p.name == name)
     if parameter.grid is None:
         return np.zeros(0)
@@ -83,7 +83,7 @@ def _between(job: AdjustedJob, family: Family, alternative: Alternative, name: s
 
 
 def _with_alternative(test_set: ScoreTests, number: int, alternative: Alternative, columns: Array) -> ScoreTests:
-    """Return the race with one more alternative of a family."""
+    """Return the score tests with one more alternative of a family."""
     family = test_set.families[number]
     grown = replace(
         family,

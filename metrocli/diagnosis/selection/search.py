@@ -1,4 +1,6 @@
-"""Selection: effects, unknown smooth terms and outliers race; what wins goes into the model, and must stay worth it.
+"""Stepwise selection of effects, smooth terms and outliers: forward steps to the most significant, then backward steps.
+
+A member stays in the model only while it is significant beside the others.
 
 Method: docs/algorithms/selection-and-levels.md.
 """
@@ -16,14 +18,14 @@ _STEPS = 40
 
 
 def search(test_set: ScoreTests, start: FittedColumns) -> Selection:
-    """Return what wins the race, step by step, until nothing more is beyond chance."""
+    """Return the selection found step by step from `start`, until no further candidate is significant."""
     return continued(Selection(test_set, FittedParts(start)))
 
 
 def continued(selection: Selection) -> Selection:
-    """Return a selection with what else wins the race beside it, and without what is not worth it any more.
+    """Return a selection after further forward and backward steps, until no candidate is significant beside it.
 
-    A step that leads back to what was there before gives way to the next best.
+    A step that leads back to an earlier selection is replaced by the next best step.
     """
     selection = backward_steps(selection)
     passed = [selection.members]
@@ -42,7 +44,7 @@ def continued(selection: Selection) -> Selection:
 
 
 def transferred(selection: Selection, test_set: ScoreTests) -> Selection:
-    """Return the selection of the same in another race; of scanned parameters, the values next to those it had."""
+    """Return the selection with the same members in other score tests, at the nearest values of scanned parameters."""
     new = Selection(test_set, FittedParts(nothing_fitted(test_set.system)))
     for one in selection.chosen:
         if one.outlier:

@@ -1,4 +1,4 @@
-"""What is selected: effects, smooth terms and outliers fitted together, and the level of each beside the others.
+"""The state of a selection: effects, smooth terms and outliers fitted together, and the level of each of them.
 
 Method: docs/algorithms/selection-and-levels.md.
 """
@@ -18,7 +18,7 @@ from metrocli.diagnosis.linear.score_tests import ScoreTests
 
 @dataclass(frozen=True)
 class Chosen:
-    """What is in the model: an alternative of a family, or an outlier (family -1, a reading)."""
+    """A member of the selection: an alternative of a family, or an outlier (family -1, number of the reading)."""
 
     family: int
     number: int
@@ -26,18 +26,18 @@ class Chosen:
 
     @property
     def outlier(self) -> bool:
-        """Whether it is a wrong reading."""
+        """Whether the member is an outlier."""
         return self.family < 0
 
 
 @dataclass(frozen=True)
 class Selection:
-    """What the readings ask for beside the model of the job."""
+    """Members that the readings require in addition to the model of the job."""
 
     test_set: ScoreTests
     fit: FittedParts
     chosen: tuple[Chosen, ...] = ()
-    """What the parts of the fit are, one by one"""
+    """Members, in the order of the parts of the fit"""
 
     @property
     def named(self) -> tuple[Chosen, ...]:
@@ -51,31 +51,31 @@ class Selection:
 
     @property
     def outliers(self) -> tuple[Chosen, ...]:
-        """The wrong readings."""
+        """The outliers."""
         return tuple(one for one in self.chosen if one.outlier)
 
     @property
     def members(self) -> frozenset[tuple[int, int]]:
-        """Family and number of all that was chosen."""
+        """Family and number of all members."""
         return frozenset((one.family, one.number) for one in self.chosen)
 
     def fitted(self, without: Sequence[Chosen] = ()) -> FittedColumns:
-        """Return the model with what was chosen, but for some."""
+        """Return the fit of all members except those in `without`."""
         gone = [number for number, one in enumerate(self.chosen) if any(one is other for other in without)]
         return self.fit.without(gone) if gone else self.fit.fitted
 
     def with_one(self, one: Chosen, instead: Chosen | None = None) -> Selection:
-        """Return the selection with one more, or with it in the place of another."""
+        """Return the selection with one more member, or with this member instead of another."""
         kept = self if instead is None else self.without(instead)
         return replace(kept, fit=kept.fit.with_part(one.columns), chosen=(*kept.chosen, one))
 
     def without(self, gone: Chosen) -> Selection:
-        """Return the selection without one."""
+        """Return the selection without one member."""
         kept = [number for number, one in enumerate(self.chosen) if one is not gone]
         return replace(self, fit=self.fit.only(kept), chosen=tuple(self.chosen[number] for number in kept))
 
     def around(self, one: Chosen) -> tuple[Chosen, ...]:
-        """Return the smooth terms in which an effect lies: beside them nothing of it could be seen."""
+        """Return the selected smooth terms in which an effect lies; beside them the effect would not be visible."""
         return tuple(
             other
             for other in self.unknown
@@ -83,25 +83,25 @@ class Selection:
         )
 
     def beside(self, one: Chosen) -> FittedColumns:
-        """Return the model without one of the chosen, and without the smooth terms in which it lies (marginality)."""
+        """Return the fit without one member and without the smooth terms in which it lies (marginality)."""
         return self.fitted(without=[one, *self.around(one)])
 
 
 @dataclass(frozen=True)
 class Drop:
-    """By how much a part of the model lowers the sum of squares, and its degrees of freedom."""
+    """Reduction of the sum of squares by a part of the model, and the degrees of freedom of this part."""
 
     squares: float
     dof: float
 
 
 def drop(without: FittedColumns, beside: FittedColumns) -> Drop:
-    """Return what one model drops against another that has less in it."""
+    """Return the reduction from a smaller model `without` a part to a larger model `beside` it."""
     return Drop(without.squares - beside.squares, without.dof - beside.dof)
 
 
 def levels_of(selection: Selection) -> list[float]:
-    """Return ln of the level of each chosen one given the others, counted over all that was tried."""
+    """Return ln of the level of each member beside the others, corrected for all tests."""
     found = _outlier_gains(selection)
     return [_level(selection, one, found.get(id(one))) for one in selection.chosen]
 
@@ -121,10 +121,11 @@ def _level(selection: Selection, one: Chosen, own: Drop | None) -> float:
 
 
 def special(test_set: ScoreTests, family: int, smooth: Sequence[tuple[int, int]], own: Drop, rest: Drop) -> float:
-    """Return ln of the level at which an effect stands out of smooth terms in which it lies, counted over all that do.
+    """Return ln of the level at which an effect stands out of smooth terms in which it lies.
 
-    The terms are families and numbers of them. `own` is what the effect drops, `rest` what the terms drop beside it:
-    as long as their cause is not known, one direction of them is as likely as another.
+    `smooth` are family and number of the terms. `own` is the reduction by the effect, `rest` the further reduction by
+    the terms. Under the null hypothesis all directions of the terms are equally likely. The level is corrected for the
+    number of effects that lie in the terms.
     """
     if rest.dof < 1:
         return 0.0
@@ -133,7 +134,7 @@ def special(test_set: ScoreTests, family: int, smooth: Sequence[tuple[int, int]]
 
 
 def _outlier_gains(selection: Selection) -> dict[int, Drop]:
-    """Return by how much each outlier lowers the sum of squares beside all else, and its rank, from one solution."""
+    """Return the reduction by each outlier beside all other members, and its rank, from one solution."""
     outliers = selection.outliers
     if not outliers:
         return {}

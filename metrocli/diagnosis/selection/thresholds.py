@@ -1,4 +1,4 @@
-"""Levels: when something may go into the model, when it must leave it, and when all else has to wait.
+"""Levels of significance to enter the model and to stay in it, and the rule for dominant effects.
 
 Method: docs/algorithms/selection-and-levels.md.
 """
@@ -8,21 +8,21 @@ from __future__ import annotations
 from metrocli.diagnosis.selection.selection_state import Chosen, Selection
 
 FIRST, LATER, UNKNOWN, WRONG_READING = 0.03, 0.01, 0.005, 0.01
-"""Counted over all that is tried: of the first name, of further names, of smooth terms and of outliers
+"""Levels, corrected for all tests, of the first effect, of further effects, of smooth terms and of outliers
 
-Beside outliers the first name has the level of further ones: where readings are wrong, more are than are found.
+Beside outliers the first effect has the level of further ones, because more readings are wrong than are found.
 """
 STANDING_OUT = 0.05
-"""Level at which an effect must stand out of smooth terms in which it lies to be named beside them
+"""Level at which an effect stands out of the smooth terms in which it lies, so that it is named beside them
 
-Counted over the effects that lie in them.
+It is corrected for the number of effects that lie in the terms.
 """
 _DOMINANT, _MANY = 4.0, 50
-"""By how much effects lower the mean square, and degrees of freedom, for all else to wait until they are adjusted"""
+"""Effects are dominant if they lower the mean square by this factor, with at least so many degrees of freedom"""
 
 
 def entry_level(selection: Selection, family: int) -> float:
-    """Return the level that a family needs to go into the model."""
+    """Return the level below which a family enters the model."""
     if family < 0:
         return WRONG_READING
     if selection.test_set.families[family].unknown:
@@ -31,7 +31,7 @@ def entry_level(selection: Selection, family: int) -> float:
 
 
 def exit_level(selection: Selection, one: Chosen) -> float:
-    """Return the level beyond which what was chosen has to leave."""
+    """Return the level above which a member leaves the model."""
     if one.outlier:
         return WRONG_READING
     if selection.around(one):
@@ -40,9 +40,10 @@ def exit_level(selection: Selection, one: Chosen) -> float:
 
 
 def has_dominant_effect(selection: Selection) -> bool:
-    """Whether effects with which the unknowns were not adjusted make up most of what is left without them.
+    """Return whether most of the misfit comes from effects with which the unknowns are not adjusted yet.
 
-    Signatures are derivatives: what those of a large effect leave beyond first order would look like other effects.
+    Signatures are derivatives. The higher-order terms of a large effect would look like other effects, so the search
+    stops until the unknowns are adjusted with it.
     """
     test_set, fitted = selection.test_set, selection.fitted()
     if selection.unknown or fitted.dof <= _MANY:
