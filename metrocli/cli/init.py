@@ -17,7 +17,7 @@ def command(folder: Path | None, sample: str | None) -> int:
     from metrocli.errors import Fault, InputError, UsageError
     from metrocli.words import suggestion
 
-    samples = {path.name: path for path in sorted(_home().iterdir()) if (path / "metrocli.yaml").is_file()}
+    samples = {path.name: path for path in sorted(samples_folder().iterdir()) if (path / "metrocli.yaml").is_file()}
     if sample is None:
         click.echo("samples (copy one with: metrocli init DIR --sample NAME):")
         for name, path in samples.items():
@@ -37,7 +37,7 @@ def command(folder: Path | None, sample: str | None) -> int:
     return 0
 
 
-def _home() -> Path:
+def samples_folder() -> Path:
     """Return the folder of the samples: in the installed package, or beside the package in a source checkout."""
     package = Path(__file__).parents[1]
     installed = package / "sample_projects"

@@ -75,8 +75,8 @@ def cross_validated(job: AdjustedJob, selection: Selection, names: Sequence[Name
     for fold in range(int(rows.max()) + 1):
         out = np.flatnonzero((rows == fold) & ~spared)
         if out.size:
-            trained = search(test_set, _without(test_set, np.flatnonzero(rows == fold)))
-            start = _without(test_set, np.flatnonzero((rows == fold) & spared))
+            trained = search(test_set, fitted_without(test_set, np.flatnonzero(rows == fold)))
+            start = fitted_without(test_set, np.flatnonzero((rows == fold) & spared))
             for number, group in enumerate(groups):
                 found[number].append(_compared(start, trained, group, out))
     return [_gain(pairs) for pairs in found]
@@ -90,7 +90,7 @@ def _rows_of_folds(job: AdjustedJob, test_set: ScoreTests) -> Index:
     return rows
 
 
-def _without(test_set: ScoreTests, out: Index) -> FittedColumns:
+def fitted_without(test_set: ScoreTests, out: Index) -> FittedColumns:
     unit = np.zeros((test_set.system.rows, len(out)))
     unit[out, np.arange(len(out))] = 1.0
     return nothing_fitted(test_set.system).with_columns(test_set.system.seen(unit))
@@ -112,14 +112,14 @@ def _compared(
     own = [one for one in trained.named if is_it(one)]
     others = [one for one in trained.chosen if one not in own and one not in trained.unknown]
     before = _with_all(start, others)
-    return _held(test_set, before, out), _held(test_set, _with_all(before, own), out)
+    return held_out_errors(test_set, before, out), held_out_errors(test_set, _with_all(before, own), out)
 
 
 def _with_all(fitted: FittedColumns, chosen: Sequence[Chosen]) -> FittedColumns:
     return fitted.with_columns(np.concatenate([one.columns for one in chosen], axis=1)) if chosen else fitted
 
 
-def _held(test_set: ScoreTests, fitted: FittedColumns, out: Index) -> _Held:
+def held_out_errors(test_set: ScoreTests, fitted: FittedColumns, out: Index) -> _Held:
     """Return the log density of the held-out readings (multivariate t) and their errors of prediction."""
     from scipy.special import gammaln
 

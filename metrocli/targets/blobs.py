@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from metrocli.targets.ellipses import Ellipse
+from metrocli.targets.ellipse import Ellipse
 
 if TYPE_CHECKING:
     from metrocli.imageset import Picture

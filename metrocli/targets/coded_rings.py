@@ -14,7 +14,8 @@ import numpy.typing as npt
 
 from metrocli.targets import blobs, ellipses
 from metrocli.targets.codes import BITS, RING_FROM, RING_TO, canonical, codes
-from metrocli.targets.ellipses import Ellipse, Fitted
+from metrocli.targets.ellipse import Ellipse
+from metrocli.targets.ellipses import Fitted
 from metrocli.targets.pattern import Pattern
 from metrocli.targets.sightings import Sightings, nothing, of_ellipses
 

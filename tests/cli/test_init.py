@@ -22,7 +22,7 @@ def samples(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (home / "line" / "README.md").write_text("# A line through readings\n\nMore.\n")
     (home / "line" / "results" / "line.h5").write_text("x")
     (home / "no-sample").mkdir()
-    monkeypatch.setattr(init, "_home", lambda: home)
+    monkeypatch.setattr(init, "samples_folder", lambda: home)
     return tmp_path
 
 
@@ -58,4 +58,4 @@ def test_wrong_use(samples: Path, metrocli: Metrocli) -> None:
 
 
 def test_the_real_home_is_in_the_checkout_or_the_package() -> None:
-    assert init._home().name == "sample_projects"
+    assert init.samples_folder().name == "sample_projects"

@@ -17,7 +17,7 @@ from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.diagnosis.cross_validation import _held, _without
+from metrocli.diagnosis.cross_validation import fitted_without, held_out_errors
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.extended_fit import score_tests_of_job
 from metrocli.diagnosis.linear.candidates import families_of
@@ -26,10 +26,10 @@ from metrocli.diagnosis.linear.fitted_columns import PRIOR, nothing_fitted
 from metrocli.diagnosis.linear.projection import System, linearised
 from metrocli.diagnosis.linear.score_tests import ScoreTests, effective_number_of_tests, quadratic
 from metrocli.diagnosis.linear.signatures import signature
-from metrocli.diagnosis.linear.smooth_terms import _shown, polynomials
+from metrocli.diagnosis.linear.smooth_terms import polynomials, visible_directions
 from metrocli.diagnosis.noise import noisiest_unit
 from metrocli.diagnosis.residual_structure import pure_error
-from metrocli.diagnosis.selection.confidence_set import _seen
+from metrocli.diagnosis.selection.confidence_set import determined
 from metrocli.diagnosis.selection.search import search
 from metrocli.diagnosis.selection.selection_state import Chosen, Selection
 from metrocli.effects.model import Model
@@ -194,12 +194,12 @@ def test_held_out_errors_are_those_of_an_adjustment_without_them() -> None:
     system = field().system
     size = np.linalg.norm(jacobian, axis=0)
     for row in (3, 77):
-        held = _held(field(), nothing_fitted(system), np.array([row]))
+        held = held_out_errors(field(), nothing_fitted(system), np.array([row]))
         rest = np.arange(len(residual)) != row
         step = np.linalg.lstsq((jacobian / size)[rest], residual[rest], rcond=1e-9)[0]
         expected = residual[row] - (jacobian / size)[row] @ step
         assert np.isclose(held.errors[0] / system.scale[row], expected, rtol=1e-3)
-        assert np.isclose(_without(field(), np.array([row])).dof, system.dof - 1 + PRIOR)
+        assert np.isclose(fitted_without(field(), np.array([row])).dof, system.dof - 1 + PRIOR)
 
 
 def test_held_out_errors_are_of_angles_where_distances_are_read_too() -> None:
@@ -226,7 +226,7 @@ def test_in_noise_the_levels_are_what_they_say() -> None:
 def test_a_smooth_function_of_three_values_has_two_directions() -> None:
     system = field().system
     values = np.repeat([0.0, 1.0, 2.0], -(-system.rows // 3))[: system.rows]
-    shown = _shown(system, polynomials(values[None], 5))
+    shown = visible_directions(system, polynomials(values[None], 5))
     assert int((np.linalg.norm(shown, axis=0) > 0).sum()) <= 2
 
 
@@ -314,9 +314,9 @@ def test_of_parameters_that_are_not_seen_apart_as_few_are_held_as_need_be() -> N
     rng = np.random.default_rng(14)
     a, b, alone = rng.normal(size=(3, 50))
     left = np.stack([a, 1e4 * (a + b), b, 1e-9 * rng.normal(size=50), 1e-3 * alone], axis=1)
-    seen = _seen(left, np.array([10.0, 1e5, 10.0, 10.0, 1.0]))
+    seen = determined(left, np.array([10.0, 1e5, 10.0, 10.0, 1.0]))
     assert seen[[3, 4]].tolist() == [False, True] and seen[:3].sum() == 2
-    assert _seen(left[:, [0, 2, 4]], np.array([10.0, 10.0, 1.0])).all()
+    assert determined(left[:, [0, 2, 4]], np.array([10.0, 10.0, 1.0])).all()
     kept = left[:, seen]
     fitted = kept @ np.linalg.lstsq(kept, np.stack([a, a + b, b, alone], axis=1), rcond=None)[0]
     assert fitted == pytest.approx(np.stack([a, a + b, b, alone], axis=1), abs=1e-9), "what is seen is fitted whole"

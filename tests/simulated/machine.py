@@ -293,14 +293,14 @@ def flight(
     listed = {"tool": np.repeat(names, len(vertices))} if len(tools) > 1 else {}
     track = {"tool": names[tool]} if len(tools) > 1 else {}
     return Flight(
-        _table("path.csv", np.tile(vertices, (len(tools), 1)), listed),
-        _table("track.csv", seen, track),
+        coordinate_table("path.csv", np.tile(vertices, (len(tools), 1)), listed),
+        coordinate_table("track.csv", seen, track),
         commanded,
         tool,
     )
 
 
-def _table(file: str, values: Array, more: Mapping[str, object]) -> Table:
+def coordinate_table(file: str, values: Array, more: Mapping[str, object]) -> Table:
     columns = {**dict(zip("xyz", values.T, strict=True)), **more}
     return Table(columns, dict.fromkeys("xyz", "mm"), file, tuple(range(2, len(values) + 2)))  # type: ignore[arg-type]
 

@@ -7,7 +7,8 @@ import pytest
 from targets import drawn
 
 from metrocli.targets import blobs
-from metrocli.targets.ellipses import Ellipse, Fitted, fit
+from metrocli.targets.ellipse import Ellipse
+from metrocli.targets.ellipses import Fitted, fit
 
 
 def draws(

@@ -1,15 +1,10 @@
 """The adjustment as one dense linear system, which separates a change of the readings into two parts.
 
-<<<<<<< HEAD
-With J the whitened derivatives by all unknowns and r the whitened residuals, `M = I - J (J'J)^- J'` takes from a
-signature g what the unknowns absorb: Mg is seen, `J^- g` is by how much the unknowns would be wrong. M does not depend
-on the datum.
-Method: docs/algorithms/selection-and-levels.md.
-=======
 J are the whitened derivatives by all unknowns. The projector `M = I - J (J'J)^- J'` removes from a signature g the part
 that the unknowns absorb. `M g` is visible in the residuals. `J^- g` is the error of the unknowns (external
 reliability). M does not depend on the datum.
->>>>>>> h-w4
+
+Method: docs/algorithms/selection-and-levels.md.
 """
 
 from __future__ import annotations

@@ -1,14 +1,10 @@
 """Score tests: the F test of every candidate beside what the model contains, at a level corrected for multiple tests.
 
-<<<<<<< HEAD
-A scan over m places is the least of m dependent tests; it counts as so many independent ones as white noise, projected
-like the residuals, says. The same noise says how many independent causes race with each other (Westfall and Young).
-Method: docs/algorithms/selection-and-levels.md.
-=======
 A scan over m places takes the smallest p-value of m dependent tests. Simulated white noise, projected like the
 residuals, gives the effective number of independent tests. The same noise gives the effective number of independent
 causes (Westfall and Young).
->>>>>>> h-w4
+
+Method: docs/algorithms/selection-and-levels.md.
 """
 
 from __future__ import annotations

@@ -60,12 +60,12 @@ def _of(job: AdjustedJob, system: System, covariate: Covariate) -> Iterator[Fami
     for item in found:
         by_size.setdefault(item[1].shape[1], []).append(item)
     for items in by_size.values():
-        seen = np.stack([_shown(system, columns) for _, columns in items], axis=1)
+        seen = np.stack([visible_directions(system, columns) for _, columns in items], axis=1)
         raw = np.ones(seen.shape[1:])
         yield Family(f"smooth in {covariate.name}", tuple(a for a, _ in items), seen, raw, unknown=covariate.name)
 
 
-def _shown(system: System, columns: Array) -> Array:
+def visible_directions(system: System, columns: Array) -> Array:
     """Return the visible part of the space of some terms (rows, k), by directions; 0 if it is too small.
 
     A visible part of a thousandth of a function would fit any pattern, and mean an error a thousand times its size.
@@ -82,7 +82,7 @@ def _together(job: AdjustedJob, system: System, covariate: Covariate) -> Family:
     for group in job.model.readings:
         rows = system.first[group.name] + np.arange(group.observations.count)
         full[rows] = np.atleast_2d(covariate.values[group.name]).T / system.scale[rows, None]
-    seen = _shown(system, full)[:, None]
+    seen = visible_directions(system, full)[:, None]
     alternatives, raw = (_alternative(covariate, ()),), np.ones(seen.shape[1:])
     return Family(f"moving with {covariate.name}", alternatives, seen, raw, covariate.name)
 
@@ -107,7 +107,7 @@ def _waves(job: AdjustedJob, system: System, covariate: Covariate) -> Iterator[F
             for i, component in enumerate(group.observations.components):
                 columns.append(full[:, 2 * i : 2 * i + 2])
                 names.append(_alternative(covariate, (component, f"{periods:g} periods")))
-        seen = np.stack([_shown(system, one) for one in columns], axis=1)
+        seen = np.stack([visible_directions(system, one) for one in columns], axis=1)
         raw = np.ones(seen.shape[1:])
         yield Family(f"waves in {covariate.name}", tuple(names), seen, raw, unknown=covariate.name)
 

@@ -85,7 +85,7 @@ def _named(selection: Selection, one: Chosen, level: float) -> NamedEffect:
     alternative = selection.test_set.families[one.family].alternatives[one.number]
     left = one.columns - fitted.basis @ (fitted.basis.T @ one.columns)
     whole = selection.test_set.scales[one.family][one.number]
-    seen, apart = _seen(left, whole), _apart(left, whole)
+    seen, apart = determined(left, whole), _apart(left, whole)
     left = np.where(seen, left, 0.0)
     # unit columns before the inverse: parameters may differ in units by many powers of ten
     norm = np.linalg.norm(left, axis=0)
@@ -98,7 +98,7 @@ def _named(selection: Selection, one: Chosen, level: float) -> NamedEffect:
     return NamedEffect(one, alternative, level, values, covariance, seen, apart, rivals, shows)
 
 
-def _seen(left: Array, whole: Array) -> Mask:
+def determined(left: Array, whole: Array) -> Mask:
     """Return which parameters (q,) can be estimated together.
 
     While a direction of the parameters is unseen, the parameter with the largest part in it is removed.

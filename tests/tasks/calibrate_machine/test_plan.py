@@ -84,7 +84,9 @@ def test_the_program_drives_the_path() -> None:
 def test_the_jobs_own_path_is_judged() -> None:
     settings = sim.settings("on-the-fly", knots=(11, 11, 11), noise=NOISE)
     lines = edges_and_diagonals(machine_of(settings))
-    table = sim._table("path.csv", np.concatenate([[lines.start[0], lines.end[0]], [lines.start[1], lines.end[1]]]), {})
+    table = sim.coordinate_table(
+        "path.csv", np.concatenate([[lines.start[0], lines.end[0]], [lines.start[1], lines.end[1]]]), {}
+    )
     plan = calibrate_machine.plan(calibrate_machine.TASK.job(settings, path=table))
     assert plan.notes[0].startswith("the path of the job: 3 legs")
     assert any("combinations of errors that move" in line or "no reading is near" in line for line in plan.notes)
