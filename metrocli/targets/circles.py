@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from metrocli.targets import blobs, ellipses
+from metrocli.targets.ellipse import Ellipse
 from metrocli.targets.lattice import ordered
 from metrocli.targets.pattern import Pattern, lattice, names
 from metrocli.targets.sightings import Sightings, nothing, of_ellipses
@@ -49,7 +50,7 @@ def _of_polarity(pattern: Pattern, picture: Picture, polarity: str) -> Sightings
     return of_ellipses([name for name, _ in good], [fit for _, fit in good if fit is not None])
 
 
-def _reaches(starts: list[ellipses.Ellipse]) -> list[float]:
+def _reaches(starts: list[Ellipse]) -> list[float]:
     """Return half the distance to the nearest other circle, in semi-axes: pixels beyond belong to that circle."""
     centres = np.array([(start.u, start.v) for start in starts])
     reaches = []
