@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import re
 import shlex
+import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -14,15 +17,17 @@ from places import DOCS, ROOT, SAMPLES
 SAMPLE = {
     "calibrate-camera": ("board-camera", "calibrate", "camera"),
     "align-part": ("spindle-camera", "align", "part"),
-    "multilaterate": ("gear-m3d3", "tip3", "tip3"),
+    "multilaterate": ("gear-m3d3", "tip4", "tip4"),
     "locate-launch-unit": ("xm60-launch-unit", "table", "table"),
     "selfcal-grid": ("ball-cube", "views", "views"),
     "calibrate-machine": ("otf-tracker", "feed-2500", "feed-2500"),
     "report-uncertainty": ("gauge-block", "gum", "gum"),
 }
 """The sample, its job and its result that stand for JOB.yaml and RESULT.h5 on the pages of a kind; else the gear's"""
+COMPARED: set[tuple[str, ...]] = set()
+"""Comparisons that have run: the same on two pages runs once"""
 PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md")), *sorted(SAMPLES.rglob("README.md"))]
-COMMAND = re.compile(r"^\s*(?:\$ )?((?:metrocli|cd|cat|make|python -m benchmarks) .*)$")
+COMMAND = re.compile(r"^ {4}((?:metrocli|cd|cat|make|python -m benchmarks) .*)$")
 INLINE = re.compile(r"`((?:metrocli [a-z-]+ |make |python -m benchmarks)[^`]*)`", re.DOTALL)
 
 
@@ -31,49 +36,83 @@ def shown(path: Path) -> str:
 
 
 def commands(page: Path) -> Iterator[tuple[str, list[str]]]:
-    """Yield each command of a page and the lines that are quoted of its output."""
-    fenced, quoted = False, []
-    for line in page.read_text(encoding="utf-8").splitlines():
-        if line.startswith("```"):
-            fenced = not fenced and line == "```console"
-        elif (fenced and line.startswith("$ ")) or (not fenced and line.startswith("    ")):
-            if found := COMMAND.match(line):
-                quoted = []
-                yield re.sub(r"\s+#.*", "", found[1]), quoted
-        elif fenced and line != "...":
-            quoted.append(line)
-        for found in () if fenced else INLINE.finditer(line):
-            yield found[1], []
+    """Yield each command of a page and the lines that are quoted of its output or follow it."""
+    for block in re.split(r"(^```.*?^```$)|\n\n", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE):
+        if block is None or not block.strip():
+            continue
+        if block.startswith("```"):
+            yield from _of_console(block) if block.startswith("```console") else ()
+        elif block.strip("\n").startswith("    "):
+            found = [COMMAND.match(line) for line in block.splitlines()]
+            yield from ((re.sub(r"\s+#.*", "", one[1]), []) for one in found if one)
+        else:
+            yield from ((" ".join(one[1].split()), []) for one in INLINE.finditer(block))
 
 
-def kind_of(page: Path) -> str:
-    """The kind of job that a page is about."""
+def _of_console(block: str) -> Iterator[tuple[str, list[str]]]:
+    for part in block.removesuffix("```").split("\n$ ")[1:]:
+        command, *quoted = part.splitlines()
+        yield command, [line for line in quoted if line != "..."]
+
+
+def kind_of(page: Path, wanted: list[tuple[str, list[str]]]) -> str:
+    """The kind of job that a page is about: by its name or that of its sample, else by its first job."""
     for kind, (sample, *_) in SAMPLE.items():
         if kind == page.stem or sample == page.parent.name:
             return kind
-    return "multilaterate"
+    return next((kind for command, _ in wanted for kind in SAMPLE if f" {kind} " in command), "multilaterate")
 
 
-def meant(command: str, kind: str) -> list[str]:
+def exit_code(page: Path, command: str) -> int:
+    """The exit code that a page names after a command, in the same paragraph; else 0."""
+    for paragraph in page.read_text(encoding="utf-8").split("\n\n"):
+        after = " ".join(paragraph.split()).partition(command)[2]
+        if named := re.search(r"\(exit code (\d)\)", after):
+            return int(named[1])
+    return 0
+
+
+def meant(command: str, kind: str, number: int) -> list[str]:
     """The words of a command, with the sample's files in place of JOB.yaml, RESULT.h5 and so on."""
-    _, job, result = SAMPLE[kind]
-    places = {"JOB.yaml": f"jobs/{job}.yaml", "RESULT.h5": f"results/{result}.h5", "DIR": "out", "KIND": kind}
-    places |= {"FORMAT": "csv", "PROJECT": "."}
-    return [places.get(word, word) for word in shlex.split(re.sub(r"[][]", "", command))]
+    sample, job, result = SAMPLE[kind]
+    folder = "new" if command.split()[1:2] in (["init"], ["run"]) else f"out{number}"
+    places = {"JOB.yaml": f"jobs/{job}.yaml", "RESULT.h5": f"results/{result}.h5", "DIR": folder, "KIND": kind}
+    places |= {"FORMAT": "csv", "PROJECT": ".", "NAME": sample}
+    return [places.get(word, word) for word in shlex.split(re.sub(r"\[(--.*)\]", r"\1", command))]
+
+
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Path], None]:
+    """Copy a sample project whose jobs have run; each runs once."""
+    from metrocli.cli.commands import run
+
+    home = tmp_path_factory.mktemp("samples")
+
+    def copied(sample: str, to: Path) -> None:
+        if not (home / sample).exists():
+            with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+                assert run(["init", str(home / sample), "--sample", sample]) == 0
+                assert run(["run", str(home / sample)]) == 0
+        shutil.copytree(home / sample, to, dirs_exist_ok=True)
+
+    return copied
 
 
 @pytest.mark.parametrize("page", PAGES, ids=shown)
 def test_the_commands_of_a_page_run(
-    page: Path, metrocli: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    page: Path,
+    metrocli: Callable[..., Any],
+    ran: Callable[[str, Path], None],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    kind, wanted = kind_of(page), list(commands(page))
+    wanted = list(commands(page))
+    kind = kind_of(page, wanted)
     monkeypatch.chdir(tmp_path)
-    if any(command.startswith("metrocli ") for command, _ in wanted) and not wanted[0][0].startswith("metrocli init"):
-        metrocli("init", "here", "--sample", SAMPLE[kind][0])
-        monkeypatch.chdir("here")
-        assert metrocli("run").code == 0
-    for command, quoted in wanted:
-        first, *rest = meant(command, kind)
+    if any(one.startswith("metrocli ") for one, _ in wanted) and not any(one.startswith("cd ") for one, _ in wanted):
+        ran(SAMPLE[kind][0], tmp_path)
+    for number, (command, quoted) in enumerate(wanted):
+        first, *rest = meant(command, kind, number)
         if first == "cd":
             monkeypatch.chdir(rest[0])
         elif first == "cat":
@@ -82,8 +121,9 @@ def test_the_commands_of_a_page_run(
             assert re.search(f"^{rest[0]}:", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
         elif first == "python":
             assert (ROOT / "benchmarks" / f"{[*rest, '__main__'][2]}.py").exists(), command
-        else:
-            ran = metrocli(*rest)
-            assert ran.code == 0, (command, ran.err)
-            printed = {" ".join(line.split()) for line in (ran.out + ran.err).splitlines()}
-            assert {" ".join(line.split()) for line in quoted} <= printed, (command, ran.out)
+        elif quoted or "--compare" not in rest or (first, *rest) not in COMPARED:
+            COMPARED.add((first, *rest))
+            done = metrocli(*rest)
+            assert done.code == exit_code(page, command), (command, done.err)
+            printed = {" ".join(line.split()) for line in (done.out + done.err).splitlines()}
+            assert {" ".join(line.split()) for line in quoted} <= printed, (command, done.out)
