@@ -26,6 +26,8 @@ from metrocli.errors import InputError
 
 VISIBLE = 1e-6
 """Share of a signature below which its visible part is a rounding error"""
+FLAT = 1e-8
+"""Smallest eigenvalue of a Gram matrix, relative to the largest, of a visible direction of the parameters"""
 MOST_NUMBERS = 60_000_000
 """Largest number of elements of the dense system"""
 

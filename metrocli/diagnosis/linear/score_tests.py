@@ -19,10 +19,13 @@ from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.linear.candidates import Alternative, Family
 from metrocli.diagnosis.linear.distributions import log_family, log_tail
 from metrocli.diagnosis.linear.fitted_columns import PRIOR, FittedColumns, orthonormal
-from metrocli.diagnosis.linear.projection import VISIBLE, System
+from metrocli.diagnosis.linear.multiple_tests import (
+    effective_number_of_tests,
+    smallest_in_noise,
+    smallest_of_family,
+)
+from metrocli.diagnosis.linear.projection import FLAT, VISIBLE, System
 
-FLAT = 1e-8
-"""Smallest eigenvalue of a Gram matrix, relative to the largest, of a visible direction of the parameters"""
 _INSIDE = 0.5
 """An effect lies in smooth terms if they contain at least this share of its sum of squares"""
 _DRAWS = 1000
@@ -255,11 +258,11 @@ def _calibrated(test_set: ScoreTests, rng: np.random.Generator) -> ScoreTests:
     least, tests = [], []
     for number, family in enumerate(test_set.families):
         least.append(
-            _least_in_noise(family.columns, test_set.grams[number], test_set.scales[number], noise, squares, dof)
+            smallest_of_family(family.columns, test_set.grams[number], test_set.scales[number], noise, squares, dof)
         )
     rows = test_set.places
     gram, right = test_set.blocks, np.where((rows >= 0)[:, :, None], noise[rows], 0.0)
-    least.append(_least(gram, right, np.ones(rows.shape), squares, dof, ~test_set.excluded))
+    least.append(smallest_in_noise(gram, right, np.ones(rows.shape), squares, dof, ~test_set.excluded))
     tests = [effective_number_of_tests(one) for one in least]
     levels = [log_family(one, count) for one, count in zip(least, tests, strict=True)]
     smooth = [level for level, family in zip(levels, test_set.families, strict=False) if family.unknown]
@@ -267,36 +270,3 @@ def _calibrated(test_set: ScoreTests, rng: np.random.Generator) -> ScoreTests:
     return replace(
         test_set, tests=tuple(tests), causes=effective_number_of_tests(np.min(levels, axis=0)), unknowns=unknowns
     )
-
-
-def _least_in_noise(columns: Array, gram: Array, scale: Array, noise: Array, squares: Array, dof: float) -> Array:
-    n, k, q = columns.shape
-    right = (columns.reshape(n, k * q).T @ noise).reshape(k, q, -1)
-    return _least(gram, right, scale, squares, dof, np.ones(k, dtype=bool))
-
-
-def _least(gram: Array, right: Array, scale: Array, squares: Array, dof: float, chosen: Mask) -> Array:
-    """Return ln of the smallest p-value of all alternatives for each draw of noise."""
-    s = np.where(scale > 0, scale, 1.0)
-    values, vectors = np.linalg.eigh(gram / (s[:, :, None] * s[:, None, :]))
-    good = values > np.maximum(VISIBLE**2, FLAT * values[:, -1:])
-    root = vectors * np.where(good, 1 / np.sqrt(np.where(good, values, 1.0)), 0.0)[:, None, :]
-    along = np.matmul(np.swapaxes(root, 1, 2), right / s[:, :, None])
-    gain = (along**2).sum(axis=1)
-    rank = np.where(chosen, good.sum(axis=1), 0)
-    best = np.zeros(len(squares))
-    for q in np.unique(rank[rank > 0]):
-        most = gain[rank == q].max(axis=0)
-        if dof > q:
-            best = np.minimum(best, log_tail(np.clip(most / squares, 0.0, 1.0), float(q), dof - q))
-    return best
-
-
-def effective_number_of_tests(log_p: Array) -> float:
-    """Return the effective number of independent tests from draws of ln of the smallest p-value of dependent tests.
-
-    It is estimated from the 5, 10, 20 and 30 % quantiles.
-    """
-    p = np.exp(log_p)
-    counts = [np.log1p(-u) / np.log1p(-min(float(np.quantile(p, u)), 1 - 1e-12)) for u in (0.05, 0.1, 0.2, 0.3)]
-    return max(1.0, float(np.median(counts)))

@@ -13,8 +13,7 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.linear.candidates import Alternative
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns
-from metrocli.diagnosis.linear.projection import VISIBLE
-from metrocli.diagnosis.linear.score_tests import FLAT
+from metrocli.diagnosis.linear.projection import FLAT, VISIBLE
 from metrocli.diagnosis.selection.backward_steps import evidence
 from metrocli.diagnosis.selection.selection_state import Chosen, Selection, levels_of
 
