@@ -69,7 +69,7 @@ def test_a_criterion_that_is_not_met(job: Path, metrocli: Metrocli) -> None:
         ("{sigma: '< 1'}", "the result has no value 'sigma'", "did you mean 'sigma0'?"),
         ("{slope: '< 1'}", "1 has no unit", "write e.g. '< 1 rad'"),
         ("{slope: '< 1 mm'}", "'mm' is the unit of a length", "allowed: rad"),
-        ("{sigma0: '< 1 mm'}", "sigma0 has the unit ''", "leave the unit out"),
+        ("{sigma0: '< 1 mm'}", "sigma0 has the unit ''", "write the limit without a unit"),
     ],
 )
 def test_a_criterion_on_nothing_writes_nothing(
@@ -329,7 +329,7 @@ def test_a_plan_takes_no_folder_of_others(job: Path, metrocli: Metrocli) -> None
     Path("mine/notes.txt").write_text("keep\n")
     ran = metrocli("plan", job, "--out", "mine")
     assert ran.code == 3
-    assert "holds something else than a plan" in ran.err
+    assert "the folder is not empty and holds no plan" in ran.err
     assert metrocli("plan", job, "--out", "mine", "--force").code == 0
     assert Path("mine/notes.txt").read_text() == "keep\n"
 

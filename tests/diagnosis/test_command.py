@@ -268,7 +268,7 @@ def test_an_extended_job_takes_the_place_of_an_older_one_and_of_no_other_file(fo
     job = write(folder, measured("dead-path-drift", 6.0))
     before = (folder / "lengths.csv").read_bytes()
     ran = metrocli("diagnose", job, "--output", "lengths.csv")
-    assert (ran.code, "is no extended job" in ran.err) == (3, True)
+    assert (ran.code, "is not an extended job" in ran.err) == (3, True)
     assert (folder / "lengths.csv").read_bytes() == before
     assert [metrocli("diagnose", job, "--output", "new.yaml").code for _ in range(2)] == [0, 0]
 

@@ -18,7 +18,7 @@ SETTINGS = Settings(Inputs(Path("-"), Path("-")), LengthNoise(*lengths.NOISE))
 
 
 def files(seed: int = 0) -> dict[str, Table]:
-    m = lengths.measurement(np.random.default_rng([5, seed]), 40)
+    m = lengths.measurement(np.random.default_rng([5, seed]), 20)
     point, tracer = np.array([f"P{i}" for i in m.point]), np.array([f"T{j}" for j in m.tracer])
 
     def places(key: str, letter: str, values: np.typing.NDArray[np.float64]) -> Table:

@@ -178,7 +178,7 @@ def test_a_broken_project_runs_nothing(name: str, command: str, project: Path, m
 def test_no_project(job: Path, metrocli: Callable[..., Any]) -> None:
     ran = metrocli("run", "nowhere")
     assert ran.code == 3
-    assert "there is no such project" in ran.err
+    assert "no such project file" in ran.err
 
 
 def test_a_job_given_as_a_project_is_told_its_own_command(job: Path, metrocli: Callable[..., Any]) -> None:

@@ -93,7 +93,7 @@ def test_the_minimum_is_opencvs_or_lower(name: str, model: str, tmp_path: Path, 
     assert found["statistics"]["unknowns"] == 4 + len(MODELS[model].split()) + 6 * found["statistics"]["images"]
 
 
-@pytest.fixture(scope="module", params=list(SETS))
+@pytest.fixture(scope="module", params=["left", "left_SB"])
 def compared(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Points, dict[str, Any]]:
     """A set of points and the rows of --compare, by model."""
     import contextlib

@@ -31,7 +31,7 @@ def names(effect: dict[str, Any]) -> set[str]:
     return {effect["name"], *(one["name"] for one in effect["alternatives"])}
 
 
-@pytest.mark.parametrize(("points", "seed"), [("left", 20), ("left", 1), ("left_SB", 20)])
+@pytest.mark.parametrize(("points", "seed"), [("left", 1), ("left_SB", 20)])
 def test_radial_terms_the_bend_of_the_board_and_decentring_are_named_on_real_views(
     points: str, seed: int, metrocli: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -191,12 +191,12 @@ def test_what_of_a_bad_pose_is_not_seen_has_no_standard_deviation(
     found = json.loads(metrocli("diagnose", job, "--json").out)  # type: ignore[attr-defined]
     assert [(e["name"], e["where"]) for e in found["effects"]] == [("bad-pose", {"pose": "P7"})]
     parts = found["effects"][0]["parameters"]
-    text = metrocli("diagnose", job).out  # type: ignore[attr-defined]
     if distances:
         for name, true in (("dx", 0.3), ("dy", -0.4), ("dz", 0.5)):
             assert abs(parts[name]["value"] - true) < 4 * parts[name]["std"] < 0.2
         assert "unseen" not in parts["dx"] and metrocli("locate-launch-unit", found["extended_job"]).code == 0  # type: ignore[attr-defined]
         return
+    text = metrocli("diagnose", job).out  # type: ignore[attr-defined]
     assert all(part["std"] is None and part["unseen"] for part in parts.values())
     assert " ".join(text.split()).count("mm (not seen)") >= 3
     assert metrocli("locate-launch-unit", found["extended_job"]).code == 0  # type: ignore[attr-defined]

@@ -73,44 +73,44 @@ def test_distances_on_some_poses_only() -> None:
     assert np.diag(result.covariance)[:3].sum() < np.diag(without.covariance)[:3].sum()
 
 
-@pytest.mark.parametrize(("n", "distances"), [(3, False), (3, True), (5, False), (5, True), (20, False), (20, True)])
+@pytest.mark.parametrize(("n", "distances"), [(3, False), (5, True), (20, False)])
 def test_the_covariance_is_honest(n: int, distances: bool) -> None:
-    """250 draws: chi-square of the error in the stated covariance, and sigma0, are as they should be."""
+    """150 draws: chi-square of the error in the stated covariance, and sigma0, are as they should be."""
     exact = anywhere(n, 11, distances)
     squares, sigma0 = [], []
-    for _ in range(250):
+    for _ in range(150):
         result = located(exact.noisy(RNG))
         error = off(result, exact.truth)
         squares.append(error @ np.linalg.solve(result.covariance, error))
         sigma0.append(result.statistics["sigma0"])
-    # 250 draws of chi-square with 4 degrees of freedom: mean 4 +- 0.18; sigma0^2 with 8 of them 1 +- 0.03
-    assert np.mean(squares) == pytest.approx(4, abs=0.6)
-    assert np.mean(np.square(sigma0)) == pytest.approx(1, abs=0.11)
+    # 150 draws of chi-square with 4 degrees of freedom: mean 4 +- 0.23; sigma0^2 with 8 of them 1 +- 0.04
+    assert np.mean(squares) == pytest.approx(4, abs=0.7)
+    assert np.mean(np.square(sigma0)) == pytest.approx(1, abs=0.13)
 
 
 @pytest.mark.parametrize("method", ["lines", "closed-loop"])
 def test_the_methods_of_the_paper_state_what_they_scatter(method: str) -> None:
     exact = anywhere(4, 5, distances=True)
     noise = Noise(PAPER_ENCODER, 0.01)
-    results = [located(exact.noisy(RNG, noise), method, noise) for _ in range(1000)]
+    results = [located(exact.noisy(RNG, noise), method, noise) for _ in range(300)]
     errors = np.array([off(result, exact.truth) for result in results])
     stated = np.sqrt(np.diag(results[0].covariance))
-    assert errors.std(axis=0) == pytest.approx(stated, rel=0.07)
+    assert errors.std(axis=0) == pytest.approx(stated, rel=0.13)
     unit = errors / stated
     assert np.corrcoef(unit.T) == pytest.approx(
-        np.corrcoef(np.random.default_rng(1).multivariate_normal(np.zeros(4), results[0].covariance, 20000).T), abs=0.09
+        np.corrcoef(np.random.default_rng(1).multivariate_normal(np.zeros(4), results[0].covariance, 20000).T), abs=0.17
     )
 
 
 def test_the_scatter_of_the_paper_s_errors_is_the_stated_covariance() -> None:
-    """Kuprin et al., table 2, with encoders of 50 urad: 1,000 locations, and the paper's own error among them."""
+    """Kuprin et al., table 2, with encoders of 50 urad: 300 locations, and the paper's own error among them."""
     noise = Noise(PAPER_ENCODER)
     rng = np.random.default_rng(2022)
-    results = [located(paper().noisy(rng, noise), "adjustment", noise) for _ in range(1000)]
+    results = [located(paper().noisy(rng, noise), "adjustment", noise) for _ in range(300)]
     errors = np.array([off(result, paper().truth) for result in results])
     stated = np.sqrt(np.diag(results[0].covariance))
-    # the standard deviation of 1,000 draws is itself uncertain by 2.2 %
-    assert errors.std(axis=0) == pytest.approx(stated, rel=0.05)
+    # the standard deviation of 300 draws is itself uncertain by 4.1 %
+    assert errors.std(axis=0) == pytest.approx(stated, rel=0.13)
     covariance = locate_launch_unit.run(
         locate_launch_unit.TASK.job(settings("lines", noise), paper().table())
     ).covariance[:3, :3]

@@ -93,11 +93,9 @@ def beam_at(unit: np.ndarray, azimuth: float, tilt: float, receiver: np.ndarray)
     return (to @ w) * w - to, w
 
 
-@pytest.mark.parametrize(
-    ("line", "encoder"), [(0, PAPER_ENCODER), (3, 5 * ARCSEC), (2, PAPER_ENCODER), (5, 5 * ARCSEC)]
-)
+@pytest.mark.parametrize(("line", "encoder"), [(0, PAPER_ENCODER), (5, 5 * ARCSEC)])
 def test_the_predicted_beam_at_4_m_holds_in_simulation(line: int, encoder: float) -> None:
-    """Locate with noise, command, aim with noise: 95 % of 400 beams in the stated ellipse, and in range as stated."""
+    """Locate with noise, command, aim with noise: 95 % of 200 beams in the stated ellipse, and in range as stated."""
     from metrocli.tasks.locate_launch_unit.lines import Reach, across, commanded, measurable
     from metrocli.tasks.locate_launch_unit.margin import Margin, Uncertainty, Window, beam_position
     from metrocli.tasks.locate_launch_unit.readings import read
@@ -107,7 +105,7 @@ def test_the_predicted_beam_at_4_m_holds_in_simulation(line: int, encoder: float
     reach = Reach(np.array([[-5000.0, 5000.0]] * 3), 50.0, 300.0, 4000.0)
     window = Window(0.25, 5e-4)
     inside, stays = 0, 0
-    for _ in range(400):
+    for _ in range(200):
         located = locate(read(exact.noisy(RNG, noise).table()), noise)
         chosen = measurable(located.place, [NAMES[line]], reach)[0][0]
         uncertain = Uncertainty(located.covariance, encoder)
@@ -122,10 +120,10 @@ def test_the_predicted_beam_at_4_m_holds_in_simulation(line: int, encoder: float
         u = np.array([np.cos(u3) * np.cos(u4), np.cos(u3) * np.sin(u4), np.sin(u3)])
         seen = np.array([(u + w) @ beside, (u + w) @ above])
         stays += max(np.linalg.norm(far), np.linalg.norm(near)) <= 0.25 and np.abs(seen).max() <= 5e-4
-    # 400 draws: 95 % is uncertain by 1.1 %, the share in range by 2.5 % at most
-    assert 0.92 <= inside / 400 <= 0.98
+    # 200 draws: 95 % is uncertain by 1.6 %, the share in range by 3.6 % at most
+    assert 0.90 <= inside / 200 <= 0.99
     expected = Margin(chosen, window, uncertain.draws()).probability(4000.0)
-    assert stays / 400 == pytest.approx(expected, abs=0.08)
+    assert stays / 200 == pytest.approx(expected, abs=0.11)
 
 
 def test_alignment_at_the_far_end_leaves_the_place_alone() -> None:

@@ -10,7 +10,7 @@ from simulated.lengths import network, places, settings
 
 from metrocli.tasks.multilaterate import task as multilaterate
 
-RUNS = 200
+RUNS = 100
 
 
 @pytest.mark.parametrize(("m", "scale"), [(4, None), (4, 5e-7), (6, 5e-7)])

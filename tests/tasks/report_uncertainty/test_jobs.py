@@ -276,7 +276,7 @@ def test_the_verdict_is_by_digits_in_the_unit_asked_for(tmp_path: Path) -> None:
 
 def test_reasons_where_gum_does_not_hold(tmp_path: Path) -> None:
     cases = [
-        ("x*x", {"value": 0.1, "std": 0.05}, "not linear"), ("x", {"value": 0, "half_width": 1}, "not normal: k = 1.65"),
+        ("x*x", {"value": 0.1, "std": 0.05}, "not linear"), ("x", {"value": 0, "half_width": 1}, "not normal: it needs k = 1.65"),
         ("x", {"value": 1, "distribution": "exponential"}, "skew"), ("x*x", {"value": 0, "std": 1}, "no first-order sensitivity"),
     ]  # fmt: skip
     for model, given, reason in cases:

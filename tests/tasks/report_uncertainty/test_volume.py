@@ -248,7 +248,7 @@ def test_results_without_a_pose_are_refused(tmp_path: Path, capsys: pytest.Captu
 @pytest.mark.slow
 def test_a_table_of_maxima_holds_in_simulated_measurements() -> None:
     """The benchmark makes 1000 repeats; here U of each corner holds its error as often as k = 2 promises."""
-    found = bench.repeats(100)
-    sure = 3.3 * math.sqrt(0.95 * 0.05 / 100)
+    found = bench.repeats(60)
+    sure = 3.3 * math.sqrt(0.95 * 0.05 / 60)
     assert (found.held_pointwise > 0.9545 - sure).all()
-    assert found.held_pointwise.mean() == pytest.approx(0.9545, abs=0.025)
+    assert found.held_pointwise.mean() == pytest.approx(0.9545, abs=0.03)
