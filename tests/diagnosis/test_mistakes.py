@@ -46,11 +46,6 @@ WRONG = {
         lambda t: changed(t, length=t.numbers("length") / 25.4),
         "lengths: written in inches",
     ),
-    "points in metres": (
-        "points",
-        lambda t: changed(t, **{a: t.numbers(a) / 1000 for a in "xyz"}),
-        "points: a thousand times too small",
-    ),
     "x and z swapped": (
         "points",
         lambda t: changed(t, x=t.numbers("z"), z=t.numbers("x")),
