@@ -140,7 +140,7 @@ def measured(n: int, m: int, runs: int, covariance: bool) -> dict[str, float]:
 def with_statistics(problem: dict[str, Any]) -> Solution:
     """Adjust, and find the covariance of every point, redundancy numbers and w-tests."""
     solution = adjust(**problem)
-    solution.known().members(tracer.POINT)
+    solution.covariance_or_raise().members(tracer.POINT)
     residuals_of(solution, solution.groups[0])
     return solution
 

@@ -23,6 +23,8 @@ import h5py
 import numpy as np
 import yaml
 
+from metrocli.exports import FORMATS
+
 HERE = Path(__file__).resolve().parents[1]
 SHARED = HERE.parent / "shared" / "cases"
 KINDS = (
@@ -33,7 +35,6 @@ KINDS = (
     "selfcal-grid",
     "calibrate-machine",
 )
-FORMATS = ("csv", "siemens-lec", "siemens-cec", "heidenhain", "fanuc", "linuxcnc", "isg-csv", "etalon")
 SENTENCES = {
     "reason", "files", "separate_by", "depends_on", "warnings", "notes", "cause", "text", "hint",
     "mistake", "extended_job",

@@ -129,7 +129,7 @@ class FieldSolution:
         """Return the standard uncertainties of a block, (members, size), 0 for fixed entries."""
         return np.nan_to_num(self.design.std(block))
 
-    def known(self) -> FieldSolution:
+    def covariance_or_raise(self) -> FieldSolution:
         """Return the covariance, which is computed on demand."""
         return self
 

@@ -91,7 +91,7 @@ def unit_noise(group: Group, sigma: Array | float = 1.0) -> Group:
 
 def covariance_of(solution: Solution, unknowns: Unknowns) -> Array:
     """Return the covariance of unknowns after an adjustment, (size, size)."""
-    known = solution.known()
+    known = solution.covariance_or_raise()
     total = np.zeros((unknowns.size,) * 2)
     flat = {name: columns.ravel() for name, columns in unknowns.columns.items() if (columns >= 0).any()}
     for name, places in flat.items():

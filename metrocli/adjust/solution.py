@@ -52,7 +52,7 @@ class Solution:
 
         return float(chdtrc(self.dof, self.cost)) if self.dof > 0 else float("nan")
 
-    def known(self) -> Covariance:
+    def covariance_or_raise(self) -> Covariance:
         """Return the covariance.
 
         Raises RuntimeError if the outcome has none; check `outcome` first.
@@ -65,7 +65,7 @@ class Solution:
         """Return the covariance of the free entries of several blocks, in the order of the blocks, row by row."""
         free = [np.flatnonzero(self.blocks[name].free.ravel()) for name in names]
         scale = np.concatenate([self.by_step(name).ravel()[i] for name, i in zip(names, free, strict=True)])
-        known = self.known()
+        known = self.covariance_or_raise()
         rows = [
             np.concatenate([known.between(a, b)[np.ix_(free[i], free[j])] for j, b in enumerate(names)], axis=1)
             for i, a in enumerate(names)
@@ -78,7 +78,7 @@ class Solution:
 
     def std(self, block: str) -> Array:
         """Return the standard uncertainties of a block, (members, size)."""
-        std: Array = np.sqrt(np.maximum(np.einsum("mii->mi", self.known().members(block)), 0.0))
+        std: Array = np.sqrt(np.maximum(np.einsum("mii->mi", self.covariance_or_raise().members(block)), 0.0))
         return std * self.by_step(block)
 
 

@@ -21,11 +21,11 @@ from metrocli.effects.effect import Effect
 
 
 class Status(StrEnum):
-    """The status of a candidate."""
+    """What a diagnosis concludes on a candidate effect."""
 
     NAMED = "named"
     EXCLUDED = "excluded"
-    """It would have been detected at its smallest detectable size"""
+    """Not found, although an effect of plausible size would have been (power at least 80 %)"""
     CANNOT_SEE = "cannot-see"
     """Its smallest detectable size is larger than plausible"""
     NOT_TESTABLE = "not-testable"

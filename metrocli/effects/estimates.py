@@ -31,7 +31,7 @@ class Adjusted(Protocol):
     def blocks(self) -> Mapping[str, Block]:
         """All blocks, with their values at the solution."""
 
-    def known(self) -> Known:
+    def covariance_or_raise(self) -> Known:
         """Return the covariances of the blocks."""
 
     def std(self, block: str) -> Array:
@@ -88,7 +88,7 @@ def tables(added: Sequence[Added], solution: Adjusted) -> tuple[dict[str, Table]
         row = len(block.members) - 1
         places = row * block.size + np.array(chosen)
         scale = block.space.by_step(block.values).ravel()[places]
-        covariance = solution.known().of(one.block)[np.ix_(places, places)] * scale[:, None] * scale
+        covariance = solution.covariance_or_raise().of(one.block)[np.ix_(places, places)] * scale[:, None] * scale
         columns = {
             "name": np.array([p.name for p in one.effect.all_parameters]),
             "value": block.values[row, chosen],

@@ -26,7 +26,7 @@ def files(result: Result) -> Exported:
 
 
 def _error_tables(result: Result) -> Exported:
-    from metrocli.exports import error_tables, neutral
+    from metrocli.exports import csv_errors, error_tables
 
     tables = error_tables.of(result) if error_tables.has(result) else None
-    return neutral.CONTROL.files(tables) if tables and tables.curves else {}
+    return csv_errors.CONTROL.files(tables) if tables and tables.curves else {}

@@ -9,7 +9,7 @@ import numpy as np
 from metrocli.errors import InputError
 from metrocli.exports.compensation import Control, Texts, files_of
 from metrocli.exports.error_tables import Array, Curve, ErrorTables
-from metrocli.exports.volumetric import chain_note, moved_by_errors, test_move
+from metrocli.exports.volumetric import chain_note, moved_by_errors, trial_move
 from metrocli.result import Result
 
 _FILE = "errors.etalon.txt"
@@ -26,7 +26,7 @@ def written(tables: ErrorTables) -> Texts:
     """Return the file; raises InputError if no error table is determined."""
     if not tables.curves:
         raise InputError("the result determines no error table: nothing to compensate")
-    head = [f"// {line}" for line in [*tables.notes(), *chain_note(tables), *test_move(tables)]]
+    head = [f"// {line}" for line in [*tables.notes(), *chain_note(tables), *trial_move(tables)]]
     blocks = [_block(name, curve) for name, curve in tables.curves.items()]
     single = [f"[{name}]\nVALUE = {value:.12f}" for name, value in tables.squareness.items()]
     return {_FILE: "\n".join([*head, *blocks, *single, ""])}

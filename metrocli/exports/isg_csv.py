@@ -12,7 +12,7 @@ import numpy as np
 from metrocli.errors import InputError
 from metrocli.exports.compensation import Control, Texts, files_of
 from metrocli.exports.error_tables import AXES, Array, Curve, ErrorTables
-from metrocli.exports.volumetric import chain_note, moved_by_errors, test_move
+from metrocli.exports.volumetric import chain_note, moved_by_errors, trial_move
 from metrocli.result import Result
 
 _FILE = "errors.isg.csv"
@@ -32,7 +32,7 @@ def written(tables: ErrorTables) -> Texts:
         names = list(tables.squareness)
         blocks.append([" ".join(names), " ".join(f"{tables.squareness[name]:.12f}" for name in names)])
     lines = ["\n".join(block) for block in blocks]
-    head = "\n".join(f"// {line}" for line in [*tables.notes(), *chain_note(tables), *test_move(tables)])
+    head = "\n".join(f"// {line}" for line in [*tables.notes(), *chain_note(tables), *trial_move(tables)])
     return {_FILE: head + "\n" + "\n#\n".join(lines) + "\n"}
 
 

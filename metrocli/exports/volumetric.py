@@ -21,7 +21,7 @@ def chain_note(tables: ErrorTables) -> list[str]:
     ]
 
 
-def test_move(tables: ErrorTables) -> list[str]:
+def trial_move(tables: ErrorTables) -> list[str]:
     """Return the comment that describes a test move, by which the user checks the sign on the machine."""
     own = [(name, curve) for name, curve in tables.curves.items() if name[1] == name[2]]
     name, curve = (own or list(tables.curves.items()))[0]

@@ -7,12 +7,8 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from metrocli.errors import Fault, InputError
-
-if TYPE_CHECKING:
-    pass
 
 MOST_FAULTS = 20
 LONGEST_TEXT = 200

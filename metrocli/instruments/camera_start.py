@@ -33,7 +33,7 @@ class Scene:
     views: int
 
     def selected(self, keep: Mask) -> Scene:
-        """Return the scene with some of its readings."""
+        """Return the scene with only the image points where `keep` is true."""
         return Scene(self.points, self.uv[:, keep], self.target[keep], self.view[keep], self.views)
 
 

@@ -141,10 +141,10 @@ class Number(OfText):
             )
         if not _NUMBER.fullmatch(node.text) or not math.isfinite(float(node.text)):
             return refuse(self, node, faults, f"'{node.text}' is not a plain number")
-        return self.within(node, float(node.text), faults)
+        return self.checked(node, float(node.text), faults)
 
-    def within(self, node: Node, value: float, faults: list[Fault]) -> Any:
-        """Return the value, or BAD with a fault if it is outside the limits."""
+    def checked(self, node: Node, value: float, faults: list[Fault]) -> Any:
+        """Return `value`; if it is outside the limits, add a fault and return BAD."""
         low = (self.minimum is not None and value < self.minimum) or (self.above is not None and value <= self.above)
         if low or (self.maximum is not None and value > self.maximum):
             return refuse(self, node, faults, f"{node.text} is out of range")
@@ -169,7 +169,7 @@ class Whole(OfText):
     def read(self, node: Node, faults: list[Fault]) -> Any:
         if not self.fits(node) or not _WHOLE.fullmatch(node.text):
             return refuse(self, node, faults)
-        limits = Number(self.minimum, self.maximum).within(node, int(node.text), [])
+        limits = Number(self.minimum, self.maximum).checked(node, int(node.text), [])
         return refuse(self, node, faults, f"{node.text} is out of range") if limits is BAD else int(node.text)
 
     def schema(self) -> Schema:

@@ -7,16 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from metrocli.targets.codes import BITS, DOT, RING_FROM, RING_TO, SHEET
 from metrocli.targets.pattern import Pattern, lattice
-
-if TYPE_CHECKING:
-    pass
 
 Array = npt.NDArray[np.float64]
 Field = npt.NDArray[np.floating]

@@ -90,7 +90,12 @@ def test_residuals_do_not_see_the_frame(
     for name in ("values", "redundancy", "normalised"):
         one, two = (getattr(residuals_of(s, problem.groups[0]), name) for s in (solution, other))
         assert np.allclose(one, two, rtol=0, atol=1e-5), name
-    assert np.allclose(other.known().of(camera.LENS), solution.known().of(camera.LENS), rtol=1e-5, atol=1e-12)
+    assert np.allclose(
+        other.covariance_or_raise().of(camera.LENS),
+        solution.covariance_or_raise().of(camera.LENS),
+        rtol=1e-5,
+        atol=1e-12,
+    )
     chosen = list(members)
     gap = (other.blocks[camera.TARGET].values - reference)[chosen]
     g = movements(reference[chosen])
@@ -120,7 +125,7 @@ def test_covariance_is_the_dense_one_in_the_frame(free: tuple[Problem, Solution]
     names = list(problem.blocks)
     assert names[0] == camera.LENS
     assert problem.blocks[camera.LENS].values.size == lens
-    found = np.block([[solution.known().between(a, b) for b in names] for a in names])
+    found = np.block([[solution.covariance_or_raise().between(a, b) for b in names] for a in names])
     std = np.sqrt(np.diag(expected))
     assert np.abs((found - expected) / std[:, None] / std).max() < 1e-6
 
@@ -128,7 +133,9 @@ def test_covariance_is_the_dense_one_in_the_frame(free: tuple[Problem, Solution]
 def test_the_frame_of_all_targets_has_the_least_trace(free: tuple[Problem, Solution]) -> None:
     problem, solution = free
     some = solved(problem, takes_part=np.isin(np.arange(len(CUBE)), OTHER).astype(float))
-    assert np.trace(solution.known().of(camera.TARGET)) < 0.9 * np.trace(some.known().of(camera.TARGET))
+    assert np.trace(solution.covariance_or_raise().of(camera.TARGET)) < 0.9 * np.trace(
+        some.covariance_or_raise().of(camera.TARGET)
+    )
 
 
 def test_a_scale_bar_fixes_the_scale(free: tuple[Problem, Solution]) -> None:
@@ -160,7 +167,7 @@ def test_known_targets_fix_everything() -> None:
     for name in problem.blocks:
         step = problem.blocks[name].space.difference(solution.blocks[name].values, plain.blocks[name].values)
         assert np.abs(step / np.maximum(plain.std(name), 1e-12)).max() < 1e-4
-    assert np.allclose(solution.known().of("lens"), plain.known().of("lens"), rtol=1e-6)
+    assert np.allclose(solution.covariance_or_raise().of("lens"), plain.covariance_or_raise().of("lens"), rtol=1e-6)
 
 
 def test_measured_targets_fix_everything(free: tuple[Problem, Solution]) -> None:
@@ -205,4 +212,9 @@ def test_planning_gives_the_covariance_without_moving(free: tuple[Problem, Solut
     planned = covariance_at(solution.blocks.values(), problem.groups, datum)
     assert planned.outcome is Outcome.CONVERGED
     assert all(planned.blocks[name] is solution.blocks[name] for name in problem.blocks)
-    assert np.allclose(planned.known().of(camera.VIEW), solution.known().of(camera.VIEW), rtol=1e-9, atol=1e-15)
+    assert np.allclose(
+        planned.covariance_or_raise().of(camera.VIEW),
+        solution.covariance_or_raise().of(camera.VIEW),
+        rtol=1e-9,
+        atol=1e-15,
+    )

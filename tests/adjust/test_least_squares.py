@@ -58,7 +58,7 @@ def test_values_are_those_of_the_dense_solution(make: str) -> None:
 
 
 def test_the_eliminated_blocks_are_those_meant() -> None:
-    eliminated = {make: both(make)[1].known().layout.eliminated for make in PROBLEMS}
+    eliminated = {make: both(make)[1].covariance_or_raise().layout.eliminated for make in PROBLEMS}
     assert eliminated["views eliminated"] == "view"
     assert eliminated["targets eliminated, in part fixed"] == "target"
     assert eliminated["scale bars"] == "view"
@@ -69,7 +69,7 @@ def test_the_eliminated_blocks_are_those_meant() -> None:
 @MAKES
 def test_covariance_is_the_dense_inverse(make: str) -> None:
     problem, solution, plain = both(make)
-    covariance = solution.known()
+    covariance = solution.covariance_or_raise()
     blocks = list(problem.blocks)
     found, expected = whole(covariance, blocks), plain.covariance(problem.blocks)
     assert apart(found, expected) < CLOSE
@@ -88,7 +88,7 @@ def test_covariance_is_the_dense_inverse(make: str) -> None:
 @MAKES
 def test_pairs_are_taken_from_the_whole(make: str) -> None:
     problem, solution, _ = both(make)
-    covariance = solution.known()
+    covariance = solution.covariance_or_raise()
     rng = np.random.default_rng(0)
     for name, block in problem.blocks.items():
         for other, second in problem.blocks.items():
@@ -106,12 +106,14 @@ def test_pairs_are_taken_from_the_whole(make: str) -> None:
 def test_covariance_scales(make: str) -> None:
     problem, solution, _ = both(make)
     blocks = list(problem.blocks)
-    scaled = solution.known().scaled(4.0)
-    assert np.allclose(whole(scaled, blocks), 4 * whole(solution.known(), blocks), rtol=1e-12)
+    scaled = solution.covariance_or_raise().scaled(4.0)
+    assert np.allclose(whole(scaled, blocks), 4 * whole(solution.covariance_or_raise(), blocks), rtol=1e-12)
     for name in blocks:
-        assert np.allclose(scaled.members(name), 4 * solution.known().members(name), rtol=1e-12)
+        assert np.allclose(scaled.members(name), 4 * solution.covariance_or_raise().members(name), rtol=1e-12)
     first, index = blocks[0], np.zeros(3, dtype=int)
-    assert np.allclose(scaled.pairs(first, index, first, index), 4 * solution.known().pairs(first, index, first, index))
+    assert np.allclose(
+        scaled.pairs(first, index, first, index), 4 * solution.covariance_or_raise().pairs(first, index, first, index)
+    )
 
 
 @MAKES
@@ -154,7 +156,7 @@ def test_scatter_of_repeated_measurements_is_the_covariance() -> None:
         problem = board_camera(views=6, seed=1000 + 7 * seed)
         solution = adjust(problem.blocks.values(), problem.groups)
         error = solution.blocks["lens"].values[0] - list(LENS.values())
-        total += error @ np.linalg.solve(solution.known().of("lens"), error)
+        total += error @ np.linalg.solve(solution.covariance_or_raise().of("lens"), error)
         count += error.size
         assert problem.groups[0].observations.sigma[0, 0] == NOISE
     assert abs(total - count) < 3.3 * np.sqrt(2 * count)

@@ -53,7 +53,7 @@ def test_parallel_views_leave_the_focal_length_open(degrees: float) -> None:
     assert str(solution.undetermined[0]) in ("f of lens, z of view all images", "z of view all images, f of lens")
     assert solution.covariance is None
     with pytest.raises(RuntimeError, match="cannot determine"):
-        solution.known()
+        solution.covariance_or_raise()
 
 
 def test_parallel_views_leave_the_principal_point_open() -> None:
@@ -184,7 +184,7 @@ def test_nothing_free() -> None:
     assert solution.outcome is Outcome.CONVERGED
     assert solution.unknowns == 0
     assert all(np.array_equal(solution.blocks[name].values, block.values) for name, block in problem.blocks.items())
-    assert not solution.known().of("view").any()
+    assert not solution.covariance_or_raise().of("view").any()
 
 
 @pytest.mark.parametrize("make", PROBLEMS)

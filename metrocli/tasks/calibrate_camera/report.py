@@ -73,7 +73,7 @@ class _Calibration:
 def report(problem: Problem, settings: Camera, adjusted: Adjusted) -> Result:
     """Return the result of a solved calibration."""
     solution = adjusted.solution
-    covariance = solution.known()
+    covariance = solution.covariance_or_raise()
     p = parameters(problem.rig, solution, problem.effects)
     effect_tables, effect_arrays = effect_results(problem.effects, solution)
     solved = _Calibration(problem, settings, adjusted, adjusted.known_residuals(), covariance, p)

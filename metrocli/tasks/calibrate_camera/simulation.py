@@ -72,7 +72,7 @@ def simulated_views(rig: str, truth: CameraSimulation, known: Targets, rng: np.r
 def true_model(rig: str, shown: Shown, seen: Sights) -> Model:
     """Return the model of the calibration at the truth, with the exact image points as readings.
 
-    Effects are planted in this model.
+    The caller adds the simulated effects to it (`planted`).
     """
     views = shown.to_camera if rig == "board" else poses.inverse(shown.to_camera)
     name, images = camera.view_name(rig), shown.images

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -36,9 +35,6 @@ from metrocli.tasks.calibrate_machine.settings import (
 )
 from metrocli.tasks.calibrate_machine.volume import grid_group, grid_of, without_rigid_motion
 
-if TYPE_CHECKING:
-    pass
-
 _FINE = 401
 _HARMONICS = 4
 _ACCELERATION = 1000.0
@@ -58,7 +54,7 @@ class Truth:
     blocks: Mapping[str, Block]
 
     def error(self, position: Array, tool: Index) -> Array:
-        """Return displacement and rotation of the tools, (6, n), at commanded positions (3, n)."""
+        """Return the error motion of the tool against the workpiece (mm, rad), (6, n), at positions (3, n)."""
         group = grid_group(self.machine, position, tool)
         return group.chain.predict(self.blocks, group.observations)
 
@@ -114,7 +110,8 @@ def blocks_of(
 ) -> dict[str, Block]:
     """Return the blocks of a machine with given tables and squareness; errors that the job does not estimate are zero.
 
-    The tables are given at the knots and in the gauge.
+    The tables are given at the knots: straightness relative to its end-point line, other errors zero at the reference
+    position of the axis.
     """
     wanted = settings.estimated
     kept = {name: table for name, table in tables.items() if name in wanted}

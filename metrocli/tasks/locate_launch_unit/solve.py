@@ -105,7 +105,9 @@ def _located(readings: Readings, noise: Noise, how: How) -> Located:
     used = checked.solution if how.remove else solution
     values = used.blocks[lu.UNIT].values[0].copy()
     values[3] = wrapped(values[3])
-    return Located(values, used.known().of(lu.UNIT), readings, problem, used, checked.outliers, checked.critical)
+    return Located(
+        values, used.covariance_or_raise().of(lu.UNIT), readings, problem, used, checked.outliers, checked.critical
+    )
 
 
 def _undetermined(problem: Problem, solution: Solution) -> str:

@@ -123,7 +123,7 @@ class Layout:
     @cached_property
     def covariances(self) -> Array:
         """Covariance of each point that is read, (points, 3, 3) in mm^2."""
-        return self.solution.known().members(t.POINT)[self.network.seen > 0]
+        return self.solution.covariance_or_raise().members(t.POINT)[self.network.seen > 0]
 
     def with_tracer(self, name: str, place: Array) -> Layout:
         """Return the layout with one more tracer, whose place, dead path and scale will be unknowns."""

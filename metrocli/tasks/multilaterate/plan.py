@@ -95,7 +95,7 @@ def _lines(layout: Layout) -> Iterator[Estimate]:
             told.add((a, b))
             rows = np.sort([a, b])
             chosen = np.isin(np.arange(len(layout.network.seen)), read[rows])
-            shared = factors(layout.solution.known(), chosen)
+            shared = factors(layout.solution.covariance_or_raise(), chosen)
             length, std = between_two(points[rows], layout.covariances[rows], shared)
             yield Estimate(f"{names[a]} - {names[b]}", length, std, "mm")
 

@@ -99,14 +99,14 @@ def _points(solved: Solved) -> tuple[Table, dict[str, Array]]:
     """Return /points, with the mover's error at each point (its reading minus the point), and their covariances."""
     solution, network = solved.solution, solved.network
     block, seen = solution.blocks[t.POINT], network.seen > 0
-    each = solution.known().members(t.POINT)[seen]
+    each = solution.covariance_or_raise().members(t.POINT)[seen]
     std = np.sqrt(np.maximum(np.einsum("mii->mi", each), 0.0))
     error = network.nominal[seen] - block.values[seen]
     columns: dict[str, Values] = {"point": np.array(block.members)[seen]}
     columns |= {name: block.values[seen, i] for i, name in enumerate("xyz")}
     columns |= {f"s{name}": std[:, i] for i, name in enumerate("xyz")}
     columns |= {f"error_{name}": error[:, i] for i, name in enumerate("xyz")}
-    arrays = {"points_covariance": each, **factors(solution.known(), seen)}
+    arrays = {"points_covariance": each, **factors(solution.covariance_or_raise(), seen)}
     return Table(columns, {name: "mm" for name in columns if name != "point"}), arrays
 
 

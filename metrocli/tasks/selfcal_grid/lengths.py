@@ -36,8 +36,8 @@ class LengthError:
 def largest(places: Array, errors: Array) -> LengthError | None:
     """Return the largest length error of a field (n, 3) at places (n, 3), or None for fewer than two sites.
 
-    ISO 10360-2 asks for the largest error of lengths in any direction; here every pair of sites is a length. If n is
-    large, a regular part of the sites is used.
+    Every pair of sites is a length from centre to centre. So it compares with the length errors of ISO 10360-2, but has
+    no probing error. If n is large, a regular part of the sites is used.
     """
     chosen = _thinned(places)
     if len(chosen) < 2:

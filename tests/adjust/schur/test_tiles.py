@@ -123,7 +123,7 @@ def test_each_way_is_the_dense_inverse(case: str, way: str) -> None:
         assert len(found.tiles) >= 10
     solution = made.solved()
     assert solution.outcome is Outcome.CONVERGED
-    assert solution.known().layout.eliminated == "point"
+    assert solution.covariance_or_raise().layout.eliminated == "point"
     plain = dense.at_solution(solution.blocks, made.groups)
     normal = plain.jacobian.T @ plain.jacobian
     scale = 1 / np.sqrt(np.diag(normal))
@@ -152,10 +152,15 @@ def test_all_ways_agree(case: str, way: str) -> None:
     assert solution.iterations == other.iterations
     for name, block in solution.blocks.items():
         assert np.abs((block.values - other.blocks[name].values) / np.maximum(other.std(name), 1e-9)).max() < 1e-4
-        mine, theirs = solution.known().of(name), other.known().of(name)
+        mine, theirs = solution.covariance_or_raise().of(name), other.covariance_or_raise().of(name)
         size = np.sqrt(np.maximum(np.diag(theirs), 1e-12))
         assert np.abs((mine - theirs) / size[:, None] / size).max() < 1e-6
-        assert np.allclose(solution.known().members(name), other.known().members(name), rtol=1e-5, atol=1e-12)
+        assert np.allclose(
+            solution.covariance_or_raise().members(name),
+            other.covariance_or_raise().members(name),
+            rtol=1e-5,
+            atol=1e-12,
+        )
     one, two = (residuals_of(s, s.groups[0]) for s in (solution, other))
     assert np.allclose(one.redundancy, two.redundancy, rtol=0, atol=1e-7)
     assert np.allclose(one.normalised, two.normalised, rtol=0, atol=1e-4)
@@ -186,7 +191,7 @@ def test_nothing_but_points_is_free() -> None:
         solution = adjust([points, tracers.fixed()], made.groups, datum)
         assert solution.outcome is Outcome.CONVERGED
         assert solution.conditions == 0
-        known = covariance_at(solution.blocks.values(), made.groups, datum).known()
+        known = covariance_at(solution.blocks.values(), made.groups, datum).covariance_or_raise()
         assert known.layout.width == 0
         index = np.array([3, 1, 2])
         for one, other in (("point", "tracer"), ("tracer", "point"), ("tracer", "tracer")):
@@ -275,4 +280,6 @@ def test_a_datum_may_list_its_movements() -> None:
     assert two.conditions == one.conditions == 6
     for name in (points.name, tracers.name):
         assert np.allclose(one.blocks[name].values, two.blocks[name].values, rtol=0, atol=1e-9)
-        assert np.allclose(one.known().members(name), two.known().members(name), rtol=1e-8, atol=1e-15)
+        assert np.allclose(
+            one.covariance_or_raise().members(name), two.covariance_or_raise().members(name), rtol=1e-8, atol=1e-15
+        )

@@ -39,7 +39,7 @@ def test_its_uncertainty_is_that_of_the_full_covariance(known: bool, scale: floa
         multilaterate.TASK.job(settings(scale), net.lengths(), net.point_table(), distances=distances)
     )
     solved = solve(build(settings(scale), net.lengths(), net.point_table(), None, distances), remove=False)
-    full = solved.solution.known().of(tracer.POINT)
+    full = solved.solution.covariance_or_raise().of(tracer.POINT)
     points = solved.solution.blocks[tracer.POINT].values
     for a, b in ((0, 1), (3, 17), (19, 4)):
         found = distance(result, f"P{a}", f"P{b}")

@@ -142,7 +142,7 @@ def test_readings(case: dict[str, Any], tmp_path: Path) -> None:
 def test_a_calibration_line(case: dict[str, Any]) -> None:
     wanted, x0 = case["expected"], case["x0"]
     solution = curves.fit_estimated(f"b1 + b2*(x-{x0})", case["x"], case["y"], [0.0, 0.0])
-    b, covariance = solution.blocks["b"].values[0], solution.known().of("b") * solution.sigma0**2
+    b, covariance = solution.blocks["b"].values[0], solution.covariance_or_raise().of("b") * solution.sigma0**2
     slope = np.array([1.0, 30.0 - x0])
     assert (round(b[0], 4), round(b[1], 5)) == (wanted["y1"], wanted["y2"])
     assert (round(covariance[0, 0] ** 0.5, 4), round(covariance[1, 1] ** 0.5, 5)) == (wanted["u1"], wanted["u2"])
@@ -156,7 +156,7 @@ def test_a_calibration_line(case: dict[str, Any]) -> None:
 def test_a_weighted_line(case: dict[str, Any]) -> None:
     wanted = case["expected"]
     solution = curves.fit("b1 + b2*x", case["x"], case["y"], [0.0, 1.0], case["uy"])
-    b, covariance = solution.blocks["b"].values[0], solution.known().of("b")
+    b, covariance = solution.blocks["b"].values[0], solution.covariance_or_raise().of("b")
     assert [*b] == pytest.approx([wanted["a"], wanted["b"]], rel=6e-5)
     assert [*np.sqrt(np.diag(covariance))] == pytest.approx([wanted["ua"], wanted["ub"]], rel=1e-6)
     assert covariance[0, 1] == pytest.approx(wanted["cov"], rel=1e-6)
