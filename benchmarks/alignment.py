@@ -55,18 +55,18 @@ PAPER_FACTOR = (4.2, 1.9, 1.3, 1.4, 2.3, 7.0)
 
 @dataclass(frozen=True)
 class Row:
-    """One way of measuring: 6D or 7D, with which spread of the clamping angle, and whether the angle is told."""
+    """One way of measuring: 6D or 7D, with which spread of the clamping angle, and whether the angle is known."""
 
     seven: bool
     spread: float = CLAMPING
-    told: bool = False
+    known: bool = False
 
 
 ROWS = {
     "6D": Row(seven=False),
     "7D": Row(seven=True),
     "limit 7D": Row(seven=True, spread=0.0),
-    "limit 6D": Row(seven=False, told=True),
+    "limit 6D": Row(seven=False, known=True),
 }
 
 
@@ -94,7 +94,7 @@ def repeated(row: Row, camera: Result, repeats: int) -> Array:
         seen = align_part.simulate(
             align_part.TASK.job(settings, true_camera(), poses, targets), SimulationOptions(1000 + seed)
         )
-        turned = turned_by(poses, -angle) if row.told else poses
+        turned = turned_by(poses, -angle) if row.known else poses
         result = align_part.run(
             align_part.TASK.job(settings, camera, turned, targets, observations=seen.files["observations.csv"])
         )

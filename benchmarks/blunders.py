@@ -3,7 +3,7 @@
 Each case is a network of its own of 100 points in 2 m x 1 m x 1 m with one length off, tracers spread around it. The
 rates depend on that: with 60 points and tracers moved about by 200 mm at random, six tracers locate 86 % of 2 um.
 Located: the first suspect is the wrong length. Point only: it is the length's point, with its tracer said to be one of
-several, the right one among them (with four tracers none can be told). False: other suspects, a case.
+several, the right one among them (with four tracers none can be identified). False: other suspects, a case.
 
     python -m benchmarks.blunders [CASES]
 """
@@ -95,7 +95,7 @@ def rates(m: int, size: float, cases: int) -> Rates:
 
 
 def _right(named: tuple[str, str, str], point: str, tracer: str) -> str:
-    """Return what a suspect says of the wrong length: "located", "point only", or nothing that is right."""
+    """Return how a suspect matches the wrong length: "located", "point only", or nothing that is right."""
     if named[0] != point:
         return ""
     if named[1] == tracer:

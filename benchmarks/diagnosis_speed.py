@@ -1,6 +1,6 @@
 """Time of `diagnose`: 100 points and six tracers in 5 s, 4,000 image coordinates in 60 s; CPU seconds, one thread.
 
-The adjustment before it is not counted, and told beside it. Much structure: radial distortion of 100 times the size
+The adjustment before it is not counted, and printed beside it. Much structure: radial distortion of 100 times the size
 that is found, an effect of no table and 1 % wrong coordinates, so that the job is diagnosed again with the first.
 """
 
@@ -54,8 +54,8 @@ def main() -> int:
         seconds = time.process_time() - adjusted
         met &= seconds <= allowed
         names = ", ".join(str(finding.effect.alternative) for finding in found.findings) or "no name"
-        told = f"{found.verdict}: {names}; {len(found.outliers)} wrong"
-        print(f"{what:52} {seconds:6.2f} s (adjusted in {adjusted - start:.2f} s)  allowed {allowed:.0f} s  {told}")
+        printed = f"{found.verdict}: {names}; {len(found.outliers)} wrong"
+        print(f"{what:52} {seconds:6.2f} s (adjusted in {adjusted - start:.2f} s)  allowed {allowed:.0f} s  {printed}")
     return 0 if met else 1
 
 

@@ -1,4 +1,4 @@
-"""python -m benchmarks launch_unit: how well a launch unit is located, and whether the beam is where the plan says.
+"""python -m benchmarks launch_unit: how well a launch unit is located, and whether the beam is where the plan predicts it.
 
 Poses are simulated by the plain formulas of the contract, with their own random draws.
 """
@@ -175,7 +175,7 @@ def beams(draws: int = 1000) -> None:
 
 
 def margins() -> None:
-    """What plan says of the paper's poses, with its encoders and with better ones."""
+    """What `plan` reports on the paper's poses, with its encoders and with better ones."""
     planned = Planned(Axes((-1200.0, 4200.0), (0.0, 1200.0), (0.0, 1600.0)), 50.0, 300.0)
     for encoder, name in ((50e-6, "50 urad"), (5 * ARCSEC, "5 arcsec")):
         noise = Noise(encoder)

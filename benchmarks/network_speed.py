@@ -3,7 +3,7 @@
 One function is minimised by all from one start: m tracers about a volume of 2 x 1 x 1 m read n points; points off by
 20 um, tracers by 5 mm, scales known to 0.5 ppm; weights of the start. metrocli holds the frame by inner constraints on
 the points, the others by six conditions on three points; the sum of squares at the end shows that they agree. Ceres
-(if its headers and a compiler are there; benchmarks/network_ceres.cpp says how it is used) runs with automatic
+(if its headers and a compiler are there; see benchmarks/network_ceres.cpp) runs with automatic
 derivatives, with written ones, and with lengths in pairs, for which it has static sizes; its time is that of building
 and solving, with tolerances of 1e-14 and, so that it takes no step more than needed, of 1e-9.
 Each of ours runs in a process of its own: the first adjustment of a process, and the best of the next ones.
@@ -146,7 +146,7 @@ def with_statistics(problem: dict[str, Any]) -> Solution:
 
 
 def in_a_process(n: int, m: int, runs: int, covariance: bool = True) -> dict[str, float]:
-    """Return what `measured` says in a process of its own."""
+    """Return what `measured` returns in a process of its own."""
     call = (
         f"import json; from benchmarks.network_speed import measured as f; print(json.dumps(f{n, m, runs, covariance}))"
     )

@@ -2,7 +2,7 @@
 
 The radios read too long in proportion to the distance. Two drives (Plaza, from the examples of GTSAM; BSD);
 points of the drive exact, beacons unknown in x and y, 500 mm declared. The data are not part of the project; where
-../shared/data is absent the benchmark says so and ends.
+../shared/data is absent the benchmark reports it and ends.
 
     python -m benchmarks.ranges
 """
@@ -40,7 +40,7 @@ SURVEY = Columns((Column("tracer", TEXT), Column("x", "length"), Column("y", "le
 
 @dataclass(frozen=True)
 class Beacons:
-    """What a drive says of its beacons."""
+    """The beacons as a drive lists them."""
 
     names: tuple[str, ...]
     error: Array

@@ -1,6 +1,6 @@
 """Measured data against what others made of them: OpenCV on chessboards, a published photogrammetric network.
 
-The data are not part of the project; where ../shared/data is absent the benchmark says so and ends.
+The data are not part of the project; where ../shared/data is absent the benchmark reports it and ends.
 """
 
 from __future__ import annotations

@@ -218,7 +218,7 @@ def _short(values: np.ndarray) -> str:
 
 
 def main(words: list[str]) -> int:
-    """Do what the command line says."""
+    """Run a command line."""
     match words:
         case ["save", folder]:
             return save(Path(folder).absolute())

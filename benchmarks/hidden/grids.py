@@ -237,7 +237,7 @@ def _where(m: Measurement, name: str, places: Values) -> dict[str, str]:
 
 @cache
 def stated(names: str, half: int, name: str) -> float:
-    """Return the size, in standard deviations, at which `diagnose` says that it finds an effect with 80 % power."""
+    """Return the size, in standard deviations, at which `diagnose` is to find an effect with 80 % power."""
     adjusted = measurement(np.random.default_rng(5), names, half).adjusted()
     field, _ = score_tests_of_job(adjusted, {}, np.random.default_rng(1))
     wanted = name if name in PARAMETERS else "drift-in-view"

@@ -120,7 +120,7 @@ def sole(one: Found) -> bool:
 
 
 def _told_apart(one: Found) -> bool:
-    """Whether an outside effect has a wrong name, and the report says that such a difference would have shown."""
+    """Whether an outside effect has a wrong name, although the report excludes such a difference."""
     share = float(np.sqrt(1 - one.case.hidden[0].near ** 2))
     names = [finding.other_shape_from < share for finding in one.diagnosis.findings]
     return one.diagnosis.verdict in ("explained", "indistinct") and any(names)

@@ -214,7 +214,7 @@ def _candidates(adjusted: AdjustedJob, design: Design, named: Sequence[NamedEffe
         (one.effect.name, " ".join(one.where.values()), verdict.Status.NOT_TESTED, "-", "-", one.reason)
         for one in design.not_tested
     ]
-    return _table(("effect", "where", "status", "detected from", "hides up to", ""), lines)
+    return _table(("effect", "where", "status", "detected from", "result off by up to", ""), lines)
 
 
 def _line(adjusted: AdjustedJob, name: str, word: str, found: Sequence[Candidate]) -> tuple[str, ...]:
@@ -228,7 +228,7 @@ def _line(adjusted: AdjustedJob, name: str, word: str, found: Sequence[Candidate
     if word == verdict.Status.NOT_TESTABLE:
         plausible, at = units.readable(found[0].plausible, dimension)
         size = f"{units.two_digits(plausible)} {at}".rstrip()
-        why = f"absorbed by {', '.join(found[0].absorbed_by)}; hides this if its size is {size}"
+        why = f"absorbed by {', '.join(found[0].absorbed_by)}; the result is off by this if its size is {size}"
     seen = _span(min(sizes), max(sizes), dimension) if sizes else "-"
     return name, where, word, seen, f"{units.two_digits(hides)} {unit}", why
 

@@ -10,10 +10,12 @@ from metrocli.cli import options
 from metrocli.cli.console import Console
 from metrocli.exports import FORMATS
 
+SUMMARIES = "; ".join(f"{name}, {form.summary}" for name, form in FORMATS.items())
+
 
 @click.command("export", help="Write a result in another format and print the paths of the files.")
 @click.argument("result", type=click.Path(path_type=Path), metavar="RESULT.h5")
-@click.option("--to", "form", required=True, type=click.Choice(list(FORMATS)), help="Format to write.")
+@click.option("--to", "form", required=True, type=click.Choice(list(FORMATS)), help=f"Format to write: {SUMMARIES}.")
 @click.option(
     "--out", type=click.Path(path_type=Path), metavar="DIR", help="Folder to write to (default: beside the result)."
 )

@@ -30,6 +30,9 @@ def command(result: Path, name: str | None, as_json: bool, **asked: tuple[str, .
     from metrocli.words import suggestion
 
     found, record = hdf5.read(result)
+    wanted = [f"--{one}" for one in QUESTIONS if asked[one] is not None] + ["--table"] * (name is not None)
+    if len(wanted) > 1:
+        raise UsageError(f"{' and '.join(wanted)}: one question at a time")
     if name is not None:
         if name not in found.tables:
             raise UsageError(f"{result} has no table '{name}'; {suggestion(name, found.tables)}")

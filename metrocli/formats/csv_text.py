@@ -127,7 +127,7 @@ def refuse_cells(raw: Raw, wrong: Sequence[tuple[int, int]]) -> None:
     for line, count in wrong[: MOST_FAULTS + 1]:
         more = count > len(raw.header)
         hint = "is there a decimal comma? write 0.1, not 0,1" if more and comma else f"columns: {', '.join(raw.header)}"
-        message = f"{count} cells in this row, {len(raw.header)} columns in the header"
+        message = f"cells in this row: {count}; columns in the header: {len(raw.header)}"
         faults.append(raw.fault(message, line, min(count, len(raw.header)) if more else count, hint))
     if faults:
         raise InputError(shortened(faults))

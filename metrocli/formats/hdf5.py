@@ -164,6 +164,8 @@ def kind_of(path: Path) -> str | None:
 
 def _opened(path: Path, shown: str) -> h5py.File:
     """Open a result file for reading; raises InputError if it is not complete or of an unknown version."""
+    if path.is_dir():
+        raise InputError([Fault("this is a folder, not a result file", shown)])
     if not path.is_file():
         raise InputError([Fault("there is no such file", shown)])
     try:
@@ -219,7 +221,7 @@ def _shown_of(text: str) -> ShownTable:
 
 
 def _sort_in(name: str, item: Any, tables: dict[str, Table], arrays: dict[str, Any]) -> None:
-    if name in _OWN or name.startswith("plot/") or not isinstance(item, h5py.Dataset):
+    if name in _OWN or not isinstance(item, h5py.Dataset):
         return
     if item.dtype.names:
         tables[name] = _read_table(item)

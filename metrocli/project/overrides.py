@@ -19,7 +19,7 @@ def overridden(root: Node, override: str, folder: Path) -> Node:
     key, equals, value = override.partition("=")
     names = key.strip().split(".")
     if not equals or not all(names):
-        raise UsageError(f"--set {override}: write it as key.path=value, such as --set camera.estimate='[f, cx, cy]'")
+        raise UsageError(f"--set {override}: write it as key.path=value, such as --set output=other.h5")
     new = yaml_text.parse(value or "~", f"--set {override}", folder)
     return yaml_text.with_paths(_replaced(root, names, yaml_text.without_lines(new)))
 

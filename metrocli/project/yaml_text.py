@@ -14,6 +14,8 @@ import yaml
 from metrocli.errors import Fault, InputError
 from metrocli.nodes import Node, Source
 
+HDF5 = b"\x89HDF"
+"""First bytes of a result file"""
 MOST_BYTES = 4_000_000
 DEEPEST = 30
 _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
@@ -33,7 +35,7 @@ _PLAIN_WORDS = (
     ("unexpected end of stream", "a quotation mark is opened but not closed", "close it on the same line"),
     ("undefined tag", "YAML tags are not used in jobs", "remove the word that begins with '!'"),
     ("undefined alias", "YAML aliases are not used in jobs", "write the value out"),
-    ("node content", "a value is expected here", "put the text in quotes"),
+    ("node content", "a value is expected here", "close the bracket, or put the text in quotes"),
     ("document start", "a job file holds one document only", "remove the '---' and what follows"),
 )  # fmt: skip
 
@@ -51,6 +53,9 @@ def read_text(path: Path, shown: str) -> str:
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
+        if data.startswith(HDF5):
+            hint = f"`metrocli show {shown}` prints it"
+            raise InputError([Fault("this is a result file; a job file is expected", shown, hint=hint)]) from error
         line = data[: error.start].count(b"\n") + 1
         raise InputError([Fault("the file is not text in UTF-8", shown, line, 1)]) from error
 

@@ -47,7 +47,6 @@ ONLY_IN = {
     "yaml": {"project"},
     "click": {"cli"},
     "cv2": {"targets", "formats/images"},
-    "matplotlib": {"plots"},
     "distributed": {"uncertainty"},
 }
 FORBIDDEN = {"scipy.stats": "slow to import; scipy.special has the distributions"}

@@ -15,6 +15,7 @@ from places import DOCS, ROOT
 import metrocli
 
 MODULES = sorted(Path(metrocli.__file__).parent.rglob("*.py"))
+BENCHMARKS = sorted((ROOT / "benchmarks").rglob("*.py"))
 PAGES = sorted(
     [*DOCS.rglob("*.md"), ROOT / "README.md", ROOT / "CHANGELOG.md", *(ROOT / "sample_projects").rglob("*.md")]
 )
@@ -57,7 +58,7 @@ def prose(path: Path) -> str:
     return NOT_PROSE.sub("x", path.read_text(encoding="utf-8"))
 
 
-@pytest.mark.parametrize("path", MODULES, ids=shown)
+@pytest.mark.parametrize("path", [*MODULES, *BENCHMARKS], ids=shown)
 def test_modules_speak_plainly(path: Path) -> None:
     odd = [text for text in texts_of_module(path) if ODD.search(text)]
     assert not odd, odd

@@ -1,4 +1,4 @@
-"""What a job of the tests' kind says."""
+"""Settings of a job of the tests' kind."""
 
 from __future__ import annotations
 

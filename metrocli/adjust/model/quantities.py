@@ -21,7 +21,6 @@ class Quantity(Enum):
     POINT_IN_SPINDLE = "point in the spindle"
     POINT_IN_TAPER = "point in the taper of the camera's holder"
     POINT_IN_CAMERA = "point in the camera"
-    IDEAL_IMAGE_POINT = "image point without distortion, in the plane at distance 1"
     IMAGE_POINT = "image point in pixels"
     MACHINE_READING = "point as the machine reads it"
     LENGTH = "length"

@@ -16,11 +16,11 @@ from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Index, Lattice
 
-_READINGS = 32768
+READINGS_OF_TILE = 32768
 """Approximate number of readings in a tile: fewer cost function calls, more leave the cache"""
-_MOST = 64
+MOST_COLUMNS = 64
 """Most scalar readings of a member in a lattice; beyond it matrix products member by member are faster"""
-_WORTH = 200
+WORTH_TILES = 200
 """Average number of readings from which a tile is worth its overhead"""
 
 
@@ -65,7 +65,7 @@ def tiling_of(groups: Sequence[Group], blocks: Mapping[str, Block], eliminated: 
     if len(found) < len(orders) or not found:
         return everything
     alike = _alike(found)
-    if len(alike) > 2 and sum(len(order.rows) for order in found) < _WORTH * len(alike):
+    if len(alike) > 2 and sum(len(order.rows) for order in found) < WORTH_TILES * len(alike):
         return everything
     tiles = [tile for members in alike for tile in _tiles(found, groups, members, eliminated)]
     return Tiling(tuple(tiles), tuple(i for i in range(len(groups)) if i not in touching))
@@ -98,7 +98,7 @@ class _Order:
         }
         counts = np.bincount(own, minlength=members)
         most = int(counts.max(initial=0)) * len(observations.readings)
-        if most > _MOST or any(index.ndim > 1 for index in others.values()):
+        if most > MOST_COLUMNS or any(index.ndim > 1 for index in others.values()):
             return None
         code = nothing
         for name, index in others.items():
@@ -144,7 +144,7 @@ def _one_pattern(order: _Order) -> bool:
 
 def _tiles(orders: Sequence[_Order], groups: Sequence[Group], members: Index, eliminated: str) -> list[Tile]:
     readings = sum(int(order.counts[members[0]]) * len(groups[order.place].observations.readings) for order in orders)
-    number = max(1, round(len(members) * readings / _READINGS))
+    number = max(1, round(len(members) * readings / READINGS_OF_TILE))
     return [
         Tile(
             _as_slice(some),

@@ -74,7 +74,7 @@ def _whitened(system: System, group: Group, blocks: Mapping[str, Block], block: 
     d, n = observations.readings.shape
     full = np.zeros((n, d, int(chosen.sum())))
     if block.name in group.chain.blocks:
-        fast = _spliced(system, group, blocks, block)
+        fast = columns_by_splicing(system, group, blocks, block)
         if fast is not None:
             index = Local(blocks, observations, frozenset()).slots(block.name)
             scatter(full, np.broadcast_to(observations.whitened(fast), (d, block.size, n)), numbers[index])
@@ -84,7 +84,7 @@ def _whitened(system: System, group: Group, blocks: Mapping[str, Block], block: 
     return full.reshape(n * d, -1)
 
 
-def _spliced(system: System, group: Group, blocks: Mapping[str, Block], block: Block) -> Array | None:
+def columns_by_splicing(system: System, group: Group, blocks: Mapping[str, Block], block: Block) -> Array | None:
     """Return the derivatives (d, size, n) by the block of a link that is inserted into the chain without a change.
 
     The other links keep their values and derivatives, which saves their evaluation. None if the inserted link changes

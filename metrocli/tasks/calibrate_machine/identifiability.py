@@ -17,6 +17,7 @@ from metrocli.adjust.dense_jacobian import Unknowns, normal_matrix, rows, unit_n
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.errors import UndeterminedError
 from metrocli.instruments.machine import ALL_NAMES, ANGLES, AXES, Machine, errors_of
+from metrocli.tasks.calibrate_machine.determination import Determination
 from metrocli.tasks.calibrate_machine.problem import Problem
 from metrocli.tasks.calibrate_machine.volume import grid_group, spread_over, without_rigid_motion
 
@@ -27,7 +28,6 @@ _TOUCHED = 1e-6
 _NAMED = 0.2
 _POINTS = 300
 """Number of points at which the error in the volume is evaluated"""
-DETERMINED, TOGETHER, UNDETERMINED, NOT_ESTIMATED = "determined", "together", "undetermined", "not estimated"
 
 
 @dataclass(frozen=True)
@@ -36,8 +36,8 @@ class Identifiability:
 
     unknowns: int
     rank: int
-    status: Mapping[str, str]
-    """By the name of an error: determined, together, undetermined, not estimated"""
+    status: Mapping[str, Determination]
+    """By the name of an error"""
     partners: Mapping[str, tuple[str, ...]]
     """For each error that is not determined on its own, the errors with which it is combined"""
     ratio: float
@@ -50,12 +50,12 @@ class Identifiability:
     @property
     def undetermined(self) -> tuple[str, ...]:
         """Names of the errors that are held at zero."""
-        return tuple(name for name, status in self.status.items() if status == UNDETERMINED)
+        return tuple(name for name, status in self.status.items() if status == Determination.UNDETERMINED)
 
     @property
     def together(self) -> tuple[str, ...]:
         """Names of the errors that are determined only together with those held at zero."""
-        return tuple(name for name, status in self.status.items() if status == TOGETHER)
+        return tuple(name for name, status in self.status.items() if status == Determination.TOGETHER)
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,11 @@ def identify(problem: Problem) -> Identifiability:
     held, undetermined = _hold(opened, problem.machine)
     shares = opened.shares(opened.directions)
     status = {name: _status(name, shares, undetermined, blocks) for name in ALL_NAMES}
-    partners = {name: _partners(name, opened, status) for name in ALL_NAMES if status[name] in (TOGETHER, UNDETERMINED)}
+    partners = {
+        name: _partners(name, opened, status)
+        for name in ALL_NAMES
+        if status[name] in (Determination.TOGETHER, Determination.UNDETERMINED)
+    }
     return Identifiability(
         unknowns.size,
         int((values >= 1.0).sum()),
@@ -217,16 +221,18 @@ def _taken(directions: Array, at: Array) -> tuple[Array, Array]:
     return at[order[:rank]], rest
 
 
-def _status(name: str, shares: Mapping[str, float], undetermined: Sequence[str], blocks: Mapping[str, Block]) -> str:
+def _status(
+    name: str, shares: Mapping[str, float], undetermined: Sequence[str], blocks: Mapping[str, Block]
+) -> Determination:
     block = next(block for block in blocks.values() if name in block.columns)
     if not block.free[:, block.column(name)].any():
-        return NOT_ESTIMATED
+        return Determination.NOT_ESTIMATED
     if name in undetermined:
-        return UNDETERMINED
-    return TOGETHER if shares[name] > _TOUCHED else DETERMINED
+        return Determination.UNDETERMINED
+    return Determination.TOGETHER if shares[name] > _TOUCHED else Determination.DETERMINED
 
 
-def _partners(name: str, opened: _Open, status: Mapping[str, str]) -> tuple[str, ...]:
+def _partners(name: str, opened: _Open, status: Mapping[str, Determination]) -> tuple[str, ...]:
     """Return the errors that are combined with an error in the open directions."""
     at = opened.rows_of(name)
     _, sizes, mix = np.linalg.svd(opened.directions[at], full_matrices=False)

@@ -23,7 +23,8 @@ from metrocli.plan import Plan
 from metrocli.result import Estimate, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import KIND
-from metrocli.tasks.calibrate_machine.identifiability import NOT_ESTIMATED, UNDETERMINED, Identifiability, identify
+from metrocli.tasks.calibrate_machine.determination import Determination
+from metrocli.tasks.calibrate_machine.identifiability import Identifiability, identify
 from metrocli.tasks.calibrate_machine.methods.on_the_fly import READINGS, path_of
 from metrocli.tasks.calibrate_machine.methods.standstill import tracker_noise
 from metrocli.tasks.calibrate_machine.path_search import Found, Wanted, edges_and_diagonals, search
@@ -186,9 +187,9 @@ def _own(settings: Settings, wanted: PathPlan, path: Path) -> list[str]:
 
 def predicted_errors(tables: Tables, identified: Identifiability) -> Table:
     """Return for each error whether it will be determined, and its largest standard uncertainty."""
-    names = [name for name in ALL_NAMES if identified.status[name] != NOT_ESTIMATED]
+    names = [name for name in ALL_NAMES if identified.status[name] != Determination.NOT_ESTIMATED]
     std = [tables.of(name)[2].max() for name in names]
-    open_ones = np.array([identified.status[name] == UNDETERMINED for name in names])
+    open_ones = np.array([identified.status[name] == Determination.UNDETERMINED for name in names])
     columns: dict[str, Values] = {
         "error": np.array(names),
         "status": np.array([identified.status[name] for name in names]),

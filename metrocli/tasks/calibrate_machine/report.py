@@ -17,7 +17,8 @@ from metrocli.instruments.tracker import TRACKER
 from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import KIND
-from metrocli.tasks.calibrate_machine.identifiability import NOT_ESTIMATED, UNDETERMINED, Identifiability
+from metrocli.tasks.calibrate_machine.determination import Determination
+from metrocli.tasks.calibrate_machine.identifiability import Identifiability
 from metrocli.tasks.calibrate_machine.settings import ON_THE_FLY, Settings
 from metrocli.tasks.calibrate_machine.solve import Solved
 from metrocli.tasks.calibrate_machine.tables import Tables, least_squares_squareness, tables_of, tool_names, unit_of
@@ -76,7 +77,7 @@ def report(solved: Solved, settings: Settings) -> Result:
 
 
 def _wanted(name: str, identified: Identifiability) -> bool:
-    return identified.status[name] != NOT_ESTIMATED
+    return identified.status[name] != Determination.NOT_ESTIMATED
 
 
 def _estimates(solution: Solution) -> list[Estimate]:
@@ -100,7 +101,7 @@ def _estimates(solution: Solution) -> list[Estimate]:
 def _table(tables: Tables, name: str, identified: Identifiability) -> Table:
     """Return an error table; if it is not determined, its values are nan and its standard uncertainties inf."""
     position, value, std = tables.of(name)
-    if identified.status[name] == UNDETERMINED:
+    if identified.status[name] == Determination.UNDETERMINED:
         value, std = np.full_like(value, np.nan), np.full_like(std, np.inf)
     unit = unit_of(name)
     return Table({"position": position, "value": value, "std": std}, {"position": "mm", "value": unit, "std": unit})
@@ -109,7 +110,7 @@ def _table(tables: Tables, name: str, identified: Identifiability) -> Table:
 def _errors(tables: Tables, identified: Identifiability) -> Table:
     names = (*ERRORS, *SQUARENESS_NAMES)
     of = [tables.of(name) for name in names]
-    open_ones = np.array([identified.status[name] == UNDETERMINED for name in names])
+    open_ones = np.array([identified.status[name] == Determination.UNDETERMINED for name in names])
     largest = np.array([np.abs(value).max() for _, value, _ in of])
     std = np.array([std.max() for _, _, std in of])
     units = np.array([unit_of(name) for name in names])
@@ -280,8 +281,7 @@ def _warnings(solved: Solved, settings: Settings) -> list[str]:
         key, names = next(iter(solved.problem.readings.observations.keys)), solved.problem.names
         worst = sorted(zip(tests, [names[i] for i in rows], strict=True), reverse=True)
         told = [f"{key} {name} (w = {test:.1f})" for test, name in worst]
-        cure = f"{REMOVE} leaves such out" if REMOVE in cures else ""
-        lines.append(beyond_bound(told, solved.suspects.critical, cure))
+        lines.append(beyond_bound(told, solved.suspects.critical, f"{REMOVE} leaves them out" * (REMOVE in cures)))
     return lines
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from enum import StrEnum
 from itertools import combinations
 
 import numpy as np
@@ -32,6 +33,17 @@ def most_wrong(lengths: Index) -> Index:
     return np.maximum(lengths - 3, 0) // 2
 
 
+class Reason(StrEnum):
+    """Why a length is left out, in the words of the result."""
+
+    GROSS = "far off before the adjustment"
+    OUTLIER = "outlier"
+    ALIKE = "one of the point's lengths is wrong, but cannot be identified"
+    UNCHECKED = "too few lengths of the point remain for a check"
+    FEW_TRACERS = "fewer than three tracers read the point"
+    CONTRADICTED = "the point lost a length, and its other lengths do not meet"
+
+
 @dataclass(frozen=True)
 class Rejected:
     """A length that was left out of the adjustment."""
@@ -40,8 +52,7 @@ class Rejected:
     """Its row among all lengths"""
     test: float
     """|w|, the absolute normalised residual; nan if the length was left out before one was computed"""
-    reason: str
-    """Key of the sentence in the report: gross, outlier, alike, point, few or doubt"""
+    reason: Reason
 
 
 def far_off(network: Network, state: Mapping[str, Block]) -> dict[int, Rejected]:
@@ -61,7 +72,7 @@ def far_off(network: Network, state: Mapping[str, Block]) -> dict[int, Rejected]
         rows = np.flatnonzero(point == i)
         sight = _Sight(network.nominal[i], tracers[rows], observations.readings[0, rows], observations.sigma[0, rows])
         wrong = _wrong(sight, bound)
-        reason = "gross" if len(wrong) < len(rows) else "alike"
+        reason = Reason.GROSS if len(wrong) < len(rows) else Reason.ALIKE
         out |= {int(row): Rejected(int(row), float("nan"), reason) for row in rows[wrong]}
     return out
 

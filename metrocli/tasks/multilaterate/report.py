@@ -15,6 +15,7 @@ from metrocli.instruments import tracer as t
 from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.multilaterate import KIND, layout_faults
+from metrocli.tasks.multilaterate.blunders import Reason
 from metrocli.tasks.multilaterate.correction import corrected, distant, wrong_entries
 from metrocli.tasks.multilaterate.distance import factors
 from metrocli.tasks.multilaterate.reliability import UNITS as RELIABILITY_UNITS
@@ -30,15 +31,6 @@ if TYPE_CHECKING:
 _UNITS = ("mm", "mm", "mm", "mm", "1")
 _ELSEWHERE = 0.5
 """Warn if a tracer is farther from its listed place than this share of its distance from the points"""
-
-_REASONS = {
-    "gross": "far off before the adjustment",
-    "outlier": "outlier",
-    "alike": "one of the point's lengths is wrong, but cannot be identified",
-    "point": "too few lengths of the point remain for a check",
-    "few": "fewer than three tracers read the point",
-    "doubt": "the point lost a length, and its other lengths do not meet",
-}
 
 
 def report(solved: Solved, probing: Table | None, tolerance: float) -> Result:
@@ -143,7 +135,7 @@ def _rejected(solved: Solved) -> Table:
             **{key: np.array([values[i] for i in rows], dtype=str) for key, values in observations.keys.items()},
             "reading": observations.readings[0, rows],
             "w": np.array([one.test for one in chosen], dtype=float),
-            "reason": np.array([_REASONS[one.reason] for one in chosen], dtype=str),
+            "reason": np.array([str(one.reason) for one in chosen], dtype=str),
         },
         {"reading": "mm"},
     )
@@ -167,7 +159,7 @@ def _warnings(solved: Solved) -> list[str]:
     wrong = [
         f"{keys['point'][one.row]}/{keys['tracer'][one.row]}"
         for one in solved.rejected
-        if one.reason in ("gross", "outlier")
+        if one.reason in (Reason.GROSS, Reason.OUTLIER)
     ]
     if wrong:
         lines.append(f"{len(wrong)} lengths are left out as wrong: {listed(wrong)} (table rejected)")
@@ -183,7 +175,7 @@ def _warnings(solved: Solved) -> list[str]:
         lines.append(f"{len(told)} lengths exceed {bound}: {listed(told, 5)}; `outliers: remove` leaves them out")
     if alike:
         lines.append(
-            f"{len(alike)} points have a wrong length beyond {bound}: {listed(alike, 5)}; it cannot be identified, "
+            f"points with a wrong length beyond {bound}: {listed(alike, 5)}; it cannot be identified, "
             "since |w| are alike at the point (with four lengths all are equal); one more tracer would identify it"
         )
     gone = [name for name, n, before in _lost(solved) if n == 0 < before]

@@ -17,7 +17,7 @@ from metrocli.adjust.solution import Residuals, Solution, residuals_of
 from metrocli.effects.estimates import absorbed
 from metrocli.errors import NotConvergedError, UndeterminedError
 from metrocli.instruments import tracer as t
-from metrocli.tasks.multilaterate.blunders import Rejected, far_off, most_wrong
+from metrocli.tasks.multilaterate.blunders import Reason, Rejected, far_off, most_wrong
 from metrocli.tasks.multilaterate.layout_faults import carries, explained
 from metrocli.tasks.multilaterate.problem import LENGTHS, Network
 
@@ -135,7 +135,7 @@ def _adjusted(network: Network, state: Mapping[str, Block], out: dict[int, Rejec
     if not solution.outcome.good:
         raise NotConvergedError(f"{solution.outcome.value} ({solution.iterations} steps)")
     _must_be_near(used, solution)
-    rejected = [*out.values(), *(Rejected(int(row), float("nan"), "point") for row in np.flatnonzero(lost))]
+    rejected = [*out.values(), *(Rejected(int(row), float("nan"), Reason.UNCHECKED) for row in np.flatnonzero(lost))]
     group = next(group for group in solution.groups if group.name == LENGTHS)
     residuals, critical = residuals_of(solution, group), critical_value(group.observations.count)
     suspects = _suspects(group, np.abs(residuals.normalised[0]), _units(solution, residuals), critical)
@@ -153,7 +153,7 @@ def _kept(network: Network, out: Mapping[int, Rejected]) -> Mask:
 def _too_few(network: Network) -> dict[int, Rejected]:
     """Return the lengths of points that fewer than three tracers read."""
     few = ((network.seen < 3) & network.unknown)[network.lengths.observations.index[t.POINT]]
-    return {int(row): Rejected(int(row), float("nan"), "few") for row in np.flatnonzero(few)}
+    return {int(row): Rejected(int(row), float("nan"), Reason.FEW_TRACERS) for row in np.flatnonzero(few)}
 
 
 def _must_carry(network: Network, solution: Solution) -> None:
@@ -200,7 +200,7 @@ def _doubtful(solved: Solved) -> dict[int, Rejected]:
     misfit = np.bincount(point, (solved.residuals.values[0] / solved.residuals.sigma[0] / unit) ** 2, len(left))
     bad = lost & (misfit > chdtri(np.maximum(left - 3, 1), _DOUBT))
     used = np.delete(np.arange(solved.whole.lengths.observations.count), [one.row for one in solved.rejected])
-    return {int(row): Rejected(int(row), float("nan"), "doubt") for row in used[bad[point]]}
+    return {int(row): Rejected(int(row), float("nan"), Reason.CONTRADICTED) for row in used[bad[point]]}
 
 
 def _units(solution: Solution, found: Residuals) -> Array:
@@ -250,7 +250,8 @@ def _worst(solved: Solved) -> dict[int, Rejected]:
     """
     most = max((one.test for one in solved.suspects), default=0.0)
     chosen = [one for one in solved.suspects if one.test >= most / 2]
-    return {row: Rejected(row, one.test, "outlier" if one.tracer else "alike") for one in chosen for row in one.rows}
+    reason = {True: Reason.OUTLIER, False: Reason.ALIKE}
+    return {row: Rejected(row, one.test, reason[bool(one.tracer)]) for one in chosen for row in one.rows}
 
 
 def _without_innocent(solved: Solved, out: dict[int, Rejected]) -> dict[int, Rejected]:

@@ -107,10 +107,10 @@ EACH = pytest.mark.parametrize("case", CASES)
 def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """How the readings are taken."""
     if request.param == "in no tiles":
-        monkeypatch.setattr(tiles, "_MOST", 0)
+        monkeypatch.setattr(tiles, "MOST_COLUMNS", 0)
     else:
-        monkeypatch.setattr(tiles, "_WORTH", 0)
-        monkeypatch.setattr(tiles, "_READINGS", 25 if request.param == "in lots of five" else 10**9)
+        monkeypatch.setattr(tiles, "WORTH_TILES", 0)
+        monkeypatch.setattr(tiles, "READINGS_OF_TILE", 25 if request.param == "in lots of five" else 10**9)
     return str(request.param)
 
 
@@ -146,7 +146,7 @@ def test_each_way_is_the_dense_inverse(case: str, way: str) -> None:
 def test_all_ways_agree(case: str, way: str) -> None:
     solution = CASES[case]().solved()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(tiles, "_MOST", 0)
+        patch.setattr(tiles, "MOST_COLUMNS", 0)
         other = CASES[case]().solved()
     assert solution.cost == pytest.approx(other.cost, rel=1e-10)
     assert solution.iterations == other.iterations

@@ -32,7 +32,7 @@ def test_columns_are_those_of_the_whole_chain(kind: str, monkeypatch: pytest.Mon
     fast = {}
     for anew in (False, True):
         if anew:
-            monkeypatch.setattr(signatures, "_spliced", lambda *_: None)
+            monkeypatch.setattr(signatures, "columns_by_splicing", lambda *_: None)
         for key, (effect, place) in places.items():
             scanned = {parameter.name: 3.0 for parameter in effect.scanned}
             columns = signatures.signature(adjusted.model, system, effect, place, scanned)
