@@ -1,4 +1,4 @@
-"""python -m benchmarks launch_unit: how well a launch unit is located, and whether the beam is where the plan predicts it.
+"""python -m benchmarks launch_unit: how well a launch unit is located, and whether the beam is where it is planned.
 
 Poses are simulated by the plain formulas of the contract, with their own random draws.
 """
