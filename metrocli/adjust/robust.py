@@ -23,6 +23,8 @@ _GROSS = 8.0
 """Residuals beyond this many robust standard deviations call for a robust start"""
 _TUKEY = 4.685
 """Tuning constant of Tukey's biweight: 95 % efficiency for normal errors"""
+_POWER_80 = 0.8416212335729143
+"""Normal quantile of a power of 80 %"""
 _ROUNDS = 12
 _ENOUGH = 8
 """A member with at least so many readings has a scale of its own"""
@@ -112,6 +114,15 @@ def critical_value(tests: int, level: float = 0.05) -> float:
     from scipy.special import ndtri
 
     return float(-ndtri(level / (2 * max(tests, 1))))
+
+
+def detected(critical: float) -> float:
+    """Return the non-centrality at which |w| exceeds its critical value with 80 % power (Baarda 1968).
+
+    It is `critical + 0.84`; times `sigma / sqrt(r)` it is the minimal detectable error of a reading with redundancy r.
+    The chance of an exceedance on the other side is below 1e-6 and left out.
+    """
+    return critical + _POWER_80
 
 
 @dataclass(frozen=True)

@@ -109,6 +109,10 @@ def run(arguments: Sequence[str] | None = None) -> int:
         if isinstance(error, OSError) and error.errno in _CANNOT_WRITE:
             click.echo(f"error: the output cannot be written: {error.strerror}", err=True)
             return InputError.exit_code
+        if isinstance(error, OSError) and error.filename is not None:
+            # a file may vanish or be closed to us at any moment between the check and the end
+            click.echo(f"{error.filename}: error: cannot be opened: {error.strerror}", err=True)
+            return InputError.exit_code
         import traceback
 
         traceback.print_exc()

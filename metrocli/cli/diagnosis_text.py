@@ -23,6 +23,7 @@ _IN_SENTENCES = 4
 """Most effects that the paragraph describes; the table lists all"""
 _HIGH_NOISE, _FEW_DOF = 2.0, 30
 """Noise ratio above which, with fewer degrees of freedom than this, several wrong readings may pass as noise"""
+_USUAL = "a machine or mover that does not return to the same place, a wrong sigma, vibration or turbulence of the air"
 _LEAST_P = 1e-12
 _LEAST_REDUCTION = 0.005
 """Least fall of the held-out errors that is stated in percent; the log score may gain where the fall is smaller"""
@@ -31,13 +32,21 @@ _LEAST_REDUCTION = 0.005
 def of_diagnosis(diagnosis: Diagnosis, extended: Path | None) -> str:
     """Return the report of a diagnosis."""
     paragraph = " ".join(_sentences(diagnosis, extended))
-    lines = [f"verdict: {diagnosis.verdict}", "", fill(paragraph, _WIDTH)]
+    lines = [f"verdict: {_headline(diagnosis)}", "", fill(paragraph, _WIDTH)]
     if diagnosis.findings:
         lines += ["", *_table(_HEAD, [_row(finding, diagnosis.job) for finding in diagnosis.findings])]
     if diagnosis.separate_by:
         lines += ["", "to distinguish them, measure:", *(f"  {words}" for words in diagnosis.separate_by)]
     names = [finding.effect for finding in diagnosis.findings]
     return "\n".join([*lines, "", *_candidates(diagnosis.job, diagnosis.design, names)])
+
+
+def _headline(diagnosis: Diagnosis) -> str:
+    """Return the verdict, with the noise where it is not as declared."""
+    noise = diagnosis.noise
+    if noise.as_declared or diagnosis.job.declared == "estimated":
+        return str(diagnosis.verdict)
+    return f"{diagnosis.verdict}, but the noise is {noise.ratio:.2g} times what was declared"
 
 
 def of_design(adjusted: AdjustedJob, design: Design) -> str:
@@ -55,7 +64,8 @@ def of_design(adjusted: AdjustedJob, design: Design) -> str:
 def _sentences(diagnosis: Diagnosis, extended: Path | None) -> Iterator[str]:
     if diagnosis.mistaken is not None:
         likely = " or ".join(map(str, diagnosis.mistaken.mistakes[:_SHOWN]))
-        yield f"A file of this job is wrong: {likely}. Correct it. All that follows is for the corrected job."
+        write = f"Write {diagnosis.mistaken.mistakes[0].write}."
+        yield f"A file of this job is wrong: {likely}. {write} All that follows is for the corrected job."
     if diagnosis.findings:
         yield f"The residuals contain structure beyond noise ({_chance(diagnosis.before)})."
     elif diagnosis.left is None:
@@ -155,8 +165,11 @@ def _noise(diagnosis: Diagnosis) -> Iterator[str]:
     interval = f"{noise.ratio:.2f} [{noise.low:.2f}, {noise.high:.2f}]"
     if declared == "estimated":
         yield f"The noise is {interval} times the noise that the job estimates."
-    elif noise.low > 1 or noise.high < 1:
+    elif not noise.as_declared:
         yield f"The noise is {interval} times the declared noise ({declared})."
+        yield "The standard uncertainties of the result are for the declared noise (`noise: estimated`: for the real)."
+        if noise.low > 1:
+            yield f"Usual reasons: {_USUAL}."
         if noise.low > _HIGH_NOISE and noise.dof < _FEW_DOF:
             yield f"With {noise.dof:.0f} degrees of freedom, several wrong readings may pass as noise: measure more."
     else:

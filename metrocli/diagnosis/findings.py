@@ -32,6 +32,8 @@ class Verdict(StrEnum):
     """An effect is present, but others explain the readings as well"""
     UNEXPLAINED = "unexplained"
     """Structure remains that no known effect explains"""
+    MISTAKEN = "mistaken"
+    """A file has a mistake; the rest of the diagnosis is for the corrected job"""
 
 
 @dataclass(frozen=True)
@@ -84,11 +86,10 @@ class Diagnosis:
     @property
     def verdict(self) -> Verdict:
         """The verdict, which the report states first."""
+        if self.mistaken is not None:
+            return Verdict.MISTAKEN
         if self.left is not None:
             return Verdict.UNEXPLAINED
-        sets: list[tuple[object, ...]] = [finding.effect.rivals for finding in self.findings]
-        if self.mistaken is not None:
-            sets.append(self.mistaken.mistakes[1:])
-        if not sets:
+        if not self.findings:
             return Verdict.CLEAN
-        return Verdict.INDISTINCT if any(sets) else Verdict.EXPLAINED
+        return Verdict.INDISTINCT if any(one.effect.rivals for one in self.findings) else Verdict.EXPLAINED

@@ -38,6 +38,8 @@ class Mistake:
 
     input: str
     words: str
+    write: str
+    """What to write in the file instead"""
     shrinks: float = 1.0
     """Factor by which its correction makes numbers smaller, and with them their residuals whatever is wrong"""
 
@@ -113,35 +115,56 @@ def altered(inputs: Inputs) -> Iterator[tuple[Mistake, Inputs]]:
     """Yield each possible mistake in the files, with the corrected inputs."""
     for key, table in inputs.items():
         if isinstance(table, Table):
-            for words, factor, changed in _of_table(table):
-                yield Mistake(key, words, min(abs(factor), 1.0)), {**inputs, key: changed}
+            for words, write, factor, changed in _of_table(table):
+                yield Mistake(key, words, write, min(abs(factor), 1.0)), {**inputs, key: changed}
 
 
-def _of_table(table: Table) -> Iterator[tuple[str, float, Table]]:
+def _of_table(table: Table) -> Iterator[tuple[str, str, float, Table]]:
+    """Yield what may be wrong, what to write instead, the factor of the numbers, and the corrected table."""
     lengths = [name for name, unit in table.units.items() if unit == "mm" and not name.startswith("sigma")]
     per_metre = next(unit.times for unit in DIMENSIONS["length"].units if unit.symbol == "m")
     units = (
-        ("written in inches, read as millimetres", INCH),
-        ("written in millimetres, read as inches", 1 / INCH),
-        ("a thousand times too small (metres for millimetres, millimetres for micrometres)", per_metre),
-        ("a thousand times too large (millimetres for metres, micrometres for millimetres)", 1 / per_metre),
+        ("written in inches, read as millimetres", "_in", INCH),
+        ("written in millimetres, read as inches", "_mm", 1 / INCH),
+        ("a thousand times too small (metres for millimetres, millimetres for micrometres)", "_m or _mm", per_metre),
+        (
+            "a thousand times too large (millimetres for metres, micrometres for millimetres)",
+            "_mm or _um",
+            1 / per_metre,
+        ),
     )
-    for words, factor in units if lengths else ():
-        yield words, factor, _scaled(table, lengths, factor)
+    heading = "the unit in the headings of the columns of {}, such as {}"
+    for words, ending, factor in units if lengths else ():
+        yield words, heading.format("lengths", ending), factor, _scaled(table, lengths, factor)
     angles = [name for name, unit in table.units.items() if unit == "rad"]
     if angles:
         degree = next(unit.inside(1.0) for unit in DIMENSIONS["angle"].units if unit.symbol == "deg")
-        yield "degrees, read as radians", degree, _scaled(table, angles, degree)
-        yield "radians, read as degrees", 1 / degree, _scaled(table, angles, 1 / degree)
+        yield "degrees, read as radians", heading.format("angles", "_deg"), degree, _scaled(table, angles, degree)
+        yield (
+            "radians, read as degrees",
+            heading.format("angles", "_rad"),
+            1 / degree,
+            _scaled(table, angles, 1 / degree),
+        )
     for one, other in combinations(angles, 2):
-        yield f"{one} and {other} are swapped", 1.0, _swapped(table, one, other)
+        yield (
+            f"{one} and {other} are swapped",
+            f"{other} for {one} and {one} for {other} in the headings",
+            1.0,
+            _swapped(table, one, other),
+        )
     for angle in angles:
-        yield f"{angle} has the wrong sign", 1.0, _scaled(table, [angle], -1.0)
+        yield f"{angle} has the wrong sign", f"{angle} with the other sign", 1.0, _scaled(table, [angle], -1.0)
     axes = [name for name in "xyz" if name in table]
     for one, other in combinations(axes, 2):
-        yield f"{one} and {other} are swapped", 1.0, _swapped(table, one, other)
+        yield (
+            f"{one} and {other} are swapped",
+            f"{other} for {one} and {one} for {other} in the headings",
+            1.0,
+            _swapped(table, one, other),
+        )
     for axis in axes:
-        yield f"{axis} has the wrong sign", 1.0, _scaled(table, [axis], -1.0)
+        yield f"{axis} has the wrong sign", f"{axis} with the other sign", 1.0, _scaled(table, [axis], -1.0)
 
 
 def _scaled(table: Table, names: list[str], factor: float) -> Table:

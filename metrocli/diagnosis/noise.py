@@ -41,6 +41,11 @@ class Noise:
     dof: float
     """Degrees of freedom from which it was found"""
 
+    @property
+    def as_declared(self) -> bool:
+        """Whether its interval contains the declared noise."""
+        return self.low <= 1 <= self.high
+
 
 @dataclass(frozen=True)
 class Unit:

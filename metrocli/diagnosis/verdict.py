@@ -46,9 +46,11 @@ def as_data(diagnosis: Diagnosis) -> dict[str, Any]:
             "declared": diagnosis.job.declared,
             "ratio": noise.ratio,
             "interval": [noise.low, noise.high],
+            "as_declared": noise.as_declared,
             "apart": [{unit.key: unit.name, "ratio": unit.ratio} for unit in diagnosis.noisier_units],
             "repeats": None if repeats is None else {"ratio": repeats.ratio, "lack_of_fit": repeats.lack_of_fit},
         },
+        "mistake": None if diagnosis.mistaken is None else _correction(diagnosis.mistaken),
         "outliers": [{"observation": dict(one.keys), "w": one.test} for one in diagnosis.outliers],
         "effects": [
             *([] if diagnosis.mistaken is None else [_mistake(diagnosis.mistaken)]),
@@ -70,6 +72,12 @@ def design_data(job: AdjustedJob, design: Design) -> dict[str, Any]:
 
 MISTAKE = "mistake-in-file"
 """The name of a mistake in the files among the effects"""
+
+
+def _correction(mistaken: Mistaken) -> dict[str, Any]:
+    """Return the most likely mistake, and what to write instead."""
+    first = mistaken.mistakes[0]
+    return {"file": first.input, "what": first.words, "write": first.write}
 
 
 def _mistake(mistaken: Mistaken) -> dict[str, Any]:

@@ -148,9 +148,11 @@ def read_record(path: Path, shown: str = "") -> tuple[str, Record]:
 
 
 def kind_of(path: Path) -> str | None:
-    """Return the kind of job of a result file, "" if it is damaged or empty, None if it is not a result file."""
-    with path.open("rb") as raw:
-        head = raw.read(len(SIGNATURE))
+    """Return the kind of job of a result file, "" if it is damaged or empty, None if it is not a result file.
+
+    Raises InputError if it cannot be read.
+    """
+    head = _first_bytes(path, str(path))
     if not head:
         return ""
     if head != SIGNATURE:
@@ -162,6 +164,14 @@ def kind_of(path: Path) -> str | None:
         return ""
 
 
+def _first_bytes(path: Path, shown: str) -> bytes:
+    try:
+        with path.open("rb") as raw:
+            return raw.read(len(SIGNATURE))
+    except OSError as error:
+        raise InputError([Fault(f"cannot be read: {error.strerror}", shown)]) from error
+
+
 def _opened(path: Path, shown: str) -> h5py.File:
     """Open a result file for reading; raises InputError if it is not complete or of an unknown version."""
     if path.is_dir():
@@ -171,7 +181,7 @@ def _opened(path: Path, shown: str) -> h5py.File:
     try:
         file = h5py.File(path, "r")
     except OSError as error:
-        if path.read_bytes()[: len(SIGNATURE)] == SIGNATURE:
+        if _first_bytes(path, shown) == SIGNATURE:
             raise InputError([Fault("the result file is truncated or damaged; run its job again", shown)]) from error
         raise InputError([Fault("this is not a result file (HDF5)", shown)]) from error
     reason = _reason_to_refuse(file)

@@ -73,7 +73,10 @@ def input_files(job: JobFile) -> tuple[InputFile, ...]:
 
 def _hashed(path: Path, folder: Path) -> InputFile:
     digest = hashlib.sha256()
-    with path.open("rb") as file:
-        while block := file.read(1 << 20):
-            digest.update(block)
-    return InputFile(Path(os.path.relpath(path, folder)).as_posix(), digest.hexdigest(), path.stat().st_size)
+    try:
+        with path.open("rb") as file:
+            while block := file.read(1 << 20):
+                digest.update(block)
+        return InputFile(Path(os.path.relpath(path, folder)).as_posix(), digest.hexdigest(), path.stat().st_size)
+    except OSError as error:
+        raise InputError([Fault(f"cannot be read: {error.strerror}", str(path))]) from error

@@ -158,9 +158,18 @@ def coverage_factor(coverage: Coverage, dof: float) -> float:
     return float(stdtrit(whole, upper)) if math.isfinite(whole) else float(ndtri(upper))
 
 
-def covered(coverage: Coverage) -> float:
-    """Return the coverage probability: as given, or that of k for a normal distribution."""
-    return coverage.probability if coverage.k is None else math.erf(coverage.k / math.sqrt(2))
+def covered(coverage: Coverage, dof: float) -> float:
+    """Return the coverage probability: as given, or `2 T(k) - 1` of a given k.
+
+    T is the t distribution with the truncated effective degrees of freedom (JCGM 100, G.6.4), the normal one if they
+    are infinite.
+    """
+    from scipy.special import stdtr
+
+    if coverage.k is None:
+        return coverage.probability
+    whole = whole_dof(dof)
+    return float(2 * stdtr(whole, coverage.k) - 1) if math.isfinite(whole) else math.erf(coverage.k / math.sqrt(2))
 
 
 def ellipsoid_factor(probability: float, measurands: int) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -10,12 +10,15 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.table import Table
+from metrocli.words import listed
 
 if TYPE_CHECKING:
     from metrocli.table import Values
 
 _SAME = 0.01
 """Targets of two runs are the same within this [mm]"""
+_RUNS, _LONG = 5, 2000.0
+"""Runs in each direction that ISO 230-2:2014, 5.3.2, asks for, on axes up to this travel [mm]"""
 
 
 @dataclass(frozen=True)
@@ -71,30 +74,37 @@ class Run:
     deviation: Array
     at: tuple[float, ...] = ()
     """Positions of the other axes [mm]"""
+    line: str = ""
+    """Runs of one line have one zero"""
 
 
-def positioning(runs: Sequence[Run]) -> Table | None:
-    """Return the figures of each axis with runs in both directions over the same targets, or None without such an axis.
+def positioning(runs: Sequence[Run]) -> tuple[Table | None, tuple[str, ...]]:
+    """Return the figures of each line along an axis with runs in both directions, and warnings.
 
-    There is one row for each place of the other axes. All runs of a row share one zero.
+    The table is None without such a line. Runs of several lines are not pooled, since each line has its own zero. A run
+    that lacks a target of the others is left out: the figures need all runs at each target.
     """
-    lines = dict.fromkeys((axis, run.at) for axis in "XYZ" for run in runs if run.axis == axis)
-    rows = [
-        (*line, found)
-        for line in lines
-        if (found := _of_line([run for run in runs if (run.axis, run.at) == line])) is not None
-    ]
+    lines = dict.fromkeys((axis, run.at, run.line) for axis in "XYZ" for run in runs if run.axis == axis)
+    rows, warnings = [], []
+    for line in lines:
+        own, lacking = _complete([run for run in runs if (run.axis, run.at, run.line) == line])
+        found = _of_runs(own)
+        if found is not None:
+            rows.append((*line, found))
+            warnings += lacking + _too_few(line[0], found, own)
+    warnings += _apart(lines)
     if not rows:
-        return None
+        return None, tuple(warnings)
     columns: dict[str, Values] = {
         "axis": np.array([axis for axis, *_ in rows]),
-        "at": np.array([_named(axis, at) for axis, at, _ in rows]),
+        "at": np.array([_named(axis, at) for axis, at, *_ in rows]),
+        "line": np.array([name for _, _, name, _ in rows]),
         "runs_up": np.array([one.runs[0] for *_, one in rows]),
         "runs_down": np.array([one.runs[1] for *_, one in rows]),
     }
     names = {"A": "accuracy", "R": "repeatability", "B": "reversal", "E": "systematic", "M": "mean_range"}
     columns |= {letter: np.array([getattr(one, name) for *_, one in rows]) for letter, name in names.items()}
-    return Table(columns, dict.fromkeys(names, "mm"))
+    return Table(columns, dict.fromkeys(names, "mm")), tuple(warnings)
 
 
 def _named(axis: str, at: Sequence[float]) -> str:
@@ -102,14 +112,49 @@ def _named(axis: str, at: Sequence[float]) -> str:
     return ", ".join(f"{other} = {place:g} mm" for other, place in zip(others, at, strict=False))
 
 
-def _of_line(runs: Sequence[Run]) -> Figures | None:
+def _complete(runs: Sequence[Run]) -> tuple[list[Run], list[str]]:
+    """Return the runs over all targets, ordered by target, and a warning for each that is left out."""
+    all_targets = np.sort(max(runs, key=lambda run: len(run.targets)).targets)
+    whole, lacking = [], []
+    for number, run in enumerate(runs, 1):
+        order = np.argsort(run.targets, kind="stable")
+        near = np.abs(run.targets[:, None] - all_targets).min(axis=0) <= _SAME
+        if near.all() and len(order) == len(all_targets):
+            whole.append(run)
+            continue
+        gone = [f"{target:g} mm" for target in all_targets[~near]]
+        why = f"lacks the target {listed(gone)}" if gone else "has other targets than the longest run"
+        lacking.append(f"axis {run.axis}, line '{run.line}': run {number} {why}; the figures of ISO 230-2 leave it out")
+    return whole, lacking
+
+
+def _of_runs(runs: Sequence[Run]) -> Figures | None:
     either: dict[bool, list[Array]] = {True: [], False: []}
     for run in runs:
         order = np.argsort(run.targets, kind="stable")
-        first = np.sort(runs[0].targets)
-        if len(order) != len(first) or np.abs(run.targets[order] - first).max() > _SAME:
-            return None
         either[bool(run.targets[-1] > run.targets[0])].append(run.deviation[order])
     if not (either[True] and either[False]):
         return None
     return figures(np.array(either[True]), np.array(either[False]))
+
+
+def _too_few(axis: str, found: Figures, runs: Sequence[Run]) -> list[str]:
+    """Return a warning if an axis of up to 2 m has fewer than five runs in a direction."""
+    travel = float(np.ptp(runs[0].targets))
+    if min(found.runs) >= _RUNS or travel > _LONG:
+        return []
+    up, down = found.runs
+    return [f"axis {axis}: {up} runs up and {down} down; ISO 230-2:2014, 5.3.2, asks for five in each direction"]
+
+
+def _apart(lines: Iterable[tuple[str, tuple[float, ...], str]]) -> list[str]:
+    """Return a warning for each place of an axis that has several lines."""
+    names: dict[tuple[str, tuple[float, ...]], list[str]] = {}
+    for axis, at, line in lines:
+        names.setdefault((axis, at), []).append(f"'{line}'")
+    return [
+        f"axis {axis}: lines {listed(several, 5)} have a zero of their own each; the figures of ISO 230-2 do not pool "
+        "their runs. Enter runs with one zero as one line"
+        for (axis, _), several in names.items()
+        if len(several) > 1
+    ]

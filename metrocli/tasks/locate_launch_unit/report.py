@@ -8,6 +8,7 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.groups import Group
+from metrocli.adjust.robust import detected
 from metrocli.adjust.solution import Residuals, residuals_of
 from metrocli.effects.estimates import estimates, free_blocks
 from metrocli.effects.estimates import tables as effect_results
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
     from metrocli.table import Values
 
 UNITS = ("mm", "mm", "mm", "rad")
-_DELTA0 = 4.13
-"""Non-centrality of a w-test at 0.1 % and 80 % power (Baarda 1968): the minimal detectable error is 4.13 s / sqrt(r)"""
 _CONTROLLED = 1e-6
 """Redundancy below which a reading is uncontrolled"""
 _TABLES = {"angles": tuple(lu.ENCODERS), "distances": (lu.DISTANCE,)}
@@ -51,7 +50,9 @@ def report(located: Located, method: str) -> Result:
         )
     groups = {group.name: group for group in solution.groups}
     residuals = {
-        table: _residuals([(groups[name], residuals_of(solution, groups[name])) for name in names if name in groups])
+        table: _residuals(
+            [(groups[name], residuals_of(solution, groups[name])) for name in names if name in groups], located.critical
+        )
         for table, names in _TABLES.items()
         if not groups.keys().isdisjoint(names)
     }
@@ -119,8 +120,11 @@ def _beams(located: Located) -> Table:
     return Table(columns, {"length": "mm", "miss": "mm"})
 
 
-def _residuals(parts: list[tuple[Group, Residuals]]) -> Table:
-    """Return the residuals of groups with a common unit, with the minimal detectable error of each reading."""
+def _residuals(parts: list[tuple[Group, Residuals]], critical: float) -> Table:
+    """Return the residuals of groups with a common unit, with the minimal detectable error of each reading.
+
+    It is for the test with this critical value of |w| and 80 % power.
+    """
     groups, found = [group.observations for group, _ in parts], [residuals for _, residuals in parts]
     columns: dict[str, Values] = {
         key: np.concatenate([np.array(o.keys[key]) for o in groups]) for key in ("pose", "reading")
@@ -131,17 +135,17 @@ def _residuals(parts: list[tuple[Group, Residuals]]) -> Table:
         "sigma": [one.sigma for one in found],
         "normalised": [one.normalised for one in found],
         "redundancy": [one.redundancy for one in found],
-        "detectable": [_detectable(one) for one in found],
+        "detectable": [_detectable(one, critical) for one in found],
     }
     columns |= {name: np.concatenate([part[0] for part in values]) for name, values in numbers.items()}
     return Table(columns, dict.fromkeys(("value", "residual", "sigma", "detectable"), groups[0].unit))
 
 
-def _detectable(found: Residuals) -> Array:
+def _detectable(found: Residuals, critical: float) -> Array:
     """Return the minimal detectable error of each reading, inf if the reading is uncontrolled."""
     controlled = found.redundancy > _CONTROLLED
     root = np.sqrt(np.where(controlled, found.redundancy, 1.0))
-    return np.where(controlled, _DELTA0 * found.sigma / root, np.inf)
+    return np.where(controlled, detected(critical) * found.sigma / root, np.inf)
 
 
 def _outliers(located: Located) -> Table:

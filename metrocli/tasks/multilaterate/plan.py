@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.robust import critical_value
 from metrocli.adjust.solution import Solution, residuals_of
 from metrocli.effects.estimates import estimates
 from metrocli.errors import UndeterminedError
@@ -37,7 +38,7 @@ _FEWEST_CHECKED = 4
 _TOLD = 3
 """Number of places for one more tracer in the summary"""
 _UNCONTROLLED = 0.01
-"""Redundancy below which a test of the length is useless: its minimal detectable error exceeds 41 sigma"""
+"""Redundancy below which a test of the length is useless: its minimal detectable error exceeds 40 sigma"""
 
 
 def planned(layout: Layout, candidates: Table | None) -> Plan:
@@ -72,9 +73,9 @@ def _points(layout: Layout) -> Table:
 def _lengths(layout: Layout) -> Table:
     """Return redundancy, minimal detectable error and external reliability of each length."""
     group = layout.network.lengths
-    found = residuals_of(layout.solution, group)
+    found, critical = residuals_of(layout.solution, group), critical_value(group.observations.count)
     columns: dict[str, Values] = {name: np.array(values) for name, values in group.observations.keys.items()}
-    columns |= {"sigma": group.observations.sigma[0], **reliability(layout.solution, group, found)}
+    columns |= {"sigma": group.observations.sigma[0], **reliability(layout.solution, group, found, critical)}
     return Table(columns, {"sigma": "mm", **UNITS})
 
 
@@ -120,7 +121,7 @@ def _of_lengths(layout: Layout, lengths: Table) -> Iterator[str]:
     least, moves = lengths.numbers("detectable"), lengths.numbers("moves_point")
     yield (
         f"minimal detectable error of one length: {roughly(float(np.median(least)), 'um')} in the median "
-        "(0.1 % level of significance, 80 % power)"
+        "(level of significance 5 % for all lengths together, 80 % power)"
     )
     row = int(np.argmax(np.where(np.isfinite(moves), moves, np.inf)))
     name = f"{lengths.texts('point')[row]}/{lengths.texts('tracer')[row]}"

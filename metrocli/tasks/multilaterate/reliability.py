@@ -6,24 +6,24 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.groups import Group
+from metrocli.adjust.robust import detected
 from metrocli.adjust.solution import Residuals, Solution
 from metrocli.instruments import tracer as t
 
 UNITS = {"detectable": "mm", "moves_point": "mm"}
-_DELTA0 = 4.13
-"""Non-centrality of a w-test at 0.1 % and 80 % power (Baarda 1968): the minimal detectable error is 4.13 s / sqrt(r)"""
 _SINGULAR = 1e-6
 """Redundancy below which a length is uncontrolled"""
 
 
-def reliability(solution: Solution, group: Group, found: Residuals) -> dict[str, Array]:
+def reliability(solution: Solution, group: Group, found: Residuals, critical: float) -> dict[str, Array]:
     """Return redundancy, minimal detectable error and the shift of the point by that error, of each length (n,).
 
-    These are internal and external reliability after Baarda 1968. The error of an uncontrolled length is infinite.
+    These are internal and external reliability after Baarda 1968, for the test with this critical value of |w| and 80 %
+    power. The error of an uncontrolled length is infinite.
     """
     redundancy = found.redundancy[0]
     controlled = redundancy > _SINGULAR
-    least = _DELTA0 * found.sigma[0] / np.sqrt(np.where(controlled, redundancy, 1.0))
+    least = detected(critical) * found.sigma[0] / np.sqrt(np.where(controlled, redundancy, 1.0))
     shift = _point_shift(solution, group)
     return {
         "redundancy": redundancy,

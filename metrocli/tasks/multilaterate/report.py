@@ -121,7 +121,7 @@ def _residuals(solved: Solved) -> Table:
         "residual": found.values[0],
         "sigma": found.sigma[0],
         "normalised": found.normalised[0],
-        **reliability(solved.solution, solved.group, found),
+        **reliability(solved.solution, solved.group, found, solved.critical),
     }
     return Table(columns, dict.fromkeys(("reading", "residual", "sigma", *RELIABILITY_UNITS), "mm"))
 

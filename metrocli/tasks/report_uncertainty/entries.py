@@ -185,9 +185,15 @@ class Volume:
 
 @dataclass(frozen=True)
 class Expansion:
-    """Thermal expansion by an uncertain temperature: alpha times length times temperature."""
+    """Thermal expansion: `u² = L² (alpha² u²(dT) + dT² u²(alpha))` (JCGM 100, 5.1.2)."""
 
     alpha: float = setting(Quantity("expansion", minimum=0.0), "coefficient of expansion")
+    alpha_std: float | None = setting(
+        Quantity("expansion", minimum=0.0), "standard uncertainty of the coefficient", default=None
+    )
+    difference: float = setting(
+        Quantity("temperature difference"), "difference dT of the temperature from that of the lengths", default=0.0
+    )
     half_width: float | None = setting(
         Quantity("temperature difference", minimum=0.0), "half-width of the temperature", default=None
     )
@@ -199,6 +205,8 @@ class Expansion:
         """Yield the faults of keys that contradict each other or are incomplete."""
         if (self.half_width is None) == (self.std is None):
             yield "", "an expansion needs half_width or std of the temperature", "give one of them"
+        if self.difference != 0 and self.alpha_std is None:
+            yield "", "at a difference from the reference temperature alpha's uncertainty counts", "give alpha_std"
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,9 @@ from metrocli.uncertainty.propagation import (
 from metrocli.uncertainty.validation import Judged, Verdict, judge
 from metrocli.units import rounded
 
-PLAIN = ("k", "dof", "probability", "trials", "gum_valid", "capable", *DECIDED)
+_PURE = ("trials", "covered")
+"""Numbers of a Monte Carlo run that have no unit"""
+PLAIN = ("k", "dof", "probability", "trials", "covered", "gum_valid", "capable", *DECIDED)
 
 
 @dataclass(frozen=True)
@@ -74,7 +76,7 @@ def report(found: Found) -> Result:
     statistics: dict[str, Any] = {"measurands": len(names), "quantities": len(found.problem.inputs.quantities)}
     arrays = {}
     if len(names) > 1:
-        statistics["joint_factor"] = ellipsoid_factor(covered(found.coverage), len(names))
+        statistics["joint_factor"] = ellipsoid_factor(covered(found.coverage, math.inf), len(names))
         arrays["correlation"] = _correlation(covariance)
     if found.outcome is not None:
         statistics |= {"trials": found.outcome.trials, "seed": found.settings.monte_carlo.seed}
@@ -102,20 +104,23 @@ def _correlation(covariance: Any) -> Any:
 
 def _measurand(found: Found, index: int, name: str) -> _Measurand:
     unit, linear = found.problem.units[name], found.propagated.measurands[name]
-    factor, mc = unit.factor, _monte_carlo(found, index, covered(found.coverage))
-    k, dof = coverage_factor(found.coverage, linear.dof), linear.dof
+    k, dof, probability = coverage_factor(found.coverage, linear.dof), linear.dof, covered(found.coverage, linear.dof)
+    factor, mc = unit.factor, _monte_carlo(found, index, linear, probability, k)
     std, interval = linear.std, (linear.value - k * linear.std, linear.value + k * linear.std)
     if linear.replaced and mc is not None:
         std, interval = mc["std"], tuple(mc["interval"])
-        k = (interval[1] - interval[0]) / 2 / std if std > 0 else k
+        if found.coverage.k is None:
+            k = (interval[1] - interval[0]) / 2 / std if std > 0 else k
+        else:
+            interval, probability = (mc["mean"] - k * std, mc["mean"] + k * std), mc["covered"]
     details: dict[str, Any] = {
-        "U": k * std / factor, "k": k, "dof": dof, "probability": covered(found.coverage),
+        "U": k * std / factor, "k": k, "dof": dof, "probability": probability,
         "interval": [end / factor for end in interval],
         "second_order": {"value": linear.second_value / factor, "std": linear.second_std / factor},
     }  # fmt: skip
     verdict = None
     if mc is not None:
-        mc = details["mc"] = {key: _scaled(item, factor) if key != "trials" else item for key, item in mc.items()}
+        mc = details["mc"] = {key: item if key in _PURE else _scaled(item, factor) for key, item in mc.items()}
         verdict = _verdict(found, linear, k, factor, mc)
     details["gum_valid"] = verdict.valid if verdict is not None else math.nan
     if found.settings.tolerance and name in found.settings.tolerance:
@@ -127,7 +132,7 @@ def _verdict(found: Found, linear: Linear, k: float, factor: float, mc: dict[str
     """Return the validation of the law of propagation by Monte Carlo (JCGM 101, 8), with u in the measurand's unit."""
     if linear.replaced:
         return Verdict(False, linear.notes)
-    normal = coverage_factor(Coverage(covered(found.coverage)), math.inf)
+    normal = coverage_factor(Coverage(covered(found.coverage, linear.dof)), math.inf)
     value, std, second = linear.value / factor, linear.std / factor, linear.second_std / factor
     ends = (mc["interval"][0], mc["interval"][1])
     judged = Judged(value, std, k * std, linear.nonlinear, second, mc["mean"], mc["std"], ends, normal)
@@ -146,17 +151,22 @@ def _scaled(value: Any, factor: float) -> Any:
     return [item / factor for item in value] if isinstance(value, list | tuple) else value / factor
 
 
-def _monte_carlo(found: Found, index: int, probability: float) -> dict[str, Any] | None:
+def _monte_carlo(found: Found, index: int, linear: Linear, probability: float, k: float) -> dict[str, Any] | None:
+    """Return what the trials give of a measurand; `covered` is the share of them within the stated interval."""
     outcome = found.outcome
     if outcome is None:
         return None
     sample, centre = outcome.samples[index], outcome.centres[index]
+    mean = float(outcome.means[index])
+    middle, std = (mean, math.sqrt(outcome.covariance[index, index])) if linear.replaced else (linear.value, linear.std)
+    low, high = middle - k * std - centre, middle + k * std - centre
     said: dict[str, Any] = {
         "mean": float(outcome.means[index]),
         "std": float(math.sqrt(outcome.covariance[index, index])),
         "interval": [end + centre for end in sample.symmetric(probability)],
         "shortest": [end + centre for end in sample.shortest(probability)],
         "trials": outcome.trials,
+        "covered": sample.below(high) - sample.below(low),
     }
     return said | ({"resolution": sample.resolution} if sample.resolution else {})
 
@@ -229,6 +239,7 @@ def _notes(found: Found, measurand: _Measurand) -> list[str]:
         ]
         mean = " ± ".join(rounded(mc["mean"], mc["std"]))
         said.append(f"  Monte Carlo, {mc['trials']} trials: {mean}{unit}, interval {ends[0]}, shortest {ends[1]}{unit}")
+        said.append(f"  U covers {100 * mc['covered']:.4g} % of the trials")
         if mc.get("resolution"):
             said.append(f"  trials counted in bins: interval ends are known to ± {mc['resolution']:.1e}{unit}")
     said += _judgement(measurand)

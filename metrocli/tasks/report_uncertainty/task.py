@@ -30,7 +30,8 @@ def run(job: Job[Settings, Files]) -> Result:
     propagated = _propagated(problem)
     outcome = None
     if settings.monte_carlo.trials != 0:
-        outcome = _trials(settings, problem, covered(coverage), workers)
+        dofs = [linear.dof for linear in propagated.measurands.values()]
+        outcome = _trials(settings, problem, max(covered(coverage, dof) for dof in dofs), workers)
     elif any(linear.replaced for linear in propagated.measurands.values()):
         name = next(name for name, linear in propagated.measurands.items() if linear.replaced)
         raise UndeterminedError(

@@ -118,7 +118,9 @@ def _size(placed: Placed, results: Mapping[str, Result], points: Array, lengths:
     if given.expansion is not None:
         heat = given.expansion
         warmth = heat.std if heat.std is not None else (heat.half_width or 0.0) / math.sqrt(3)
-        return heat.alpha * lengths * warmth, heat.std is None, math.inf
+        slope = math.hypot(heat.alpha * warmth, heat.difference * (heat.alpha_std or 0.0))
+        # the sum of two parts is no longer rectangular
+        return lengths * slope, heat.std is None and heat.difference == 0, math.inf
     assert given.length_error is not None
     error = given.length_error
     return (error.constant + error.proportional * lengths) / math.sqrt(3), True, math.inf

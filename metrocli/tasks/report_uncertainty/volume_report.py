@@ -101,7 +101,7 @@ def _axis(axis: int, found: Extremes, parts: tuple[Contribution, ...], settings:
     mc = None
     if settings.monte_carlo.trials != 0:
         wanted = settings.monte_carlo
-        plan = plan_of({"sum": total}, inputs, wanted.seed, covered(coverage), wanted.trials)
+        plan = plan_of({"sum": total}, inputs, wanted.seed, covered(coverage, dof), wanted.trials)
         mc = monte_carlo.run(plan, workers, wanted.digits, wanted.most)
     pointwise, place = float(found.pointwise[axis]), found.places[axis]
     k = coverage_factor(coverage, dof)
@@ -115,7 +115,7 @@ def coverage_of(settings: Entries) -> Coverage:
 
 def _details(axis: _Axis, settings: Entries) -> dict[str, Any]:
     coverage = coverage_of(settings)
-    U, probability = axis.k * axis.std, covered(coverage)
+    U, probability = axis.k * axis.std, covered(coverage, axis.dof)
     said: dict[str, Any] = {
         "U": U, "U_pointwise": axis.k * axis.pointwise, "std_pointwise": axis.pointwise, "at": axis.place.tolist(),
         "k": axis.k, "dof": axis.dof, "probability": probability, "interval": [-U, U],
@@ -140,7 +140,7 @@ def _left(width: float, guard: float) -> float:
 
 def _against_trials(axis: _Axis, mc: monte_carlo.Outcome, U: float, settings: Entries) -> dict[str, Any]:
     """Return the Monte Carlo result for the sum of the maxima, and whether it validates k u."""
-    probability = covered(coverage_of(settings))
+    probability = covered(coverage_of(settings), axis.dof)
     sample, std = mc.samples[0], math.sqrt(mc.covariance[0, 0])
     interval = sample.symmetric(probability)
     half = (interval[1] - interval[0]) / 2

@@ -173,13 +173,15 @@ def test_one_run_each_way_has_no_repeatability() -> None:
         Run("X", np.array([0.0, 1.0, 2.0]), np.array([0.0, 1.0, 3.0])),
         Run("X", np.array([2.0, 1.0, 0.0]), np.array([5.0, 2.0, 1.0])),
     ]
-    found = positioning(runs)
+    found, warnings = positioning(runs)
     assert found is not None
+    assert warnings == ("axis X: 1 runs up and 1 down; ISO 230-2:2014, 5.3.2, asks for five in each direction",)
     assert found.texts("axis") == ["X"]
     assert found.numbers("B")[0] == 2.0 and found.numbers("E")[0] == 5.0 and found.numbers("M")[0] == 3.5
     assert np.isnan(found.numbers("R")[0]) and np.isnan(found.numbers("A")[0])
-    assert positioning(runs[:1]) is None
-    assert positioning([runs[0], Run("X", np.array([2.0, 1.1, 0.0]), np.zeros(3))]) is None
+    assert positioning(runs[:1])[0] is None
+    other = positioning([runs[0], Run("X", np.array([2.0, 1.1, 0.0]), np.zeros(3))])
+    assert other[0] is None
 
 
 def test_backlash_shows_in_the_figures(machine: sim.Machine) -> None:
@@ -187,11 +189,51 @@ def test_backlash_shows_in_the_figures(machine: sim.Machine) -> None:
     up, down = line(machine, "x", rng, 0.1), line(machine, "x", rng, 0.1)
     down = {name: values[::-1] for name, values in down.items()}
     down["ex"] = down["ex"] - down["ex"][-1] + up["ex"][0] - 0.004
-    lines = [up, down, *(line(machine, axis, rng) for axis in (*AXES[1:], *DIAGONALS))]
+    both = {name: np.concatenate([up[name], down[name]]) for name in up}
+    lines = [both, *(line(machine, axis, rng) for axis in (*AXES[1:], *DIAGONALS))]
     result = calibrate_machine.run(calibrate_machine.TASK.job(job(), lines=line_table(lines)))
     found = result.tables["positioning"]
     assert found.texts("axis") == ["X"]
     assert found.numbers("B")[0] == pytest.approx(0.004, abs=0.0005)
+    # as two lines each has a zero of its own, and the reversal is lost in them
+    lines = [up, down, *(line(machine, axis, rng) for axis in (*AXES[1:], *DIAGONALS))]
+    result = calibrate_machine.run(calibrate_machine.TASK.job(job(), lines=line_table(lines)))
+    assert "positioning" not in result.tables
+    assert any("axis X: lines 'L0', 'L1' have a zero of their own" in line for line in result.warnings)
+
+
+def test_runs_with_zeros_of_their_own_are_not_pooled() -> None:
+    """Ten lines whose zeros scatter by 30 um: pooled, they would give an accuracy A of more than 100 um."""
+    rng = np.random.default_rng(230)
+    targets = np.arange(0.0, 501.0, 50.0)
+    deviation = 0.01 * np.sin(targets / 80) + 0.001 * rng.normal(size=(10, len(targets)))
+    zero = 0.03 * rng.normal(size=10)
+    up = [n % 2 == 0 for n in range(10)]
+
+    def runs(lines: list[str], zeros: np.ndarray) -> list[Run]:  # type: ignore[type-arg]
+        made = zip(up, deviation + zeros[:, None], lines, strict=True)
+        return [Run("X", *((targets, one) if to else (targets[::-1], one[::-1])), (), name) for to, one, name in made]
+
+    one_line, none = positioning(runs(["L1"] * 10, np.zeros(10)))
+    assert one_line is not None and none == ()
+    means = np.stack([deviation[::2].mean(axis=0), deviation[1::2].mean(axis=0)])
+    spread = np.stack([deviation[::2].std(axis=0, ddof=1), deviation[1::2].std(axis=0, ddof=1)])
+    assert one_line.numbers("A")[0] == pytest.approx((means + 2 * spread).max() - (means - 2 * spread).min())
+    figures_of_ten, warnings = positioning(runs([f"L{n}" for n in range(10)], zero))
+    assert figures_of_ten is None
+    assert len(warnings) == 1 and "do not pool their runs" in warnings[0]
+
+
+def test_a_run_without_a_target_is_left_out_and_named() -> None:
+    targets = np.arange(0.0, 401.0, 100.0)
+    runs = [Run("X", targets[:: 1 - 2 * (n % 2)], np.full(5, 0.001 * n), (), "L1") for n in range(10)]
+    runs[4] = Run("X", np.delete(targets, 2), np.full(4, 0.004), (), "L1")
+    found, warnings = positioning(runs)
+    assert found is not None and (found.numbers("runs_up")[0], found.numbers("runs_down")[0]) == (4, 5)
+    assert warnings == (
+        "axis X, line 'L1': run 5 lacks the target 200 mm; the figures of ISO 230-2 leave it out",
+        "axis X: 4 runs up and 5 down; ISO 230-2:2014, 5.3.2, asks for five in each direction",
+    )
 
 
 def with_width(one: dict[str, sim.Array], width: float) -> dict[str, sim.Array]:
@@ -220,10 +262,10 @@ def test_runs_in_different_places_are_not_mixed() -> None:
         Run("X", targets[::-1], np.full(3, 1.0), (0.0, 0.0)),
         Run("X", targets, np.full(3, 50.0), (100.0, 0.0)),
     ]
-    found = positioning(runs)
+    found, _ = positioning(runs)
     assert found is not None and found.texts("at") == ["Y = 0 mm, Z = 0 mm"]
     assert found.numbers("B").tolist() == [1.0] and found.numbers("E").tolist() == [1.0]
-    both = positioning([*runs, Run("X", targets[::-1], np.full(3, 47.0), (100.0, 0.0))])
+    both, _ = positioning([*runs, Run("X", targets[::-1], np.full(3, 47.0), (100.0, 0.0))])
     assert both is not None and both.numbers("B").tolist() == [1.0, 3.0]
 
 

@@ -156,6 +156,9 @@ def test_diagnose_finds_swapped_columns(columns: str, job: Path, metrocli: Calla
     ran = metrocli("diagnose", job)
     assert ran.code == 0, ran.err  # type: ignore[attr-defined]
     assert f"{columns} are swapped" in " ".join(ran.out.split())  # type: ignore[attr-defined]
+    assert ran.out.startswith("verdict: mistaken")  # type: ignore[attr-defined]
+    mistake = json.loads(metrocli("diagnose", job, "--json").out)["mistake"]  # type: ignore[attr-defined]
+    assert mistake["file"] == "poses" and "in the headings" in mistake["write"]
 
 
 def test_diagnose_names_what_was_planted(job: Path, metrocli: Callable[..., object]) -> None:

@@ -181,3 +181,24 @@ def test_three_methods_side_by_side() -> None:
         locate_launch_unit.TASK.job(settings(), anywhere(4, 2).noisy(RNG).table())
     ).texts("refused")
     assert refused[:2] == ["", ""] and "needs a distance in every pose" in refused[2]
+
+
+def test_the_least_detectable_error_of_an_encoder_is_detected_in_80_of_100() -> None:
+    """An error of the size in /angles, on one reading, against the bound of the test that the job makes."""
+    exact = anywhere(8, 23, distances=True)
+    table = located(exact).tables["angles"]
+    row = int(np.argmin(np.abs(table.numbers("redundancy") - np.median(table.numbers("redundancy")))))
+    encoder, pose = int(table.texts("reading")[row][-1]) - 1, row_of(table.texts("pose"), table.texts("pose")[row])
+    rng = np.random.default_rng(80)
+    hits = []
+    for _ in range(150):
+        noisy = exact.noisy(rng)
+        angles = noisy.angles.copy()
+        angles[encoder, pose] += table.numbers("detectable")[row]
+        result = located(replace(noisy, angles=angles))
+        hits.append(abs(result.tables["angles"].numbers("normalised")[row]) > result.statistics["critical_w"])
+    assert np.mean(hits) == pytest.approx(0.8, abs=3.3 * np.sqrt(0.8 * 0.2 / 150))
+
+
+def row_of(poses_of_rows: list[str], pose: str) -> int:
+    return list(dict.fromkeys(poses_of_rows)).index(pose)

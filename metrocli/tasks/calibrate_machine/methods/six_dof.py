@@ -155,7 +155,7 @@ def six_dof(settings: Settings, table: Table) -> Problem:
     must_support(machine, lines.position, blocks)
     laser = laser_noise(settings)
     along = lines.along
-    figures = positioning(runs_of(lines, table))
+    figures, warnings = positioning(runs_of(lines, table))
     observations = Observations(
         table.stacked(CHANNELS).T,
         np.ones(1),
@@ -177,6 +177,7 @@ def six_dof(settings: Settings, table: Table) -> Problem:
         tuple(settings.tools),
         facts={"lines": len(lines.names)},
         tables={"positioning": figures} if figures is not None else {},
+        warnings=warnings,
     )
 
 
@@ -185,10 +186,10 @@ def runs_of(lines: Lines, table: Table) -> list[Run]:
     turns = np.flatnonzero((np.diff(lines.of) != 0) | (np.diff(lines.sense) != 0)) + 1
     found = []
     for rows in np.split(np.arange(len(lines.of)), turns):
-        direction = lines.axis[lines.of[rows[0]]]
+        direction, name = lines.axis[lines.of[rows[0]]], lines.names[lines.of[rows[0]]]
         if len(DIRECTIONS[direction]) == 1 and len(rows) > 1:
             at = tuple(np.delete(lines.position[:, rows[0]], DIRECTIONS[direction]).round(2).tolist())
-            found.append(Run(direction.upper(), lines.distance[rows], table.numbers(f"e{direction}")[rows], at))
+            found.append(Run(direction.upper(), lines.distance[rows], table.numbers(f"e{direction}")[rows], at, name))
     return found
 
 
