@@ -120,7 +120,8 @@ EFFECTS: tuple[Effect, ...] = (
         needs=("distance",),
         confused_with=("distance-offset", "machine-scale"),
         reveal="distances from short to long, in directions along all axes; air temperature and pressure",
-        source="Birch and Downs 1994: -0.955 ppm/K, +0.268 ppm/hPa at 20 °C",
+        source="Birch and Downs 1994, at 20 °C, 1013 hPa, 50 %: -0.955 ppm/K at constant relative humidity, "
+        "-0.930 ppm/K at constant vapour pressure, +0.268 ppm/hPa",
     ),
     Effect(
         "machine-scale",

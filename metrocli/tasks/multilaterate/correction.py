@@ -6,12 +6,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
 from metrocli.adjust.solution import Solution
 from metrocli.errors import InputError
 from metrocli.instruments import tracer as t
 from metrocli.table import Table
 from metrocli.tasks.multilaterate.problem import Network
+from metrocli.tasks.multilaterate.settings import Correction
 from metrocli.words import listed
 
 if TYPE_CHECKING:
@@ -31,19 +33,44 @@ def refuse_lost(network: Network, probing: Table, tolerance: float) -> None:
     _refuse(probing, _matches(network, probing, tolerance), _NOWHERE, tolerance)
 
 
-def corrected(network: Network, solution: Solution, probing: Table, tolerance: float) -> Table:
-    """Return the probing points, corrected by the mover's error at their replayed points, in the columns of the input.
+def corrected(
+    network: Network, solution: Solution, probing: Table, tolerance: float, scatter: Correction
+) -> tuple[Table, Array]:
+    """Return the probing points, corrected by the mover's error at their replayed points, and their covariances.
 
     A probing point belongs to the replayed point of its name, else to the nearest nominal point within the tolerance.
-    Raises InputError that lists every probing point whose replayed point the adjustment left out.
+    Its covariance (3, 3) is `C + (2 r² + p² + g² |d|²) I`: C of the reflector's place, r the mover's repeatability at
+    the probing and at the replay, p of the probed point, d from the replayed point to the probed one. g is the change
+    of the mover's error per length from a point to its nearest one (root mean square, each coordinate). Raises
+    InputError that lists every probing point whose replayed point the adjustment left out.
     """
     match = _matches(network, probing, tolerance)
     _refuse(probing, match, _LEFT_OUT, tolerance)
-    error = network.nominal[match] - solution.blocks[t.POINT].values[match]
-    moved = probing.stacked("xyz") - error
+    places, at = solution.blocks[t.POINT].values, probing.stacked("xyz")
+    moved = at - (network.nominal[match] - places[match])
+    of_place = solution.covariance_or_raise().members(t.POINT)[match]
+    gap = np.linalg.norm(at - network.nominal[match], axis=1) * _gradient(network, places)
+    own = 2 * scatter.repeatability**2 + scatter.tip**2 + gap**2
+    covariance = of_place + own[:, None, None] * np.eye(3)
     columns: dict[str, Values] = {name: probing.columns[name] for name in ("feature", "point")}
     columns |= {name: moved[:, i] for i, name in enumerate("xyz")}
-    return Table(columns, dict.fromkeys("xyz", "mm"))
+    columns |= {f"s{name}": np.sqrt(covariance[:, i, i]) for i, name in enumerate("xyz")}
+    return Table(columns, dict.fromkeys(("x", "y", "z", "sx", "sy", "sz"), "mm")), covariance
+
+
+def _gradient(network: Network, places: Array) -> float:
+    """Return the change of the mover's error per length between nearest points, root mean square of a coordinate."""
+    from scipy.spatial import cKDTree
+
+    rows = np.flatnonzero((network.seen > 0) & network.unknown)
+    if len(rows) < 2:
+        return 0.0
+    at = network.nominal[rows]
+    distance, nearest = (found[:, 1] for found in cKDTree(at).query(at, k=2))
+    apart = distance > 0
+    error = at - places[rows]
+    change = (error - error[nearest])[apart] / distance[apart, None]
+    return float(np.sqrt((change**2).mean())) if apart.any() else 0.0
 
 
 def _refuse(probing: Table, match: Index, text: str, tolerance: float) -> None:

@@ -32,7 +32,8 @@ def _refraction(by: str, condition: str, need: str, rate: Parameter) -> Effect:
         needs=(need,),
         confused_with=("dead-path-drift", "tracer-drift"),
         reveal="temperature and pressure of the air with each reading; the first points again at the end",
-        source="Birch and Downs 1994: -0.955 ppm/K, +0.268 ppm/hPa at 20 °C",
+        source="Birch and Downs 1994, at 20 °C, 1013 hPa, 50 %: -0.955 ppm/K at constant relative humidity, "
+        "-0.930 ppm/K at constant vapour pressure, +0.268 ppm/hPa",
     )
 
 

@@ -20,6 +20,7 @@ from metrocli.tasks.multilaterate.correction import corrected, distant, wrong_en
 from metrocli.tasks.multilaterate.distance import factors
 from metrocli.tasks.multilaterate.reliability import UNITS as RELIABILITY_UNITS
 from metrocli.tasks.multilaterate.reliability import reliability
+from metrocli.tasks.multilaterate.settings import Correction
 from metrocli.tasks.multilaterate.solve import Solved
 from metrocli.tasks.multilaterate.uncontrolled import in_words, uncontrolled
 from metrocli.tasks.shared.statistics import REMOVE, basic_statistics, noise_warnings
@@ -33,7 +34,7 @@ _ELSEWHERE = 0.5
 """Warn if a tracer is farther from its listed place than this share of its distance from the points"""
 
 
-def report(solved: Solved, probing: Table | None, tolerance: float) -> Result:
+def report(solved: Solved, probing: Table | None, tolerance: float, scatter: Correction) -> Result:
     """Return the result of a solved network; raises InputError if a probing point cannot be corrected."""
     solution = solved.solution
     added = solved.network.effects
@@ -51,7 +52,9 @@ def report(solved: Solved, probing: Table | None, tolerance: float) -> Result:
         **effect_tables,
     }
     if probing is not None:
-        tables["corrected"] = corrected(solved.network, solution, probing, tolerance)
+        tables["corrected"], arrays["corrected_covariance"] = corrected(
+            solved.network, solution, probing, tolerance, scatter
+        )
     rms = float(np.sqrt((solved.residuals.values**2).mean()))
     statistics = basic_statistics(solution, {"mm": rms}) | {
         "rejected": len(solved.rejected),

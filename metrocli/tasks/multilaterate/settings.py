@@ -106,6 +106,18 @@ class LengthSimulation:
 
 
 @dataclass(frozen=True)
+class Correction:
+    """What a corrected probing point scatters by, besides its reflector's place."""
+
+    repeatability: float = setting(
+        Quantity("length", minimum=0.0), "standard deviation of each coordinate at the mover's return", default=0.0
+    )
+    tip: float = setting(
+        Quantity("length", minimum=0.0), "standard deviation of each coordinate of a probed point", default=0.0
+    )
+
+
+@dataclass(frozen=True)
 class Settings:
     """Find reflector positions from lengths, with the tracers' places, dead paths and scales (multilateration)."""
 
@@ -125,6 +137,11 @@ class Settings:
     )
     tolerance: float = setting(
         Quantity("length", positive=True), "largest distance of a probing point from its replayed point", default=1.0
+    )
+    correction: Correction = setting(
+        Section(Correction),
+        "standard deviations of probed points, for the uncertainty of /corrected",
+        default=Correction(),
     )
     simulation: LengthSimulation | None = setting(
         Section(LengthSimulation), "the truth for `metrocli simulate`", default=None

@@ -29,7 +29,7 @@ def run(job: Job[Settings, Files]) -> Result:
     network, probing, tolerance = _network(job), job.files.probing, job.settings.tolerance
     if probing is not None:
         refuse_lost(network, probing, tolerance)
-    return report(solve(network, job.settings.outliers == "remove"), probing, tolerance)
+    return report(solve(network, job.settings.outliers == "remove"), probing, tolerance, job.settings.correction)
 
 
 def _network(job: Job[Settings, Files]) -> Network:

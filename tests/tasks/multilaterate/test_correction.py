@@ -20,7 +20,7 @@ from metrocli.table import Table
 from metrocli.tasks.multilaterate import settings as length_job
 from metrocli.tasks.multilaterate import task as multilaterate
 from metrocli.tasks.multilaterate.distance import distance
-from metrocli.tasks.multilaterate.settings import PROBING, LengthSimulation
+from metrocli.tasks.multilaterate.settings import PROBING, Correction, LengthSimulation
 
 SAMPLE = SAMPLES / "gear-m3d3"
 CENTRES = np.array([[200.0, 200.0, 150.0], [340.0, 270.0, 205.0], [680.0, 440.0, 340.0]])
@@ -60,7 +60,7 @@ def test_a_ball_bar_is_corrected_to_its_calibrated_lengths() -> None:
     probing = replace(probing, columns={"feature": np.repeat(["S1", "S2", "S3"], 25), **probing.columns})
     result = multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table(), probing=probing))
     corrected = result.tables["corrected"]
-    assert list(corrected) == ["feature", "point", "x", "y", "z"]
+    assert list(corrected) == ["feature", "point", "x", "y", "z", "sx", "sy", "sz"]
     assert corrected.texts("point") == names
     before = np.array([sphere(said[25 * k : 25 * k + 25]) for k in range(3)])
     after = np.array([sphere(corrected.stacked("xyz")[25 * k : 25 * k + 25]) for k in range(3)])
@@ -72,6 +72,41 @@ def test_a_ball_bar_is_corrected_to_its_calibrated_lengths() -> None:
         assert abs(left) < 1e-3
         # a centre of 25 points is not less certain than one point
         assert abs(left) < 3 * distance(result, f"P{25 * i}", f"P{25 * j}").std
+
+
+def test_the_uncertainty_of_a_corrected_point_is_what_it_scatters_by() -> None:
+    """40 measurements of a mover that returns to 2 um: at the probing, at the replay, and with a tip of 1 um."""
+    rng = np.random.default_rng(15)
+    r, p = 0.002, 0.001
+    truth = network(30, 6, seed=5)
+    job = replace(settings(), correction=Correction(r, p))
+    scores = []
+    for _ in range(40):
+        # the mover reads `nominal` at the replay and stands where it returns to; at the probing it returned elsewhere
+        places = truth.nominal + 0.02 * np.sin(truth.nominal / 300)
+        replayed = replace(truth, points=places + r * rng.normal(size=places.shape)).read(rng)
+        probed = truth.nominal[:10] + p * rng.normal(size=(10, 3)) - r * rng.normal(size=(10, 3))
+        probing = table(probed, "point", truth.names[:10])
+        probing = replace(probing, columns={"feature": np.repeat("f", 10), **probing.columns})
+        result = multilaterate.run(
+            multilaterate.TASK.job(
+                job, replayed.lengths(), replayed.point_table(), truth.tracer_table(), probing=probing
+            )
+        )
+        found = result.tables["corrected"]
+        # against the place of a perfect return, in the frame of the replayed points
+        turn, shift = rigid(places, result.tables["points"].stacked("xyz"))
+        off = found.stacked("xyz") - (places[:10] @ turn.T + shift)
+        scores.append(off / found.stacked(["sx", "sy", "sz"]))
+        assert result.arrays["corrected_covariance"].shape == (10, 3, 3)
+    assert np.mean(np.square(scores)) == pytest.approx(1.0, abs=0.2)
+
+
+def rigid(a: Array, b: Array) -> tuple[Array, Array]:
+    """The rotation and shift that move points a onto points b, least squares."""
+    u, _, vt = np.linalg.svd((b - b.mean(axis=0)).T @ (a - a.mean(axis=0)))
+    turn = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
+    return turn, b.mean(axis=0) - a.mean(axis=0) @ turn.T
 
 
 def test_points_are_found_by_name_else_by_place() -> None:
@@ -147,7 +182,7 @@ def test_the_sample_is_corrected_to_the_truth(ran: Path, tmp_path: Path, metrocl
         csv.read(path, PROBING) for path in (tmp_path / "corrected.csv", ran / "data" / "probing.csv")
     )
     header = next(line for line in (ran / "data" / "probing.csv").read_text().splitlines() if line[0] != "#")
-    assert (tmp_path / "corrected.csv").read_text().splitlines()[0] == header
+    assert (tmp_path / "corrected.csv").read_text().splitlines()[0] == header + ",sx_mm,sy_mm,sz_mm"
     assert corrected.texts("point") == probing.texts("point")
     job = load(ran / "jobs" / "tip3.yaml")
     points, tracers = (
