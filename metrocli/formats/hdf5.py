@@ -231,7 +231,7 @@ def _shown_of(text: str) -> ShownTable:
 
 
 def _sort_in(name: str, item: Any, tables: dict[str, Table], arrays: dict[str, Any]) -> None:
-    if name in _OWN or not isinstance(item, h5py.Dataset):
+    if name in _OWN or name.startswith("plot/") or not isinstance(item, h5py.Dataset):
         return
     if item.dtype.names:
         tables[name] = _read_table(item)

@@ -56,7 +56,7 @@ def _adjuster(job: JobFile) -> Callable[[Mapping[str, object]], AdjustedJob]:
     task = tasks.KINDS[job.kind].task()
     adjusted = task.diagnosed
     if adjusted is None:
-        raise UsageError(f"{job.kind} jobs cannot be diagnosed: they adjust no readings")
+        raise UsageError(f"{job.kind} jobs cannot be diagnosed")
     declared = _declared(job.root.get("noise"))
 
     def adjust(inputs: Mapping[str, object]) -> AdjustedJob:
