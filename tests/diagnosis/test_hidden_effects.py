@@ -16,7 +16,7 @@ from benchmarks.hidden_effects import KINDS, results
 
 COUNT = 20
 """One case of each scenario"""
-SMALL = ("calibrate-camera", "selfcal-grid")
+SMALL = ("calibrate-camera", "multilaterate", "selfcal-grid")
 """Kinds whose measurements are smaller here than in the campaign"""
 TRIED = [kind for kind in KINDS if kind != "calibrate-machine"]
 """A round of machines takes minutes; single ones are in test_cases"""

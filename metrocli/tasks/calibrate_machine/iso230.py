@@ -81,7 +81,7 @@ class Run:
 def positioning(runs: Sequence[Run]) -> tuple[Table | None, tuple[str, ...]]:
     """Return the figures of each line along an axis with runs in both directions, and warnings.
 
-    The table is None without such a line. Runs of several lines are not pooled, since each line has its own zero. A run
+    Without such a line there is no table. Runs of several lines are not pooled, since each line has its own zero. A run
     that lacks a target of the others is left out: the figures need all runs at each target.
     """
     lines = dict.fromkeys((axis, run.at, run.line) for axis in "XYZ" for run in runs if run.axis == axis)

@@ -39,8 +39,9 @@ def corrected(
     """Return the probing points, corrected by the mover's error at their replayed points, and their covariances.
 
     A probing point belongs to the replayed point of its name, else to the nearest nominal point within the tolerance.
-    Its covariance (3, 3) is `C + (2 r² + p² + g² |d|²) I`: C of the reflector's place, r the mover's repeatability at
-    the probing and at the replay, p of the probed point, d from the replayed point to the probed one. g is the change
+    Its covariance (3, 3) is `C + (2 r² + p² + g² |d|²) I`. C is that of the reflector's place, r the mover's
+    repeatability, which acts at the probing and at the replay, p the standard deviation of the probed point. d leads
+    from the replayed point to the probed one; g is the change
     of the mover's error per length from a point to its nearest one (root mean square, each coordinate). Raises
     InputError that lists every probing point whose replayed point the adjustment left out.
     """

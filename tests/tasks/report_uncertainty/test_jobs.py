@@ -89,7 +89,7 @@ def test_the_summary_is_laid_out_as_promised(tmp_path: Path, metrocli: Metrocli)
     assert shown == summary
     found = summary["estimates"]["l"]
     assert {"value", "std", "unit", "U", "k", "dof", "interval", "second_order", "mc", "gum_valid"} <= set(found)
-    assert set(found["mc"]) == {"mean", "std", "interval", "shortest", "trials"}
+    assert set(found["mc"]) == {"mean", "std", "interval", "shortest", "trials", "covered"}
     assert set(found["second_order"]) == {"value", "std"}
     assert found["unit"] == "mm"
     assert found["interval"] == pytest.approx([found["value"] - found["U"], found["value"] + found["U"]])
@@ -261,12 +261,12 @@ def test_a_model_without_derivative_has_the_uncertainty_of_monte_carlo(
 def test_the_verdict_is_by_digits_in_the_unit_asked_for(tmp_path: Path) -> None:
     """Half of the last of two digits is 5 % of u = 0.10 deg and 2.9 % of the same 1.7 mrad.
 
-    Of a t distribution with 65 degrees of freedom, 2.039 u cover what 2 u do of a normal one.
+    Of a normal and a rectangular distribution of equal variance 1.917 u cover 95 %, not 1.960 u.
     """
+    parts = {"a": {"value": "30 deg", "std": "0.07071 deg"}, "b": {"value": "0 deg", "half_width": "0.12247 deg"}}
     job = {
-        "quantities": {"a": {"value": "30 deg", "std": "0.1 deg", "dof": 65}},
-        "measurands": {"in_deg": {"model": "a", "unit": "deg"}, "in_mrad": {"model": "a", "unit": "mrad"}},
-        "coverage": {"k": 2},
+        "quantities": parts,
+        "measurands": {"in_deg": {"model": "a + b", "unit": "deg"}, "in_mrad": {"model": "a + b", "unit": "mrad"}},
         "monte_carlo": {"trials": 1_000_000, "seed": 1},
     }
     ran = carry_out(tmp_path, job)
