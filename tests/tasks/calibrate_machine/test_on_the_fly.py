@@ -225,7 +225,7 @@ def test_a_path_that_does_not_say_which_of_the_tools_is_told(machine: sim.Machin
 
 def test_a_tool_that_is_not_known_is_found_or_refused_with_a_hint(machine: sim.Machine, vertices: Array) -> None:
     """3 mm of doubt about the vector change the predicted error by 3 mm times angles; 300 mm are beyond the digits."""
-    flight = sim.flight(machine, vertices, np.random.default_rng(47), spacing=4.0)
+    flight = sim.flight(machine, vertices, np.random.default_rng(47), spacing=8.0)
     settings = job()
     wrong = {"T1": (1.5, -2.0, 121.0)}
     loose = replace(settings, machine=replace(settings.machine, tools=wrong, tool_uncertainty=3.0))
@@ -234,6 +234,7 @@ def test_a_tool_that_is_not_known_is_found_or_refused_with_a_hint(machine: sim.M
     assert left < 0.0015
     with pytest.raises(UndeterminedError, match="give `tool_uncertainty` as a few mm"):
         vague = replace(settings.machine, tool_uncertainty=300.0)
+        flight = sim.flight(machine, vertices, np.random.default_rng(47), spacing=40.0)
         calibrate_machine.run(
             calibrate_machine.TASK.job(replace(settings, machine=vague), path=flight.path, track=flight.track)
         )

@@ -153,12 +153,12 @@ def test_diagnose_finds_swapped_columns(columns: str, job: Path, metrocli: Calla
     one, other = SWAPPED[columns]
     text = Path("new/poses.csv").read_text()
     Path("new/poses.csv").write_text(text.replace(one, "?").replace(other, one).replace("?", other))
-    ran = metrocli("diagnose", job)
+    ran = metrocli("diagnose", job, "--json")
     assert ran.code == 0, ran.err  # type: ignore[attr-defined]
-    assert f"{columns} are swapped" in " ".join(ran.out.split())  # type: ignore[attr-defined]
-    assert ran.out.startswith("verdict: mistaken")  # type: ignore[attr-defined]
-    mistake = json.loads(metrocli("diagnose", job, "--json").out)["mistake"]  # type: ignore[attr-defined]
-    assert mistake["file"] == "poses" and "in the headings" in mistake["write"]
+    found = json.loads(ran.out)  # type: ignore[attr-defined]
+    assert found["verdict"] == "mistaken"
+    assert (found["mistake"]["file"], found["mistake"]["what"]) == ("poses", f"{columns} are swapped")
+    assert "in the headings" in found["mistake"]["write"]
 
 
 def test_diagnose_names_what_was_planted(job: Path, metrocli: Callable[..., object]) -> None:
