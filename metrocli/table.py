@@ -104,3 +104,7 @@ class Table:
         found = [self.fault_at(row, text(row), hint(row)) for row in rows[:MOST_FAULTS]]
         rest = len(rows) - len(found)
         return [*found, self.fault(f"and {rest} more like these")] if rest else found
+
+
+ABSENT = Table({})
+"""Stands for a table that does not exist yet: the readings of a planned or simulated measurement"""

@@ -7,8 +7,6 @@ from dataclasses import dataclass, field
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from metrocli.table import Table
-
 if TYPE_CHECKING:
     from metrocli.diagnosis.adjusted_job import AdjustedJob
     from metrocli.effects.effect import Effect
@@ -16,12 +14,11 @@ if TYPE_CHECKING:
     from metrocli.plan import Plan
     from metrocli.result import Estimate, Result
     from metrocli.simulation import Simulation, SimulationOptions
+    from metrocli.table import Table
     from metrocli.uncertainty.workers import Workers
 
 S = TypeVar("S")
 F = TypeVar("F")
-ABSENT = Table({})
-"""Stands for a table that does not exist yet: the readings of a planned or simulated measurement"""
 
 
 @dataclass(frozen=True)

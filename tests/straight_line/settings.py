@@ -24,8 +24,7 @@ from metrocli.settings import (
     Whole,
     setting,
 )
-from metrocli.table import TEXT, Column, Columns, Table
-from metrocli.tasks.kind import ABSENT
+from metrocli.table import ABSENT, TEXT, Column, Columns, Table
 from straight_line import KIND
 
 READINGS = Columns((Column("point", TEXT), Column("x", "length"), Column("y", "length")), key=("point",))

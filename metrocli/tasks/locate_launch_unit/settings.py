@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from metrocli.settings import Choice, Flag, ListOf, Quantity, Section, TableFile, setting
-from metrocli.table import Table
-from metrocli.tasks.kind import ABSENT
+from metrocli.table import ABSENT, Table
 from metrocli.tasks.locate_launch_unit.plan_settings import Planned
 from metrocli.tasks.locate_launch_unit.readings import PLACES, POSES
 

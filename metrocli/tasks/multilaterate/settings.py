@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from metrocli.settings import Choice, Quantity, Section, TableFile, setting
-from metrocli.table import TEXT, Column, Columns, Table
-from metrocli.tasks.kind import ABSENT
+from metrocli.table import ABSENT, TEXT, Column, Columns, Table
 from metrocli.tasks.shared.known_places import SIGMAS
 
 _PLACE = tuple(Column(axis, "length") for axis in "xyz")

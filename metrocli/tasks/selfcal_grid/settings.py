@@ -13,8 +13,7 @@ from metrocli.adjust.model.observations import Index
 from metrocli.geometry.rotations import rotation_from_vector
 from metrocli.instruments.ball_grid import View
 from metrocli.settings import Choice, Either, ListOf, Quantity, Section, TableFile, Text, Whole, setting
-from metrocli.table import TEXT, WHOLE, Column, Columns, Table
-from metrocli.tasks.kind import ABSENT
+from metrocli.table import ABSENT, TEXT, WHOLE, Column, Columns, Table
 from metrocli.units import parse_quantity
 
 _QUARTER = np.pi / 2
