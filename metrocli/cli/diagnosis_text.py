@@ -52,7 +52,7 @@ def _headline(diagnosis: Diagnosis) -> str:
 def of_design(adjusted: AdjustedJob, design: Design) -> str:
     """Return the report of what a measurement can detect."""
     lines = ["what this measurement can detect (80 % power, counting everything that is tried):", ""]
-    lines += _candidates(adjusted, design, [])
+    lines += _candidates(adjusted, design, None)
     alike = [
         f"  {pair.one} and {pair.other}: "
         + ("indistinguishable" if pair.alias else f"distinguished from {_size(pair.separable, pair.dimension)} on")
@@ -203,11 +203,16 @@ def _row(finding: Finding, adjusted: AdjustedJob) -> tuple[str, ...]:
     )
 
 
-def _candidates(adjusted: AdjustedJob, design: Design, named: Sequence[NamedEffect]) -> list[str]:
-    """Return the table of candidates, with one line for all places of a cause that have the same status."""
+def _candidates(adjusted: AdjustedJob, design: Design, named: Sequence[NamedEffect] | None) -> list[str]:
+    """Return the table of candidates, with one line for all places of a cause that have the same status.
+
+    Without `named` nothing was looked for yet: what residuals would exclude is `detectable`.
+    """
+    not_found = "detectable" if named is None else str(verdict.Status.EXCLUDED)
     rows: dict[tuple[str, str], list[Candidate]] = {}
     for candidate in design.candidates:
-        word = verdict.status(candidate, named)
+        word = str(verdict.status(candidate, named or ()))
+        word = not_found if word == verdict.Status.EXCLUDED else word
         rows.setdefault((candidate.alternative.effect.name, word), []).append(candidate)
     lines = [_line(adjusted, name, word, found) for (name, word), found in rows.items()]
     for wrong in design.readings:
@@ -218,7 +223,7 @@ def _candidates(adjusted: AdjustedJob, design: Design, named: Sequence[NamedEffe
         hides, at = units.readable(wrong.hides, adjusted.delivered.dimension)
         cells = (
             "one reading",
-            verdict.Status.EXCLUDED,
+            not_found,
             f"{units.two_digits(size)} {unit}",
             f"{units.two_digits(hides)} {at}",
         )

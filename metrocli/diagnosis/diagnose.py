@@ -152,7 +152,7 @@ def _search_with_weights(job: AdjustedJob, rng: np.random.Generator) -> _Searche
         tests, not_tested = score_tests_of_job(job, weights, rng)
         if tests.system.dof < 1:
             raise UndeterminedError(
-                "no reading is to spare: the unknowns use them all up, whatever is wrong\n"
+                "the job has no redundant reading, so no reading can contradict its model\n"
                 "measure more; `metrocli diagnose --design` shows what a measurement can detect"
             )
         last = len(units) == _ROUNDS

@@ -52,10 +52,7 @@ def as_data(diagnosis: Diagnosis) -> dict[str, Any]:
         },
         "mistake": None if diagnosis.mistaken is None else _correction(diagnosis.mistaken),
         "outliers": [{"observation": dict(one.keys), "w": one.test} for one in diagnosis.outliers],
-        "effects": [
-            *([] if diagnosis.mistaken is None else [_mistake(diagnosis.mistaken)]),
-            *(_effect(diagnosis.job, finding) for finding in diagnosis.findings),
-        ],
+        "effects": [_effect(diagnosis.job, finding) for finding in diagnosis.findings],
         "together": None if diagnosis.together is None else _gain(diagnosis.together, diagnosis.job),
         "structure": {"before": diagnosis.before, "after": diagnosis.after},
         "unexplained": None if left is None else _left(diagnosis.job, left),
@@ -70,27 +67,10 @@ def design_data(job: AdjustedJob, design: Design) -> dict[str, Any]:
     return {"candidates": candidates(job, design, []), "alike": alike(design)}
 
 
-MISTAKE = "mistake-in-file"
-"""The name of a mistake in the files among the effects"""
-
-
 def _correction(mistaken: Mistaken) -> dict[str, Any]:
-    """Return the most likely mistake, and what to write instead."""
-    first = mistaken.mistakes[0]
-    return {"file": first.input, "what": first.words, "write": first.write}
-
-
-def _mistake(mistaken: Mistaken) -> dict[str, Any]:
-    first, *others = mistaken.mistakes
-    return {
-        "name": MISTAKE,
-        "where": {"input": first.input},
-        "what": first.words,
-        "parameters": {},
-        "p_value": 0.0,
-        "alternatives": [{"name": MISTAKE, "where": {"input": one.input}, "what": one.words} for one in others],
-        "gain": None,
-    }
+    """Return the most likely mistake, what to write instead, and those that explain the job as well."""
+    found = [{"file": one.input, "what": one.words, "write": one.write} for one in mistaken.mistakes]
+    return found[0] | {"alternatives": found[1:]}
 
 
 def _effect(job: AdjustedJob, finding: Finding) -> dict[str, Any]:

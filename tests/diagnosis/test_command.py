@@ -290,7 +290,7 @@ def test_where_no_reading_is_to_spare_nothing_is_called_clean(folder: Path, metr
     """Six points and six tracers: as many readings as unknowns."""
     job = write(folder, lengths.measurement(np.random.default_rng(3), 6))
     ran = metrocli("diagnose", job)
-    assert (ran.code, "no reading is to spare" in ran.err) == (4, True)
+    assert (ran.code, "the job has no redundant reading" in ran.err) == (4, True)
     ran = metrocli("diagnose", job, "--design")
     assert (ran.code, "no reading is checked" in ran.out, "nan" in ran.out) == (0, True, False)
     candidates = json.loads(metrocli("diagnose", job, "--design", "--json").out)["candidates"]
@@ -416,3 +416,39 @@ def test_a_direction_of_an_effect_that_nothing_shows_is_held_and_told(folder: Pa
     assert data["noise"]["apart"] == []
     assert metrocli("align-part", data["extended_job"]).code == 0
     assert json.loads(metrocli("diagnose", data["extended_job"], "--json").out)["verdict"] == "clean"
+
+
+def test_noise_that_is_not_as_declared_stands_in_the_first_line(folder: Path, metrocli: Metrocli) -> None:
+    """The same measurement with its noise as it is, and declared as a fifth of that."""
+    job = write(folder, measured())
+    assert metrocli("diagnose", job).out.startswith("verdict: clean\n")
+    assert json.loads(metrocli("diagnose", job, "--json").out)["noise"]["as_declared"] is True
+    fifth = ("--set", "noise.constant=0.02 um", "--set", "noise.proportional=0.02 um/m")
+    data = json.loads(metrocli("diagnose", job, "--json", *fifth).out)
+    assert (data["verdict"], data["noise"]["as_declared"]) == ("clean", False)
+    assert 4 < data["noise"]["ratio"] < 6.5
+    first, *rest = metrocli("diagnose", job, *fifth).out.splitlines()
+    assert first == f"verdict: clean, but the noise is {data['noise']['ratio']:.2g} times what was declared"
+    assert "for the declared noise" in " ".join(" ".join(rest).split())
+
+
+@pytest.mark.parametrize("command", ["multilaterate", "diagnose", "check", "plan", "run"])
+def test_an_input_that_cannot_be_read_is_named(
+    command: str, folder: Path, metrocli: Metrocli, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The right to read is withdrawn: from a user who may do everything only by refusing the call itself."""
+    job = write(folder, measured())
+    (folder / "metrocli.yaml").write_text("project: hall\njobs: [job.yaml]\n")
+    plain = Path.open
+
+    def refused(path: Path, *more: object, **named: object) -> object:
+        if path.name == "lengths.csv":
+            raise PermissionError(13, "Permission denied", str(path))
+        return plain(path, *more, **named)  # type: ignore[call-overload]
+
+    monkeypatch.setattr(Path, "open", refused)
+    ran = metrocli(command, *(() if command == "run" else (job,)))
+    assert ran.code == 3, ran.err
+    assert "lengths.csv: error: cannot be read: Permission denied" in ran.err
+    assert "Traceback" not in ran.err
+    assert not list(folder.rglob("*.h5"))

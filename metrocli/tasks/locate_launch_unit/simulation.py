@@ -33,7 +33,7 @@ def simulated(
     rng: np.random.Generator,
     effects: Sequence[Wanted] = (),
 ) -> Simulation:
-    """Return simulated poses at the listed places, with effects and noise."""
+    """Return simulated encoder readings (and distances) at the listed places, with effects and noise, and the truth."""
     readings, added = _exact(truth, noise, places, effects)
     angles = wrapped(readings.angles + rng.normal(size=readings.angles.shape) * noise.encoder)
     columns: dict[str, Values] = {"pose": np.array(readings.names)}

@@ -105,14 +105,15 @@ def _correlation(covariance: Any) -> Any:
 def _measurand(found: Found, index: int, name: str) -> _Measurand:
     unit, linear = found.problem.units[name], found.propagated.measurands[name]
     k, dof, probability = coverage_factor(found.coverage, linear.dof), linear.dof, covered(found.coverage, linear.dof)
-    factor, mc = unit.factor, _monte_carlo(found, index, linear, probability, k)
+    factor, mc = unit.factor, _monte_carlo(found, index, probability)
     std, interval = linear.std, (linear.value - k * linear.std, linear.value + k * linear.std)
     if linear.replaced and mc is not None:
         std, interval = mc["std"], tuple(mc["interval"])
         if found.coverage.k is None:
             k = (interval[1] - interval[0]) / 2 / std if std > 0 else k
         else:
-            interval, probability = (mc["mean"] - k * std, mc["mean"] + k * std), mc["covered"]
+            interval = (mc["mean"] - k * std, mc["mean"] + k * std)
+            probability = _share_within(found, index, interval)
     details: dict[str, Any] = {
         "U": k * std / factor, "k": k, "dof": dof, "probability": probability,
         "interval": [end / factor for end in interval],
@@ -120,6 +121,7 @@ def _measurand(found: Found, index: int, name: str) -> _Measurand:
     }  # fmt: skip
     verdict = None
     if mc is not None:
+        mc["covered"] = _share_within(found, index, interval)
         mc = details["mc"] = {key: item if key in _PURE else _scaled(item, factor) for key, item in mc.items()}
         verdict = _verdict(found, linear, k, factor, mc)
     details["gum_valid"] = verdict.valid if verdict is not None else math.nan
@@ -151,22 +153,25 @@ def _scaled(value: Any, factor: float) -> Any:
     return [item / factor for item in value] if isinstance(value, list | tuple) else value / factor
 
 
-def _monte_carlo(found: Found, index: int, linear: Linear, probability: float, k: float) -> dict[str, Any] | None:
-    """Return what the trials give of a measurand; `covered` is the share of them within the stated interval."""
+def _share_within(found: Found, index: int, interval: tuple[float, float]) -> float:
+    """Return the share of the trials of a measurand within an interval, nan without trials."""
+    if found.outcome is None:
+        return math.nan
+    sample, centre = found.outcome.samples[index], found.outcome.centres[index]
+    return sample.below(interval[1] - centre) - sample.below(interval[0] - centre)
+
+
+def _monte_carlo(found: Found, index: int, probability: float) -> dict[str, Any] | None:
     outcome = found.outcome
     if outcome is None:
         return None
     sample, centre = outcome.samples[index], outcome.centres[index]
-    mean = float(outcome.means[index])
-    middle, std = (mean, math.sqrt(outcome.covariance[index, index])) if linear.replaced else (linear.value, linear.std)
-    low, high = middle - k * std - centre, middle + k * std - centre
     said: dict[str, Any] = {
         "mean": float(outcome.means[index]),
         "std": float(math.sqrt(outcome.covariance[index, index])),
         "interval": [end + centre for end in sample.symmetric(probability)],
         "shortest": [end + centre for end in sample.shortest(probability)],
         "trials": outcome.trials,
-        "covered": sample.below(high) - sample.below(low),
     }
     return said | ({"resolution": sample.resolution} if sample.resolution else {})
 

@@ -99,8 +99,8 @@ def by_differences(group: Group, blocks: Mapping[str, Block], name: str, step: A
 
 @pytest.mark.parametrize(
     ("problem", "seed", "order"),
-    [(at_standstill, 71, "ZXY"), (with_six_channels, 73, "XYZ")],
-    ids=["standstill", "six"],
+    [(at_standstill, 71, "ZXY"), (along_a_path, 72, "YXZ"), (with_six_channels, 73, "XYZ")],
+    ids=["standstill", "on-the-fly", "six-dof"],
 )
 def test_values_are_those_of_plain_formulas(problem, seed: int, order: str) -> None:  # type: ignore[no-untyped-def]
     """What the tables add to the readings; a sign wrong in value and derivative together shows here."""
@@ -116,7 +116,11 @@ def test_values_are_those_of_plain_formulas(problem, seed: int, order: str) -> N
     added = group.chain.predict(blocks, group.observations) - perfect
     at = np.stack([group.observations.conditions[axis] for axis in "xyz"], axis=1)
     moved = sim.displacements(machine, at, blocks["tool"].values[group.observations.index["tool"]])
-    if "tracker" in blocks:
+    if "leg" in blocks:
+        # across each leg, along two unit vectors of the tracker's frame
+        across = blocks["leg"].values[group.observations.index["leg"]].reshape(-1, 2, 3)
+        expected = np.einsum("nka,na->nk", across, moved @ sim.rotation(blocks["tracker"].values[0, 3:]))
+    elif "tracker" in blocks:
         expected = moved @ sim.rotation(blocks["tracker"].values[0, 3:])
     else:
         expected = np.concatenate([moved, sim.rotations(machine, at)], axis=1)

@@ -99,7 +99,8 @@ def test_the_uncertainty_of_a_corrected_point_is_what_it_scatters_by() -> None:
         off = found.stacked("xyz") - (places[:10] @ turn.T + shift)
         scores.append(off / found.stacked(["sx", "sy", "sz"]))
         assert result.arrays["corrected_covariance"].shape == (10, 3, 3)
-    assert np.mean(np.square(scores)) == pytest.approx(1.0, abs=0.2)
+    # 1,200 scores; those of one measurement hang together by its frame and its tracers
+    assert np.mean(np.square(scores)) == pytest.approx(1.0, abs=0.12)
 
 
 def rigid(a: Array, b: Array) -> tuple[Array, Array]:

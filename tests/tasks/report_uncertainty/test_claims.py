@@ -41,6 +41,22 @@ def test_the_share_of_trials_within_u_is_that_probability(tmp_path: Path) -> Non
     assert found == pytest.approx((np.abs(draws) <= 2).mean(), abs=0.006)
 
 
+def test_where_the_law_of_propagation_fails_the_trials_state_what_u_covers(tmp_path: Path) -> None:
+    """|x| has no derivative at 0: mean sqrt(2/pi), variance 1 - 2/pi."""
+    job = {
+        "quantities": {"x": {"value": "0 um", "std": "1 um"}},
+        "measurands": {"y": {"model": "abs(x)", "unit": "um"}},
+    }
+    trials = {"monte_carlo": {"trials": 200000, "seed": 2}}
+    mean, std = math.sqrt(2 / math.pi), math.sqrt(1 - 2 / math.pi)
+    given = carry_out(tmp_path, {**job, **trials, "coverage": {"k": 2}}).details("y")
+    within = math.erf((mean + 2 * std) / math.sqrt(2))
+    assert given["k"] == 2 and given["U"] == pytest.approx(2 * std, rel=0.01)
+    assert given["probability"] == given["mc"]["covered"] == pytest.approx(within, abs=0.003)
+    found = carry_out(tmp_path, {**job, **trials, "coverage": {"probability": 0.9}}).details("y")
+    assert found["mc"]["covered"] == pytest.approx(0.9, abs=1e-4)
+
+
 def test_a_given_probability_gives_its_k(tmp_path: Path) -> None:
     ran = carry_out(tmp_path, of_three({"probability": 0.95}, monte_carlo={"trials": 0}))
     assert covered_by_t3(ran.details("y")["k"]) == pytest.approx(0.95, abs=1e-9)
