@@ -182,6 +182,10 @@ def _limits(limits: Iterable[tuple[str, float | None]]) -> str:
     return f" of {' and '.join(words)}" if words else ""
 
 
+_LARGEST = 1e30
+"""Largest quantity of a job in internal units: squares of squares of larger ones overflow."""
+
+
 @dataclass(frozen=True)
 class Quantity(OfText):
     """A number with its unit in one text, read as a float in the internal unit of its dimension."""
@@ -208,6 +212,8 @@ class Quantity(OfText):
             return refuse(self, node, faults, f"{node.text} is not above zero")
         if self.minimum is not None and value < self.minimum:
             return refuse(self, node, faults, f"{node.text} is too small")
+        if abs(value) > _LARGEST:
+            return refuse(self, node, faults, f"{node.text} is too large")
         return value
 
     def schema(self) -> Schema:

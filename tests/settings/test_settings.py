@@ -56,6 +56,11 @@ def test_either_tells_the_fault_that_was_meant() -> None:
     assert "a list" in value_of(spec, "[1 px]").message
 
 
+@pytest.mark.parametrize("text", ["1e300 mm", "-1e31 mm"])
+def test_a_quantity_whose_square_could_overflow_is_refused(text: str) -> None:
+    assert f"{text} is too large" in value_of(Quantity("length"), text).message
+
+
 def test_near_words() -> None:
     assert nearest("tolerence", ["tolerance", "title"]) == "tolerance"
     assert nearest("pixel-size", ["pixel_size"]) == "pixel_size"
