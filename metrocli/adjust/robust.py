@@ -14,7 +14,7 @@ from metrocli.adjust.adjustment import Control, adjust
 from metrocli.adjust.datum import Datum
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.groups import Group
-from metrocli.adjust.model.observations import Index
+from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.solution import Residuals
 
 _MAD = 1.4826
@@ -25,6 +25,10 @@ _TUKEY = 4.685
 """Tuning constant of Tukey's biweight: 95 % efficiency for normal errors"""
 _POWER_80 = 0.8416212335729143
 """Normal quantile of a power of 80 %"""
+_ODDS = 6.0
+"""Difference of two squared tests below which the odds are under e^3 = 20 to 1"""
+_SAME = 0.99
+"""Correlation above which two tests are the same"""
 _ROUNDS = 12
 _ENOUGH = 8
 """A member with at least so many readings has a scale of its own"""
@@ -123,6 +127,17 @@ def detected(critical: float) -> float:
     The chance of an exceedance on the other side is below 1e-6 and left out.
     """
     return critical + _POWER_80
+
+
+def as_likely(squares: Array) -> Mask:
+    """Return which readings are about as likely to be wrong as the one with the largest squared test, (n,).
+
+    Without the reading in error, `v'Pv` falls by `w^2 sigma0^2`, and the likelihood of that error is `exp(w^2 / 2)`.
+    The set contains the readings with odds above 1 to 20, and those whose tests correlate by more than 0.99 with the
+    largest: an error of one shows in the others as `rho^2 w^2`.
+    """
+    most = float(squares.max(initial=0.0))
+    return np.asarray((squares > most - _ODDS) | (squares > _SAME**2 * most))
 
 
 @dataclass(frozen=True)

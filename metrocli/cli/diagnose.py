@@ -26,7 +26,8 @@ def command(job: Path, design: bool, output: Path | None, as_json: bool, **wante
 
     Where the extended job cannot be written, the report is printed with a warning; with `--output` it is an error.
     """
-    from metrocli.cli import diagnosis_text, summary
+    from metrocli.cli import summary
+    from metrocli.cli.diagnosis_report import findings
     from metrocli.diagnosis import verdict
     from metrocli.errors import InputError
     from metrocli.project import diagnosed
@@ -40,7 +41,7 @@ def command(job: Path, design: bool, output: Path | None, as_json: bool, **wante
         adjusted, found = diagnosed.design_of(load(job, Wishes(overrides, not_needed=not_needed)))
         if as_json:
             click.echo(summary.as_json(verdict.design_data(adjusted, found)))
-        console.print(diagnosis_text.of_design(adjusted, found))
+        console.print(findings.of_design(adjusted, found))
         return 0
     loaded = load(job, Wishes(overrides))
     diagnosis = diagnosed.carry_out(loaded, console.waiting)
@@ -53,5 +54,5 @@ def command(job: Path, design: bool, output: Path | None, as_json: bool, **wante
         click.echo(f"warning: no extended job was written: {error}", err=True)
     if as_json:
         click.echo(summary.as_json(verdict.as_data(diagnosis) | {"extended_job": extended and str(extended)}))
-    console.print(diagnosis_text.of_diagnosis(diagnosis, extended))
+    console.print(findings.of_diagnosis(diagnosis, extended))
     return 0

@@ -12,6 +12,7 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.diagnosis.hidden_change import POWER, HiddenChange, hidden_by_readings, hidden_change
 from metrocli.diagnosis.linear.candidates import Alternative, NotTested
 from metrocli.diagnosis.linear.distributions import noncentrality, single_level
 from metrocli.diagnosis.linear.projection import System, linearised
@@ -31,8 +32,6 @@ _HELPS = 0.98
 _NAMED_ABSORBERS = 3
 _PART = 0.1
 """Fraction of the largest absorbed change below which an unknown is not named among those that absorb"""
-_NOTHING = 1e-9
-"""Change of the result, relative to the change of all readings, that is rounding"""
 _SEPARATED = 1.645
 """One-sided 5 % quantile of the normal distribution: risk of choosing the wrong one of two names"""
 
@@ -49,15 +48,19 @@ class Candidate:
     """Fraction of the signature that the unknowns do not absorb"""
     detectable: float
     """Smallest size that is found with 80 % power, counted over all that is tried; inf if nothing is visible"""
-    plausible: float
-    hides: float
-    """Largest change of the delivered result by an effect of that size, or of plausible size if nothing is visible"""
+    hides: HiddenChange
+    """Largest change of the delivered result by an effect that is not found with 95 % power"""
     absorbed_by: tuple[str, ...]
 
     @property
     def testable(self) -> bool:
         """Whether any part of it is visible."""
         return bool(np.isfinite(self.detectable))
+
+    @property
+    def plausible(self) -> float:
+        """Largest usual size of the effect."""
+        return self.alternative.effect.plausible
 
     @property
     def unit(self) -> str:
@@ -100,8 +103,8 @@ class WrongReading:
     effect: Effect
     detectable: float
     """Median over all readings of the smallest error that is found, in their unit; inf if none shows its own error"""
-    hides: float
-    """Largest change of the delivered result by an error of one reading that is just not found"""
+    hides: HiddenChange
+    """Largest change of the delivered result by an error of one reading that is not found with 95 % power"""
     unchecked: int
     """Number of readings whose errors no other reading shows"""
 
@@ -132,17 +135,16 @@ def _wrong_reading(job: AdjustedJob, test_set: ScoreTests, effect: Effect, noise
     """Return the smallest detectable error of a reading, `sqrt(lambda / r) sigma` (Baarda 1968)."""
     system = test_set.system
     level = single_level(single_level(WRONG_READING, test_set.causes), test_set.tests[-1])
-    power = noncentrality(level, 1, max(system.dof - 1, 1), _POWER)
     rows = test_set.places[~test_set.excluded]
-    rows = rows[rows >= 0]
+    rows, rest = rows[rows >= 0], max(system.dof - 1, 1)
     redundancy = 1 - (system.basis[rows] ** 2).sum(axis=1)
     # an error of a reading shows in its own residual by its redundancy only (Baarda)
-    least = np.sqrt(power / np.maximum(redundancy, 1e-12)) * noise
-    places = system.entries(job.delivered.block)[:, list(job.delivered.columns)]
-    moved = system.solver[np.maximum(places, 0)] @ system.basis[rows].T
-    shift = np.sqrt((np.where((places >= 0)[:, :, None], moved, 0.0) ** 2).sum(axis=1)).max(axis=0, initial=0.0)
+    unit = noise / np.sqrt(np.maximum(redundancy, 1e-12))
+    least = np.sqrt(noncentrality(level, 1, rest, _POWER)) * unit
+    hidden = np.sqrt(noncentrality(level, 1, rest, POWER)) * unit
     detectable = float(np.median(least * system.scale[rows])) if len(rows) else float("inf")
-    return WrongReading(effect, detectable, float((shift * least).max(initial=0.0)), int(test_set.excluded.sum()))
+    hides = hidden_by_readings(job, system, rows, hidden)
+    return WrongReading(effect, detectable, hides, int(test_set.excluded.sum()))
 
 
 def _spots(test_set: ScoreTests) -> Iterable[tuple[int, Sequence[int]]]:
@@ -167,37 +169,19 @@ def _candidate(job: AdjustedJob, test_set: ScoreTests, family: int, chosen: Sequ
     at = chosen[int(order[len(order) // 2])]
     rank = int(ranks[order[len(order) // 2]])
     alternative = test_set.families[family].alternatives[at]
-    plausible = _plausible(alternative.effect)
     raw = test_set.scales[family][at]
     visible = float(np.sqrt(np.mean(np.diag(gram[at]) / np.where(raw > 0, raw, 1.0) ** 2)))
     size = detectable_size(test_set, family, at, noise) if rank else float("inf")
-    full = signature(job.model, test_set.system, alternative.effect, alternative.instance, dict(alternative.scanned))
-    shift = test_set.system.shifts(full, job.delivered.blocks, job.delivered.columns)
-    hides = float(np.sqrt((shift**2).sum(axis=(1, 2)).max(initial=0.0) / full.shape[1]))
-    if hides < _NOTHING * np.linalg.norm(full) / np.sqrt(full.shape[1]) * _typical(test_set.system):
-        hides = 0.0
-    reached = size if rank else plausible
-    return Candidate(
-        alternative,
-        family,
-        at,
-        visible,
-        size,
-        plausible,
-        hides * reached,
-        () if rank else _absorbers(test_set.system, full),
-    )
+    farthest = np.sqrt(columns.shape[2]) * max(1.0, size / alternative.effect.plausible if rank else 1.0)
+    power = {int(q): needed(test_set, family, int(q), POWER) * noise**2 if q else 0.0 for q in np.unique(ranks)}
+    reach = np.array([(power[q], farthest) for q in ranks.tolist()])
+    hides = hidden_change(job, test_set.system, test_set.families[family], chosen, gram, reach)
+    absorbers = () if rank else _absorbers(test_set.system, _full(job, test_set.system, alternative))
+    return Candidate(alternative, family, at, visible, size, hides, absorbers)
 
 
-def _plausible(effect: Effect) -> float:
-    """Return the plausible size of an effect: root mean square over parameters of the dimension of the first."""
-    alike = [p.plausible for p in effect.parameters if p.dimension == effect.parameters[0].dimension]
-    return float(np.sqrt(np.mean(np.square(alike))))
-
-
-def _typical(system: System) -> float:
-    """Return a typical standard deviation of a reading."""
-    return float(np.median(system.scale[system.measured]))
+def _full(job: AdjustedJob, system: System, alternative: Alternative) -> Array:
+    return signature(job.model, system, alternative.effect, alternative.instance, dict(alternative.scanned))
 
 
 def detectable_size(test_set: ScoreTests, family: int, at: int, noise: float = 1.0) -> float:
@@ -208,10 +192,10 @@ def detectable_size(test_set: ScoreTests, family: int, at: int, noise: float = 1
     return float(np.sqrt(power * len(gram) / np.trace(gram)) * noise)
 
 
-def needed(test_set: ScoreTests, family: int, rank: int) -> float:
-    """Return the non-centrality at which an alternative of a family is found with 80 % power as a first effect."""
+def needed(test_set: ScoreTests, family: int, rank: int, power: float = _POWER) -> float:
+    """Return the non-centrality at which an alternative of a family is found with a power as a first effect."""
     level = single_level(single_level(FIRST, test_set.causes), test_set.tests[family])
-    return noncentrality(level, rank, max(test_set.system.dof - rank, 1), _POWER)
+    return noncentrality(level, rank, max(test_set.system.dof - rank, 1), power)
 
 
 def _absorbers(system: System, full: Array) -> tuple[str, ...]:

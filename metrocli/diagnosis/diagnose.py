@@ -23,7 +23,7 @@ from metrocli.diagnosis.extended_fit import (
     sizes,
     weights_of,
 )
-from metrocli.diagnosis.findings import Diagnosis, Finding, Outlier
+from metrocli.diagnosis.findings import Diagnosis, Finding
 from metrocli.diagnosis.linear.candidates import NotTested
 from metrocli.diagnosis.linear.fitted_columns import nothing_fitted
 from metrocli.diagnosis.linear.projection import System
@@ -43,6 +43,7 @@ from metrocli.diagnosis.selection.refined_scan import refined_scans
 from metrocli.diagnosis.selection.search import continued, search, transferred
 from metrocli.diagnosis.selection.selection_state import Selection
 from metrocli.diagnosis.selection.thresholds import has_dominant_effect
+from metrocli.diagnosis.wrong_readings import wrong_readings
 from metrocli.errors import UndeterminedError
 
 Say = Callable[[str], None]
@@ -77,7 +78,7 @@ def diagnose(job: AdjustedJob, say: Say = lambda line: None) -> Diagnosis:
         job=job,
         noise=noise,
         noisier_units=searched.units,
-        outliers=_outliers(searched.selection),
+        outliers=wrong_readings(searched.selection),
         findings=tuple(
             Finding(
                 name,
@@ -187,36 +188,6 @@ def _joined(units: Sequence[Unit]) -> tuple[Unit, ...]:
         before = found.get((unit.key, unit.name))
         found[unit.key, unit.name] = unit if before is None else replace(unit, ratio=unit.ratio * before.ratio)
     return tuple(found.values())
-
-
-def _outliers(selection: Selection) -> tuple[Outlier, ...]:
-    """Return the outliers, the largest first, each with the test of it beside all else in the model."""
-    if not selection.outliers:
-        return ()
-    fitted = selection.fitted()
-    sigma = np.sqrt(fitted.squares / max(fitted.dof, 1))
-    found = []
-    for one in selection.outliers:
-        without = selection.fitted(without=[one])
-        found.append(
-            Outlier(
-                _keys(selection.test_set, one.number),
-                float(np.sqrt(max(without.squares - fitted.squares, 0.0)) / sigma),
-            )
-        )
-    return tuple(sorted(found, key=lambda one: -one.test))
-
-
-def _keys(test_set: ScoreTests, number: int) -> dict[str, str]:
-    """Return the keys that identify a reading, with its component if the components are tested one by one."""
-    row = int(test_set.places[number][0])
-    groups = test_set.system.model.readings
-    group = next(g for g in groups if 0 <= row - test_set.system.first[g.name] < g.observations.readings.size)
-    observations = group.observations
-    reading, component = divmod(row - test_set.system.first[group.name], len(observations.readings))
-    keys = {key: values[reading] for key, values in observations.keys.items()}
-    single = len(observations.readings) > 1 and test_set.places.shape[1] == 1
-    return keys | ({"component": observations.components[component]} if single else {})
 
 
 def _shift(job: AdjustedJob, system: System, name: NamedEffect) -> float:

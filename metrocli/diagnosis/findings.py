@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -19,6 +18,7 @@ from metrocli.diagnosis.residual_structure import (
     RemainingStructure,
 )
 from metrocli.diagnosis.selection.confidence_set import NamedEffect
+from metrocli.diagnosis.wrong_readings import Outlier
 
 
 class Verdict(StrEnum):
@@ -34,15 +34,6 @@ class Verdict(StrEnum):
     """Structure remains that no known effect explains"""
     MISTAKEN = "mistaken"
     """A file has a mistake; the rest of the diagnosis is for the corrected job"""
-
-
-@dataclass(frozen=True)
-class Outlier:
-    """A reading that is wrong (gross error)."""
-
-    keys: Mapping[str, str]
-    test: float
-    """Its error in standard deviations, with all other findings in the model"""
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from enum import StrEnum
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -13,10 +13,12 @@ from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.cross_validation import Gain
 from metrocli.diagnosis.detectability import Candidate, Design, WrongReading
 from metrocli.diagnosis.findings import Diagnosis, Finding
+from metrocli.diagnosis.hidden_change import POWER, HiddenChange
 from metrocli.diagnosis.linear.candidates import Alternative
 from metrocli.diagnosis.mistakes import Mistaken
 from metrocli.diagnosis.residual_structure import RemainingStructure
 from metrocli.diagnosis.selection.confidence_set import NamedEffect, Rival
+from metrocli.diagnosis.wrong_readings import Outlier
 from metrocli.effects.effect import Effect
 
 
@@ -25,9 +27,9 @@ class Status(StrEnum):
 
     NAMED = "named"
     EXCLUDED = "excluded"
-    """Not found, although an effect of plausible size would have been (power at least 80 %)"""
+    """Not found, although one of the largest usual size would have been (power at least 80 %)"""
     CANNOT_SEE = "cannot-see"
-    """Its smallest detectable size is larger than plausible"""
+    """Its smallest detectable size is larger than usual"""
     NOT_TESTABLE = "not-testable"
     """The unknowns of the job absorb it"""
     NOT_TESTED = "not-tested"
@@ -51,7 +53,7 @@ def as_data(diagnosis: Diagnosis) -> dict[str, Any]:
             "repeats": None if repeats is None else {"ratio": repeats.ratio, "lack_of_fit": repeats.lack_of_fit},
         },
         "mistake": None if diagnosis.mistaken is None else _correction(diagnosis.mistaken),
-        "outliers": [{"observation": dict(one.keys), "w": one.test} for one in diagnosis.outliers],
+        "outliers": [_outlier(one) for one in diagnosis.outliers],
         "effects": [_effect(diagnosis.job, finding) for finding in diagnosis.findings],
         "together": None if diagnosis.together is None else _gain(diagnosis.together, diagnosis.job),
         "structure": {"before": diagnosis.before, "after": diagnosis.after},
@@ -84,6 +86,10 @@ def _effect(job: AdjustedJob, finding: Finding) -> dict[str, Any]:
         "other_shape_from": finding.other_shape_from,
         "gain": _gain(gain, job) | {"result_shift": _delivered(job, finding.shift)},
     }
+
+
+def _outlier(one: Outlier) -> dict[str, Any]:
+    return {"observation": dict(one.keys), "or": [dict(other) for other in one.others], "w": one.test}
 
 
 def _where(alternative: Alternative) -> dict[str, str]:
@@ -132,6 +138,10 @@ def _rival(rival: Rival) -> dict[str, Any]:
     }
 
 
+def _hides(job: AdjustedJob, hidden: HiddenChange) -> dict[str, Any]:
+    return _delivered(job, hidden.size) | {"where": hidden.member, "power": POWER}
+
+
 def _delivered(job: AdjustedJob, value: float) -> dict[str, Any]:
     unit = units.find_unit(job.delivered.unit, job.delivered.dimension)
     return {"what": job.delivered.what, "value": unit.outside(value), "unit": unit.symbol}
@@ -169,7 +179,7 @@ def _wrong_reading(job: AdjustedJob, one: WrongReading) -> dict[str, Any]:
         "where": {},
         "status": Status.EXCLUDED,
         "minimal_detectable": {"value": one.detectable, "unit": one.effect.parameters[0].unit},
-        "hides": _delivered(job, one.hides),
+        "hides": _hides(job, one.hides),
         "reason": f"wrong readings are listed as outliers; the size is that of the median reading{unchecked}",
     }
 
@@ -180,22 +190,55 @@ def _candidate(job: AdjustedJob, candidate: Candidate, word: str) -> dict[str, A
         "where": candidate.alternative.where,
         "status": word,
         "visible_share": candidate.visible,
-        "minimal_detectable": {"value": candidate.detectable, "unit": candidate.unit} if candidate.testable else None,
-        "hides": _delivered(job, candidate.hides),
+        **_sizes(candidate),
+        "hides": _hides(job, candidate.hides),
         "reason": reason(candidate, word),
     }
 
 
+def _sizes(candidate: Candidate) -> dict[str, Any]:
+    """Return the size from which a candidate is excluded, and its usual sizes."""
+    least = {"value": candidate.detectable, "unit": candidate.unit} if candidate.testable else None
+    usual = candidate.alternative.effect.usual_sizes
+    return {
+        "minimal_detectable": least,
+        "above": least,
+        "usual": None if usual is None else {"from": usual[0], "to": usual[1], "unit": candidate.unit},
+        "usual_seen": usual_seen(candidate),
+    }
+
+
+def usual_seen(candidate: Candidate) -> bool | Literal["part"] | None:
+    """Return whether effects of usual sizes are detected; None if the usual sizes are not known."""
+    usual = candidate.alternative.effect.usual_sizes
+    if usual is None:
+        return None
+    if candidate.detectable <= usual[0]:
+        return True
+    return "part" if candidate.detectable <= usual[1] else False
+
+
 def reason(candidate: Candidate, word: str) -> str:
     """Return the reason for a candidate's status, in words."""
-    dimension = candidate.alternative.effect.parameters[0].dimension
+    effect = candidate.alternative.effect
+    dimension = effect.parameters[0].dimension
     plausible, at = units.readable(candidate.plausible, dimension)
     if word == Status.NOT_TESTABLE:
-        return f"the unknowns absorb it: {', '.join(candidate.absorbed_by)}; `hides` is for {plausible:.3g} {at}"
+        return f"absorbed by {', '.join(candidate.absorbed_by)}; `hides` is for {plausible:.3g} {at}".rstrip()
     size, unit = units.readable(candidate.detectable, dimension)
     if word == Status.CANNOT_SEE:
-        return f"{size:.3g} {unit} would be needed to detect it; more than {plausible:.3g} {at} is not plausible"
-    return "" if word == Status.NAMED else f"it would have been detected from {size:.3g} {unit} on"
+        return f"detected from {size:.3g} {unit} on; {seen_in_words(candidate)}"
+    return "" if word == Status.NAMED else f"excluded above {size:.3g} {unit}; {seen_in_words(candidate)}"
+
+
+def seen_in_words(candidate: Candidate) -> str:
+    """Return in words how far the usual sizes of a candidate are detected."""
+    usual = candidate.alternative.effect.usual
+    if not usual:
+        size, unit = units.readable(candidate.plausible, candidate.dimension)
+        return f"larger than {size:.3g} {unit} is not plausible".replace(" ,", ",")
+    found = {True: "are", "part": "are in part", False: "are not"}[usual_seen(candidate) or False]
+    return f"usual sizes ({usual}) {found} seen"
 
 
 def _open(effect: Effect, where: Mapping[str, str], word: str, reason: str) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from metrocli import units
 from metrocli.adjust.model.blocks import Array, Space
 from metrocli.adjust.model.chain import Link
 from metrocli.settings import Number, Quantity, Spec, Text
+from metrocli.units import parse_quantity
 
 ELAPSED, WARMING = "elapsed", "warming"
 """Conditions that effects vary with: time since the earliest reading [s], and temperature minus that of it [K]"""
@@ -40,7 +41,7 @@ class Parameter:
     dimension: str = ""
     """One of `units.DIMENSIONS`; empty for a plain number"""
     plausible: float = 1.0
-    """Largest size that this cause usually has, in the internal unit"""
+    """Largest size that can be believed, in the internal unit; a job that leaves it less certain is undetermined"""
     place: str = ""
     """For a scanned parameter that names a place, such as `view`, instead of a number: the kind of place"""
     grid: Grid | None = None
@@ -91,6 +92,8 @@ class Effect:
     """Kinds of place whose first name is the reference for the others, so that the effect cannot act there"""
     confused_with: tuple[str, ...] = ()
     """Names of effects with a similar signature"""
+    usual: str = ""
+    """Sizes that the cause usually has, as its page states them, such as "0.1 to 5 ppm"; empty if none are known"""
     reveal: str = ""
     """What to measure to detect it, or to separate it from the effects in `confused_with`"""
     source: str = ""
@@ -108,6 +111,28 @@ class Effect:
     def needed(self, where: Mapping[str, str]) -> tuple[str, ...]:
         """Return the names of the conditions that it needs at a place."""
         return tuple(name.format(**where) for name in self.needs)
+
+    @property
+    def usual_sizes(self) -> tuple[float, float] | None:
+        """Smallest and largest usual size in the internal unit of its first parameter, None if none are known."""
+        if not self.usual:
+            return None
+        low, high = self.usual.split(" to ")
+        unit = "" if " " in low else high.partition(" ")[2]
+        least, most = (self._internal(text) for text in (f"{low} {unit}".strip(), high))
+        return least, most
+
+    def _internal(self, text: str) -> float:
+        dimension = self.parameters[0].dimension
+        return parse_quantity(text, dimension) if dimension and " " in text else float(text)
+
+    @property
+    def plausible(self) -> float:
+        """Largest usual size; without one the root mean square over the parameters of the dimension of the first."""
+        if self.usual_sizes is not None:
+            return self.usual_sizes[1]
+        alike = [p.plausible for p in self.parameters if p.dimension == self.parameters[0].dimension]
+        return float(np.sqrt(np.mean(np.square(alike))))
 
     @property
     def all_parameters(self) -> tuple[Parameter, ...]:

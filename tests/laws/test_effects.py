@@ -94,6 +94,16 @@ def test_it_has_a_page(entry: tuple[str, Effect]) -> None:
         assert heading in text
 
 
+def test_its_page_states_the_usual_sizes(entry: tuple[str, Effect]) -> None:
+    _, effect = entry
+    text = (PAGES / f"{effect.name}.md").read_text(encoding="utf-8")
+    size = " ".join(text.partition("## Size")[2].partition("## ")[0].split())
+    assert effect.usual in size
+    least, most = effect.usual_sizes or (0.0, 1.0)
+    assert 0 <= least < most
+    assert effect.usual or effect.of_one_reading
+
+
 def test_at_zero_it_changes_nothing(entry: tuple[str, Effect]) -> None:
     kind, effect = entry
     zero = with_one(kind, effect, {p.name: 0.0 for p in effect.parameters})

@@ -74,6 +74,8 @@ class Family:
     """Visible part of the whitened signatures, without what the unknowns absorb, (rows, alternatives, parameters)"""
     raw: Array
     """Norm of each whole whitened signature, (alternatives, parameters)"""
+    absorbed: Array
+    """Coordinates of the rest of the signatures in the basis of the unknowns, (unknowns, alternatives, parameters)"""
     unknown: str = ""
     """Covariate of a family of smooth functions, whose cause is not known; "" for effects"""
 
@@ -113,6 +115,7 @@ def _joined(parts: Sequence[Family]) -> Family:
         tuple(one for part in parts for one in part.alternatives),
         np.concatenate([part.columns for part in parts], axis=1),
         np.concatenate([part.raw for part in parts], axis=0),
+        np.concatenate([part.absorbed for part in parts], axis=1),
     )
 
 
@@ -143,22 +146,36 @@ def _of_effect(job: AdjustedJob, system: System, effect: Effect) -> Iterator[Fam
         if not chosen:
             continue
         kept = _informative(list(_columns(job, system, effect, chosen)))
-        by_size: dict[int, list[tuple[Alternative, Array, Array]]] = {}
+        by_size: dict[int, list[_Columns]] = {}
         for item in kept:
-            by_size.setdefault(item[1].shape[1], []).append(item)
+            by_size.setdefault(item.visible.shape[1], []).append(item)
         for items in by_size.values():
-            columns = np.stack([columns for _, columns, _ in items], axis=1)
-            yield Family(effect.name, tuple(one for one, _, _ in items), columns, np.stack([raw for *_, raw in items]))
+            visible = np.stack([item.visible for item in items], axis=1)
+            absorbed = np.stack([item.absorbed for item in items], axis=1)
+            raw = np.stack([item.raw for item in items])
+            yield Family(effect.name, tuple(item.alternative for item in items), visible, raw, absorbed)
 
 
-def _informative(items: Sequence[tuple[Alternative, Array, Array]]) -> list[tuple[Alternative, Array, Array]]:
+@dataclass(frozen=True)
+class _Columns:
+    """One alternative with its columns: visible part, norms of the whole, and coordinates of what is absorbed."""
+
+    alternative: Alternative
+    visible: Array
+    raw: Array
+    absorbed: Array
+
+
+def _informative(items: Sequence[_Columns]) -> list[_Columns]:
     """Return the items without scan values whose signature the unknowns absorb, if other values are visible.
 
     Such a value is the time of a step that lies before all affected readings.
     """
-    seen = [bool(columns.any()) for _, columns, _ in items]
-    somewhere = {one.instance for (one, _, _), visible in zip(items, seen, strict=True) if visible}
-    return [item for item, visible in zip(items, seen, strict=True) if visible or item[0].instance not in somewhere]
+    seen = [bool(item.visible.any()) for item in items]
+    somewhere = {item.alternative.instance for item, visible in zip(items, seen, strict=True) if visible}
+    return [
+        item for item, visible in zip(items, seen, strict=True) if visible or item.alternative.instance not in somewhere
+    ]
 
 
 def _absent(model: Model, effect: Effect) -> list[tuple[str, ...]]:
@@ -192,10 +209,8 @@ def thinned(values: Array, most: int) -> Array:
     return np.asarray(values[np.linspace(0, len(values) - 1, most).astype(int)])
 
 
-def _columns(
-    job: AdjustedJob, system: System, effect: Effect, places: Sequence[tuple[str, ...]]
-) -> Iterator[tuple[Alternative, Array, Array]]:
-    """Yield for each place and scan the visible columns of its parameters (rows, parameters) and their full norms."""
+def _columns(job: AdjustedJob, system: System, effect: Effect, places: Sequence[tuple[str, ...]]) -> Iterator[_Columns]:
+    """Yield for each place and scan the columns of its parameters."""
     scans = [dict(one) for one in _scans(job.model, effect)]
     for scanned, (full, block, chosen) in zip(
         scans, scan(job.model, system, effect, places, scans) if scans else (), strict=True
@@ -203,7 +218,7 @@ def _columns(
         if not chosen.any():
             continue
         member, column = np.nonzero(chosen)
-        before, seen = job.model.blocks.get(block.name), system.seen(full)
+        before, (seen, inside) = job.model.blocks.get(block.name), system.split(full)
         for number, place in enumerate(places):
             own = member == (number + 1 if len(block.members) > 1 and before is None else _row(block.members, place))
             if not own.any():
@@ -213,7 +228,7 @@ def _columns(
                 names = tuple(block.columns[i] for i in column[own])
                 named = _scanned_places(job.model, effect, scanned)
                 alternative = Alternative(effect, place, tuple(scanned.items()), names, named)
-                yield alternative, seen[:, own], np.linalg.norm(full[:, own], axis=0)
+                yield _Columns(alternative, seen[:, own], np.linalg.norm(full[:, own], axis=0), inside[:, own])
 
 
 def _scanned_places(model: Model, effect: Effect, scanned: Mapping[str, float]) -> tuple[tuple[str, str], ...]:

@@ -82,9 +82,17 @@ class System:
 
     def seen(self, values: Array) -> Array:
         """Return `M values`, (rows, ...), the visible part; 0 where it is a rounding error."""
-        left = values - np.tensordot(self.basis, np.tensordot(self.basis.T, values, 1), 1)
+        return self.split(values)[0]
+
+    def split(self, values: Array) -> tuple[Array, Array]:
+        """Return the visible part of values (rows, ...), and the coordinates of the rest in the basis (unknowns, ...).
+
+        The change of the unknowns by the values is `solver` times these coordinates.
+        """
+        inside = np.tensordot(self.basis.T, values, 1)
+        left = values - np.tensordot(self.basis, inside, 1)
         shown = np.linalg.norm(left, axis=0) > VISIBLE * np.linalg.norm(values, axis=0)
-        return np.asarray(np.where(shown, left, 0.0))
+        return np.asarray(np.where(shown, left, 0.0)), inside
 
     def absorbed(self, values: Array) -> Array:
         """Return the change of the unknowns (unknowns, k) that absorbs values (rows, k)."""

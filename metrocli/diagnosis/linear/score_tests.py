@@ -131,13 +131,17 @@ class ScoreTests:
 
     def outliers(self, fitted: FittedColumns) -> Score:
         """Return the tests of single readings, each with all its components."""
+        gain, rank = self.gains_of_readings(fitted)
+        rank = np.where(self.excluded, 0, rank)
+        return self._scored(np.where(rank > 0, gain, 0.0), rank, fitted)
+
+    def gains_of_readings(self, fitted: FittedColumns) -> tuple[Array, Array]:
+        """Return the reduction of the sum of squares by an error of each reading, and the rank of that error."""
         rows = self.places
         u = np.where((rows >= 0)[:, :, None], fitted.basis[rows], 0.0)
         gram = self.blocks - np.einsum("iak,ibk->iab", u, u)
         right = np.where(rows >= 0, fitted.residual[rows], 0.0)
-        gain, rank = quadratic(gram, right, np.ones(rows.shape))
-        rank = np.where(self.excluded, 0, rank)
-        return self._scored(np.where(rank > 0, gain, 0.0), rank, fitted)
+        return quadratic(gram, right, np.ones(rows.shape))
 
     def lying_in(self, family: int, number: int) -> tuple[Mask, ...]:
         """Return for each family which of its alternatives lie in smooth terms; False for smooth functions."""

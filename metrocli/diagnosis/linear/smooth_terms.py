@@ -24,6 +24,8 @@ _RANK = 1e-9
 """Smallest singular value of independent terms of a smooth function, relative to the largest"""
 _SHOWS = 0.02
 """Smallest share of a smooth function that must be visible beside the unknowns"""
+_NONE = np.zeros((0, 0, 0))
+"""What the unknowns absorb of smooth functions is not needed"""
 _FEWEST_FOR = 4
 """Least number of readings per term for which a unit gets its own terms"""
 
@@ -62,7 +64,7 @@ def _of(job: AdjustedJob, system: System, covariate: Covariate) -> Iterator[Fami
     for items in by_size.values():
         seen = np.stack([visible_directions(system, columns) for _, columns in items], axis=1)
         raw = np.ones(seen.shape[1:])
-        yield Family(f"smooth in {covariate.name}", tuple(a for a, _ in items), seen, raw, unknown=covariate.name)
+        yield Family(f"smooth in {covariate.name}", tuple(a for a, _ in items), seen, raw, _NONE, covariate.name)
 
 
 def visible_directions(system: System, columns: Array) -> Array:
@@ -84,7 +86,7 @@ def _together(job: AdjustedJob, system: System, covariate: Covariate) -> Family:
         full[rows] = np.atleast_2d(covariate.values[group.name]).T / system.scale[rows, None]
     seen = visible_directions(system, full)[:, None]
     alternatives, raw = (_alternative(covariate, ()),), np.ones(seen.shape[1:])
-    return Family(f"moving with {covariate.name}", alternatives, seen, raw, covariate.name)
+    return Family(f"moving with {covariate.name}", alternatives, seen, raw, _NONE, covariate.name)
 
 
 def _waves(job: AdjustedJob, system: System, covariate: Covariate) -> Iterator[Family]:
@@ -109,7 +111,7 @@ def _waves(job: AdjustedJob, system: System, covariate: Covariate) -> Iterator[F
                 names.append(_alternative(covariate, (component, f"{periods:g} periods")))
         seen = np.stack([visible_directions(system, one) for one in columns], axis=1)
         raw = np.ones(seen.shape[1:])
-        yield Family(f"waves in {covariate.name}", tuple(names), seen, raw, unknown=covariate.name)
+        yield Family(f"waves in {covariate.name}", tuple(names), seen, raw, _NONE, covariate.name)
 
 
 def _parts(job: AdjustedJob, group: Group) -> Iterator[tuple[tuple[str, ...], Array]]:

@@ -55,18 +55,23 @@ def _closer(job: AdjustedJob, selection: Selection, one: Chosen, name: str) -> S
     if not len(values):
         return selection
     fitted = selection.beside(one)
-    best, most, columns = alternative, test_set.score(one.family, fitted, [one.number]).gain[0], one.columns
+    best, most, parts = (
+        alternative,
+        test_set.score(one.family, fitted, [one.number]).gain[0],
+        (one.columns, one.columns),
+    )
     for value in values.tolist():
         scanned = tuple((key, value if key == name else old) for key, old in alternative.scanned)
         tried = replace(alternative, scanned=scanned)
-        seen = test_set.system.seen(signature(job.model, test_set.system, tried.effect, tried.instance, dict(scanned)))
+        full = signature(job.model, test_set.system, tried.effect, tried.instance, dict(scanned))
+        seen, inside = test_set.system.split(full)
         gain = fitted.squares - fitted.with_columns(seen).squares
         if gain > most * (1 + 1e-9):
-            best, most, columns = tried, gain, seen
+            best, most, parts = tried, gain, (seen, inside)
     if best is alternative:
         return selection
-    grown = _with_alternative(test_set, one.family, best, columns)
-    new = Chosen(one.family, len(family.alternatives), columns)
+    grown = _with_alternative(test_set, one.family, best, *parts)
+    new = Chosen(one.family, len(family.alternatives), parts[0])
     return replace(selection, test_set=grown).with_one(new, instead=one)
 
 
@@ -82,14 +87,17 @@ def _between(job: AdjustedJob, family: Family, alternative: Alternative, name: s
     return thinned(values[(values > low) & (values < high) & (values != own)], _TRIED)
 
 
-def _with_alternative(test_set: ScoreTests, number: int, alternative: Alternative, columns: Array) -> ScoreTests:
-    """Return the score tests with one more alternative of a family."""
+def _with_alternative(
+    test_set: ScoreTests, number: int, alternative: Alternative, columns: Array, inside: Array
+) -> ScoreTests:
+    """Return the score tests with one more alternative of a family, of visible columns and coordinates in the basis."""
     family = test_set.families[number]
     grown = replace(
         family,
         alternatives=(*family.alternatives, alternative),
         columns=np.concatenate([family.columns, columns[:, None]], axis=1),
         raw=np.concatenate([family.raw, np.linalg.norm(columns, axis=0)[None]]),
+        absorbed=np.concatenate([family.absorbed, inside[:, None]], axis=1),
     )
     gram = np.concatenate([test_set.grams[number], (columns.T @ columns)[None]])
 

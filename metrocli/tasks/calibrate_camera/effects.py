@@ -19,7 +19,7 @@ def _size(name: str, dimension: str, plausible: str) -> Parameter:
     return Parameter(name, dimension, parse_quantity(plausible, dimension))
 
 
-def _focal_drift(by: str, condition: str, dimension: str, plausible: str) -> Effect:
+def _focal_drift(by: str, condition: str, dimension: str, plausible: str, usual: str) -> Effect:
     return Effect(
         "focal-drift",
         "the focal length changes while the images are taken: the lens warms up or its focus creeps",
@@ -29,6 +29,7 @@ def _focal_drift(by: str, condition: str, dimension: str, plausible: str) -> Eff
         by=by,
         needs=({"t": "t", "T": "temp"}[by],),
         confused_with=("principal-point-drift",),
+        usual=usual,
         reveal="the first views again at the end, near and far, and the temperature of the lens with each image",
         source="Smith and Cope 2010, The effects of temperature variation on single-lens-reflex digital cameras",
     )
@@ -42,6 +43,7 @@ def _moved_target(frame: Quantity) -> Effect:
         lambda block, where: Shift(block, frame),
         where=("target",),
         confused_with=("target-plane-bend",),
+        usual="0.01 to 5 mm",
         reveal="this target measured again, or seen in more views from other sides",
         source="Baarda 1968 (test of a group of readings)",
     )
@@ -54,6 +56,7 @@ def _scale_of_targets(frame: Quantity) -> Effect:
         (_size("scale", "ratio", "1 percent"),),
         lambda block, where: Growth(block, frame),
         confused_with=("focal-drift",),
+        usual="1e-5 to 1e-3",
         reveal="a calibrated length among the targets (the poses absorb a wrong scale, so no residual shows it)",
         source="VDI/VDE 2634 part 1: lengths, not residuals, show the scale",
     )
@@ -66,6 +69,7 @@ EFFECTS: tuple[Effect, ...] = (
         (Parameter("k1", plausible=1.0), Parameter("k2", plausible=2.0), Parameter("k3", plausible=5.0)),
         columns_of=_LENS,
         confused_with=("target-eccentricity", "target-plane-bend"),
+        usual="0.01 to 0.5",
         reveal="targets up to the corners of the image",
         source="Brown 1971, Close-range camera calibration; OpenCV's order of terms",
     ),
@@ -75,6 +79,7 @@ EFFECTS: tuple[Effect, ...] = (
         (Parameter("p1", plausible=0.01), Parameter("p2", plausible=0.01)),
         columns_of=_LENS,
         confused_with=("thin-prism", "principal-point"),
+        usual="1e-5 to 1e-3",
         reveal="targets up to the corners, and the camera turned by 90 degrees about its viewing axis between images",
         source="Brown 1966, Decentering distortion of lenses",
     ),
@@ -84,6 +89,7 @@ EFFECTS: tuple[Effect, ...] = (
         (Parameter("s1", plausible=0.01), Parameter("s3", plausible=0.01)),
         columns_of=_LENS,
         confused_with=("decentring-distortion", "principal-point"),
+        usual="1e-5 to 1e-3",
         reveal="targets up to the corners (p1, p2, cx and cy absorb most of it)",
         source="Weng, Cohen and Herniou 1992, Camera calibration with distortion models",
     ),
@@ -93,6 +99,7 @@ EFFECTS: tuple[Effect, ...] = (
         (Parameter("aspect", "ratio", plausible=0.01),),
         columns_of=_LENS,
         confused_with=("target-plane-bend", "axis-skew"),
+        usual="1e-5 to 1e-2",
         reveal="the camera turned by 90 degrees about its viewing axis between images",
         source="Fraser 1997, Digital camera self-calibration (affinity)",
     ),
@@ -102,6 +109,7 @@ EFFECTS: tuple[Effect, ...] = (
         (Parameter("skew", "ratio", plausible=0.01),),
         columns_of=_LENS,
         confused_with=("aspect-ratio",),
+        usual="1e-6 to 1e-4",
         reveal="the camera turned by 45 and 90 degrees about its viewing axis between images",
         source="Fraser 1997 (shear)",
     ),
@@ -111,6 +119,7 @@ EFFECTS: tuple[Effect, ...] = (
         tuple(_size(name, "pixel", "200 px") for name in ("cx", "cy")),
         columns_of=_LENS,
         confused_with=("decentring-distortion", "thin-prism"),
+        usual="1 to 50 px",
         reveal="views tilted about both axes, and the camera turned about its viewing axis",
         source="Brown 1971",
     ),
@@ -121,6 +130,7 @@ EFFECTS: tuple[Effect, ...] = (
         lambda block, where: TargetEccentricity(block),
         needs=("radius",),
         confused_with=("radial-distortion",),
+        usual="0.5 to 1",
         reveal="larger tilts of the targets; the radius of every target in the list",
         source="Ahn, Warnecke and Kotowski 1999, Systematic geometric image measurement errors of circular targets",
     ),
@@ -130,11 +140,12 @@ EFFECTS: tuple[Effect, ...] = (
         tuple(_size(name, "curvature", "1e-4 1/mm") for name in ("bxx", "bxy", "byy")),
         lambda block, where: PlaneBend(block),
         confused_with=("radial-distortion", "aspect-ratio"),
+        usual="1e-7 to 1e-5 1/mm",
         reveal="steep views from all sides, or the flatness of the board measured",
         source="mrcal's board warp; plate bending to second order",
     ),
-    _focal_drift("t", ELAPSED, "rate", "1e-3 1/h"),
-    _focal_drift("T", WARMING, "expansion", "5e-5 1/K"),
+    _focal_drift("t", ELAPSED, "rate", "1e-3 1/h", "1e-5 to 1e-3 1/h"),
+    _focal_drift("T", WARMING, "expansion", "5e-5 1/K", "1e-6 to 5e-5 1/K"),
     Effect(
         "principal-point-drift",
         "the sensor or the lens moves sideways in the camera while the images are taken",
@@ -142,6 +153,7 @@ EFFECTS: tuple[Effect, ...] = (
         lambda block, where: LensChange(block, added=(("cx",), ("cy",)), condition=ELAPSED),
         needs=("t",),
         confused_with=("focal-drift",),
+        usual="0.05 to 3 px/h",
         reveal="the first views again at the end",
         source="Smith and Cope 2010; Elias et al. 2020",
     ),

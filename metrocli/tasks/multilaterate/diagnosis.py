@@ -13,13 +13,13 @@ from metrocli.adjust.model.groups import Group, ReadBlock
 from metrocli.adjust.model.observations import Index, Mask, Observations
 from metrocli.adjust.solution import Solution
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate, Delivered
-from metrocli.effects.effect import ELAPSED, WARMING
+from metrocli.effects.effect import ELAPSED, WARMING, Effect
 from metrocli.effects.extension import with_conditions
 from metrocli.effects.model import Model, Place
 from metrocli.instruments import tracer as t
 from metrocli.instruments.frames import DistanceBetween
 from metrocli.tasks.multilaterate import KIND
-from metrocli.tasks.multilaterate.effects import EFFECTS
+from metrocli.tasks.multilaterate.effects import EFFECTS, RANGING
 from metrocli.tasks.multilaterate.problem import LENGTHS
 from metrocli.tasks.multilaterate.solve import Solved, refitted
 from metrocli.units import parse_quantity
@@ -47,7 +47,7 @@ def adjusted_job(solved: Solved) -> AdjustedJob:
     return AdjustedJob(
         KIND.name,
         model,
-        EFFECTS,
+        _effects(network.absolute),
         tuple(covariates(model)),
         ("tracer",),
         {LENGTHS: folds(group.observations.index[t.POINT], group.observations.conditions)},
@@ -60,6 +60,11 @@ def adjusted_job(solved: Solved) -> AdjustedJob:
 
 _POINTS_NEAR, _TRACERS_NEAR = 0.02, 0.5
 """Plausible deviations of points and tracers from their lists, as shares of the measured volume"""
+
+
+def _effects(absolute: bool) -> tuple[Effect, ...]:
+    """Return the table of effects, with the usual sizes of distance meters where the lengths are absolute."""
+    return tuple(replace(one, usual=RANGING.get(one.name, one.usual)) if absolute else one for one in EFFECTS)
 
 
 def _astray(solved: Solved) -> float:

@@ -19,7 +19,7 @@ def _size(name: str, dimension: str, plausible: str) -> Parameter:
     return Parameter(name, dimension, parse_quantity(plausible, dimension))
 
 
-def _refraction(by: str, condition: str, need: str, rate: Parameter) -> Effect:
+def _refraction(by: str, condition: str, need: str, rate: Parameter, usual: str) -> Effect:
     def link(block: str, where: Mapping[str, str]) -> Link:
         return BeamScale(block, condition=condition)
 
@@ -31,6 +31,7 @@ def _refraction(by: str, condition: str, need: str, rate: Parameter) -> Effect:
         by=by,
         needs=(need,),
         confused_with=("dead-path-drift", "tracer-drift"),
+        usual=usual,
         reveal="temperature and pressure of the air with each reading; the first points again at the end",
         source="Birch and Downs 1994, at 20 °C, 1013 hPa, 50 %: -0.955 ppm/K at constant relative humidity, "
         "-0.930 ppm/K at constant vapour pressure, +0.268 ppm/hPa",
@@ -45,6 +46,7 @@ EFFECTS: tuple[Effect, ...] = (
         lambda block, where: BeamScale(block),
         where=("tracer",),
         confused_with=("dead-path-drift", "sphere-form", "length-scale"),
+        usual="0.1 to 5 ppm",
         reveal="a calibrated length, or the same points from another place of this tracer",
         source=f"{_HARTIG} eq. 1; EUROMET 610: 14 to 460 nm/m between systems",
     ),
@@ -54,6 +56,7 @@ EFFECTS: tuple[Effect, ...] = (
         (_size("scale", "ratio", "5 percent"),),
         lambda block, where: BeamScale(block),
         confused_with=("length-offset",),
+        usual="0.1 to 20 ppm",
         reveal="a calibrated length (inputs: distances), or points known by sigma_mm",
         source=f"{_HARTIG} eq. 4",
     ),
@@ -63,11 +66,12 @@ EFFECTS: tuple[Effect, ...] = (
         (_size("offset", "length", "1 m"),),
         lambda block, where: LengthOffset(block),
         confused_with=("length-scale",),
+        usual="1 um to 1 m",
         reveal="distances from short to long, or the same line measured in parts",
         source="zero constant of distance meters: Rüeger, Electronic Distance Measurement",
     ),
-    _refraction("T", WARMING, "temp", _size("rate", "expansion", "2e-6 1/K")),
-    _refraction("t", ELAPSED, "t", _size("rate", "rate", "10 ppm/h")),
+    _refraction("T", WARMING, "temp", _size("rate", "expansion", "2e-6 1/K"), "5e-7 to 2e-6 1/K"),
+    _refraction("t", ELAPSED, "t", _size("rate", "rate", "10 ppm/h"), "0.1 to 10 ppm/h"),
     Effect(
         "dead-path-drift",
         "the dead path of one tracer grows: its stand, its optics or the air in it warm up",
@@ -76,6 +80,7 @@ EFFECTS: tuple[Effect, ...] = (
         where=("tracer",),
         needs=("t",),
         confused_with=("tracer-drift", "refraction-drift"),
+        usual="0.05 um/h to 1 um/min",
         reveal="the first points again at the end, in widely different directions from this tracer",
         source="Schwenke et al. 2008, Geometric error measurement and compensation of machines, CIRP Annals 57",
     ),
@@ -88,6 +93,7 @@ EFFECTS: tuple[Effect, ...] = (
         scanned=(Parameter("at", "time", grid=change_points),),
         needs=("t",),
         confused_with=("dead-path-drift", "tracer-drift"),
+        usual="0.3 um to 1 mm",
         reveal="points measured before and after the jump",
         source="Teunissen 2018, Distributional theory for the DIA method, J. Geodesy 92 (step in the mean)",
     ),
@@ -100,6 +106,7 @@ EFFECTS: tuple[Effect, ...] = (
         needs=("t",),
         turns=True,
         confused_with=("dead-path-drift",),
+        usual="1 to 50 um/h",
         reveal="the first points again at the end, in three widely different directions from this tracer",
         source="Schwenke et al. 2008, CIRP Annals 57",
     ),
@@ -110,6 +117,7 @@ EFFECTS: tuple[Effect, ...] = (
         lambda block, where: LengthTerms(block, (COS_2A, SIN_2A)),
         where=("tracer",),
         confused_with=("tracer-scale",),
+        usual="0.02 to 0.3 um",
         reveal="the points again with this tracer turned by 45 degrees about its vertical axis",
         source="the first harmonic of the azimuth equals a shift of the centre; the second is the lowest observable",
     ),
@@ -119,6 +127,7 @@ EFFECTS: tuple[Effect, ...] = (
         (_size("c", "length", "20 um"),),
         lambda block, where: LengthTerms(block, (INCIDENCE,)),
         confused_with=("tracer-scale",),
+        usual="0.5 to 20 um",
         reveal="points measured again with the reflector turned to another direction",
         source="Lin et al. 2002; Ouyang et al. 2007 (corner cubes within 20 degrees)",
     ),
@@ -130,6 +139,7 @@ EFFECTS: tuple[Effect, ...] = (
         scanned=(Parameter("at", "time", grid=change_points),),
         needs=("t",),
         confused_with=("tracer-drift", "dead-path-jump"),
+        usual="0.5 to 20 um",
         reveal="some points measured both before and after the reflector is touched",
         source="geodetic practice: closing points",
     ),
@@ -145,3 +155,6 @@ EFFECTS: tuple[Effect, ...] = (
     ),
 )
 """The table of effects, in the order of docs/effects"""
+
+RANGING = {"length-scale": "0.01 to 5 percent"}
+"""Usual sizes for distances measured by radio or pulses: no interferometer has such errors"""

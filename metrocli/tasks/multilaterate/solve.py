@@ -12,7 +12,7 @@ from metrocli.adjust.iterated_weights import adjust_with_iterated_weights
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Mask
-from metrocli.adjust.robust import critical_value, robust_start
+from metrocli.adjust.robust import as_likely, critical_value, robust_start
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
 from metrocli.effects.estimates import absorbed
 from metrocli.errors import NotConvergedError, UndeterminedError
@@ -23,8 +23,8 @@ from metrocli.tasks.multilaterate.problem import LENGTHS, Network
 
 _EQUAL = 1e-4
 """Tests of a point that differ by less than this share are equal"""
-_ODDS, _TOSS = 4.0, 0.5
-"""Differences of squared tests of two lengths: below them the odds are under e^2 = 7 to 1, or e^(1/4) = 1.3 to 1"""
+_TOSS = 0.5
+"""Difference of squared tests of two lengths below which the odds are under e^(1/4) = 1.3 to 1"""
 _INNOCENT = 3.0
 """A length left out at the start is used again if its residual is less than this many standard deviations"""
 _ASTRAY = 0.05
@@ -232,11 +232,7 @@ def _suspects(group: Group, w: Array, units: Array, bound: float) -> tuple[Suspe
                 keys["point"][worst],
                 keys["tracer"][worst] if told else "",
                 float(tests.max()),
-                tuple(
-                    keys["tracer"][row]
-                    for row in rows[alike | (tests**2 > tests.max() ** 2 - _ODDS)]
-                    if row != worst or not told
-                ),
+                tuple(keys["tracer"][row] for row in rows[as_likely(tests**2)] if row != worst or not told),
                 (worst,) if told else tuple(rows[alike].tolist()),
             )
         )

@@ -1,0 +1,84 @@
+"""The table of candidates: what each could hide, and from which size it would have been found."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from metrocli import units
+from metrocli.cli.diagnosis_report.text_table import text_table
+from metrocli.diagnosis import verdict
+from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.diagnosis.detectability import Candidate, Design, WrongReading
+from metrocli.diagnosis.hidden_change import HiddenChange
+from metrocli.diagnosis.selection.confidence_set import NamedEffect
+
+_SHOWN = 5
+_HEAD = ("candidate", "where", "status", "usual sizes", "result off by up to", "")
+_SEEN = {True: "seen", "part": "seen in part", False: "not seen", None: ""}
+
+
+def candidate_lines(adjusted: AdjustedJob, design: Design, named: Sequence[NamedEffect] | None) -> list[str]:
+    """Return the table of candidates, with one line for all places of a cause that have the same status.
+
+    Without `named` nothing was looked for yet: what residuals would exclude is `detectable`.
+    """
+    rows: dict[tuple[str, str], list[Candidate]] = {}
+    for candidate in design.candidates:
+        word = str(verdict.status(candidate, named or ()))
+        word = "detectable" if named is None and word == verdict.Status.EXCLUDED else word
+        rows.setdefault((candidate.alternative.effect.name, word), []).append(candidate)
+    lines = [_line(adjusted, name, word, found) for (name, word), found in rows.items()]
+    lines += [_of_readings(adjusted, one, named is None) for one in design.readings]
+    lines += [
+        (one.effect.name, " ".join(one.where.values()), str(verdict.Status.NOT_TESTED), "", "", one.reason)
+        for one in design.not_tested
+    ]
+    return text_table(_HEAD, lines)
+
+
+def _line(adjusted: AdjustedJob, name: str, word: str, found: Sequence[Candidate]) -> tuple[str, ...]:
+    places = ["/".join(one.alternative.instance) for one in found if one.alternative.instance]
+    where = ", ".join(places[:_SHOWN]) + (f" and {len(places) - _SHOWN} more" if len(places) > _SHOWN else "")
+    effect = found[0].alternative.effect
+    sizes = [one.detectable for one in found if one.testable]
+    why = ""
+    if word == verdict.Status.NOT_TESTABLE:
+        size = _size(found[0].plausible, effect.parameters[0].dimension)
+        why = f"absorbed by {', '.join(found[0].absorbed_by)}; off by this if its size is {size}"
+    seen = {verdict.usual_seen(one) for one in found}
+    usual = f"{effect.usual}: {_SEEN[seen.pop() if len(seen) == 1 else 'part']}" if effect.usual else ""
+    most = max((one.hides for one in found), key=lambda hidden: hidden.size)
+    return name, where, _status(word, sizes, effect.parameters[0].dimension), usual, _hidden(adjusted, most), why
+
+
+def _status(word: str, sizes: Sequence[float], dimension: str) -> str:
+    """Return the status with the sizes from which effects are detected."""
+    if not sizes:
+        return word
+    between = {str(verdict.Status.EXCLUDED): "above", "detectable": "from"}
+    return f"{word} {between.get(word, 'below')} {_span(min(sizes), max(sizes), dimension)}"
+
+
+def _of_readings(adjusted: AdjustedJob, wrong: WrongReading, open_yet: bool) -> tuple[str, ...]:
+    name = wrong.effect.name
+    if not wrong.testable:
+        return name, "one reading", str(verdict.Status.NOT_TESTABLE), "", "", verdict.UNCHECKED
+    size = _size(wrong.detectable, wrong.effect.parameters[0].dimension)
+    word = f"detectable from {size}" if open_yet else f"{verdict.Status.EXCLUDED} above {size}"
+    return name, "one reading", word, "", _hidden(adjusted, wrong.hides), "larger ones are listed as wrong readings"
+
+
+def _hidden(adjusted: AdjustedJob, hidden: HiddenChange) -> str:
+    place = f" at {hidden.member}" if hidden.member else ""
+    return f"{_size(hidden.size, adjusted.delivered.dimension)}{place}"
+
+
+def _span(least: float, most: float, dimension: str) -> str:
+    low, unit = units.readable(least, dimension)
+    both = dict.fromkeys(units.two_digits(size) for size in (low, low * most / least))
+    return f"{' to '.join(both)} {unit}".strip()
+
+
+def _size(value: float, dimension: str) -> str:
+    size, symbol = units.readable(value, dimension)
+    return f"{units.two_digits(size)} {symbol}".strip()

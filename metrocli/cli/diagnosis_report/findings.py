@@ -1,0 +1,207 @@
+"""The report of a diagnosis: the verdict, the table of findings, short lines on each, the table of candidates."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from metrocli import units
+from metrocli.cli.diagnosis_report.candidates import candidate_lines
+from metrocli.cli.diagnosis_report.text_table import text_table
+from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.diagnosis.cross_validation import Gain
+from metrocli.diagnosis.detectability import Design
+from metrocli.diagnosis.findings import Diagnosis, Finding
+from metrocli.diagnosis.noise import DECLARED_SIGMA
+from metrocli.diagnosis.wrong_readings import Outlier
+
+_SHOWN = 5
+_DESCRIBED = 4
+"""Most effects with lines of their own; the table lists all"""
+_HIGH_NOISE, _FEW_DOF = 2.0, 30
+"""Noise ratio above which, with fewer degrees of freedom than this, several wrong readings may pass as noise"""
+_USUAL = "a machine or mover that does not return to the same place, a wrong sigma, vibration or turbulence of the air"
+_LEAST_P = 1e-12
+_LEAST_REDUCTION = 0.005
+_HEAD = ("effect", "size", "chance", "or instead", "held-out error", "log score", "changes result by")
+
+
+def of_diagnosis(diagnosis: Diagnosis, extended: Path | None) -> str:
+    """Return the report of a diagnosis."""
+    job, findings = diagnosis.job, diagnosis.findings
+    parts = [[f"verdict: {_headline(diagnosis)}"]]
+    if diagnosis.mistaken is not None:
+        parts.append(list(_mistake(diagnosis)))
+    if findings:
+        together = [_together(diagnosis.together, job)] if diagnosis.together is not None else []
+        parts.append(text_table(_HEAD, [*(_row(finding, job) for finding in findings), *together]))
+    if diagnosis.outliers:
+        parts.append(list(_wrong(diagnosis.outliers)))
+    parts.append([*_structure(diagnosis), *_noise(diagnosis)])
+    parts += [list(_about(finding)) for finding in findings[:_DESCRIBED]]
+    if diagnosis.separate_by:
+        parts.append(["to distinguish them, measure:", *(f"  {words}" for words in diagnosis.separate_by)])
+    if not diagnosis.adjusts:
+        parts.append(
+            ["The job cannot be adjusted with the named effects; their sizes are one-step (linear) estimates."]
+        )
+    if extended is not None:
+        parts.append([f"next: run {extended}, the job extended by the named effects, and diagnose it again"])
+    parts.append(candidate_lines(job, diagnosis.design, [finding.effect for finding in findings]))
+    return "\n\n".join("\n".join(lines) for lines in parts)
+
+
+def _headline(diagnosis: Diagnosis) -> str:
+    """Return the verdict with what limits it: wrong readings, and noise that is not as declared."""
+    noise, count = diagnosis.noise, len(diagnosis.outliers)
+    wrong = f", with {count} wrong reading{'s' if count > 1 else ''}" if count else ""
+    if noise.as_declared or diagnosis.job.declared == "estimated":
+        return f"{diagnosis.verdict}{wrong}"
+    return f"{diagnosis.verdict}{wrong}, but the noise is {noise.ratio:.2g} times what was declared"
+
+
+def of_design(adjusted: AdjustedJob, design: Design) -> str:
+    """Return the report of what a measurement can detect."""
+    lines = ["what this measurement can detect (80 % power, counting everything that is tried):", ""]
+    lines += candidate_lines(adjusted, design, None)
+    alike = [
+        f"  {pair.one} and {pair.other}: "
+        + ("indistinguishable" if pair.alias else f"distinguished from {_size(pair.separable, pair.dimension)} on")
+        for pair in design.pairs
+    ]
+    return "\n".join([*lines, *(["", "hard to distinguish:", *alike] if alike else [])])
+
+
+def _mistake(diagnosis: Diagnosis) -> Iterator[str]:
+    if diagnosis.mistaken is not None:
+        yield "A file of this job is wrong:"
+        yield from (f"  {one}" for one in diagnosis.mistaken.mistakes[:_SHOWN])
+        yield f"write: {diagnosis.mistaken.mistakes[0].write}"
+        yield "All that follows is for the corrected job."
+
+
+def _wrong(outliers: tuple[Outlier, ...]) -> Iterator[str]:
+    """Yield the table of wrong readings, each with those that are as likely to be the wrong one."""
+    rows = [
+        ("/".join(one.keys.values()), f"{one.test:.1f} sigma", _others(one)) for one in outliers[: _SHOWN * _DESCRIBED]
+    ]
+    yield from text_table(("wrong reading", "error", "or instead"), rows)
+    if len(outliers) > len(rows):
+        yield f"... {len(outliers) - len(rows)} more"
+    if all(one.others for one in outliers):
+        yield "These readings do not show which one is wrong: measure them again."
+    else:
+        yield "`outliers: remove` leaves wrong readings out; or measure them again."
+
+
+def _others(one: Outlier) -> str:
+    names = ["/".join(keys.values()) for keys in one.others]
+    return ", ".join(names[:_SHOWN]) + (f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else "")
+
+
+def _structure(diagnosis: Diagnosis) -> Iterator[str]:
+    left = diagnosis.left
+    if diagnosis.findings:
+        yield f"structure before: {_chance(diagnosis.before)}"
+    if left is None:
+        yield f"structure left: none beyond noise ({_chance(diagnosis.after)} for the strongest)"
+        return
+    where = f" in the readings of {', '.join(left.where)}" if left.where else ""
+    size = f", {_size(left.size, diagnosis.job.reading[1])} (root mean square)" if left.size else ""
+    yield f"structure left: {_chance(left.p_value)}, varies with {' and '.join(left.depends_on)}{where}{size}"
+    yield "  No known effect explains it. The standard uncertainties of the result do not include it."
+
+
+def _noise(diagnosis: Diagnosis) -> Iterator[str]:
+    noise, declared = diagnosis.noise, diagnosis.job.declared
+    interval = f"{noise.ratio:.2f} [{noise.low:.2f}, {noise.high:.2f}]"
+    if declared == "estimated":
+        yield f"noise: {interval} times the noise that the job estimates"
+    elif noise.as_declared:
+        yield f"noise: as declared ({interval} times {declared})"
+    else:
+        yield f"noise: {interval} times the declared noise ({declared})"
+        yield "  The result's standard uncertainties are for the declared noise; `noise: estimated` takes the real."
+        if noise.low > 1:
+            yield f"  Usual reasons: {_USUAL}."
+        if noise.low > _HIGH_NOISE and noise.dof < _FEW_DOF:
+            yield f"  With {noise.dof:.0f} degrees of freedom, several wrong readings may pass as noise: measure more."
+    for unit in diagnosis.noisier_units:
+        if unit.key == DECLARED_SIGMA:
+            found = unit.ratio * noise.ratio
+            what = unit.name.removeprefix("prior of ")
+            yield f"  The given values of each {what} are off by {found:.2g} times their sigma: correct the sigma."
+        else:
+            yield f"  {unit.key} {unit.name} is {unit.ratio:.2g} times as noisy as the others."
+
+
+def _about(finding: Finding) -> Iterator[str]:
+    """Yield what the table does not hold of one effect: cause, limits of its name, and what would show more."""
+    name = finding.effect
+    yield f"{name.alternative}: {name.alternative.effect.cause}"
+    if name.held:
+        yield f"  not determined separately, taken as 0: {', '.join(name.held)}"
+        yield f"  to determine them: {name.alternative.effect.reveal}"
+    if finding.other_shape_from < 1:
+        share = f"{units.two_digits(100 * finding.other_shape_from)} %"
+        yield f"  another cause would show if its signature differed by more than {share}"
+    else:
+        yield "  too small for its shape to be checked"
+
+
+def _together(gain: Gain, adjusted: AdjustedJob) -> tuple[str, ...]:
+    before, after = (_error(size, adjusted) for size in (gain.before, gain.after))
+    shown = "" if gain.shown else " (not shown)"
+    return "all together", "", "", "", f"{before} to {after}{shown}", _score(gain), ""
+
+
+def _row(finding: Finding, adjusted: AdjustedJob) -> tuple[str, ...]:
+    name, gain = finding.effect, finding.gain
+    others = [str(rival.alternative) for rival in name.rivals]
+    return (
+        str(name.alternative),
+        ", ".join(_parameters(finding)),
+        _chance(float(np.exp(name.log_level))),
+        ", ".join(others[:_SHOWN]) + (f" and {len(others) - _SHOWN} more" if len(others) > _SHOWN else ""),
+        _reduction(gain),
+        _score(gain),
+        _size(finding.shift, adjusted.delivered.dimension),
+    )
+
+
+def _reduction(gain: Gain) -> str:
+    """Return the change of held-out errors; the log score may gain where it is too small to be stated in percent."""
+    change = "unchanged" if abs(gain.reduction) < _LEAST_REDUCTION else f"{-100 * gain.reduction:+.0f} %"
+    return change if gain.shown else f"{change} (not shown)"
+
+
+def _error(size: float, adjusted: AdjustedJob) -> str:
+    value, unit = units.readable(size, adjusted.reading[1])
+    return f"{value:.3g} {unit}"
+
+
+def _score(gain: Gain) -> str:
+    return f"log score {gain.log_score:+.1f} ± {gain.log_score_std:.1f}"
+
+
+def _parameters(finding: Finding) -> Iterator[str]:
+    for size in finding.sizes:
+        key, dimension = size.parameter.name, size.parameter.dimension
+        if size.std is None:
+            digits, partly = ("6g", "") if size.seen else ("2g", " (not seen)")
+            yield f"{key} {size.value:.{digits}} {size.parameter.unit}{partly}"
+            continue
+        _, symbol = units.readable(size.value, dimension)
+        factor = units.find_unit(symbol, dimension).outside(1.0) if dimension and symbol != "1" else 1.0
+        yield f"{key} = {units.format_quantity(size.value * factor, symbol, size.std * factor)}"
+
+
+def _chance(p: float) -> str:
+    return "p < 1e-12" if p < _LEAST_P else f"p = {p:.2g}"
+
+
+def _size(value: float, dimension: str) -> str:
+    size, symbol = units.readable(value, dimension)
+    return f"{units.two_digits(size)} {symbol}".strip()
