@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.hidden.case import Case, Found, Hidden
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.findings import Diagnosis, Finding
-from metrocli.diagnosis.verdict import spots
+from metrocli.diagnosis.status import spots
 
 
 def found(case: Case) -> Found:

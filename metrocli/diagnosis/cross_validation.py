@@ -82,6 +82,18 @@ def cross_validated(job: AdjustedJob, selection: Selection, names: Sequence[Name
     return [_gain(pairs) for pairs in found]
 
 
+def gain_of_model(
+    job: AdjustedJob, before: tuple[ScoreTests, FittedColumns], after: tuple[ScoreTests, FittedColumns]
+) -> Gain:
+    """Return the gain of a model with more unknowns: the same readings predicted fold by fold in both.
+
+    Rows of the readings have the same numbers in both; what the second has more are priors after them.
+    """
+    rows = _rows_of_folds(job, before[0])
+    folds = (np.flatnonzero(rows == fold) for fold in range(int(rows.max()) + 1))
+    return _gain([(held_out_errors(*before, out), held_out_errors(*after, out)) for out in folds if out.size])
+
+
 def _rows_of_folds(job: AdjustedJob, test_set: ScoreTests) -> Index:
     rows = np.full(test_set.system.rows, -1, dtype=np.intp)
     for group in job.model.readings:

@@ -12,20 +12,23 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.diagnosis.cross_validation import cross_validated
+from metrocli.diagnosis.cross_validation import cross_validated, gain_of_model
 from metrocli.diagnosis.detectability import Design, design, separations
 from metrocli.diagnosis.extended_fit import (
     extended_fit,
     readings_kept,
     relinearised,
+    result_change,
+    result_changes,
     score_tests_after,
     score_tests_of_job,
     sizes,
     weights_of,
+    with_scatter,
 )
-from metrocli.diagnosis.findings import Diagnosis, Finding
+from metrocli.diagnosis.findings import Diagnosis, Finding, Scatter
 from metrocli.diagnosis.linear.candidates import NotTested
-from metrocli.diagnosis.linear.fitted_columns import nothing_fitted
+from metrocli.diagnosis.linear.fitted_columns import FittedColumns, nothing_fitted
 from metrocli.diagnosis.linear.projection import System
 from metrocli.diagnosis.linear.score_tests import ScoreTests
 from metrocli.diagnosis.linear.signatures import signature
@@ -38,6 +41,7 @@ from metrocli.diagnosis.residual_structure import (
     pure_error,
     remaining_structure,
 )
+from metrocli.diagnosis.selection.all_of_a_kind import all_of_a_kind
 from metrocli.diagnosis.selection.confidence_set import NamedEffect, confidence_sets
 from metrocli.diagnosis.selection.refined_scan import refined_scans
 from metrocli.diagnosis.selection.search import continued, search, transferred
@@ -53,6 +57,8 @@ _ROUNDS = 3
 """Largest number of noisier units that are reweighted, one after the other"""
 _SEARCHES = 5
 """Largest number of searches; each follows an adjustment with the effects that dominated the previous one"""
+_KINDS = 2
+"""Largest number of effects that act at all places of a kind"""
 _SEED = 20
 
 
@@ -62,11 +68,14 @@ def diagnose(job: AdjustedJob, say: Say = lambda line: None) -> Diagnosis:
     Raises UndeterminedError if the unknowns use up all readings.
     """
     say("looking for structure")
-    searched = _search_about_solution(job, say)
+    searched = first = _search_about_solution(job, say)
+    job, searched, scatters = _with_scatters(job, searched, say)
     names = confidence_sets(searched.selection)
     say("cross-validating: predicting parts of the readings from the others")
     gains = cross_validated(searched.job, searched.selection, names) if names else []
-    fit = extended_fit(job, names, readings_kept(searched.selection)) if names else None
+    kept = readings_kept(searched.selection)
+    fit = extended_fit(job, names, kept) if names else None
+    shifts = result_changes(job, names, fit, kept)
     tests, fitted = score_tests_after(fit, searched.selection, searched.units, np.random.default_rng(_SEED))
     structure, level = remaining_structure(searched.selection, names, tests, fitted)
     repeats = pure_error(job, tests.system, fitted)
@@ -84,20 +93,46 @@ def diagnose(job: AdjustedJob, say: Say = lambda line: None) -> Diagnosis:
                 name,
                 sizes(job, name),
                 gain,
-                _shift(searched.job, searched.tests.system, name),
+                _linear_change(searched.job, searched.tests.system, name) if shift is None else shift,
                 other_shape_from(name, tests, noise.ratio),
             )
-            for name, gain in zip(names, gains, strict=False)
+            for name, gain, shift in zip(names, gains, shifts, strict=False)
         ),
         left=structure,
-        before=float(np.exp(log_level_of_strongest(searched.tests, nothing_fitted(searched.tests.system)))),
+        before=float(np.exp(log_level_of_strongest(first.tests, nothing_fitted(first.tests.system)))),
         after=level,
         design=design(searched.job, searched.tests, searched.not_tested, noise.ratio),
         separate_by=_separate(job, names),
         adjusts=fit is not None or not names,
         together=gains[-1] if len(names) > 1 else None,
         repeats=repeats,
+        scatters=scatters,
     )
+
+
+def _with_scatters(
+    job: AdjustedJob, searched: _Searched, say: Say
+) -> tuple[AdjustedJob, _Searched, tuple[Scatter, ...]]:
+    """Return the job and the search with effects at all places of a kind in the model, where these explain more."""
+    scatters: list[Scatter] = []
+    while len(scatters) < _KINDS:
+        found = all_of_a_kind(searched.selection)
+        wider = None if found is None else with_scatter(job, found, readings_kept(searched.selection))
+        if found is None or wider is None:
+            break
+        say(f"adjusting with {found.effect.name} at every {found.effect.keys[0]}")
+        after = _search_about_solution(wider, say)
+        gain = gain_of_model(job, _others(searched, found.effect.name), _others(after))
+        scatters.append(Scatter(found, gain, result_change(job, wider)))
+        job, searched = wider, after
+    return job, searched, tuple(scatters)
+
+
+def _others(searched: _Searched, name: str = "") -> tuple[ScoreTests, FittedColumns]:
+    """Return the fit of what was selected, without smooth terms and without the effects of a name."""
+    selection = searched.selection
+    own = [one for one in selection.named if selection.test_set.families[one.family].name == name]
+    return selection.test_set, selection.fitted(without=[*own, *selection.unknown])
 
 
 @dataclass(frozen=True)
@@ -190,8 +225,8 @@ def _joined(units: Sequence[Unit]) -> tuple[Unit, ...]:
     return tuple(found.values())
 
 
-def _shift(job: AdjustedJob, system: System, name: NamedEffect) -> float:
-    """Return the largest change of the delivered result when an effect is taken into the model."""
+def _linear_change(job: AdjustedJob, system: System, name: NamedEffect) -> float:
+    """Return the largest change of the delivered result by an effect, to first order."""
     alternative = name.alternative
     full = signature(job.model, system, alternative.effect, alternative.instance, dict(alternative.scanned))
     shift = system.shifts((full @ name.values)[:, None], job.delivered.blocks, job.delivered.columns)

@@ -20,11 +20,15 @@ from metrocli.diagnosis.linear.score_tests import ScoreTests, score_tests_of
 from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.linear.smooth_terms import smooth_families
 from metrocli.diagnosis.noise import Unit, reweighted
+from metrocli.diagnosis.selection.all_of_a_kind import AllOfAKind
 from metrocli.diagnosis.selection.confidence_set import NamedEffect
 from metrocli.diagnosis.selection.selection_state import Selection
 from metrocli.effects.effect import Parameter
-from metrocli.effects.extension import with_effect
+from metrocli.effects.extension import with_effect, with_effect_everywhere
 from metrocli.effects.model import Added, Model
+
+_MOST_ADJUSTED = 6
+"""Largest number of effects without each of which the extended job is adjusted"""
 
 
 def score_tests_of_job(
@@ -116,12 +120,47 @@ def sizes(job: AdjustedJob, name: NamedEffect) -> tuple[Size, ...]:
 
 def extended_fit(job: AdjustedJob, names: Sequence[NamedEffect], kept: Mapping[str, Mask]) -> AdjustedJob | None:
     """Return the job with the named effects in its model, adjusted to the kept readings; None if that fails."""
-    model = extended_model(job, names)
+    return _refitted(job, extended_model(job, names), kept)
+
+
+def _refitted(job: AdjustedJob, model: Model, kept: Mapping[str, Mask]) -> AdjustedJob | None:
     solution = job.refit(model, kept)
     if not solution.outcome.good:
         return None
     blocks = {name: block.with_values(solution.blocks[name].values) for name, block in model.blocks.items()}
     return replace(job, model=model.with_blocks(blocks))
+
+
+def with_scatter(job: AdjustedJob, found: AllOfAKind, kept: Mapping[str, Mask]) -> AdjustedJob | None:
+    """Return the job with an effect at all its places in its model, adjusted to the kept readings; None if it fails."""
+    return _refitted(job, with_effect_everywhere(job.model, found.effect, found.std), kept)
+
+
+def result_change(job: AdjustedJob, other: AdjustedJob) -> float:
+    """Return the largest change of a delivered member between two adjustments of a job."""
+    columns = list(job.delivered.columns)
+    moved = [
+        other.model.blocks[name].values[:, columns] - job.model.blocks[name].values[:, columns]
+        for name in job.delivered.blocks
+    ]
+    return float(np.linalg.norm(np.concatenate(moved), axis=1).max(initial=0.0))
+
+
+def result_changes(
+    job: AdjustedJob, names: Sequence[NamedEffect], fit: AdjustedJob | None, kept: Mapping[str, Mask]
+) -> list[float | None]:
+    """Return the change of the delivered result by each effect: the adjusted extended job with it and without it.
+
+    None where an adjustment fails, or for more effects than are adjusted one by one.
+    """
+    if fit is None or len(names) > _MOST_ADJUSTED:
+        return [None] * len(names)
+    found: list[float | None] = []
+    for name in names:
+        others = [other for other in names if other is not name]
+        without = extended_fit(job, others, kept) if others else _refitted(job, job.model, kept)
+        found.append(None if without is None else result_change(without, fit))
+    return found
 
 
 def relinearised(job: AdjustedJob, names: Sequence[NamedEffect], adjusted: AdjustedJob) -> AdjustedJob:

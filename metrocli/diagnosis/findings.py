@@ -17,6 +17,7 @@ from metrocli.diagnosis.residual_structure import (
     PureError,
     RemainingStructure,
 )
+from metrocli.diagnosis.selection.all_of_a_kind import AllOfAKind
 from metrocli.diagnosis.selection.confidence_set import NamedEffect
 from metrocli.diagnosis.wrong_readings import Outlier
 
@@ -50,6 +51,16 @@ class Finding:
 
 
 @dataclass(frozen=True)
+class Scatter:
+    """An effect that acts at all its places, with sizes that scatter about 0."""
+
+    found: AllOfAKind
+    gain: Gain
+    shift: float
+    """Largest change of the delivered result when it is taken into the model"""
+
+
+@dataclass(frozen=True)
 class Diagnosis:
     """The findings about the model of a job."""
 
@@ -71,6 +82,8 @@ class Diagnosis:
     """Gain of all named effects together, if there are several"""
     repeats: PureError | None = None
     """The noise found from repeated readings, if there are any"""
+    scatters: tuple[Scatter, ...] = ()
+    """Effects at all places of a kind; all other findings are beside them"""
     mistaken: Mistaken | None = None
     """A mistake in the files; all other findings are those of the job without it"""
 
@@ -82,5 +95,5 @@ class Diagnosis:
         if self.left is not None:
             return Verdict.UNEXPLAINED
         if not self.findings:
-            return Verdict.CLEAN
+            return Verdict.EXPLAINED if self.scatters else Verdict.CLEAN
         return Verdict.INDISTINCT if any(one.effect.rivals for one in self.findings) else Verdict.EXPLAINED

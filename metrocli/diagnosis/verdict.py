@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from enum import StrEnum
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -12,31 +11,15 @@ from metrocli import units
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.cross_validation import Gain
 from metrocli.diagnosis.detectability import Candidate, Design, WrongReading
-from metrocli.diagnosis.findings import Diagnosis, Finding
+from metrocli.diagnosis.findings import Diagnosis, Finding, Scatter
 from metrocli.diagnosis.hidden_change import POWER, HiddenChange
 from metrocli.diagnosis.linear.candidates import Alternative
 from metrocli.diagnosis.mistakes import Mistaken
 from metrocli.diagnosis.residual_structure import RemainingStructure
 from metrocli.diagnosis.selection.confidence_set import NamedEffect, Rival
+from metrocli.diagnosis.status import UNCHECKED, Status, reason, status, usual_seen
 from metrocli.diagnosis.wrong_readings import Outlier
 from metrocli.effects.effect import Effect
-
-
-class Status(StrEnum):
-    """What a diagnosis concludes on a candidate effect."""
-
-    NAMED = "named"
-    EXCLUDED = "excluded"
-    """Not found, although one of the largest usual size would have been (power at least 80 %)"""
-    CANNOT_SEE = "cannot-see"
-    """Its smallest detectable size is larger than usual"""
-    NOT_TESTABLE = "not-testable"
-    """The unknowns of the job absorb it"""
-    NOT_TESTED = "not-tested"
-    """A column is missing"""
-
-
-UNCHECKED = "no reading is checked by the others"
 
 
 def as_data(diagnosis: Diagnosis) -> dict[str, Any]:
@@ -54,7 +37,10 @@ def as_data(diagnosis: Diagnosis) -> dict[str, Any]:
         },
         "mistake": None if diagnosis.mistaken is None else _correction(diagnosis.mistaken),
         "outliers": [_outlier(one) for one in diagnosis.outliers],
-        "effects": [_effect(diagnosis.job, finding) for finding in diagnosis.findings],
+        "effects": [
+            *(_scatter(diagnosis.job, one) for one in diagnosis.scatters),
+            *(_effect(diagnosis.job, finding) for finding in diagnosis.findings),
+        ],
         "together": None if diagnosis.together is None else _gain(diagnosis.together, diagnosis.job),
         "structure": {"before": diagnosis.before, "after": diagnosis.after},
         "unexplained": None if left is None else _left(diagnosis.job, left),
@@ -90,6 +76,21 @@ def _effect(job: AdjustedJob, finding: Finding) -> dict[str, Any]:
 
 def _outlier(one: Outlier) -> dict[str, Any]:
     return {"observation": dict(one.keys), "or": [dict(other) for other in one.others], "w": one.test}
+
+
+def _scatter(job: AdjustedJob, one: Scatter) -> dict[str, Any]:
+    """Return an effect at all places of a kind: one entry without a place, with the standard deviation of its sizes."""
+    effect = one.found.effect
+    return {
+        "name": effect.name,
+        "where": {},
+        "parameters": {"std": {"value": one.found.std, "std": one.found.spread, "unit": effect.parameters[0].unit}},
+        "p_value": float(np.exp(one.found.log_level)),
+        "alternatives": [],
+        "instead_of": list(one.found.instead_of),
+        "other_shape_from": None,
+        "gain": _gain(one.gain, job) | {"result_shift": _delivered(job, one.shift)},
+    }
 
 
 def _where(alternative: Alternative) -> dict[str, str]:
@@ -147,20 +148,6 @@ def _delivered(job: AdjustedJob, value: float) -> dict[str, Any]:
     return {"what": job.delivered.what, "value": unit.outside(value), "unit": unit.symbol}
 
 
-def status(candidate: Candidate, named: Iterable[NamedEffect]) -> str:
-    """Return the status of a candidate; one in the confidence set of a named effect counts as named."""
-    if any(candidate.alternative.spot in spots(name) for name in named):
-        return Status.NAMED
-    if not candidate.testable:
-        return Status.NOT_TESTABLE
-    return Status.EXCLUDED if candidate.detectable <= candidate.plausible else Status.CANNOT_SEE
-
-
-def spots(name: NamedEffect) -> set[tuple[str, tuple[str, ...]]]:
-    """Return cause and place of a named effect and of all its rivals."""
-    return {name.alternative.spot, *(rival.alternative.spot for rival in name.rivals)}
-
-
 def candidates(job: AdjustedJob, design: Design, named: Iterable[NamedEffect]) -> list[dict[str, Any]]:
     """Return all candidates as plain data, tested or not."""
     names = list(named)
@@ -208,39 +195,6 @@ def _sizes(candidate: Candidate) -> dict[str, Any]:
     }
 
 
-def usual_seen(candidate: Candidate) -> bool | Literal["part"] | None:
-    """Return whether effects of usual sizes are detected; None if the usual sizes are not known."""
-    usual = candidate.alternative.effect.usual_sizes
-    if usual is None:
-        return None
-    if candidate.detectable <= usual[0]:
-        return True
-    return "part" if candidate.detectable <= usual[1] else False
-
-
-def reason(candidate: Candidate, word: str) -> str:
-    """Return the reason for a candidate's status, in words."""
-    effect = candidate.alternative.effect
-    dimension = effect.parameters[0].dimension
-    plausible, at = units.readable(candidate.plausible, dimension)
-    if word == Status.NOT_TESTABLE:
-        return f"absorbed by {', '.join(candidate.absorbed_by)}; `hides` is for {plausible:.3g} {at}".rstrip()
-    size, unit = units.readable(candidate.detectable, dimension)
-    if word == Status.CANNOT_SEE:
-        return f"detected from {size:.3g} {unit} on; {seen_in_words(candidate)}"
-    return "" if word == Status.NAMED else f"excluded above {size:.3g} {unit}; {seen_in_words(candidate)}"
-
-
-def seen_in_words(candidate: Candidate) -> str:
-    """Return in words how far the usual sizes of a candidate are detected."""
-    usual = candidate.alternative.effect.usual
-    if not usual:
-        size, unit = units.readable(candidate.plausible, candidate.dimension)
-        return f"larger than {size:.3g} {unit} is not plausible".replace(" ,", ",")
-    found = {True: "are", "part": "are in part", False: "are not"}[usual_seen(candidate) or False]
-    return f"usual sizes ({usual}) {found} seen"
-
-
 def _open(effect: Effect, where: Mapping[str, str], word: str, reason: str) -> dict[str, Any]:
     return {
         "name": effect.name,
@@ -262,6 +216,12 @@ def alike(design: Design) -> list[dict[str, Any]]:
         }
         for pair in design.pairs
     ]
+
+
+def scatter_as_job(one: Scatter) -> Mapping[str, str]:
+    """Return the entry of an effect at all places of a kind in a job."""
+    effect = one.found.effect
+    return {"name": effect.name, "std": _written(float(f"{one.found.std:.3g}"), effect.parameters[0].unit)}
 
 
 def as_job(name: NamedEffect) -> Mapping[str, str]:

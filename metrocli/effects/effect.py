@@ -108,6 +108,18 @@ class Effect:
         """Kinds of place that a job names for it: all of `where` but `by`."""
         return tuple(key for key in self.where if key != "by")
 
+    @property
+    def common(self) -> Parameter | None:
+        """The standard deviation of its parameters if it can act at all places of one kind at once, else None.
+
+        Each place then has sizes of its own that scatter about 0: all targets of a printed list are off, or all poses.
+        """
+        first = self.parameters[0]
+        alike = all(p.dimension == first.dimension for p in self.parameters)
+        if self.link is None or len(self.keys) != 1 or self.scanned or self.of_one_reading or self.turns or not alike:
+            return None
+        return Parameter("std", first.dimension, first.plausible)
+
     def needed(self, where: Mapping[str, str]) -> tuple[str, ...]:
         """Return the names of the conditions that it needs at a place."""
         return tuple(name.format(**where) for name in self.needs)

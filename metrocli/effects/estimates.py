@@ -44,7 +44,7 @@ def estimates(added: Sequence[Added], solution: Adjusted) -> tuple[Estimate, ...
     If several effects share a label, the second is named `dead-path-jump.LT2 2.step` and so on, as in /effects.
     """
     found = []
-    for label, one in _labelled(_own(added)):
+    for label, one in _labelled(one for one in _own(added) if not one.std):
         block, std = solution.blocks[one.block], solution.std(one.block)
         for at, p in enumerate(one.effect.parameters):
             if p.name in one.columns:
@@ -68,14 +68,17 @@ def true_values(model: Model) -> dict[str, float]:
     """Return the true parameters of all effects in a simulated model, by the names of their estimates."""
     return {
         f"{label}.{p.name}": float(model.blocks[one.block].values[-1, model.blocks[one.block].column(p.name)])
-        for label, one in _labelled(model.added)
+        for label, one in _labelled(one for one in model.added if not one.std)
         for p in one.effect.all_parameters
     }
 
 
 def free_blocks(added: Sequence[Added]) -> tuple[str, ...]:
-    """Return the names of the blocks that belong to effects, for the covariance of all estimates (`Solution.joint`)."""
-    return tuple(one.block for one in _own(added))
+    """Return the names of the blocks that belong to effects, for the covariance of all estimates (`Solution.joint`).
+
+    Effects at all places of a kind have no estimates, only a table in /effects.
+    """
+    return tuple(one.block for one in _own(added) if not one.std)
 
 
 def tables(added: Sequence[Added], solution: Adjusted) -> tuple[dict[str, Table], dict[str, Array]]:
@@ -84,6 +87,9 @@ def tables(added: Sequence[Added], solution: Adjusted) -> tuple[dict[str, Table]
     arrays: dict[str, Array] = {}
     for label, one in _labelled(added):
         block = solution.blocks[one.block]
+        if one.std:
+            found[f"effects/{label}/parameters"] = _everywhere(one, block, solution.std(one.block))
+            continue
         chosen = [block.column(p.name) for p in one.effect.all_parameters]
         row = len(block.members) - 1
         places = row * block.size + np.array(chosen)
@@ -98,6 +104,21 @@ def tables(added: Sequence[Added], solution: Adjusted) -> tuple[dict[str, Table]
         }
         found[f"effects/{label}/parameters"], arrays[f"effects/{label}/covariance"] = Table(columns), covariance
     return found, arrays
+
+
+def _everywhere(one: Added, block: Block, std: Array) -> Table:
+    """Return the parameters of an effect that acts at all places, place by place."""
+    count, names = len(block.members) - 1, [p.name for p in one.effect.parameters]
+    chosen = [block.column(name) for name in names]
+    columns = {
+        one.effect.keys[0]: np.repeat(np.array(block.members[1:]), len(names)),
+        "name": np.tile(np.array(names), count),
+        "value": block.values[1:, chosen].ravel(),
+        "std": std[1:, chosen].ravel(),
+        "unit": np.tile(np.array([p.unit for p in one.effect.parameters]), count),
+        "estimated": np.ones(count * len(names), dtype=bool),
+    }
+    return Table(columns)
 
 
 def _own(added: Sequence[Added]) -> list[Added]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from itertools import chain, count
+from itertools import chain, count, product
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from metrocli.adjust.datum import turning
 from metrocli.adjust.iterated_weights import with_aspects
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.chain import Chain, Link
-from metrocli.adjust.model.groups import Group
+from metrocli.adjust.model.groups import Group, prior
 from metrocli.adjust.model.observations import Index
 from metrocli.effects.effect import COLUMN, ELAPSED, WARMING, Effect
 from metrocli.effects.model import Added, Model
@@ -40,7 +40,9 @@ def extended(model: Model, wanted: Iterable[Wanted]) -> Model:
     for one in wanted:
         own = _misplaced(model, one)
         effect = None if own else _form(model, one)
-        if effect is not None:
+        if effect is not None and one.std:
+            model = with_effect_everywhere(model, effect, one.std)
+        elif effect is not None:
             values = {key: _number(model, effect, key, value) for key, value in one.values.items()}
             model = with_effect(model, effect, [tuple(one.where[key] for key in effect.keys)], values)
         elif not own:
@@ -123,7 +125,25 @@ def with_effect(
     return replace(model, blocks=blocks, groups=groups, datum=datum, added=(*model.added, added))
 
 
+def with_effect_everywhere(model: Model, effect: Effect, std: float) -> Model:
+    """Return the model with an effect at all its places, each with estimated sizes that scatter about 0 by `std`."""
+    model = with_effect(model, effect, places_of(model, effect), {})
+    added = replace(model.added[-1], std=std)
+    block = model.blocks[added.block]
+    members = np.arange(1, len(block.members))
+    scatter = prior(block, members, np.full((len(members), len(effect.parameters)), std))
+    return replace(model, groups=(*model.groups, scatter), added=(*model.added[:-1], added))
+
+
+def places_of(model: Model, effect: Effect) -> list[tuple[str, ...]]:
+    """Return all places at which an effect can act."""
+    everywhere = product(*(names_for(model, effect, key) for key in effect.keys))
+    return [place for place in everywhere if can_act(model, effect, dict(zip(effect.keys, place, strict=True)))]
+
+
 def _form(model: Model, wanted: Wanted) -> Effect | None:
+    if wanted.std:
+        return next((effect for effect in wanted.forms if places_of(model, effect)), None)
     return next((effect for effect in wanted.forms if can_act(model, effect, wanted.where)), None)
 
 

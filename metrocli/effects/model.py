@@ -31,6 +31,8 @@ class Added:
     block: str
     columns: tuple[str, ...]
     """Names of its estimated parameters"""
+    std: float = 0.0
+    """Standard deviation of its sizes at all places of its kind; 0 if nothing is known of its sizes"""
 
     @property
     def label(self) -> str:

@@ -42,6 +42,8 @@ class Wanted:
     """Given parameters, by name: numbers in internal units, or names of places"""
     node: Node
     """Its position in the job file or command line, for messages"""
+    std: float = 0.0
+    """Standard deviation of the parameters at all places of its kind; 0 if it acts at one place"""
 
     @property
     def name(self) -> str:
@@ -54,7 +56,12 @@ class Wanted:
         An effect with a given value and one that is estimated in addition to it are not duplicates.
         """
         alike = [form.by for form in self.forms] == [form.by for form in other.forms]
-        return alike and (self.name, self.where, self.values) == (other.name, other.where, other.values)
+        return alike and (self.name, self.where, self.values, self.std) == (
+            other.name,
+            other.where,
+            other.values,
+            other.std,
+        )
 
 
 def read(table: Sequence[Effect], nodes: Sequence[Node], faults: list[Fault]) -> tuple[Wanted, ...]:
@@ -78,6 +85,8 @@ def _read(table: Sequence[Effect], node: Node, faults: list[Fault]) -> Wanted | 
         hint = suggestion(name.text, names) if names else "no effects are known for this kind of job"
         faults.append(name.fault(f"unknown effect '{name.text}'", hint))
         return None
+    if node.get("std") is not None and any(effect.common for effect in known):
+        return _at_all_places([effect for effect in known if effect.common], node, faults)
     attempts = [(effect, _as(effect, node)) for effect in known]
     fitting = [(effect, values) for effect, (values, wrong) in attempts if not wrong]
     if not fitting:
@@ -86,6 +95,24 @@ def _read(table: Sequence[Effect], node: Node, faults: list[Fault]) -> Wanted | 
         return None
     where = {key: fitting[0][1].pop(key) for key in fitting[0][0].where if key != "by"}
     return Wanted(tuple(effect for effect, _ in fitting), where, fitting[0][1], node)
+
+
+def _at_all_places(forms: Sequence[Effect], node: Node, faults: list[Fault]) -> Wanted | None:
+    """Return an effect with sizes of its own at every place: {name, std}."""
+    (key,), spec = forms[0].keys, forms[0].common
+    for written, _ in node.entries:
+        if written.text not in ("name", "std"):
+            hint = f"with `std` the effect acts at every {key}, each with sizes of its own: leave '{written.text}' out"
+            faults.append(written.fault(f"{forms[0].name}: '{written.text}' beside 'std'", hint))
+            return None
+    below = node.get("std")
+    std: Any = BAD if spec is None or below is None else spec.spec.read(below, faults)
+    if std is BAD:
+        return None
+    if not std > 0:
+        faults.append(node.fault(f"{forms[0].name}: std is not above zero", "write std: a standard deviation"))
+        return None
+    return Wanted(tuple(forms), {}, {}, node, float(std))
 
 
 def _as(effect: Effect, node: Node) -> tuple[dict[str, Any], list[Fault]]:
@@ -133,7 +160,19 @@ def schema(table: Sequence[Effect]) -> Schema:
     """Return the JSON schema of `effects:` for a kind of job with this table."""
     if not table:
         return {"type": "array", "maxItems": 0}
-    return {"type": "array", "items": {"anyOf": [_schema(effect) for effect in table]}}
+    shapes = [_schema(effect) for effect in table] + [_common_schema(effect) for effect in table if effect.common]
+    return {"type": "array", "items": {"anyOf": shapes}}
+
+
+def _common_schema(effect: Effect) -> Schema:
+    name = {"const": effect.name, "description": f"at every {effect.keys[0]}: {effect.cause}"}
+    std = effect.common.spec.schema() if effect.common else {}
+    return {
+        "type": "object",
+        "properties": {"name": name, "std": std},
+        "required": ["name", "std"],
+        "additionalProperties": False,
+    }
 
 
 def _schema(effect: Effect) -> Schema:

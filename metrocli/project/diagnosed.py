@@ -13,7 +13,7 @@ from metrocli.diagnosis.detectability import Design
 from metrocli.diagnosis.diagnose import diagnose, what_can_be_seen
 from metrocli.diagnosis.findings import Diagnosis
 from metrocli.diagnosis.mistakes import without_mistakes
-from metrocli.diagnosis.verdict import as_job
+from metrocli.diagnosis.verdict import as_job, scatter_as_job
 from metrocli.errors import Fault, InputError, UsageError
 from metrocli.formats.aside import written_aside
 from metrocli.nodes import Node
@@ -77,10 +77,11 @@ def write_extended(job: JobFile, diagnosis: Diagnosis, path: Path | None = None)
     Returns None if no effect was named. Parameters that the readings do not determine separately are 0. In another
     folder, the relative paths of the inputs are changed to lead to the same files.
     """
-    if not diagnosis.findings:
+    if not diagnosis.findings and not diagnosis.scatters:
         return None
     path = path or job.file.with_name(f"{job.file.stem}.extended.yaml")
-    new = [_node(job, as_job(finding.effect)) for finding in diagnosis.findings]
+    named = [*map(scatter_as_job, diagnosis.scatters), *(as_job(one.effect) for one in diagnosis.findings)]
+    new = [_node(job, entry) for entry in named]
     _refuse_foreign(path)
     text = f"# {job.file.name}{_NAMED}\n" + yaml_text.emit(_extended(job, new, path.parent))
     with written_aside(path) as aside:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from metrocli import units
 from metrocli.cli.diagnosis_report.text_table import text_table
-from metrocli.diagnosis import verdict
+from metrocli.diagnosis import status
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.detectability import Candidate, Design, WrongReading
 from metrocli.diagnosis.hidden_change import HiddenChange
@@ -24,13 +24,13 @@ def candidate_lines(adjusted: AdjustedJob, design: Design, named: Sequence[Named
     """
     rows: dict[tuple[str, str], list[Candidate]] = {}
     for candidate in design.candidates:
-        word = str(verdict.status(candidate, named or ()))
-        word = "detectable" if named is None and word == verdict.Status.EXCLUDED else word
+        word = str(status.status(candidate, named or ()))
+        word = "detectable" if named is None and word == status.Status.EXCLUDED else word
         rows.setdefault((candidate.alternative.effect.name, word), []).append(candidate)
     lines = [_line(adjusted, name, word, found) for (name, word), found in rows.items()]
     lines += [_of_readings(adjusted, one, named is None) for one in design.readings]
     lines += [
-        (one.effect.name, " ".join(one.where.values()), str(verdict.Status.NOT_TESTED), "", "", one.reason)
+        (one.effect.name, " ".join(one.where.values()), str(status.Status.NOT_TESTED), "", "", one.reason)
         for one in design.not_tested
     ]
     return text_table(_HEAD, lines)
@@ -42,10 +42,10 @@ def _line(adjusted: AdjustedJob, name: str, word: str, found: Sequence[Candidate
     effect = found[0].alternative.effect
     sizes = [one.detectable for one in found if one.testable]
     why = ""
-    if word == verdict.Status.NOT_TESTABLE:
+    if word == status.Status.NOT_TESTABLE:
         size = _size(found[0].plausible, effect.parameters[0].dimension)
         why = f"absorbed by {', '.join(found[0].absorbed_by)}; off by this if its size is {size}"
-    seen = {verdict.usual_seen(one) for one in found}
+    seen = {status.usual_seen(one) for one in found}
     usual = f"{effect.usual}: {_SEEN[seen.pop() if len(seen) == 1 else 'part']}" if effect.usual else ""
     most = max((one.hides for one in found), key=lambda hidden: hidden.size)
     return name, where, _status(word, sizes, effect.parameters[0].dimension), usual, _hidden(adjusted, most), why
@@ -55,16 +55,16 @@ def _status(word: str, sizes: Sequence[float], dimension: str) -> str:
     """Return the status with the sizes from which effects are detected."""
     if not sizes:
         return word
-    between = {str(verdict.Status.EXCLUDED): "above", "detectable": "from"}
-    return f"{word} {between.get(word, 'below')} {_span(min(sizes), max(sizes), dimension)}"
+    between = {str(status.Status.EXCLUDED): "above", str(status.Status.CANNOT_SEE): "below", "detectable": "from"}
+    return f"{word} {between[word]} {_span(min(sizes), max(sizes), dimension)}" if word in between else word
 
 
 def _of_readings(adjusted: AdjustedJob, wrong: WrongReading, open_yet: bool) -> tuple[str, ...]:
     name = wrong.effect.name
     if not wrong.testable:
-        return name, "one reading", str(verdict.Status.NOT_TESTABLE), "", "", verdict.UNCHECKED
+        return name, "one reading", str(status.Status.NOT_TESTABLE), "", "", status.UNCHECKED
     size = _size(wrong.detectable, wrong.effect.parameters[0].dimension)
-    word = f"detectable from {size}" if open_yet else f"{verdict.Status.EXCLUDED} above {size}"
+    word = f"detectable from {size}" if open_yet else f"{status.Status.EXCLUDED} above {size}"
     return name, "one reading", word, "", _hidden(adjusted, wrong.hides), "larger ones are listed as wrong readings"
 
 

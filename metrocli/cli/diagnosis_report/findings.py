@@ -13,7 +13,8 @@ from metrocli.cli.diagnosis_report.text_table import text_table
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.cross_validation import Gain
 from metrocli.diagnosis.detectability import Design
-from metrocli.diagnosis.findings import Diagnosis, Finding
+from metrocli.diagnosis.extended_fit import Size
+from metrocli.diagnosis.findings import Diagnosis, Finding, Scatter
 from metrocli.diagnosis.noise import DECLARED_SIGMA
 from metrocli.diagnosis.wrong_readings import Outlier
 
@@ -34,12 +35,14 @@ def of_diagnosis(diagnosis: Diagnosis, extended: Path | None) -> str:
     parts = [[f"verdict: {_headline(diagnosis)}"]]
     if diagnosis.mistaken is not None:
         parts.append(list(_mistake(diagnosis)))
-    if findings:
+    if findings or diagnosis.scatters:
         together = [_together(diagnosis.together, job)] if diagnosis.together is not None else []
-        parts.append(text_table(_HEAD, [*(_row(finding, job) for finding in findings), *together]))
+        rows = [*(_row_of_scatter(one, job) for one in diagnosis.scatters), *(_row(one, job) for one in findings)]
+        parts.append(text_table(_HEAD, [*rows, *together]))
     if diagnosis.outliers:
         parts.append(list(_wrong(diagnosis.outliers)))
     parts.append([*_structure(diagnosis), *_noise(diagnosis)])
+    parts += [list(_about_scatter(one)) for one in diagnosis.scatters]
     parts += [list(_about(finding)) for finding in findings[:_DESCRIBED]]
     if diagnosis.separate_by:
         parts.append(["to distinguish them, measure:", *(f"  {words}" for words in diagnosis.separate_by)])
@@ -103,7 +106,7 @@ def _others(one: Outlier) -> str:
 
 def _structure(diagnosis: Diagnosis) -> Iterator[str]:
     left = diagnosis.left
-    if diagnosis.findings:
+    if diagnosis.findings or diagnosis.scatters:
         yield f"structure before: {_chance(diagnosis.before)}"
     if left is None:
         yield f"structure left: none beyond noise ({_chance(diagnosis.after)} for the strongest)"
@@ -151,6 +154,31 @@ def _about(finding: Finding) -> Iterator[str]:
         yield "  too small for its shape to be checked"
 
 
+def _about_scatter(one: Scatter) -> Iterator[str]:
+    effect, key = one.found.effect, one.found.effect.keys[0]
+    yield f"{effect.name} at every {key} ({one.found.places}): {effect.cause}"
+    yield f"  one scatter of all explains more than {len(one.found.instead_of)} of them one by one: {_listed(one)}"
+
+
+def _listed(one: Scatter) -> str:
+    names = one.found.instead_of
+    return ", ".join(names[:_SHOWN]) + (f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else "")
+
+
+def _row_of_scatter(one: Scatter, adjusted: AdjustedJob) -> tuple[str, ...]:
+    effect = one.found.effect
+    std = Size(effect.common or effect.parameters[0], one.found.std, one.found.spread)
+    return (
+        f"{effect.name} at every {effect.keys[0]}",
+        _parameter(std),
+        _chance(float(np.exp(one.found.log_level))),
+        "",
+        _reduction(one.gain),
+        _score(one.gain),
+        _size(one.shift, adjusted.delivered.dimension),
+    )
+
+
 def _together(gain: Gain, adjusted: AdjustedJob) -> tuple[str, ...]:
     before, after = (_error(size, adjusted) for size in (gain.before, gain.after))
     shown = "" if gain.shown else " (not shown)"
@@ -187,15 +215,17 @@ def _score(gain: Gain) -> str:
 
 
 def _parameters(finding: Finding) -> Iterator[str]:
-    for size in finding.sizes:
-        key, dimension = size.parameter.name, size.parameter.dimension
-        if size.std is None:
-            digits, partly = ("6g", "") if size.seen else ("2g", " (not seen)")
-            yield f"{key} {size.value:.{digits}} {size.parameter.unit}{partly}"
-            continue
-        _, symbol = units.readable(size.value, dimension)
-        factor = units.find_unit(symbol, dimension).outside(1.0) if dimension and symbol != "1" else 1.0
-        yield f"{key} = {units.format_quantity(size.value * factor, symbol, size.std * factor)}"
+    yield from (_parameter(size) for size in finding.sizes)
+
+
+def _parameter(size: Size) -> str:
+    key, dimension = size.parameter.name, size.parameter.dimension
+    if size.std is None:
+        digits, partly = ("6g", "") if size.seen else ("2g", " (not seen)")
+        return f"{key} {size.value:.{digits}} {size.parameter.unit}{partly}"
+    _, symbol = units.readable(size.value, dimension)
+    factor = units.find_unit(symbol, dimension).outside(1.0) if dimension and symbol != "1" else 1.0
+    return f"{key} = {units.format_quantity(size.value * factor, symbol, size.std * factor)}"
 
 
 def _chance(p: float) -> str:

@@ -16,7 +16,7 @@ from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.linear.projection import System
 from metrocli.diagnosis.linear.signatures import scan
 from metrocli.effects.effect import Effect
-from metrocli.effects.extension import can_act, lacking, names_for
+from metrocli.effects.extension import can_act, lacking, names_for, places_of
 from metrocli.effects.model import Model
 
 _MOST_PLACES = 3000
@@ -130,9 +130,7 @@ def _untestable(model: Model, effect: Effect) -> list[NotTested]:
 
 def instances(model: Model, effect: Effect) -> list[tuple[str, ...]]:
     """Return all places where an effect could act."""
-    return [
-        place for place in _places(model, effect) if can_act(model, effect, dict(zip(effect.keys, place, strict=True)))
-    ]
+    return places_of(model, effect)[:_MOST_PLACES]
 
 
 def _places(model: Model, effect: Effect) -> list[tuple[str, ...]]:
@@ -183,7 +181,8 @@ def _absent(model: Model, effect: Effect) -> list[tuple[str, ...]]:
 
     Effects with scanned parameters can act at a place more than once.
     """
-    added = [one for one in model.added if (one.effect.name, one.effect.by) == (effect.name, effect.by) and one.columns]
+    same = [one for one in model.added if (one.effect.name, one.effect.by) == (effect.name, effect.by)]
+    added = [one for one in same if one.columns and not one.std]
     there = {place for one in added for place in one.instances}
     places = instances(model, effect)
     return places if effect.scanned else [place for place in places if place not in there]

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns, FittedParts, nothing_fitted
 from metrocli.diagnosis.linear.score_tests import ScoreTests
+from metrocli.diagnosis.selection.all_of_a_kind import all_of_a_kind
 from metrocli.diagnosis.selection.backward_steps import backward_steps
 from metrocli.diagnosis.selection.forward_steps import forward_steps
 from metrocli.diagnosis.selection.selection_state import Chosen, Selection
@@ -25,7 +26,8 @@ def search(test_set: ScoreTests, start: FittedColumns) -> Selection:
 def continued(selection: Selection) -> Selection:
     """Return a selection after further forward and backward steps, until no candidate is significant beside it.
 
-    A step that leads back to an earlier selection is replaced by the next best step.
+    A step that leads back to an earlier selection is replaced by the next best step. The search also ends where
+    instances of an effect turn out to be one scatter of all of its kind: the job is then adjusted with it.
     """
     selection = backward_steps(selection)
     passed = [selection.members]
@@ -40,6 +42,8 @@ def continued(selection: Selection) -> Selection:
             break
         selection = new
         passed.append(selection.members)
+        if all_of_a_kind(selection) is not None:
+            return selection
     return backward_steps(selection)
 
 

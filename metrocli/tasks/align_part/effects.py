@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.effects.effect import ELAPSED, Effect, Parameter
+from metrocli.effects.links.affine import Stretch
 from metrocli.effects.links.coupling_tilt import CouplingTilt
 from metrocli.effects.links.eccentricity import TargetEccentricity
 from metrocli.effects.links.growth import Growth
@@ -63,6 +64,16 @@ EFFECTS: tuple[Effect, ...] = (
         usual="10 to 300 ppm",
         reveal="the temperature of the part; targets at different depths and far apart along all axes",
         source="ISO 1; ISO 230-3: 11.5 ppm/K for steel",
+    ),
+    Effect(
+        "stretched-targets",
+        "the list of targets is longer in x than in y, or sheared: it was measured with a wrong scale in one direction",
+        (_size("stretch", "ratio", "1 percent"), _size("shear", "angle", "10 mrad")),
+        lambda block, where: Stretch(block, _PART),
+        confused_with=("machine-scale", "machine-squareness", "part-expansion"),
+        usual="10 to 2000 ppm",
+        reveal="the targets measured again, or calibrated lengths in several directions",
+        source="affine distortion of a list; VDI/VDE 2634 part 1: calibrated lengths in several directions",
     ),
     Effect(
         "moved-target",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.effects.effect import ELAPSED, WARMING, Effect, Parameter
+from metrocli.effects.links.affine import Stretch
 from metrocli.effects.links.eccentricity import TargetEccentricity
 from metrocli.effects.links.growth import Growth
 from metrocli.effects.links.lens_changes import LensChange
@@ -94,11 +95,21 @@ EFFECTS: tuple[Effect, ...] = (
         source="Weng, Cohen and Herniou 1992, Camera calibration with distortion models",
     ),
     Effect(
+        "stretched-targets",
+        "the list of targets is longer in x than in y, or sheared: a printer's feed, paper that grows across its grain",
+        (_size("stretch", "ratio", "1 percent"), _size("shear", "angle", "10 mrad")),
+        lambda block, where: Stretch(block, Quantity.POINT_ON_BOARD),
+        confused_with=("aspect-ratio", "axis-skew"),
+        usual="10 to 2000 ppm",
+        reveal="the camera turned by 45 and 90 degrees about its viewing axis between images, or the board measured",
+        source="affine distortion of a print; VDI/VDE 2634 part 1: calibrated lengths in several directions",
+    ),
+    Effect(
         "aspect-ratio",
         "pixels are not square, or the pixel clock of a frame grabber is off: fx = f (1 + aspect)",
         (Parameter("aspect", "ratio", plausible=0.01),),
         columns_of=_LENS,
-        confused_with=("target-plane-bend", "axis-skew"),
+        confused_with=("stretched-targets", "target-plane-bend", "axis-skew"),
         usual="1e-5 to 1e-2",
         reveal="the camera turned by 90 degrees about its viewing axis between images",
         source="Fraser 1997, Digital camera self-calibration (affinity)",
@@ -108,7 +119,7 @@ EFFECTS: tuple[Effect, ...] = (
         "the rows and columns of the image are not square to each other",
         (Parameter("skew", "ratio", plausible=0.01),),
         columns_of=_LENS,
-        confused_with=("aspect-ratio",),
+        confused_with=("stretched-targets", "aspect-ratio"),
         usual="1e-6 to 1e-4",
         reveal="the camera turned by 45 and 90 degrees about its viewing axis between images",
         source="Fraser 1997 (shear)",

@@ -1,0 +1,143 @@
+"""All of a kind: many instances of one effect are one cause, such as a list of targets that is uncertain throughout.
+
+Method: docs/algorithms/selection-and-levels.md (all of a kind).
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from math import lgamma
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.diagnosis.linear.fitted_columns import FittedColumns
+from metrocli.diagnosis.linear.score_tests import ScoreTests
+from metrocli.diagnosis.selection.selection_state import Chosen, Selection
+from metrocli.effects.effect import Effect
+
+_FEWEST = 3
+"""Fewest named instances of an effect beside which all of its kind are considered"""
+_SEEN = 1e-4
+"""Smallest eigenvalue of a direction that counts, relative to the largest"""
+_GRID = np.linspace(-14.0, 14.0, 113)
+"""Logarithms of the ratio of variances that are tried, relative to the one at which both parts are equal"""
+
+
+@dataclass(frozen=True)
+class AllOfAKind:
+    """An effect at all its places, with sizes that scatter about 0."""
+
+    effect: Effect
+    std: float
+    """Standard deviation of its parameters, in their internal unit"""
+    spread: float
+    """Standard uncertainty of `std`"""
+    log_level: float
+    """ln of the significance level against no such scatter"""
+    instead_of: tuple[str, ...]
+    """Places that were named one by one before"""
+    places: int
+    """Number of all its places"""
+
+
+def all_of_a_kind(selection: Selection) -> AllOfAKind | None:
+    """Return the effect whose scatter over all places has more evidence than the instances that were named.
+
+    With the eigenvalues d of Z'MZ (Z the columns of all places) and the coordinates y of the residual along them, the
+    restricted likelihood of a variance ratio g is `-(nu ln(S/nu) + sum ln(1 + g d)) / 2`,
+    `S = sum y^2 / (1 + g d) + the rest` (Patterson and Thompson 1971). Evidence counts each named instance with its
+    parameters and its choice among all places, and the scatter as one parameter (Schwarz 1978).
+    """
+    test_set = selection.test_set
+    names = Counter(test_set.families[one.family].name for one in selection.named)
+    for name, count in names.most_common():
+        own = [one for one in selection.named if test_set.families[one.family].name == name]
+        effect = test_set.alternative(own[0].family, own[0].number).effect
+        if count >= _FEWEST and effect.common is not None:
+            found = _compared(selection, own, effect)
+            if found is not None:
+                return found
+    return None
+
+
+def _compared(selection: Selection, own: list[Chosen], effect: Effect) -> AllOfAKind | None:
+    test_set, base, full = selection.test_set, selection.fitted(without=own), selection.fitted()
+    columns, places = _columns(test_set, effect)
+    scatter = _Scatter.of(base, columns)
+    best = scatter.best()
+    singly = -(base.dof * np.log(full.squares) + (base.dof - full.dof) * np.log(base.dof)) / 2
+    singly -= lgamma(places + 1) - lgamma(len(own) + 1) - lgamma(places - len(own) + 1)
+    if scatter.likelihood(best) - np.log(base.dof) / 2 < singly:
+        return None
+    variance = scatter.squares(best) / base.dof
+    std = float(np.sqrt(np.exp(best) * variance))
+    names = ["/".join(test_set.alternative(one.family, one.number).instance) for one in own]
+    return AllOfAKind(effect, std, std * scatter.relative_spread(best), scatter.log_level(best), tuple(names), places)
+
+
+def _columns(test_set: ScoreTests, effect: Effect) -> tuple[Array, int]:
+    """Return the visible columns of an effect at all places, (rows, columns), and the number of places."""
+    families = [family for family in test_set.families if family.name == effect.name and not family.unknown]
+    columns = [family.columns.reshape(len(family.columns), -1) for family in families]
+    return np.concatenate(columns, axis=1), sum(len(family.alternatives) for family in families)
+
+
+@dataclass(frozen=True)
+class _Scatter:
+    """The restricted likelihood of a variance ratio."""
+
+    eigenvalues: Array
+    along: Array
+    """Squared coordinates of the residual along the eigenvectors"""
+    rest: float
+    dof: float
+
+    @classmethod
+    def of(cls, base: FittedColumns, columns: Array) -> _Scatter:
+        """Return it for the columns of all places beside a fit."""
+        left = base.beside(columns)
+        values, vectors = np.linalg.eigh(left.T @ left)
+        seen = values > _SEEN * max(float(values[-1]), 1e-300)
+        along = (vectors[:, seen].T @ (left.T @ base.residual)) ** 2 / values[seen]
+        return cls(values[seen], along, max(base.squares - float(along.sum()), 1e-300), base.dof)
+
+    def squares(self, log_ratio: float) -> float:
+        """Return S at a ratio of variances."""
+        return float((self.along / (1 + np.exp(log_ratio) * self.eigenvalues)).sum()) + self.rest
+
+    def likelihood(self, log_ratio: float) -> float:
+        """Return the restricted log-likelihood, on the scale of the evidence of a selection."""
+        grown = float(np.log1p(np.exp(log_ratio) * self.eigenvalues).sum())
+        return -(self.dof * float(np.log(self.squares(log_ratio))) + grown) / 2
+
+    def best(self) -> float:
+        """Return ln of the ratio of variances with the largest likelihood."""
+        tried = _GRID - float(np.log(np.median(self.eigenvalues)))
+        low, high = self._around(tried)
+        for _ in range(40):
+            third = (high - low) / 3
+            if self.likelihood(low + third) < self.likelihood(high - third):
+                low += third
+            else:
+                high -= third
+        return (low + high) / 2
+
+    def _around(self, tried: Array) -> tuple[float, float]:
+        at = int(np.argmax([self.likelihood(float(one)) for one in tried]))
+        return float(tried[max(at - 1, 0)]), float(tried[min(at + 1, len(tried) - 1)])
+
+    def relative_spread(self, log_ratio: float) -> float:
+        """Return the relative standard uncertainty of the standard deviation, from the curvature of the likelihood."""
+        step = 0.05
+        middle = self.likelihood(log_ratio)
+        bend = (self.likelihood(log_ratio + step) + self.likelihood(log_ratio - step) - 2 * middle) / step**2
+        return float(0.5 / np.sqrt(max(-bend, 1e-12)))
+
+    def log_level(self, log_ratio: float) -> float:
+        """Return ln of the level of the likelihood ratio test: half a chi-squared with one degree of freedom."""
+        from scipy.special import log_ndtr
+
+        gain = 2 * (self.likelihood(log_ratio) + self.dof * float(np.log(self.rest + self.along.sum())) / 2)
+        return float(log_ndtr(-np.sqrt(max(gain, 0.0))))

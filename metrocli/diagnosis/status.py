@@ -1,0 +1,75 @@
+"""The status of each candidate: what a diagnosis concludes on it, and how far its usual sizes are seen."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from enum import StrEnum
+from typing import Literal
+
+from metrocli import units
+from metrocli.diagnosis.detectability import Candidate
+from metrocli.diagnosis.selection.confidence_set import NamedEffect
+
+
+class Status(StrEnum):
+    """What a diagnosis concludes on a candidate effect."""
+
+    NAMED = "named"
+    EXCLUDED = "excluded"
+    """Not found, although one of the largest usual size would have been (power at least 80 %)"""
+    CANNOT_SEE = "cannot-see"
+    """Its smallest detectable size is larger than usual"""
+    NOT_TESTABLE = "not-testable"
+    """The unknowns of the job absorb it"""
+    NOT_TESTED = "not-tested"
+    """A column is missing"""
+
+
+UNCHECKED = "no reading is checked by the others"
+
+
+def status(candidate: Candidate, named: Iterable[NamedEffect]) -> str:
+    """Return the status of a candidate; one in the confidence set of a named effect counts as named."""
+    if any(candidate.alternative.spot in spots(name) for name in named):
+        return Status.NAMED
+    if not candidate.testable:
+        return Status.NOT_TESTABLE
+    return Status.EXCLUDED if candidate.detectable <= candidate.plausible else Status.CANNOT_SEE
+
+
+def spots(name: NamedEffect) -> set[tuple[str, tuple[str, ...]]]:
+    """Return cause and place of a named effect and of all its rivals."""
+    return {name.alternative.spot, *(rival.alternative.spot for rival in name.rivals)}
+
+
+def usual_seen(candidate: Candidate) -> bool | Literal["part"] | None:
+    """Return whether effects of usual sizes are detected; None if the usual sizes are not known."""
+    usual = candidate.alternative.effect.usual_sizes
+    if usual is None:
+        return None
+    if candidate.detectable <= usual[0]:
+        return True
+    return "part" if candidate.detectable <= usual[1] else False
+
+
+def reason(candidate: Candidate, word: str) -> str:
+    """Return the reason for a candidate's status, in words."""
+    effect = candidate.alternative.effect
+    dimension = effect.parameters[0].dimension
+    plausible, at = units.readable(candidate.plausible, dimension)
+    if word == Status.NOT_TESTABLE:
+        return f"absorbed by {', '.join(candidate.absorbed_by)}; `hides` is for {plausible:.3g} {at}".rstrip()
+    size, unit = units.readable(candidate.detectable, dimension)
+    if word == Status.CANNOT_SEE:
+        return f"detected from {size:.3g} {unit} on; {seen_in_words(candidate)}"
+    return "" if word == Status.NAMED else f"excluded above {size:.3g} {unit}; {seen_in_words(candidate)}"
+
+
+def seen_in_words(candidate: Candidate) -> str:
+    """Return in words how far the usual sizes of a candidate are detected."""
+    usual = candidate.alternative.effect.usual
+    if not usual:
+        size, unit = units.readable(candidate.plausible, candidate.dimension)
+        return f"larger than {size:.3g} {unit} is not plausible".replace(" ,", ",")
+    found = {True: "are", "part": "are in part", False: "are not"}[usual_seen(candidate) or False]
+    return f"usual sizes ({usual}) {found} seen"
