@@ -211,7 +211,7 @@ def _error(size: float, adjusted: AdjustedJob) -> str:
 
 
 def _score(gain: Gain) -> str:
-    return f"log score {gain.log_score:+.1f} ± {gain.log_score_std:.1f}"
+    return f"{gain.log_score:+.1f} ± {gain.log_score_std:.1f}"
 
 
 def _parameters(finding: Finding) -> Iterator[str]:

@@ -45,10 +45,10 @@ class AllOfAKind:
 def all_of_a_kind(selection: Selection) -> AllOfAKind | None:
     """Return the effect whose scatter over all places has more evidence than the instances that were named.
 
-    With the eigenvalues d of Z'MZ (Z the columns of all places) and the coordinates y of the residual along them, the
-    restricted likelihood of a variance ratio g is `-(nu ln(S/nu) + sum ln(1 + g d)) / 2`,
-    `S = sum y^2 / (1 + g d) + the rest` (Patterson and Thompson 1971). Evidence counts each named instance with its
-    parameters and its choice among all places, and the scatter as one parameter (Schwarz 1978).
+    Z are the columns of all places, d the eigenvalues of Z'MZ, y the coordinates of the residual along them. The
+    restricted likelihood of a variance ratio g is `-(nu ln(S/nu) + sum ln(1 + g d)) / 2` (Patterson and Thompson 1971),
+    with `S = sum y^2 / (1 + g d) + the rest`. Evidence counts each named instance with its parameters and its choice
+    among all places, and the scatter as one parameter (Schwarz 1978).
     """
     test_set = selection.test_set
     names = Counter(test_set.families[one.family].name for one in selection.named)
