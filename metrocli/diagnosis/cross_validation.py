@@ -135,12 +135,13 @@ def held_out_errors(test_set: ScoreTests, fitted: FittedColumns, out: Index) -> 
     """Return the log density of the held-out readings (multivariate t) and their errors of prediction."""
     from scipy.special import gammaln
 
-    taken = np.concatenate([test_set.system.basis[out], fitted.basis[out]], axis=1)
-    values, vectors = np.linalg.eigh(np.eye(len(out)) - taken @ taken.T)
-    kept = values > _DETERMINED
-    along = vectors[:, kept].T @ fitted.residual[out]
-    own = float((along**2 / values[kept]).sum())
-    k = int(kept.sum())
+    spectrum = _spectrum(test_set, fitted, out)
+    values, kept = spectrum.values, spectrum.values > _DETERMINED
+    r = fitted.residual[out]
+    along = spectrum.vectors.T @ r
+    rest_of_r = r - spectrum.vectors @ along if spectrum.others else np.zeros(len(r))
+    own = float((along[kept] ** 2 / values[kept]).sum() + rest_of_r @ rest_of_r)
+    k = int(kept.sum()) + spectrum.others
     rest = max(fitted.dof - k, 1.0)
     variance = max(fitted.squares - own, 1e-300) / rest
     score = float(
@@ -151,9 +152,41 @@ def held_out_errors(test_set: ScoreTests, fitted: FittedColumns, out: Index) -> 
         - (rest + k) / 2 * np.log1p(own / (rest * variance))
     )
     alike = test_set.system.alike[out]
-    shown = vectors[alike][:, kept]
-    errors = (shown @ (along / values[kept])) * test_set.system.scale[out][alike]
-    return _Held(score, errors, float((shown**2).sum()))
+    whole = spectrum.vectors[:, kept] @ (along[kept] / values[kept]) + rest_of_r
+    shown = spectrum.shares - (spectrum.vectors[:, ~kept] ** 2).sum(axis=1)
+    return _Held(score, whole[alike] * test_set.system.scale[out][alike], float(shown[alike].sum()))
+
+
+@dataclass(frozen=True)
+class _Spectrum:
+    """Eigenvectors of M_gg for some readings g."""
+
+    values: Array
+    vectors: Array
+    """(readings, eigenvalues)"""
+    others: int
+    """Number of further eigenvectors with the eigenvalue 1"""
+    shares: Array
+    """Diagonal of the projector on all these eigenvectors, (readings,)"""
+
+
+def _spectrum(test_set: ScoreTests, fitted: FittedColumns, out: Index) -> _Spectrum:
+    """Return the spectrum of M_gg = I - b_g b_g'.
+
+    If g has all readings of the points (or images) that it uses, M_gg is `P - s s'`: P projects the points out, and
+    the columns s of the shared unknowns lie in its range. Then only s has eigenvalues other than 0 and 1.
+    """
+    basis = test_set.system.basis
+    if not basis.members or not basis.holds_whole_members(out):
+        taken = np.concatenate([basis.rows(out), fitted.basis[out]], axis=1)
+        values, vectors = np.linalg.eigh(np.eye(len(out)) - taken @ taken.T)
+        return _Spectrum(values, vectors, 0, np.ones(len(out)))
+    shared = np.concatenate([basis.shared[out], fitted.basis[out]], axis=1)
+    squares, turn = np.linalg.eigh(shared.T @ shared)
+    seen = squares > _DETERMINED**2
+    vectors = shared @ (turn[:, seen] / np.sqrt(squares[seen]))
+    shares = 1 - (basis.local[out] ** 2).sum(axis=1)
+    return _Spectrum(1 - squares[seen], vectors, round(float(shares.sum())) - int(seen.sum()), shares)
 
 
 def _gain(pairs: Sequence[tuple[_Held, _Held]]) -> Gain:

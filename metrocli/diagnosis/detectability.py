@@ -137,7 +137,7 @@ def _wrong_reading(job: AdjustedJob, test_set: ScoreTests, effect: Effect, noise
     level = single_level(single_level(WRONG_READING, test_set.causes), test_set.tests[-1])
     rows = test_set.places[~test_set.excluded]
     rows, rest = rows[rows >= 0], max(system.dof - 1, 1)
-    redundancy = 1 - (system.basis[rows] ** 2).sum(axis=1)
+    redundancy = 1 - system.basis.squares(rows)
     # an error of a reading shows in its own residual by its redundancy only (Baarda)
     unit = noise / np.sqrt(np.maximum(redundancy, 1e-12))
     least = np.sqrt(noncentrality(level, 1, rest, _POWER)) * unit

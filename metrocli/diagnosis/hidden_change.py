@@ -11,12 +11,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.linear.candidates import Alternative, Family
 from metrocli.diagnosis.linear.projection import FLAT, VISIBLE, System
 
 POWER = 0.95
 """Probability with which an effect is found that changes the result by more"""
+_MOST_NUMBERS = 20_000_000
+"""Numbers of unknowns times readings that are held at once"""
 _NOTHING = 1e-9
 """Change of the result, relative to the change of all readings, that is rounding"""
 
@@ -57,9 +60,15 @@ def hidden_change(
     return _largest(job, moved)
 
 
-def hidden_by_readings(job: AdjustedJob, system: System, rows: Array, errors: Array) -> HiddenChange:
+def hidden_by_readings(job: AdjustedJob, system: System, rows: Index, errors: Array) -> HiddenChange:
     """Return the largest change of the delivered result by one of some errors of single rows, in their sigma."""
-    moved = _shifts(job, system, system.basis[rows].T[:, :, None] * errors[:, None])
+    parts = np.array_split(np.arange(len(rows)), max(1, len(rows) * system.layout.width // _MOST_NUMBERS))
+    found = [_of_rows(job, system, rows[part], errors[part]) for part in parts if part.size]
+    return max(found, key=lambda one: one.size, default=HiddenChange(0.0))
+
+
+def _of_rows(job: AdjustedJob, system: System, rows: Index, errors: Array) -> HiddenChange:
+    moved = _shifts(job, system, system.basis.rows(rows).T[:, :, None] * errors[:, None])
     return _largest(job, np.moveaxis(moved, 2, 0))
 
 
@@ -75,7 +84,7 @@ def _shifts(job: AdjustedJob, system: System, absorbed: Array) -> Array:
     """Return the change of the delivered members by unit parameters, (members, columns, alternatives, parameters)."""
     entries = [system.entries(name)[:, list(job.delivered.columns)] for name in job.delivered.blocks]
     places = np.concatenate(entries)
-    moved = np.tensordot(system.solver[np.maximum(places, 0)], absorbed, 1)
+    moved = system.solver.change(absorbed)[np.maximum(places, 0)]
     return np.where((places >= 0)[:, :, None, None], moved, 0.0)
 
 

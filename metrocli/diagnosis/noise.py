@@ -83,7 +83,7 @@ def noisiest_unit(job: AdjustedJob, system: System, fitted: FittedColumns, rng: 
     whole = (noise**2).sum(axis=0)
     found = []
     for key, name, rows in units:
-        if rows.sum() - (system.basis[rows] ** 2).sum() - (fitted.basis[rows] ** 2).sum() < 1:
+        if rows.sum() - system.basis.squares(rows).sum() - (fitted.basis[rows] ** 2).sum() < 1:
             continue
         shares = (noise[rows] ** 2).sum(axis=0) / whole
         share = float((fitted.residual[rows] ** 2).sum() / max(fitted.residual @ fitted.residual, 1e-300))
@@ -148,12 +148,11 @@ def _log_without(system: System, fitted: FittedColumns, rows: Mask) -> float:
 
 def _ratio(system: System, fitted: FittedColumns, rows: Mask) -> float:
     """Return the standard deviation of some readings relative to the others, from their expected squares."""
-    taken = np.concatenate([system.basis, fitted.basis], axis=1)
-    parts = (rows, ~rows)
-    grams = [taken[part].T @ taken[part] for part in parts]
-    h = np.array([[float((a * b).sum()) for b in grams] for a in grams])
+    taken, parts = system.basis.with_shared(fitted.basis), (rows, ~rows)
+    grams = [taken.part(part) for part in parts]
+    h = np.array([[a.product(b) for b in grams] for a in grams])
     for i, part in enumerate(parts):
-        h[i, i] += part.sum() - 2 * np.trace(grams[i])
+        h[i, i] += part.sum() - 2 * grams[i].trace
     squares = np.array([float((fitted.residual[part] ** 2).sum()) for part in parts])
     variance = np.linalg.lstsq(h, squares, rcond=None)[0]
     # a variance may come out negative: it is held above a fraction of the larger one

@@ -144,7 +144,7 @@ def test_where_no_effect_can_be_tried_structure_is_still_told() -> None:
 
 def test_outliers_have_their_studentised_residuals() -> None:
     system, chosen = field().system, field()
-    redundancy = 1 - (system.basis**2).sum(axis=1)
+    redundancy = 1 - system.basis.squares()
     score = chosen.outliers(nothing_fitted(system))
     good = score.rank > 0
     assert good.mean() > 0.9

@@ -20,7 +20,8 @@ from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.chain import Link, through
 from metrocli.adjust.model.groups import Group, Linear
 from metrocli.adjust.model.observations import Index, Mask
-from metrocli.adjust.schur.layout import Layout, without_elimination
+from metrocli.adjust.schur.layout import Layout, arrange, without_elimination
+from metrocli.diagnosis.linear.basis import Basis, Solver, datum_of, orthonormal_members
 from metrocli.effects.model import Model
 from metrocli.errors import InputError
 
@@ -40,10 +41,10 @@ class System:
     layout: Layout
     residual: Array
     """Whitened residuals (rows,)"""
-    basis: Array
-    """Columns b with `b b' = J (J'J)^- J'`, (rows, unknowns)"""
-    solver: Array
-    """R: `unknowns = R basis' values`, in the datum of the model, (unknowns, unknowns)"""
+    basis: Basis
+    """Columns b with `b b' = J (J'J)^- J'`"""
+    solver: Solver
+    """From `b' values` to the unknowns, in the datum of the model"""
     first: Mapping[str, int]
     """The first row of each group"""
     scale: Array
@@ -61,7 +62,7 @@ class System:
     @cached_property
     def dof(self) -> int:
         """Degrees of freedom, the trace of M."""
-        return round(self.rows - float((self.basis**2).sum()))
+        return round(self.rows - float(self.basis.squares().sum()))
 
     @cached_property
     def measured(self) -> Mask:
@@ -87,16 +88,16 @@ class System:
     def split(self, values: Array) -> tuple[Array, Array]:
         """Return the visible part of values (rows, ...), and the coordinates of the rest in the basis (unknowns, ...).
 
-        The change of the unknowns by the values is `solver` times these coordinates.
+        The change of the unknowns by the values is `solver.change` of these coordinates.
         """
-        inside = np.tensordot(self.basis.T, values, 1)
-        left = values - np.tensordot(self.basis, inside, 1)
+        inside = self.basis.coordinates(values)
+        left = values - self.basis.combined(inside)
         shown = np.linalg.norm(left, axis=0) > VISIBLE * np.linalg.norm(values, axis=0)
         return np.asarray(np.where(shown, left, 0.0)), inside
 
     def absorbed(self, values: Array) -> Array:
         """Return the change of the unknowns (unknowns, k) that absorbs values (rows, k)."""
-        return np.asarray(self.solver @ (self.basis.T @ values))
+        return self.solver.change(self.basis.coordinates(values))
 
     def spread(self, group: Group, values: Array) -> Array:
         """Return values of readings (n, ...) at all rows of each reading, and 0 elsewhere."""
@@ -161,36 +162,74 @@ def by_rows(linear: Linear) -> Array:
 def linearised(model: Model, weights: Mapping[str, Array] | None = None) -> System:
     """Return the model as a linear system; `weights` (n,) multiply the whitened rows of the readings of a group.
 
-    Raises InputError if the dense matrix would be too large.
+    The unknowns of one block are local: each reading uses one of its members (point, image). Their columns are removed
+    member by member; the others are dense. Raises InputError if the dense part would be too large.
     """
-    layout = without_elimination(model.blocks)
+    whole, layout = without_elimination(model.blocks), arrange(model.blocks, model.groups)
     _must_fit(model, layout)
-    residuals, jacobians, scales, first, place = [], [], [], {}, 0
+    residuals, parts, scales, first, place = [], [], [], {}, 0
     for group in model.groups:
-        linear = group.linear(model.blocks, layout.wanted)
+        linear = group.linear(model.blocks, whole.wanted)
         d, n = linear.residual.shape
         own = None if weights is None else weights.get(group.name)
         factor = np.repeat(np.ones(n) if own is None else own, d)
-        jacobian = np.zeros((n, d, layout.width))
-        for touch in linear.touches:
-            scatter(jacobian, touch.jacobian, layout.columns[touch.block][touch.index])
         first[group.name] = place
         place += n * d
         residuals.append(by_rows(linear) * factor)
-        jacobians.append(jacobian.reshape(n * d, -1) * factor[:, None])
+        parts.append(_Rows.of(model, layout, linear).times(factor))
         scales.append(group.observations.deviations.T.ravel() / factor)
-    residual, jacobian = np.concatenate(residuals), np.concatenate(jacobians)
-    basis, solver, sizes = _factored(model, layout, jacobian)
-    system = System(model, layout, residual, basis, solver, first, np.concatenate(scales), sizes)
+    rows = _Rows.joined(parts)
+    basis, solver, sizes = _factored(model, layout, whole, rows)
+    residual = np.concatenate(residuals)
+    system = System(model, whole, residual, basis, solver, first, np.concatenate(scales), sizes)
     return replace(system, residual=system.seen(residual))
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Derivatives of some rows by the unknowns of their local member, and by all shared unknowns."""
+
+    local: Array
+    """(rows, size)"""
+    member: Index
+    shared: Array
+    """(rows, width)"""
+
+    @classmethod
+    def of(cls, model: Model, layout: Layout, linear: Linear) -> _Rows:
+        """Return the rows of a group, ordered by reading."""
+        d, n = linear.residual.shape
+        block = model.blocks.get(layout.eliminated or "")
+        local = np.zeros((n, d, block.size if block is not None else 0))
+        member, shared = np.full(n, -1, dtype=np.intp), np.zeros((n, d, layout.width))
+        for touch in linear.touches:
+            if block is not None and touch.block == block.name:
+                local[:] = np.moveaxis(touch.jacobian, -1, 0) * block.free[touch.index][:, None, :]
+                member = np.asarray(touch.index)
+            else:
+                scatter(shared, touch.jacobian, layout.columns[touch.block][touch.index])
+        return cls(local.reshape(n * d, local.shape[2]), np.repeat(member, d), shared.reshape(n * d, layout.width))
+
+    def times(self, factor: Array) -> _Rows:
+        """Return the rows multiplied by factors."""
+        return _Rows(self.local * factor[:, None], self.member, self.shared * factor[:, None])
+
+    @staticmethod
+    def joined(parts: Sequence[_Rows]) -> _Rows:
+        """Return the rows of all groups."""
+        return _Rows(
+            np.concatenate([one.local for one in parts]),
+            np.concatenate([one.member for one in parts]),
+            np.concatenate([one.shared for one in parts]),
+        )
 
 
 def _must_fit(model: Model, layout: Layout) -> None:
     rows = sum(group.observations.readings.size for group in model.groups)
     if rows * max(layout.width, 1) > MOST_NUMBERS:
         raise InputError(
-            f"diagnose holds readings and unknowns in one table; {rows} readings with {layout.width} unknowns are too "
-            "many: diagnose a part of the measurement"
+            f"diagnose holds readings and shared unknowns in one table; {rows} readings with {layout.width} unknowns "
+            "are too many: diagnose a part of the measurement"
         )
 
 
@@ -203,18 +242,44 @@ def scatter(full: Array, jacobian: Array, columns: Index) -> None:
         full[rows[kept], :, at[kept]] += jacobian[:, a, :].T[kept]
 
 
-def _factored(model: Model, layout: Layout, jacobian: Array) -> tuple[Array, Array, Array]:
-    """Return basis, solver and sizes by a QR decomposition, with the datum conditions as additional rows."""
-    size = np.sqrt((jacobian**2).sum(axis=0))
-    size = np.where(size > 0, size, 1.0)
-    scaled = jacobian / size
-    rows = scaled
-    if model.datum is not None:
-        frame = open_frame(model.datum, model.blocks, layout, jacobian.T @ jacobian)
-        if frame is not None:
-            conditions = frame.conditions(layout) / size
-            rows = np.concatenate([scaled, conditions / np.linalg.norm(conditions, axis=1, keepdims=True)])
-    # rows of the datum make the triangle regular; the part of q for readings spans J in any datum
-    q, triangle = np.linalg.qr(rows)
-    inverse = np.linalg.inv(triangle)
-    return q[: len(jacobian)], inverse / size[:, None], size
+def _factored(model: Model, layout: Layout, whole: Layout, rows: _Rows) -> tuple[Basis, Solver, Array]:
+    """Return basis, solver and the norm of the column of each unknown."""
+    local_block = model.blocks.get(layout.eliminated or "")
+    members = len(local_block.members) if local_block is not None else 0
+    own, inverses = orthonormal_members(rows.local, rows.member, members)
+    before = Basis(own, rows.member, members, np.zeros((len(own), 0)))
+    sizes = np.sqrt((rows.shared**2).sum(axis=0))
+    scaled = rows.shared / np.where(sizes > 0, sizes, 1.0)
+    coupling = before.coordinates(scaled)
+    left = scaled - before.combined(coupling)
+    # once more, so that rounding does not leave a part of the local columns
+    left -= before.combined(before.coordinates(left))
+    gram = left.T @ left
+    frame = None if model.datum is None else open_frame(model.datum, model.blocks, layout, _unscaled(gram, sizes))
+    # a free network leaves as many directions open as its frame has movements
+    open_ones = 0 if frame is None else frame.reduced.shape[1]
+    u, s, vt = np.linalg.svd(left, full_matrices=False)
+    kept = len(s) - open_ones
+    factor = np.where(sizes > 0, 1 / np.where(sizes > 0, sizes, 1.0), 0.0)
+    shared = factor[:, None] * vt[:kept].T / s[:kept]
+    by_member = coupling[: own.shape[1] * members].reshape(members, own.shape[1], layout.width) * np.where(
+        sizes > 0, sizes, 1.0
+    )
+    numbers = np.zeros(layout.width, dtype=np.intp)
+    for name, columns in layout.columns.items():
+        numbers[columns[columns >= 0]] = whole.columns[name][columns >= 0]
+    places = whole.columns[local_block.name] if local_block is not None else np.zeros((0, 0), dtype=np.intp)
+    solver = Solver(
+        inverses, by_member, shared, (places, numbers), whole.width, *datum_of(frame, layout, whole, model.blocks)
+    )
+    norms = np.zeros(whole.width)
+    norms[numbers] = sizes
+    if local_block is not None:
+        squares = np.zeros((members + 1, local_block.size))
+        np.add.at(squares, rows.member, rows.local**2)
+        norms[places[places >= 0]] = np.sqrt(squares[:members][places >= 0])
+    return Basis(own, rows.member, members, u[:, :kept]), solver, norms
+
+
+def _unscaled(gram: Array, sizes: Array) -> Array:
+    return gram * sizes * sizes[:, None]

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Mask
+from metrocli.adjust.model.observations import Index, Mask
 from metrocli.diagnosis.linear.candidates import Alternative, Family
 from metrocli.diagnosis.linear.distributions import log_family, log_tail
 from metrocli.diagnosis.linear.fitted_columns import PRIOR, FittedColumns, orthonormal
@@ -61,7 +61,7 @@ class ScoreTests:
     """`G'G` of each alternative, (alternatives, q, q)"""
     blocks: Array
     """Diagonal block of M for each reading, (readings, d, d); 0 for components that it does not have"""
-    places: Array
+    places: Index
     """Rows of each reading, (readings, d), -1 if it has fewer components"""
     tests: tuple[float, ...] = ()
     """Effective number of tests of each family, then of the outliers"""
@@ -230,15 +230,14 @@ def score_tests_of(
     grams = tuple(np.einsum("nkq,nkp->kqp", f.columns, f.columns) for f in families)
     places = _places(system)
     places = places[places >= 0][:, None] if apart else places
-    u = np.where((places >= 0)[:, :, None], system.basis[places], 0.0)
     there = (places >= 0).astype(float)
-    blocks = np.eye(places.shape[1]) * there[:, :, None] - np.einsum("iak,ibk->iab", u, u)
+    blocks = np.eye(places.shape[1]) * there[:, :, None] - system.basis.products(places, places)
     weak = np.einsum("iaa->ia", blocks).sum(axis=1) < _REDUNDANT
     test_set = ScoreTests(system, tuple(families), tuple(f.raw for f in families), grams, blocks, places, excluded=weak)
     return _calibrated(test_set, rng)
 
 
-def _places(system: System) -> Array:
+def _places(system: System) -> Index:
     """Return the rows of each reading of the measured groups, (readings, d), -1 if it has fewer components."""
     groups = system.model.readings
     most = max(len(group.observations.readings) for group in groups)

@@ -200,9 +200,8 @@ def _with_outliers(selection: Selection, wrong: Score, fitted: FittedColumns) ->
 
 def _alike(test_set: ScoreTests, reading: int, other: int) -> float:
     """Return the largest correlation of the tests of two readings."""
-    basis = test_set.system.basis
     rows, others = test_set.places[reading], test_set.places[other]
-    product = basis[rows[rows >= 0]] @ basis[others[others >= 0]].T
+    product = test_set.system.basis.products(rows[rows >= 0], others[others >= 0])
     sizes = np.sqrt(np.outer(_diagonal(test_set, reading), _diagonal(test_set, other)))
     return float(np.abs(product / np.maximum(sizes, 1e-12)).max())
 

@@ -1,0 +1,206 @@
+"""An orthonormal basis of the columns of all unknowns: dense for the shared ones, member by member for the local ones.
+
+A reading uses one point (or one image). The columns of different points are orthogonal, so their part of the basis has
+as many numbers a row as a point has unknowns. Time and memory are then linear in the readings.
+
+Method: docs/algorithms/selection-and-levels.md (projection).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from metrocli.adjust.datum import Frame
+from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.observations import Index, Mask
+from metrocli.adjust.schur.layout import Layout
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_matrix
+
+_DEPENDENT = 1e-10
+"""Singular value of a member's scaled columns, relative to the largest, below which a direction is not seen"""
+
+
+@dataclass(frozen=True)
+class Basis:
+    """Orthonormal columns b with `b b' = J (J'J)^- J'`: those of local unknowns, then those of the shared ones."""
+
+    local: Array
+    """Entries of each row in the columns of its member, (rows, q)"""
+    member: Index
+    """Local member of each row, (rows,); -1 if it uses none"""
+    members: int
+    shared: Array
+    """Columns of the other unknowns, orthogonal to the local ones, (rows, k)"""
+
+    @cached_property
+    def _sparse(self) -> csr_matrix:
+        """The local columns, (rows, members*q)."""
+        from scipy.sparse import csr_matrix
+
+        rows, q = self.local.shape
+        there = self.member >= 0
+        columns = (self.member[there][:, None] * q + np.arange(q)).ravel()
+        ends = np.concatenate([[0], np.cumsum(there * q)])
+        return csr_matrix((self.local[there].ravel(), columns, ends), shape=(rows, self.members * q))
+
+    def coordinates(self, values: Array) -> Array:
+        """Return `b' values`, (columns, ...), of values (rows, ...)."""
+        flat = _flat(values)
+        found = np.concatenate([self._sparse.T @ flat, self.shared.T @ flat])
+        return np.asarray(found.reshape(len(found), *values.shape[1:]))
+
+    def combined(self, coordinates: Array) -> Array:
+        """Return `b coordinates`, (rows, ...)."""
+        flat = _flat(coordinates)
+        count = self._sparse.shape[1]
+        found = self._sparse @ flat[:count] + self.shared @ flat[count:]
+        return np.asarray(found.reshape(len(found), *coordinates.shape[1:]))
+
+    def squares(self, rows: Index | Mask | slice = slice(None)) -> Array:
+        """Return the sum of squares of each row, the share of a reading that the unknowns absorb."""
+        return np.asarray((self.local[rows] ** 2).sum(axis=1) + (self.shared[rows] ** 2).sum(axis=1))
+
+    def products(self, rows: Index, others: Index) -> Array:
+        """Return the products of rows (..., a) with other rows (..., b), (..., a, b); a row of number -1 is zero."""
+        same = (self.member[rows][..., :, None] == self.member[others][..., None, :]) & (
+            self.member[rows][..., :, None] >= 0
+        )
+        local = np.einsum("...ak,...bk->...ab", self.local[rows], self.local[others])
+        shared = np.einsum("...ak,...bk->...ab", self.shared[rows], self.shared[others])
+        there = (rows >= 0)[..., :, None] & (others >= 0)[..., None, :]
+        return np.where(there, np.where(same, local, 0.0) + shared, 0.0)
+
+    def with_shared(self, columns: Array) -> Basis:
+        """Return the basis with further orthonormal columns (rows, k)."""
+        return replace(self, shared=np.concatenate([self.shared, columns], axis=1))
+
+    def rows(self, rows: Index) -> Array:
+        """Return some rows of all columns, (rows, columns)."""
+        return np.concatenate([self._sparse[rows].toarray(), self.shared[rows]], axis=1)
+
+    def part(self, rows: Mask) -> GramOfRows:
+        """Return the Gram matrix of some rows (mask)."""
+        _, q = self.local.shape
+        own = rows & (self.member >= 0)
+        local = np.zeros((self.members, q, q))
+        np.add.at(local, self.member[own], self.local[own][:, :, None] * self.local[own][:, None, :])
+        return GramOfRows(local, self._sparse[rows].T @ self.shared[rows], self.shared[rows].T @ self.shared[rows])
+
+    def holds_whole_members(self, rows: Index) -> bool:
+        """Whether some rows contain all rows of each local member that they use."""
+        there = np.bincount(self.member[rows] + 1, minlength=self.members + 1)
+        whole = np.bincount(self.member + 1, minlength=self.members + 1)
+        return bool(((there == 0) | (there == whole))[1:].all())
+
+
+@dataclass(frozen=True)
+class GramOfRows:
+    """Gram matrix of some rows of a basis: blocks of the members, their products with the shared columns, the rest."""
+
+    local: Array
+    """(members, q, q)"""
+    mixed: Array
+    """(members*q, k)"""
+    shared: Array
+    """(k, k)"""
+
+    def product(self, other: GramOfRows) -> float:
+        """Return the trace of the product of two of them."""
+        parts = ((self.local * other.local).sum(), 2 * (self.mixed * other.mixed).sum())
+        return float(sum(parts) + (self.shared * other.shared).sum())
+
+    @property
+    def trace(self) -> float:
+        """The sum of squares of the rows."""
+        return float(np.einsum("mqq->", self.local) + np.trace(self.shared))
+
+
+@dataclass(frozen=True)
+class Solver:
+    """From coordinates in the basis to the change of the unknowns, in the datum of the model."""
+
+    inverses: Array
+    """From coordinates of a member to its unknowns, (members, size, q)"""
+    coupling: Array
+    """`b' J` of the local columns with the shared unknowns, (members, q, shared unknowns)"""
+    shared: Array
+    """From coordinates to the shared unknowns, (shared unknowns, k)"""
+    places: tuple[Index, Index]
+    """Numbers of the local unknowns (members, size), -1 if fixed, and of the shared ones, among all"""
+    width: int
+    movements: Array
+    """Movements of a free network, (unknowns, m)"""
+    conditions: Array
+    """Conditions of the datum, (m, unknowns): `x - movements (conditions x)` fulfils it"""
+
+    def change(self, coordinates: Array) -> Array:
+        """Return the change of all unknowns (unknowns, ...) for coordinates (columns, ...)."""
+        flat = _flat(coordinates)
+        members, _, q = self.inverses.shape
+        shared = self.shared @ flat[members * q :]
+        found = np.zeros((self.width, flat.shape[1]))
+        found[self.places[1]] = shared
+        if members:
+            own = flat[: members * q].reshape(members, q, flat.shape[1])
+            own = np.matmul(self.inverses, own - np.matmul(self.coupling, shared[None]))
+            free = self.places[0] >= 0
+            found[self.places[0][free]] = own[free]
+        if self.movements.shape[1]:
+            found -= self.movements @ (self.conditions @ found)
+        return found.reshape(len(found), *coordinates.shape[1:])
+
+
+def _flat(values: Array) -> Array:
+    return values.reshape(len(values), math.prod(values.shape[1:]))
+
+
+def datum_of(frame: Frame | None, layout: Layout, whole: Layout, blocks: Mapping[str, Block]) -> tuple[Array, Array]:
+    """Return movements (unknowns, m) and conditions (m, unknowns) of a frame in the numbers of the whole layout."""
+    if frame is None:
+        return np.zeros((whole.width, 0)), np.zeros((0, whole.width))
+    count = frame.reduced.shape[1]
+    movements, conditions = np.zeros((whole.width, count)), np.zeros((whole.width, count))
+    for name, numbers in whole.columns.items():
+        free = numbers >= 0
+        if name in layout.columns:
+            own = layout.columns[name]
+            movements[numbers[free]] = frame.reduced[own[free]]
+        elif name in frame.moves:
+            movements[numbers[free]] = frame.moves[name].at(blocks[name].values, np.arange(len(numbers)))[free]
+    numbers = whole.columns[frame.datum.block]
+    conditions[numbers[numbers >= 0]] = frame.constraint(np.arange(len(numbers)))[numbers >= 0]
+    return movements, conditions.T
+
+
+def orthonormal_members(columns: Array, member: Index, members: int) -> tuple[Array, Array]:
+    """Return orthonormal local columns (rows, q) and the inverses (members, q, q): `unknowns = inverse coordinates`.
+
+    `columns` (rows, q) are the derivatives of each row by the unknowns of its member. Directions that no row of a
+    member shows have zero columns.
+    """
+    rows, q = columns.shape
+    basis, inverses = np.zeros((rows, q)), np.zeros((members, q, q))
+    order = np.argsort(member, kind="stable")
+    order = order[member[order] >= 0]
+    counts = np.bincount(member[order], minlength=members)
+    starts = np.cumsum(counts) - counts
+    for count in np.unique(counts[counts > 0]):
+        chosen = np.flatnonzero(counts == count)
+        at = order[starts[chosen][:, None] + np.arange(count)]
+        size = np.linalg.norm(columns[at], axis=1)
+        size = np.where(size > 0, size, 1.0)
+        u, s, vt = np.linalg.svd(columns[at] / size[:, None, :], full_matrices=False)
+        seen = s > _DEPENDENT * np.maximum(s[:, :1], 1e-300)
+        most = u.shape[2]
+        basis[at.ravel()[:, None], np.arange(most)] = (u * seen[:, None, :]).reshape(-1, most)
+        inverse = np.swapaxes(vt, 1, 2) * np.where(seen, 1 / np.where(seen, s, 1.0), 0.0)[:, None, :]
+        inverses[chosen, :, :most] = inverse / size[:, :, None]
+    return basis, inverses
