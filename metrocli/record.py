@@ -1,8 +1,13 @@
-"""The record of a result: the job as used, its inputs with checksums, and the verdicts on acceptance criteria."""
+"""The record of a result: the job as used, its inputs with checksums, and whether the result may be used."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+
+from metrocli.units import format_quantity
+
+DONE, DOUBTFUL, UNMET = "done", "doubtful", "requirements not met"
+"""The status of a result; other jobs and exports use one that is done"""
 
 
 @dataclass(frozen=True)
@@ -26,6 +31,10 @@ class Verdict:
     unit: str
     met: bool
 
+    def __str__(self) -> str:
+        outcome = "met" if self.met else "NOT met"
+        return f"required {self.name} {self.condition}: {outcome} ({format_quantity(self.value, self.unit)})"
+
 
 @dataclass(frozen=True)
 class Record:
@@ -38,3 +47,17 @@ class Record:
     created: str
     """Date and time in UTC, ISO 8601."""
     verdicts: tuple[Verdict, ...] = ()
+    doubts: tuple[str, ...] = ()
+    """Why the result must not be used; empty if nothing speaks against it."""
+
+    @property
+    def status(self) -> str:
+        """`doubtful` if anything speaks against the result, else whether all acceptance criteria are met."""
+        if self.doubts:
+            return DOUBTFUL
+        return DONE if all(verdict.met for verdict in self.verdicts) else UNMET
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Why the result is not fit for use: its doubts, and the acceptance criteria that are not met."""
+        return (*self.doubts, *(str(verdict) for verdict in self.verdicts if not verdict.met))

@@ -54,6 +54,8 @@ class Result:
     arrays: Mapping[str, Array] = field(default_factory=dict)
     """Arrays by name: points_covariance, ..."""
     warnings: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
+    """What the kind's own checks found that forbids the use of the result, one sentence each."""
     shown: tuple[ShownTable, ...] = ()
     notes: tuple[str, ...] = ()
     """Lines of text that the terminal shows with the result, such as a rotation matrix or rejected readings."""

@@ -41,6 +41,14 @@ class Columns:
     key: tuple[str, ...] = ()
     """Names of columns whose combination must be different in each row."""
     description: str = ""
+    measured: tuple[str, ...] = ()
+    """Names of columns with readings: no block of rows may repeat them from another one (`metrocli/copies.py`)."""
+    alike: tuple[str, ...] = ()
+    """Names of columns that are equal too in a copied block, such as the target; all others may differ."""
+    group: tuple[str, ...] = ()
+    """Names of columns that name a block: the image, the view."""
+    fewest_copied: int = 0
+    """Fewest rows of a copied block, where an instrument at rest repeats its readings"""
     every: bool = False
     """Read every column under its full name: as numbers, or as text if any cell is not a number."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,8 @@ import click
 from metrocli.cli import options
 from metrocli.cli.console import Console
 
+CLEAN = "clean"
+
 
 @click.command("diagnose", help="Find what the model of a job gets wrong, why, and what correcting it gains.")
 @options.JOB
@@ -17,7 +20,9 @@ from metrocli.cli.console import Console
 @click.option(
     "--output", type=click.Path(path_type=Path), metavar="FILE.yaml", help="Write the extended job to this file."
 )
+@click.option("--require", type=click.Choice([CLEAN]), help="Exit code 6 unless the verdict is this one.")
 @options.SET
+@options.ACCEPT
 @options.JSON
 @options.QUIET
 @options.VERBOSE
@@ -32,18 +37,21 @@ def command(job: Path, design: bool, output: Path | None, as_json: bool, **wante
     from metrocli.errors import InputError
     from metrocli.project import diagnosed
     from metrocli.project.job import Wishes, kind_of_job, load
+    from metrocli.project.pipeline import NOT_MET
     from metrocli.tasks import KINDS
 
-    console, overrides = Console(wanted["quiet"] or as_json, wanted["verbose"]), wanted["overrides"]
+    console = Console(wanted["quiet"] or as_json, wanted["verbose"])
+    asked = Wishes(wanted["overrides"], accept_doubtful=wanted["accept_doubtful"])
     if design:
         kind = kind_of_job(job)
         not_needed = KINDS[kind].measured if kind else ()
-        adjusted, found = diagnosed.design_of(load(job, Wishes(overrides, not_needed=not_needed)))
+        asked = replace(asked, not_needed=not_needed)
+        adjusted, found = diagnosed.design_of(load(job, asked))
         if as_json:
             click.echo(summary.as_json(verdict.design_data(adjusted, found)))
         console.print(findings.of_design(adjusted, found))
         return 0
-    loaded = load(job, Wishes(overrides))
+    loaded = load(job, asked)
     diagnosis = diagnosed.carry_out(loaded, console.waiting)
     extended = None
     try:
@@ -55,4 +63,4 @@ def command(job: Path, design: bool, output: Path | None, as_json: bool, **wante
     if as_json:
         click.echo(summary.as_json(verdict.as_data(diagnosis) | {"extended_job": extended and str(extended)}))
     console.print(findings.of_diagnosis(diagnosis, extended))
-    return 0
+    return NOT_MET if wanted["require"] not in (None, diagnosis.verdict) else 0

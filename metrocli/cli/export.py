@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -19,14 +20,24 @@ SUMMARIES = "; ".join(f"{name}, {form.summary}" for name, form in FORMATS.items(
 @click.option(
     "--out", type=click.Path(path_type=Path), metavar="DIR", help="Folder to write to (default: beside the result)."
 )
+@options.ACCEPT
 @options.QUIET
-def command(result: Path, form: str, out: Path | None, quiet: bool) -> int:
-    """Write the files of a format: as NAME into the given folder, else as RESULT.NAME beside the result."""
+def command(result: Path, form: str, out: Path | None, accept_doubtful: bool, quiet: bool) -> int:
+    """Write the files of a format: as NAME into the given folder, else as RESULT.NAME beside the result.
+
+    Raises InputError if the result is not fit for use, unless that is accepted; the files then state it.
+    """
+    from metrocli.errors import Fault, InputError
     from metrocli.exports import export
     from metrocli.formats import aside, csv, hdf5
     from metrocli.table import Table
 
-    found, _ = hdf5.read(result)
+    found, record = hdf5.read(result)
+    if record.reasons and not accept_doubtful:
+        hint = "correct its job and run it again, or export it as it is by --accept-doubtful"
+        reasons = "; ".join(record.reasons)
+        raise InputError([Fault(f"not fit for use ({record.status}): {reasons}", str(result), hint=hint)])
+    found = replace(found, doubts=record.reasons)
     written = []
     for name, content in export(form, found).items():
         path = out / name if out is not None else result.with_name(f"{result.stem}.{name}")

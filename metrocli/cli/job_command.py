@@ -17,7 +17,15 @@ def make(kind: str) -> click.Command:
 
     questions = [options.asking(question) for question in KINDS[kind].questions]
     shared = [options.WORKERS, options.SCHEDULER] if KINDS[kind].chunked else []
-    shared += [options.DRY_RUN, options.FORCE, options.JSON, options.QUIET, options.VERBOSE]
+    shared += [
+        options.ACCEPT,
+        options.STRICT,
+        options.DRY_RUN,
+        options.FORCE,
+        options.JSON,
+        options.QUIET,
+        options.VERBOSE,
+    ]
 
     @options.all_of(options.JOB, options.OUTPUT, options.SET, *questions, *shared)
     def command(job: Path, quiet: bool, verbose: bool, **wanted: Any) -> int:
@@ -35,7 +43,8 @@ def _carry_out(kind: str, path: Path, console: Console, wanted: dict[str, Any]) 
 
     if wanted["output"] is not None and wanted["output"].suffix != ".h5":
         raise UsageError(f"--output {wanted['output']}: the name of a result file ends in .h5")
-    job = load(path, Wishes(wanted["overrides"], wanted["output"], kind))
+    accept = wanted["accept_doubtful"]
+    job = load(path, Wishes(wanted["overrides"], wanted["output"], kind, accept_doubtful=accept))
     question = next((one.name for one in KINDS[kind].questions if wanted[one.name]), None)
     if wanted["dry_run"]:
         runner.refuse_foreign(job.output, kind, wanted["force"])
@@ -52,11 +61,11 @@ def _carry_out(kind: str, path: Path, console: Console, wanted: dict[str, Any]) 
 
     with console.part_counter() as show_parts:
         workers = Workers(wanted.get("workers", 0), wanted.get("scheduler", ""), tell=show_parts)
-        done = runner.carry_out(job, wanted["force"], console.detail, workers)
+        done = runner.carry_out(job, wanted["force"], console.detail, workers, wanted["strict"])
     if wanted["as_json"]:
         click.echo(summary.json_of(done.result, done.record, done.path))
     else:
         console.print(terminal.result_text(done.result, done.record, done.path))
     for line in done.result.warnings:
         console.warning(line)
-    return terminal.print_unmet(done.record, printed=not (wanted["as_json"] or console.quiet))
+    return terminal.print_unfit(done.record, printed=not (wanted["as_json"] or console.quiet))

@@ -22,6 +22,10 @@ OUTPUT = click.option(
 )
 DRY_RUN = click.option("--dry-run", is_flag=True, help="Check everything, compute and write nothing.")
 QUIET = click.option("--quiet", "-q", is_flag=True, help="Print failures only.")
+ACCEPT = click.option(
+    "--accept-doubtful", is_flag=True, help="Use results that are doubtful or do not meet their requirements."
+)
+STRICT = click.option("--strict", is_flag=True, help="Every warning makes the result doubtful (exit code 6).")
 VERBOSE = click.option("--verbose", "-v", is_flag=True, help="Print to stderr what is being done.")
 
 WORKERS = click.option(

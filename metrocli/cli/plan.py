@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -19,10 +20,11 @@ from metrocli.cli.console import Console
     help="Folder to write to (default: NAME.plan beside the job).",
 )
 @options.SET
+@options.ACCEPT
 @options.FORCE
 @options.JSON
 @options.QUIET
-def command(job: Path, out: Path | None, overrides: tuple[str, ...], force: bool, as_json: bool, quiet: bool) -> int:
+def command(job: Path, out: Path | None, force: bool, as_json: bool, quiet: bool, **wishes: Any) -> int:
     """Plan; write tables and files; print the expected uncertainties and the paths."""
     from metrocli.cli import summary, terminal
     from metrocli.project import planned, runner
@@ -33,7 +35,8 @@ def command(job: Path, out: Path | None, overrides: tuple[str, ...], force: bool
     folder = out if out is not None else job.with_name(f"{job.stem}.plan")
     planned.refuse_foreign(folder, force)
     kind = kind_of_job(job)
-    loaded = load(job, Wishes(overrides, not_needed=KINDS[kind].planned if kind else ()))
+    not_needed, accept = KINDS[kind].planned if kind else (), wishes["accept_doubtful"]
+    loaded = load(job, Wishes(wishes["overrides"], not_needed=not_needed, accept_doubtful=accept))
     plan = runner.plan(loaded)
     text = summary.json_of_plan(plan, folder)
     written = list(planned.write(planned.files_of(plan), text, folder))

@@ -9,9 +9,10 @@ import click
 
 from metrocli.cli import options
 from metrocli.cli.console import Console
+from metrocli.record import DOUBTFUL, UNMET
 
 if TYPE_CHECKING:
-    from metrocli.project.pipeline import Report
+    from metrocli.project.pipeline import Report, State
 
 
 @click.command(
@@ -19,22 +20,24 @@ if TYPE_CHECKING:
 )
 @click.argument("project", type=click.Path(path_type=Path), default=Path())
 @click.option("--force", is_flag=True, help="Run every job, and overwrite whatever is at the outputs.")
+@options.ACCEPT
+@options.STRICT
 @options.DRY_RUN
 @options.JSON
 @options.QUIET
 @options.VERBOSE
-def command(project: Path, force: bool, dry_run: bool, as_json: bool, quiet: bool, verbose: bool) -> int:
+def command(project: Path, force: bool, dry_run: bool, as_json: bool, quiet: bool, verbose: bool, **how: bool) -> int:
     """Run the jobs and print one line for each; return the exit code of the first that failed."""
     from metrocli.project import pipeline
+    from metrocli.project.steps import load_project
 
-    steps = pipeline.load_project(project)
+    steps = load_project(project, how["accept_doubtful"])
     console = Console(quiet or as_json, verbose)
     if dry_run:
         for state in pipeline.states(steps):
-            reason = state.reason or ("forced" if force else "")
-            console.print(f"{state.step.name}: {f'would run: {reason}' if reason else 'up to date'}")
+            console.print(f"{state.step.name}: {state_text(state, force)}")
         return 0
-    reports = pipeline.run(steps, force, console.detail, lambda report: _print_report(report, console))
+    reports = pipeline.run(steps, force, console.detail, lambda report: _print_report(report, console), how["strict"])
     if as_json:
         from metrocli.cli.summary import as_json as json_text
 
@@ -45,9 +48,7 @@ def command(project: Path, force: bool, dry_run: bool, as_json: bool, quiet: boo
 def _print_report(report: Report, console: Console) -> None:
     """Print the line of one job to stdout; failures, warnings and unmet criteria to stderr."""
     place = f" -> {report.step.job.output}" if report.action == "ran" else ""
-    unmet = " (an acceptance criterion is not met)" if report.exit_code and not report.error else ""
-    if report.action == "not run":
-        unmet = ""
+    unmet = f" ({_UNFIT[report.record.status]})" if report.record and report.record.status in _UNFIT else ""
     reason = f" ({report.reason})" if report.reason else ""
     console.print(f"{report.step.name}: {report.action}{reason}{place}{unmet}")
     if report.error:
@@ -58,7 +59,22 @@ def _print_report(report: Report, console: Console) -> None:
         console.detail(terminal.result_text(report.done.result, report.done.record, report.done.path))
         for line in report.done.result.warnings:
             console.warning(line)
-        terminal.print_unmet(report.done.record)
+
+    if report.record is not None:
+        from metrocli.cli import terminal
+
+        terminal.print_unfit(report.record)
+
+
+_UNFIT = {UNMET: "an acceptance criterion is not met", DOUBTFUL: "doubtful: do not use this result"}
+
+
+def state_text(state: State, force: bool = False) -> str:
+    """Return whether a job would run, and why, in words."""
+    if state.waits:
+        return f"would not run: {state.reason}"
+    reason = state.reason or ("forced" if force else "")
+    return f"would run: {reason}" if reason else "up to date"
 
 
 def _summary(report: Report) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -23,9 +24,10 @@ from metrocli.cli.console import Console
 )
 @click.option("--images", is_flag=True, help="Render the images too.")
 @options.SET
+@options.ACCEPT
 @options.FORCE
 @options.QUIET
-def command(job: Path, out: Path, seed: int, images: bool, quiet: bool, force: bool, **wishes: tuple[str, ...]) -> int:
+def command(job: Path, out: Path, seed: int, images: bool, quiet: bool, force: bool, **wishes: Any) -> int:
     """Simulate; write tables, images and truth.json; print their paths."""
     from metrocli.errors import Fault, InputError
     from metrocli.project import runner
@@ -38,7 +40,9 @@ def command(job: Path, out: Path, seed: int, images: bool, quiet: bool, force: b
         raise InputError([Fault("the folder is not empty", str(out), hint="name a new one, or use --force")])
     kind = kind_of_job(job)
     not_needed = KINDS[kind].measured if kind else ()
-    loaded = load(job, Wishes(wishes["overrides"], not_needed=not_needed, effects=wishes["effects"]))
+    accept, effects = wishes["accept_doubtful"], wishes["effects"]
+    asked = Wishes(wishes["overrides"], not_needed=not_needed, effects=effects, accept_doubtful=accept)
+    loaded = load(job, asked)
     for path in list(write(runner.simulate(loaded, SimulationOptions(seed, images)), out)):
         Console(quiet).print(str(path))
     return 0

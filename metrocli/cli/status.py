@@ -11,21 +11,32 @@ from metrocli.cli import options
 
 @click.command("status", help="List what is up to date in a project, what is not, and why.")
 @click.argument("project", type=click.Path(path_type=Path), default=Path())
+@options.ACCEPT
 @options.JSON
-def command(project: Path, as_json: bool) -> int:
+def command(project: Path, accept_doubtful: bool, as_json: bool) -> int:
     """Print one line for each job; return 0 whenever the project can be read."""
-    from metrocli.project.pipeline import load_project, states
+    from metrocli.cli.run import state_text
+    from metrocli.project.pipeline import states
+    from metrocli.project.steps import load_project
 
-    found = list(states(load_project(project)))
+    found = list(states(load_project(project, accept_doubtful)))
     if as_json:
         from metrocli.cli.summary import as_json as json_text
 
-        rows = [{"job": s.step.name, "up_to_date": not s.reason, "reason": s.reason} for s in found]
+        rows = [
+            {
+                "job": one.step.name,
+                "up_to_date": not one.reason,
+                "reason": one.reason,
+                "status": one.record.status if one.record else None,
+            }
+            for one in found
+        ]
         click.echo(json_text({"jobs": rows}))
         return 0
     for state in found:
         missed = [verdict.name for verdict in state.record.verdicts if not verdict.met] if state.record else []
         unmet = f" (not met: {', '.join(missed)})" if missed else ""
-        shown = f"would run: {state.reason}" if state.reason else f"up to date{unmet}"
-        click.echo(f"{state.step.name}: {shown}")
+        doubt = f" (doubtful: {'; '.join(state.record.doubts)})" if state.record and state.record.doubts else ""
+        click.echo(f"{state.step.name}: {state_text(state)}{'' if state.reason else unmet + doubt}")
     return 0

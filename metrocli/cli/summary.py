@@ -21,11 +21,12 @@ def summary(result: Result, record: Record, path: Path) -> dict[str, Any]:
     return {
         "kind": result.kind,
         "title": result.title,
-        "status": "done" if all(verdict.met for verdict in record.verdicts) else "requirements not met",
+        "status": record.status,
         "result": str(path),
         "estimates": {e.name: _estimate(e) | dict(result.details.get(e.name, {})) for e in result.estimates},
         "statistics": dict(result.statistics),
         "warnings": list(result.warnings),
+        "doubts": list(record.doubts),
         "notes": list(result.notes),
         "requirements": [asdict(verdict) for verdict in record.verdicts],
     }

@@ -12,8 +12,8 @@ import click
 
 from metrocli import units
 from metrocli.plan import Plan
-from metrocli.project.pipeline import NOT_MET
-from metrocli.record import Record, Verdict
+from metrocli.project.pipeline import exit_code
+from metrocli.record import Record
 from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 
@@ -28,7 +28,8 @@ def result_text(result: Result, record: Record, path: Path) -> str:
     parts += [_statistics_line(result.statistics)]
     parts += result.notes
     parts += [_shown(result.tables, shown) for shown in result.shown if shown.name in result.tables]
-    parts += [_verdict_line(verdict) for verdict in record.verdicts]
+    parts += map(str, record.verdicts)
+    parts += _doubt_lines(record)
     return "\n".join([*parts, f"result: {path}"])
 
 
@@ -39,18 +40,19 @@ def plan_text(plan: Plan) -> str:
     return "\n".join([*parts, *(_shown(plan.tables, shown) for shown in plan.shown)])
 
 
-def print_unmet(record: Record, printed: bool = False) -> int:
-    """Print to stderr each acceptance criterion that is not met, unless already printed; return the exit code."""
-    unmet = [verdict for verdict in record.verdicts if not verdict.met]
-    for verdict in () if printed else unmet:
-        click.echo(_verdict_line(verdict), err=True)
-    return NOT_MET if unmet else 0
+def print_unfit(record: Record, printed: bool = False) -> int:
+    """Print to stderr why a result is not fit for use, unless already printed; return the exit code.
+
+    That is, each acceptance criterion that is not met and each doubt.
+    """
+    unmet = [str(verdict) for verdict in record.verdicts if not verdict.met]
+    for line in () if printed else (*unmet, *_doubt_lines(record)):
+        click.echo(line, err=True)
+    return exit_code(record)
 
 
-def _verdict_line(verdict: Verdict) -> str:
-    outcome = "met" if verdict.met else "NOT met"
-    value = units.format_quantity(verdict.value, verdict.unit)
-    return f"required {verdict.name} {verdict.condition}: {outcome} ({value})"
+def _doubt_lines(record: Record) -> list[str]:
+    return [f"DOUBTFUL: {doubt}" for doubt in record.doubts]
 
 
 def estimates_text(estimates: Iterable[Estimate]) -> str:

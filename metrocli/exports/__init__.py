@@ -36,6 +36,10 @@ FORMATS: dict[str, Format] = {
 
 
 def export(name: str, result: Result) -> Exported:
-    """Return the files of a result in a format; raises InputError if the result has nothing to export in it."""
+    """Return the files of a result in a format; raises InputError if the result has nothing to export in it.
+
+    Beside the files of a result with doubts, a text states them.
+    """
     files: Callable[[Result], Exported] = import_module(FORMATS[name].module).files
-    return files(result)
+    doubts = {"doubtful.txt": "\n".join([*result.doubts, ""])} if result.doubts else {}
+    return {**files(result), **doubts}

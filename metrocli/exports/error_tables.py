@@ -199,7 +199,7 @@ def of(result: Result) -> ErrorTables:
         left_out=left_out,
         together=together,
         reversal=_reversal(result),
-        remarks=tuple(_others(result)),
+        remarks=(*(f"NOT FIT FOR USE: {doubt}" for doubt in result.doubts), *_others(result)),
     )
 
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from metrocli import units
+from metrocli import copies, units
 from metrocli.errors import Fault, InputError
 from metrocli.formats.csv_text import Raw, read_text, shortened, taken_apart
 from metrocli.table import NUMBER, TEXT, WHOLE, Column, Columns, Table
@@ -47,7 +47,11 @@ def read(path: Path, columns: Columns, shown: str = "") -> Table:
     if faults:
         raise InputError(shortened(faults))
     internal = {c.name: units.internal_unit(c.dimension) for c in columns.columns if _has_unit(c) and c.name in values}
-    return Table(values, internal, raw.file, tuple(raw.numbers), _unused(raw, columns, places))
+    table = Table(values, internal, raw.file, tuple(raw.numbers), _unused(raw, columns, places))
+    copied = copies.faults(table, columns)
+    if copied:
+        raise InputError(shortened(copied))
+    return table
 
 
 def _every(raw: Raw, columns: Columns) -> Columns:

@@ -14,6 +14,7 @@ from typing import Any
 import h5py
 import numpy as np
 
+from metrocli.doubt import doubts_of
 from metrocli.errors import Fault, InputError
 from metrocli.formats.aside import written_aside
 from metrocli.record import InputFile, Record, Verdict
@@ -24,7 +25,7 @@ FORMAT = "metrocli-result"
 VERSION = 1
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _TEXT = h5py.string_dtype("utf-8")
-_OWN = ("job", "inputs", "parameters", "covariance", "statistics", "requirements", "warnings", "notes")
+_OWN = ("job", "inputs", "parameters", "covariance", "statistics", "requirements", "warnings", "notes", "doubts")
 _DECLARED = "for the declared noise"
 _SCALED = "scaled by sigma0 squared, because the noise was estimated"
 
@@ -44,6 +45,7 @@ def _write_all(file: h5py.File, result: Result, record: Record) -> None:
     attributes = {
         "format": FORMAT, "version": VERSION, "kind": result.kind, "title": result.title,
         "metrocli_version": record.metrocli_version, "created": record.created, "NX_class": "NXroot",
+        "status": record.status,
     }  # fmt: skip
     for name, value in attributes.items():
         file.attrs[name] = value
@@ -63,7 +65,7 @@ def _write_all(file: h5py.File, result: Result, record: Record) -> None:
         file.create_dataset(name, data=array)
     verdicts = ("name", "condition", "value", "unit", "met")
     _write_table(file, "requirements", _table_of([asdict(verdict) for verdict in record.verdicts], verdicts))
-    for name, lines in (("warnings", result.warnings), ("notes", result.notes)):
+    for name, lines in (("warnings", result.warnings), ("notes", result.notes), ("doubts", record.doubts)):
         _write_texts(file, name, lines)
     file.attrs["shown"] = _texts([_shown_text(shown) for shown in result.shown])
     _write_plot(file, result)
@@ -184,7 +186,10 @@ def _opened(path: Path, shown: str) -> h5py.File:
         if _first_bytes(path, shown) == SIGNATURE:
             raise InputError([Fault("the result file is truncated or damaged; run its job again", shown)]) from error
         raise InputError([Fault("this is not a result file (HDF5)", shown)]) from error
-    reason = _reason_to_refuse(file)
+    try:
+        reason = _reason_to_refuse(file)
+    except OSError:
+        reason = "the result file is truncated or damaged; run its job again"
     if reason:
         file.close()
         raise InputError([Fault(reason, shown)])
@@ -240,13 +245,17 @@ def _sort_in(name: str, item: Any, tables: dict[str, Table], arrays: dict[str, A
 
 
 def _read_record(file: h5py.File) -> Record:
-    inputs, verdicts = _rows(file["inputs"]), _rows(file["requirements"])
+    inputs = _rows(file["inputs"])
+    verdicts = tuple(Verdict(**row) for row in _rows(file["requirements"]))
+    # files written before results had a status are judged by what they hold
+    doubts = _read_texts(file["doubts"]) if "doubts" in file else doubts_of(_read_result(file), verdicts)
     return Record(
         job_text=file["job"].asstr()[()],
         inputs=tuple(InputFile(**row) for row in inputs),
         metrocli_version=str(file.attrs["metrocli_version"]),
         created=str(file.attrs["created"]),
-        verdicts=tuple(Verdict(**row) for row in verdicts),
+        verdicts=verdicts,
+        doubts=doubts,
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import tempfile
 from collections.abc import Iterator, Sequence
@@ -50,16 +51,19 @@ def read_images(paths: Sequence[Path]) -> ImageSet:
     """Return the images sorted by name, and check all files without decoding them.
 
     Raises InputError with all faults of all files: not readable, unknown format, incomplete, too large, different
-    sizes, or equal names.
+    sizes, equal names, or the same content.
     """
     files = tuple(sorted(paths, key=lambda path: path.name))
     if not files:
         raise InputError("no image is given")
     faults: list[Fault] = []
     sizes: dict[Path, Size] = {}
+    contents: dict[bytes, Path] = {}
     for path in files:
         try:
-            sizes[path] = size_of(_bytes(path))
+            data = _bytes(path)
+            sizes[path] = size_of(data)
+            faults += _same_content(path, contents.setdefault(hashlib.sha256(data).digest(), path))
             faults += _size_fault(path, sizes[path])
         except HeaderError as fault:
             faults.append(_fault(path, str(fault)))
@@ -133,6 +137,13 @@ def _size_fault(path: Path, size: Size) -> list[Fault]:
 
 def _same_names(files: Sequence[Path]) -> list[Fault]:
     return [_fault(b, f"two images have this name; the other is {a}") for a, b in pairwise(files) if a.name == b.name]
+
+
+def _same_content(path: Path, first: Path) -> list[Fault]:
+    if path == first:
+        return []
+    hint = "one measurement that counts twice makes the uncertainty too small: remove the copy"
+    return [Fault(f"this image is a copy of {first.name}, byte for byte", str(path), hint=hint)]
 
 
 def _different_sizes(sizes: dict[Path, Size]) -> list[Fault]:

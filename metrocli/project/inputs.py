@@ -11,7 +11,7 @@ from typing import Any
 
 from metrocli.errors import Fault, InputError
 from metrocli.project.job import Input, JobFile
-from metrocli.record import InputFile
+from metrocli.record import DONE, InputFile
 from metrocli.settings import ANY_KIND, FileOf, ImageFiles, TableFile
 
 
@@ -22,7 +22,7 @@ def read_inputs(job: JobFile, absent: Collection[str] = ()) -> dict[str, Any]:
     dict under "files", by the path of their key. Raises InputError with the faults of all files.
     """
     held: dict[str, Any] = {}
-    faults: list[Fault] = []
+    faults: list[Fault] = [] if job.accept_doubtful else unfit_inputs(job)
     for item in job.inputs:
         if item.key in absent and not (item.paths and all(path.is_file() for path in item.paths)):
             continue
@@ -35,6 +35,27 @@ def read_inputs(job: JobFile, absent: Collection[str] = ()) -> dict[str, Any]:
     elsewhere = {key: value for key, value in held.items() if "." in key}
     named = {key: value for key, value in held.items() if key not in elsewhere}
     return named | ({"files": elsewhere} if elsewhere else {})
+
+
+def unfit_inputs(job: JobFile) -> list[Fault]:
+    """Return a fault for each result among the inputs that is doubtful or does not meet the requirements of its job."""
+    return [fault for item in job.inputs for path in item.paths if (fault := _unfit(item, path)) is not None]
+
+
+def _unfit(item: Input, path: Path) -> Fault | None:
+    spec = getattr(item.spec, "value", item.spec)
+    if not isinstance(spec, FileOf) or item.held is not None or not path.is_file():
+        return None
+    from metrocli.formats import hdf5
+
+    try:
+        _, record = hdf5.read_record(path)
+    except InputError:
+        return None  # reported where the whole file is read
+    if record.status == DONE:
+        return None
+    message = f"{item.node.path}: {path} is not fit for use ({record.status}): {'; '.join(record.reasons)}"
+    return item.node.fault(message, "correct its job and run it again, or use it as it is by --accept-doubtful")
 
 
 def _read(item: Input) -> Any:

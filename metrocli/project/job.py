@@ -67,6 +67,8 @@ class JobFile:
     """The text of the job as used, after --set."""
     root: Node
     effects: tuple[Wanted, ...] = ()
+    accept_doubtful: bool = False
+    """Whether results that are doubtful, or do not meet their requirements, are accepted as inputs"""
 
     @property
     def kind(self) -> str:
@@ -94,6 +96,7 @@ class Wishes:
     """Keys of inputs whose files may be missing"""
     effects: tuple[str, ...] = ()
     """The values of --effect, each `NAME:key=value,...`"""
+    accept_doubtful: bool = False
 
 
 def load(path: Path, wishes: Wishes | None = None) -> JobFile:
@@ -120,7 +123,7 @@ def load(path: Path, wishes: Wishes | None = None) -> JobFile:
     output = wishes.output or heading.output or path.parent / "results" / f"{path.stem}.h5"
     if os.path.abspath(output) in {os.path.abspath(file) for item in inputs for file in item.paths}:
         raise InputError([root.at("output").fault(f"the output {output} is one of the inputs", "name another output")])
-    return JobFile(path, heading, settings, inputs, output, text, root, wanted)
+    return JobFile(path, heading, settings, inputs, output, text, root, wanted, wishes.accept_doubtful)
 
 
 def kind_of_job(path: Path) -> str | None:

@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from metrocli import __version__, tasks
+from metrocli.doubt import doubts_of
 from metrocli.effects.wanted import planted
 from metrocli.errors import Fault, InputError, UsageError
 from metrocli.plan import Plan
 from metrocli.project.chunks import ChunkFolder
-from metrocli.project.inputs import input_files, read_inputs
+from metrocli.project.inputs import input_files, read_inputs, unfit_inputs
 from metrocli.project.job import JobFile
 from metrocli.record import Record, Verdict
 from metrocli.result import Result
@@ -38,9 +39,15 @@ class Done:
 
 
 def carry_out(
-    file: JobFile, force: bool = False, progress: Progress = lambda line: None, workers: Workers = HERE
+    file: JobFile,
+    force: bool = False,
+    progress: Progress = lambda line: None,
+    workers: Workers = HERE,
+    strict: bool = False,
 ) -> Done:
     """Read the inputs, run the task, check the acceptance criteria and write the result; write nothing on any error.
+
+    With `strict` every warning makes the result doubtful.
 
     The chunks that `workers` finish are kept beside the output until the job is done: a killed run then continues.
     """
@@ -54,10 +61,13 @@ def carry_out(
         job = replace(job, workers=replace(workers, finished=ChunkFolder(file.output.with_suffix(".chunks"))))
     result = kind.task().run(job)
     result = replace(
-        result, title=result.title or file.heading.title, warnings=_table_warnings(job.files) + result.warnings
+        result,
+        title=result.title or file.heading.title,
+        warnings=(*_accepted(file), *_table_warnings(job.files), *result.warnings),
     )
     created = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-    record = Record(file.text, files, __version__, created, _verdicts(file, result))
+    verdicts = _verdicts(file, result)
+    record = Record(file.text, files, __version__, created, verdicts, doubts_of(result, verdicts, strict))
     from metrocli.formats import hdf5
 
     hdf5.write(file.output, result, record)
@@ -113,6 +123,11 @@ def refuse_foreign(path: Path, kind: str, force: bool) -> None:
         return
     what = "is not a result of metrocli" if there is None else f"is a result of {there}"
     raise InputError([Fault(f"the file exists and {what}", str(path), hint="choose another --output, or use --force")])
+
+
+def _accepted(file: JobFile) -> tuple[str, ...]:
+    """Return a warning for each input that is used though it is not fit for use."""
+    return tuple(f"{fault.message}; accepted by --accept-doubtful" for fault in unfit_inputs(file))
 
 
 def _table_warnings(files: Any) -> tuple[str, ...]:

@@ -498,3 +498,13 @@ def test_a_status_has_a_size_and_compares_it_with_the_usual_sizes(folder: Path, 
         assert one["usual_seen"] == (True if above <= one["usual"]["from"] else above <= one["usual"]["to"] and "part")
         assert one["status"] == ("excluded" if one["usual_seen"] else "cannot-see")
         assert one["hides"]["power"] == 0.95
+
+
+def test_the_exit_code_is_0_whatever_the_verdict_unless_clean_is_required(folder: Path, metrocli: Metrocli) -> None:
+    job = write(folder, measured("dead-path-drift", 30.0))
+    assert metrocli("multilaterate", job).code == 6  # doubtful
+    assert metrocli("diagnose", job).code == 0
+    required = metrocli("diagnose", job, "--require", "clean", "--json")
+    assert (required.code, json.loads(required.out)["verdict"]) == (6, "explained")
+    clean = write(folder, measured())
+    assert metrocli("diagnose", clean, "--require", "clean").code == 0

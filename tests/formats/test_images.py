@@ -79,7 +79,7 @@ def test_exif_rotation_is_ignored(tmp_path: Path, orientation: int) -> None:
 
 
 def test_names_are_sorted_and_without_folder(tmp_path: Path) -> None:
-    paths = [saved(tmp_path / name, RAMP) for name in ("b.png", "a.png")]
+    paths = [saved(tmp_path / "b.png", RAMP), saved(tmp_path / "a.png", RAMP[::-1])]
     assert read_images(paths).names == ("a.png", "b.png")
 
 

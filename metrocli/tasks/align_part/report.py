@@ -22,6 +22,7 @@ from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.align_part import KIND
 from metrocli.tasks.align_part.problem import Problem
+from metrocli.tasks.align_part.uncontrolled import uncontrolled
 from metrocli.tasks.shared.images.adjustment import Adjusted
 from metrocli.tasks.shared.images.camera_parameters import HIGH
 from metrocli.tasks.shared.images.tables import (
@@ -31,7 +32,8 @@ from metrocli.tasks.shared.images.tables import (
     suspect_images,
     suspect_readings,
 )
-from metrocli.tasks.shared.statistics import basic_statistics, noise_warnings, residual_table, with_noise
+from metrocli.tasks.shared.statistics import basic_statistics, noise_notes, noise_warnings, residual_table, with_noise
+from metrocli.tasks.shared.uncontrolled import TABLE, in_words
 from metrocli.units import format_quantity
 
 _UNITS = ("mm", "mm", "mm", "rad", "rad", "rad", "rad")
@@ -111,11 +113,13 @@ def report(problem: Problem, adjusted: Adjusted, prediction: Prediction | None) 
     correlation = covariance / std[:, None] / std
     arrays = {"rotation": poses.rotation_of(solution.blocks[spindle.PART].values[0]), "correlation": correlation}
     arrays |= effect_arrays
+    hidden = uncontrolled(problem, adjusted)
     tables = {
         "residuals": residual_table(found, adjusted.group),
         "views": views,
         "targets": rms_table(found.values, adjusted.group, "target", index[TARGET], targets),
         "rejected": adjusted.rejected,
+        TABLE: hidden,
         **effect_tables,
     }
     return Result(
@@ -128,7 +132,7 @@ def report(problem: Problem, adjusted: Adjusted, prediction: Prediction | None) 
         arrays=arrays,
         warnings=tuple(_warnings(problem, adjusted, views, prediction)),
         shown=(ShownTable("views", ("image", "readings", "rms", "largest", "largest_target")),),
-        notes=tuple(_notes(solution, adjusted, prediction)),
+        notes=(*_notes(solution, adjusted, prediction), *in_words(hidden)),
     )
 
 
@@ -141,6 +145,7 @@ def _notes(solution: Solution, adjusted: Adjusted, prediction: Prediction | None
             f"predicted from the poses before solving: s(gamma_s) = {format_quantity(prediction.std, 'rad', None)}, "
             f"correlation with {prediction.partner} {prediction.correlation:+.3f}"
         )
+    lines += noise_notes(solution) if adjusted.noise is None else []
     return lines + adjustment_notes(adjusted)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -22,6 +23,7 @@ from metrocli.tasks.calibrate_camera.coverage import coverage
 from metrocli.tasks.calibrate_camera.lens_conventions import conventions_table, form_covariance, photogrammetric_form
 from metrocli.tasks.calibrate_camera.problem import Problem
 from metrocli.tasks.calibrate_camera.settings import Camera
+from metrocli.tasks.calibrate_camera.uncontrolled import uncontrolled
 from metrocli.tasks.shared.images.adjustment import Adjusted
 from metrocli.tasks.shared.images.camera_parameters import HIGH, POSE_UNITS, Parameters, parameters, unit_of
 from metrocli.tasks.shared.images.tables import (
@@ -35,10 +37,12 @@ from metrocli.tasks.shared.statistics import (
     Statistics,
     basic_statistics,
     chi_interval,
+    noise_notes,
     noise_warnings,
     residual_table,
     with_noise,
 )
+from metrocli.tasks.shared.uncontrolled import TABLE, in_words
 
 if TYPE_CHECKING:
     from metrocli.table import Values
@@ -82,7 +86,7 @@ def report(problem: Problem, settings: Camera, adjusted: Adjusted) -> Result:
     form = photogrammetric_form(problem, settings, solution)
     if form is not None:
         arrays["photogrammetric_covariance"] = form_covariance(form, covariance)
-    names = problem.sighted.targets.names
+    names, hidden = problem.sighted.targets.names, uncontrolled(problem, settings, adjusted)
     tables = {
         "residuals": residual_table(solved.residuals, adjusted.group),
         "targets": solved.rms_table("target", solved.index(camera.TARGET), names),
@@ -91,6 +95,7 @@ def report(problem: Problem, settings: Camera, adjusted: Adjusted) -> Result:
         "significance": p.significance(),
         "conventions": conventions_table(problem, settings, solution, covariance),
         "camera": _camera(solved),
+        TABLE: hidden,
         **effect_tables,
     }
     if problem.rig != "cmm":
@@ -109,10 +114,15 @@ def report(problem: Problem, settings: Camera, adjusted: Adjusted) -> Result:
         tables=tables,
         arrays=arrays,
         warnings=tuple(_warnings(solved, views)),
+        doubts=tuple(_doubts(solved)),
         shown=(ShownTable("views", ("image", "readings", "rms", "largest", "largest_target")),)
         if problem.rig == "board"
         else (),
-        notes=tuple(adjustment_notes(adjusted)),
+        notes=(
+            *adjustment_notes(adjusted),
+            *(noise_notes(solution) if adjusted.noise is None else ()),
+            *in_words(hidden),
+        ),
     )
 
 
@@ -215,14 +225,25 @@ def _warnings(solved: _Calibration, views: Table) -> list[str]:
     lines += _correlation_warnings(solved.delivered.high_correlations())
     if adjusted.noise is None:
         lines += noise_warnings(solved.solution)
-    if problem.convention == "forward":
-        fold = projection_range(solved.lens.named(), problem.image_size)
-        if fold is not None:
-            lines.append(
-                f"the lens model folds over at {fold:.0f} px from the principal point, inside the image; "
-                "use fewer distortion parameters"
-            )
-    return lines
+    return lines + [text for text, among in _folds(solved) if not among]
+
+
+def _doubts(solved: _Calibration) -> list[str]:
+    """Return why the camera must not be used: a lens model that maps two directions to one pixel among the readings."""
+    return [text for text, among in _folds(solved) if among]
+
+
+def _folds(solved: _Calibration) -> Iterator[tuple[str, bool]]:
+    """Yield where the lens model folds over inside the image, and whether there are readings so far out."""
+    problem, lens = solved.problem, solved.lens.named()
+    fold = projection_range(lens, problem.image_size) if problem.convention == "forward" else None
+    if fold is not None:
+        u, v = solved.adjusted.group.observations.readings
+        yield (
+            f"the lens model folds over at {fold:.0f} px from the principal point, inside the image; "
+            "use fewer distortion parameters",
+            bool(np.hypot(u - lens["cx"], v - lens["cy"]).max() >= fold),
+        )
 
 
 def _correlation_warnings(table: Table) -> list[str]:

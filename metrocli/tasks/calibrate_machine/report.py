@@ -19,19 +19,18 @@ from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import KIND
 from metrocli.tasks.calibrate_machine.determination import Determination
 from metrocli.tasks.calibrate_machine.identifiability import Identifiability
-from metrocli.tasks.calibrate_machine.settings import ON_THE_FLY, Settings
+from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.calibrate_machine.solve import Solved
 from metrocli.tasks.calibrate_machine.tables import Tables, least_squares_squareness, tables_of, tool_names, unit_of
 from metrocli.tasks.calibrate_machine.volume_report import volume_tables
-from metrocli.tasks.shared.statistics import REMOVE, Statistics, basic_statistics, beyond_bound, noise_warnings
-from metrocli.words import listed
+from metrocli.tasks.calibrate_machine.warnings import cures, identifiability_notes, machine_warnings, uncontrolled
+from metrocli.tasks.shared.statistics import Statistics, basic_statistics, noise_notes
+from metrocli.tasks.shared.uncontrolled import TABLE, in_words
 
 if TYPE_CHECKING:
     from metrocli.table import Values
 
 SIGN = "actual minus commanded"
-WEAK = 10.0
-"""Above this ratio of volume error to misfit, a good fit does not ensure a small error in the volume"""
 
 
 def report(solved: Solved, settings: Settings) -> Result:
@@ -40,6 +39,7 @@ def report(solved: Solved, settings: Settings) -> Result:
     tables = tables_of(solved.problem.machine, solution)
     identified = solved.identified
     effect_tables, effect_arrays = effect_results(added, solution)
+    hidden = uncontrolled(solved, tables)
     volume = volume_tables(tables, identified, settings.volume.grid, solved.problem.tools_used)
     tools = (TOOL,) if solution.blocks[TOOL].free.any() else ()
     return Result(
@@ -62,17 +62,18 @@ def report(solved: Solved, settings: Settings) -> Result:
             "suspects": _suspects(solved),
             "rejected": _named_tests(solved, [name for name, _ in solved.rejected], [w for _, w in solved.rejected]),
             "tables_entries": _entries(tables),
+            TABLE: hidden,
             **effect_tables,
         },
         arrays={"tables_covariance": tables.covariance, **effect_arrays},
-        warnings=tuple(_warnings(solved, settings)),
+        warnings=tuple(machine_warnings(solved, settings)),
         shown=(
             ShownTable("errors", ("error", "status", "with", "largest", "largest_std", "unit")),
             ShownTable("volumetric"),
             *map(ShownTable, solved.problem.tables),
             *([ShownTable("suspects")] if len(solved.suspects.rows) else []),
         ),
-        notes=tuple(identifiability_notes(identified)),
+        notes=(*identifiability_notes(identified), *noise_notes(solution, cures(settings)), *in_words(hidden)),
     )
 
 
@@ -251,50 +252,8 @@ def _statistics(solved: Solved, settings: Settings) -> Statistics:
         "ratio": identified.ratio,
         "undetermined": " ".join(identified.undetermined),
         "together": " ".join(identified.together),
+        "readings": solved.problem.readings.observations.count,
         "rejected": len(solved.rejected),
         "critical_w": solved.suspects.critical,
         **solved.problem.facts,
     }
-
-
-def _warnings(solved: Solved, settings: Settings) -> list[str]:
-    identified = solved.identified
-    cures = () if settings.method == ON_THE_FLY else (REMOVE,)
-    lines = [*solved.problem.warnings, *noise_warnings(solved.solution, cures)]
-    if identified.undetermined:
-        lines.append(
-            f"this measurement does not determine {' '.join(identified.undetermined)}: left out of the tables"
-            + (f"; determined only together with them: {' '.join(identified.together)}" if identified.together else "")
-            + "; measure with tools of other length and offset to determine them"
-        )
-    if identified.open_tools:
-        lines.append(
-            f"the error of tool {listed(identified.open_tools)} cannot be predicted: it depends on undetermined errors"
-        )
-    if identified.ratio > WEAK:
-        lines.append(
-            f"in the worst case the error in the volume is {identified.ratio:.0f} times the misfit of the readings: "
-            "a good fit does not ensure a small error (`metrocli plan` proposes a measurement with a ratio of 4)"
-        )
-    rows, tests = solved.suspects.rows.tolist(), solved.suspects.tests.tolist()
-    if rows:
-        key, names = next(iter(solved.problem.readings.observations.keys)), solved.problem.names
-        worst = sorted(zip(tests, [names[i] for i in rows], strict=True), reverse=True)
-        told = [f"{key} {name} (w = {test:.1f})" for test, name in worst]
-        lines.append(beyond_bound(told, solved.suspects.critical, f"{REMOVE} leaves them out" * (REMOVE in cures)))
-    return lines
-
-
-def identifiability_notes(identified: Identifiability) -> list[str]:
-    """Return lines of text on what the measurement determines: rank, worst ratio, and undetermined errors."""
-    lines = [
-        "",
-        f"rank {identified.rank} of {identified.unknowns} unknowns; "
-        f"worst ratio of volume error to misfit {identified.ratio:.1f}",
-    ]
-    for name in identified.undetermined:
-        partners = identified.partners[name]
-        lines.append(f"  {name}: {'only together with ' + ' '.join(partners) if partners else 'not at all'}")
-    if not identified.undetermined:
-        lines.append("  every error is determined")
-    return lines

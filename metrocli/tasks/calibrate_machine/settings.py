@@ -39,9 +39,17 @@ POINTS = Columns(
     ),
     ("point",),
     "commanded points, and where the tracker measured them",
+    measured=("mx", "my", "mz"),
+    alike=("x", "y", "z"),
 )
 PATH = Columns((*_PLACE, _TOOL, Column("feed", "speed", required=False)), (), "vertices of the path, in order")
-TRACK = Columns((*_PLACE, _TIME, _TOOL), (), "points of the tracker along the path")
+TRACK = Columns(
+    (*_PLACE, _TIME, _TOOL),
+    (),
+    "points of the tracker along the path",
+    measured=("x", "y", "z"),
+    fewest_copied=50,
+)
 LINES = Columns(
     (
         Column("line", TEXT),
@@ -54,6 +62,9 @@ LINES = Columns(
     ),
     (),
     "lines of a laser with six degrees of freedom",
+    measured=("ex", "ey", "ez", "ea", "eb", "ec"),
+    alike=("axis", "position"),
+    group=("line",),
 )
 _VECTOR = ListOf(Quantity("length"), 3)
 

@@ -21,9 +21,9 @@ from metrocli.tasks.calibrate_machine.methods.six_dof import planned_lines, six_
 from metrocli.tasks.calibrate_machine.methods.standstill import standstill
 from metrocli.tasks.calibrate_machine.plan import PLACES, REST, Worth, planned, tracker_pose, worth_of
 from metrocli.tasks.calibrate_machine.problem import Problem, machine_of, tools_of
-from metrocli.tasks.calibrate_machine.report import identifiability_notes
 from metrocli.tasks.calibrate_machine.settings import MachineSimulation, PathPlan, Settings
 from metrocli.tasks.calibrate_machine.volume import grid_of, spread_over
+from metrocli.tasks.calibrate_machine.warnings import identifiability_notes
 
 if TYPE_CHECKING:
     from metrocli.table import Values

@@ -30,6 +30,7 @@ POSES = Columns(
     ),
     ("pose",),
     "receiver positions and encoder angles of aligned poses",
+    measured=ANGLES,
 )
 PLACES = Columns((*_PLACE, *_CONDITIONS), ("pose",), "receiver positions to measure at")
 _STEEP = 1.7e-3

@@ -18,7 +18,9 @@ from metrocli.table import Table
 from metrocli.tasks.locate_launch_unit import KIND
 from metrocli.tasks.locate_launch_unit.readings import Readings
 from metrocli.tasks.locate_launch_unit.solve import Located
-from metrocli.tasks.shared.statistics import REMOVE, basic_statistics, beyond_bound, noise_warnings
+from metrocli.tasks.locate_launch_unit.uncontrolled import uncontrolled
+from metrocli.tasks.shared.statistics import REMOVE, basic_statistics, beyond_bound, noise_notes, noise_warnings
+from metrocli.tasks.shared.uncontrolled import TABLE, in_words
 from metrocli.words import listed
 
 if TYPE_CHECKING:
@@ -37,6 +39,7 @@ def report(located: Located, method: str) -> Result:
     unit = tuple(Estimate(*row) for row in rows)
     beams = _beams(located)
     solution, problem = located.solution, located.problem
+    hidden = uncontrolled(located.readings.receiver, located.place)
     if solution is None or problem is None:
         return Result(
             kind=KIND.name,
@@ -44,7 +47,8 @@ def report(located: Located, method: str) -> Result:
             estimates=unit,
             covariance=located.covariance,
             statistics=_statistics_as_printed(located, method, beams),
-            tables={"beams": beams},
+            tables={"beams": beams, TABLE: hidden},
+            notes=in_words(hidden),
             shown=(ShownTable("beams"),),
             warnings=_warning_as_printed(method),
         )
@@ -74,9 +78,10 @@ def report(located: Located, method: str) -> Result:
         estimates=(*unit, *estimates(problem.effects, solution)),
         covariance=solution.joint((lu.UNIT, *free_blocks(problem.effects))),
         statistics=statistics,
-        tables={"beams": beams, **residuals, "outliers": outliers, **effects},
+        tables={"beams": beams, **residuals, "outliers": outliers, TABLE: hidden, **effects},
         arrays=arrays,
         shown=(ShownTable("beams"), *((ShownTable("outliers"),) if len(outliers) else ())),
+        notes=(*noise_notes(solution, cures=(REMOVE,)), *in_words(hidden)),
         warnings=(
             *problem.warnings,
             *noise_warnings(solution, cures=(REMOVE,)),

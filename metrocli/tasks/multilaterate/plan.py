@@ -26,7 +26,8 @@ from metrocli.tasks.multilaterate.distance import between_two, factors
 from metrocli.tasks.multilaterate.layout import Layout, root_mean_square, worst_direction
 from metrocli.tasks.multilaterate.reliability import UNITS, reliability
 from metrocli.tasks.multilaterate.tracer_candidates import Ranking, ranked
-from metrocli.tasks.multilaterate.uncontrolled import in_words, uncontrolled
+from metrocli.tasks.multilaterate.uncontrolled import uncontrolled
+from metrocli.tasks.shared.uncontrolled import in_words
 from metrocli.units import roughly
 
 if TYPE_CHECKING:

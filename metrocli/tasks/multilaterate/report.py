@@ -22,8 +22,9 @@ from metrocli.tasks.multilaterate.reliability import UNITS as RELIABILITY_UNITS
 from metrocli.tasks.multilaterate.reliability import reliability
 from metrocli.tasks.multilaterate.settings import Correction
 from metrocli.tasks.multilaterate.solve import Solved
-from metrocli.tasks.multilaterate.uncontrolled import in_words, uncontrolled
-from metrocli.tasks.shared.statistics import REMOVE, basic_statistics, noise_warnings
+from metrocli.tasks.multilaterate.uncontrolled import uncontrolled
+from metrocli.tasks.shared.statistics import REMOVE, basic_statistics, noise_notes, noise_warnings
+from metrocli.tasks.shared.uncontrolled import in_words
 from metrocli.words import listed
 
 if TYPE_CHECKING:
@@ -71,7 +72,7 @@ def report(solved: Solved, probing: Table | None, tolerance: float, scatter: Cor
         arrays={**arrays, **effect_arrays},
         warnings=(*_warnings(solved), *distant(solved.network, probing, tolerance)),
         shown=tuple(_shown(solved)),
-        notes=in_words(hidden),
+        notes=(*noise_notes(solution, cures=(REMOVE,)), *in_words(hidden)),
     )
 
 

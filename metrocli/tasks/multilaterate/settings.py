@@ -20,6 +20,8 @@ LENGTHS = Columns(
     ),
     ("point", "tracer"),
     "lengths read by the tracers",
+    measured=("length",),
+    alike=("tracer",),
 )
 POINTS = Columns((Column("point", TEXT), *_PLACE, *SIGMAS), ("point",), "approximate points: the mover's readings")
 TRACERS = Columns(

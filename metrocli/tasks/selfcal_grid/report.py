@@ -21,8 +21,10 @@ from metrocli.tasks.selfcal_grid import warnings as grid_warnings
 from metrocli.tasks.selfcal_grid.error_map import Covariance, SiteErrors, Smooth, error_map, smooth
 from metrocli.tasks.selfcal_grid.lengths import LengthError, largest
 from metrocli.tasks.selfcal_grid.solve import LeftOut, Solved
+from metrocli.tasks.selfcal_grid.uncontrolled import uncontrolled
 from metrocli.tasks.selfcal_grid.undetermined import Open, determined
-from metrocli.tasks.shared.statistics import Statistics, basic_statistics, residual_table
+from metrocli.tasks.shared.statistics import Statistics, basic_statistics, noise_notes, residual_table
+from metrocli.tasks.shared.uncontrolled import TABLE, in_words
 from metrocli.units import find_unit
 
 if TYPE_CHECKING:
@@ -52,6 +54,7 @@ def report(solved: Solved, found: Open, left_out: Sequence[LeftOut], points: Tab
     mountings, covariance = _mountings(solved)
     groups = solved.problem.fields.groups
     effects, effect_arrays = effect_results(solved.problem.effects, solved.found)
+    hidden = uncontrolled(solved.problem)
     tables = {
         "machine_error": _table(machine),
         "artefact_error": _table(artefact),
@@ -62,6 +65,7 @@ def report(solved: Solved, found: Open, left_out: Sequence[LeftOut], points: Tab
         **({"lengths": residual_table(solved.residuals[1], groups[1])} if len(groups) > 1 else {}),
         "suspects": _suspects(solved),
         "rejected": _rejected(solved),
+        TABLE: hidden,
         **effects,
         **({"length_error": length.table} if length else {}),
         **({"map": _map(solved, machine, points, form)} if points is not None else {}),
@@ -76,8 +80,9 @@ def report(solved: Solved, found: Open, left_out: Sequence[LeftOut], points: Tab
         tables=tables,
         arrays=_arrays(solved, machine, form) | effect_arrays,
         warnings=(*solved.problem.warnings, *grid_warnings.warnings(solved, found, machine.std, left_out)),
+        doubts=tuple(grid_warnings.contradicting(solved)),
         shown=(ShownTable("views"), *((ShownTable("suspects"),) if len(solved.suspects.rows) else ())),
-        notes=(*found.sentences(), *length_note, *_smooth_note(form)),
+        notes=(*found.sentences(), *noise_notes(solved.solution), *length_note, *_smooth_note(form), *in_words(hidden)),
     )
 
 

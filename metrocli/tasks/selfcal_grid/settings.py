@@ -30,6 +30,9 @@ VIEWS = Columns(
     ),
     ("view", "i", "j", "k", "repeat"),
     "what the machine reads of each ball in each view",
+    measured=("x", "y", "z"),
+    alike=("i", "j", "k"),
+    group=("view", "repeat"),
 )
 LENGTHS = Columns(
     (

@@ -30,11 +30,11 @@ def warnings(solved: Solved, found: Open, std: Array, left_out: Sequence[LeftOut
         order = solved.suspects.rows[np.argsort(-solved.suspects.tests)]
         told = [f"{keys['view'][n]}: ({keys['i'][n]}, {keys['j'][n]}, {keys['k'][n]})" for n in order]
         lines.append(beyond_bound(told, solved.suspects.critical))
-    return lines + _contradicting(solved) + _disagreeing(left_out)
+    return lines + _disagreeing(left_out)
 
 
-def _contradicting(solved: Solved) -> list[str]:
-    """Return a warning if calibrated lengths disagree with the readings or with each other."""
+def contradicting(solved: Solved) -> list[str]:
+    """Return a doubt if calibrated lengths disagree with the readings or with each other."""
     if not solved.problem.scale_given:
         return []
     tests = np.abs(solved.residuals[1].normalised[0])

@@ -88,26 +88,38 @@ def chi_interval(solution: Solution) -> tuple[float, float]:
 
 
 def noise_warnings(solution: Solution, cures: Collection[str] = (ESTIMATED, REMOVE)) -> list[str]:
-    """Return a warning if sigma0 is outside its 95 % interval, else an empty list.
+    """Return a warning if sigma0 is above its 95 % interval, else an empty list.
 
-    `cures` are the settings of the job that the warning may recommend.
+    `cures` are the settings of the job that the warning may recommend. Whether the result may be used at all is
+    decided in `metrocli/doubt.py`.
     """
     low, high = chi_interval(solution)
-    if not np.isfinite(solution.sigma0) or low <= solution.sigma0 <= high:
+    if not np.isfinite(solution.sigma0) or solution.sigma0 <= high:
         return []
     if solution.sigma0 > _ABSURD:
         return [
-            f"sigma0 = {solution.sigma0:.1f}: the model does not fit the readings, do not use this result; "
+            f"sigma0 = {solution.sigma0:.1f}: the model does not fit the readings; "
             f"check for gross errors{f' ({REMOVE})' if REMOVE in cures else ''}, wrong names or units, "
             "or a declared noise that is far too small"
         ]
+    return [_noise_sentence(solution, "larger", low, high, cures)]
+
+
+def noise_notes(solution: Solution, cures: Collection[str] = (ESTIMATED, REMOVE)) -> list[str]:
+    """Return a note if sigma0 is below its 95 % interval: the readings scatter less than declared."""
+    low, high = chi_interval(solution)
+    if not solution.sigma0 < low:
+        return []
+    return [_noise_sentence(solution, "smaller", low, high, cures)]
+
+
+def _noise_sentence(solution: Solution, word: str, low: float, high: float, cures: Collection[str]) -> str:
     scaled = f" ({ESTIMATED} scales them)" if ESTIMATED in cures else ""
-    word = "larger" if solution.sigma0 > high else "smaller"
-    return [
+    return (
         f"sigma0 = {solution.sigma0:.3f} is outside {low:.3f} ... {high:.3f}: "
         f"the residuals are {word} than the declared noise; "
         f"standard uncertainties are for the declared noise{scaled}"
-    ]
+    )
 
 
 def beyond_bound(names: Sequence[str], critical: float, cure: str = f"{REMOVE} leaves them out") -> str:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from simulated.launch import NOISE, Poses, anywhere, poses, settings
 
+from metrocli.doubt import doubts_of
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.tasks.locate_launch_unit import task as locate_launch_unit
 from metrocli.tasks.locate_launch_unit.settings import Noise
@@ -131,7 +132,7 @@ def test_a_wrong_pose_is_told_and_the_result_not_recommended() -> None:
     result = locate_launch_unit.run(
         locate_launch_unit.TASK.job(settings(), replace(given, receivers=receivers).table())
     )
-    assert any("do not use this result" in line for line in result.warnings)
+    assert any("do not use this result" in line for line in doubts_of(result, ()))
     assert set(result.tables["outliers"].texts("pose")) >= {"P2"}
 
 

@@ -228,8 +228,8 @@ def test_lengths_that_contradict_each_other_are_named(second: str, folder: Path,
     )
     (folder / "job.yaml").write_text(JOB.replace("views.csv}", "views.csv, lengths: lengths.csv}"))
     ran = metrocli("selfcal-grid", "job.yaml", "--set", "leave_one_out=no")
-    assert ran.code == 0
-    told = [line for line in ran.err.splitlines() if "lengths do not agree" in line]
+    assert ran.code == 6
+    told = [line for line in ran.out.splitlines() if line.startswith("DOUBTFUL: lengths do not agree")]
     assert len(told) == 1
     ends = ", ".join(second.split(",")[:3]), ", ".join(second.split(",")[3:6])
     assert "(-2, 0, 0) to (2, 0, 0)" in told[0]

@@ -17,6 +17,7 @@ from metrocli.adjust.datum import Datum
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.groups import Group
 from metrocli.instruments.camera import TARGET
+from metrocli.tasks.shared.images.imaged_size import check_diameters
 
 _RIM = 16
 """Corners of the polygon that replaces the rim; its centroid is that of the disc to 1e-6 px"""
@@ -30,6 +31,11 @@ def shift(group: Group, blocks: Mapping[str, Block], radius: Array) -> Array:
     Targets are discs with `radius` (targets,) mm parallel to the xy plane of the list of targets. The centroid is that
     of the polygon of imaged rim points; a target without radius has shift 0.
     """
+    return imaged(group, blocks, radius)[0]
+
+
+def imaged(group: Group, blocks: Mapping[str, Block], radius: Array) -> tuple[Array, Array]:
+    """Return the shift as `shift` does, and the radius (n,) px of the circle with the area of the imaged disc."""
     targets = blocks[TARGET]
     turn = np.arange(_RIM) * (2 * np.pi / _RIM)
     offsets = (
@@ -48,7 +54,10 @@ def shift(group: Group, blocks: Mapping[str, Block], radius: Array) -> Array:
     area = cross.sum(axis=0)
     whole = np.abs(area) > 1e-12
     moved = np.stack([((u + u_next) * cross).sum(axis=0), ((v + v_next) * cross).sum(axis=0)])
-    return np.where(whole, moved / np.where(whole, 3 * area, 1.0), 0.0)
+    # `area` is twice that of the polygon, which is smaller than the disc by sin(a) / a, a the angle between corners
+    angle = 2 * np.pi / _RIM
+    size = np.sqrt(np.abs(area) / 2 * angle / np.sin(angle) / np.pi)
+    return np.where(whole, moved / np.where(whole, 3 * area, 1.0), 0.0), size
 
 
 def corrected(
@@ -56,10 +65,12 @@ def corrected(
 ) -> tuple[Group, dict[str, Block]]:
     """Return the group with readings corrected for eccentricity, and the blocks adjusted to them.
 
-    The correction depends on the solution, so the two are computed in turn.
+    The correction depends on the solution, so the two are computed in turn. Raises InputError if the images contradict
+    the declared radii (`metrocli/tasks/shared/images/imaged_size.py`).
     """
     measured = group.observations.readings
-    state = dict(blocks)
+    state = dict(adjust(blocks.values(), [group, *others], datum, Control(limit=15, covariance=False)).blocks)
+    check_diameters(group, imaged(group, state, radius)[1], radius[group.observations.index[TARGET]])
     for _ in range(_ROUNDS):
         moved = measured - shift(group, state, radius)
         group = group.with_observations(replace(group.observations, readings=moved))

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from metrocli import copies
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask, Observations
 from metrocli.errors import Fault, InputError, UndeterminedError
 from metrocli.imageset import ImageSet
 from metrocli.table import TEXT, Column, Columns, Table
 from metrocli.targets.find import find
+from metrocli.targets.likely import likely_size
 from metrocli.targets.pattern import Pattern
+from metrocli.tasks.shared.images.imaged_size import SIZE
 from metrocli.tasks.shared.images.settings import ImageSettings
 from metrocli.tasks.shared.images.target_list import Targets, known_targets
 from metrocli.words import listed
@@ -29,6 +33,9 @@ OBSERVATIONS = Columns(
     ),
     key=("image", "target"),
     description="image coordinates of targets",
+    measured=("u", "v"),
+    alike=("target",),
+    group=("image",),
 )
 START_NOISE = 0.1
 """Starting value of the noise [px] if it is estimated"""
@@ -37,6 +44,10 @@ _BEYOND = 0.01
 """How far beyond the border a reading may lie, as a share of the image size"""
 _MANY = 0.25
 """If a larger share of the readings lies outside, the file is refused; a smaller share may be gross errors"""
+_MOST_LOST = 1 / 3
+"""Largest share of the images that is left out with a warning"""
+_TRIED = 3
+"""Images in which other sizes of the pattern are searched"""
 
 
 @dataclass(frozen=True)
@@ -91,8 +102,27 @@ def sightings(
         raise UndeterminedError(
             f"no image shows {needs.fewest} or more targets of the list, so nothing can be determined"
         )
+    sighted = replace(sighted, warnings=warnings + sighted.warnings)
+    _refuse_few(sighted, images.names if images is not None else observations.texts("image"), pattern, images)
     eccentric = _eccentric(settings, sighted, measured=images is not None)
-    return replace(sighted, warnings=warnings + sighted.warnings, eccentric=eccentric)
+    return replace(sighted, eccentric=eccentric)
+
+
+def _refuse_few(sighted: Sighted, names: Sequence[str], pattern: Pattern | None, images: ImageSet | None) -> None:
+    """Raise InputError if more than a third of the images would be left out: the job does not describe them."""
+    lost, whole = sorted(set(names) - set(sighted.images)), len(set(names))
+    if len(lost) <= _MOST_LOST * whole:
+        return
+    text = f"{len(lost)} of {whole} images cannot be used, more than a third: {listed(lost, 5)}"
+    size = _shown_size(pattern, images, lost) if pattern is not None and images is not None else ""
+    raise InputError([Fault(text + size, hint="; ".join(sighted.warnings[:3]))])
+
+
+def _shown_size(pattern: Pattern, images: ImageSet, lost: Sequence[str]) -> str:
+    """Return the end of a message, with the size of the board that some of the lost images show; empty without one."""
+    chosen = set(lost[:: max(len(lost) // _TRIED, 1)][:_TRIED])
+    size = likely_size(pattern, (picture for name, picture in images if name in chosen))
+    return f"; they show {size[0]} x {size[1]}: is it columns: {size[0]}, rows: {size[1]}?" if size else ""
 
 
 def _eccentric(settings: ImageSettings, sighted: Sighted, measured: bool) -> bool:
@@ -120,6 +150,7 @@ def sight(images: ImageSet, pattern: Pattern) -> tuple[Table, tuple[str, ...]]:
     names: list[str] = []
     targets: list[str] = []
     parts: list[Array] = []
+    sizes: list[Array] = []
     warnings: list[str] = []
     for name, picture in images:
         found = find(pattern, picture)
@@ -128,11 +159,17 @@ def sight(images: ImageSet, pattern: Pattern) -> tuple[Table, tuple[str, ...]]:
         names += [name] * len(found.targets)
         targets += [name.rsplit(".", 1)[0]] if pattern.type == "dot" and len(found.targets) else list(found.targets)
         parts.append(found.uv)
+        sizes.append(np.sqrt(found.axes.prod(axis=1)))
     uv = np.concatenate([*parts, np.zeros((0, 2))])
     if not len(uv):
-        raise InputError([Fault(f"no target found in any of {len(images.names)} images", hint="; ".join(warnings[:3]))])
+        text = f"no target found in any of {len(images.names)} images{_shown_size(pattern, images, images.names)}"
+        raise InputError([Fault(text, hint="; ".join(warnings[:3]))])
     columns = {"image": np.array(names), "target": np.array(targets), "u": uv[:, 0], "v": uv[:, 1]}
-    return Table(columns, {"u": "px", "v": "px"}), tuple(warnings)
+    columns[SIZE] = np.concatenate(sizes)
+    table = Table(columns, {"u": "px", "v": "px"})
+    if copied := copies.faults(table, OBSERVATIONS):
+        raise InputError(copied)
+    return table, tuple(warnings)
 
 
 def join(table: Table, targets: Targets, sigma: float, fewest: int) -> Sighted:
@@ -156,7 +193,7 @@ def join(table: Table, targets: Targets, sigma: float, fewest: int) -> Sighted:
     spread = table.numbers("sigma", sigma)
     _refuse(table, spread <= 0, "the standard deviation of an image point is not above zero")
     numbers = np.cumsum(enough) - 1
-    conditions = {name: table.numbers(name)[keep] for name in ("t", "temp") if name in table}
+    conditions = {name: table.numbers(name)[keep] for name in ("t", "temp", SIZE) if name in table}
     observations = Observations(
         readings=table.stacked(("u", "v")).T[:, keep],
         sigma=np.broadcast_to(spread, (2, len(spread)))[:, keep],

@@ -93,6 +93,14 @@ CASES = {
         "align", 3, ("the camera file has no extrinsics", "extrinsics: {x: -2.1 mm"),
         text("camera.yaml", "extrinsics", "# extrinsics"),
     ),
+    "half of the images with too few targets": Case(
+        "board", 3, ("3 of 6 images cannot be used, more than a third: view01.png, view02.png, view03.png", "view01.png has 1 targets, fewer than 4"),
+        keep(lambda row: not (row[0] in ("view01.png", "view02.png", "view03.png") and row[1] != "T1")),
+    ),
+    "a view copied under another name": Case(
+        "board", 3, ("observations.csv: error: image view01.png, copy: the readings are the same, value for value", "remove the copy"),
+        rows(OBS, lambda table: table + [["copy", *row[1:]] for row in table if row[0] == "view01.png"]),
+    ),
     "another image size": Case(
         "board", 3, ("readings lie outside an image of 640 x 480 px", "check image_size"),
         text("job.yaml", "[2592, 1944]", "[640, 480]"),
@@ -219,7 +227,6 @@ WARNED = {
     "poses without a sighting": ("align", keep(lambda row: row[0] != "image8"), "1 poses have no sighting: image8"),
     "a camera without covariance": ("align", None, "the camera is taken as exact: its file contains no covariance"),
     "noise declared too small": ("cmm", text("job.yaml", "noise: 0.05 px", "noise: 0.01 px"), "the residuals are larger than the declared noise;"),
-    "noise declared too large": ("board", text("job.yaml", "noise: 0.05 px", "noise: 0.5 px"), "the residuals are smaller than the declared noise;"),
 }  # fmt: skip
 
 
@@ -299,3 +306,14 @@ def test_huge_coordinates_end_in_words(
     assert ran.code in (0, 4, 5), ran.err
     assert "Traceback" not in ran.err
     assert (ran.code == 0) == any(tmp_path.glob("*.h5"))
+
+
+def test_less_noise_than_declared_is_a_note(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, metrocli: Metrocli
+) -> None:
+    small_jobs.board(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    ran = metrocli("calibrate-camera", "job.yaml", "--set", "noise=0.5 px")
+    assert ran.code == 0
+    assert "the residuals are smaller than the declared noise;" in ran.out
+    assert "sigma0" not in ran.err

@@ -1,0 +1,68 @@
+"""Whether a result may be used: the one place that decides it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from metrocli.record import Verdict
+from metrocli.result import Result, Scalar
+
+MOST = 2.0
+"""Largest sigma0 of a result that may be used, where the job requires no other"""
+_LEVEL = 0.999
+_MOST_REJECTED = 1 / 3
+
+
+def doubts_of(result: Result, verdicts: Sequence[Verdict], strict: bool = False) -> tuple[str, ...]:
+    """Return why a result must not be used, one sentence for each reason.
+
+    The reasons are those of the kind's own checks (`Result.doubts`), and residuals that contradict the declared noise:
+    sigma0 above 2, or above what the job requires, and above the 99.9 % bound `sqrt(chi2(0.999; dof) / dof)`. So is a
+    measurement of which more than a third was left out as outliers. With `strict` every warning is a reason too.
+    """
+    figures = result.statistics
+    own = (*result.doubts, *_misfit(figures, verdicts), *_thinned(figures))
+    return (*own, *result.warnings) if strict else own
+
+
+def _misfit(statistics: Mapping[str, Scalar | Mapping[str, float]], verdicts: Sequence[Verdict]) -> tuple[str, ...]:
+    sigma0, dof = _number(statistics.get("sigma0")), _number(statistics.get("dof"))
+    if not (sigma0 > 0 and dof > 0) or statistics.get("noise_estimated"):
+        return ()
+    limits = [
+        verdict
+        for verdict in verdicts
+        if verdict.name.removeprefix("statistics.") == "sigma0" and verdict.condition.lstrip().startswith("<")
+    ]
+    beyond = any(not limit.met for limit in limits) if limits else sigma0 > MOST
+    bound = chi_bound(dof, _LEVEL)
+    if not beyond or sigma0 <= bound:
+        return ()
+    allowed = " and ".join(limit.condition.strip() for limit in limits) or f"<= {MOST:g}"
+    other = "" if limits else '; `require: {sigma0: "< 5"}` sets another limit'
+    return (
+        f"sigma0 = {sigma0:.3g} where {allowed} is allowed, and chance exceeds {bound:.3g} in 0.1 % of cases only: "
+        f"model and declared noise do not fit the readings, do not use this result{other}",
+    )
+
+
+def _thinned(statistics: Mapping[str, Scalar | Mapping[str, float]]) -> tuple[str, ...]:
+    rejected = _number(statistics.get("rejected"))
+    whole = rejected + _number(statistics.get("readings", statistics.get("observations")))
+    if not rejected > _MOST_REJECTED * whole:
+        return ()
+    return (
+        f"{rejected:.0f} of {whole:.0f} readings are left out as outliers, more than a third: "
+        "the model does not describe this measurement, do not use this result",
+    )
+
+
+def _number(value: object) -> float:
+    return float(value) if isinstance(value, int | float) else float("nan")
+
+
+def chi_bound(dof: float, probability: float) -> float:
+    """Return the bound that sigma0 stays below with a probability if model and noise are right."""
+    from scipy.special import chdtri
+
+    return float((chdtri(dof, 1 - probability) / dof) ** 0.5)

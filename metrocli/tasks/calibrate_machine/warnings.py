@@ -1,0 +1,103 @@
+"""Warnings of a machine calibration, and what its measurement determines and does not control."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from metrocli import units
+from metrocli.instruments.machine import ERRORS, TOOL
+from metrocli.table import Table
+from metrocli.tasks.calibrate_machine.identifiability import Identifiability
+from metrocli.tasks.calibrate_machine.settings import ON_THE_FLY, Settings
+from metrocli.tasks.calibrate_machine.solve import Solved
+from metrocli.tasks.calibrate_machine.tables import Tables
+from metrocli.tasks.shared.statistics import REMOVE, beyond_bound, noise_warnings
+from metrocli.tasks.shared.uncontrolled import AIR, AIR_WORDS, Hidden, table_of
+from metrocli.words import listed
+
+WEAK = 10.0
+"""Above this ratio of volume error to misfit, a good fit does not ensure a small error in the volume"""
+_TOOL = units.parse_quantity("0.1 mm", "length")
+_STEEL = units.parse_quantity("11.5 ppm", "ratio")
+
+
+def cures(settings: Settings) -> tuple[str, ...]:
+    """Return the settings that a warning may recommend for a method."""
+    return () if settings.method == ON_THE_FLY else (REMOVE,)
+
+
+def machine_warnings(solved: Solved, settings: Settings) -> list[str]:
+    """Return the warnings of a calibration: noise, undetermined errors, weak designs, outliers."""
+    identified = solved.identified
+    wording = cures(settings)
+    lines = [*solved.problem.warnings, *noise_warnings(solved.solution, wording)]
+    if identified.undetermined:
+        lines.append(
+            f"this measurement does not determine {' '.join(identified.undetermined)}: left out of the tables"
+            + (f"; determined only together with them: {' '.join(identified.together)}" if identified.together else "")
+            + "; measure with tools of other length and offset to determine them"
+        )
+    if identified.open_tools:
+        lines.append(
+            f"the error of tool {listed(identified.open_tools)} cannot be predicted: it depends on undetermined errors"
+        )
+    if identified.ratio > WEAK:
+        lines.append(
+            f"in the worst case the error in the volume is {identified.ratio:.0f} times the misfit of the readings: "
+            "a good fit does not ensure a small error (`metrocli plan` proposes a measurement with a ratio of 4)"
+        )
+    rows, tests = solved.suspects.rows.tolist(), solved.suspects.tests.tolist()
+    if rows:
+        key, names = next(iter(solved.problem.readings.observations.keys)), solved.problem.names
+        worst = sorted(zip(tests, [names[i] for i in rows], strict=True), reverse=True)
+        told = [f"{key} {name} (w = {test:.1f})" for test, name in worst]
+        lines.append(beyond_bound(told, solved.suspects.critical, f"{REMOVE} leaves them out" * (REMOVE in wording)))
+    return lines
+
+
+def identifiability_notes(identified: Identifiability) -> list[str]:
+    """Return lines of text on what the measurement determines: rank, worst ratio, and undetermined errors."""
+    lines = [
+        "",
+        f"rank {identified.rank} of {identified.unknowns} unknowns; "
+        f"worst ratio of volume error to misfit {identified.ratio:.1f}",
+    ]
+    for name in identified.undetermined:
+        partners = identified.partners[name]
+        lines.append(f"  {name}: {'only together with ' + ' '.join(partners) if partners else 'not at all'}")
+    if not identified.undetermined:
+        lines.append("  every error is determined")
+    return lines
+
+
+def uncontrolled(solved: Solved, tables: Tables) -> Table:
+    """Return the settings and causes that the tables absorb, and the error in the volume from a plausible size."""
+    return table_of(_hidden(solved, tables))
+
+
+def _hidden(solved: Solved, tables: Tables) -> Iterator[Hidden]:
+    machine = tables.machine
+    diagonal = float(np.linalg.norm(np.asarray(machine.high) - np.asarray(machine.low)))
+    yield Hidden(
+        "scale of the instrument: wavelength of the laser, refractive index (positioning errors)",
+        AIR_WORDS,
+        AIR * diagonal,
+        "temperature and pressure of the air; a calibrated length",
+    )
+    yield Hidden(
+        "temperature of the machine (positioning errors)",
+        "1 K of steel (11.5 um/m)",
+        _STEEL * diagonal,
+        "temperature of the scales; the tables hold at the temperature of the measurement",
+    )
+    tool = solved.solution.blocks[TOOL]
+    if len(tool.members) < 2 and not tool.free.any():
+        angles = [np.abs(tables.of(name)[1]).max(initial=0.0) for name in ERRORS if name[1] in "ABC"]
+        yield Hidden(
+            "vector of the only tool (errors of a tool of another length)",
+            "0.1 mm",
+            _TOOL * float(np.nanmax(angles, initial=0.0)),
+            "tools of different length, or the tool measured",
+        )

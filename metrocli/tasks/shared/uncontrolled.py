@@ -1,0 +1,54 @@
+"""What no residual of a measurement can show: settings and causes that the unknowns absorb."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from metrocli import units
+from metrocli.table import Table
+
+if TYPE_CHECKING:
+    from metrocli.table import Values
+
+TABLE = "not_controlled"
+"""Name of the table in results and plans"""
+SCALE, SCALE_WORDS = units.parse_quantity("10 ppm", "ratio"), "10 um/m"
+"""Scale error of a machine or of a list of places that is assumed: about 1 K of steel"""
+AIR, AIR_WORDS = units.parse_quantity("0.96 ppm", "ratio"), "1 K of air temperature (0.96 um/m)"
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """A cause that leaves no residual."""
+
+    effect: str
+    """What may be wrong, and in brackets what it changes"""
+    assumed: str
+    """A plausible size of the cause"""
+    hides: float
+    """Error of the result from it [mm], proportional to it"""
+    control: str
+    """What would control it"""
+
+
+def table_of(hidden: Iterable[Hidden]) -> Table:
+    """Return the table `not_controlled`: effect, assumed, hides [mm], control."""
+    rows = list(hidden)
+    columns: dict[str, Values] = {
+        name: np.array([getattr(row, name) for row in rows], dtype=kind)
+        for name, kind in (("effect", str), ("assumed", str), ("hides", float), ("control", str))
+    }
+    return Table(columns, {"hides": "mm"})
+
+
+def in_words(hidden: Table) -> tuple[str, ...]:
+    """Return the lines of a summary of the table; empty if it has no row."""
+    if not len(hidden):
+        return ()
+    rows = zip(*(hidden.texts(name) for name in ("effect", "assumed")), hidden.numbers("hides"), strict=True)
+    lines = [f"  {effect}: {units.roughly(size, 'um')} by {assumed}" for effect, assumed, size in rows]
+    return ("", f"not controlled by this design (table {TABLE} lists what would control it):", *lines)
