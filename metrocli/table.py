@@ -12,6 +12,8 @@ if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
+    from metrocli.units import Range
+
     Array = npt.NDArray[np.float64]
     Values = npt.NDArray[np.float64] | npt.NDArray[np.int64] | npt.NDArray[np.str_] | npt.NDArray[np.bool_]
 
@@ -31,6 +33,8 @@ class Column:
     required: bool = True
     may_be_empty: bool = False
     """An empty cell is read as NaN instead of being a fault."""
+    allowed: Range | None = None
+    """What its values can be, in the internal unit; that of its dimension (`metrocli.units.range_of`) unless given."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +67,8 @@ class Table:
     file: str = ""
     lines: tuple[int, ...] = ()
     """Line number in the file of each row, for messages."""
+    headings: Mapping[str, str] = field(default_factory=dict)
+    """Name of each column as the file has it, with its unit."""
     warnings: tuple[str, ...] = ()
     """Remarks of the reader that are not faults, such as an unused column."""
 

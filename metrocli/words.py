@@ -11,6 +11,11 @@ def listed(names: Sequence[str], most: int = 8) -> str:
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
+def in_a_row(names: Sequence[str]) -> str:
+    """Return names as a text "a, b and c"."""
+    return f"{', '.join(names[:-1])} and {names[-1]}" if len(names) > 1 else "".join(names)
+
+
 def nearest(word: str, known: Iterable[str]) -> str | None:
     """Return the known word that is most similar, or None if none is similar enough."""
     known = list(known)

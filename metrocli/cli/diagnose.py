@@ -21,12 +21,13 @@ CLEAN = "clean"
     "--output", type=click.Path(path_type=Path), metavar="FILE.yaml", help="Write the extended job to this file."
 )
 @click.option("--require", type=click.Choice([CLEAN]), help="Exit code 6 unless the verdict is this one.")
+@options.FORCE
 @options.SET
 @options.ACCEPT
 @options.JSON
 @options.QUIET
 @options.VERBOSE
-def command(job: Path, design: bool, output: Path | None, as_json: bool, **wanted: Any) -> int:
+def command(job: Path, design: bool, output: Path | None, force: bool, as_json: bool, **wanted: Any) -> int:
     """Diagnose, write the extended job where effects were named, and print the report.
 
     Where the extended job cannot be written, the report is printed with a warning; with `--output` it is an error.
@@ -55,7 +56,7 @@ def command(job: Path, design: bool, output: Path | None, as_json: bool, **wante
     diagnosis = diagnosed.carry_out(loaded, console.waiting)
     extended = None
     try:
-        extended = diagnosed.write_extended(loaded, diagnosis, output)
+        extended = diagnosed.write_extended(loaded, diagnosis, output, force)
     except InputError as error:
         if output is not None:
             raise

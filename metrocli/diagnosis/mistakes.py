@@ -1,25 +1,22 @@
-"""Mistakes in the files of a job: a wrong unit, swapped or mirrored axes.
+"""Mistakes in the files of a job: a wrong unit, swapped, mirrored or turned axes.
 
 Each correction is tried by an adjustment with it. They are tried only if a job fails, or if its result is beyond
-anything that an effect causes (decision 019).
+anything that an effect causes (decision 019). `diagnose` continues with the corrected job; a task refuses the file
+(decision 058).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
-from itertools import combinations
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
+from metrocli.adjust.model.groups import Group
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.errors import InputError, NotConvergedError, UndeterminedError
+from metrocli.diagnosis.corrections import Inputs, Mistake, corrections
+from metrocli.errors import Fault, InputError, MetrocliError, NotConvergedError, UndeterminedError
 from metrocli.table import Table
-from metrocli.units import DIMENSIONS, INCH
-
-if TYPE_CHECKING:
-    from metrocli.table import Values
 
 _ABSURD = 10.0
 """Median residual, in declared standard deviations, above which mistakes in the files are tried"""
@@ -27,24 +24,42 @@ _BETTER = 10.0
 """How many times closer to the plausible a job must be after a correction"""
 _AS_GOOD = 2.0
 """Corrections up to so many times as far from the plausible as the best one are reported with it"""
+_FAR_BETTER = 1000.0
+"""A file is refused if another reading of it makes the squared misfit so many times smaller"""
+_FITS = 0.3
+"""Where the file as it stands has no solution, another reading must be so near the plausible: residuals of 3 sigma"""
+_AS_NOISE = 0.15
+"""Where another reading of the files is so near the plausible, no further one is looked for"""
+_SUSPECT_PLACES = 0.2
+"""Share of the implausible distance of places from their lists above which other readings of the files are tried"""
+_MOST_ROWS = 20_000
+"""Jobs with more rows are not tried by a task, since each try is an adjustment"""
+FAILURES = (UndeterminedError, NotConvergedError, InputError)
 
-Inputs = Mapping[str, object]
 Adjust = Callable[[Inputs], AdjustedJob]
 
 
 @dataclass(frozen=True)
-class Mistake:
-    """A possible mistake in one input."""
+class Misfit:
+    """How far an adjusted job is from the plausible; above 1 it is absurd."""
 
-    input: str
-    words: str
-    write: str
-    """What to write in the file instead"""
-    shrinks: float = 1.0
-    """Factor by which its correction makes numbers smaller, and with them their residuals whatever is wrong"""
+    residuals: float
+    """Median residual, relative to ten declared standard deviations"""
+    places: float
+    """Distance of places from where the files list them, relative to what is plausible"""
 
-    def __str__(self) -> str:
-        return f"{self.input}: {self.words}"
+    @property
+    def worst(self) -> float:
+        """The larger of both."""
+        return max(self.residuals, self.places)
+
+    def ratio(self, other: Misfit, shrinks: float = 1.0) -> float:
+        """Return how many times larger its square is than that of another reading of the same files.
+
+        `shrinks` is the factor of the residuals that the other reading has whatever is wrong.
+        """
+        absurd = self.residuals if self.residuals >= 1 else self.places
+        return (absurd * shrinks / max(other.residuals if self.residuals >= 1 else other.places, 1e-12)) ** 2
 
 
 @dataclass(frozen=True)
@@ -69,13 +84,20 @@ def without_mistakes(inputs: Inputs, adjust: Adjust) -> tuple[AdjustedJob, Mista
     try:
         job = adjust(inputs)
         before = strangeness(job)
-    except (UndeterminedError, NotConvergedError, InputError) as error:
+    except FAILURES as error:
         failure = error
     if job is not None and before <= 1:
         return job, None
-    found = _explaining(inputs, adjust, before)
-    if found is not None:
-        return found.job, found
+    tried = [
+        (misfit.worst, mistake, other)
+        for mistake, misfit, other in _tried(inputs, adjust)
+        if misfit.worst <= 1 and misfit.worst * _BETTER <= before * mistake.shrinks
+    ]
+    if tried:
+        tried.sort(key=lambda one: one[0])
+        best = tried[0]
+        alike = tuple(mistake for value, mistake, _ in tried if value <= max(_AS_GOOD * best[0], _AS_GOOD / _ABSURD))
+        return best[2], Mistaken(alike, best[2], before, best[0])
     if job is None:
         raise failure or RuntimeError("a job that gave nothing")
     return job, None
@@ -86,94 +108,88 @@ def strangeness(job: AdjustedJob) -> float:
 
     Above 1 it is absurd.
     """
-    medians = []
-    for group in job.model.readings:
-        residual = group.observations.whitened(group.residuals(job.model.blocks))
-        medians.append(float(np.median(np.abs(residual))))
-    return max(max(medians, default=0.0) / _ABSURD, job.astray)
+    return misfit_of(job).worst
 
 
-def _explaining(inputs: Inputs, adjust: Adjust, before: float) -> Mistaken | None:
-    tried: list[tuple[float, Mistake, AdjustedJob]] = []
-    for mistake, changed in altered(inputs):
+def misfit_of(job: AdjustedJob) -> Misfit:
+    """Return how far the residuals and the places of an adjusted job are from the plausible."""
+    medians = [float(np.median(np.abs(_whitened(group, job)))) for group in job.model.readings]
+    return Misfit(max(medians, default=0.0) / _ABSURD, job.astray)
+
+
+def _whitened(group: Group, job: AdjustedJob) -> np.typing.NDArray[np.float64]:
+    return np.asarray(group.observations.whitened(group.residuals(job.model.blocks)))
+
+
+def _tried(inputs: Inputs, adjust: Adjust) -> Iterator[tuple[Mistake, Misfit, AdjustedJob]]:
+    """Yield the corrections with which the job can be adjusted.
+
+    After one that leaves no more than noise, only the same sort of correction of the other files is tried: distances
+    do not distinguish a mirrored list of points from a mirrored list of tracers. Each try is an adjustment.
+    """
+    settled = ""
+    for mistake, changed in corrections(inputs):
+        if settled not in ("", mistake.sort):
+            continue
         try:
             job = adjust(changed)
-        except (UndeterminedError, NotConvergedError, InputError):
+        except FAILURES:
             continue
-        value = strangeness(job)
-        if value <= 1 and value * _BETTER <= before * mistake.shrinks:
-            tried.append((value, mistake, job))
-    if not tried:
+        misfit = misfit_of(job)
+        settled = settled or (mistake.sort if misfit.worst <= _AS_NOISE else "")
+        yield mistake, misfit, job
+
+
+def suspicious(sigma0: float, astray: float) -> bool:
+    """Return whether a result is so far from plausible that other readings of its files are worth a try."""
+    return sigma0 > _ABSURD or astray > _SUSPECT_PLACES
+
+
+def misread(inputs: Inputs, adjust: Adjust, failure: MetrocliError | None = None) -> InputError | None:
+    """Return the refusal of a file that fits a thousand times better if it is read in another way, or None.
+
+    `failure` is the error with which the job ended, if it did. Errors that name a line or what to write are
+    explanations themselves; for them nothing is tried.
+    """
+    tables = [table for table in inputs.values() if isinstance(table, Table)]
+    if sum(map(len, tables)) > _MOST_ROWS or (failure is not None and not _unexplained(failure)):
         return None
-    tried.sort(key=lambda one: one[0])
-    best = tried[0]
-    alike = tuple(mistake for value, mistake, _ in tried if value <= max(_AS_GOOD * best[0], _AS_GOOD / _ABSURD))
-    return Mistaken(alike, best[2], before, best[0])
-
-
-def altered(inputs: Inputs) -> Iterator[tuple[Mistake, Inputs]]:
-    """Yield each possible mistake in the files, with the corrected inputs."""
-    for key, table in inputs.items():
-        if isinstance(table, Table):
-            for words, write, factor, changed in _of_table(table):
-                yield Mistake(key, words, write, min(abs(factor), 1.0)), {**inputs, key: changed}
-
-
-def _of_table(table: Table) -> Iterator[tuple[str, str, float, Table]]:
-    """Yield what may be wrong, what to write instead, the factor of the numbers, and the corrected table."""
-    lengths = [name for name, unit in table.units.items() if unit == "mm" and not name.startswith("sigma")]
-    per_metre = next(unit.times for unit in DIMENSIONS["length"].units if unit.symbol == "m")
-    units = (
-        ("written in inches, read as millimetres", "_in", INCH),
-        ("written in millimetres, read as inches", "_mm", 1 / INCH),
-        ("a thousand times too small (metres for millimetres, millimetres for micrometres)", "_m or _mm", per_metre),
-        (
-            "a thousand times too large (millimetres for metres, micrometres for millimetres)",
-            "_mm or _um",
-            1 / per_metre,
-        ),
+    before = None
+    if failure is None:
+        before = misfit_of(adjust(inputs))
+        if before.residuals < 1 and before.places < _SUSPECT_PLACES:
+            return None
+    found = [
+        (misfit.worst, mistake, misfit) for mistake, misfit, job in _tried(inputs, adjust) if _explains(misfit, job)
+    ]
+    if before is not None:
+        found = [one for one in found if before.ratio(one[2], one[1].shrinks) >= _FAR_BETTER and one[0] <= 1]
+    if not found:
+        return None
+    found.sort(key=lambda one: one[0])
+    alike = [mistake for value, mistake, _ in found if value <= max(_AS_GOOD * found[0][0], _AS_GOOD / _ABSURD)]
+    first, rest = alike[0], [f"{one.file or one.input}: {one.words}" for one in alike[1:]]
+    how = (
+        f"read so, the job has a solution that fits, which it has not as it stands ({_first_line(failure)})"
+        if before is None
+        else f"read so, the readings fit {before.ratio(found[0][2]):.2g} times better (ratio of squared misfits)"
     )
-    heading = "the unit in the headings of the columns of {}, such as {}"
-    for words, ending, factor in units if lengths else ():
-        yield words, heading.format("lengths", ending), factor, _scaled(table, lengths, factor)
-    angles = [name for name, unit in table.units.items() if unit == "rad"]
-    if angles:
-        degree = next(unit.inside(1.0) for unit in DIMENSIONS["angle"].units if unit.symbol == "deg")
-        yield "degrees, read as radians", heading.format("angles", "_deg"), degree, _scaled(table, angles, degree)
-        yield (
-            "radians, read as degrees",
-            heading.format("angles", "_rad"),
-            1 / degree,
-            _scaled(table, angles, 1 / degree),
-        )
-    for one, other in combinations(angles, 2):
-        yield (
-            f"{one} and {other} are swapped",
-            f"{other} for {one} and {one} for {other} in the headings",
-            1.0,
-            _swapped(table, one, other),
-        )
-    for angle in angles:
-        yield f"{angle} has the wrong sign", f"{angle} with the other sign", 1.0, _scaled(table, [angle], -1.0)
-    axes = [name for name in "xyz" if name in table]
-    for one, other in combinations(axes, 2):
-        yield (
-            f"{one} and {other} are swapped",
-            f"{other} for {one} and {one} for {other} in the headings",
-            1.0,
-            _swapped(table, one, other),
-        )
-    for axis in axes:
-        yield f"{axis} has the wrong sign", f"{axis} with the other sign", 1.0, _scaled(table, [axis], -1.0)
+    also = f"; as good: {'; '.join(rest)}" if rest else ""
+    return InputError([Fault(f"{first.words}: {how}", first.file or first.input, hint=f"write {first.write}{also}")])
 
 
-def _scaled(table: Table, names: list[str], factor: float) -> Table:
-    columns: dict[str, Values] = {**table.columns}
-    columns |= {name: table.numbers(name) * factor for name in names}
-    return replace(table, columns=columns)
+def _unexplained(failure: MetrocliError) -> bool:
+    if isinstance(failure, InputError):
+        return not any(fault.line or fault.hint for fault in failure.faults)
+    return isinstance(failure, FAILURES)
 
 
-def _swapped(table: Table, one: str, other: str) -> Table:
-    columns: dict[str, Values] = {**table.columns}
-    columns[one], columns[other] = table.columns[other], table.columns[one]
-    return replace(table, columns=columns)
+def _explains(misfit: Misfit, job: AdjustedJob) -> bool:
+    """Return whether a reading of the files fits, with more readings than unknowns."""
+    readings = sum(group.residuals(job.model.blocks).size for group in job.model.groups)
+    unknowns = sum(int(block.free.sum()) for block in job.model.blocks.values())
+    return misfit.worst <= _FITS and readings > unknowns
+
+
+def _first_line(failure: MetrocliError | None) -> str:
+    return str(failure).splitlines()[0].removeprefix("error: ") if failure is not None else ""

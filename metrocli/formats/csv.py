@@ -22,7 +22,7 @@ from metrocli.table import NUMBER, TEXT, WHOLE, Column, Columns, Table
 from metrocli.words import nearest
 
 if TYPE_CHECKING:
-    from metrocli.table import Values
+    from metrocli.table import Array, Values
 
 LONGEST_TEXT = 200
 _WHOLE_LIMIT = 1 << 62
@@ -47,7 +47,8 @@ def read(path: Path, columns: Columns, shown: str = "") -> Table:
     if faults:
         raise InputError(shortened(faults))
     internal = {c.name: units.internal_unit(c.dimension) for c in columns.columns if _has_unit(c) and c.name in values}
-    table = Table(values, internal, raw.file, tuple(raw.numbers), _unused(raw, columns, places))
+    headings = {name: raw.header[index] for name, (index, _) in places.items()}
+    table = Table(values, internal, raw.file, tuple(raw.numbers), headings, _unused(raw, columns, places))
     copied = copies.faults(table, columns)
     if copied:
         raise InputError(shortened(copied))
@@ -62,9 +63,14 @@ def _every(raw: Raw, columns: Columns) -> Columns:
 
 def _is_number(cell: str) -> bool:
     try:
-        return math.isfinite(float(cell)) and "_" not in cell
+        return math.isfinite(float(cell)) and _is_plain(cell)
     except ValueError:
         return False
+
+
+def _is_plain(text: str) -> bool:
+    """Return whether text has neither digits of other scripts nor underscores, which Python reads in numbers."""
+    return text.isascii() and "_" not in text
 
 
 def _has_unit(column: Column) -> bool:
@@ -109,6 +115,10 @@ def _absent(raw: Raw, column: Column, forms: tuple[str, ...], columns: Columns) 
             return [raw.fault(f"the column '{name}' has no unit", raw.header_line, index, accepted)]
         spelt = re.fullmatch(rf"{re.escape(column.name)}\s*[_\[(/ ]\s*(.+?)[\])]?", name)
         if spelt and _has_unit(column) and spelt[1] not in others and name not in others and _is_unit(spelt[1]):
+            if units.is_inch(spelt[1]):
+                hint = f"write {column.name}_mm, with the numbers times {units.INCH}; {accepted}"
+                message = f"the column '{name}' is in inches, which files cannot use"
+                return [raw.fault(message, raw.header_line, index, hint)]
             phrase = units.DIMENSIONS[column.dimension].phrase
             message = f"the column '{name}' does not name {phrase} with an accepted unit"
             return [raw.fault(message, raw.header_line, index, accepted)]
@@ -122,7 +132,11 @@ def _absent(raw: Raw, column: Column, forms: tuple[str, ...], columns: Columns) 
 def _is_unit(text: str) -> bool:
     known = (suffix for dimension in units.DIMENSIONS for suffix in units.suffixes(dimension))
     plain = units.plain_symbol(text)
-    return plain in known or any(plain in dimension.symbols for dimension in units.DIMENSIONS.values())
+    return (
+        plain in known
+        or units.is_inch(plain)
+        or any(plain in dimension.symbols for dimension in units.DIMENSIONS.values())
+    )
 
 
 def _unused(raw: Raw, columns: Columns, places: dict[str, tuple[int, units.Unit | None]]) -> tuple[str, ...]:
@@ -142,15 +156,35 @@ def _convert(raw: Raw, index: int, column: Column, unit: units.Unit | None, faul
     kind = int if column.dimension == WHOLE else float
     try:
         numbers = list(map(kind, cells))
-        sound = "_" not in "".join(cells) and bool((np.abs(np.asarray(numbers, dtype=float)) < _most(column)).all())
+        sound = _is_plain("".join(cells)) and bool((np.abs(np.asarray(numbers, dtype=float)) < _most(column)).all())
     except (ValueError, OverflowError):
         sound = False
     if not sound:
         numbers = [_number(raw, row, index, column, faults) for row in range(len(cells))]
-    if column.dimension == WHOLE and not column.may_be_empty:
-        return np.array(numbers, dtype=np.int64)
     values = np.array(numbers, dtype=float)
-    return values if unit is None else unit.array_inside(values)
+    inside = values if unit is None else unit.array_inside(values)
+    _refuse_beyond(raw, index, column, unit, inside, faults)
+    return np.array(numbers, dtype=np.int64) if column.dimension == WHOLE and not column.may_be_empty else inside
+
+
+def _refuse_beyond(
+    raw: Raw, index: int, column: Column, unit: units.Unit | None, values: Array, faults: list[Fault]
+) -> None:
+    """Add a fault for each value that the column's quantity cannot have."""
+    allowed = column.allowed or units.range_of(column.dimension)
+    limits = units.in_words(allowed, column.dimension, unit.symbol if unit else "")
+    for row in np.flatnonzero(allowed.excludes(values)).tolist():
+        cell = raw.cells[index][row].strip()
+        message = f"column '{raw.header[index]}': {cell} is beyond what it can hold, {limits}"
+        if abs(values[row]) > units.OVERLOAD:
+            hint = "is it an overload marker of the instrument? leave the row out"
+        elif _has_unit(column):
+            hint = (
+                f"if it is right, allow it in the job: ranges: {{{column.name}: {cell} {unit.symbol if unit else ''}}}"
+            )
+        else:
+            hint = None
+        faults.append(raw.fault(message, raw.numbers[row], index, hint))
 
 
 def _most(column: Column) -> float:
@@ -164,13 +198,13 @@ def _number(raw: Raw, row: int, index: int, column: Column, faults: list[Fault])
         return float("nan")
     try:
         value = int(cell) if column.dimension == WHOLE else float(cell)
-        if "_" not in cell and abs(value) < _most(column):
+        if _is_plain(cell) and abs(value) < _most(column):
             return value
-        reason = f"'{cell}' is not a finite number"
+        reason = f"'{cell}' is not a finite number" if cell.isascii() else f"'{cell}' has digits that are not ASCII"
     except ValueError:
         reason = f"'{cell}' is not a {'whole ' if column.dimension == WHOLE else ''}number" if cell else "an empty cell"
-    comma = re.fullmatch(r"([+-]?\d*),(\d+)", cell)
-    hint = f"write {comma[1]}.{comma[2]}" if comma else None
+    comma = re.fullmatch(r"([+-]?[0-9]*),([0-9]+)", cell)
+    hint = f"write {comma[1]}.{comma[2]}" if comma else None if cell.isascii() else "write 0 to 9, as on a keyboard"
     name = raw.header[index]
     faults.append(raw.fault(f"column '{name}': {reason}", raw.numbers[row], index, hint))
     return 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -25,6 +26,8 @@ from metrocli.simulation import SimulationOptions
 
 _NAMED = " with the effects that metrocli diagnose named"
 """End of the first line of an extended job, by which it is recognised before it is overwritten"""
+_DIGEST = "# sha256 of the lines below, by which diagnose sees whether they were edited: "
+"""Begin of its second line"""
 
 
 def adjusted_job_of(job: JobFile) -> AdjustedJob:
@@ -71,10 +74,11 @@ def _declared(node: Node | None) -> str:
     return node.text if node.kind == "scalar" else ", ".join(filter(None, (_declared(one) for _, one in node.entries)))
 
 
-def write_extended(job: JobFile, diagnosis: Diagnosis, path: Path | None = None) -> Path | None:
+def write_extended(job: JobFile, diagnosis: Diagnosis, path: Path | None = None, force: bool = False) -> Path | None:
     """Write the job extended by the named effects, by default beside it as `NAME.extended.yaml`; return its path.
 
-    Returns None if no effect was named. Parameters that the readings do not determine separately are 0. In another
+    Returns None if no effect was named. Raises InputError if the file there is no extended job or was edited since it
+    was written, unless forced. Parameters that the readings do not determine separately are 0. In another
     folder, the relative paths of the inputs are changed to lead to the same files.
     """
     if not diagnosis.findings and not diagnosis.scatters:
@@ -82,25 +86,35 @@ def write_extended(job: JobFile, diagnosis: Diagnosis, path: Path | None = None)
     path = path or job.file.with_name(f"{job.file.stem}.extended.yaml")
     named = [*map(scatter_as_job, diagnosis.scatters), *(as_job(one.effect) for one in diagnosis.findings)]
     new = [_node(job, entry) for entry in named]
-    _refuse_foreign(path)
-    text = f"# {job.file.name}{_NAMED}\n" + yaml_text.emit(_extended(job, new, path.parent))
+    if not force:
+        _refuse_foreign(path)
+    body = yaml_text.emit(_extended(job, new, path.parent))
+    text = f"# {job.file.name}{_NAMED}\n{_DIGEST}{_digest(body)}\n{body}"
     with written_aside(path) as aside:
         aside.write_text(text, encoding="utf-8")
     return path
 
 
 def _refuse_foreign(path: Path) -> None:
-    """Raise InputError if a file exists that is not an extended job."""
+    """Raise InputError if a file exists that is not an extended job, or one that was edited."""
     if not path.is_file():
         return
     try:
-        first = path.read_text(encoding="utf-8", errors="replace").partition("\n")[0]
+        first, _, rest = path.read_text(encoding="utf-8", errors="replace").partition("\n")
     except OSError as error:
         raise InputError(
             [Fault(f"cannot be read: {error.strerror}", str(path), hint="give another --output")]
         ) from error
     if not first.rstrip().endswith(_NAMED):
         raise InputError([Fault("the file exists and is not an extended job", str(path), hint="give another --output")])
+    digest, _, body = rest.partition("\n")
+    if digest != f"{_DIGEST}{_digest(body)}":
+        message = "the extended job is not as diagnose wrote it; it was edited and is kept"
+        raise InputError([Fault(message, str(path), hint="give another --output, or replace it with --force")])
+
+
+def _digest(body: str) -> str:
+    return hashlib.sha256(body.encode("utf-8")).hexdigest()[:16]
 
 
 def _extended(job: JobFile, effects: Sequence[Node], folder: Path) -> Node:

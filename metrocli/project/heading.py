@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 from metrocli import tasks
 from metrocli.errors import Fault
 from metrocli.nodes import Node
+from metrocli.project.ranges import Ranges
 from metrocli.project.requirements import Requirement, Requirements
 from metrocli.settings import BAD, Schema, Text, path_beside, setting
 from metrocli.words import suggestion
@@ -103,5 +105,6 @@ class Heading:
     job: str = setting(_KindOfJob(), "kind of job")
     title: str = setting(Text(), "title of the result", default="")
     effects: tuple[Node, ...] = setting(_Effects(), "extensions of the model, by name", default=())
+    ranges: Mapping[str, Node] = setting(Ranges(), "largest values of columns in CSV files, by name", default={})
     require: tuple[Requirement, ...] = setting(Requirements(), "acceptance criteria", default=())
     output: Path | None = setting(_Output(), "result file, relative to the job file", default=None)

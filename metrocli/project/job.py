@@ -16,6 +16,7 @@ from metrocli.nodes import Node
 from metrocli.project import yaml_text
 from metrocli.project.heading import Heading
 from metrocli.project.overrides import effect_node, overridden
+from metrocli.project.ranges import ranges_of, within
 from metrocli.settings import (
     BAD,
     At,
@@ -117,6 +118,9 @@ def load(path: Path, wishes: Wishes | None = None) -> JobFile:
     named = (*(heading.effects if heading is not BAD else ()), *more)
     wanted = effects.read(tasks.KINDS[kind].task().effects, named, faults) if named else ()
     inputs = _inputs(root, section, faults)
+    if heading is not BAD and heading.ranges:
+        ranges = ranges_of(heading.ranges, [item.spec for item in inputs], faults)
+        inputs = tuple(replace(item, spec=within(item.spec, ranges)) for item in inputs)
     faults.extend(_missing(inputs, wishes))
     if faults:
         raise InputError(_in_order(faults))

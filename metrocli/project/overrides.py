@@ -27,7 +27,7 @@ def overridden(root: Node, override: str, folder: Path) -> Node:
 def _replaced(node: Node, names: Sequence[str], new: Node) -> Node:
     if not names:
         return new
-    if node.kind == "list" and names[0].isdigit():
+    if node.kind == "list" and names[0].isascii() and names[0].isdigit():
         items, number = list(node.items), int(names[0])
         if not 0 < number <= len(items):
             raise UsageError(f"--set: '{node.path}' has {len(items)} entries, counted from 1; there is no {number}")

@@ -11,7 +11,7 @@ from typing import Any
 from metrocli import __version__, tasks
 from metrocli.doubt import doubts_of
 from metrocli.effects.wanted import planted
-from metrocli.errors import Fault, InputError, UsageError
+from metrocli.errors import Fault, InputError, MetrocliError, UsageError
 from metrocli.plan import Plan
 from metrocli.project.chunks import ChunkFolder
 from metrocli.project.inputs import input_files, read_inputs, unfit_inputs
@@ -59,7 +59,7 @@ def carry_out(
     progress(f"{file.file}: {file.kind}")
     if kind.chunked:
         job = replace(job, workers=replace(workers, finished=ChunkFolder(file.output.with_suffix(".chunks"))))
-    result = kind.task().run(job)
+    result = _sound(file, job)
     result = replace(
         result,
         title=result.title or file.heading.title,
@@ -72,6 +72,30 @@ def carry_out(
 
     hdf5.write(file.output, result, record)
     return Done(result, record, file.output)
+
+
+def _sound(file: JobFile, job: Job[Any, Any]) -> Result:
+    """Return the result of a job; raise InputError if a file fits far better when it is read in another way."""
+    from metrocli.diagnosis.mistakes import misread, suspicious
+
+    task = tasks.KINDS[file.kind].task()
+    failure: MetrocliError | None = None
+    try:
+        result = task.run(job)
+        sigma0 = result.statistics.get("sigma0", 0.0)
+        if task.diagnosed is None or not isinstance(sigma0, float) or not suspicious(sigma0, result.astray):
+            return result
+    except MetrocliError as error:
+        if task.diagnosed is None:
+            raise
+        failure = error
+    adjusted = task.diagnosed
+    refusal = misread(vars(job.files), lambda inputs: adjusted(replace(job, files=task.files(**inputs))), failure)
+    if refusal is not None:
+        raise refusal from failure
+    if failure is not None:
+        raise failure
+    return result
 
 
 def content(file: JobFile, absent: Collection[str] = ()) -> Job[Any, Any]:

@@ -141,6 +141,8 @@ class Number(OfText):
             )
         if not _NUMBER.fullmatch(node.text) or not math.isfinite(float(node.text)):
             return refuse(self, node, faults, f"'{node.text}' is not a plain number")
+        if abs(float(node.text)) > units.LARGEST:
+            return refuse(self, node, faults, f"{node.text} is too large", f"numbers reach up to {units.LARGEST:g}")
         return self.checked(node, float(node.text), faults)
 
     def checked(self, node: Node, value: float, faults: list[Fault]) -> Any:
@@ -182,10 +184,6 @@ def _limits(limits: Iterable[tuple[str, float | None]]) -> str:
     return f" of {' and '.join(words)}" if words else ""
 
 
-_LARGEST = 1e30
-"""Largest quantity of a job in internal units: squares of squares of larger ones overflow."""
-
-
 @dataclass(frozen=True)
 class Quantity(OfText):
     """A number with its unit in one text, read as a float in the internal unit of its dimension."""
@@ -212,8 +210,12 @@ class Quantity(OfText):
             return refuse(self, node, faults, f"{node.text} is not above zero")
         if self.minimum is not None and value < self.minimum:
             return refuse(self, node, faults, f"{node.text} is too small")
-        if abs(value) > _LARGEST:
-            return refuse(self, node, faults, f"{node.text} is too large")
+        if self.positive and value < units.SMALLEST:
+            return refuse(self, node, faults, f"{node.text} is too small")
+        allowed = units.range_of(self.dimension)
+        if not allowed.holds(value):
+            reach = f"{units.DIMENSIONS[self.dimension].phrase} is within {units.in_words(allowed, self.dimension)}"
+            return refuse(self, node, faults, f"{node.text} is {'too large' if value > 0 else 'too low'}", reach)
         return value
 
     def schema(self) -> Schema:

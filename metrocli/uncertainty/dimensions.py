@@ -70,6 +70,9 @@ def _atom(symbol: str, whole: str) -> tuple[float, Powers]:
     if plain == "degC":
         raise units.QuantityError(f"'{whole}' has degC in a compound", "a difference of temperature is in K")
     known = tuple({unit.symbol for dimension in units.DIMENSIONS.values() for unit in dimension.units})
+    if units.is_inch(plain):
+        hint = f"write the length in mm: 1 inch is {units.INCH} mm"
+        raise units.QuantityError(f"'{symbol}' is the inch, which files cannot use", hint)
     near = units.nearest(plain, known)
     raise units.QuantityError(
         f"unknown unit '{symbol}'", f"did you mean '{near}'?" if near else "see docs/conventions.md"

@@ -32,8 +32,8 @@ _EXACT: dict[str, Callable[..., Any]] = {
     NEGATIVE: operator.neg, "abs": abs, **{name: getattr(math, name) for name in FUNCTIONS if name != "abs"},
 }  # fmt: skip
 _FOREIGN = re.compile(r"[^A-Za-z0-9_.+*/() ,\t\r\n-]")
-_TOKEN = re.compile(r"\d[\w.]*(?:(?<=[eE])[+-]\d+)?|\.\d[\w.]*(?:(?<=[eE])[+-]\d+)?|[A-Za-z_]\w*|//|[(),]")
-_NUMBER = re.compile(r"(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
+_TOKEN = re.compile(r"[0-9][\w.]*(?:(?<=[eE])[+-][0-9]+)?|\.[0-9][\w.]*(?:(?<=[eE])[+-][0-9]+)?|[A-Za-z_]\w*|//|[(),]")
+_NUMBER = re.compile(r"(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _REASONS = {
     "^": "write ** for a power", "×": "write *", "·": "write *", "²": "write **2", "³": "write **3", "−": "write -",
     "%": "write /100", "[": "there are no lists and no subscripts", "]": "there are no lists and no subscripts",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 
-from metrocli.units.table import DIMENSIONS, Dimension, QuantityError, Unit
+from metrocli.units.table import DIMENSIONS, INCH, Dimension, QuantityError, Unit
 
 _INTERNAL = {"slope": "1", "ratio": "1"}
 _SPELLINGS = {"\u00b5": "u", "\u03bc": "u", "°C": "degC", "°": "deg", "%": "percent", "\u03a9": "ohm", "\u2126": "ohm"}
@@ -14,8 +14,9 @@ _WORDS = {
     "micron": "um", "microns": "um", "micrometer": "um", "micrometre": "um", "millimeter": "mm", "millimetre": "mm",
     "meter": "m", "metre": "m", "degree": "deg", "degrees": "deg", "pixel": "px", "pixels": "px", "sec": "s",
     "second": "s", "seconds": "s", "minute": "min", "minutes": "min", "hour": "h", "as": "arcsec", "Mm": "mm",
-    "MM": "mm", "C": "degC", "celsius": "degC", "in": "mm", "inch": "mm", "'": "arcmin", "''": "arcsec", '"': "arcsec",
+    "MM": "mm", "C": "degC", "celsius": "degC", "'": "arcmin", "''": "arcsec", '"': "arcsec",
 }  # fmt: skip
+_INCHES = ("in", "inch", "inches")
 _NUMBER = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
 _QUANTITY = re.compile(rf"({_NUMBER})\s*(.*)", re.DOTALL)
 _COMMA = re.compile(r"([+-]?[0-9]*),([0-9]+)(.*)", re.DOTALL)
@@ -60,6 +61,11 @@ def find_unit(symbol: str, dimension: str, number: str = "1") -> Unit:
     accepted = f"allowed: {', '.join(wanted.symbols)}"
     if plain in ("degC", "K") and dimension.startswith("temperature"):
         raise QuantityError(f"'{symbol}' cannot be the unit of {wanted.phrase}", f"write '{number} {wanted.unit}'")
+    if dimension == "length" and is_inch(plain):
+        size = f"{float(number) * INCH:.12g}"
+        raise QuantityError(
+            f"'{symbol}' is the inch, which files cannot use", f"{number} inch is {size} mm: write '{size} mm'"
+        )
     others = [other.phrase for other in DIMENSIONS.values() if plain in other.symbols]
     if others:
         raise QuantityError(f"'{symbol}' is the unit of {others[0]}, not of {wanted.phrase}", accepted)
@@ -67,6 +73,11 @@ def find_unit(symbol: str, dimension: str, number: str = "1") -> Unit:
         raise QuantityError(f"'{symbol}' after {number} is not one unit", f"write e.g. '{wanted.example}'")
     near = nearest(plain, wanted.symbols)
     raise QuantityError(f"unknown unit '{symbol}'", f"did you mean '{near}'? {accepted}" if near else accepted)
+
+
+def is_inch(symbol: str) -> bool:
+    """Return whether a symbol stands for the inch, which files cannot use."""
+    return plain_symbol(symbol).lower() in _INCHES
 
 
 def plain_symbol(symbol: str) -> str:

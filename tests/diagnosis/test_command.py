@@ -122,6 +122,22 @@ def test_a_folder_that_cannot_be_written_to_costs_the_job_only(folder: Path, met
     assert metrocli("diagnose", job, "--output", "job.extended.yaml").code == 3
 
 
+def test_an_extended_job_that_was_edited_is_kept_unless_forced(folder: Path, metrocli: Metrocli) -> None:
+    job, extended = write(folder, measured("tracer-scale")), folder / "job.extended.yaml"
+    assert metrocli("diagnose", job, "--quiet").code == 0
+    written = extended.read_text()
+    assert metrocli("diagnose", job, "--quiet").err == "", "what diagnose wrote it replaces without asking"
+    edited = written.replace("metrocli: 1", "metrocli: 1\ntitle: with my own changes")
+    extended.write_text(edited)
+    ran = metrocli("diagnose", job, "--json")
+    assert (ran.code, json.loads(ran.out)["extended_job"], extended.read_text()) == (0, None, edited)
+    assert "job.extended.yaml: error: the extended job is not as diagnose wrote it" in ran.err
+    assert "give another --output, or replace it with --force" in ran.err
+    assert metrocli("diagnose", job, "--output", extended).code == 3
+    assert json.loads(metrocli("diagnose", job, "--json", "--force").out)["extended_job"] == "job.extended.yaml"
+    assert extended.read_text() == written
+
+
 def test_a_jump_keeps_its_time_in_the_extended_job(folder: Path, metrocli: Metrocli) -> None:
     job = write(folder, measured("dead-path-jump", 4.0))
     metrocli("diagnose", job)

@@ -44,7 +44,7 @@ WRONG = {
     "lengths in inches": (
         "lengths",
         lambda t: changed(t, length=t.numbers("length") / 25.4),
-        "lengths: written in inches",
+        "lengths: length_mm is in inches",
     ),
     "x and z swapped": (
         "points",

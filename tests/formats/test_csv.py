@@ -14,6 +14,7 @@ from hypothesis.extra.numpy import arrays
 from metrocli.errors import InputError
 from metrocli.formats import csv, csv_text
 from metrocli.table import NUMBER, TEXT, WHOLE, Column, Columns, Table
+from metrocli.units import Range
 
 COLUMNS = Columns(
     (
@@ -115,6 +116,13 @@ BROKEN = {
     "infinity": (HEAD + "a,1,-inf\n", "2:5", "'-inf' is not a finite number", ""),
     "too large": (HEAD + "a,1,1e999\n", "2:5", "'1e999' is not a finite number", ""),
     "underscore": (HEAD + "a,1,1_0\n", "2:5", "'1_0' is not a finite number", ""),
+    "full-width digits": (HEAD + "a,1,４.７\n", "2:5", "'４.７' has digits that are not ASCII", "0 to 9"),
+    "full-width whole": ("image,target,u_px,repeat\na,1,2,３\n", "2:7", "'３' has digits that are not ASCII", "0 to 9"),
+    "inches": ("image,target,u_px,sigma_in\na,1,2,3\n", "1:19", "'sigma_in' is in inches", "write sigma_mm, with the numbers times 25.4"),
+    "overload": (HEAD + "a,1,9.9e37\n", "2:5", "9.9e37 is beyond what it can hold, -10000000 to 10000000 px", "overload marker"),
+    "overload without a unit": ("image,target,u_px,scale\na,1,2,-9.9e37\n", "2:7", "column 'scale': -9.9e37 is beyond", "overload"),
+    "length": ("image,target,u_px,sigma_m\na,1,2,\nb,1,2,-10001\n", "3:7", "-10001 is beyond what it can hold, -10000 to 10000 m",
+               "allow it in the job: ranges: {sigma: -10001 m}"),
     "word": (HEAD + "a,1,left\n", "2:5", "'left' is not a number", ""),
     "empty cell": (HEAD + "a,1,\n", "2:5", "column 'u_px': an empty cell", ""),
     "empty text": (HEAD + "a,,2\n", "2:3", "column 'target': an empty cell", ""),
@@ -142,6 +150,19 @@ def test_all_faults_are_told_in_the_order_of_the_file(tmp_path: Path) -> None:
     assert [line[:11] for line in told.splitlines() if "error" in line] == ["obs.csv:2:5", "obs.csv:3:1", "obs.csv:4:5"]
 
 
+def test_values_at_the_ends_of_a_range_are_read(tmp_path: Path) -> None:
+    columns = Columns((Column("a", "angle"), Column("x", "length"), Column("temp", "temperature"), Column("n", WHOLE)))
+    table = read(tmp_path, "a_deg,x_m,temp_K,n\n720,10000,0,999999999\n-720,-10000,2000,-5\n", columns)
+    assert table.numbers("a") == pytest.approx([4 * math.pi, -4 * math.pi])
+    assert table.numbers("temp")[0] == pytest.approx(-273.15)
+
+
+def test_a_range_of_its_own_replaces_that_of_the_dimension(tmp_path: Path) -> None:
+    columns = Columns((Column("a", "angle", allowed=Range(-50.0, 50.0)),))
+    assert read(tmp_path, "a_rad\n49\n", columns).numbers("a").tolist() == [49.0]
+    assert "51 is beyond what it can hold, -50 to 50 rad" in faults(tmp_path, "a_rad\n51\n", columns)
+
+
 def test_very_many_faults_are_counted(tmp_path: Path) -> None:
     told = faults(tmp_path, HEAD + "".join(f"a,{n},x\n" for n in range(100)))
     assert told.count("error:") == csv_text.MOST_FAULTS + 1
@@ -155,7 +176,7 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
         csv.read(tmp_path, COLUMNS)
 
 
-FINITE = st.floats(allow_nan=False, allow_infinity=False)
+FINITE = st.floats(-1e7, 1e7)
 NAMES = st.text(st.characters(codec="utf-8", exclude_categories=["Cc", "Z"]), min_size=1, max_size=8)
 
 

@@ -74,6 +74,10 @@ BROKEN = {
     "table that is none": (GOOD.replace("readings.csv", "line.h5"), "3:20", "is not a CSV file", ""),
     "unknown effect": (GOOD + "effects: [{name: bend}]\n", "5:18", "unknown effect 'bend'", "no effect"),
     "effect without name": (GOOD + "effects: [bend]\n", "5:11", "needs a name", ""),
+    "range of no column": (GOOD + "ranges: {yy: 3 mm}\n", "5:14", "no file of this job has a column 'yy'", "did you mean 'y'?"),
+    "range without unit": (GOOD + "ranges: {y: 3}\n", "5:13", "3 has no unit", "write e.g. '3 mm'"),
+    "range below zero": (GOOD + "ranges: {y: -3 mm}\n", "5:13", "not the size of a number", "above zero"),
+    "ranges as a list": (GOOD + "ranges: [y]\n", "5:9", "this is not a mapping", "{phi1: 3600 deg}"),
     "requirement": (GOOD + "require: {sigma0: 1.5}\n", "5:19", "not a comparison", "< 1.5"),
     "output": (GOOD + "output: result.csv\n", "5:9", "not the name of a result file", ".h5"),
 }  # fmt: skip
@@ -117,6 +121,23 @@ def test_a_file_that_is_not_utf8_is_refused(job: Path, metrocli: Callable[..., o
     job.write_bytes(GOOD.encode() + "title: 5 µm\n".encode("latin-1"))
     ran = metrocli("check", job)
     assert (ran.code, ran.err.startswith("line.yaml:5:1: error: the file is not text in UTF-8")) == (3, True)
+
+
+def test_a_job_may_allow_what_a_column_cannot_usually_hold(job: Path, metrocli: Callable[..., object]) -> None:
+    Path("readings.csv").write_text("point,x_mm,y_mm\na,0,1\nb,1,3\nc,2,5\nd,3,20000000\n")
+    ran = metrocli("straight-line", job)
+    assert ran.code == 3
+    assert (
+        "readings.csv:5:5: error: column 'y_mm': 20000000 is beyond what it can hold, -10000000 to 10000000 mm"
+        in ran.err
+    )
+    job.write_text(GOOD + "ranges: {y: 30000 m, x: 2 mm}\n")
+    ran = metrocli("straight-line", job)
+    assert ran.code == 3
+    assert "readings.csv:5:3: error: column 'x_mm': 3 is beyond what it can hold, -2 to 2 mm" in ran.err
+    assert ran.err.count("error: ") == 1
+    job.write_text(GOOD + "ranges: {y: 30000 m}\n")
+    assert metrocli("straight-line", job).code == 0
 
 
 def test_a_job_that_does_not_exist(job: Path, metrocli: Callable[..., object]) -> None:

@@ -56,9 +56,20 @@ def test_either_tells_the_fault_that_was_meant() -> None:
     assert "a list" in value_of(spec, "[1 px]").message
 
 
-@pytest.mark.parametrize("text", ["1e300 mm", "-1e31 mm"])
-def test_a_quantity_whose_square_could_overflow_is_refused(text: str) -> None:
-    assert f"{text} is too large" in value_of(Quantity("length"), text).message
+OUT_OF_RANGE = [
+    (Quantity("length"), "1e300 mm", "too large"), (Quantity("length"), "10.1 km", "unknown unit"),
+    (Quantity("length"), "10100 m", "too large"), (Quantity("length"), "-10100 m", "too low"),
+    (Quantity("pixel", positive=True), "1e300 px", "too large"), (Quantity("pixel", positive=True), "1e-300 px", "too small"),
+    (Quantity("angle"), "721 deg", "too large"), (Quantity("temperature"), "-1 K", "too low"),
+    (Quantity("ratio"), "1e31 um/m", None), (Quantity("ratio"), "1e37 um/m", "too large"), (Number(), "1e31", "too large"),
+    (Quantity("length"), "10000 m", None), (Quantity("angle"), "-720 deg", None), (Quantity("temperature"), "0 K", None),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("spec", "text", "message"), OUT_OF_RANGE)
+def test_a_quantity_beyond_what_it_can_be_is_refused(spec: Quantity | Number, text: str, message: str | None) -> None:
+    found = value_of(spec, text)
+    assert isinstance(found, float) if message is None else message in found.message
 
 
 def test_near_words() -> None:

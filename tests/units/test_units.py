@@ -36,7 +36,7 @@ REFUSED = [
     ("3 mm/m", "angle", "of a slope, not of an angle", "arcsec"), ("20 arcsec", "slope", "of an angle, not of a slope", "mm/m"),
     ("5 deg", "temperature", "of an angle", "degC"), ("1 degC", "temperature difference", "cannot be the unit", "write '1 K'"),
     ("20 mm", "pixel", "of a length", "px"), ("2 ppm", "slope", "a ratio", "um/m"), ("1 microns", "length", "unknown unit", "'um'"),
-    ("5 inch", "length", "unknown unit", "'mm'"), ("\u22125 mm", "length", "not a number", ""), ("1_000 mm", "length", "is not one unit", ""),
+    ("5 inch", "length", "is the inch", "'127 mm'"), ("0.1 in", "length", "is the inch", "0.1 inch is 2.54 mm"), ("\u22125 mm", "length", "not a number", ""), ("1_000 mm", "length", "is not one unit", ""),
     ("0x10 mm", "length", "is not one unit", ""), ("5 seconds", "time", "unknown unit", "'s'"), ("1,000.5 mm", "length", "is not one unit", ""),
 ]  # fmt: skip
 

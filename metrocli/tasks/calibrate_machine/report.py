@@ -22,7 +22,7 @@ from metrocli.tasks.calibrate_machine.identifiability import Identifiability
 from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.calibrate_machine.solve import Solved
 from metrocli.tasks.calibrate_machine.tables import Tables, least_squares_squareness, tables_of, tool_names, unit_of
-from metrocli.tasks.calibrate_machine.volume_report import volume_tables
+from metrocli.tasks.calibrate_machine.volume_report import NOT_CONTAINED, volume_tables
 from metrocli.tasks.calibrate_machine.warnings import cures, identifiability_notes, machine_warnings, uncontrolled
 from metrocli.tasks.shared.statistics import Statistics, basic_statistics, noise_notes
 from metrocli.tasks.shared.uncontrolled import TABLE, in_words
@@ -73,7 +73,12 @@ def report(solved: Solved, settings: Settings) -> Result:
             *map(ShownTable, solved.problem.tables),
             *([ShownTable("suspects")] if len(solved.suspects.rows) else []),
         ),
-        notes=(*identifiability_notes(identified), *noise_notes(solution, cures(settings)), *in_words(hidden)),
+        notes=(
+            *identifiability_notes(identified),
+            NOT_CONTAINED,
+            *noise_notes(solution, cures(settings)),
+            *in_words(hidden),
+        ),
     )
 
 

@@ -19,6 +19,13 @@ if TYPE_CHECKING:
     from metrocli.table import Values
 
 
+NOT_CONTAINED = (
+    "volumetric: the uncertainty is that of the estimated tables alone; "
+    "the machine's repeatability and its errors between knots add to it"
+)
+"""What the reader of /volumetric has to know of its uncertainty"""
+
+
 def volume_tables(
     tables: Tables, identified: Identifiability, counts: Sequence[int], measured: Sequence[str]
 ) -> dict[str, Table]:

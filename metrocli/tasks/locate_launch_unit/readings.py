@@ -53,6 +53,7 @@ class Readings:
     distance: Array
     """Distance of the control points, (n,), nan if not measured"""
     conditions: dict[str, Array]
+    file: str = ""
 
     @property
     def level(self) -> Mask:
@@ -82,6 +83,7 @@ def read(table: Table) -> Readings:
         np.stack([table.numbers(angle) for angle in ANGLES]),
         table.numbers("distance", float("nan")),
         {name: table.numbers(name) for name in ("t", "temp") if name in table},
+        table.file,
     )
 
 

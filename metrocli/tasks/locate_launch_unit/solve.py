@@ -13,7 +13,7 @@ from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.solution import Solution
 from metrocli.effects.estimates import absorbed
 from metrocli.effects.wanted import Wanted
-from metrocli.errors import InputError, MetrocliError, NotConvergedError, UndeterminedError
+from metrocli.errors import Fault, InputError, MetrocliError, NotConvergedError, UndeterminedError
 from metrocli.geometry.angles import wrapped
 from metrocli.instruments import launch_unit as lu
 from metrocli.instruments.launch_start import Beams, Meeting, closed_loop, lines, set_up_angle, spread
@@ -39,6 +39,8 @@ class How:
     remove: bool = False
     """Whether to leave outliers out"""
     effects: Sequence[Wanted] = ()
+    explain: bool = True
+    """Whether other meanings of the columns are tried if the readings fit no place"""
 
 
 @dataclass(frozen=True)
@@ -78,9 +80,10 @@ def locate(readings: Readings, noise: Noise, how: How | None = None) -> Located:
         if located.solution is None or not located.solution.sigma0 > _ABSURD:
             return located
         refusal = None
-    instead = misread(readings, noise) if readings.names[_ENOUGH:] else ()
+    instead = misread(readings, noise) if how.explain and readings.names[_ENOUGH:] else ()
     if instead:
-        raise InputError("the readings fit no place of the unit as they stand, but would if " + "; or ".join(instead))
+        hint = f"they would if {'; or '.join(instead)}"
+        raise InputError([Fault("the readings fit no place of the unit as they stand", readings.file, hint=hint)])
     if refusal is not None:
         raise refusal
     return located

@@ -31,7 +31,9 @@ def run(job: Job[Settings, Files]) -> Result:
 
 def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
     """Return the adjusted job in the form that diagnosis needs, with all readings; raises as `run` does."""
-    return adjusted_job(locate(read(job.files.poses), job.settings.noise, replace(_how(job), remove=False)))
+    return adjusted_job(
+        locate(read(job.files.poses), job.settings.noise, replace(_how(job), remove=False, explain=False))
+    )
 
 
 def _how(job: Job[Settings, Files]) -> How:

@@ -53,33 +53,14 @@ def adjusted_job(solved: Solved) -> AdjustedJob:
         {LENGTHS: folds(group.observations.index[t.POINT], group.observations.conditions)},
         Delivered(*delivered, (0, 1, 2), "um", "length"),
         refit,
-        astray=_astray(solved),
+        astray=solved.astray,
         offers=offers,
     )
-
-
-_POINTS_NEAR, _TRACERS_NEAR = 0.02, 0.5
-"""Plausible deviations of points and tracers from their lists, as shares of the measured volume"""
 
 
 def _effects(absolute: bool) -> tuple[Effect, ...]:
     """Return the table of effects, with the usual sizes of distance meters where the lengths are absolute."""
     return tuple(replace(one, usual=RANGING.get(one.name, one.usual)) if absolute else one for one in EFFECTS)
-
-
-def _astray(solved: Solved) -> float:
-    """Return how far points and tracers lie from their lists, relative to the plausible deviation.
-
-    The deviation of the points is a root mean square, that of the tracers a median; the larger ratio counts.
-    """
-    network, blocks = solved.whole, solved.solution.blocks
-    seen = network.seen > 0
-    extent = float(np.ptp(network.nominal[seen], axis=0).max()) or 1.0
-    off = network.nominal[seen] - blocks[t.POINT].values[seen]
-    points = float(np.sqrt((off**2).sum(axis=1).mean())) / extent
-    apart = np.linalg.norm(network.said - blocks[t.TRACER].values[:, :3], axis=1)
-    tracers = float(np.nanmedian(apart)) / extent if np.isfinite(apart).any() else 0.0
-    return max(points / _POINTS_NEAR, tracers / _TRACERS_NEAR)
 
 
 def covariates(model: Model) -> list[Covariate]:

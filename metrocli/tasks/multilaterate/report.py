@@ -73,6 +73,7 @@ def report(solved: Solved, probing: Table | None, tolerance: float, scatter: Cor
         warnings=(*_warnings(solved), *distant(solved.network, probing, tolerance)),
         shown=tuple(_shown(solved)),
         notes=(*noise_notes(solution, cures=(REMOVE,)), *in_words(hidden)),
+        astray=solved.astray,
     )
 
 

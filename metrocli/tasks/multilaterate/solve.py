@@ -33,6 +33,8 @@ _DOUBT = 0.05
 """Level of significance of the test of the remaining lengths at a point that lost some"""
 _ROUNDS = 30
 """Largest number of adjustments while outliers are removed"""
+_POINTS_NEAR, _TRACERS_NEAR = 0.02, 0.5
+"""Plausible deviations of points and tracers from their lists, as shares of the measured volume"""
 _SMALL_ENOUGH = 1000
 """Networks of up to so many points are checked for determinacy before they are adjusted"""
 
@@ -71,6 +73,21 @@ class Solved:
     def group(self) -> Group:
         """The lengths used, with their final weights."""
         return next(group for group in self.solution.groups if group.name == LENGTHS)
+
+    @property
+    def astray(self) -> float:
+        """How far points and tracers lie from their lists, relative to the plausible deviation.
+
+        The deviation of the points is a root mean square, that of the tracers a median; the larger ratio counts.
+        """
+        network, blocks = self.whole, self.solution.blocks
+        seen = network.seen > 0
+        extent = float(np.ptp(network.nominal[seen], axis=0).max()) or 1.0
+        off = network.nominal[seen] - blocks[t.POINT].values[seen]
+        points = float(np.sqrt((off**2).sum(axis=1).mean())) / extent
+        apart = np.linalg.norm(network.said - blocks[t.TRACER].values[:, :3], axis=1)
+        tracers = float(np.nanmedian(apart)) / extent if np.isfinite(apart).any() else 0.0
+        return max(points / _POINTS_NEAR, tracers / _TRACERS_NEAR)
 
 
 def solve(network: Network, remove: bool) -> Solved:

@@ -213,7 +213,7 @@ def column_of(given: Given, table: Table) -> str:
 
 def _first_text(column: str, table: Table) -> str:
     cells = table.texts(column)
-    row = next(n for n, cell in enumerate(cells) if not re.fullmatch(r"[+-]?[\d.]+([eE][+-]?\d+)?", cell))
+    row = next(n for n, cell in enumerate(cells) if not re.fullmatch(r"[+-]?[0-9.]+([eE][+-]?[0-9]+)?", cell))
     return f"{table.file}:{table.lines[row]}: '{cells[row]}' in the column '{column}' is not a number"
 
 

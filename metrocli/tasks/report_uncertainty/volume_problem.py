@@ -31,6 +31,10 @@ PLACES = ("X", "Y", "Z")
 """Names of a point's coordinates in the models of contributors"""
 
 
+_MACHINE = "calibrate-machine"
+"""Kind of the results whose uncertainty is that of tables alone"""
+
+
 @dataclass(frozen=True)
 class VolumeProblem:
     """Points of the volume, and the contributions to their uncertainty."""
@@ -38,6 +42,7 @@ class VolumeProblem:
     points: Array
     contributions: tuple[Contribution, ...]
     warnings: tuple[str, ...]
+    notes: tuple[str, ...] = ()
 
 
 def faults(settings: Entries) -> Iterable[Fault | tuple[str, ...]]:
@@ -100,7 +105,22 @@ def build(settings: Entries, results: Mapping[str, Result]) -> VolumeProblem:
         found.append(Contribution(given.name, std, uniform, dof, given.source or ""))
     if wrong:
         raise InputError(wrong)
-    return VolumeProblem(points, tuple(found), tuple(_double(settings, results)))
+    notes = tuple(_not_contained(settings, results))
+    return VolumeProblem(points, tuple(found), tuple(_double(settings, results)), notes)
+
+
+def _not_contained(settings: Entries, results: Mapping[str, Result]) -> Iterable[str]:
+    """Yield a note for each contributor that is made of a machine's result: what that result leaves out."""
+    for placed in settings.contributors:
+        given: Contributor = placed.value
+        names = {name.partition(".")[0] for model in given.model or () for name in model.expression.names}
+        used = sorted({given.result, *names} & results.keys(), key=str)
+        for name in used:
+            if results[str(name)].kind == _MACHINE:
+                yield (
+                    f"contributor '{given.name}': the result '{name}' states the uncertainty of the estimated errors; "
+                    "the machine's repeatability and its errors between knots are not in it: give them as contributors"
+                )
 
 
 def _size(placed: Placed, results: Mapping[str, Result], points: Array, lengths: Array) -> tuple[Array, bool, float]:

@@ -78,7 +78,7 @@ def run(settings: Entries, results: Mapping[str, Result], workers: Workers) -> R
         statistics=statistics,
         tables=_tables(problem, found, axes, settings),
         warnings=(*problem.warnings, *_warnings(details)),
-        notes=tuple(_notes(problem, found, axes, details)),
+        notes=(*_notes(problem, found, axes, details), *problem.notes),
         details=details,
         plain=PLAIN,
     )

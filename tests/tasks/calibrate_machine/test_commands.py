@@ -82,6 +82,7 @@ def test_what_is_simulated_is_found_again(folder: Path, text: str, metrocli: Met
     summary = json.loads(ran.out)
     truth = json.loads((folder / "new" / "truth.json").read_text())
     assert set(summary["estimates"]) == {"A0Z", "B0Z", "C0Y"}
+    assert any("repeatability and its errors between knots add to it" in note for note in summary["notes"])
     for name, estimate in summary["estimates"].items():
         assert abs(estimate["value"] - truth[name]) < 4.5 * estimate["std"]
         assert estimate["unit"] == "rad"

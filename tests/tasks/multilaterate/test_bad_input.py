@@ -174,7 +174,9 @@ def test_a_mirrored_list_of_points_is_told_by_the_tracers(folder: Path, metrocli
     assert "far from their listed places" not in metrocli("multilaterate", "job.yaml").err
     change(folder / "points.csv", lambda rows: [rows[0].replace("x_mm,y_mm", "y_mm,x_mm"), *rows[1:]])
     ran = metrocli("multilaterate", "job.yaml")
-    assert "tracers are far from their listed places: T1" in ran.err
+    assert ran.code == 3
+    assert "points.csv: error: x and y are swapped" in ran.err
+    assert "as good: tracers.csv: x and y are swapped" in ran.err
 
 
 def test_one_gross_error_is_not_taken_for_a_shuffle(folder: Path, metrocli: Metrocli) -> None:

@@ -166,6 +166,18 @@ def test_a_model_of_estimates_and_places(tmp_path: Path) -> None:
     assert not each.numbers("u_z").any()
 
 
+@pytest.mark.parametrize(("kind", "count"), [("calibrate-machine", 1), ("multilaterate", 0)])
+def test_what_a_machine_leaves_out_is_stated(tmp_path: Path, kind: str, count: int) -> None:
+    """In text and JSON: its uncertainty has neither repeatability nor errors between knots."""
+    estimates = (Estimate("A0Z", 1e-5, 2e-6, "rad"),)
+    where = stored(tmp_path, "m", Result(kind, "", estimates, np.array([[4e-12]]), {}))
+    machine = {"name": "squareness", "model": ["0*X", "-m.A0Z*Z", "0*X"]}
+    ran = carry_out(tmp_path, volume(BENCH, machine, inputs={"results": {"m": where}}))
+    lines = [line for line in ran.result.notes if "contributor 'squareness': the result 'm' states" in line]
+    assert len(lines) == count
+    assert all("repeatability and its errors between knots are not in it" in line for line in lines)
+
+
 def test_models_know_one_result_under_two_names(tmp_path: Path) -> None:
     """Its error cancels in a difference, and two contributors of it are told."""
     where = stored(tmp_path, "part", pose_result())

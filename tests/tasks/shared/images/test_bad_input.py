@@ -176,7 +176,8 @@ CASES = {
     # hostile
     "one reading far outside, board": Case("board", 3, ("1 of", "one of them far: image"), rows(OBS, lambda table: [[*table[0][:2], 28000, table[0][3]], *table[1:]])),
     "one reading far outside, part": Case("align", 3, ("1 of 8 readings", "one of them far: image"), rows(OBS, lambda table: [[*table[0][:2], table[0][2], -4000], *table[1:]])),
-    "huge readings": Case("align", 3, ("8 of 8 readings lie outside an image",), cells(OBS, 2, lambda cell: 1e9)),
+    "huge readings": Case("align", 3, ("8 of 8 readings lie outside an image",), cells(OBS, 2, lambda cell: 1e6)),
+    "an overflow for a coordinate": Case("align", 3, ("column 'x_mm': 1e+200 is beyond what it can hold", "is it an overload marker"), cells("targets.csv", 1, lambda cell: 1e200)),
     "all readings alike": Case("board", 5, ("check that image points and targets belong together",), rows(OBS, lambda table: [[*row[:2], 1000, 1000] for row in table])),
     "targets in another order": Case(
         "board", 5, ("check that image points and targets belong together",),
@@ -295,7 +296,7 @@ def test_a_camera_with_known_parameters_only_poses_the_board(
     assert '"estimates": {}' in ran.out
 
 
-@pytest.mark.parametrize(("job", "far"), [("board", 1e6), ("cmm", 1e6), ("align", 1e9)])
+@pytest.mark.parametrize(("job", "far"), [("board", 1e6), ("cmm", 1e6), ("align", 9e6)])
 def test_huge_coordinates_end_in_words(
     job: str, far: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, metrocli: Metrocli
 ) -> None:

@@ -1,0 +1,162 @@
+"""Other readings of the files of a job: another unit, swapped, mirrored and turned axes, each with what to write."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations, permutations
+from typing import TYPE_CHECKING
+
+from metrocli.table import Table
+from metrocli.units import DIMENSIONS, INCH, Unit, find_unit, suffix_of, suffixes
+from metrocli.words import in_a_row
+
+if TYPE_CHECKING:
+    from metrocli.table import Values
+
+Inputs = Mapping[str, object]
+_AXES = ("x", "y", "z")
+_TURNED = ("turned by 90 degrees about {0}", "turned by -90 degrees about {0}", "turned by 180 degrees about {0}")
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """A possible mistake in one input."""
+
+    input: str
+    words: str
+    write: str
+    """What to write in the file instead"""
+    shrinks: float = 1.0
+    """Factor by which its correction makes numbers smaller, and with them their residuals whatever is wrong"""
+    file: str = ""
+    sort: str = ""
+    """`units`, or what is wrong: mistakes of one sort in two files can be indistinguishable"""
+
+    def __str__(self) -> str:
+        return f"{self.input}: {self.words}"
+
+
+def corrections(inputs: Inputs) -> Iterator[tuple[Mistake, Inputs]]:
+    """Yield each possible mistake in the files, with the corrected inputs."""
+    for key, table in inputs.items():
+        if isinstance(table, Table):
+            for words, write, factor, changed in _of_table(table):
+                sort = words if abs(factor) == 1.0 else "units"
+                yield Mistake(key, words, write, min(abs(factor), 1.0), table.file, sort), {**inputs, key: changed}
+
+
+def _of_table(table: Table) -> Iterator[tuple[str, str, float, Table]]:
+    """Yield what may be wrong, what to write instead, the factor of the numbers, and the corrected table."""
+    lengths = [name for name, unit in table.units.items() if unit == "mm" and not name.startswith("sigma")]
+    places = [name for name in lengths if name in _AXES]
+    others = [name for name in lengths if name not in _AXES]
+    for names in [*([places, others] if places and others else []), lengths]:
+        yield from _units_of_lengths(table, names)
+    angles = [name for name, unit in table.units.items() if unit == "rad"]
+    yield from _units_of_angles(table, angles)
+    for one, other in combinations(angles, 2):
+        yield (*_swap(one, other), 1.0, _swapped(table, one, other))
+    for angle in angles:
+        yield _sign(angle)[0], _sign(angle)[1], 1.0, _scaled(table, [angle], -1.0)
+    yield from _of_axes(table, [name for name in _AXES if name in table])
+
+
+def _units_of_lengths(table: Table, names: Sequence[str]) -> Iterator[tuple[str, str, float, Table]]:
+    if not names:
+        return
+    read = _unit(table, names[0], "length")
+    per_metre = find_unit("m", "length").inside(1.0)
+    for factor in (per_metre, 1 / per_metre, INCH, 1 / INCH):
+        meant = next(
+            (unit for unit in DIMENSIONS["length"].units if _alike(unit.times / unit.over, factor * read)), None
+        )
+        if meant is not None:
+            words = f"{in_a_row(_headings(table, names))} {'are' if names[1:] else 'is'} in {meant.symbol}"
+            write = f"{in_a_row([f'{name}_{meant.symbol}' for name in names])} in the heading"
+        else:
+            what = (
+                "in inches"
+                if factor == INCH
+                else "divided by 25.4"
+                if factor == 1 / INCH
+                else f"off by a factor {factor:g}"
+            )
+            words = f"{in_a_row(_headings(table, names))} {'are' if names[1:] else 'is'} {what}"
+            write = f"the numbers of {in_a_row(_headings(table, names))} times {factor:.10g}"
+        yield words, write, factor, _scaled(table, names, factor)
+
+
+def _units_of_angles(table: Table, names: Sequence[str]) -> Iterator[tuple[str, str, float, Table]]:
+    if not names:
+        return
+    degree = find_unit("deg", "angle").inside(1.0)
+    read = _unit(table, names[0], "angle")
+    for factor, symbol in ((degree, "deg"), (1 / degree, "rad")):
+        verb = "are" if names[1:] else "is"
+        meant = find_unit(symbol, "angle")
+        if _alike(meant.times / meant.over, factor * read) or not table.headings:
+            words = f"{in_a_row(_headings(table, names))} {verb} in {symbol}"
+            write = f"{in_a_row([f'{name}_{symbol}' for name in names])} in the heading"
+            yield words, write, factor, _scaled(table, names, factor)
+
+
+def _of_axes(table: Table, axes: Sequence[str]) -> Iterator[tuple[str, str, float, Table]]:
+    """Yield swapped, mirrored and turned axes."""
+    for one, other in combinations(axes, 2):
+        yield (*_swap(one, other), 1.0, _swapped(table, one, other))
+    for axis in axes:
+        yield *_sign(axis), 1.0, _scaled(table, [axis], -1.0)
+    if len(axes) < len(_AXES):
+        return
+    for order in permutations(axes):
+        if all(one != other for one, other in zip(order, axes, strict=True)):
+            words = f"{', '.join(axes)} are in the order {', '.join(order)}"
+            yield words, f"{', '.join(order)} for {', '.join(axes)} in the headings", 1.0, _ordered(table, axes, order)
+    for first, second, third in (("x", "y", "z"), ("y", "z", "x"), ("z", "x", "y")):
+        half = _scaled(table, [first, second], -1.0)
+        yield _TURNED[2].format(third), f"{first} and {second} with the other sign", 1.0, half
+        for words, mirrored in ((_TURNED[0], second), (_TURNED[1], first)):
+            write = f"{second} for {first} and {first} for {second} in the headings, {mirrored} with the other sign"
+            yield words.format(third), write, 1.0, _scaled(_swapped(table, first, second), [mirrored], -1.0)
+
+
+def _swap(one: str, other: str) -> tuple[str, str]:
+    return f"{one} and {other} are swapped", f"{other} for {one} and {one} for {other} in the headings"
+
+
+def _sign(name: str) -> tuple[str, str]:
+    return f"{name} has the wrong sign", f"{name} with the other sign"
+
+
+def _alike(one: float, other: float) -> bool:
+    return abs(one / other - 1) < 1e-9
+
+
+def _headings(table: Table, names: Sequence[str]) -> list[str]:
+    """Return columns by their names in the file; in the internal unit if the table was read from none."""
+    return [table.headings.get(name, f"{name}_{suffix_of(table.units[name])}") for name in names]
+
+
+def _unit(table: Table, name: str, dimension: str) -> float:
+    """Return the unit in which a column is read, as a multiple of the internal unit."""
+    heading = table.headings.get(name, f"{name}_{suffix_of(table.units[name])}")
+    unit: Unit = suffixes(dimension)[heading.removeprefix(f"{name}_")]
+    return unit.inside(1.0)
+
+
+def _scaled(table: Table, names: Sequence[str], factor: float) -> Table:
+    columns: dict[str, Values] = {**table.columns}
+    columns |= {name: table.numbers(name) * factor for name in names}
+    return replace(table, columns=columns)
+
+
+def _swapped(table: Table, one: str, other: str) -> Table:
+    return _ordered(table, (one, other), (other, one))
+
+
+def _ordered(table: Table, names: Sequence[str], order: Sequence[str]) -> Table:
+    """Return the table with the columns `order` as `names`."""
+    return replace(
+        table, columns={**table.columns, **{name: table.columns[old] for name, old in zip(names, order, strict=True)}}
+    )

@@ -1,0 +1,112 @@
+"""A task refuses a file that fits far better when it is read in another way, and states what to write."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.hidden import lengths
+from metrocli.diagnosis.corrections import corrections
+from metrocli.table import Table
+
+NETWORK = """metrocli: 1
+job: multilaterate
+inputs: {lengths: lengths.csv, points: points.csv, tracers: tracers.csv}
+noise: {constant: %g mm, proportional: %g mm/m}
+require: {sigma0: "< 2"}
+output: out.h5
+"""
+Spoil = Callable[[str], str]
+
+
+@pytest.fixture
+def network(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A network of lengths from plain formulas, with the listed places of points and tracers."""
+    monkeypatch.chdir(tmp_path)
+    m = lengths.measurement(np.random.default_rng(58), 12)
+    constant, proportional = lengths.NOISE
+    Path("job.yaml").write_text(NETWORK % (constant, proportional * 1000))
+    rows = [f"P{p},T{t},{length!r}" for p, t, length in zip(m.point, m.tracer, m.length.tolist(), strict=True)]
+    Path("lengths.csv").write_text("point,tracer,length_mm\n" + "\n".join(rows) + "\n")
+    for name, letter, values in (("point", "P", m.nominal), ("tracer", "T", m.said)):
+        places = [f"{letter}{i},{x!r},{y!r},{z!r}" for i, (x, y, z) in enumerate(values.tolist())]
+        Path(f"{name}s.csv").write_text(f"{name},x_mm,y_mm,z_mm\n" + "\n".join(places) + "\n")
+    return Path("job.yaml")
+
+
+SPOILT = {
+    "y and z of the points": ("points.csv", "y_mm,z_mm", "z_mm,y_mm", "y and z are swapped", "write z for y and y for z"),
+    "x and y of the tracers": ("tracers.csv", "x_mm,y_mm", "y_mm,x_mm", "x and y are swapped", "write y for x and x for y"),
+    "all three": ("points.csv", "x_mm,y_mm,z_mm", "y_mm,z_mm,x_mm", "x, y, z are in the order", "in the headings"),
+    "tracers in um": ("tracers.csv", "x_mm,y_mm,z_mm", "x_um,y_um,z_um", "x_um, y_um and z_um are in mm", "write x_mm, y_mm and z_mm"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SPOILT)
+def test_a_list_with_a_wrong_heading_is_refused(name: str, network: Path, metrocli: Callable[..., object]) -> None:
+    file, old, new, words, write = SPOILT[name]
+    assert metrocli("multilaterate", network).code == 0
+    Path("out.h5").unlink()
+    Path(file).write_text(Path(file).read_text().replace(old, new))
+    ran = metrocli("multilaterate", network)
+    assert ran.code == 3, (ran.out, ran.err)
+    assert f"{file}: error: " in ran.err or f"{file}: {words}" in ran.err
+    assert words in ran.err
+    assert write in ran.err
+    assert not Path("out.h5").exists()
+
+
+def test_a_mirrored_list_is_refused(network: Path, metrocli: Callable[..., object]) -> None:
+    rows = [line.split(",") for line in Path("points.csv").read_text().splitlines()]
+    mirrored = [rows[0], *([name, x, str(-float(y)), z] for name, x, y, z in rows[1:])]
+    Path("points.csv").write_text("\n".join(",".join(row) for row in mirrored) + "\n")
+    ran = metrocli("multilaterate", network)
+    assert ran.code == 3, ran.err
+    assert "y has the wrong sign" in ran.err
+    assert "write y with the other sign" in ran.err
+
+
+def test_gross_errors_alone_are_no_wrong_heading(network: Path, metrocli: Callable[..., object]) -> None:
+    rows = Path("lengths.csv").read_text().splitlines()
+    for at in range(5, len(rows), 9):
+        point, tracer, length = rows[at].split(",")
+        rows[at] = f"{point},{tracer},{float(length) + 0.7 * (1 + at % 3)!r}"
+    Path("lengths.csv").write_text("\n".join(rows) + "\n")
+    assert metrocli("multilaterate", network).code == 6
+
+
+def test_each_correction_undoes_its_mistake() -> None:
+    rng = np.random.default_rng(5)
+    columns = {name: rng.normal(size=4) for name in ("x", "y", "z", "a", "b")}
+    headings = {"x": "x_um", "y": "y_um", "z": "z_um", "a": "a_deg", "b": "b_deg"}
+    units = {"x": "mm", "y": "mm", "z": "mm", "a": "rad", "b": "rad"}
+    found = [(one.words, changed["t"]) for one, changed in corrections({"t": Table(columns, units, headings=headings)})]
+    words = [text for text, _ in found]
+    assert len(set(words)) == len(words)
+    assert {"x_um, y_um and z_um are in mm", "a_deg and b_deg are in rad", "a and b are swapped"} <= set(words)
+    stacked = {text: np.asarray([table.numbers(name) for name in "xyz"]) for text, table in found}
+    turned = stacked["turned by 90 degrees about z"]
+    assert turned == pytest.approx(np.array([columns["y"], -columns["x"], columns["z"]]))
+    proper = [
+        np.linalg.det(stacked[text] @ np.linalg.pinv(np.asarray([columns[n] for n in "xyz"])))
+        for text in words
+        if "turned" in text
+    ]
+    assert proper == pytest.approx(np.ones(9))
+    assert stacked["x_um, y_um and z_um are in mm"] == pytest.approx(1000 * np.asarray([columns[n] for n in "xyz"]))
+
+
+def test_poses_in_metres_under_millimetres_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, metrocli: Callable[..., object]
+) -> None:
+    metrocli("init", tmp_path, "--sample", "xm60-launch-unit")
+    monkeypatch.chdir(tmp_path)
+    Path("data/table.csv").write_text(Path("data/table.csv").read_text().replace("x_mm,y_mm,z_mm", "x_um,y_um,z_um"))
+    ran = metrocli("locate-launch-unit", "jobs/table.yaml")
+    assert ran.code == 3, ran.err
+    assert "data/table.csv: error: " in ran.err
+    assert "x_um, y_um and z_um are in mm" in ran.err
+    assert "distance_mm is in um" in ran.err, "readings that are all of one unit: nothing distinguishes which is wrong"
