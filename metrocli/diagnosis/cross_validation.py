@@ -17,6 +17,7 @@ from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns, nothing_fitted
 from metrocli.diagnosis.linear.score_tests import ScoreTests
+from metrocli.diagnosis.linear.without_rows import without_rows
 from metrocli.diagnosis.selection.confidence_set import NamedEffect
 from metrocli.diagnosis.selection.search import search
 from metrocli.diagnosis.selection.selection_state import Chosen, Selection
@@ -75,10 +76,10 @@ def cross_validated(job: AdjustedJob, selection: Selection, names: Sequence[Name
     for fold in range(int(rows.max()) + 1):
         out = np.flatnonzero((rows == fold) & ~spared)
         if out.size:
-            trained = search(test_set, fitted_without(test_set, np.flatnonzero(rows == fold)))
+            trained = _trained(test_set, np.flatnonzero(rows == fold))
             start = fitted_without(test_set, np.flatnonzero((rows == fold) & spared))
             for number, group in enumerate(groups):
-                found[number].append(_compared(start, trained, group, out))
+                found[number].append(_compared(test_set, start, trained, group, out))
     return [_gain(pairs) for pairs in found]
 
 
@@ -92,6 +93,17 @@ def gain_of_model(
     rows = _rows_of_folds(job, before[0])
     folds = (np.flatnonzero(rows == fold) for fold in range(int(rows.max()) + 1))
     return _gain([(held_out_errors(*before, out), held_out_errors(*after, out)) for out in folds if out.size])
+
+
+def _trained(test_set: ScoreTests, out: Index) -> Selection:
+    """Return the selection without some rows.
+
+    Rows that hold only some readings of a local member are taken out by unknowns of their own.
+    """
+    if test_set.system.basis.members and test_set.system.basis.holds_whole_members(out):
+        fewer = without_rows(test_set, out)
+        return search(fewer, nothing_fitted(fewer.system))
+    return search(test_set, fitted_without(test_set, out))
 
 
 def _rows_of_folds(job: AdjustedJob, test_set: ScoreTests) -> Index:
@@ -109,13 +121,12 @@ def fitted_without(test_set: ScoreTests, out: Index) -> FittedColumns:
 
 
 def _compared(
-    start: FittedColumns, trained: Selection, names: Sequence[NamedEffect], out: Index
+    test_set: ScoreTests, start: FittedColumns, trained: Selection, names: Sequence[NamedEffect], out: Index
 ) -> tuple[_Held, _Held]:
     """Return the prediction of a fold without and with effects, as the selection without the fold has them.
 
     In `start` the outliers of the fold are unknowns of their own, so they count for neither.
     """
-    test_set = trained.test_set
     spots = {spot for name in names for spot in _spots(name)}
 
     def is_it(one: Chosen) -> bool:
@@ -123,12 +134,18 @@ def _compared(
 
     own = [one for one in trained.named if is_it(one)]
     others = [one for one in trained.chosen if one not in own and one not in trained.unknown]
-    before = _with_all(start, others)
-    return held_out_errors(test_set, before, out), held_out_errors(test_set, _with_all(before, own), out)
+    before = _with_all(test_set, start, others)
+    after = _with_all(test_set, before, own)
+    return held_out_errors(test_set, before, out), held_out_errors(test_set, after, out)
 
 
-def _with_all(fitted: FittedColumns, chosen: Sequence[Chosen]) -> FittedColumns:
-    return fitted.with_columns(np.concatenate([one.columns for one in chosen], axis=1)) if chosen else fitted
+def _with_all(test_set: ScoreTests, fitted: FittedColumns, chosen: Sequence[Chosen]) -> FittedColumns:
+    """Return a fit with the columns that chosen members have in the whole measurement."""
+    columns = [
+        test_set.of_reading(one.number) if one.outlier else test_set.families[one.family].columns[:, one.number]
+        for one in chosen
+    ]
+    return fitted.with_columns(np.concatenate(columns, axis=1)) if columns else fitted
 
 
 def held_out_errors(test_set: ScoreTests, fitted: FittedColumns, out: Index) -> _Held:

@@ -15,7 +15,8 @@ from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.hidden_change import POWER, HiddenChange, hidden_by_readings, hidden_change
 from metrocli.diagnosis.linear.candidates import Alternative, NotTested
 from metrocli.diagnosis.linear.distributions import noncentrality, single_level
-from metrocli.diagnosis.linear.projection import System, linearised
+from metrocli.diagnosis.linear.linearised import linearised
+from metrocli.diagnosis.linear.projection import System
 from metrocli.diagnosis.linear.score_tests import ScoreTests, quadratic
 from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.selection.thresholds import FIRST, WRONG_READING

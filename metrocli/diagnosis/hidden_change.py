@@ -18,8 +18,8 @@ from metrocli.diagnosis.linear.projection import FLAT, VISIBLE, System
 
 POWER = 0.95
 """Probability with which an effect is found that changes the result by more"""
-_MOST_NUMBERS = 20_000_000
-"""Numbers of unknowns times readings that are held at once"""
+_MOST_NUMBERS = 4_000_000
+"""Unknowns times readings above which only the own member of each reading is considered"""
 _NOTHING = 1e-9
 """Change of the result, relative to the change of all readings, that is rounding"""
 
@@ -62,14 +62,20 @@ def hidden_change(
 
 def hidden_by_readings(job: AdjustedJob, system: System, rows: Index, errors: Array) -> HiddenChange:
     """Return the largest change of the delivered result by one of some errors of single rows, in their sigma."""
-    parts = np.array_split(np.arange(len(rows)), max(1, len(rows) * system.layout.width // _MOST_NUMBERS))
-    found = [_of_rows(job, system, rows[part], errors[part]) for part in parts if part.size]
-    return max(found, key=lambda one: one.size, default=HiddenChange(0.0))
-
-
-def _of_rows(job: AdjustedJob, system: System, rows: Index, errors: Array) -> HiddenChange:
+    if len(rows) * system.layout.width > _MOST_NUMBERS and system.is_local(job.delivered.block):
+        return _of_own_members(job, system, rows, errors)
     moved = _shifts(job, system, system.basis.rows(rows).T[:, :, None] * errors[:, None])
     return _largest(job, np.moveaxis(moved, 2, 0))
+
+
+def _of_own_members(job: AdjustedJob, system: System, rows: Index, errors: Array) -> HiddenChange:
+    """Return the largest change of the member that a row concerns, such as its point: others move far less."""
+    moved = system.solver.own_change(system.basis, rows)[:, list(job.delivered.columns)] * errors[:, None]
+    sizes = np.linalg.norm(moved, axis=1)
+    best = int(np.argmax(sizes))
+    return HiddenChange(
+        float(sizes[best]), job.model.blocks[job.delivered.block].members[system.basis.member[rows[best]]]
+    )
 
 
 def _plausible(alternative: Alternative) -> Array:

@@ -34,7 +34,7 @@ def arrange(blocks: Mapping[str, Block], groups: Sequence[Group]) -> Layout:
     It is the block with the most unknowns, among those of which no reading uses two members.
     """
     # if a reading used two members of it, D would not be block-diagonal
-    candidates = [b for b in blocks.values() if b.free.any() and len(b.members) > 1 and _single_touch(b, groups)]
+    candidates = [b for b in blocks.values() if b.free.any() and len(b.members) > 1 and single_touch(b, groups)]
     eliminated = max(candidates, key=lambda block: int(block.free.sum()), default=None)
     rest = {name: block for name, block in blocks.items() if block is not eliminated}
     return replace(without_elimination(rest), eliminated=eliminated.name if eliminated else None)
@@ -53,6 +53,7 @@ def without_elimination(blocks: Mapping[str, Block]) -> Layout:
     return Layout(None, columns, place)
 
 
-def _single_touch(block: Block, groups: Sequence[Group]) -> bool:
+def single_touch(block: Block, groups: Sequence[Group]) -> bool:
+    """Return whether each reading of some groups uses at most one member of a block."""
     indices = (group.observations.index.get(block.name) for group in groups if block.name in group.chain.blocks)
     return all(index is not None and (index.ndim == 1 or len(index) == 1) for index in indices)

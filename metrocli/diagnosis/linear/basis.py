@@ -157,26 +157,42 @@ class Solver:
             found -= self.movements @ (self.conditions @ found)
         return found.reshape(len(found), *coordinates.shape[1:])
 
+    def own_change(self, basis: Basis, rows: Index) -> Array:
+        """Return the change of each row's own member by a unit error of that row, (rows, size); 0 without a member."""
+        member = basis.member[rows]
+        shared = basis.shared[rows] @ self.shared.T
+        own = basis.local[rows] - np.einsum("nqg,ng->nq", self.coupling[member], shared)
+        found = np.einsum("nsq,nq->ns", self.inverses[member], own)
+        places = self.places[0][member]
+        free = (places >= 0) & (member >= 0)[:, None]
+        found = np.where(free, found, 0.0)
+        if self.movements.shape[1]:
+            every = np.matmul(self.inverses, -self.coupling)
+            held = np.where(self.places[0] >= 0, 1.0, 0.0)
+            conditions = self.conditions[:, np.maximum(self.places[0], 0)] * held
+            by_shared = self.conditions[:, self.places[1]] + np.einsum("cms,msg->cg", conditions, every)
+            # the own member's part of the conditions is that of its local columns
+            by_local = np.einsum("cns,nsq,nq->nc", conditions[:, member], self.inverses[member], basis.local[rows])
+            amounts = shared @ by_shared.T + np.where((member >= 0)[:, None], by_local, 0.0)
+            found -= np.where(free, np.einsum("nsc,nc->ns", self.movements[np.maximum(places, 0)], amounts), 0.0)
+        return np.asarray(found)
+
 
 def _flat(values: Array) -> Array:
     return values.reshape(len(values), math.prod(values.shape[1:]))
 
 
-def datum_of(frame: Frame | None, layout: Layout, whole: Layout, blocks: Mapping[str, Block]) -> tuple[Array, Array]:
-    """Return movements (unknowns, m) and conditions (m, unknowns) of a frame in the numbers of the whole layout."""
-    if frame is None:
-        return np.zeros((whole.width, 0)), np.zeros((0, whole.width))
-    count = frame.reduced.shape[1]
-    movements, conditions = np.zeros((whole.width, count)), np.zeros((whole.width, count))
-    for name, numbers in whole.columns.items():
-        free = numbers >= 0
-        if name in layout.columns:
-            own = layout.columns[name]
-            movements[numbers[free]] = frame.reduced[own[free]]
-        elif name in frame.moves:
-            movements[numbers[free]] = frame.moves[name].at(blocks[name].values, np.arange(len(numbers)))[free]
-    numbers = whole.columns[frame.datum.block]
-    conditions[numbers[numbers >= 0]] = frame.constraint(np.arange(len(numbers)))[numbers >= 0]
+def datum_of(frame: Frame | None, layout: Layout, blocks: Mapping[str, Block]) -> tuple[Array, Array]:
+    """Return movements (unknowns, m) and conditions (m, unknowns) of a frame, in the numbers of a whole layout."""
+    count = 0 if frame is None else frame.reduced.shape[1]
+    movements, conditions = np.zeros((layout.width, count)), np.zeros((layout.width, count))
+    if frame is not None:
+        for name in layout.columns.keys() & frame.moves.keys():
+            numbers = layout.columns[name]
+            moved = frame.moves[name].at(blocks[name].values, np.arange(len(numbers)))
+            movements[numbers[numbers >= 0]] = moved[numbers >= 0]
+        numbers = layout.columns[frame.datum.block]
+        conditions[numbers[numbers >= 0]] = frame.constraint(np.arange(len(numbers)))[numbers >= 0]
     return movements, conditions.T
 
 

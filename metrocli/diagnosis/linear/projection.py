@@ -10,20 +10,18 @@ Method: docs/algorithms/selection-and-levels.md.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 
-from metrocli.adjust.datum import open_frame
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.chain import Link, through
 from metrocli.adjust.model.groups import Group, Linear
 from metrocli.adjust.model.observations import Index, Mask
-from metrocli.adjust.schur.layout import Layout, arrange, without_elimination
-from metrocli.diagnosis.linear.basis import Basis, Solver, datum_of, orthonormal_members
+from metrocli.adjust.schur.layout import Layout
+from metrocli.diagnosis.linear.basis import Basis, Solver
 from metrocli.effects.model import Model
-from metrocli.errors import InputError
 
 VISIBLE = 1e-6
 """Share of a signature below which its visible part is a rounding error"""
@@ -51,6 +49,8 @@ class System:
     """Standard deviation of each row in the unit of its reading, (rows,)"""
     sizes: Array
     """Norm of J's column of each unknown, (unknowns,)"""
+    idle: int = 0
+    """Number of rows that are left out; they are zero everywhere"""
     runs: dict[str, Run] = field(default_factory=dict, compare=False, repr=False)
     """Cache of the values along the chains, by group"""
 
@@ -62,7 +62,7 @@ class System:
     @cached_property
     def dof(self) -> int:
         """Degrees of freedom, the trace of M."""
-        return round(self.rows - float(self.basis.squares().sum()))
+        return round(self.rows - self.idle - float(self.basis.squares().sum()))
 
     @cached_property
     def measured(self) -> Mask:
@@ -94,6 +94,11 @@ class System:
         left = values - self.basis.combined(inside)
         shown = np.linalg.norm(left, axis=0) > VISIBLE * np.linalg.norm(values, axis=0)
         return np.asarray(np.where(shown, left, 0.0)), inside
+
+    def is_local(self, block: str) -> bool:
+        """Return whether the unknowns of a block are removed member by member."""
+        places = self.solver.places[0]
+        return places.size > 0 and bool(np.isin(places[places >= 0], self.entries(block)).all())
 
     def absorbed(self, values: Array) -> Array:
         """Return the change of the unknowns (unknowns, k) that absorbs values (rows, k)."""
@@ -159,80 +164,6 @@ def by_rows(linear: Linear) -> Array:
     return np.ascontiguousarray(linear.residual.T).ravel()
 
 
-def linearised(model: Model, weights: Mapping[str, Array] | None = None) -> System:
-    """Return the model as a linear system; `weights` (n,) multiply the whitened rows of the readings of a group.
-
-    The unknowns of one block are local: each reading uses one of its members (point, image). Their columns are removed
-    member by member; the others are dense. Raises InputError if the dense part would be too large.
-    """
-    whole, layout = without_elimination(model.blocks), arrange(model.blocks, model.groups)
-    _must_fit(model, layout)
-    residuals, parts, scales, first, place = [], [], [], {}, 0
-    for group in model.groups:
-        linear = group.linear(model.blocks, whole.wanted)
-        d, n = linear.residual.shape
-        own = None if weights is None else weights.get(group.name)
-        factor = np.repeat(np.ones(n) if own is None else own, d)
-        first[group.name] = place
-        place += n * d
-        residuals.append(by_rows(linear) * factor)
-        parts.append(_Rows.of(model, layout, linear).times(factor))
-        scales.append(group.observations.deviations.T.ravel() / factor)
-    rows = _Rows.joined(parts)
-    basis, solver, sizes = _factored(model, layout, whole, rows)
-    residual = np.concatenate(residuals)
-    system = System(model, whole, residual, basis, solver, first, np.concatenate(scales), sizes)
-    return replace(system, residual=system.seen(residual))
-
-
-@dataclass(frozen=True)
-class _Rows:
-    """Derivatives of some rows by the unknowns of their local member, and by all shared unknowns."""
-
-    local: Array
-    """(rows, size)"""
-    member: Index
-    shared: Array
-    """(rows, width)"""
-
-    @classmethod
-    def of(cls, model: Model, layout: Layout, linear: Linear) -> _Rows:
-        """Return the rows of a group, ordered by reading."""
-        d, n = linear.residual.shape
-        block = model.blocks.get(layout.eliminated or "")
-        local = np.zeros((n, d, block.size if block is not None else 0))
-        member, shared = np.full(n, -1, dtype=np.intp), np.zeros((n, d, layout.width))
-        for touch in linear.touches:
-            if block is not None and touch.block == block.name:
-                local[:] = np.moveaxis(touch.jacobian, -1, 0) * block.free[touch.index][:, None, :]
-                member = np.asarray(touch.index)
-            else:
-                scatter(shared, touch.jacobian, layout.columns[touch.block][touch.index])
-        return cls(local.reshape(n * d, local.shape[2]), np.repeat(member, d), shared.reshape(n * d, layout.width))
-
-    def times(self, factor: Array) -> _Rows:
-        """Return the rows multiplied by factors."""
-        return _Rows(self.local * factor[:, None], self.member, self.shared * factor[:, None])
-
-    @staticmethod
-    def joined(parts: Sequence[_Rows]) -> _Rows:
-        """Return the rows of all groups."""
-        return _Rows(
-            np.concatenate([one.local for one in parts]),
-            np.concatenate([one.member for one in parts]),
-            np.concatenate([one.shared for one in parts]),
-        )
-
-
-def _must_fit(model: Model, layout: Layout) -> None:
-    rows = sum(group.observations.readings.size for group in model.groups)
-    if rows * max(layout.width, 1) > MOST_NUMBERS:
-        raise InputError(
-            f"diagnose holds readings and shared unknowns in one table; {rows} readings with {layout.width} unknowns "
-            "are too many: diagnose a part of the measurement"
-        )
-
-
 def scatter(full: Array, jacobian: Array, columns: Index) -> None:
     """Add derivatives (d, size, n) to (n, d, width) at each reading's columns (n, size); -1 is nowhere."""
     rows = np.arange(len(full))
@@ -240,46 +171,3 @@ def scatter(full: Array, jacobian: Array, columns: Index) -> None:
         at = columns[:, a]
         kept = at >= 0
         full[rows[kept], :, at[kept]] += jacobian[:, a, :].T[kept]
-
-
-def _factored(model: Model, layout: Layout, whole: Layout, rows: _Rows) -> tuple[Basis, Solver, Array]:
-    """Return basis, solver and the norm of the column of each unknown."""
-    local_block = model.blocks.get(layout.eliminated or "")
-    members = len(local_block.members) if local_block is not None else 0
-    own, inverses = orthonormal_members(rows.local, rows.member, members)
-    before = Basis(own, rows.member, members, np.zeros((len(own), 0)))
-    sizes = np.sqrt((rows.shared**2).sum(axis=0))
-    scaled = rows.shared / np.where(sizes > 0, sizes, 1.0)
-    coupling = before.coordinates(scaled)
-    left = scaled - before.combined(coupling)
-    # once more, so that rounding does not leave a part of the local columns
-    left -= before.combined(before.coordinates(left))
-    gram = left.T @ left
-    frame = None if model.datum is None else open_frame(model.datum, model.blocks, layout, _unscaled(gram, sizes))
-    # a free network leaves as many directions open as its frame has movements
-    open_ones = 0 if frame is None else frame.reduced.shape[1]
-    u, s, vt = np.linalg.svd(left, full_matrices=False)
-    kept = len(s) - open_ones
-    factor = np.where(sizes > 0, 1 / np.where(sizes > 0, sizes, 1.0), 0.0)
-    shared = factor[:, None] * vt[:kept].T / s[:kept]
-    by_member = coupling[: own.shape[1] * members].reshape(members, own.shape[1], layout.width) * np.where(
-        sizes > 0, sizes, 1.0
-    )
-    numbers = np.zeros(layout.width, dtype=np.intp)
-    for name, columns in layout.columns.items():
-        numbers[columns[columns >= 0]] = whole.columns[name][columns >= 0]
-    places = whole.columns[local_block.name] if local_block is not None else np.zeros((0, 0), dtype=np.intp)
-    solver = Solver(
-        inverses, by_member, shared, (places, numbers), whole.width, *datum_of(frame, layout, whole, model.blocks)
-    )
-    norms = np.zeros(whole.width)
-    norms[numbers] = sizes
-    if local_block is not None:
-        squares = np.zeros((members + 1, local_block.size))
-        np.add.at(squares, rows.member, rows.local**2)
-        norms[places[places >= 0]] = np.sqrt(squares[:members][places >= 0])
-    return Basis(own, rows.member, members, u[:, :kept]), solver, norms
-
-
-def _unscaled(gram: Array, sizes: Array) -> Array:
-    return gram * sizes * sizes[:, None]

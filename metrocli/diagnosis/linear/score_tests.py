@@ -205,6 +205,12 @@ def _products(basis: Array, columns: Array) -> Array:
     return np.asarray(np.swapaxes(inside, 1, 2) @ inside)
 
 
+def grams_of(columns: Array) -> Array:
+    """Return the Gram matrix of each alternative, (k, q, q), of columns (rows, k, q)."""
+    by_alternative = columns.transpose(1, 0, 2)
+    return np.asarray(np.matmul(by_alternative.transpose(0, 2, 1), by_alternative))
+
+
 def quadratic(gram: Array, right: Array, scale: Array) -> tuple[Array, Array]:
     """Return `b' A^+ b` and the rank of A for many small systems (k, q, q), (k, q); scale (k, q) is of size sqrt(A)."""
     s = np.where(scale > 0, scale, 1.0)
@@ -227,7 +233,7 @@ def score_tests_of(
 
     With `apart` each component of a reading is tested on its own.
     """
-    grams = tuple(np.einsum("nkq,nkp->kqp", f.columns, f.columns) for f in families)
+    grams = tuple(grams_of(f.columns) for f in families)
     places = _places(system)
     places = places[places >= 0][:, None] if apart else places
     there = (places >= 0).astype(float)

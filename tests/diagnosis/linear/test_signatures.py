@@ -11,7 +11,7 @@ from benchmarks.hidden_effects import KINDS
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.linear import signatures
 from metrocli.diagnosis.linear.candidates import instances
-from metrocli.diagnosis.linear.projection import linearised
+from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.effects.extension import can_act
 
 ALL: dict[str, Callable[[], AdjustedJob]] = {kind: campaign.case(0).adjusted for kind, campaign in KINDS.items()}

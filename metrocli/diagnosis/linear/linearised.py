@@ -1,0 +1,175 @@
+"""A model as a linear system: local unknowns are removed member by member, the shared ones are dense.
+
+Method: docs/algorithms/selection-and-levels.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from metrocli.adjust.datum import open_frame
+from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.groups import Linear
+from metrocli.adjust.model.observations import Index, Mask
+from metrocli.adjust.schur.layout import Layout, single_touch, without_elimination
+from metrocli.diagnosis.linear.basis import Basis, Solver, datum_of, orthonormal_members
+from metrocli.diagnosis.linear.projection import MOST_NUMBERS, System, by_rows, scatter
+from metrocli.effects.model import Model
+from metrocli.errors import InputError
+
+
+def linearised(model: Model, weights: Mapping[str, Array] | None = None) -> System:
+    """Return the model as a linear system; `weights` (n,) multiply the whitened rows of the readings of a group.
+
+    The unknowns of one block are local: each reading uses one of its members (point, image). Their columns are removed
+    member by member; the others are dense. Raises InputError if the dense part would be too large.
+    """
+    whole, local = without_elimination(model.blocks), _local(model)
+    layout = _shared(model, local)
+    _must_fit(model, layout)
+    residuals, parts, scales, first, place = [], [], [], {}, 0
+    for group in model.groups:
+        linear = group.linear(model.blocks, whole.wanted)
+        d, n = linear.residual.shape
+        own = None if weights is None else weights.get(group.name)
+        factor = np.repeat(np.ones(n) if own is None else own, d)
+        first[group.name] = place
+        place += n * d
+        residuals.append(by_rows(linear) * factor)
+        parts.append(_Rows.of(local, layout, linear).times(factor))
+        scales.append(group.observations.deviations.T.ravel() / factor)
+    rows = _Rows.joined(parts)
+    basis, solver, sizes = _factored(model, local, layout, whole, rows)
+    residual = np.concatenate(residuals)
+    system = System(model, whole, residual, basis, solver, first, np.concatenate(scales), sizes)
+    return replace(system, residual=system.seen(residual))
+
+
+@dataclass(frozen=True)
+class _Local:
+    """The members of a block whose unknowns are local: no reading uses two of them."""
+
+    block: Block | None
+    members: Mask
+    """Which members are local, (members,)"""
+
+
+def _local(model: Model) -> _Local:
+    """Return the block with the most unknowns of which no reading uses two members.
+
+    A few conditions, such as calibrated distances, may use two: their members are shared.
+    """
+    measured = list(model.readings)
+    candidates = [block for block in model.blocks.values() if block.free.any() and single_touch(block, measured)]
+    block = max(candidates, key=lambda one: int(one.free.sum()), default=None)
+    if block is None or len(block.members) < 2:
+        return _Local(None, np.zeros(0, dtype=bool))
+    members = np.ones(len(block.members), dtype=bool)
+    for group in model.groups:
+        index = group.observations.index.get(block.name) if block.name in group.chain.blocks else None
+        if index is not None and index.ndim > 1 and len(index) > 1:
+            members[np.unique(index)] = False
+        elif index is None and block.name in group.chain.blocks:
+            return _Local(None, np.zeros(0, dtype=bool))
+    return _Local(block, members)
+
+
+def _shared(model: Model, local: _Local) -> Layout:
+    """Return the numbers of the unknowns that are not local."""
+    if local.block is None:
+        return without_elimination(model.blocks)
+    rest = local.block.free & ~local.members[:, None]
+    return without_elimination({**model.blocks, local.block.name: replace(local.block, free=rest)})
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Derivatives of some rows by the unknowns of their local member, and by all shared unknowns."""
+
+    local: Array
+    """(rows, size)"""
+    member: Index
+    shared: Array
+    """(rows, width)"""
+
+    @classmethod
+    def of(cls, local: _Local, layout: Layout, linear: Linear) -> _Rows:
+        """Return the rows of a group, ordered by reading."""
+        d, n = linear.residual.shape
+        block = local.block
+        own = np.zeros((n, d, block.size if block is not None else 0))
+        member, shared = np.full(n, -1, dtype=np.intp), np.zeros((n, d, layout.width))
+        for touch in linear.touches:
+            if block is not None and touch.block == block.name:
+                here = local.members[touch.index]
+                own[here] = (np.moveaxis(touch.jacobian, -1, 0) * block.free[touch.index][:, None, :])[here]
+                member[here] = touch.index[here]
+            if touch.block in layout.columns:
+                scatter(shared, touch.jacobian, layout.columns[touch.block][touch.index])
+        return cls(own.reshape(n * d, own.shape[2]), np.repeat(member, d), shared.reshape(n * d, layout.width))
+
+    def times(self, factor: Array) -> _Rows:
+        """Return the rows multiplied by factors."""
+        return _Rows(self.local * factor[:, None], self.member, self.shared * factor[:, None])
+
+    @staticmethod
+    def joined(parts: Sequence[_Rows]) -> _Rows:
+        """Return the rows of all groups."""
+        return _Rows(
+            np.concatenate([one.local for one in parts]),
+            np.concatenate([one.member for one in parts]),
+            np.concatenate([one.shared for one in parts]),
+        )
+
+
+def _must_fit(model: Model, layout: Layout) -> None:
+    rows = sum(group.observations.readings.size for group in model.groups)
+    if rows * max(layout.width, 1) > MOST_NUMBERS:
+        raise InputError(
+            f"diagnose holds readings and shared unknowns in one table; {rows} readings with {layout.width} unknowns "
+            "are too many: diagnose a part of the measurement"
+        )
+
+
+def _factored(model: Model, local: _Local, layout: Layout, whole: Layout, rows: _Rows) -> tuple[Basis, Solver, Array]:
+    """Return basis, solver and the norm of the column of each unknown."""
+    members = len(local.members)
+    own, inverses = orthonormal_members(rows.local, rows.member, members)
+    before = Basis(own, rows.member, members, np.zeros((len(own), 0)))
+    sizes = np.sqrt((rows.shared**2).sum(axis=0))
+    scaled = rows.shared / np.where(sizes > 0, sizes, 1.0)
+    coupling = before.coordinates(scaled)
+    left = scaled - before.combined(coupling)
+    # once more, so that rounding does not leave a part of the local columns
+    left -= before.combined(before.coordinates(left))
+    gram = left.T @ left
+    frame = None if model.datum is None else open_frame(model.datum, model.blocks, layout, _unscaled(gram, sizes))
+    # a free network leaves as many directions open as its frame has movements
+    open_ones = 0 if frame is None else frame.reduced.shape[1]
+    u, s, vt = np.linalg.svd(left, full_matrices=False)
+    kept = len(s) - open_ones
+    factor = np.where(sizes > 0, 1 / np.where(sizes > 0, sizes, 1.0), 0.0)
+    shared = factor[:, None] * vt[:kept].T / s[:kept]
+    by_member = coupling[: own.shape[1] * members].reshape(members, own.shape[1], layout.width) * np.where(
+        sizes > 0, sizes, 1.0
+    )
+    numbers = np.zeros(layout.width, dtype=np.intp)
+    for name, columns in layout.columns.items():
+        numbers[columns[columns >= 0]] = whole.columns[name][columns >= 0]
+    places = np.zeros((0, 0), dtype=np.intp)
+    if local.block is not None:
+        places = np.where(local.members[:, None], whole.columns[local.block.name], -1)
+    solver = Solver(inverses, by_member, shared, (places, numbers), whole.width, *datum_of(frame, whole, model.blocks))
+    norms = np.zeros(whole.width)
+    norms[numbers] = sizes
+    squares = np.zeros((members + 1, rows.local.shape[1]))
+    np.add.at(squares, rows.member, rows.local**2)
+    norms[places[places >= 0]] = np.sqrt(squares[:members][places >= 0])
+    return Basis(own, rows.member, members, u[:, :kept]), solver, norms
+
+
+def _unscaled(gram: Array, sizes: Array) -> Array:
+    return gram * sizes * sizes[:, None]

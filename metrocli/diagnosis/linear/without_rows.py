@@ -1,0 +1,48 @@
+"""Score tests of a measurement without some of its readings.
+
+Method: docs/algorithms/selection-and-levels.md (gain).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.observations import Index
+from metrocli.diagnosis.linear.fitted_columns import orthonormal
+from metrocli.diagnosis.linear.projection import VISIBLE
+from metrocli.diagnosis.linear.score_tests import ScoreTests, grams_of
+
+
+def without_rows(test_set: ScoreTests, out: Index) -> ScoreTests:
+    """Return the score tests without some rows, which hold all readings of the local members that they use.
+
+    The local unknowns of the other rows do not change. So the shared columns of the rest are made orthonormal anew,
+    and their part is taken from all other columns. Rows keep their numbers; those left out are zero. The effective
+    numbers of tests stay those of the whole measurement.
+    """
+    system = test_set.system
+    kept = np.ones(system.rows, dtype=bool)
+    kept[out] = False
+    # directions that only the rows left out show are no longer there
+    shared = orthonormal(np.where(kept[:, None], system.basis.shared, 0.0), VISIBLE)
+
+    def rest(values: Array) -> Array:
+        inside = np.where(kept.reshape(-1, *[1] * (values.ndim - 1)), values, 0.0)
+        return np.asarray(inside - np.tensordot(shared, np.tensordot(shared.T, inside, 1), 1))
+
+    families = tuple(replace(family, columns=rest(family.columns)) for family in test_set.families)
+    basis = replace(system.basis, local=np.where(kept[:, None], system.basis.local, 0.0), shared=shared)
+    there = np.where(test_set.places >= 0, kept[test_set.places], False)
+    unit = np.eye(test_set.places.shape[1]) * there[:, :, None]
+    return replace(
+        test_set,
+        system=replace(system, basis=basis, residual=rest(system.residual), idle=system.idle + len(out)),
+        families=families,
+        grams=tuple(grams_of(family.columns) for family in families),
+        blocks=unit - basis.products(test_set.places, test_set.places),
+        excluded=test_set.excluded | ~there.any(axis=1),
+        remembered={},
+    )
