@@ -1,8 +1,9 @@
-"""python -m benchmarks.unchanged save FOLDER | compare BEFORE AFTER: has a change of structure changed a number?
+"""python -m benchmarks.unchanged save FOLDER | compare BEFORE AFTER [SHARE]: has a change of structure moved a number?
 
 `save` runs every job of the samples and of the shared cases, and `diagnose`, `simulate`, `plan` and each export of
 them, and keeps what they write. `compare` holds two such folders against each other: numbers bit for bit, keys and
-texts of tables letter for letter. Sentences for people (warnings, notes, messages) may differ; they are counted.
+texts of tables letter for letter. Sentences for people (warnings, notes, messages) may differ; they are counted. With
+SHARE (such as 1e-6), numbers of results may differ by this share of the largest in their table column or array.
 """
 
 from __future__ import annotations
@@ -120,11 +121,13 @@ class Findings:
     sentences: list[str] = field(default_factory=list)
     numbers: int = 0
     files: int = 0
+    share: float = 0.0
+    """Differences of numbers up to this share of the largest of their column are rounding"""
 
 
-def compare(before: Path, after: Path) -> int:
+def compare(before: Path, after: Path, share: float = 0.0) -> int:
     """Print what differs; 1 where a number, a key or an exit code does."""
-    found = Findings()
+    found = Findings(share=share)
     names = sorted(
         {path.relative_to(root).as_posix() for root in (before, after) for path in root.rglob("*") if path.is_file()}
     )
@@ -157,7 +160,7 @@ def _file(name: str, one: Path, two: Path, found: Findings) -> None:
     elif one.suffix == ".out":
         if one.read_text().count("\n") != two.read_text().count("\n"):
             found.different.append(f"{name}: another number of lines")
-    elif _data(one) != _data(two):
+    elif _data(one) != _data(two) and not (one.suffix == ".csv" and _near_cells(_data(one), _data(two), found.share)):
         found.different.append(name)
     else:
         found.numbers += len(one.read_text(errors="replace").split(","))
@@ -204,9 +207,44 @@ def _same(name: str, first: dict[str, Any], second: dict[str, Any], found: Findi
         if key == "inputs":
             one, two = one["path"], two["path"]
         found.numbers += one.size
-        if one.dtype == two.dtype and one.shape == two.shape and _bits(one) == _bits(two):
+        if (
+            one.dtype == two.dtype
+            and one.shape == two.shape
+            and (_bits(one) == _bits(two) or _near(one, two, found.share))
+        ):
             continue
         (found.sentences if sentence else found.different).append(f"{place}: {_short(one)} -> {_short(two)}")
+
+
+def _near(one: np.ndarray, two: np.ndarray, share: float) -> bool:
+    """Return whether floats differ by no more than a share of the largest, and all else not at all."""
+    if one.dtype.names:
+        return all(_near(one[name], two[name], share) for name in one.dtype.names)
+    if one.dtype.kind != "f":
+        return _bits(one) == _bits(two)
+    largest = np.abs(one[np.isfinite(one)]).max(initial=0.0)
+    return bool(np.allclose(one, two, rtol=0, atol=share * largest, equal_nan=True))
+
+
+def _near_cells(one: list[bytes], two: list[bytes], share: float) -> bool:
+    """Return whether the lines of two CSV files have equal texts and, but for rounding, equal numbers."""
+    rows, others = ([line.decode().split(",") for line in lines] for lines in (one, two))
+    if list(map(len, rows)) != list(map(len, others)):
+        return False
+    for column, other in zip(zip(*rows, strict=False), zip(*others, strict=False), strict=False):
+        pairs = [(a, b) for a, b in zip(column, other, strict=True) if a != b]
+        numbers = [_number(cell) for cell in column]
+        largest = max((abs(number) for number in numbers if np.isfinite(number)), default=0.0)
+        if not all(abs(_number(a) - _number(b)) <= share * largest for a, b in pairs):
+            return False
+    return True
+
+
+def _number(cell: str) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        return float("nan")
 
 
 def _bits(values: np.ndarray) -> Any:
@@ -222,8 +260,8 @@ def main(words: list[str]) -> int:
     match words:
         case ["save", folder]:
             return save(Path(folder).absolute())
-        case ["compare", before, after]:
-            return compare(Path(before), Path(after))
+        case ["compare", before, after, *share]:
+            return compare(Path(before), Path(after), *map(float, share))
         case _:
             print(__doc__)
             return int(bool(words))

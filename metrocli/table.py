@@ -71,6 +71,8 @@ class Table:
     """Name of each column as the file has it, with its unit."""
     warnings: tuple[str, ...] = ()
     """Remarks of the reader that are not faults, such as an unused column."""
+    _lists: dict[str, list[str]] = field(default_factory=dict, init=False, repr=False, compare=False)
+    """Text columns as lists, once they are asked for"""
 
     def __len__(self) -> int:
         return len(next(iter(self.columns.values()))) if self.columns else 0
@@ -93,8 +95,10 @@ class Table:
         return np.asarray(self.columns[name], dtype=float)
 
     def texts(self, name: str) -> list[str]:
-        """Return a text column as a list."""
-        return [str(value) for value in self.columns[name]]
+        """Return a text column as a list, the same one each time."""
+        if name not in self._lists:
+            self._lists[name] = self.columns[name].astype(str).tolist()
+        return self._lists[name]
 
     def stacked(self, names: Sequence[str]) -> Array:
         """Return numeric columns side by side, (rows, names)."""

@@ -30,6 +30,8 @@ _LAST_DIGITS = 4 * float(np.finfo(float).eps)
 """Relative rounding error of a predicted reading"""
 _NEAR, _FAR_BELOW = 1e3, 1e-2
 """The last step is one shorter than `_NEAR` tolerances after which a step below `_FAR_BELOW` tolerances is expected"""
+_FEW = 100
+"""Most reduced unknowns that numpy solves for: loading scipy.linalg takes longer than it saves"""
 _DAMPING_START, _DAMPING_END, _DAMPING_LIMIT = 1e-9, 1e-11, 1e8
 
 
@@ -62,11 +64,11 @@ class _Problem:
 
     def normals(self, blocks: Mapping[str, Block]) -> Normals:
         with np.errstate(all="ignore"):
-            return assemble(self.groups, self.tiling, blocks, self.layout)
+            return assemble(self.tiling, blocks, self.layout)
 
     def cost(self, blocks: Mapping[str, Block]) -> float:
         with np.errstate(all="ignore"):
-            return cost_of(self.groups, self.tiling, blocks)
+            return cost_of(self.tiling, blocks)
 
     def frame(self, blocks: Mapping[str, Block], matrix: Array) -> Frame | None:
         with np.errstate(all="ignore"):
@@ -87,7 +89,7 @@ def adjust(
     control = control or Control()
     state = {block.name: block for block in blocks}
     layout = arrange(state, groups)
-    problem = _Problem(groups, layout, datum, tiling_of(groups, state, layout.eliminated))
+    problem = _Problem(groups, layout, datum, tiling_of(groups, state, layout))
     unknowns = sum(int(block.free.sum()) for block in state.values())
     descent = _Descent(problem, state, control.covariance)
     lost = Solution(Outcome.NO_START, state, tuple(groups), float("inf"), 0, unknowns)
@@ -207,13 +209,17 @@ def _held(matrix: Array, frame: Frame | None) -> Array:
 
 
 def _cholesky_solve(matrix: Array, right: Array) -> Array:
-    from scipy.linalg import cho_factor, cho_solve
-
     if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
         raise np.linalg.LinAlgError("the normal equations have entries that are no numbers")
     scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    factor = cho_factor(matrix * scale[:, None] * scale, lower=True)
-    solved: Array = cho_solve(factor, (right.T * scale).T)
+    balanced, scaled = matrix * scale[:, None] * scale, (right.T * scale).T
+    if len(matrix) <= _FEW:
+        np.linalg.cholesky(balanced)  # raises LinAlgError unless it is positive definite
+        solved: Array = np.asarray(np.linalg.solve(balanced, scaled), dtype=float)
+    else:
+        from scipy.linalg import cho_factor, cho_solve
+
+        solved = cho_solve(cho_factor(balanced, lower=True), scaled)
     unscaled: Array = (solved.T * scale).T
     return unscaled
 

@@ -15,6 +15,7 @@ from metrocli.adjust.datum import Datum
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Index, Mask
+from metrocli.adjust.probabilities import normal_bound
 from metrocli.adjust.solution import Residuals
 
 _MAD = 1.4826
@@ -30,6 +31,8 @@ _ODDS = 6.0
 _SAME = 0.99
 """Correlation above which two tests are the same"""
 _ROUNDS = 12
+_NEAR = 0.1
+"""A reweighted round but the last ends with a step below this, in standard deviations: the next weights change more"""
 _ENOUGH = 8
 """A member with at least so many readings has a scale of its own"""
 
@@ -54,7 +57,9 @@ def robust_start(
     for turn in range(_ROUNDS):
         weights = _least_absolute(share) if turn < _ROUNDS // 2 else np.maximum(1 - (share / _TUKEY) ** 2, 0.0) ** 2
         held = _reweighted(groups, name, weights)
-        state = adjust(state.values(), held, datum, Control(limit=8, covariance=False)).blocks
+        control = Control(limit=8, covariance=False)
+        near = control if turn == _ROUNDS - 1 else replace(control, tolerance=_NEAR)
+        state = adjust(state.values(), held, datum, near).blocks
         share = _share(group, state, within)
     return dict(state)
 
@@ -115,9 +120,7 @@ def _scale(distance: Array) -> float:
 
 def critical_value(tests: int, level: float = 0.05) -> float:
     """Return the bound that the largest of `tests` normal |w| exceeds with probability `level` (Bonferroni)."""
-    from scipy.special import ndtri
-
-    return float(-ndtri(level / (2 * max(tests, 1))))
+    return normal_bound(level / (2 * max(tests, 1)))
 
 
 def detected(critical: float) -> float:
@@ -149,6 +152,23 @@ class Suspects:
     tests: Array
     """Largest |w| of each, relative to the noise of the other readings, scaled so that `critical` is its bound (k,)"""
     critical: float
+
+
+def apart(found: Suspects, residuals: Residuals, members: Index) -> Index:
+    """Return which suspects (places among them) are wrong whatever the others are, and the worst of each member.
+
+    An error that causes w_j changes another w_i by at most `sqrt(h_i h_j / (r_i r_j)) w_j` with leverage h = 1 - r
+    (Cauchy-Schwarz on J Q J'). So a suspect whose test exceeds the bound by more than the sum over the other suspects
+    of its member can be left out together with them. `members` (n,) is the member of each reading, such as its image.
+    """
+    member, tests = members[found.rows], found.tests
+    redundancy = np.maximum(residuals.redundancy[:, found.rows], 1e-6)
+    leverage, w = np.sqrt((1 - redundancy) / redundancy), np.abs(residuals.normalised[:, found.rows])
+    given = (leverage * w).sum(axis=0) * tests / np.maximum(w.max(axis=0, initial=0.0), 1e-300)
+    taken = leverage.max(axis=0, initial=0.0) * (np.bincount(member, given)[member] - given if len(member) else given)
+    order = np.lexsort((-tests, member))
+    worst = order[np.flatnonzero(np.diff(member[order], prepend=-1))]
+    return np.union1d(worst, np.flatnonzero(tests - taken > found.critical))
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array, Block
-from metrocli.adjust.model.groups import Group
+from metrocli.adjust.model.groups import Group, Touch
 from metrocli.adjust.outcome import Combination, Outcome
+from metrocli.adjust.probabilities import chi_square_tail
 from metrocli.adjust.schur.covariance import Covariance
+from metrocli.adjust.schur.tiles import chunks_of
 
 
 @dataclass(frozen=True)
@@ -48,9 +50,7 @@ class Solution:
     @property
     def p_value(self) -> float:
         """Probability of a sum of squares at least as large if model and noise are right (global test)."""
-        from scipy.special import chdtrc
-
-        return float(chdtrc(self.dof, self.cost)) if self.dof > 0 else float("nan")
+        return chi_square_tail(self.dof, self.cost) if self.dof > 0 else float("nan")
 
     def covariance_or_raise(self) -> Covariance:
         """Return the covariance.
@@ -115,21 +115,36 @@ def _adjusted(solution: Solution, group: Group) -> tuple[Array, Array]:
     if covariance is None:
         raise RuntimeError(solution.outcome.value)
     members, shape = covariance.eliminated, group.observations.readings.shape
-    for place, one in enumerate(solution.groups):
-        if one is group and members.reads(place):
-            return members.residuals(place, solution.blocks, shape), covariance.factor * members.explained(place, shape)
-    return group.residuals(solution.blocks), _explained(solution, group, covariance)
+    place = place_in_tiles(solution, group)
+    if place is not None:
+        return members.residuals(place, solution.blocks, shape), covariance.factor * members.explained(place, shape)
+    return _in_chunks(solution, group, covariance)
 
 
-def _explained(solution: Solution, group: Group, covariance: Covariance) -> Array:
-    """Return diag(J Q J') of a group, (d, n), block by block of what each reading touches."""
-    touches = group.linear(solution.blocks, covariance.layout.wanted).touches
-    total = np.zeros(group.observations.readings.shape)
+def place_in_tiles(solution: Solution, group: Group) -> int | None:
+    """Return the number of a group whose readings are in tiles of the eliminated block; None for any other."""
+    members = solution.covariance_or_raise().eliminated
+    places = (place for place, one in enumerate(solution.groups) if one is group and members.reads(place))
+    return next(places, None)
+
+
+def _in_chunks(solution: Solution, group: Group, covariance: Covariance) -> tuple[Array, Array]:
+    """Return the residuals of a group without regular order and diag(J Q J'), both (d, n)."""
+    residuals, explained = (np.empty(group.observations.readings.shape) for _ in range(2))
+    for chunk in chunks_of(group, 0, covariance.layout):
+        residuals[:, chunk.rows] = chunk.group.residuals(solution.blocks)
+        touches = chunk.group.linear(solution.blocks, covariance.layout.wanted).touches
+        explained[:, chunk.rows] = _explained(touches, covariance)
+    return residuals, explained
+
+
+def _explained(touches: Sequence[Touch], covariance: Covariance) -> Array | float:
+    """Return diag(J Q J') of readings, (d, n), block by block of what each touches; 0 if nothing is free."""
+    total: Array | float = 0.0
     for i, first in enumerate(touches):
         for j, second in enumerate(touches[: i + 1]):
             pair = covariance.pairs(first.block, first.index, second.block, second.index)
-            weight = 1.0 if i == j else 2.0
-            for a in range(pair.shape[0]):
-                for b in range(pair.shape[1]):
-                    total += weight * first.jacobian[:, a] * pair[a, b] * second.jacobian[:, b]
+            pair = np.broadcast_to(pair, (*pair.shape[:2], first.jacobian.shape[2]))
+            along = np.einsum("dan,abn->dbn", first.jacobian, pair)
+            total = total + (1.0 if i == j else 2.0) * np.einsum("dbn,dbn->dn", along, second.jacobian)
     return total

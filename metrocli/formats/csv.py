@@ -211,7 +211,7 @@ def _number(raw: Raw, row: int, index: int, column: Column, faults: list[Fault])
 
 
 def _texts(raw: Raw, index: int, column: Column, faults: list[Fault]) -> Values:
-    cells = [cell.strip() for cell in raw.cells[index]]
+    cells = raw.cells[index] if raw.bare else [cell.strip() for cell in raw.cells[index]]
     name = raw.header[index]
     if not column.may_be_empty and "" in cells:
         rows = [row for row, cell in enumerate(cells) if not cell]
@@ -229,9 +229,9 @@ def _repeated(raw: Raw, columns: Columns, values: dict[str, Values]) -> list[Fau
     names = [name for name in columns.key if name in values]
     if not names:
         return []
-    keys = list(zip(*(values[name].tolist() for name in names), strict=True))
-    if len(set(keys)) == len(keys):
+    if _all_different([values[name].tolist() for name in names]):
         return []
+    keys = list(zip(*(values[name].tolist() for name in names), strict=True))
     first: dict[tuple[object, ...], int] = {}
     faults = []
     for row, key in enumerate(keys):
@@ -241,6 +241,17 @@ def _repeated(raw: Raw, columns: Columns, values: dict[str, Values]) -> list[Fau
         else:
             first[key] = raw.numbers[row]
     return faults
+
+
+def _all_different(keys: list[list[object]]) -> bool:
+    """Return whether no two rows have the same values in all columns; False also if there are too many values."""
+    code, kinds = np.zeros(len(keys[0]), dtype=np.int64), 1
+    for column in keys:
+        numbers = {value: i for i, value in enumerate(dict.fromkeys(column))}
+        code *= len(numbers)
+        code += np.fromiter(map(numbers.__getitem__, column), dtype=np.int64, count=len(code))
+        kinds *= len(numbers)
+    return kinds < 1 << 62 and bool((np.diff(np.sort(code)) > 0).all())
 
 
 def write(path: Path, table: Table) -> None:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from metrocli.errors import Fault, InputError
+from metrocli.formats.csv_plain import plain_cells
 
 MOST_FAULTS = 20
 LONGEST_TEXT = 200
@@ -29,6 +30,8 @@ class Raw:
     """Cells of each column."""
     numbers: Sequence[int]
     """Line number of each row."""
+    bare: bool = False
+    """Whether no cell has white space, so that none needs to be stripped."""
 
     def fault(self, message: str, line: int, cell: int | None = None, hint: str | None = None) -> Fault:
         shown = self.lines[line - 1]
@@ -81,8 +84,11 @@ def taken_apart(text: str, file: str) -> Raw:
     separator = max(",;\t", key=lines[at].count)
     header = tuple(cell.strip() for cell in next(csv.reader([lines[at]], delimiter=separator)))
     raw = Raw(file, lines, separator, at + 1, header, (), ())
+    plain = plain_cells(lines, at + 1, separator, len(header))
+    if plain is not None and not _nameless(header):
+        return replace(raw, cells=plain, numbers=range(at + 2, at + 2 + len(plain[0])), bare=True)
     numbers = [n for n, line in enumerate(lines[at + 1 :], at + 2) if line and (line[0] not in "# \t" or _is_row(line))]
-    if all(re.fullmatch(r"[-+.\deE]+", cell) for cell in header):
+    if _nameless(header):
         raise InputError([raw.fault("the columns have no names", at + 1, None, "write their names in the first line")])
     if not numbers:
         raise InputError([raw.fault("there is a header and no row", at + 1)])
@@ -93,6 +99,10 @@ def taken_apart(text: str, file: str) -> Raw:
     refuse_cells(raw, [(n, lines[n - 1].count(separator) + 1) for n in wrong])
     flat = separator.join(rows).split(separator)
     return replace(raw, cells=tuple(flat[k :: len(header)] for k in range(len(header))), numbers=numbers)
+
+
+def _nameless(header: Sequence[str]) -> bool:
+    return all(re.fullmatch(r"[-+.\deE]+", cell) for cell in header)
 
 
 def _is_row(line: str) -> bool:

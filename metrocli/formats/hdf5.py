@@ -124,8 +124,15 @@ def _storable(values: Any) -> Any:
     """Return a column as it is stored: text becomes UTF-8 of fixed length, that of the longest text."""
     if values.dtype.kind != "U":
         return values
-    encoded = np.char.encode(values, "utf-8")
-    return encoded.astype(h5py.string_dtype("utf-8", max(encoded.dtype.itemsize, 1)))
+    try:
+        encoded = values.astype(np.bytes_)  # letters of ASCII only; many times faster
+    except UnicodeEncodeError:
+        encoded = np.char.encode(values, "utf-8")
+    letters = (
+        np.ascontiguousarray(encoded).view(np.uint8).reshape(encoded.size, -1) if encoded.size else np.zeros((1, 0))
+    )
+    longest = int(np.flatnonzero(letters.any(axis=0)).max(initial=0)) + 1
+    return encoded.astype(h5py.string_dtype("utf-8", longest))
 
 
 def read(path: Path, shown: str = "") -> tuple[Result, Record]:

@@ -9,7 +9,6 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.chain import IDENTITY, Local, Step, through
 from metrocli.adjust.model.quantities import Quantity
-from metrocli.geometry import poses
 
 
 @dataclass(frozen=True)
@@ -50,7 +49,7 @@ class OutOf:
     def step(self, value: Array, local: Local) -> Step:
         """Return `R X + d` (3, n), with derivatives R by the point, and (I, -[R X]x) by a step of the pose."""
         members = local.members(self.block)
-        rotation = local.spread(poses.rotation_of(members), self.block)
+        rotation = local.spread(local.blocks[self.block].rotations, self.block)
         turned = _times(rotation, value)
         moved = turned + local.spread(members[:, :3], self.block)
         by_block = {self.block: _shift_and_turn(turned)} if self.block in local.wanted else {}
@@ -76,7 +75,7 @@ class Into:
         They are R' by the point and `-R' (I, -[X' - d]x)` by a step of the pose.
         """
         members = local.members(self.block)
-        back = local.spread(np.swapaxes(poses.rotation_of(members), 1, 2), self.block)
+        back = local.spread(np.swapaxes(local.blocks[self.block].rotations, 1, 2), self.block)
         from_origin = value - local.spread(members[:, :3], self.block)
         moved = _times(back, from_origin)
         by_block = {self.block: -through(back, _shift_and_turn(from_origin))} if self.block in local.wanted else {}

@@ -49,7 +49,7 @@ def distort(x: Array, y: Array, k: Mapping[str, float], wanted: tuple[str, ...] 
     top = 1 + r2 * (g["k1"] + r2 * (g["k2"] + r2 * g["k3"]))
     top_by = g["k1"] + r2 * (2 * g["k2"] + r2 * (3 * g["k3"]))
     radial, radial_by, below = top, top_by, None
-    if any(np.any(g[name]) for name in RATIONAL) or any(name in wanted for name in RATIONAL):
+    if any(name in wanted or np.any(k.get(name, False)) for name in RATIONAL):
         bottom = 1 + r2 * (g["k4"] + r2 * (g["k5"] + r2 * g["k6"]))
         below = 1 / bottom
         radial = top * below
@@ -59,7 +59,7 @@ def distort(x: Array, y: Array, k: Mapping[str, float], wanted: tuple[str, ...] 
     cross = 2 * xy * radial_by + 2 * (g["p1"] * x + g["p2"] * y)
     by_x = (radial + 2 * xx * radial_by + 2 * g["p1"] * y + 6 * g["p2"] * x, cross)
     by_y = (cross, radial + 2 * yy * radial_by + 6 * g["p1"] * y + 2 * g["p2"] * x)
-    if any(np.any(g[name]) for name in PRISM):
+    if any(np.any(k.get(name, False)) for name in PRISM):
         slope_x, slope_y = 2 * g["s1"] + 4 * g["s2"] * r2, 2 * g["s3"] + 4 * g["s4"] * r2
         xd, yd = xd + r2 * (g["s1"] + g["s2"] * r2), yd + r2 * (g["s3"] + g["s4"] * r2)
         by_x = (by_x[0] + x * slope_x, by_x[1] + x * slope_y)
@@ -185,7 +185,7 @@ class Lens:
     def step(self, value: Array, local: Local) -> Step:
         """Return (u, v) [px] (2, n), with derivatives by the point (2, 3, n) and the parameters (2, size, n).
 
-        Behind the camera it is nan.
+        Behind the camera it is nan. Without wanted blocks there are no derivatives.
         """
         block = local.blocks[self.block]
         k, wanted = _parameters(local, self.block), _wanted(local, self.block)
@@ -195,6 +195,8 @@ class Lens:
         x, y = value[0] * inverse_z, value[1] * inverse_z
         d = distort(x, y, k, wanted)
         uv = np.stack([fx * (d.x + skew * d.y) + k["cx"], fy * d.y + k["cy"]])
+        if not local.wanted:
+            return Step(uv)
         u_x, u_y = fx * (d.by_x[0] + skew * d.by_x[1]), fx * (d.by_y[0] + skew * d.by_y[1])
         v_x, v_y = fy * d.by_x[1], fy * d.by_y[1]
         by_point = np.empty((2, 3, len(x)))
@@ -238,7 +240,7 @@ class LensBackward:
     def step(self, value: Array, local: Local) -> Step:
         """Return (u, v) [px] (2, n), with derivatives by the point (2, 3, n) and the parameters (2, size, n).
 
-        Behind the camera it is nan.
+        Behind the camera it is nan. Without wanted blocks there are no derivatives.
         """
         block = local.blocks[self.block]
         k, wanted = _parameters(local, self.block), _wanted(local, self.block)
@@ -251,6 +253,8 @@ class LensBackward:
         x, y = value[0] * inverse_z, value[1] * inverse_z
         gap_x, gap_y = d.x - x, d.y - y
         uv = np.stack([u - fx * (gap_x + skew * gap_y), v - fy * gap_y])
+        if not local.wanted:
+            return Step(uv)
         by_point = np.zeros((2, 3, len(x)))
         by_point[0, 0], by_point[0, 1] = fx * inverse_z, fx * skew * inverse_z
         by_point[1, 1] = fy * inverse_z

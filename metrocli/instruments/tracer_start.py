@@ -16,6 +16,8 @@ _DRAWS, _COMPARED, _ENOUGH = 60, 300, 12
 """Random samples of lengths, most lengths used to compare them, and fewest lengths of a tracer for sampling"""
 _GROSS, _ROUNDS = 12.0, 30
 """Lengths with residuals above this multiple of the median are down-weighted; most rounds of reweighting"""
+_MOST = 2000
+"""Most lengths of a tracer that its start is found from: more determine it no better than a start must be"""
 _STILL = 1e-7
 """Relative change in a round of reweighting below which the rounds stop"""
 
@@ -26,8 +28,11 @@ def start(points: Array, lengths: Array, absolute: bool = False, near: Array | N
     Squaring `l + l0 = |x - x0|` gives `|x|^2 - l^2 = 2 x.x0 + 2 l l0 - (|x0|^2 - l0^2)`, which is linear in five
     unknowns. Coplanar points leave two mirrored places. All of them, and the listed place `near`, are refined by
     Gauss-Newton steps. Of those that fit equally well, the one nearest to `near` is returned. If some lengths have
-    gross errors, the sum of |v| is minimised, which is robust against them.
+    gross errors, the sum of |v| is minimised, which is robust against them. Of many lengths a random sample is used.
     """
+    if len(lengths) > _MOST:
+        some = np.random.default_rng(0).choice(len(lengths), _MOST, replace=False)
+        points, lengths = points[some], lengths[some]
     centre = points.mean(axis=0)
     local = points - centre
     scale = float(np.abs(local).max()) or 1.0

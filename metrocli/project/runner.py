@@ -20,7 +20,7 @@ from metrocli.record import Record, Verdict
 from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import Table
-from metrocli.tasks.kind import Job
+from metrocli.tasks.job import Job
 from metrocli.uncertainty.workers import Workers
 
 HERE = Workers()

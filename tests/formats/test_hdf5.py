@@ -216,3 +216,15 @@ def test_kill_at_any_moment_leaves_a_whole_result_or_none(tmp_path: Path) -> Non
     process.stdout.close()
     assert path.exists()
     assert len(hdf5.read(path)[0].arrays["big"]) == 1_000_000
+
+
+@pytest.mark.parametrize(
+    ("texts", "size"), [(["abcdef", "a", "bcd"], 3), (["abcdef", "ß", "€"], 3), (["abcdef", "", ""], 1)]
+)
+def test_a_text_column_is_as_wide_as_its_longest_text(tmp_path: Path, texts: list[str], size: int) -> None:
+    """In bytes of UTF-8; the column was cut from one with longer texts."""
+    column = np.array(texts)[1:]
+    hdf5.write(tmp_path / "r.h5", dataclasses.replace(RESULT, tables={"names": Table({"name": column})}), RECORD)
+    with h5py.File(tmp_path / "r.h5") as file:
+        assert file["names"].dtype["name"].itemsize == size
+    assert hdf5.read(tmp_path / "r.h5")[0].tables["names"].texts("name") == texts[1:]

@@ -35,7 +35,7 @@ LAYERS = [
 LEVEL = {part: n for n, layer in enumerate(LAYERS) for part in layer}
 ALLOWED_WITHIN = {("__main__", "cli"), ("simulation", "imageset"), ("result", "record"), ("plan", "result")}
 NOT_FORMATS = {"exports", "tasks", "diagnosis", "uncertainty", "instruments", "effects", "targets"}
-NOT_KINDS = {"__init__", "kind", "shared"}
+NOT_KINDS = {"__init__", "job", "kind", "shared"}
 """In `tasks`: what is no kind of job"""
 INSIDE = {
     "adjust": [{"coupled_fields", "iterated_weights", "robust", "dense_jacobian"}, {"adjustment"}, {"*"}, {"model"}],

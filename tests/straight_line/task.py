@@ -11,7 +11,7 @@ from metrocli.plan import Plan
 from metrocli.result import Estimate, Result, ShownTable
 from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import Table
-from metrocli.tasks.kind import Job, Task
+from metrocli.tasks.job import Job, Task
 from straight_line import KIND
 from straight_line.settings import Files, Settings
 

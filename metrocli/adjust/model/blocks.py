@@ -107,6 +107,11 @@ class Block:
         """Whether every entry is solved for."""
         return bool(self.free.all())
 
+    @cached_property
+    def rotations(self) -> Array:
+        """R of each member, if the members are poses, (members, 3, 3)."""
+        return poses.rotation_of(self.values)
+
     def with_values(self, values: Array) -> Block:
         """Return the block with other values."""
         return replace(self, values=values)

@@ -69,7 +69,12 @@ class Local:
         lattice = self.observations.lattice
         if lattice is not None and block not in self.observations.index:
             return lattice.spread(per_member, block)
-        return np.ascontiguousarray(np.moveaxis(per_member, 0, -1))[..., self.index(block)]
+        index = self.index(block)
+        # a chunk of readings uses few members of many
+        first, last = index.min(initial=len(per_member)), index.max(initial=-1)
+        used = np.moveaxis(per_member[first : last + 1], 0, -1)
+        chosen: Array = np.ascontiguousarray(used).take(index - first, axis=-1, mode="clip")
+        return chosen
 
 
 IDENTITY = np.eye(3)[:, :, None]

@@ -101,7 +101,9 @@ class Observations:
 
     def selected(self, keep: Mask | Index) -> Observations:
         """Return the readings chosen by a mask or by indices (n,)."""
-        chosen = np.flatnonzero(keep) if keep.dtype == bool else keep
+        if keep.dtype == bool and keep.all():
+            return self
+        chosen: Index = np.flatnonzero(keep) if keep.dtype == bool else np.asarray(keep, dtype=np.intp)
         return replace(
             self,
             **self._numbers(chosen),
@@ -113,7 +115,12 @@ class Observations:
         """Return the readings chosen by indices (n,) that are in the regular order of `lattice`; without keys."""
         return replace(self, **self._numbers(chosen), index={}, keys={}, lattice=lattice)
 
-    def _numbers(self, chosen: Mask | Index) -> dict[str, Any]:
+    def without_keys(self, chosen: Index | slice) -> Observations:
+        """Return the readings chosen by indices (n,) or a slice, without their keys."""
+        index = {name: index[..., chosen] for name, index in self.index.items()}
+        return replace(self, **self._numbers(chosen), index=index, keys={})
+
+    def _numbers(self, chosen: Index | slice) -> dict[str, Any]:
         return {
             "readings": self.readings[:, chosen],
             "sigma": self.sigma[:, chosen],

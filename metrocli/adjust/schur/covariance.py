@@ -81,13 +81,13 @@ class Covariance:
         if other == self.layout.eliminated and name != other:
             return np.swapaxes(self.pairs(other, other_index, name, index), 0, 1)
         if name == other == self.layout.eliminated:
-            return np.ascontiguousarray(np.moveaxis(self.members(name), 0, -1))[:, :, index]
+            return self.factor * _at(self.eliminated.covariance, index)
         others, within = self._places(other, other_index)
         if name == self.layout.eliminated:
             rows = -self._cross
             if len(others) == 1:
-                chosen = np.where(within[0], rows[:, :, others[0]], 0.0)
-                return self.factor * np.ascontiguousarray(np.moveaxis(chosen, 0, -1))[:, :, index]
+                chosen: Array = self.factor * within[0][:, None] * _at(rows, index)[:, others[0]]
+                return chosen
             picked = rows[index[:, None, None], np.arange(rows.shape[1])[None, :, None], others[:, None, :]]
             return self.factor * np.moveaxis(picked * within[:, None, :], 0, -1)
         columns, inside = self._places(name, index)
@@ -117,6 +117,14 @@ class Covariance:
 
     def _columns(self, name: str, matrix: Array) -> Array:
         return self._rows(name, np.ascontiguousarray(matrix.T)).T
+
+
+def _at(per_member: Array, index: Index) -> Array:
+    """Return the matrices of the members that readings use, (members, a, b) -> (a, b, n)."""
+    first, last = index.min(initial=len(per_member)), index.max(initial=-1)
+    few = np.ascontiguousarray(np.moveaxis(per_member[first : last + 1], 0, -1))
+    chosen: Array = few.take(index - first, axis=-1, mode="clip")
+    return chosen
 
 
 def shapes_of(blocks: Mapping[str, Block]) -> dict[str, tuple[int, int]]:

@@ -5,7 +5,7 @@ Method: docs/algorithms/tiled-elimination.md.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -36,8 +36,18 @@ class IrregularNormals:
     """K' residual, (width,)"""
 
     @cached_property
+    def _both(self) -> Array:
+        """`D^-1 (B, right)`, (members, s, width + 1)."""
+        both = np.concatenate([self.b, self.right[:, :, None]], axis=2)
+        return np.asarray(np.linalg.solve(self.d, both), dtype=float) if self.d.size else both
+
+    @property
     def _weights(self) -> Array:
-        return np.asarray(np.linalg.solve(self.d, self.b), dtype=float) if self.d.size else self.b
+        return self._both[:, :, :-1]
+
+    @property
+    def _solved(self) -> Array:
+        return self._both[:, :, -1]
 
     def damped(self, factor: float) -> IrregularNormals:
         """Return the same with the diagonal of D multiplied by `1 + factor`."""
@@ -47,7 +57,7 @@ class IrregularNormals:
     def reduced(self) -> tuple[Array, Array, float]:
         """Contribution to the reduced system: its matrix, its right side, and the decrease by the members alone."""
         flat, weights = (x.reshape(self.right.size, len(self.n)) for x in (self.b, self._weights))
-        alone = float(np.vdot(self.right, self._solved())) if self.d.size else 0.0
+        alone = float(np.vdot(self.right, self._solved)) if self.d.size else 0.0
         return self.n - flat.T @ weights, self.right_r - weights.T @ self.right.ravel(), alone
 
     @property
@@ -55,14 +65,11 @@ class IrregularNormals:
         """The diagonal of `K'K`, (width,)."""
         return np.diag(self.n)
 
-    def _solved(self) -> Array:
-        return np.asarray(np.linalg.solve(self.d, self.right[:, :, None])[:, :, 0], dtype=float)
-
     def back(self, step: Array) -> Array:
         """Return the members' step, `D^-1 (right - B step)`, (members, s)."""
         if not self.d.size:
             return self.right
-        return self._solved() - self._weights @ step
+        return self._solved - self._weights @ step
 
     def normals(self) -> Array:
         """Return D, (members, s, s)."""
@@ -86,6 +93,10 @@ class IrregularNormals:
     def adjusted(self, reduced: Array) -> tuple[Array, tuple[Array, ...]]:
         """Return `D^-1 + W Q W'` (members, s, s), and no variances of single readings."""
         return self.covariance(reduced), ()
+
+    def with_readings(self, members: Array, others: Array, chosen: Sequence[int]) -> Sequence[Array]:
+        """Return nothing: single readings are in no tile."""
+        return ()
 
     def solved(self, fields: Array) -> Array:
         """Return `D^-1 H` of fields H (members, s, f), (members, s, f)."""
@@ -164,19 +175,28 @@ class _Parts:
         stacked = np.concatenate([*dense, linear.residual[:, None, :]], axis=1)
         return _Parts(index_e, stacked, size_e, np.concatenate([*places, np.zeros(0, dtype=np.intp)]), tuple(several))
 
+    def members(self) -> tuple[int, slice]:
+        """Return the first of the eliminated members that these readings use, and all from it to the last."""
+        index = np.zeros(1, dtype=np.intp) if self.index_e is None else self.index_e
+        first, last = int(index.min()), int(index.max())
+        return first, slice(first, last + 1)
+
 
 def _add(sums: NormalSums, parts: _Parts) -> None:
     s, places = parts.size_e, parts.places
     d, c, n = parts.dense.shape
+    if not n:
+        return
     rows = np.ascontiguousarray(parts.dense.reshape(d * c, n).T).reshape(n, d, c)
     if parts.index_e is None:
         flat = rows.reshape(n * d, c)
         gram = flat.T @ flat
     else:
-        each = grams(rows, parts.index_e, len(sums.d))
-        sums.d += each[:, :s, :s]
-        sums.right_e += each[:, :s, -1]
-        sums.b[:, :, places] += each[:, :s, s:-1]
+        first, some = parts.members()
+        each = grams(rows, parts.index_e - first, some.stop - first)
+        sums.d[some] += each[:, :s, :s]
+        sums.right_e[some] += each[:, :s, -1]
+        sums.b[some, :, places] += each[:, :s, s:-1]
         gram = each[:, s:, s:].sum(axis=0)
     sums.n[np.ix_(places, places)] += gram[:-1, :-1]
     sums.right_r[places] += gram[:-1, -1]
@@ -230,5 +250,7 @@ def _add_several(sums: NormalSums, parts: _Parts, rows: Array) -> None:
     sums.right_r += cross[:, -1]
     if parts.index_e is not None:
         product = np.einsum("nda,ndb->nab", rows[:, :, :s], value)
-        place = (parts.index_e[:, None, None] * s + np.arange(s)[:, None]) * width + column[:, :1, :]
-        sums.b += np.bincount(place.ravel(), product.ravel(), minlength=sums.b.size).reshape(sums.b.shape)
+        first, some = parts.members()
+        place = ((parts.index_e - first)[:, None, None] * s + np.arange(s)[:, None]) * width + column[:, :1, :]
+        among = sums.b[some]
+        among += np.bincount(place.ravel(), product.ravel(), minlength=among.size).reshape(among.shape)

@@ -103,6 +103,27 @@ class MemberCovariance:
         """
         return self._read(place, shape, lambda i, j: self._adjusted[1][i][j])
 
+    def with_readings(self, place: int, shape: tuple[int, int]) -> Array:
+        """Return `Q_e. J'`, the covariance of a reading's member with the reading itself as adjusted, (s, d, n).
+
+        J are the derivatives of the whitened reading by all unknowns. The group at `place` must be in tiles.
+        """
+        full = np.empty((self.shape[1], *shape))
+        for part, tile in zip(self.parts, self.tiles, strict=False):
+            rows = [(j, piece.rows) for j, piece in enumerate(tile.pieces) if piece.place == place]
+            for (_, numbers), found in zip(
+                rows, part.with_readings(*self._of(part), [j for j, _ in rows]), strict=True
+            ):
+                full[:, :, numbers] = found
+        return full
+
+    def _of(self, part: Part) -> tuple[Array, Array]:
+        """Return the covariances of a part's members, (k, s, s), and those with the reduced unknowns, (k, s, width)."""
+        cross = -(part.weights() @ self.reduced)
+        if self.gauge is not None:
+            cross -= self.gauge.share_of(part) @ self.gauge.reduced.T
+        return self.covariance[part.members], cross
+
     def reads(self, place: int) -> bool:
         """Whether the readings of the group at `place` are in tiles."""
         return any(piece.place == place for tile in self.tiles for piece in tile.pieces)

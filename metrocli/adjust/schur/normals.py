@@ -15,7 +15,6 @@ from typing import Protocol
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array, Block
-from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Index
 from metrocli.adjust.schur.irregular_normals import NormalSums
 from metrocli.adjust.schur.layout import Layout
@@ -62,6 +61,12 @@ class Part(Protocol):
 
     def adjusted(self, reduced: Array) -> tuple[Array, tuple[Array, ...]]:
         """Return what `covariance` returns and, for each group of a tile, the variance of its adjusted readings."""
+
+    def with_readings(self, members: Array, others: Array, chosen: Sequence[int]) -> Sequence[Array]:
+        """Return the covariance of the members with the adjusted readings of chosen groups of a tile, each (s, d, m k).
+
+        `members` (k, s, s) and `others` (k, s, width) are the members' covariances with themselves and the others.
+        """
 
     def solved(self, fields: Array) -> Array:
         """Return `D^-1 H` of fields H (k, s, f), (k, s, f)."""
@@ -118,8 +123,8 @@ class Normals:
         return steps
 
 
-def assemble(groups: Sequence[Group], tiling: Tiling, blocks: Mapping[str, Block], layout: Layout) -> Normals:
-    """Linearise all groups and return the sum of their normal equations.
+def assemble(tiling: Tiling, blocks: Mapping[str, Block], layout: Layout) -> Normals:
+    """Linearise all readings and return the sum of their normal equations.
 
     If the cost is not finite, it stops before the sums of the tiles.
     """
@@ -127,8 +132,8 @@ def assemble(groups: Sequence[Group], tiling: Tiling, blocks: Mapping[str, Block
     shape = blocks[name].values.shape if name else (0, 0)
     sums = NormalSums.empty(0 if tiling.tiles else shape[0], shape[1], layout.width)
     cost = 0.0
-    for place in tiling.whole:
-        linear = groups[place].linear(blocks, layout.wanted)
+    for chunk in tiling.chunks:
+        linear = chunk.group.linear(blocks, layout.wanted)
         cost += linear.cost
         sums.add(linear, blocks, layout)
     parts: list[Part] = []
@@ -147,8 +152,7 @@ def assemble(groups: Sequence[Group], tiling: Tiling, blocks: Mapping[str, Block
     return Normals((*parts, rest), shape, float(cost))
 
 
-def cost_of(groups: Sequence[Group], tiling: Tiling, blocks: Mapping[str, Block]) -> float:
-    """Return the sum of squares of the whitened residuals of all groups."""
-    chosen = [groups[place] for place in tiling.whole]
-    chosen += [piece.group for tile in tiling.tiles for piece in tile.pieces]
-    return float(sum(group.linear(blocks, frozenset()).cost for group in chosen))
+def cost_of(tiling: Tiling, blocks: Mapping[str, Block]) -> float:
+    """Return the sum of squares of the whitened residuals of all readings."""
+    pieces = [*tiling.chunks, *(piece for tile in tiling.tiles for piece in tile.pieces)]
+    return float(sum(piece.group.linear(blocks, frozenset()).cost for piece in pieces))

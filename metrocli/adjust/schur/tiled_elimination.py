@@ -233,6 +233,22 @@ class EliminatedTile:
         explained = self._left(reduced) if self._few else self._explained(own, product, between, with_zeros(reduced))
         return self._covariance(between), tuple(one.reshape(len(one), -1) for one in explained)
 
+    def with_readings(self, members: Array, others: Array, chosen: Sequence[int]) -> list[Array]:
+        """Return the covariance of the members with the adjusted readings of chosen groups, each (s, d, m k).
+
+        It is `Q_ee J' + Q_er K'`, with Q_ee = `members` (k, s, s) and Q_er = `others` (k, s, width).
+        """
+        own = np.ascontiguousarray(members.transpose(1, 2, 0))
+        rest = np.ascontiguousarray(np.pad(others, ((0, 0), (0, 0), (0, 1))).transpose(1, 2, 0))
+        found = []
+        for part in (self.rows[i] for i in chosen):
+            total = np.einsum("abk,dbmk->admk", own, part.own)
+            for beside in part.beside:
+                slots = np.broadcast_to(beside.places, (part.own.shape[2], beside.places.shape[1]))
+                total += np.einsum("amck,dcmk->admk", rest[:, slots], beside.jacobian)
+            found.append(total.reshape(*total.shape[:2], -1))
+        return found
+
     def _left(self, reduced: Array) -> list[Array]:
         """Return the variance of each adjusted reading as `1 - diag(Z (I - X Q X') Z')`, with `X = Z'K`."""
         spare = self._spare()

@@ -15,6 +15,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Index, Lattice
+from metrocli.adjust.schur.layout import Layout
 
 READINGS_OF_TILE = 32768
 """Approximate number of readings in a tile: fewer cost function calls, more leave the cache"""
@@ -22,17 +23,21 @@ MOST_COLUMNS = 64
 """Most scalar readings of a member in a lattice; beyond it matrix products member by member are faster"""
 WORTH_TILES = 200
 """Average number of readings from which a tile is worth its overhead"""
+READINGS_OF_CHUNK = 4096
+"""Readings without regular order that are taken together: as many as the cache holds with their derivatives"""
+NUMBERS_OF_READING = 32
+"""Derivatives and residuals of one such reading, about: a chunk has at least as many as the reduced matrix"""
 
 
 @dataclass(frozen=True)
 class Piece:
-    """The readings of a tile that belong to one group."""
+    """Some readings of one group: those of a tile, or a chunk of readings without regular order."""
 
     group: Group
-    """The group with only these readings, in regular order"""
+    """The group with only these readings, without their keys; in a tile in regular order"""
     place: int
     """Number of the group that it is a piece of"""
-    rows: Index
+    rows: Index | slice
     """Numbers of these readings in that group"""
 
 
@@ -47,28 +52,58 @@ class Tile:
 
 @dataclass(frozen=True)
 class Tiling:
-    """The readings of an adjustment: those in tiles, and the groups that are taken whole."""
+    """The readings of an adjustment: those in tiles, and the others in chunks."""
 
     tiles: tuple[Tile, ...]
-    whole: tuple[int, ...]
-    """Numbers of the groups that are in no tile"""
+    chunks: tuple[Piece, ...]
+    """The readings that are in no tile"""
 
 
-def tiling_of(groups: Sequence[Group], blocks: Mapping[str, Block], eliminated: str | None) -> Tiling:
-    """Return the tiles; there are none if the readings have no regular order."""
-    everything = Tiling((), tuple(range(len(groups))))
-    if eliminated is None:
-        return everything
-    touching = [i for i, group in enumerate(groups) if eliminated in group.chain.blocks]
+def tiling_of(groups: Sequence[Group], blocks: Mapping[str, Block], layout: Layout) -> Tiling:
+    """Return the tiles of the eliminated block; there are none if the readings have no regular order."""
+    eliminated = layout.eliminated
+    everything = range(len(groups))
+    touching = [i for i in everything if eliminated in groups[i].chain.blocks]
+    tiles = _tiled(groups, blocks, eliminated, touching) if eliminated else []
+    left = [i for i in everything if i not in touching] if tiles else everything
+    return Tiling(tuple(tiles), tuple(chunk for i in left for chunk in chunks_of(groups[i], i, layout)))
+
+
+def _tiled(
+    groups: Sequence[Group], blocks: Mapping[str, Block], eliminated: str, touching: Sequence[int]
+) -> list[Tile]:
     orders = [_Order.of(groups[i], i, blocks, eliminated) for i in touching]
     found = [order for order in orders if order is not None]
     if len(found) < len(orders) or not found:
-        return everything
+        return []
     alike = _alike(found)
     if len(alike) > 2 and sum(len(order.rows) for order in found) < WORTH_TILES * len(alike):
-        return everything
-    tiles = [tile for members in alike for tile in _tiles(found, groups, members, eliminated)]
-    return Tiling(tuple(tiles), tuple(i for i in range(len(groups)) if i not in touching))
+        return []
+    return [tile for members in alike for tile in _tiles(found, groups, members, eliminated)]
+
+
+def chunks_of(group: Group, place: int, layout: Layout) -> list[Piece]:
+    """Return the readings of a group in chunks that fit the cache, cut between members of the eliminated block.
+
+    A few readings are one chunk, in their order. `place` is the number of the group.
+    """
+    count = group.observations.count
+    size = max(READINGS_OF_CHUNK, layout.width**2 // NUMBERS_OF_READING)
+    number = round(count / size)
+    if number < 2:
+        return [Piece(group, place, slice(0, count))]
+    own = group.observations.index.get(layout.eliminated or "", np.arange(count)).reshape(-1)
+    in_order = bool((np.diff(own) >= 0).all())
+    order = np.arange(count) if in_order else np.argsort(own, kind="stable")
+    # the reading at which a cut would fall moves back to the first one of its member
+    cuts = np.unique(np.searchsorted(own[order], own[order][np.arange(number) * count // number]))
+    ends = zip(cuts.tolist(), [*cuts[1:].tolist(), count], strict=True)
+    return [_chunk(group, place, slice(a, b) if in_order else order[a:b]) for a, b in ends]
+
+
+def _chunk(group: Group, place: int, rows: Index | slice) -> Piece:
+    weights = None if group.weights is None else group.weights[rows]
+    return Piece(replace(group, observations=group.observations.without_keys(rows), weights=weights), place, rows)
 
 
 @dataclass(frozen=True)

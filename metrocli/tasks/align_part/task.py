@@ -21,7 +21,7 @@ from metrocli.tasks.align_part.problem import Problem, build, spindle_poses
 from metrocli.tasks.align_part.report import explained, predicted, report
 from metrocli.tasks.align_part.settings import Files, Settings
 from metrocli.tasks.align_part.simulation import Truth, true_model
-from metrocli.tasks.kind import Job, Task
+from metrocli.tasks.job import Job, Task
 from metrocli.tasks.shared.images.adjustment import Adjusted, Options, adjust_images, must_converge
 from metrocli.tasks.shared.images.planted_effects import planted, refuse_pictures
 from metrocli.tasks.shared.images.rendering import Draw, pictures

@@ -181,6 +181,12 @@ def _better_start(problem: Problem, settings: Camera) -> Problem:
     return best.with_estimate(settings.estimate)
 
 
+def robustly_started(problem: Problem, settings: Camera) -> bool:
+    """Return whether the values of a built problem come from a robust start with all its unknowns and readings."""
+    richer = {*RATIONAL, *PRISM} & set(settings.estimate)
+    return not (richer or problem.effects or problem.sighted.eccentric)
+
+
 def _unmirrored(problem: Problem) -> Problem:
     """Take the better of the two poses of each view of a flat board; warn of views where neither is better."""
     board = problem.sighted.targets.points[np.unique(problem.sighted.target)]

@@ -18,11 +18,11 @@ from metrocli.tasks.calibrate_camera.advice import explained, ran_out
 from metrocli.tasks.calibrate_camera.compare import compare_models
 from metrocli.tasks.calibrate_camera.diagnosis import adjusted_job
 from metrocli.tasks.calibrate_camera.effects import EFFECTS
-from metrocli.tasks.calibrate_camera.problem import Problem, build
+from metrocli.tasks.calibrate_camera.problem import Problem, build, robustly_started
 from metrocli.tasks.calibrate_camera.report import report
 from metrocli.tasks.calibrate_camera.settings import Files, Settings
 from metrocli.tasks.calibrate_camera.simulation import conditions, simulated_views, true_model
-from metrocli.tasks.kind import Job, Task
+from metrocli.tasks.job import Job, Task
 from metrocli.tasks.shared.images.adjustment import Adjusted, Options, adjust_images, must_converge
 from metrocli.tasks.shared.images.planted_effects import planted, refuse_pictures
 from metrocli.tasks.shared.images.rendering import Draw, pictures
@@ -74,7 +74,8 @@ def prepared(job: Job[Settings, Files]) -> tuple[Settings, Problem]:
 
 def solved(settings: Settings, problem: Problem) -> Adjusted:
     """Adjust a problem; raises UndeterminedError or NotConvergedError if it has no good solution."""
-    options = Options(settings.outliers == "remove", settings.noise == "estimated", problem.image_size)
+    remove, estimate_noise = settings.outliers == "remove", settings.noise == "estimated"
+    options = Options(remove, estimate_noise, problem.image_size, robustly_started(problem, settings.camera))
     adjusted = adjust_images(problem.blocks, problem.images, problem.others, problem.datum, options)
     solution = adjusted.solution
     if solution.undetermined or solution.outcome is Outcome.TOO_FEW or ran_out(problem, solution):

@@ -48,7 +48,7 @@ from metrocli.tasks.calibrate_machine.settings import (
 )
 from metrocli.tasks.calibrate_machine.truth import Flow, Truth, truth_of
 from metrocli.tasks.calibrate_machine.volume import grid_of
-from metrocli.tasks.kind import Job
+from metrocli.tasks.job import Job
 
 if TYPE_CHECKING:
     from metrocli.table import Values

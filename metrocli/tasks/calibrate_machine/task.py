@@ -21,7 +21,7 @@ from metrocli.tasks.calibrate_machine.settings import ON_THE_FLY, SIX_DOF, STAND
 from metrocli.tasks.calibrate_machine.simulation import simulated
 from metrocli.tasks.calibrate_machine.solve import Solved, solve
 from metrocli.tasks.calibrate_machine.stops_plan import plan_of_lines, plan_of_points
-from metrocli.tasks.kind import Job, Task
+from metrocli.tasks.job import Job, Task
 
 _WITHOUT = "the plan leaves out the effects of the job: its uncertainties hold for the geometric errors alone"
 

@@ -12,7 +12,7 @@ from metrocli.plan import Plan
 from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import Table
-from metrocli.tasks.kind import Job, Task
+from metrocli.tasks.job import Job, Task
 from metrocli.tasks.locate_launch_unit import KIND
 from metrocli.tasks.locate_launch_unit.diagnosis import adjusted_job
 from metrocli.tasks.locate_launch_unit.effects import EFFECTS

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import repeat
 
 import numpy as np
 
@@ -95,11 +96,10 @@ def matched(table: Table, column: str, names: Sequence[str], where: str, known: 
     Raises InputError that lists every name not found, with the nearest name in `known` (default `names`) as a hint.
     """
     place = {name: i for i, name in enumerate(names)}
-    different, which = np.unique(np.asarray(table.columns[column], dtype=str), return_inverse=True)
-    found = np.array([place.get(str(name), -1) for name in different], dtype=np.intp)[which]
+    values = table.texts(column)
+    found = np.fromiter(map(place.get, values, repeat(-1)), dtype=np.intp, count=len(values))
     strange = np.flatnonzero(found < 0)
     if strange.size:
-        values = table.texts(column)
         meant = {
             name: nearest(name, known or names) for name in {values[row] for row in strange[:MOST_FAULTS].tolist()}
         }

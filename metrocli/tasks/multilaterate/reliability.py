@@ -7,7 +7,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.robust import detected
-from metrocli.adjust.solution import Residuals, Solution
+from metrocli.adjust.solution import Residuals, Solution, place_in_tiles
 from metrocli.instruments import tracer as t
 
 UNITS = {"detectable": "mm", "moves_point": "mm"}
@@ -38,9 +38,14 @@ def _point_shift(solution: Solution, group: Group) -> Array:
     if covariance is None:
         raise RuntimeError(solution.outcome.value)
     index = group.observations.index[t.POINT]
-    shift = np.zeros((3, len(index)))
     if not solution.blocks[t.POINT].free.any():
         return np.zeros(len(index))
+    place = place_in_tiles(solution, group)
+    if place is not None and covariance.layout.eliminated == t.POINT:
+        shape = group.observations.readings.shape
+        found = covariance.factor * covariance.eliminated.with_readings(place, shape)[:, 0]
+        return np.asarray(np.linalg.norm(found / group.observations.sigma[0], axis=0))
+    shift = np.zeros((3, len(index)))
     touches = group.linear(solution.blocks, covariance.layout.wanted).touches
     for touch in touches:
         pair = covariance.pairs(t.POINT, index, touch.block, touch.index)

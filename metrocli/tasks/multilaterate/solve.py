@@ -35,6 +35,8 @@ _ROUNDS = 30
 """Largest number of adjustments while outliers are removed"""
 _POINTS_NEAR, _TRACERS_NEAR = 0.02, 0.5
 """Plausible deviations of points and tracers from their lists, as shares of the measured volume"""
+_SAMPLE = 2000
+"""Points that a robust start of a large network is found from, if no outliers are removed"""
 _SMALL_ENOUGH = 1000
 """Networks of up to so many points are checked for determinacy before they are adjusted"""
 
@@ -101,7 +103,7 @@ def solve(network: Network, remove: bool) -> Solved:
     groups = [start.lengths, *start.others]
     if network.effects:
         _must_see_effects(start, covariance_at(start.blocks.values(), groups, start.datum))
-    state = robust_start(start.blocks.values(), groups, LENGTHS, start.datum)
+    state = _robustly(start if remove else _sampled(start))
     if len(network.nominal) <= _SMALL_ENOUGH:
         _must_carry(start, covariance_at(state.values(), groups, start.datum))
     gross = far_off(network, state) if remove else {}
@@ -119,6 +121,23 @@ def solve(network: Network, remove: bool) -> Solved:
             break
         out |= more
     return solved
+
+
+def _robustly(network: Network) -> dict[str, Block]:
+    return robust_start(network.blocks.values(), [network.lengths, *network.others], LENGTHS, network.datum)
+
+
+def _sampled(network: Network) -> Network:
+    """Return a large network with some of its points: they place the tracers well enough for a start.
+
+    Points with a prior, a calibrated distance or a known place stay. With effects, all do: an effect may act on few.
+    """
+    ours = np.flatnonzero(network.unknown & (network.seen > 0))
+    if len(ours) <= 2 * _SAMPLE or network.effects:
+        return network
+    left_out = np.zeros(len(network.nominal), dtype=bool)
+    left_out[np.random.default_rng(0).permutation(ours)[_SAMPLE:]] = True
+    return network.only(~left_out[network.lengths.observations.index[t.POINT]])
 
 
 def _brought_back(network: Network, state: Mapping[str, Block], gross: Mapping[int, Rejected]) -> dict[str, Block]:

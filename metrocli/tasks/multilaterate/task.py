@@ -9,7 +9,7 @@ from metrocli.errors import InputError, together
 from metrocli.plan import Plan
 from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions
-from metrocli.tasks.kind import Job, Task
+from metrocli.tasks.job import Job, Task
 from metrocli.tasks.multilaterate.correction import refuse_lost
 from metrocli.tasks.multilaterate.diagnosis import adjusted_job
 from metrocli.tasks.multilaterate.distance import distance

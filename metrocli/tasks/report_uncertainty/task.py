@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.result import Result
-from metrocli.tasks.kind import Job, Task
+from metrocli.tasks.job import Job, Task
 from metrocli.tasks.report_uncertainty import volume_problem, volume_report
 from metrocli.tasks.report_uncertainty.entries import Files
 from metrocli.tasks.report_uncertainty.problem import Problem, build

@@ -12,7 +12,7 @@ from metrocli.plan import Plan
 from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import Table
-from metrocli.tasks.kind import Job, Task
+from metrocli.tasks.job import Job, Task
 from metrocli.tasks.selfcal_grid import mountings, readings
 from metrocli.tasks.selfcal_grid import plan as planned_views
 from metrocli.tasks.selfcal_grid.diagnosis import adjusted_job

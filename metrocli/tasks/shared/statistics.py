@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from metrocli.adjust.model.groups import Group
+from metrocli.adjust.probabilities import chi_square_bound
 from metrocli.adjust.solution import Residuals, Solution
 from metrocli.result import Scalar
 from metrocli.table import Table
@@ -79,11 +80,9 @@ def chi_interval(solution: Solution) -> tuple[float, float]:
 
     From the chi-square distribution of v'Pv; (nan, nan) without degrees of freedom.
     """
-    from scipy.special import chdtri
-
     if solution.dof <= 0:
         return float("nan"), float("nan")
-    low, high = chdtri(solution.dof, [0.975, 0.025])
+    low, high = (chi_square_bound(solution.dof, tail) for tail in (0.975, 0.025))
     return float(np.sqrt(low / solution.dof)), float(np.sqrt(high / solution.dof))
 
 

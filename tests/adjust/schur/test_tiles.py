@@ -19,8 +19,9 @@ from metrocli.adjust.movements import Affine, Listed, of_members, of_points
 from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.schur import tiles as tiles
 from metrocli.adjust.schur.batched_cholesky import backward, cholesky, complement, forward
+from metrocli.adjust.schur.layout import arrange
 from metrocli.adjust.schur.tiles import tiling_of
-from metrocli.adjust.solution import Solution, residuals_of
+from metrocli.adjust.solution import Solution, place_in_tiles, residuals_of
 from metrocli.instruments import tracer
 
 SIGMA = 0.002
@@ -103,11 +104,13 @@ CASES = {
 EACH = pytest.mark.parametrize("case", CASES)
 
 
-@pytest.fixture(params=["whole", "in lots of five", "in no tiles"])
+@pytest.fixture(params=["whole", "in lots of five", "in no tiles", "in chunks"])
 def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """How the readings are taken."""
-    if request.param == "in no tiles":
+    if request.param in ("in no tiles", "in chunks"):
         monkeypatch.setattr(tiles, "MOST_COLUMNS", 0)
+        monkeypatch.setattr(tiles, "READINGS_OF_CHUNK", 25 if request.param == "in chunks" else 10**9)
+        monkeypatch.setattr(tiles, "NUMBERS_OF_READING", 10**9)
     else:
         monkeypatch.setattr(tiles, "WORTH_TILES", 0)
         monkeypatch.setattr(tiles, "READINGS_OF_TILE", 25 if request.param == "in lots of five" else 10**9)
@@ -117,8 +120,10 @@ def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
 @EACH
 def test_each_way_is_the_dense_inverse(case: str, way: str) -> None:
     made = CASES[case]()
-    found = tiling_of(made.groups, made.named(), "point")
-    assert bool(found.tiles) is (way != "in no tiles")
+    found = tiling_of(made.groups, made.named(), arrange(made.named(), made.groups))
+    assert bool(found.tiles) is (way not in ("in no tiles", "in chunks"))
+    if way == "in chunks":
+        assert len(found.chunks) >= 5
     if way == "in lots of five":
         assert len(found.tiles) >= 10
     solution = made.solved()
@@ -147,6 +152,7 @@ def test_all_ways_agree(case: str, way: str) -> None:
     solution = CASES[case]().solved()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(tiles, "MOST_COLUMNS", 0)
+        patch.setattr(tiles, "READINGS_OF_CHUNK", 10**9)
         other = CASES[case]().solved()
     assert solution.cost == pytest.approx(other.cost, rel=1e-10)
     assert solution.iterations == other.iterations
@@ -166,11 +172,44 @@ def test_all_ways_agree(case: str, way: str) -> None:
     assert np.allclose(one.normalised, two.normalised, rtol=0, atol=1e-4)
 
 
+def test_chunks_end_between_points() -> None:
+    """No point's readings lie in two chunks, and every reading lies in one."""
+    made = lengths(n=60, m=6, seen=holes(60, 6, 0.2), shuffled=True)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tiles, "READINGS_OF_CHUNK", 25)
+        patch.setattr(tiles, "NUMBERS_OF_READING", 10**9)
+        chunks = tiles.chunks_of(made.groups[0], 0, arrange(made.named(), made.groups))
+    point = made.groups[0].observations.index["point"]
+    rows = [np.arange(len(point))[chunk.rows] for chunk in chunks]
+    assert sorted(np.concatenate(rows).tolist()) == list(range(len(point)))
+    assert sum(len(set(point[row].tolist())) for row in rows) == 60
+    assert all((chunk.group.observations.readings[0] == made.groups[0].observations.readings[0, row]).all()
+               for chunk, row in zip(chunks, rows, strict=True))  # fmt: skip
+
+
+@EACH
+def test_the_covariance_of_a_point_with_its_readings(case: str, way: str) -> None:
+    """In tiles as from the covariances of all pairs of a point and what a reading touches, for every datum."""
+    solution = CASES[case]().solved()
+    covariance, group = solution.covariance_or_raise(), solution.groups[0]
+    place = place_in_tiles(solution, group)
+    assert (place is None) is (way in ("in no tiles", "in chunks"))
+    if place is None:
+        return
+    point = group.observations.index["point"]
+    expected = np.zeros((3, len(point)))
+    for touch in group.linear(solution.blocks, covariance.layout.wanted).touches:
+        pair = covariance.pairs("point", point, touch.block, touch.index)
+        expected += (pair * touch.jacobian[0]).sum(axis=1)
+    found = covariance.eliminated.with_readings(place, group.observations.readings.shape)[:, 0]
+    assert np.abs(found - expected).max() < 1e-9 * np.abs(expected).max()
+
+
 def test_points_of_like_tracers_stand_together() -> None:
     seen = np.ones((600, 6))
     seen[::3, 0], seen[1::3, 4:] = 0, 0
     made = lengths(n=600, m=6, seen=seen, shuffled=True)
-    found = tiling_of(made.groups, made.named(), "point")
+    found = tiling_of(made.groups, made.named(), arrange(made.named(), made.groups))
     assert len(found.tiles) == 3
     assert sorted(piece.group.observations.lattice.shape[0] for p in found.tiles for piece in p.pieces) == [4, 5, 6]  # type: ignore[union-attr]
 

@@ -77,6 +77,48 @@ def test_lengths_that_are_far_off_do_not_spoil_it(share: float) -> None:
         assert np.median(missed) < 0.1
 
 
+def test_of_many_lengths() -> None:
+    """Of 50,000 lengths, a fifth wrong, some are enough."""
+    rng = np.random.default_rng(4)
+    points = rng.uniform(0, 1000, (50_000, 3))
+    place = np.array([-700.0, 400.0, 900.0])
+    length = np.linalg.norm(points - place, axis=1) - 250.0
+    length[::5] += rng.uniform(1, 100, 10_000)
+    found = start(points + rng.normal(0, 0.02, points.shape), length)
+    assert found == pytest.approx([*place, 250.0], abs=0.02)
+
+
+def test_a_large_network_starts_from_some_of_its_points() -> None:
+    """5000 points are as far from the truth as their uncertainties allow, those that the start left out too."""
+    net = network(5000, 5, seed=9)
+    result = multilaterate.run(multilaterate.TASK.job(settings(), net.lengths(), net.point_table()))
+    assert result.statistics["sigma0"] == pytest.approx(1.0, abs=5 / np.sqrt(2 * result.statistics["dof"]))
+    error = without_motion(places(result.tables["points"]), net.points) - net.points
+    std = result.tables["points"].stacked(["sx", "sy", "sz"])
+    assert np.sqrt((error**2 / std**2).mean()) == pytest.approx(1.0, abs=0.1)
+
+
+def test_wrong_lengths_do_not_spoil_the_start_of_a_large_network() -> None:
+    """Fifty lengths of 25,000 are off by up to 100 mm; the other points stay where they are."""
+    net = network(5000, 5, seed=10)
+    rng = np.random.default_rng(11)
+    wrong = rng.choice(5000, 50, replace=False)
+    net.readings[wrong, rng.integers(5, size=50)] += rng.uniform(-100, 100, 50)
+    found = {}
+    for outliers in ("report", "remove"):
+        job = multilaterate.TASK.job(settings(outliers=outliers), net.lengths(), net.point_table())
+        found[outliers] = multilaterate.run(job)
+    removed = found["remove"]
+    assert set(removed.tables["rejected"].texts("point")) == {net.names[i] for i in wrong}
+    assert found["report"].tables["suspects"].texts("point")
+    points = removed.tables["points"]
+    kept = np.isin(net.names, points.texts("point"))
+    good = ~np.isin(np.arange(5000), wrong)
+    error = without_motion(places(points), net.points[kept])[good[kept]] - net.points[good & kept]
+    std = points.stacked(["sx", "sy", "sz"])[good[kept]]
+    assert np.sqrt((error**2 / std**2).mean()) == pytest.approx(1.0, abs=0.1)
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_a_job_without_a_list_of_tracers(seed: int, tmp_path: Path, metrocli) -> None:  # type: ignore[no-untyped-def]
     net = network(40, 4 + seed % 3, seed=100 + seed)

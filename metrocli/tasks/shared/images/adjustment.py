@@ -7,12 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from metrocli.adjust.adjustment import adjust
+from metrocli.adjust.adjustment import Control, adjust
 from metrocli.adjust.datum import Datum
-from metrocli.adjust.model.blocks import Block
+from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.groups import Group
+from metrocli.adjust.model.observations import Index
 from metrocli.adjust.outcome import Outcome
-from metrocli.adjust.robust import Fit, Suspects, gross, robust_start, suspects, typical
+from metrocli.adjust.robust import Fit, Suspects, apart, gross, robust_start, suspects
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
 from metrocli.errors import InputError, NotConvergedError
 from metrocli.table import Table
@@ -21,12 +22,23 @@ IMAGES = "images"
 """Name of the group of image points"""
 
 
+@dataclass(frozen=True)
+class Within:
+    """When an adjustment with estimated noise has converged."""
+
+    step: float
+    """Length of the last step, in standard deviations of the unknowns"""
+    noise: float
+    """Largest change of the noise by a round, as a share of it"""
+
+
 _NO_START = (
     "\n  check that image points and targets belong together (names, order, units), "
     "and that image_size and the poses are right"
 )
-_SETTLED = 1e-7
-"""The noise estimate has converged when a round changes it by less than this share"""
+_EXACT = Within(1e-6, 1e-7)
+_ROUGH = Within(0.03, 0.03)
+"""Near enough to find outliers: it changes no test by more than this"""
 _LOST = 0.01
 """A median residual above this share of the image size means a mistake in the files"""
 _LEAST = 1e-7
@@ -43,6 +55,8 @@ class Options:
     estimate_noise: bool = False
     image_size: tuple[int, int] = (0, 0)
     """Width and height [px], the scale for residuals that reveal a mistake in the files; (0, 0): not checked"""
+    started: bool = False
+    """Whether the blocks come from a robust start of the same readings and unknowns"""
 
 
 @dataclass(frozen=True)
@@ -81,40 +95,50 @@ class _Settled:
             return Suspects(np.zeros(0, dtype=np.intp), np.zeros(0), 0.0)
         return suspects(self.residuals, Fit(self.solution.cost, self.solution.dof, noise_known))
 
+    def apart(self, found: Suspects) -> Index:
+        """Return the places of the suspects that can be removed together."""
+        if self.residuals is None:
+            return np.zeros(0, dtype=np.intp)
+        return apart(found, self.residuals, self.group.observations.index["view"])
+
 
 def adjust_images(
     blocks: Mapping[str, Block], group: Group, others: Sequence[Group], datum: Datum | None, options: Options
 ) -> Adjusted:
     """Adjust image points from a robust start; remove outliers and estimate the noise as the options ask.
 
-    Gross errors are removed before the first adjustment. Then the worst outlier of each image is removed and the rest
-    adjusted again, until no reading exceeds the bound. Raises InputError if most readings are far from any solution.
+    Gross errors are removed before the first adjustment. Then the outliers whose tests do not depend on each other are
+    removed and the rest adjusted again, until no reading exceeds the bound: roughly first, at the end exactly. Raises
+    InputError if most readings are far from any solution.
     """
-    state = robust_start(blocks.values(), [group, *others], group.name, datum, "view")
+    state: Mapping[str, Block] = blocks
+    if not options.started:
+        state = robust_start(blocks.values(), [group, *others], group.name, datum, "view")
     far = gross(group, state) if options.remove_outliers else np.zeros(group.observations.count)
-    dropped = [(int(i), float(far[i])) for i in np.flatnonzero(far)]
-    rows = np.flatnonzero(far == 0)
-    used = group if not dropped else group.selected(rows)
+    rows, tests = np.flatnonzero(far == 0), far
+    used = group.selected(rows)
+    within = _ROUGH if options.remove_outliers else _EXACT
     while True:
-        settled = _settled(state, used, others, datum, options.estimate_noise)
+        settled = _settled(state, used, others, datum, options.estimate_noise, within)
         found = settled.suspects(not options.estimate_noise)
-        worst = _worst_of_each_image(found, settled.group) if options.remove_outliers else []
-        if not worst:
+        out = settled.apart(found) if options.remove_outliers else found.rows[:0]
+        if not out.size and within is _EXACT:
             break
-        dropped += [(int(rows[i]), test) for i, test in worst]
+        if not out.size:
+            within = _EXACT
         keep = np.ones(len(rows), dtype=bool)
-        keep[[i for i, _ in worst]] = False
-        rows, used, state = rows[keep], settled.group.selected(keep), dict(settled.solution.blocks)
+        keep[found.rows[out]] = False
+        tests[rows[~keep]] = found.tests[out]
+        rows, used, state = rows[keep], settled.group.selected(keep), settled.solution.blocks
     if settled.solution.outcome.good:
-        _must_fit(settled.group, settled.solution.blocks, options.image_size)
+        _must_fit(settled.residuals, options.image_size)
     noise = float(np.sqrt(np.mean(settled.group.observations.sigma**2))) if options.estimate_noise else None
-    rejected = _rejected(group, dropped)
-    return Adjusted(settled.solution, settled.group, settled.residuals, rejected, found, noise)
+    return Adjusted(settled.solution, settled.group, settled.residuals, _rejected(group, tests), found, noise)
 
 
-def _must_fit(group: Group, blocks: Mapping[str, Block], image_size: tuple[int, int]) -> None:
+def _must_fit(residuals: Residuals | None, image_size: tuple[int, int]) -> None:
     """Raise InputError if the median residual is far too large: a mistake in the files, not noise."""
-    middle = typical(group, blocks)
+    middle = float("inf") if residuals is None else float(np.median(np.sqrt((residuals.values**2).sum(axis=0))))
     if image_size[0] and np.isfinite(middle) and middle > _LOST * max(image_size):
         raise InputError(
             f"the readings fit no pose. Half of them are off by more than {middle:.0f} px. Check the names of the "
@@ -124,17 +148,22 @@ def _must_fit(group: Group, blocks: Mapping[str, Block], image_size: tuple[int, 
 
 
 def _settled(
-    state: Mapping[str, Block], group: Group, others: Sequence[Group], datum: Datum | None, estimate_noise: bool
+    state: Mapping[str, Block],
+    group: Group,
+    others: Sequence[Group],
+    datum: Datum | None,
+    estimate_noise: bool,
+    within: Within,
 ) -> _Settled:
     """Adjust; if the noise is estimated, repeat with the noise of the last round until it no longer changes."""
     for _ in range(_ROUNDS):
-        solution = adjust(state.values(), [group, *others], datum)
+        solution = adjust(state.values(), [group, *others], datum, Control(tolerance=within.step))
         if not solution.outcome.good:
             return _Settled(solution, group, None)
         found = residuals_of(solution, group)
         noise = _noise(found, group) if estimate_noise else 1.0
         sigma = np.maximum(group.observations.sigma * noise, _LEAST)
-        if abs(noise - 1) <= _SETTLED or (group.observations.sigma <= _LEAST).any():
+        if abs(noise - 1) <= within.noise or (group.observations.sigma <= _LEAST).any():
             break
         group = group.with_observations(replace(group.observations, sigma=sigma))
         state = solution.blocks
@@ -155,19 +184,9 @@ def _noise(found: Residuals, group: Group) -> float:
     return float(np.sqrt((whitened**2).sum() / controlled)) if controlled > 0 else 1.0
 
 
-def _worst_of_each_image(found: Suspects, group: Group) -> list[tuple[int, float]]:
-    """Return row and test value of the worst suspect in each image: one outlier makes its neighbours suspect too."""
-    views = group.observations.index["view"].tolist()
-    worst: dict[int, tuple[int, float]] = {}
-    for row, test in zip(found.rows.tolist(), found.tests.tolist(), strict=True):
-        if test > worst.get(views[row], (0, 0.0))[1]:
-            worst[views[row]] = (row, test)
-    return list(worst.values())
-
-
-def _rejected(group: Group, dropped: Sequence[tuple[int, float]]) -> Table:
-    """Return the table `rejected` of the dropped readings, with the test value w of each."""
-    rows = [row for row, _ in dropped]
+def _rejected(group: Group, tests: Array) -> Table:
+    """Return the table `rejected` of the readings left out, from the test value w of each reading (n,), 0 if used."""
+    rows = np.flatnonzero(tests)
     keys = group.observations.keys
     return Table(
         {
@@ -175,7 +194,7 @@ def _rejected(group: Group, dropped: Sequence[tuple[int, float]]) -> Table:
             "target": np.array([keys["target"][i] for i in rows], dtype=str),
             "u": group.observations.readings[0, rows],
             "v": group.observations.readings[1, rows],
-            "w": np.array([test for _, test in dropped], dtype=float),
+            "w": tests[rows],
         },
         {"u": "px", "v": "px"},
     )

@@ -1,0 +1,118 @@
+"""Whole commands, from text files to the result file: least CPU seconds of several runs, each in a process of its own.
+
+Python alone shows how busy the machine is: the times of all commands grow with it. The modules are compiled before, as
+after an installation; with PYTHONDONTWRITEBYTECODE=1 each start compiles all of them again, which takes longer than
+the rest of a small job.
+
+    python -m benchmarks command_speed [POINTS]
+"""
+
+from __future__ import annotations
+
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks import camera_speed
+from benchmarks.network_speed import CORNERS, VOLUME
+from metrocli.formats import csv
+from metrocli.table import Table
+from metrocli.tasks.shared.images.sightings import Sighted
+
+RUNS = 5
+
+
+def cpu(arguments: list[str], compiled: str) -> float:
+    """Return the CPU seconds of Python with these arguments; raises CalledProcessError if it fails.
+
+    `compiled` is a folder for the compiled modules.
+    """
+    environment = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPYCACHEPREFIX": compiled}
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)
+    seconds = []
+    for _ in range(1 + RUNS):
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        subprocess.run([sys.executable, *arguments], check=True, capture_output=True, env=environment)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        seconds.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
+    return min(seconds)
+
+
+def network(folder: Path, n: int) -> Path:
+    """Write a job of n points that four tracers read, and return its path."""
+    rng = np.random.default_rng(n)
+    points, tracers = rng.uniform(0, 1, (n, 3)) * VOLUME, CORNERS[:4] * VOLUME
+    paths = np.linalg.norm(points[:, None] - tracers, axis=2)
+    lengths = paths - paths[0] + rng.normal(size=paths.shape) * np.sqrt(1e-8 + (1e-7 * paths) ** 2)
+    nominal = np.round(points + rng.normal(0, 0.02, points.shape), 5)
+    names, stations = np.array([f"P{i:06d}" for i in range(n)]), np.array(["LT1", "LT2", "LT3", "LT4"])
+    folder.mkdir()
+    mm = dict.fromkeys("xyz", "mm")
+    csv.write(folder / "points.csv", Table({"point": names, **dict(zip("xyz", nominal.T, strict=True))}, mm))
+    about = tracers + rng.normal(0, 2, tracers.shape)
+    csv.write(folder / "tracers.csv", Table({"tracer": stations, **dict(zip("xyz", about.T, strict=True))}, mm))
+    columns = {"point": np.repeat(names, 4), "tracer": np.tile(stations, n), "length": np.round(lengths, 7).ravel()}
+    csv.write(folder / "lengths.csv", Table(columns, {"length": "mm"}))
+    job = folder / "job.yaml"
+    job.write_text(
+        "metrocli: 1\njob: multilaterate\n"
+        "inputs: {lengths: lengths.csv, points: points.csv, tracers: tracers.csv}\n"
+        "noise: {constant: 0.1 um, proportional: 0.1 um/m}\noutput: result.h5\n"
+    )
+    return job
+
+
+def camera(folder: Path, views: int, share: float) -> Path:
+    """Write a job of `views` images of 100 targets, a share of them wrong, and return its path."""
+    sighted = camera_speed.scene(views, views)[0]
+    readings = sighted.observations.readings
+    size = np.array(camera_speed.SIZE)[:, None]
+    inside = ((readings > 20) & (readings < size - 20)).all(axis=0)
+    whole = np.bincount(sighted.view, inside) == 100
+    kept = sighted.observations.selected(whole[sighted.view])
+    spoilt = camera_speed.spoilt(Sighted(sighted.images, sighted.targets, kept), share, views)[0].observations
+    folder.mkdir()
+    columns = {name: np.array(values) for name, values in spoilt.keys.items()}
+    columns |= {"u": spoilt.readings[0], "v": spoilt.readings[1]}
+    csv.write(folder / "observations.csv", Table(columns, {"u": "px", "v": "px"}))
+    targets = sighted.targets
+    places = dict(zip("xyz", targets.points.T, strict=True))
+    csv.write(folder / "targets.csv", Table({"target": np.array(targets.names), **places}, dict.fromkeys("xyz", "mm")))
+    job = folder / "job.yaml"
+    job.write_text(
+        "metrocli: 1\njob: calibrate-camera\nrig: board\n"
+        "inputs: {observations: observations.csv, targets: targets.csv}\n"
+        f"camera: {{image_size: {list(camera_speed.SIZE)}, estimate: [{', '.join(camera_speed.TRUTH)}]}}\n"
+        "noise: estimated\noutliers: remove\noutput: result.h5\n"
+    )
+    print(f"  ({kept.count} image points)")
+    return job
+
+
+def main(points: int = 100_000) -> None:
+    """Print a line for each command."""
+
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+
+        def line(text: str, *arguments: str) -> None:
+            print(f"{text:<60} {cpu(list(arguments), str(folder / 'compiled')):>8.3f} s", flush=True)
+
+        def job(text: str, kind: str, path: Path) -> None:
+            line(text, "-m", "metrocli", kind, str(path), "--force", "--quiet")
+
+        line("python alone", "-c", "pass")
+        line("metrocli --help", "-m", "metrocli", "--help")
+        job("multilaterate: 100 points, 4 tracers", "multilaterate", network(folder / "small", 100))
+        job("calibrate-camera: 5 images", "calibrate-camera", camera(folder / "few", 8, 0.0))
+        job(f"multilaterate: {points:,} points, 4 tracers", "multilaterate", network(folder / "large", points))
+        job("calibrate-camera: outliers removed", "calibrate-camera", camera(folder / "many", 250, 0.02))
+
+
+if __name__ == "__main__":
+    main(*map(int, sys.argv[1:2]))

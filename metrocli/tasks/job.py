@@ -1,0 +1,59 @@
+"""A job and the functions of its kind, with what they take and return (`Task`)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
+
+if TYPE_CHECKING:
+    from metrocli.diagnosis.adjusted_job import AdjustedJob
+    from metrocli.effects.effect import Effect
+    from metrocli.effects.wanted import Wanted
+    from metrocli.plan import Plan
+    from metrocli.result import Estimate, Result
+    from metrocli.simulation import Simulation, SimulationOptions
+    from metrocli.table import Table
+    from metrocli.uncertainty.workers import Workers
+
+S = TypeVar("S")
+F = TypeVar("F")
+
+
+@dataclass(frozen=True)
+class Job(Generic[S, F]):
+    """One job: its settings, the contents of its files, and the effects that extend its model."""
+
+    settings: S
+    files: F
+    effects: Sequence[Wanted] = ()
+    workers: Workers | None = None
+    """Workers that compute the chunks of a chunked kind; the threads of this process unless given"""
+
+
+@dataclass(frozen=True)
+class Task(Generic[S, F]):
+    """The functions of a kind of job; those that the kind lacks are None.
+
+    The functions are pure: values in, values out. They raise InputError, UndeterminedError or NotConvergedError.
+    """
+
+    files: type[F]
+    """Dataclass of the contents of the inputs; its fields are named as the keys under `inputs:`"""
+    run: Callable[[Job[S, F]], Result]
+    check: Callable[[Job[S, F]], None] | None = None
+    """Raises InputError that lists every fault in the combination of settings and files, without computing"""
+    plan: Callable[[Job[S, F]], Plan] | None = None
+    simulate: Callable[[Job[S, F], SimulationOptions], Simulation] | None = None
+    diagnosed: Callable[[Job[S, F]], AdjustedJob] | None = None
+    """Adjusts the job and returns it in the form that diagnosis needs"""
+    effects: tuple[Effect, ...] = ()
+    """Effects that its model can leave out, and that a job can add"""
+    answers: Mapping[str, Callable[[Job[S, F]], Table]] = field(default_factory=dict)
+    """Function for each question of the job, by name"""
+    result_answers: Mapping[str, Callable[[Result, Sequence[str]], tuple[Estimate, ...]]] = field(default_factory=dict)
+    """Function for each question of a result, by name; it receives the values as typed on the command line"""
+
+    def job(self, settings: S, *contents: Any, effects: Sequence[Wanted] = (), **named: Any) -> Job[S, F]:
+        """Return a job from settings and the contents of its files, given in the order of `files` or by name."""
+        return Job(settings, self.files(*contents, **named), effects)
