@@ -21,6 +21,7 @@ CLEAN = "clean"
     "--output", type=click.Path(path_type=Path), metavar="FILE.yaml", help="Write the extended job to this file."
 )
 @click.option("--require", type=click.Choice([CLEAN]), help="Exit code 6 unless the verdict is this one.")
+@click.option("--limit", default="120 s", metavar="TIME", help="CPU time of the searches, e.g. '60 s'; default 120 s.")
 @options.FORCE
 @options.SET
 @options.ACCEPT
@@ -53,7 +54,7 @@ def command(job: Path, design: bool, output: Path | None, force: bool, as_json: 
         console.print(findings.of_design(adjusted, found))
         return 0
     loaded = load(job, asked)
-    diagnosis = diagnosed.carry_out(loaded, console.waiting)
+    diagnosis = diagnosed.carry_out(loaded, console.waiting, _seconds(wanted["limit"]))
     extended = None
     try:
         extended = diagnosed.write_extended(loaded, diagnosis, output, force)
@@ -65,3 +66,17 @@ def command(job: Path, design: bool, output: Path | None, force: bool, as_json: 
         click.echo(summary.as_json(verdict.as_data(diagnosis) | {"extended_job": extended and str(extended)}))
     console.print(findings.of_diagnosis(diagnosis, extended))
     return NOT_MET if wanted["require"] not in (None, diagnosis.verdict) else 0
+
+
+def _seconds(text: str) -> float:
+    """Return a limit of time in seconds."""
+    from metrocli.errors import UsageError
+    from metrocli.units import QuantityError, parse_quantity
+
+    try:
+        limit = parse_quantity(text, "time")
+    except QuantityError as error:
+        raise UsageError(f"--limit: {error}; write a time such as '60 s'") from error
+    if limit <= 0:
+        raise UsageError(f"--limit: {text} is not above zero")
+    return limit

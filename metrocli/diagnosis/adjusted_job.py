@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
@@ -63,6 +65,21 @@ class Standing:
     """Values of its parameters"""
 
 
+class Budget:
+    """CPU time of a search: when it is spent, the search ends with what it has found."""
+
+    def __init__(self, seconds: float = math.inf) -> None:
+        self.seconds = seconds
+        self.ended = False
+        """Whether a search ended because of it"""
+        self._start = time.process_time()
+
+    def spent(self) -> bool:
+        """Return whether the time is spent, and remember that it was asked in vain."""
+        self.ended = self.ended or time.process_time() - self._start > self.seconds
+        return self.ended
+
+
 @dataclass(frozen=True)
 class AdjustedJob:
     """An adjusted job, as diagnosis uses it."""
@@ -99,5 +116,7 @@ class AdjustedJob:
     """Whether the search goes on beside dominant effects that were not adjusted"""
     not_sought: Mapping[str, str] = field(default_factory=dict)
     """Names of effects that cannot be searched for in these readings, each with the reason"""
+    budget: Budget = field(default_factory=Budget)
+    """CPU time for the search of effects"""
     offers: Callable[[Model], Iterable[tuple[str, Model]]] = field(default=lambda model: ())
     """Further measurements that the kind of job proposes: in words, with the model of that measurement"""

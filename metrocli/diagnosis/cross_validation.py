@@ -8,13 +8,13 @@ are fitted columns. Method: docs/algorithms/selection-and-levels.md.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
-from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.diagnosis.adjusted_job import AdjustedJob, Budget
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns, nothing_fitted
 from metrocli.diagnosis.linear.score_tests import ScoreTests
 from metrocli.diagnosis.linear.without_rows import without_rows
@@ -66,6 +66,7 @@ def cross_validated(job: AdjustedJob, selection: Selection, names: Sequence[Name
     Each fold is predicted with what its own selection names of the effect, and without it. Smooth terms are in neither
     model, as the extended job has none.
     """
+    # each part has the same time for its search, so that all are treated alike
     test_set = selection.test_set
     rows = _rows_of_folds(job, test_set)
     spared = np.zeros(test_set.system.rows, dtype=bool)
@@ -76,7 +77,8 @@ def cross_validated(job: AdjustedJob, selection: Selection, names: Sequence[Name
     for fold in range(int(rows.max()) + 1):
         out = np.flatnonzero((rows == fold) & ~spared)
         if out.size:
-            trained = _trained(test_set, np.flatnonzero(rows == fold))
+            own = replace(test_set, budget=Budget(job.budget.seconds / (rows.max() + 1)))
+            trained = _trained(own, np.flatnonzero(rows == fold))
             start = fitted_without(test_set, np.flatnonzero((rows == fold) & spared))
             for number, group in enumerate(groups):
                 found[number].append(_compared(test_set, start, trained, group, out))

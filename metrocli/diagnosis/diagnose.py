@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
-from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.diagnosis.adjusted_job import AdjustedJob, Budget
 from metrocli.diagnosis.cross_validation import cross_validated, gain_of_model
 from metrocli.diagnosis.detectability import Design, design, separations
 from metrocli.diagnosis.extended_fit import (
@@ -59,14 +59,18 @@ _SEARCHES = 5
 """Largest number of searches; each follows an adjustment with the effects that dominated the previous one"""
 _KINDS = 2
 """Largest number of effects that act at all places of a kind"""
+LIMIT = 120.0
+"""CPU time for all searches [s]"""
 _SEED = 20
 
 
-def diagnose(job: AdjustedJob, say: Say = lambda line: None) -> Diagnosis:
-    """Return the diagnosis of an adjusted job.
+def diagnose(job: AdjustedJob, say: Say = lambda line: None, limit: float = LIMIT) -> Diagnosis:
+    """Return the diagnosis of an adjusted job, with at most half of `limit` [s of CPU time] for the search of effects.
 
+    The other half is for the searches of cross-validation. A search whose time is spent ends with what it has found.
     Raises UndeterminedError if the unknowns use up all readings.
     """
+    job = replace(job, budget=Budget(limit / 2))
     say("looking for structure")
     searched = first = _search_about_solution(job, say)
     job, searched, scatters = _with_scatters(job, searched, say)
@@ -107,6 +111,7 @@ def diagnose(job: AdjustedJob, say: Say = lambda line: None) -> Diagnosis:
         together=gains[-1] if len(names) > 1 else None,
         repeats=repeats,
         scatters=scatters,
+        limited=limit if job.budget.ended else None,
     )
 
 

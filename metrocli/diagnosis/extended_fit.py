@@ -41,7 +41,7 @@ def score_tests_of_job(
     everything = [*families, *smooth_families(job, system)]
     test_set = score_tests_of(system, everything, rng, job.single_components)
     spots = {one.spot for family in families for one in family.alternatives} if job.patient else set()
-    return replace(test_set, adjusted=job.adjusted | spots), not_tested
+    return replace(test_set, adjusted=job.adjusted | spots, budget=job.budget), not_tested
 
 
 def _with_standing(job: AdjustedJob, system: System) -> System:

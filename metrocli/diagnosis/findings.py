@@ -84,6 +84,8 @@ class Diagnosis:
     """The noise found from repeated readings, if there are any"""
     scatters: tuple[Scatter, ...] = ()
     """Effects at all places of a kind; all other findings are beside them"""
+    limited: float | None = None
+    """The limit of CPU time [s], if the search ended there"""
     mistaken: Mistaken | None = None
     """A mistake in the files; all other findings are those of the job without it"""
 

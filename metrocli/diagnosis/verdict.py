@@ -35,6 +35,7 @@ def as_data(diagnosis: Diagnosis) -> dict[str, Any]:
             "apart": [{unit.key: unit.name, "ratio": unit.ratio} for unit in diagnosis.noisier_units],
             "repeats": None if repeats is None else {"ratio": repeats.ratio, "lack_of_fit": repeats.lack_of_fit},
         },
+        "limited": diagnosis.limited,
         "mistake": None if diagnosis.mistaken is None else _correction(diagnosis.mistaken),
         "outliers": [_outlier(one) for one in diagnosis.outliers],
         "effects": [

@@ -11,7 +11,7 @@ from pathlib import Path
 from metrocli import tasks
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.detectability import Design
-from metrocli.diagnosis.diagnose import diagnose, what_can_be_seen
+from metrocli.diagnosis.diagnose import LIMIT, diagnose, what_can_be_seen
 from metrocli.diagnosis.findings import Diagnosis
 from metrocli.diagnosis.mistakes import without_mistakes
 from metrocli.diagnosis.verdict import as_job, scatter_as_job
@@ -35,12 +35,13 @@ def adjusted_job_of(job: JobFile) -> AdjustedJob:
     return _adjuster(job)(read_inputs(job))
 
 
-def carry_out(job: JobFile, progress: Progress = lambda line: None) -> Diagnosis:
-    """Adjust a job, correct a mistake in its files if one is found, and diagnose it."""
+def carry_out(job: JobFile, progress: Progress = lambda line: None, limit: float = LIMIT) -> Diagnosis:
+    """Adjust a job, correct a mistake in its files if one is found, and diagnose it within a limit of CPU time [s]."""
     adjust = _adjuster(job)
     progress(f"{job.file}: adjusting")
     adjusted, mistaken = without_mistakes(read_inputs(job), adjust)
-    return replace(diagnose(adjusted, lambda line: progress(f"{job.file}: {line}")), mistaken=mistaken)
+    diagnosis = diagnose(adjusted, lambda line: progress(f"{job.file}: {line}"), limit)
+    return replace(diagnosis, mistaken=mistaken)
 
 
 def design_of(job: JobFile) -> tuple[AdjustedJob, Design]:

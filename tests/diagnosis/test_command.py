@@ -524,3 +524,19 @@ def test_the_exit_code_is_0_whatever_the_verdict_unless_clean_is_required(folder
     assert (required.code, json.loads(required.out)["verdict"]) == (6, "explained")
     clean = write(folder, measured())
     assert metrocli("diagnose", clean, "--require", "clean").code == 0
+
+
+def test_a_search_ends_at_its_limit_with_what_it_has_found(folder: Path, metrocli: Metrocli) -> None:
+    job = write(folder, measured("dead-path-drift"))
+    ran = metrocli("diagnose", job, "--json", "--limit", "1 ms")
+    data = json.loads(ran.out)
+    assert (ran.code, data["limited"], data["effects"]) == (0, pytest.approx(1e-3), [])
+    assert data["verdict"] == "unexplained" and data["candidates"]
+    assert "The search ended at the limit of 0.001 s" in metrocli("diagnose", job, "--limit", "1 ms").out
+    assert json.loads(metrocli("diagnose", job, "--json").out)["limited"] is None
+
+
+@pytest.mark.parametrize("limit", ["60", "0 s", "soon"])
+def test_a_limit_is_a_time(folder: Path, metrocli: Metrocli, limit: str) -> None:
+    ran = metrocli("diagnose", write(folder, measured()), "--limit", limit)
+    assert (ran.code, "--limit" in ran.err) == (2, True)

@@ -46,6 +46,8 @@ def of_diagnosis(diagnosis: Diagnosis, extended: Path | None) -> str:
     parts += [list(_about(finding)) for finding in findings[:_DESCRIBED]]
     if diagnosis.separate_by:
         parts.append(["to distinguish them, measure:", *(f"  {words}" for words in diagnosis.separate_by)])
+    if diagnosis.limited is not None:
+        parts.append([f"The search ended at the limit of {diagnosis.limited:g} s; `--limit` gives it more time."])
     if not diagnosis.adjusts:
         parts.append(
             ["The job cannot be adjusted with the named effects; their sizes are one-step (linear) estimates."]

@@ -16,6 +16,7 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
+from metrocli.diagnosis.adjusted_job import Budget
 from metrocli.diagnosis.linear.candidates import Alternative, Family
 from metrocli.diagnosis.linear.distributions import log_family, log_tail
 from metrocli.diagnosis.linear.fitted_columns import PRIOR, FittedColumns, orthonormal
@@ -73,6 +74,8 @@ class ScoreTests:
     """Readings that cannot be named outliers"""
     adjusted: frozenset[tuple[str, tuple[str, ...]]] = frozenset()
     """Cause and place of the effects with which the unknowns were adjusted; these do not stop the selection"""
+    budget: Budget = field(default_factory=Budget)
+    """CPU time for a search"""
     remembered: dict[tuple[int, int], tuple[Mask, ...]] = field(default_factory=dict, compare=False, repr=False)
     """Cache of the effects that lie in smooth terms"""
 

@@ -27,11 +27,14 @@ def continued(selection: Selection) -> Selection:
     """Return a selection after further forward and backward steps, until no candidate is significant beside it.
 
     A step that leads back to an earlier selection is replaced by the next best step. The search also ends where
-    instances of an effect turn out to be one scatter of all of its kind: the job is then adjusted with it.
+    instances of an effect turn out to be one scatter of all of its kind: the job is then adjusted with it. It ends with
+    what it has found where its time is spent.
     """
     selection = backward_steps(selection)
     passed = [selection.members]
     for _ in range(_STEPS):
+        if selection.test_set.budget.spent():
+            break
         for step in forward_steps(selection):
             if has_dominant_effect(step):
                 return step
