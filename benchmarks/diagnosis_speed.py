@@ -6,9 +6,11 @@ that is found, an effect of no table and 1 % wrong coordinates, so that the job 
 
 from __future__ import annotations
 
+import resource
 import sys
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -20,6 +22,12 @@ from metrocli.diagnosis.diagnose import diagnose
 
 LENGTHS, COORDINATES = 5.0, 60.0
 """CPU seconds allowed"""
+SIZES = {300: 1.0, 1000: 1.0, 3000: 5.0, 10000: 5.0}
+"""Points of larger networks of six tracers, and the CPU seconds allowed for each"""
+GROWTH = 1.1
+"""Largest exponent of the time in the number of readings"""
+DRIFT = {"rate": 3e-7}
+"""mm/s: a dead path that drifts by 1.1 um/h"""
 
 
 def measurements() -> Iterator[tuple[str, Callable[[], AdjustedJob], float]]:
@@ -43,9 +51,30 @@ def _planted(read: Images, rng: np.random.Generator, name: str, times: float) ->
     return made[0]
 
 
+def sizes() -> bool:
+    """Print the times of growing networks with a drift, memory and the growth; return whether all are allowed."""
+    found, met = {}, True
+    for points, allowed in SIZES.items():
+        m = lengths.measurement(np.random.default_rng(8), points)
+        adjusted = replace(m, length=m.length + lengths.signature("dead-path-drift", 1, DRIFT)(m)).adjusted()
+        start = time.process_time()
+        diagnosed = diagnose(adjusted)
+        found[points] = time.process_time() - start
+        met &= found[points] <= allowed
+        names = ", ".join(str(finding.effect.alternative) for finding in diagnosed.findings) or "no name"
+        memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
+        print(
+            f"{points:6d} points, 6 tracers: {found[points]:6.1f} s  allowed {allowed:.0f} s  {memory} MB so far  {names}"
+        )
+    first, last = min(found), max(found)
+    growth = float(np.log(found[last] / found[first]) / np.log(last / first))
+    print(f"growth from {first} to {last} points: readings to the power of {growth:.2f}, allowed {GROWTH}")
+    return met and growth <= GROWTH
+
+
 def main() -> int:
     """Print the times; return 1 where one is beyond what is allowed."""
-    met = True
+    met = sizes()
     for what, job, allowed in measurements():
         start = time.process_time()
         adjusted = job()
