@@ -71,13 +71,25 @@ def together(*asked: Callable[[], Any]) -> list[Any]:
     return answers
 
 
-class UndeterminedError(MetrocliError):
+class NoSolutionError(MetrocliError):
+    """The adjustment of a job has no solution that can be used."""
+
+    def __init__(self, message: str, misfit: float = float("inf")) -> None:
+        """Take the message, and the root mean square residual in declared standard deviations.
+
+        It is inf if no values predict the readings, and 0 if there are too few readings, since those fit anything.
+        """
+        super().__init__(message)
+        self.misfit = misfit
+
+
+class UndeterminedError(NoSolutionError):
     """The data do not determine the unknowns; the message names the combination and what would determine it."""
 
     exit_code = 4
 
 
-class NotConvergedError(MetrocliError):
+class NotConvergedError(NoSolutionError):
     """The adjustment did not converge."""
 
     exit_code = 5

@@ -12,6 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
+from metrocli.adjust.allowance import take
 from metrocli.adjust.datum import Datum, Frame, open_frame
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.groups import Group
@@ -87,6 +88,7 @@ def adjust(
     an exception. Raises ValueError only if blocks and groups do not fit together.
     """
     control = control or Control()
+    take()
     state = {block.name: block for block in blocks}
     layout = arrange(state, groups)
     problem = _Problem(groups, layout, datum, tiling_of(groups, state, layout))
@@ -99,6 +101,7 @@ def adjust(
     outcome = Outcome.ITERATION_LIMIT if control.limit else Outcome.CONVERGED
     iterations = 0
     while iterations < control.limit and outcome is Outcome.ITERATION_LIMIT:
+        take()
         iterations += 1
         outcome = descent.step(control.tolerance**2 * max(unknowns, 1))
     solution = replace(lost, outcome=outcome, blocks=descent.state, cost=descent.cost, iterations=iterations)

@@ -15,6 +15,7 @@ from metrocli.adjust.datum import Datum
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Index, Mask
+from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.probabilities import normal_bound
 from metrocli.adjust.solution import Residuals
 
@@ -50,8 +51,9 @@ def robust_start(
     state: Mapping[str, Block] = {block.name: block for block in blocks}
     group = next(group for group in groups if group.name == name)
     held = _reweighted(groups, name, _least_absolute(_share(group, state, within)))
-    state = adjust(state.values(), held, datum, Control(limit=15, covariance=False)).blocks
-    if _share(group, state).max(initial=0.0) <= _GROSS:
+    first = adjust(state.values(), held, datum, Control(limit=15, covariance=False))
+    state = first.blocks
+    if first.outcome is Outcome.NO_START or _share(group, state).max(initial=0.0) <= _GROSS:
         return dict(state)
     share = _share(group, state, within)
     for turn in range(_ROUNDS):

@@ -48,6 +48,13 @@ class Solution:
         return float(np.sqrt(self.cost / self.dof)) if self.dof > 0 else float("nan")
 
     @property
+    def misfit(self) -> float:
+        """Root mean square of the whitened residuals, 0 if there are too few readings, since those fit anything."""
+        if self.outcome is Outcome.TOO_FEW or not self.observations:
+            return 0.0
+        return float(np.sqrt(self.cost / self.observations))
+
+    @property
     def p_value(self) -> float:
         """Probability of a sum of squares at least as large if model and noise are right (global test)."""
         return chi_square_tail(self.dof, self.cost) if self.dof > 0 else float("nan")

@@ -12,10 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from metrocli.adjust.allowance import allowance
 from metrocli.adjust.model.groups import Group
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.corrections import Inputs, Mistake, corrections
-from metrocli.errors import Fault, InputError, MetrocliError, NotConvergedError, UndeterminedError
+from metrocli.errors import Fault, InputError, MetrocliError, NoSolutionError, NotConvergedError, UndeterminedError
 from metrocli.table import Table
 
 _ABSURD = 10.0
@@ -34,6 +35,8 @@ _SUSPECT_PLACES = 0.2
 """Share of the implausible distance of places from their lists above which other readings of the files are tried"""
 _MOST_ROWS = 20_000
 """Jobs with more rows are not tried by a task, since each try is an adjustment"""
+_STEPS = 24
+"""Steps that one try may take, its starts included; a job that is read rightly takes 12 to 15"""
 FAILURES = (UndeterminedError, NotConvergedError, InputError)
 
 Adjust = Callable[[Inputs], AdjustedJob]
@@ -132,7 +135,8 @@ def _tried(inputs: Inputs, adjust: Adjust) -> Iterator[tuple[Mistake, Misfit, Ad
         if settled not in ("", mistake.sort):
             continue
         try:
-            job = adjust(changed)
+            with allowance(_STEPS):
+                job = adjust(changed)
         except FAILURES:
             continue
         misfit = misfit_of(job)
@@ -148,8 +152,8 @@ def suspicious(sigma0: float, astray: float) -> bool:
 def misread(inputs: Inputs, adjust: Adjust, failure: MetrocliError | None = None) -> InputError | None:
     """Return the refusal of a file that fits a thousand times better if it is read in another way, or None.
 
-    `failure` is the error with which the job ended, if it did. Errors that name a line or what to write are
-    explanations themselves; for them nothing is tried.
+    `failure` is the error with which the job ended, if it did. Nothing is tried for errors that name a line or what to
+    write, since they are explanations, and for readings that fit or are too few: no heading causes that.
     """
     tables = [table for table in inputs.values() if isinstance(table, Table)]
     if sum(map(len, tables)) > _MOST_ROWS or (failure is not None and not _unexplained(failure)):
@@ -181,7 +185,7 @@ def misread(inputs: Inputs, adjust: Adjust, failure: MetrocliError | None = None
 def _unexplained(failure: MetrocliError) -> bool:
     if isinstance(failure, InputError):
         return not any(fault.line or fault.hint for fault in failure.faults)
-    return isinstance(failure, FAILURES)
+    return isinstance(failure, NoSolutionError) and failure.misfit > _ABSURD
 
 
 def _explains(misfit: Misfit, job: AdjustedJob) -> bool:

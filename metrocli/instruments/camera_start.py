@@ -8,6 +8,7 @@ from itertools import permutations, product
 import numpy as np
 import numpy.typing as npt
 
+from metrocli.adjust.allowance import take
 from metrocli.geometry import poses
 from metrocli.geometry.rotations import nearest_rotation
 from metrocli.instruments.linear_maps import linear_maps
@@ -18,6 +19,9 @@ Mask = npt.NDArray[np.bool_]
 
 _FLAT = 1e-3
 """Targets whose thickness is below this share of their extent are treated as coplanar."""
+
+_AS_LONG = 5
+"""Steps of an adjustment that take as long as one start"""
 
 
 @dataclass(frozen=True)
@@ -51,6 +55,7 @@ def start(scene: Scene, centre: Array, focal: float | None, guess: float) -> tup
     Coplanar targets: homographies and the closed form of Zhang (2000), with the principal point at `centre`. Other
     targets: direct linear transformation. `guess` is the focal length used if the views do not determine it.
     """
+    take(_AS_LONG)
     to_plane, planar = plane_frame(scene.points[np.unique(scene.target)])
     local = poses.apply(to_plane, scene.points)
     scale = float(np.abs(local).max()) or 1.0

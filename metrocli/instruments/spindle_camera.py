@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from metrocli.adjust.allowance import take
 from metrocli.adjust.model.blocks import Array, Block, Space
 from metrocli.adjust.model.chain import Link, Local, Step
 from metrocli.adjust.model.quantities import Quantity
@@ -136,6 +137,8 @@ def start_pose(lines: Rays, turns: int = 40) -> tuple[Array, float]:
     return best, misfit
 
 
+_AS_LONG = 5
+"""Steps of an adjustment that take as long as the turns towards one start"""
 _FAILED = 0.01
 """Misfit [rad] too large to be explained by distortion: the start has failed"""
 
@@ -165,6 +168,7 @@ def _linear(lines: Rays) -> Array:
 
 def _best(lines: Rays, rotations: Array, turns: int) -> tuple[Array, float]:
     """Return the pose with the smallest misfit reached from any of the rotations (k, 3, 3), and this misfit."""
+    take(_AS_LONG)
     across = _across(lines)
     gain = np.linalg.pinv(across.sum(axis=0))
     local = lines.point - lines.point.mean(axis=0)

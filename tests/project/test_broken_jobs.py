@@ -124,7 +124,7 @@ def test_a_file_that_is_not_utf8_is_refused(job: Path, metrocli: Callable[..., o
 
 
 def test_a_job_may_allow_what_a_column_cannot_usually_hold(job: Path, metrocli: Callable[..., object]) -> None:
-    Path("readings.csv").write_text("point,x_mm,y_mm\na,0,1\nb,1,3\nc,2,5\nd,3,20000000\n")
+    Path("readings.csv").write_text("point,x_mm,y_mm\na,0,-10000000\nb,1,0\nc,2,10000000\nd,3,20000000\n")
     ran = metrocli("straight-line", job)
     assert ran.code == 3
     assert (

@@ -64,7 +64,7 @@ def solved(settings: Settings, problem: Problem) -> Adjusted:
     adjusted = adjust_images(problem.blocks, problem.images, problem.others, None, options)
     solution = adjusted.solution
     if solution.undetermined or solution.outcome is Outcome.TOO_FEW:
-        raise UndeterminedError(explained(problem, solution))
+        raise UndeterminedError(explained(problem, solution), solution.misfit)
     must_converge(solution)
     return adjusted
 

@@ -78,9 +78,9 @@ def adjusted(blocks: Mapping[str, Block], groups: tuple[Group, ...]) -> Solution
     if solution.outcome in (Outcome.UNDETERMINED, Outcome.TOO_FEW):
         open_ones = "\n".join(f"  {combination}" for combination in solution.undetermined[:8])
         vague = any(part[0] == TOOL for combination in solution.undetermined for part in combination.parts)
-        raise UndeterminedError(f"{solution.outcome.value}\n{open_ones}".rstrip() + _VAGUE * vague)
+        raise UndeterminedError(f"{solution.outcome.value}\n{open_ones}".rstrip() + _VAGUE * vague, solution.misfit)
     if not solution.outcome.good:
-        raise NotConvergedError(f"{solution.outcome.value} ({solution.iterations} steps)")
+        raise NotConvergedError(f"{solution.outcome.value} ({solution.iterations} steps)", solution.misfit)
     return solution
 
 

@@ -101,9 +101,9 @@ def _located(readings: Readings, noise: Noise, how: How) -> Located:
         problem = problem.with_effects(how.effects)
     solution = adjust(problem.blocks.values(), problem.all_groups)
     if solution.undetermined or solution.outcome is Outcome.TOO_FEW:
-        raise UndeterminedError(_undetermined(problem, solution))
+        raise UndeterminedError(_undetermined(problem, solution), solution.misfit)
     if not solution.outcome.good:
-        raise NotConvergedError(f"{solution.outcome.value} ({solution.iterations} steps)")
+        raise NotConvergedError(f"{solution.outcome.value} ({solution.iterations} steps)", solution.misfit)
     checked = screened(solution, [group.name for group in problem.groups])
     used = checked.solution if how.remove else solution
     values = used.blocks[lu.UNIT].values[0].copy()

@@ -169,7 +169,7 @@ def _adjusted(network: Network, state: Mapping[str, Block], out: dict[int, Rejec
     )
     _must_carry(used, solution)
     if not solution.outcome.good:
-        raise NotConvergedError(f"{solution.outcome.value} ({solution.iterations} steps)")
+        raise NotConvergedError(f"{solution.outcome.value} ({solution.iterations} steps)", solution.misfit)
     _must_be_near(used, solution)
     rejected = [*out.values(), *(Rejected(int(row), float("nan"), Reason.UNCHECKED) for row in np.flatnonzero(lost))]
     group = next(group for group in solution.groups if group.name == LENGTHS)
@@ -194,13 +194,13 @@ def _too_few(network: Network) -> dict[int, Rejected]:
 
 def _must_carry(network: Network, solution: Solution) -> None:
     if not carries(network, solution):
-        raise UndeterminedError(explained(network, solution))
+        raise UndeterminedError(explained(network, solution), solution.misfit)
 
 
 def _must_see_effects(network: Network, solution: Solution) -> None:
     """Raise UndeterminedError if the other unknowns absorb an effect; the adjustment could make it very large."""
     if solution.undetermined and absorbed(network.effects, solution, network.datum):
-        raise UndeterminedError(explained(network, solution))
+        raise UndeterminedError(explained(network, solution), solution.misfit)
 
 
 def _must_be_near(network: Network, solution: Solution) -> None:

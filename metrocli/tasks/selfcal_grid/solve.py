@@ -138,7 +138,7 @@ def _once(problem: Problem, whole: Problem, out: dict[int, float]) -> Solved:
     found: FieldSolution = adjust_fields(problem.fields, design(problem))
     solution = found.solution
     if solution.outcome is not Outcome.CONVERGED:
-        raise NotConvergedError(f"{solution.outcome.value} ({solution.iterations} steps)")
+        raise NotConvergedError(f"{solution.outcome.value} ({solution.iterations} steps)", solution.misfit)
     residuals = found.residuals()
     tested = suspects(residuals[0], Fit(solution.cost, solution.dof, noise_known=True))
     return Solved(problem, whole, found, residuals, tested, tuple(sorted(out.items())))

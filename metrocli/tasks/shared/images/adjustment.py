@@ -174,7 +174,7 @@ def must_converge(solution: Solution) -> None:
     """Raise NotConvergedError unless the solution is good or undetermined (the task explains the latter)."""
     if not solution.outcome.good and not solution.undetermined:
         hint = _NO_START if solution.outcome is Outcome.NO_START else ""
-        raise NotConvergedError(f"{solution.outcome.value} ({solution.iterations} steps){hint}")
+        raise NotConvergedError(f"{solution.outcome.value} ({solution.iterations} steps){hint}", solution.misfit)
 
 
 def _noise(found: Residuals, group: Group) -> float:
