@@ -63,9 +63,8 @@ def sizes() -> bool:
         met &= found[points] <= allowed
         names = ", ".join(str(finding.effect.alternative) for finding in diagnosed.findings) or "no name"
         memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
-        print(
-            f"{points:6d} points, 6 tracers: {found[points]:6.1f} s  allowed {allowed:.0f} s  {memory} MB so far  {names}"
-        )
+        spent = f"{found[points]:6.1f} s  allowed {allowed:.0f} s  {memory} MB so far"
+        print(f"{points:6d} points, 6 tracers: {spent}  {names}")
     first, last = min(found), max(found)
     growth = float(np.log(found[last] / found[first]) / np.log(last / first))
     print(f"growth from {first} to {last} points: readings to the power of {growth:.2f}, allowed {GROWTH}")

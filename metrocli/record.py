@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from metrocli.units import format_quantity
+from metrocli.units import as_stated, format_quantity
 
 DONE, DOUBTFUL, UNMET = "done", "doubtful", "requirements not met"
 """The status of a result; other jobs and exports use one that is done"""
@@ -33,7 +33,8 @@ class Verdict:
 
     def __str__(self) -> str:
         outcome = "met" if self.met else "NOT met"
-        return f"required {self.name} {self.condition}: {outcome} ({format_quantity(self.value, self.unit)})"
+        found = format_quantity(*as_stated(self.value, self.unit, self.condition))
+        return f"required {self.name} {self.condition}: {outcome} ({found})"
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     Array = npt.NDArray[np.float64]
 
 Scalar = float | int | str | bool
+SCALE = "scale"
+"""Dimension of an estimate that is a factor about 1: reports also show its difference from 1"""
 
 
 @dataclass(frozen=True)
@@ -26,6 +28,8 @@ class Estimate:
     value: float
     std: float
     unit: str
+    dimension: str = ""
+    """The dimension (`metrocli/units`) whose units reports may use instead; SCALE for a factor about 1; else empty"""
 
 
 @dataclass(frozen=True)

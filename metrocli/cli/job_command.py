@@ -51,11 +51,11 @@ def _carry_out(kind: str, path: Path, console: Console, wanted: dict[str, Any]) 
         runner.verify(job, runner.content(job))
         console.print(f"{path}: no faults; would write {job.output}")
         return 0
-    from metrocli.cli import summary, terminal
+    from metrocli.cli import columns, summary, terminal
 
     if question is not None:
         table = runner.answer(job, question)
-        click.echo(summary.json_of_table(table) if wanted["as_json"] else terminal.table_text(table))
+        click.echo(summary.json_of_table(table) if wanted["as_json"] else columns.table_text(table))
         return 0
     from metrocli.uncertainty.workers import Workers
 

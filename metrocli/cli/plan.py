@@ -41,7 +41,7 @@ def command(job: Path, out: Path | None, force: bool, as_json: bool, quiet: bool
     text = summary.json_of_plan(plan, folder)
     written = list(planned.write(planned.files_of(plan), text, folder))
     if not as_json:
-        for line in (terminal.plan_text(plan), *map(str, written)):
+        for line in (terminal.plan_text(plan, loaded.text), *map(str, written)):
             console.print(line)
     if as_json:
         click.echo(text)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -64,5 +63,5 @@ def _answer(result: Result, question: str, values: tuple[str, ...], as_json: boo
     estimates = KINDS[result.kind].task().result_answers[question](result, values)
     if not as_json:
         return terminal.estimates_text(estimates)
-    found = [asdict(estimate) for estimate in estimates]
+    found = [{"name": estimate.name, **summary.of_estimate(estimate)} for estimate in estimates]
     return summary.as_json(found if len(found) > 1 else found[0])

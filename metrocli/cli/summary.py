@@ -23,7 +23,7 @@ def summary(result: Result, record: Record, path: Path) -> dict[str, Any]:
         "title": result.title,
         "status": record.status,
         "result": str(path),
-        "estimates": {e.name: _estimate(e) | dict(result.details.get(e.name, {})) for e in result.estimates},
+        "estimates": {e.name: of_estimate(e) | dict(result.details.get(e.name, {})) for e in result.estimates},
         "statistics": dict(result.statistics),
         "warnings": list(result.warnings),
         "doubts": list(record.doubts),
@@ -32,7 +32,8 @@ def summary(result: Result, record: Record, path: Path) -> dict[str, Any]:
     }
 
 
-def _estimate(estimate: Estimate) -> dict[str, Any]:
+def of_estimate(estimate: Estimate) -> dict[str, Any]:
+    """Return value, standard uncertainty and unit of an estimate, in its internal unit."""
     return {"value": estimate.value, "std": estimate.std, "unit": estimate.unit}
 
 
@@ -47,7 +48,7 @@ def json_of_plan(plan: Plan, folder: Path) -> str:
         {
             "kind": plan.kind,
             "status": "planned",
-            "figures": {e.name: {"value": e.value, "std": e.std, "unit": e.unit} for e in plan.figures},
+            "figures": {e.name: of_estimate(e) for e in plan.figures},
             "notes": list(plan.notes),
             "tables": {name: _listed(table) for name, table in plan.tables.items()},
             "warnings": list(plan.warnings),

@@ -1,9 +1,9 @@
-"""Results and plans as text: values to the second digit of their standard uncertainty, tables in columns."""
+"""Results and plans as text: the status first, then values to the second digit of their standard uncertainty."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,32 +11,37 @@ from typing import Any
 import click
 
 from metrocli import units
+from metrocli.cli.columns import columns_text, table_text
 from metrocli.plan import Plan
 from metrocli.project.pipeline import exit_code
 from metrocli.record import Record
-from metrocli.result import Estimate, Result, ShownTable
+from metrocli.result import SCALE, Estimate, Result, ShownTable
 from metrocli.table import Table
 
-MOST_ROWS = 40
 _FIRST = ("observations", "unknowns", "dof", "sigma0", "chi2", "p_value", "iterations", "rms")
 
 
 def result_text(result: Result, record: Record, path: Path) -> str:
-    """Return the summary of a result as text."""
-    parts = [f"{result.kind}{f': {result.title}' if result.title else ''}"]
-    parts += [estimates_text(result.estimates)] if result.estimates else []
-    parts += [_statistics_line(result.statistics)]
-    parts += result.notes
-    parts += [_shown(result.tables, shown) for shown in result.shown if shown.name in result.tables]
-    parts += map(str, record.verdicts)
+    """Return the summary of a result as text: whether it may be used and what that rests on, then its values."""
+    parts = [f"{result.kind}{f': {result.title}' if result.title else ''}", _status_line(result, record)]
     parts += _doubt_lines(record)
+    parts += filter(None, [_statistics_line(result.statistics)])
+    parts += map(str, record.verdicts)
+    parts += ["", estimates_text(result.estimates, record.job_text)] if result.estimates else []
+    parts += ["", *result.notes] if result.notes and result.notes[0] else result.notes
+    parts += [_shown(result.tables, shown) for shown in result.shown if shown.name in result.tables]
     return "\n".join([*parts, f"result: {path}"])
 
 
-def plan_text(plan: Plan) -> str:
+def _status_line(result: Result, record: Record) -> str:
+    count = len(result.warnings)
+    return f"status: {record.status}" + (f", {count} warning{'s' if count > 1 else ''}" if count else "")
+
+
+def plan_text(plan: Plan, job_text: str = "") -> str:
     """Return the summary of a plan as text."""
     parts = [f"{plan.kind}: planned", *plan.notes]
-    parts += [estimates_text(plan.figures)] if plan.figures else []
+    parts += [estimates_text(plan.figures, job_text)] if plan.figures else []
     return "\n".join([*parts, *(_shown(plan.tables, shown) for shown in plan.shown)])
 
 
@@ -55,18 +60,49 @@ def _doubt_lines(record: Record) -> list[str]:
     return [f"DOUBTFUL: {doubt}" for doubt in record.doubts]
 
 
-def estimates_text(estimates: Iterable[Estimate]) -> str:
-    """Return a line for each estimate: name, value, standard uncertainty and unit."""
-    return columns_text([_estimate_row(estimate) for estimate in estimates])
+def estimates_text(estimates: Sequence[Estimate], job_text: str = "") -> str:
+    """Return a line for each estimate: name, value, standard uncertainty and unit.
+
+    The parameters of effects are in the unit that the job states for them, else in one that suits their uncertainty;
+    those of one name share it.
+    """
+    groups: dict[tuple[str, str], list[Estimate]] = {}
+    for estimate in estimates:
+        groups.setdefault(_alike(estimate), []).append(estimate)
+    found = {alike: _unit(group, job_text) for alike, group in groups.items()}
+    return columns_text([_estimate_row(estimate, *found[_alike(estimate)]) for estimate in estimates])
 
 
-def _estimate_row(estimate: Estimate) -> list[str]:
-    """Return name, value, standard uncertainty and unit; an angle also as a slope."""
-    value, std = units.rounded(estimate.value, estimate.std)
-    row = [estimate.name, value, f"± {std}", "" if estimate.unit == "1" else estimate.unit]
+def _alike(estimate: Estimate) -> tuple[str, str]:
+    return estimate.dimension, estimate.name.rpartition(".")[2] if estimate.dimension else estimate.unit
+
+
+def _unit(group: Sequence[Estimate], job_text: str) -> tuple[float, str]:
+    """Return the size of the unit of some estimates in their internal unit, and its symbol."""
+    dimension, unit = group[0].dimension, group[0].unit
+    about_one = dimension == SCALE
+    dimension = "ratio" if about_one else dimension
+    if not dimension:
+        return 1.0, unit
+    symbol = units.written_unit(job_text, dimension, group[0].name.rpartition(".")[2])
+    stds = [one.std for one in group if 0 < one.std < math.inf]
+    symbol = symbol or units.readable(min(stds, default=abs(group[0].value)), dimension)[1]
+    return (1.0, unit) if symbol in ("", "1") else (units.find_unit(symbol, dimension).inside(1.0), symbol)
+
+
+def _estimate_row(estimate: Estimate, size: float, unit: str) -> list[str]:
+    """Return name, value, standard uncertainty and unit; an angle also as a slope, a scale also from 1."""
+    scale = estimate.dimension == SCALE
+    value, std = (estimate.value, estimate.std) if scale else (estimate.value / size, estimate.std / size)
+    number, spread = units.rounded(value, std)
+    if number == units.NOT_DETERMINED:
+        return [estimate.name, number]
+    row = [estimate.name, number, f"± {spread}", "" if scale or unit == "1" else unit]
+    if scale:
+        row.append(f"({units.format_quantity((value - 1) / size, unit, std / size)} from 1)")
     if estimate.unit == "rad":
-        (slope, unit), (spread, _) = units.as_slope(estimate.value), units.as_slope(estimate.std)
-        row.append(f"({units.format_quantity(slope, unit, spread)})")
+        (slope, symbol), (of_slope, _) = units.as_slope(estimate.value), units.as_slope(estimate.std)
+        row.append(f"({units.format_quantity(slope, symbol, of_slope)})")
     return row
 
 
@@ -75,10 +111,16 @@ def _statistics_line(statistics: Mapping[str, Any]) -> str:
     for name in _FIRST:
         value = statistics.get(name)
         if isinstance(value, Mapping):
-            parts += [f"{name} {number:.4g} {unit}" for unit, number in value.items()]
+            parts += [f"{name} {_four_digits(number)} {unit}" for unit, number in value.items()]
         elif value is not None:
-            parts.append(f"{name.replace('_value', '')} {value:.4g}" if isinstance(value, float) else f"{name} {value}")
+            parts.append(f"{name.replace('_value', '')} {_four_digits(value)}")
     return ", ".join(parts)
+
+
+def _four_digits(value: Any) -> str:
+    if not isinstance(value, float):
+        return str(value)
+    return f"{value:.4g}" if math.isfinite(value) else units.NOT_DETERMINED
 
 
 def _shown(tables: Mapping[str, Table], shown: ShownTable) -> str:
@@ -86,51 +128,3 @@ def _shown(tables: Mapping[str, Table], shown: ShownTable) -> str:
     table = tables[shown.name]
     columns = {name: table.columns[name] for name in shown.columns or table if name in table}
     return f"\n{shown.name}\n{table_text(replace(table, columns=columns))}"
-
-
-def table_text(table: Table) -> str:
-    """Return a table in columns with units; a long table is cut after MOST_ROWS rows."""
-    heads = [f"{name} [{table.units[name]}]" if table.units.get(name) else name for name in table]
-    columns = [_column_texts(table.columns[name][:MOST_ROWS].tolist(), _digits_of(table, name)) for name in table]
-    rows = [list(row) for row in zip(*columns, strict=True)]
-    more = [f"... {len(table) - MOST_ROWS} more rows (show --table prints all)"] if len(table) > MOST_ROWS else []
-    return "\n".join([columns_text([heads, *rows]), *more])
-
-
-def _digits_of(table: Table, name: str) -> int | None:
-    """Return the decimals that show two digits of the smallest standard uncertainty of a column; None without one.
-
-    The standard uncertainties of a column `x` stand in `sx` or `s_x`.
-    """
-    beside = next((column for column in (f"s{name}", f"s_{name}") if column in table), None)
-    stds = [std for std in table.numbers(beside).tolist() if std > 0] if beside else []
-    return max(1 - math.floor(math.log10(min(stds))), 0) if stds else None
-
-
-def _column_texts(values: Sequence[Any], decimals: int | None = None) -> list[str]:
-    """Return a column as text: numbers with `decimals`, else with those that show five digits of the largest."""
-    numbers = [abs(value) for value in values if isinstance(value, float) and math.isfinite(value)]
-    largest = max(numbers, default=0.0)
-    whole = all(number == round(number) for number in numbers)
-    digits = 0 if whole else min(max(4 - math.floor(math.log10(largest)), 0), 12)
-    return [_cell(value, digits if decimals is None else decimals) for value in values]
-
-
-def _cell(value: Any, digits: int) -> str:
-    if not isinstance(value, float):
-        return str(value)
-    return f"{value:.{digits}f}" if math.isfinite(value) else "-"
-
-
-def columns_text(rows: Sequence[Sequence[str]]) -> str:
-    """Return rows of text in aligned columns, numbers to the right."""
-    count = max(len(row) for row in rows)
-    filled = [[*row, *[""] * (count - len(row))] for row in rows]
-    columns = [_aligned([row[k] for row in filled]) for k in range(count)]
-    return "\n".join("  ".join(cells).rstrip() for cells in zip(*columns, strict=True))
-
-
-def _aligned(cells: Sequence[str]) -> list[str]:
-    width = max(len(cell) for cell in cells)
-    numeric = any(cell[:1] in "-+0123456789" for cell in cells[1:] or cells if cell)
-    return [cell.rjust(width) if numeric else cell.ljust(width) for cell in cells]

@@ -49,7 +49,7 @@ def estimates(added: Sequence[Added], solution: Adjusted) -> tuple[Estimate, ...
         for at, p in enumerate(one.effect.parameters):
             if p.name in one.columns:
                 value, spread = float(block.values[-1, at]), float(std[-1, at])
-                found.append(Estimate(f"{label}.{p.name}", value, spread, p.unit))
+                found.append(Estimate(f"{label}.{p.name}", value, spread, p.unit, p.dimension))
     return tuple(found)
 
 

@@ -52,6 +52,7 @@ def _write_all(file: h5py.File, result: Result, record: Record) -> None:
     _write_texts(file, "job", record.job_text)
     _write_table(file, "inputs", _table_of([asdict(item) for item in record.inputs], ("path", "sha256", "bytes")))
     _write_table(file, "parameters", _table_of([asdict(e) for e in result.estimates], ("name", "value", "std", "unit")))
+    file["parameters"].attrs["dimensions"] = _texts([estimate.dimension for estimate in result.estimates])
     covariance = file.create_dataset("covariance", data=np.asarray(result.covariance, dtype=float))
     covariance.attrs["of"] = _texts([estimate.name for estimate in result.estimates])
     covariance.attrs["scaling"] = _SCALED if result.statistics.get("noise_estimated") else _DECLARED
@@ -213,14 +214,16 @@ def _reason_to_refuse(file: h5py.File) -> str:
 
 def _read_result(file: h5py.File) -> Result:
     columns = _read_table(file["parameters"]).columns
-    estimates = zip(columns["name"], columns["value"], columns["std"], columns["unit"], strict=True)
+    count = len(columns["name"])
+    dimensions = map(str, file["parameters"].attrs.get("dimensions", [""] * count))
+    estimates = zip(columns["name"], columns["value"], columns["std"], columns["unit"], dimensions, strict=True)
     tables: dict[str, Table] = {}
     arrays: dict[str, Any] = {}
     file.visititems(lambda name, item: _sort_in(name, item, tables, arrays))
     return Result(
         kind=str(file.attrs["kind"]),
         title=str(file.attrs["title"]),
-        estimates=tuple(Estimate(str(n), float(v), float(s), str(u)) for n, v, s, u in estimates),
+        estimates=tuple(Estimate(str(n), float(v), float(s), str(u), d) for n, v, s, u, d in estimates),
         covariance=file["covariance"][()],
         statistics=_read_values(file["statistics"]),
         tables=tables,

@@ -1,6 +1,7 @@
 """Units: the closed table of units, and conversion from text to quantities and back. No other package converts."""
 
 from metrocli.units.parsing import (
+    as_stated,
     find_unit,
     internal_unit,
     is_inch,
@@ -10,8 +11,20 @@ from metrocli.units.parsing import (
     quantity_pattern,
     suffix_of,
     suffixes,
+    written_unit,
 )
-from metrocli.units.people import as_slope, format_quantity, readable, roughly, rounded, two_digits
+from metrocli.units.people import (
+    NOT_DETERMINED,
+    as_slope,
+    column_unit,
+    format_quantity,
+    readable,
+    roughly,
+    rounded,
+    sized,
+    two_digits,
+    with_std,
+)
 from metrocli.units.ranges import LARGEST, OVERLOAD, SMALLEST, Range, in_words, range_of, up_to
 from metrocli.units.table import DIMENSIONS, INCH, Dimension, QuantityError, Unit
 
@@ -19,6 +32,7 @@ __all__ = [
     "DIMENSIONS",
     "INCH",
     "LARGEST",
+    "NOT_DETERMINED",
     "OVERLOAD",
     "SMALLEST",
     "Dimension",
@@ -26,6 +40,8 @@ __all__ = [
     "Range",
     "Unit",
     "as_slope",
+    "as_stated",
+    "column_unit",
     "find_unit",
     "format_quantity",
     "in_words",
@@ -39,8 +55,11 @@ __all__ = [
     "readable",
     "roughly",
     "rounded",
+    "sized",
     "suffix_of",
     "suffixes",
     "two_digits",
     "up_to",
+    "with_std",
+    "written_unit",
 ]

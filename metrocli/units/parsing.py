@@ -114,6 +114,36 @@ def _typed_forms(dimension: Dimension) -> set[str]:
     return {form for form in forms if plain_symbol(form) in dimension.symbols}
 
 
+def written_unit(text: str, dimension: str, word: str) -> str:
+    """Return the unit in which the lines of a text with a word state quantities of a dimension, or "".
+
+    Rates are also looked for in the other lines, except in units that quantities of another kind share, as percent.
+    Comments of YAML are not searched.
+    """
+    lines = [line.partition("#")[0] for line in text.splitlines()]
+    named = [line for line in lines if re.search(rf"\b{re.escape(word)}\b", line)]
+    own = _stated(named, DIMENSIONS[dimension])
+    if own or "/" not in DIMENSIONS[dimension].unit:
+        return next(iter(own), "")
+    shared = {s for one in DIMENSIONS.values() if one.unit != DIMENSIONS[dimension].unit for s in one.symbols}
+    return next((symbol for symbol in _stated(lines, DIMENSIONS[dimension]) if symbol not in shared), "")
+
+
+def as_stated(value: float, unit: str, condition: str) -> tuple[float, str]:
+    """Return a value in an internal unit in the unit that a condition such as "< 100 nm" states, and that unit."""
+    for dimension in DIMENSIONS.values():
+        if internal_unit(dimension.name) == unit:
+            for symbol in _stated([condition], dimension):
+                return find_unit(symbol, dimension.name).outside(value), symbol
+    return value, unit
+
+
+def _stated(lines: list[str], dimension: Dimension) -> list[str]:
+    forms = "|".join(re.escape(one) for one in sorted(_typed_forms(dimension), key=len, reverse=True))
+    quantity = re.compile(rf"(?<![\w.]){_NUMBER}\s*({forms})(?![\w/])")
+    return [plain_symbol(found) for line in lines for found in quantity.findall(line)]
+
+
 def suffixes(dimension: str) -> dict[str, Unit]:
     """Return the units of a dimension by the ending of a CSV column's name: {"mm": ..., "um_per_m": ...}."""
     return {_suffix(unit.symbol): unit for unit in DIMENSIONS[dimension].units}

@@ -7,10 +7,28 @@ import math
 from metrocli.units.parsing import find_unit, internal_unit
 from metrocli.units.table import DIMENSIONS, KILO
 
+NOT_DETERMINED = "not determined"
+"""Stands for a value that is not finite, or whose standard uncertainty is not"""
+_LADDERS = {
+    "mm": ("length", ("mm", "um", "nm")),
+    "rad": ("angle", ("rad", "mrad", "urad")),
+    "mm/s": ("speed", ("mm/s", "um/min", "um/h")),
+    "1/s": ("rate", ("1/s", "1/h", "ppm/h")),
+    "1/K": ("expansion", ("1/K", "ppm/K")),
+}
+"""Units of columns by their internal unit: its dimension, and the units that differ by powers of ten or of time"""
+_SMALL = 0.1
+"""A column whose largest number is smaller is shown in a smaller unit"""
+
 
 def rounded(value: float, std: float) -> tuple[str, str]:
-    """Return value and standard uncertainty as text, both rounded to two digits of the uncertainty (GUM 7.2.6)."""
-    if not (math.isfinite(value) and math.isfinite(std)) or std <= 0:
+    """Return value and standard uncertainty as text, both rounded to two digits of the uncertainty (GUM 7.2.6).
+
+    Both are "not determined" if one of them is not finite.
+    """
+    if not (math.isfinite(value) and math.isfinite(std)):
+        return NOT_DETERMINED, NOT_DETERMINED
+    if std <= 0:
         return f"{value:.10g}", "0" if std == 0 else f"{std:.2g}"
     digits = 1 - math.floor(math.log10(float(f"{std:.1e}")))
     if not -6 <= digits <= 12:
@@ -25,31 +43,62 @@ def _significant(value: float, std: float) -> int:
     return 1 if value == 0 else math.floor(math.log10(abs(value))) - math.floor(math.log10(std)) + 1
 
 
+def with_std(value: float, std: float) -> str:
+    """Return a value and its standard uncertainty as "12.3457 ± 0.0012", or "not determined"."""
+    number, spread = rounded(value, std)
+    return number if number == NOT_DETERMINED else f"{number} ± {spread}"
+
+
 def format_quantity(value: float, unit: str, std: float | None = None) -> str:
     """Return a value as text: "12.3457 ± 0.0012 mm", with two digits of the standard uncertainty."""
     unit = "" if unit in ("", "1") else f" {unit}"
-    if std is None:
-        return f"{value:.6g}{unit}"
-    number, spread = rounded(value, std)
-    return f"{number} ± {spread}{unit}"
+    if not math.isfinite(value):
+        return NOT_DETERMINED
+    shown = f"{value:.6g}" if std is None else with_std(value, std)
+    return shown if shown == NOT_DETERMINED else f"{shown}{unit}"
 
 
 def readable(value: float, dimension: str) -> tuple[float, str]:
     """Return a value and the unit of its dimension in which the number is nearest to 3 on a logarithmic scale."""
     if not dimension or value == 0 or not math.isfinite(value):
         return value, internal_unit(dimension) if dimension else ""
-    found = [(unit.outside(value), unit.symbol) for unit in DIMENSIONS[dimension].units if not unit.offset]
+    return _nearest_to_3(
+        value, dimension, tuple(unit.symbol for unit in DIMENSIONS[dimension].units if not unit.offset)
+    )
+
+
+def _nearest_to_3(value: float, dimension: str, symbols: tuple[str, ...]) -> tuple[float, str]:
+    found = [(find_unit(symbol, dimension).outside(value), symbol) for symbol in symbols]
     return min(found, key=lambda one: abs(math.log10(abs(one[0])) - 0.5))
+
+
+def column_unit(largest: float, unit: str) -> tuple[float, str]:
+    """Return the unit for a column whose largest number in an internal unit is this, and its size in internal units.
+
+    It is the internal unit unless all numbers in it are small: lengths below 0.1 mm are shown in um or nm.
+    """
+    if unit not in _LADDERS or not 0 < abs(largest) < _SMALL:
+        return 1.0, unit
+    dimension, symbols = _LADDERS[unit]
+    symbol = _nearest_to_3(largest, dimension, symbols)[1]
+    return find_unit(symbol, dimension).inside(1.0), symbol
 
 
 def two_digits(value: float) -> str:
     """Return a number to two digits, for sentences: "0.21", "100"."""
-    return f"{float(f'{value:.2g}'):g}"
+    return f"{float(f'{value:.2g}'):g}" if math.isfinite(value) else NOT_DETERMINED
+
+
+def sized(value: float, dimension: str) -> str:
+    """Return a quantity to two digits in the unit that suits its size, for sentences: "0.21 um"."""
+    size, symbol = readable(value, dimension)
+    return f"{two_digits(size)} {symbol}".strip() if math.isfinite(size) else NOT_DETERMINED
 
 
 def roughly(value: float, unit: str) -> str:
     """Return a length (mm) to two digits in another unit, for sentences: "0.21 um"."""
-    return f"{two_digits(find_unit(unit, 'length').outside(value))} {unit}"
+    number = two_digits(find_unit(unit, "length").outside(value))
+    return number if number == NOT_DETERMINED else f"{number} {unit}"
 
 
 def as_slope(angle: float) -> tuple[float, str]:

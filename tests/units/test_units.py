@@ -83,7 +83,7 @@ def test_any_text_is_read_or_refused(text: str, dimension: str) -> None:
     [
         (12.345678, 0.00123, ("12.3457", "0.0012")), (0.0999, 0.0996, ("0.10", "0.10")), (123456.0, 7000.0, ("123500", "7000")),
         (3.0, 0.0, ("3", "0")), (1e-8, 2e-9, ("0.0000000100", "0.0000000020")), (-0.5, 0.25, ("-0.50", "0.25")),
-        (1.0, float("nan"), ("1", "nan")), (1.0, float("inf"), ("1", "inf")),
+        (1.0, float("nan"), ("not determined",) * 2), (1.0, float("inf"), ("not determined",) * 2),
     ],
 )  # fmt: skip
 def test_two_digits_of_the_uncertainty_are_shown(value: float, std: float, shown: tuple[str, str]) -> None:
@@ -104,3 +104,28 @@ def test_column_endings() -> None:
 @pytest.mark.parametrize(("value", "text"), [(0.2149, "0.21"), (99.7, "100"), (1230.0, "1200"), (3e-7, "3e-07")])
 def test_two_digits_are_no_power_of_ten_where_a_plain_number_will_do(value: float, text: str) -> None:
     assert units.two_digits(value) == text
+
+
+def test_sizes_for_sentences() -> None:
+    assert units.sized(2.14e-4, "length") == "0.21 um"
+    assert units.sized(5.04e-6, "length") == "5 nm"
+    assert (
+        units.sized(math.inf, "length")
+        == units.roughly(math.inf, "um")
+        == units.two_digits(math.nan)
+        == "not determined"
+    )
+
+
+def test_columns_of_small_numbers_are_in_a_smaller_unit() -> None:
+    assert units.column_unit(1354.0, "mm") == (1.0, "mm")
+    assert units.column_unit(0.00025, "mm") == (0.001, "um")
+    assert units.column_unit(2e-6, "rad") == (pytest.approx(1e-6), "urad")
+    assert units.column_unit(2e-6, "px") == (1.0, "px")
+    assert units.column_unit(0.0, "mm") == (1.0, "mm")
+
+
+def test_a_value_in_the_unit_of_a_condition() -> None:
+    assert units.as_stated(9.25e-5, "mm", "< 100 nm") == (pytest.approx(92.5), "nm")
+    assert units.as_stated(2e-7, "1", "<= 1 um/m") == (pytest.approx(0.2), "um/m")
+    assert units.as_stated(1.2, "1", "< 1.5") == (1.2, "1")

@@ -153,6 +153,47 @@ def priors(block: Block, sigma: Array, free: Mask) -> list[Group]:
 
 
 @dataclass(frozen=True)
+class ReadMembers:
+    """The forward model of a joint prior of several members: one column of a block, read as one vector."""
+
+    block: str
+    reference: Array
+    """(members, size)"""
+    column: int
+    takes = None
+    gives = Quantity.PARAMETERS
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """The block that it reads."""
+        return (self.block,)
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the differences of the members (m, 1) and their derivatives by each, (m, m, size, 1)."""
+        chosen = local.index(self.block)
+        m, size = len(chosen), self.reference.shape[1]
+        by_member = np.zeros((m, m, size, 1))
+        by_member[np.arange(m), np.arange(m), self.column] = 1.0
+        difference = (local.members(self.block) - self.reference)[chosen[:, 0], self.column]
+        return Step(difference[:, None], by_block={self.block: by_member})
+
+
+def prior_of_members(block: Block, column: int, covariance: Array) -> Group:
+    """Return the joint prior of one column of all members: their present values with a covariance (members, members).
+
+    The block has no constraint between its columns (Space.FLAT).
+    """
+    observations = Observations(
+        readings=np.zeros((len(covariance), 1)),
+        sigma=np.ones(1),
+        index={block.name: np.arange(len(covariance), dtype=np.intp)[:, None]},
+        covariance=np.asarray(covariance, dtype=float)[:, :, None],
+        components=block.members,
+    )
+    return Group(f"prior of {block.name}", Chain((ReadMembers(block.name, block.values, column),)), observations)
+
+
+@dataclass(frozen=True)
 class ReadBlocks:
     """The forward model of a joint prior: several blocks read as one vector."""
 

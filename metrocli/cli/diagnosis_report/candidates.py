@@ -43,7 +43,7 @@ def _line(adjusted: AdjustedJob, name: str, word: str, found: Sequence[Candidate
     sizes = [one.detectable for one in found if one.testable]
     why = ""
     if word == status.Status.NOT_TESTABLE:
-        size = _size(found[0].plausible, effect.parameters[0].dimension)
+        size = units.sized(found[0].plausible, effect.parameters[0].dimension)
         why = f"absorbed by {', '.join(found[0].absorbed_by)}; off by this if its size is {size}"
     seen = {status.usual_seen(one) for one in found}
     usual = f"{effect.usual}: {_SEEN[seen.pop() if len(seen) == 1 else 'part']}" if effect.usual else ""
@@ -63,22 +63,17 @@ def _of_readings(adjusted: AdjustedJob, wrong: WrongReading, open_yet: bool) -> 
     name = wrong.effect.name
     if not wrong.testable:
         return name, "one reading", str(status.Status.NOT_TESTABLE), "", "", status.UNCHECKED
-    size = _size(wrong.detectable, wrong.effect.parameters[0].dimension)
+    size = units.sized(wrong.detectable, wrong.effect.parameters[0].dimension)
     word = f"detectable from {size}" if open_yet else f"{status.Status.EXCLUDED} above {size}"
     return name, "one reading", word, "", _hidden(adjusted, wrong.hides), "larger ones are listed as wrong readings"
 
 
 def _hidden(adjusted: AdjustedJob, hidden: HiddenChange) -> str:
     place = f" at {hidden.member}" if hidden.member else ""
-    return f"{_size(hidden.size, adjusted.delivered.dimension)}{place}"
+    return f"{units.sized(hidden.size, adjusted.delivered.dimension)}{place}"
 
 
 def _span(least: float, most: float, dimension: str) -> str:
     low, unit = units.readable(least, dimension)
     both = dict.fromkeys(units.two_digits(size) for size in (low, low * most / least))
     return f"{' to '.join(both)} {unit}".strip()
-
-
-def _size(value: float, dimension: str) -> str:
-    size, symbol = units.readable(value, dimension)
-    return f"{units.two_digits(size)} {symbol}".strip()

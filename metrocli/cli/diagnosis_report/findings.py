@@ -73,7 +73,11 @@ def of_design(adjusted: AdjustedJob, design: Design) -> str:
     lines += candidate_lines(adjusted, design, None)
     alike = [
         f"  {pair.one} and {pair.other}: "
-        + ("indistinguishable" if pair.alias else f"distinguished from {_size(pair.separable, pair.dimension)} on")
+        + (
+            "indistinguishable"
+            if pair.alias
+            else f"distinguished from {units.sized(pair.separable, pair.dimension)} on"
+        )
         for pair in design.pairs
     ]
     return "\n".join([*lines, *(["", "hard to distinguish:", *alike] if alike else [])])
@@ -114,7 +118,7 @@ def _structure(diagnosis: Diagnosis) -> Iterator[str]:
         yield f"structure left: none beyond noise ({_chance(diagnosis.after)} for the strongest)"
         return
     where = f" in the readings of {', '.join(left.where)}" if left.where else ""
-    size = f", {_size(left.size, diagnosis.job.reading[1])} (root mean square)" if left.size else ""
+    size = f", {units.sized(left.size, diagnosis.job.reading[1])} (root mean square)" if left.size else ""
     yield f"structure left: {_chance(left.p_value)}, varies with {' and '.join(left.depends_on)}{where}{size}"
     yield "  No known effect explains it. The standard uncertainties of the result do not include it."
 
@@ -177,7 +181,7 @@ def _row_of_scatter(one: Scatter, adjusted: AdjustedJob) -> tuple[str, ...]:
         "",
         _reduction(one.gain),
         _score(one.gain),
-        _size(one.shift, adjusted.delivered.dimension),
+        units.sized(one.shift, adjusted.delivered.dimension),
     )
 
 
@@ -197,7 +201,7 @@ def _row(finding: Finding, adjusted: AdjustedJob) -> tuple[str, ...]:
         ", ".join(others[:_SHOWN]) + (f" and {len(others) - _SHOWN} more" if len(others) > _SHOWN else ""),
         _reduction(gain),
         _score(gain),
-        _size(finding.shift, adjusted.delivered.dimension),
+        units.sized(finding.shift, adjusted.delivered.dimension),
     )
 
 
@@ -213,7 +217,8 @@ def _error(size: float, adjusted: AdjustedJob) -> str:
 
 
 def _score(gain: Gain) -> str:
-    return f"{gain.log_score:+.1f} ± {gain.log_score_std:.1f}"
+    spread = f"± {gain.log_score_std:.1f}" if np.isfinite(gain.log_score_std) else f"({units.NOT_DETERMINED})"
+    return f"{gain.log_score:+.1f} {spread}"
 
 
 def _parameters(finding: Finding) -> Iterator[str]:
@@ -232,8 +237,3 @@ def _parameter(size: Size) -> str:
 
 def _chance(p: float) -> str:
     return "p < 1e-12" if p < _LEAST_P else f"p = {p:.2g}"
-
-
-def _size(value: float, dimension: str) -> str:
-    size, symbol = units.readable(value, dimension)
-    return f"{units.two_digits(size)} {symbol}".strip()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -44,8 +45,9 @@ def machine_warnings(solved: Solved, settings: Settings) -> list[str]:
             f"the error of tool {listed(identified.open_tools)} cannot be predicted: it depends on undetermined errors"
         )
     if identified.ratio > WEAK:
+        size = f"{identified.ratio:.0f}" if math.isfinite(identified.ratio) else "any number of"
         lines.append(
-            f"in the worst case the error in the volume is {identified.ratio:.0f} times the misfit of the readings: "
+            f"in the worst case the error in the volume is {size} times the misfit of the readings: "
             "a good fit does not ensure a small error (`metrocli plan` proposes a measurement with a ratio of 4)"
         )
     rows, tests = solved.suspects.rows.tolist(), solved.suspects.tests.tolist()
@@ -62,7 +64,7 @@ def identifiability_notes(identified: Identifiability) -> list[str]:
     lines = [
         "",
         f"rank {identified.rank} of {identified.unknowns} unknowns; "
-        f"worst ratio of volume error to misfit {identified.ratio:.1f}",
+        f"worst ratio of volume error to misfit {_ratio(identified)}",
     ]
     for name in identified.undetermined:
         partners = identified.partners[name]
@@ -70,6 +72,10 @@ def identifiability_notes(identified: Identifiability) -> list[str]:
     if not identified.undetermined:
         lines.append("  every error is determined")
     return lines
+
+
+def _ratio(identified: Identifiability) -> str:
+    return f"{identified.ratio:.1f}" if math.isfinite(identified.ratio) else units.NOT_DETERMINED
 
 
 def uncontrolled(solved: Solved, tables: Tables) -> Table:

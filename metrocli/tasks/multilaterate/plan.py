@@ -26,7 +26,7 @@ from metrocli.tasks.multilaterate.distance import between_two, factors
 from metrocli.tasks.multilaterate.layout import Layout, root_mean_square, worst_direction
 from metrocli.tasks.multilaterate.reliability import UNITS, reliability
 from metrocli.tasks.multilaterate.tracer_candidates import Ranking, ranked
-from metrocli.tasks.multilaterate.uncontrolled import uncontrolled
+from metrocli.tasks.multilaterate.uncontrolled import scale_warnings, uncontrolled
 from metrocli.tasks.shared.uncontrolled import in_words
 from metrocli.units import roughly
 
@@ -58,7 +58,11 @@ def planned(layout: Layout, candidates: Table | None) -> Plan:
         (*_quality(layout), *_of_lengths(layout, lengths), *_best(ranking), *in_words(hidden), "", _HEAD),
         (*_tracers(layout.solution), *_lines(layout), *estimates(layout.network.effects, layout.solution)),
         tables,
-        warnings=(*layout.network.warnings, *layout_faults.warnings(layout.network, layout.solution)),
+        warnings=(
+            *layout.network.warnings,
+            *scale_warnings(layout.network, layout.solution),
+            *layout_faults.warnings(layout.network, layout.solution),
+        ),
     )
 
 

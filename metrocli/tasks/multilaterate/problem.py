@@ -11,7 +11,7 @@ import numpy as np
 from metrocli.adjust.iterated_weights import Aspect, Noise
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.chain import Chain
-from metrocli.adjust.model.groups import Group, prior, priors
+from metrocli.adjust.model.groups import Group, prior, prior_of_members, priors
 from metrocli.adjust.model.observations import Index, Mask, Observations
 from metrocli.effects.model import Model, Place
 from metrocli.effects.modelled import Modelled
@@ -20,7 +20,7 @@ from metrocli.instruments import tracer as t
 from metrocli.instruments.frames import DistanceBetween
 from metrocli.table import Table
 from metrocli.tasks.multilaterate.readings import Readings, join, matched
-from metrocli.tasks.multilaterate.settings import LengthNoise, Settings
+from metrocli.tasks.multilaterate.settings import LengthNoise, Scale, Settings
 from metrocli.tasks.multilaterate.start import places_of
 from metrocli.words import listed
 
@@ -41,6 +41,8 @@ class Network(Modelled):
     said: Array = field(default_factory=lambda: np.zeros((0, 3)))
     """Listed places of the tracers, (tracers, 3), nan if not listed"""
     warnings: tuple[str, ...] = ()
+    scale: Scale | None = None
+    """Prior knowledge of the tracers' scales, if they are estimated"""
 
     @property
     def lengths(self) -> Group:
@@ -128,7 +130,7 @@ def network_of(
         "point": Place(point_block.members, t.POINT),
     }
     model = Model(blocks, (group, *others), datum, (LENGTHS,), acting, t.ASPECTS)
-    return Network(model, noise, readings.nominal, absolute, readings.said, _unused(readings))
+    return Network(model, noise, readings.nominal, absolute, readings.said, _unused(readings), settings.scale)
 
 
 def _unused(readings: Readings) -> tuple[str, ...]:
@@ -147,10 +149,13 @@ def _tracers(settings: Settings, readings: Readings, places: Array) -> Block:
 
 
 def _scales(settings: Settings, block: Block) -> list[Group]:
+    """Return the prior of the scales, with the covariance `u^2 I + c^2 1 1'` if they share an error c."""
     if settings.scale is None:
         return []
-    members = np.arange(len(block.members))
-    return [prior(block, members, np.full((len(members), 1), settings.scale.uncertainty), columns=(4,))]
+    own, common, m = settings.scale.uncertainty, settings.scale.common, len(block.members)
+    if common:
+        return [prior_of_members(block, 4, own**2 * np.eye(m) + common**2)]
+    return [prior(block, np.arange(m), np.full((m, 1), own), columns=(4,))]
 
 
 def _distances(table: Table | None, names: Sequence[str], seen: Index) -> list[Group]:

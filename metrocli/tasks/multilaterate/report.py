@@ -12,7 +12,7 @@ from metrocli.adjust.solution import Solution
 from metrocli.effects.estimates import estimates, free_blocks
 from metrocli.effects.estimates import tables as effect_results
 from metrocli.instruments import tracer as t
-from metrocli.result import Estimate, Result, ShownTable
+from metrocli.result import SCALE, Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.multilaterate import KIND, layout_faults
 from metrocli.tasks.multilaterate.blunders import Reason
@@ -22,7 +22,7 @@ from metrocli.tasks.multilaterate.reliability import UNITS as RELIABILITY_UNITS
 from metrocli.tasks.multilaterate.reliability import reliability
 from metrocli.tasks.multilaterate.settings import Correction
 from metrocli.tasks.multilaterate.solve import Solved
-from metrocli.tasks.multilaterate.uncontrolled import uncontrolled
+from metrocli.tasks.multilaterate.uncontrolled import scale_warnings, uncontrolled
 from metrocli.tasks.shared.statistics import REMOVE, basic_statistics, noise_notes, noise_warnings
 from metrocli.tasks.shared.uncontrolled import in_words
 from metrocli.words import listed
@@ -30,7 +30,7 @@ from metrocli.words import listed
 if TYPE_CHECKING:
     from metrocli.table import Values
 
-_UNITS = ("mm", "mm", "mm", "mm", "1")
+_UNITS = (("mm",), ("mm",), ("mm",), ("mm",), ("1", SCALE))
 _ELSEWHERE = 0.5
 """Warn if a tracer is farther from its listed place than this share of its distance from the points"""
 
@@ -87,7 +87,7 @@ def _shown(solved: Solved) -> Iterator[ShownTable]:
 def _tracer_estimates(solution: Solution) -> tuple[Estimate, ...]:
     block, std = solution.blocks[t.TRACER], solution.std(t.TRACER)
     return tuple(
-        Estimate(f"{block.members[i]}.{block.columns[k]}", float(block.values[i, k]), float(std[i, k]), _UNITS[k])
+        Estimate(f"{block.members[i]}.{block.columns[k]}", float(block.values[i, k]), float(std[i, k]), *_UNITS[k])
         for i, k in zip(*np.nonzero(block.free), strict=True)
     )
 
@@ -187,6 +187,7 @@ def _warnings(solved: Solved) -> list[str]:
     if gone:
         lines.append(f"{len(gone)} points are left out, since too few of their lengths remain: {listed(gone)}")
     lines += [*wrong_entries(solved.network, solved.solution), *_elsewhere(solved)]
+    lines += scale_warnings(solved.network, solved.solution)
     return lines + layout_faults.warnings(solved.network, solved.solution)
 
 

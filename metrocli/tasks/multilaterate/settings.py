@@ -83,7 +83,12 @@ class Scale:
     """Prior knowledge of the tracers' scales."""
 
     uncertainty: float = setting(
-        Quantity("ratio", positive=True), "standard uncertainty of each tracer's scale about 1 (eq. 4)"
+        Quantity("ratio", positive=True), "standard uncertainty of each tracer's scale about 1 (eq. 4), its own part"
+    )
+    common: float | None = setting(
+        Quantity("ratio", minimum=0.0),
+        "standard uncertainty of the error that all scales share, as of one weather station; 0 if there is none",
+        default=None,
     )
 
 

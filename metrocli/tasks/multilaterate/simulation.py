@@ -33,7 +33,8 @@ def simulated(
     """Return lengths from tracers at their listed places to the true points, with effects and noise.
 
     The list of points holds the mover's readings; the true points differ from them by the mover's error.
-    Interferometers are set to zero at the first point. The errors of the scales are drawn from their uncertainty.
+    Interferometers are set to zero at the first point. The errors of the scales are drawn from their uncertainty,
+    and so is the error that they share.
     """
     nominal, places = planned.points.stacked("xyz"), planned.tracers.stacked("xyz")
     if len(nominal) == 0 or len(places) == 0:
@@ -44,6 +45,8 @@ def simulated(
     distance = np.linalg.norm(actual[:, None] - places, axis=2)
     spread = 0.0 if settings.scale is None else settings.scale.uncertainty
     scale = 1 + rng.normal(0.0, 1.0, len(places)) * spread
+    if settings.scale is not None and settings.scale.common:
+        scale += rng.normal() * settings.scale.common
     dead = np.zeros(len(places)) if settings.measures == "absolute" else scale * distance[0]
     stations = np.column_stack([places, dead, scale])
     design = planned.design(truth)

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from metrocli import units
+from metrocli.adjust.solution import Solution
 from metrocli.instruments import tracer as t
 from metrocli.table import Table
 from metrocli.tasks.multilaterate.problem import DISTANCES, Network
@@ -19,6 +20,26 @@ def uncontrolled(network: Network) -> Table:
     The error in `hides` is that of the plausible cause in `assumed`, and is proportional to it.
     """
     return table_of(_rows(network) if network.unknown[network.seen > 0].any() else ())
+
+
+def scale_warnings(network: Network, solution: Solution) -> Iterator[str]:
+    """Yield a warning if only the number of tracers makes the scale of the network better than that of one tracer.
+
+    The mean of m independent scales has the standard uncertainty `sqrt(1' Q 1) / m`, Q the covariance of the scales. It
+    falls with the root of m, while an error that all tracers share, as that of one weather station, does not.
+    """
+    scale, block = network.scale, network.blocks[t.TRACER]
+    if scale is None or scale.common is not None or len(block.members) < 2 or _scaled(network):
+        return
+    scales = solution.covariance_or_raise().of(t.TRACER)[4 :: block.size, 4 :: block.size]
+    mean = float(np.sqrt(max(scales.mean(), 0.0)))
+    if mean < scale.uncertainty:
+        one, all_together = units.sized(scale.uncertainty, "ratio"), units.sized(mean, "ratio")
+        yield (
+            f"{len(block.members)} independent scales of {one} make the scale of the network {all_together}; "
+            f"if they share a source, such as one weather station, write `scale: {{uncertainty: OWN, common: {one}}}`; "
+            "if not, `common: 0 ppm`"
+        )
 
 
 def _rows(network: Network) -> Iterator[Hidden]:

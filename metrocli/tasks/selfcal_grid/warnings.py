@@ -20,7 +20,7 @@ def warnings(solved: Solved, found: Open, std: Array, left_out: Sequence[LeftOut
         open_share = float((~np.isfinite(std)).mean())
         lines += found.sentences()[1:]
         lines.append(
-            f"{open_share:.0%} of the machine error's components are not determined (standard uncertainty inf). Their "
+            f"{open_share:.0%} of the machine error's components are not determined. Their "
             "values are those with the least sum of squares of machine and artefact error. The datum is over the "
             "other components. The smooth form and length errors are not given"
         )
