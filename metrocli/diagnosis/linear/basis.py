@@ -51,10 +51,15 @@ class Basis:
         ends = np.concatenate([[0], np.cumsum(there * q)])
         return csr_matrix((self.local[there].ravel(), columns, ends), shape=(rows, self.members * q))
 
+    @cached_property
+    def _turned(self) -> csr_matrix:
+        """The local columns transposed, (members*q, rows)."""
+        return self._sparse.T.tocsr()
+
     def coordinates(self, values: Array) -> Array:
         """Return `b' values`, (columns, ...), of values (rows, ...)."""
         flat = _flat(values)
-        found = np.concatenate([self._sparse.T @ flat, self.shared.T @ flat])
+        found = np.concatenate([self._turned @ flat, self.shared.T @ flat])
         return np.asarray(found.reshape(len(found), *values.shape[1:]))
 
     def combined(self, coordinates: Array) -> Array:

@@ -5,13 +5,14 @@ Method: docs/algorithms/selection-and-levels.md.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import product
+from itertools import chain, product
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.linear.projection import System
 from metrocli.diagnosis.linear.signatures import scan
@@ -20,6 +21,8 @@ from metrocli.effects.extension import can_act, lacking, names_for, places_of
 from metrocli.effects.model import Model
 
 _MOST_PLACES = 3000
+_AT_ONCE = 64
+"""Columns that are projected at once"""
 
 
 @dataclass(frozen=True)
@@ -211,13 +214,10 @@ def thinned(values: Array, most: int) -> Array:
 def _columns(job: AdjustedJob, system: System, effect: Effect, places: Sequence[tuple[str, ...]]) -> Iterator[_Columns]:
     """Yield for each place and scan the columns of its parameters."""
     scans = [dict(one) for one in _scans(job.model, effect)]
-    for scanned, (full, block, chosen) in zip(
-        scans, scan(job.model, system, effect, places, scans) if scans else (), strict=True
-    ):
-        if not chosen.any():
-            continue
+    found = zip(scans, scan(job.model, system, effect, places, scans) if scans else (), strict=True)
+    for scanned, full, block, chosen, seen, inside in _split(system, found):
         member, column = np.nonzero(chosen)
-        before, (seen, inside) = job.model.blocks.get(block.name), system.split(full)
+        before = job.model.blocks.get(block.name)
         for number, place in enumerate(places):
             own = member == (number + 1 if len(block.members) > 1 and before is None else _row(block.members, place))
             if not own.any():
@@ -228,6 +228,24 @@ def _columns(job: AdjustedJob, system: System, effect: Effect, places: Sequence[
                 named = _scanned_places(job.model, effect, scanned)
                 alternative = Alternative(effect, place, tuple(scanned.items()), names, named)
                 yield _Columns(alternative, seen[:, own], np.linalg.norm(full[:, own], axis=0), inside[:, own])
+
+
+def _split(
+    system: System, found: Iterable[tuple[dict[str, float], tuple[Array, Block, Mask]]]
+) -> Iterator[tuple[dict[str, float], Array, Block, Mask, Array, Array]]:
+    """Yield columns with their visible part and the coordinates of the rest, projected many at a time."""
+    held: list[tuple[dict[str, float], tuple[Array, Block, Mask]]] = []
+    for one in chain(found, [None]):
+        if one is not None and one[1][2].any():
+            held.append(one)
+        if held and (one is None or sum(full.shape[1] for _, (full, _, _) in held) >= _AT_ONCE):
+            seen, inside = system.split(np.concatenate([full for _, (full, _, _) in held], axis=1))
+            place = 0
+            for scanned, (full, block, chosen) in held:
+                own = slice(place, place + full.shape[1])
+                place = own.stop
+                yield scanned, full, block, chosen, seen[:, own], inside[:, own]
+            held = []
 
 
 def _scanned_places(model: Model, effect: Effect, scanned: Mapping[str, float]) -> tuple[tuple[str, str], ...]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import product
+from math import comb
 
 import numpy as np
 
@@ -26,6 +27,8 @@ _SHOWS = 0.02
 """Smallest share of a smooth function that must be visible beside the unknowns"""
 _NONE = np.zeros((0, 0, 0))
 """What the unknowns absorb of smooth functions is not needed"""
+_MOST_OF_UNITS, _LEAST_DEGREE = 2000, 2
+"""Most terms of one covariate for all units together, and the degree that is kept in any case"""
 _FEWEST_FOR = 4
 """Least number of readings per term for which a unit gets its own terms"""
 
@@ -52,7 +55,8 @@ def _of(job: AdjustedJob, system: System, covariate: Covariate) -> Iterator[Fami
         for where, mask in _parts(job, group):
             if not mask.any():
                 continue
-            terms = (harmonics if covariate.angle else polynomials)(np.atleast_2d(values)[:, mask], covariate.degree)
+            degree = _degree(job, group, covariate) if where else covariate.degree
+            terms = (harmonics if covariate.angle else polynomials)(np.atleast_2d(values)[:, mask], degree)
             if mask.sum() < _FEWEST_FOR * terms.shape[1]:
                 continue
             full = np.zeros((group.observations.count, terms.shape[1]))
@@ -65,6 +69,20 @@ def _of(job: AdjustedJob, system: System, covariate: Covariate) -> Iterator[Fami
         seen = np.stack([visible_directions(system, columns) for _, columns in items], axis=1)
         raw = np.ones(seen.shape[1:])
         yield Family(f"smooth in {covariate.name}", tuple(a for a, _ in items), seen, raw, _NONE, covariate.name)
+
+
+def _degree(job: AdjustedJob, group: Group, covariate: Covariate) -> int:
+    """Return the degree of the functions of single units: lower where there are many units, so that all can be held."""
+    units = sum(len(job.model.places[key].names) for key in job.units) * len(group.observations.components)
+    coordinates = len(np.atleast_2d(covariate.values[group.name]))
+    degree = covariate.degree
+    while degree > _LEAST_DEGREE and units * _terms(coordinates, degree, covariate.angle) > _MOST_OF_UNITS:
+        degree -= 1
+    return degree
+
+
+def _terms(coordinates: int, degree: int, angle: bool) -> int:
+    return 2 * degree if angle else comb(coordinates + degree, degree) - 1
 
 
 def visible_directions(system: System, columns: Array) -> Array:
