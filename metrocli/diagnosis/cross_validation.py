@@ -15,6 +15,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Budget
+from metrocli.diagnosis.linear.basis import Basis
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns, nothing_fitted
 from metrocli.diagnosis.linear.score_tests import ScoreTests
 from metrocli.diagnosis.linear.without_rows import without_rows
@@ -102,10 +103,15 @@ def _trained(test_set: ScoreTests, out: Index) -> Selection:
 
     Rows that hold only some readings of a local member are taken out by unknowns of their own.
     """
-    if test_set.system.basis.members and test_set.system.basis.holds_whole_members(out):
+    if _by_members(test_set.system.basis, out):
         fewer = without_rows(test_set, out)
         return search(fewer, nothing_fitted(fewer.system))
     return search(test_set, fitted_without(test_set, out))
+
+
+def _by_members(basis: Basis, out: Index) -> bool:
+    """Return whether some rows hold all rows of their local members, and are more than the shared unknowns."""
+    return basis.members > 0 and basis.shared.shape[1] < len(out) and basis.holds_whole_members(out)
 
 
 def _rows_of_folds(job: AdjustedJob, test_set: ScoreTests) -> Index:
@@ -196,7 +202,7 @@ def _spectrum(test_set: ScoreTests, fitted: FittedColumns, out: Index) -> _Spect
     the columns s of the shared unknowns lie in its range. Then only s has eigenvalues other than 0 and 1.
     """
     basis = test_set.system.basis
-    if not basis.members or not basis.holds_whole_members(out):
+    if not _by_members(basis, out):
         taken = np.concatenate([basis.rows(out), fitted.basis[out]], axis=1)
         values, vectors = np.linalg.eigh(np.eye(len(out)) - taken @ taken.T)
         return _Spectrum(values, vectors, 0, np.ones(len(out)))
