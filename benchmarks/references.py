@@ -16,7 +16,8 @@ from metrocli.formats import csv
 from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera import task as calibrate_camera
-from metrocli.tasks.calibrate_camera.settings import SCALE_BARS, Camera, Inputs, Settings
+from metrocli.tasks.calibrate_camera.settings import SCALE_BARS, Camera, Files, Inputs, Settings
+from metrocli.tasks.job import Job
 from metrocli.tasks.shared.images.sightings import OBSERVATIONS
 from metrocli.tasks.shared.images.target_list import TARGETS
 
@@ -89,8 +90,8 @@ def _beside(result: Result, theirs: dict[str, Any], held: float) -> str:
     )
 
 
-def adjusted_network() -> tuple[Result, float]:
-    """Return the network of 115 images, adjusted, and the CPU seconds that it took."""
+def network_job() -> Job[Settings, Files]:
+    """Return the network of 115 images."""
     folder = DATA / "aicon-network"
     g = 1 - PUBLISHED["A1"][0] * R0**2 - PUBLISHED["A2"][0] * R0**4
     camera = Camera(
@@ -101,8 +102,14 @@ def adjusted_network() -> tuple[Result, float]:
     )
     columns = {"observations": OBSERVATIONS, "targets": TARGETS, "scale_bars": SCALE_BARS}
     tables = {name: csv.read(folder / f"{name}.csv", wanted) for name, wanted in columns.items()}
+    return calibrate_camera.TASK.job(settings, **tables)
+
+
+def adjusted_network() -> tuple[Result, float]:
+    """Return the network of 115 images, adjusted, and the CPU seconds that it took."""
+    job = network_job()
     before = time.process_time()
-    result = calibrate_camera.run(calibrate_camera.TASK.job(settings, **tables))
+    result = calibrate_camera.run(job)
     return result, time.process_time() - before
 
 

@@ -112,6 +112,8 @@ class AdjustedJob:
     """Cause and place of the effects that were adjusted to reach the present values of its unknowns"""
     standing: tuple[Standing, ...] = ()
     """Those of them that are in its model at a fixed size; the search treats the residuals as if they were not"""
+    sharing: int = 0
+    """Number of parts (images) whose readings may share errors with `noise: structured`; 0 if the kind has no such"""
     patient: bool = False
     """Whether the search goes on beside dominant effects that were not adjusted"""
     not_sought: Mapping[str, str] = field(default_factory=dict)

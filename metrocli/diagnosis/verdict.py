@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from metrocli import units
+from metrocli.adjust.cluster_robust import FEWEST, STRUCTURED
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.cross_validation import Gain
 from metrocli.diagnosis.detectability import Candidate, Design, WrongReading
@@ -223,6 +224,13 @@ def scatter_as_job(one: Scatter) -> Mapping[str, str]:
     """Return the entry of an effect at all places of a kind in a job."""
     effect = one.found.effect
     return {"name": effect.name, "std": _written(float(f"{one.found.std:.3g}"), effect.parameters[0].unit)}
+
+
+def proposed_noise(diagnosis: Diagnosis) -> str:
+    """Return the noise that the extended job takes, so that uncertainties include the structure left; else ''."""
+    job = diagnosis.job
+    wanted = diagnosis.left is not None and job.sharing >= FEWEST and job.declared != STRUCTURED
+    return STRUCTURED if wanted else ""
 
 
 def as_job(name: NamedEffect) -> Mapping[str, str]:

@@ -26,8 +26,11 @@ VERSION = 1
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _TEXT = h5py.string_dtype("utf-8")
 _OWN = ("job", "inputs", "parameters", "covariance", "statistics", "requirements", "warnings", "notes", "doubts")
-_DECLARED = "for the declared noise"
-_SCALED = "scaled by sigma0 squared, because the noise was estimated"
+_SCALING = (  # of the covariance, for noise declared, estimated, structured
+    "for the declared noise",
+    "scaled by sigma0 squared, because the noise was estimated",
+    "for the noise estimated from the residuals, and errors that readings share",
+)
 
 
 def write(path: Path, result: Result, record: Record) -> None:
@@ -55,7 +58,7 @@ def _write_all(file: h5py.File, result: Result, record: Record) -> None:
     file["parameters"].attrs["dimensions"] = _texts([estimate.dimension for estimate in result.estimates])
     covariance = file.create_dataset("covariance", data=np.asarray(result.covariance, dtype=float))
     covariance.attrs["of"] = _texts([estimate.name for estimate in result.estimates])
-    covariance.attrs["scaling"] = _SCALED if result.statistics.get("noise_estimated") else _DECLARED
+    covariance.attrs["scaling"] = _SCALING[len({"noise_estimated", "noise_model"} & set(result.statistics))]
     _write_values(file.create_group("statistics"), result.statistics)
     file.create_group("effects")
     if result.details:

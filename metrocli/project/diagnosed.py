@@ -14,7 +14,7 @@ from metrocli.diagnosis.detectability import Design
 from metrocli.diagnosis.diagnose import LIMIT, diagnose, what_can_be_seen
 from metrocli.diagnosis.findings import Diagnosis
 from metrocli.diagnosis.mistakes import without_mistakes
-from metrocli.diagnosis.verdict import as_job, scatter_as_job
+from metrocli.diagnosis.verdict import as_job, proposed_noise, scatter_as_job
 from metrocli.errors import Fault, InputError, UsageError
 from metrocli.formats.aside import written_aside
 from metrocli.nodes import Node
@@ -25,7 +25,8 @@ from metrocli.project.runner import Progress, simulate
 from metrocli.simulation import SimulationOptions
 
 _NAMED = " with the effects that metrocli diagnose named"
-"""End of the first line of an extended job, by which it is recognised before it is overwritten"""
+_SHARED = " with the noise that metrocli diagnose proposes"
+"""Ends of the first line of an extended job, by which it is recognised before it is overwritten"""
 _DIGEST = "# sha256 of the lines below, by which diagnose sees whether they were edited: "
 """Begin of its second line"""
 
@@ -78,19 +79,21 @@ def _declared(node: Node | None) -> str:
 def write_extended(job: JobFile, diagnosis: Diagnosis, path: Path | None = None, force: bool = False) -> Path | None:
     """Write the job extended by the named effects, by default beside it as `NAME.extended.yaml`; return its path.
 
-    Returns None if no effect was named. Raises InputError if the file there is no extended job or was edited since it
+    If structure is left that no effect explains, its noise is structured, where the kind has that. Returns None if
+    nothing changes. Raises InputError if the file there is no extended job or was edited since it
     was written, unless forced. Parameters that the readings do not determine separately are 0. In another
     folder, the relative paths of the inputs are changed to lead to the same files.
     """
-    if not diagnosis.findings and not diagnosis.scatters:
+    noise = proposed_noise(diagnosis)
+    if not diagnosis.findings and not diagnosis.scatters and not noise:
         return None
     path = path or job.file.with_name(f"{job.file.stem}.extended.yaml")
     named = [*map(scatter_as_job, diagnosis.scatters), *(as_job(one.effect) for one in diagnosis.findings)]
     new = [_node(job, entry) for entry in named]
     if not force:
         _refuse_foreign(path)
-    body = yaml_text.emit(_extended(job, new, path.parent))
-    text = f"# {job.file.name}{_NAMED}\n{_DIGEST}{_digest(body)}\n{body}"
+    body = yaml_text.emit(_extended(job, new, noise, path.parent))
+    text = f"# {job.file.name}{_NAMED if new else _SHARED}\n{_DIGEST}{_digest(body)}\n{body}"
     with written_aside(path) as aside:
         aside.write_text(text, encoding="utf-8")
     return path
@@ -106,7 +109,7 @@ def _refuse_foreign(path: Path) -> None:
         raise InputError(
             [Fault(f"cannot be read: {error.strerror}", str(path), hint="give another --output")]
         ) from error
-    if not first.rstrip().endswith(_NAMED):
+    if not first.rstrip().endswith((_NAMED, _SHARED)):
         raise InputError([Fault("the file exists and is not an extended job", str(path), hint="give another --output")])
     digest, _, body = rest.partition("\n")
     if digest != f"{_DIGEST}{_digest(body)}":
@@ -118,18 +121,21 @@ def _digest(body: str) -> str:
     return hashlib.sha256(body.encode("utf-8")).hexdigest()[:16]
 
 
-def _extended(job: JobFile, effects: Sequence[Node], folder: Path) -> Node:
+def _extended(job: JobFile, effects: Sequence[Node], noise: str, folder: Path) -> Node:
     listed = job.root.get("effects")
     items = [*(listed.items if listed is not None else ()), *effects]
     output = job.output.with_name(f"{job.output.stem}.extended.h5")
     below = replace(job.root, kind="list", text="", entries=(), items=tuple(items))
+    changed: dict[str, Callable[[Node], Node]] = {"inputs": lambda value: _relocated(value, job.folder, folder)}
+    if noise:
+        changed["noise"] = lambda value: _key(job, noise)
     kept = [
-        (key, _relocated(value, job.folder, folder) if key.text == "inputs" else value)
+        (key, changed[key.text](value) if key.text in changed else value)
         for key, value in job.root.entries
         if key.text not in ("effects", "output")
     ]
-    last = (_key(job, "output"), _key(job, _path(output, folder)))
-    return replace(job.root, entries=(*kept, (_key(job, "effects"), below), last))
+    more = [(_key(job, "effects"), below)] if items else []
+    return replace(job.root, entries=(*kept, *more, (_key(job, "output"), _key(job, _path(output, folder)))))
 
 
 def _path(path: Path, folder: Path) -> str:

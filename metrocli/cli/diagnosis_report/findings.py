@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from metrocli import units
+from metrocli.adjust.cluster_robust import FROM_RESIDUALS, STRUCTURED
 from metrocli.cli.diagnosis_report.candidates import candidate_lines
 from metrocli.cli.diagnosis_report.text_table import text_table
 from metrocli.diagnosis.adjusted_job import AdjustedJob
@@ -16,6 +17,7 @@ from metrocli.diagnosis.detectability import Design
 from metrocli.diagnosis.extended_fit import Size
 from metrocli.diagnosis.findings import Diagnosis, Finding, Scatter
 from metrocli.diagnosis.noise import DECLARED_SIGMA
+from metrocli.diagnosis.verdict import proposed_noise
 from metrocli.diagnosis.wrong_readings import Outlier
 
 _SHOWN = 5
@@ -53,16 +55,24 @@ def of_diagnosis(diagnosis: Diagnosis, extended: Path | None) -> str:
             ["The job cannot be adjusted with the named effects; their sizes are one-step (linear) estimates."]
         )
     if extended is not None:
-        parts.append([f"next: run {extended}, the job extended by the named effects, and diagnose it again"])
+        parts.append([f"next: run {extended}, {_extension(diagnosis)}"])
     parts.append(candidate_lines(job, diagnosis.design, [finding.effect for finding in findings]))
     return "\n\n".join("\n".join(lines) for lines in parts)
+
+
+def _extension(diagnosis: Diagnosis) -> str:
+    """Return what an extended job has that the job has not."""
+    if not diagnosis.findings and not diagnosis.scatters:
+        return "the job with `noise: structured`: its uncertainties include the structure left"
+    shared = " and with `noise: structured`" if proposed_noise(diagnosis) else ""
+    return f"the job extended by the named effects{shared}, and diagnose it again"
 
 
 def _headline(diagnosis: Diagnosis) -> str:
     """Return the verdict with what limits it: wrong readings, and noise that is not as declared."""
     noise, count = diagnosis.noise, len(diagnosis.outliers)
     wrong = f", with {count} wrong reading{'s' if count > 1 else ''}" if count else ""
-    if noise.as_declared or diagnosis.job.declared == "estimated":
+    if noise.as_declared or diagnosis.job.declared in FROM_RESIDUALS:
         return f"{diagnosis.verdict}{wrong}"
     return f"{diagnosis.verdict}{wrong}, but the noise is {noise.ratio:.2g} times what was declared"
 
@@ -120,13 +130,15 @@ def _structure(diagnosis: Diagnosis) -> Iterator[str]:
     where = f" in the readings of {', '.join(left.where)}" if left.where else ""
     size = f", {units.sized(left.size, diagnosis.job.reading[1])} (root mean square)" if left.size else ""
     yield f"structure left: {_chance(left.p_value)}, varies with {' and '.join(left.depends_on)}{where}{size}"
-    yield "  No known effect explains it. The standard uncertainties of the result do not include it."
+    include = "include it" if diagnosis.job.declared == STRUCTURED else "do not include it"
+    remedy = "; `noise: structured` includes it" if proposed_noise(diagnosis) else ""
+    yield f"  No known effect explains it. The standard uncertainties of the result {include}{remedy}."
 
 
 def _noise(diagnosis: Diagnosis) -> Iterator[str]:
     noise, declared = diagnosis.noise, diagnosis.job.declared
     interval = f"{noise.ratio:.2f} [{noise.low:.2f}, {noise.high:.2f}]"
-    if declared == "estimated":
+    if declared in FROM_RESIDUALS:
         yield f"noise: {interval} times the noise that the job estimates"
     elif noise.as_declared:
         yield f"noise: as declared ({interval} times {declared})"

@@ -44,4 +44,5 @@ def adjusted_job(problem: Problem, adjusted: Adjusted) -> AdjustedJob:
         ("px", "pixel"),
         fewest=2,
         single_components=True,
+        sharing=len(np.unique(index["view"])),
     )

@@ -68,6 +68,11 @@ def predicted(problem: Problem) -> Prediction | None:
     return Prediction(float(std[6]), float(correlation[worst]), names[3 + worst])
 
 
+def delivered(effects: Sequence[Added] = ()) -> tuple[str, ...]:
+    """Return the blocks of the estimates."""
+    return (spindle.PART, spindle.COUPLING, *free_blocks(effects))
+
+
 def _estimates(
     solution: Solution, effects: Sequence[Added] = ()
 ) -> tuple[tuple[str, ...], Array, Array, tuple[str, ...]]:
@@ -75,7 +80,7 @@ def _estimates(
     pose = solution.blocks[spindle.PART].values[0]
     angle = solution.blocks[spindle.COUPLING]
     found = effect_estimates(effects, solution)
-    covariance = solution.joint([spindle.PART, spindle.COUPLING, *free_blocks(effects)])
+    covariance = solution.joint(delivered(effects))
     change = np.eye(len(covariance))
     change[:6, :6] = poses.euler_form_by_step(pose)
     covariance = change @ covariance @ change.T
@@ -104,7 +109,7 @@ def report(problem: Problem, adjusted: Adjusted, prediction: Prediction | None) 
         "images": len(problem.sighted.images),
     }
     if adjusted.noise is not None:
-        statistics = with_noise(statistics, solution, adjusted.noise)
+        statistics = with_noise(statistics, solution, adjusted.noise, adjusted.structured)
     if prediction is not None:
         statistics |= {"predicted_std_gamma_s": prediction.std, "predicted_correlation_gamma_s": prediction.correlation}
     images, targets = problem.sighted.images, problem.sighted.targets.names
@@ -133,6 +138,8 @@ def report(problem: Problem, adjusted: Adjusted, prediction: Prediction | None) 
         warnings=tuple(_warnings(problem, adjusted, views, prediction)),
         shown=(ShownTable("views", ("image", "readings", "rms", "largest", "largest_target")),),
         notes=(*_notes(solution, adjusted, prediction), *in_words(hidden)),
+        details=adjusted.structured.details(names) if adjusted.structured is not None else {},
+        plain=("dof",),
     )
 
 

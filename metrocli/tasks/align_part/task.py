@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from metrocli.adjust.cluster_robust import FROM_RESIDUALS, STRUCTURED, must_suffice
 from metrocli.adjust.outcome import Outcome
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.errors import InputError, UndeterminedError
@@ -18,7 +19,7 @@ from metrocli.tasks.align_part.camera import camera_of
 from metrocli.tasks.align_part.diagnosis import adjusted_job
 from metrocli.tasks.align_part.effects import EFFECTS
 from metrocli.tasks.align_part.problem import Problem, build, spindle_poses
-from metrocli.tasks.align_part.report import explained, predicted, report
+from metrocli.tasks.align_part.report import delivered, explained, predicted, report
 from metrocli.tasks.align_part.settings import Files, Settings
 from metrocli.tasks.align_part.simulation import Truth, true_model
 from metrocli.tasks.job import Job, Task
@@ -38,7 +39,10 @@ def run(job: Job[Settings, Files]) -> Result:
     """
     problem = prepared(job)
     prediction = predicted(problem)
-    return report(problem, solved(job.settings, problem), prediction)
+    adjusted = solved(job.settings, problem)
+    if job.settings.noise == STRUCTURED:
+        adjusted = adjusted.with_structure(delivered(problem.effects))
+    return report(problem, adjusted, prediction)
 
 
 def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
@@ -60,7 +64,9 @@ def prepared(job: Job[Settings, Files]) -> Problem:
 
 def solved(settings: Settings, problem: Problem) -> Adjusted:
     """Adjust a problem; raises UndeterminedError or NotConvergedError if it has no good solution."""
-    options = Options(settings.outliers == "remove", settings.noise == "estimated", problem.camera.image_size)
+    if settings.noise == STRUCTURED:
+        must_suffice(len(problem.sighted.images), "images")
+    options = Options(settings.outliers == "remove", settings.noise in FROM_RESIDUALS, problem.camera.image_size)
     adjusted = adjust_images(problem.blocks, problem.images, problem.others, None, options)
     solution = adjusted.solution
     if solution.undetermined or solution.outcome is Outcome.TOO_FEW:

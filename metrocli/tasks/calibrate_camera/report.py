@@ -123,6 +123,8 @@ def report(problem: Problem, settings: Camera, adjusted: Adjusted) -> Result:
             *(noise_notes(solution) if adjusted.noise is None else ()),
             *in_words(hidden),
         ),
+        details=adjusted.structured.details(p.names) if adjusted.structured is not None else {},
+        plain=("dof",),
     )
 
 
@@ -154,7 +156,9 @@ def _statistics(solved: _Calibration) -> Statistics:
         "rig": problem.rig,
         "convention": problem.convention,
     }
-    return statistics if adjusted.noise is None else with_noise(statistics, solution, adjusted.noise)
+    return (
+        statistics if adjusted.noise is None else with_noise(statistics, solution, adjusted.noise, adjusted.structured)
+    )
 
 
 def _views(solved: _Calibration) -> Table:

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+from metrocli.adjust.cluster_robust import FROM_RESIDUALS
 from metrocli.imageset import ImageSet
 from metrocli.instruments.lens import PARAMETERS
 from metrocli.settings import Choice, Either, ImageFiles, ListOf, Quantity, Section, TableFile, Whole, setting
@@ -15,6 +16,7 @@ from metrocli.tasks.shared.images.camera_settings import Extrinsics, LensValues
 from metrocli.tasks.shared.images.settings import eccentricity_setting, image_faults
 from metrocli.tasks.shared.images.sightings import OBSERVATIONS
 from metrocli.tasks.shared.images.target_list import TARGETS
+from metrocli.tasks.shared.structured_noise import NOISE_HELP
 
 SCALE_BARS = Columns(
     (Column("from", TEXT), Column("to", TEXT), Column("length", "length"), Column("sigma", "length")),
@@ -129,8 +131,8 @@ class Settings:
     )
     inputs: Inputs = setting(Section(Inputs), "the files of the job")
     noise: float | str = setting(
-        Either(Quantity("pixel", positive=True, minimum=1e-9), Choice("estimated")),
-        "standard deviation of an image coordinate, or 'estimated'",
+        Either(Quantity("pixel", positive=True, minimum=1e-9), Choice(*FROM_RESIDUALS)),
+        NOISE_HELP,
     )
     camera: Camera = setting(Section(Camera), "the camera", default=Camera())
     pattern: Pattern | None = setting(Section(Pattern), "what the images show", default=None)

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from metrocli.adjust.cluster_robust import FROM_RESIDUALS, STRUCTURED, must_suffice
 from metrocli.adjust.outcome import Outcome
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.errors import InputError, UndeterminedError
@@ -24,6 +25,7 @@ from metrocli.tasks.calibrate_camera.settings import Files, Settings
 from metrocli.tasks.calibrate_camera.simulation import conditions, simulated_views, true_model
 from metrocli.tasks.job import Job, Task
 from metrocli.tasks.shared.images.adjustment import Adjusted, Options, adjust_images, must_converge
+from metrocli.tasks.shared.images.camera_parameters import delivered
 from metrocli.tasks.shared.images.planted_effects import planted, refuse_pictures
 from metrocli.tasks.shared.images.rendering import Draw, pictures
 from metrocli.tasks.shared.images.sightings import START_NOISE, Needs, sightings
@@ -41,7 +43,10 @@ def run(job: Job[Settings, Files]) -> Result:
     parameters, and NotConvergedError if the adjustment does not converge.
     """
     settings, problem = prepared(job)
-    return report(problem, settings.camera, solved(settings, problem))
+    adjusted = solved(settings, problem)
+    if settings.noise == STRUCTURED:
+        adjusted = adjusted.with_structure(delivered(problem.rig, problem.effects))
+    return report(problem, settings.camera, adjusted)
 
 
 def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
@@ -74,7 +79,9 @@ def prepared(job: Job[Settings, Files]) -> tuple[Settings, Problem]:
 
 def solved(settings: Settings, problem: Problem) -> Adjusted:
     """Adjust a problem; raises UndeterminedError or NotConvergedError if it has no good solution."""
-    remove, estimate_noise = settings.outliers == "remove", settings.noise == "estimated"
+    if settings.noise == STRUCTURED:
+        must_suffice(len(problem.sighted.images), "images")
+    remove, estimate_noise = settings.outliers == "remove", settings.noise in FROM_RESIDUALS
     options = Options(remove, estimate_noise, problem.image_size, robustly_started(problem, settings.camera))
     adjusted = adjust_images(problem.blocks, problem.images, problem.others, problem.datum, options)
     solution = adjusted.solution

@@ -12,6 +12,7 @@ from metrocli.adjust.probabilities import chi_square_bound
 from metrocli.adjust.solution import Residuals, Solution
 from metrocli.result import Scalar
 from metrocli.table import Table
+from metrocli.tasks.shared.structured_noise import Structured
 from metrocli.words import listed
 
 if TYPE_CHECKING:
@@ -47,13 +48,16 @@ def basic_statistics(solution: Solution, rms: Mapping[str, float]) -> Statistics
     }
 
 
-def with_noise(statistics: Statistics, solution: Solution, noise: float) -> Statistics:
+def with_noise(
+    statistics: Statistics, solution: Solution, noise: float, structured: Structured | None = None
+) -> Statistics:
     """Return the statistics of a job whose noise is estimated from the residuals.
 
     sigma0 then belongs to a unit weight of 1 px, and the global test does not apply.
     """
     kept = {name: value for name, value in statistics.items() if name not in ("p_value", "sigma0_low", "sigma0_high")}
-    return {**kept, "noise_estimated": True, "noise": noise, "sigma0": noise, "chi2": solution.dof * noise**2}
+    found: Statistics = {"noise_estimated": True, "noise": noise, "sigma0": noise, "chi2": solution.dof * noise**2}
+    return {**kept, **found, **(structured.statistics if structured is not None else {})}
 
 
 def residual_table(residuals: Residuals, group: Group) -> Table:

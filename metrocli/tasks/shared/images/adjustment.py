@@ -17,6 +17,7 @@ from metrocli.adjust.robust import Fit, Suspects, apart, gross, robust_start, su
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
 from metrocli.errors import InputError, NotConvergedError
 from metrocli.table import Table
+from metrocli.tasks.shared.structured_noise import Structured
 
 IMAGES = "images"
 """Name of the group of image points"""
@@ -74,12 +75,23 @@ class Adjusted:
     """Readings still in use that exceed the outlier bound"""
     noise: float | None = None
     """Standard deviation of an image coordinate [px], estimated from the residuals; None if it was declared"""
+    structured: Structured | None = None
+    """What readings of one image share, if the job lets them; the covariance of `solution` then counts it"""
 
     def known_residuals(self) -> Residuals:
         """Return the residuals; raises RuntimeError if there is no good solution (check the outcome first)."""
         if self.residuals is None:
             raise RuntimeError(self.solution.outcome.value)
         return self.residuals
+
+    def with_structure(self, delivered: Sequence[str]) -> Adjusted:
+        """Return the adjustment with the covariance that lets readings of one image share errors.
+
+        `delivered` are the blocks of the estimates. Raises as `cluster_robust` does.
+        """
+        clusters = {self.group.name: self.group.observations.index["view"]}
+        found = Structured.of(self.solution, clusters, delivered, "images")
+        return replace(self, solution=found.robust.solution, structured=found)
 
 
 @dataclass(frozen=True)

@@ -80,6 +80,11 @@ def unit_of(name: str) -> str:
     return "px" if name in PIXELS else "1"
 
 
+def delivered(rig: str, effects: Sequence[Added] = ()) -> tuple[str, ...]:
+    """Return the blocks of the estimates: lens, with rig cmm the pose of the camera, and effects."""
+    return (camera.LENS, *((camera.TAPER,) if rig == "cmm" else ()), *free_blocks(effects))
+
+
 def parameters(rig: str, solution: Solution, effects: Sequence[Added] = ()) -> Parameters:
     """Return the estimated lens parameters, with rig cmm the pose of the camera, and the estimated effects.
 
@@ -90,14 +95,12 @@ def parameters(rig: str, solution: Solution, effects: Sequence[Added] = ()) -> P
     names = [lens.columns[i] for i in free]
     units = [unit_of(name) for name in names]
     values = lens.values[0, free]
-    blocks = [camera.LENS]
     if rig == "cmm":
         values = np.concatenate([values, poses.euler_form(solution.blocks[camera.TAPER].values[0])])
         names += list(poses.EULER)
         units += POSE_UNITS
-        blocks.append(camera.TAPER)
     found = estimates(effects, solution)
-    matrix = solution.joint([*blocks, *free_blocks(effects)])
+    matrix = solution.joint(delivered(rig, effects))
     if rig == "cmm":
         change = np.eye(len(matrix))
         pose = slice(len(free), len(free) + 6)

@@ -86,6 +86,8 @@ def adjustment_notes(adjusted: Adjusted) -> list[str]:
     lines = []
     if adjusted.noise is not None:
         lines.append(f"estimated noise of an image coordinate: {adjusted.noise:.3g} px; covariances are scaled by it")
+    if adjusted.structured is not None:
+        lines.append(adjusted.structured.note)
     if len(adjusted.rejected):
         lines.append(
             f"{len(adjusted.rejected)} readings rejected as outliers (table 'rejected' lists them with their tests)"

@@ -1,0 +1,252 @@
+"""What the errors of each cluster of readings change, and the covariance of all unknowns that follows from it.
+
+Method: docs/algorithms/cluster-robust-covariance.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from metrocli.adjust.cluster_rows import Rows
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.observations import Index, Mask
+from metrocli.adjust.schur.layout import Layout
+from metrocli.adjust.solution import Solution
+
+_UNDETERMINED = 1e-9
+"""Share of a direction that the other clusters determine, below which it is left out: its residuals are rounding"""
+_RANK = 1e-12
+"""Smallest eigenvalue of a correlation matrix that is not a movement of a free network"""
+
+
+@dataclass(frozen=True)
+class Own:
+    """Unknowns that only one cluster uses, such as the pose of an image: `own = noise + by_shared shared`."""
+
+    columns: Index
+    noise: Array
+    """Their covariance with the shared unknowns held, for independent errors, (k, k)"""
+    by_shared: Array
+    """(k, shared)"""
+
+
+@dataclass(frozen=True)
+class Spread:
+    """One cluster in coordinates in which the shared unknowns have the covariance 1, without its own unknowns.
+
+    Its rows are `F = u diag(sizes) directions'` with orthonormal u and directions.
+    """
+
+    directions: Array
+    """(coordinates, k)"""
+    sizes: Array
+    """(k,), below 1"""
+    change: Array
+    """What its errors contribute to the coordinates, `F' (I - F F')^-1/2 r`, (coordinates,)"""
+
+    @classmethod
+    def of(cls, rows: Array, residual: Array) -> Spread:
+        """Return a cluster from its rows and residuals, without what no other cluster determines."""
+        u, sizes, vt = np.linalg.svd(rows, full_matrices=False)
+        kept = 1 - sizes**2 > _UNDETERMINED
+        u, sizes, vt = u[:, kept], sizes[kept], vt[kept]
+        return cls(vt.T, sizes, vt.T @ (sizes / np.sqrt(1 - sizes**2) * (u.T @ residual)))
+
+    def form(self, powers: Array) -> Array:
+        """Return `v diag(powers) v'` of its directions v, (coordinates, coordinates)."""
+        return np.asarray((self.directions * powers) @ self.directions.T)
+
+    @property
+    def information(self) -> Array:
+        """`F'F`: the covariance of `change` for independent errors."""
+        return self.form(self.sizes**2)
+
+    @property
+    def lever(self) -> Array:
+        """`B = F' (I - F F')^-1/2 F`; `change` of two clusters has the covariance `-B B'`."""
+        return self.form(self.sizes**2 / np.sqrt(1 - self.sizes**2))
+
+
+@dataclass(frozen=True)
+class Sample:
+    """What the errors of each cluster change, and the covariance that follows from it."""
+
+    layout: Layout
+    shared: Mask
+    root: Array
+    """L with `L L'` the covariance of the shared unknowns for independent errors, (shared, coordinates)"""
+    parts: tuple[slice, ...]
+    """Coordinates of the unknowns that all clusters use (the lens), then the further ones of the others (points)"""
+    clusters: tuple[Spread, ...]
+    own: tuple[Own, ...]
+    prior: Array
+    """Information of the rows whose errors are independent, (coordinates, coordinates)"""
+
+    @classmethod
+    def of(cls, solution: Solution, rows: Rows) -> Sample:
+        """Return the sample of an adjustment."""
+        shared = rows.shared
+        root, parts = _root(solution, rows.layout, shared, rows.common[shared])
+        numbers = np.cumsum(shared) - 1
+        clusters, own = [], []
+        for one in rows.of_clusters:
+            common = shared[one.columns]
+            at = numbers[one.columns[common]]
+            basis, triangle = np.linalg.qr(one.jacobian[:, ~common])
+            coupling = basis.T @ one.jacobian[:, common]
+            clusters.append(Spread.of((one.jacobian[:, common] - basis @ coupling) @ root[at], one.residual))
+            inverse = np.linalg.inv(triangle)
+            by_shared = np.zeros((len(triangle), len(root)))
+            by_shared[:, at] = -inverse @ coupling
+            own.append(Own(one.columns[~common], inverse @ inverse.T, by_shared))
+        known = [one.jacobian @ root[numbers[one.columns]] for one in rows.others]
+        prior = np.sum([one.T @ one for one in known], axis=0) if known else np.zeros((root.shape[1],) * 2)
+        return cls(rows.layout, shared, root, parts, tuple(clusters), tuple(own), prior)
+
+    @cached_property
+    def target(self) -> Array:
+        """The covariance that independent errors of the clusters give, `sum F'F`."""
+        return np.asarray(np.sum([one.information for one in self.clusters], axis=0))
+
+    @cached_property
+    def found(self) -> Array:
+        """The covariance that the errors of the clusters give as they are, `sum change change'` (CR2)."""
+        changes = np.array([one.change for one in self.clusters])
+        return np.asarray(changes.T @ changes)
+
+    @cached_property
+    def factors(self) -> tuple[float, ...]:
+        """How many times the variance of independent errors the clusters have, on average over each part."""
+        found, target = np.diag(self.found), np.diag(self.target)
+        return tuple(
+            float(found[part].sum() / target[part].sum()) if target[part].sum() > 0 else 1.0 for part in self.parts
+        )
+
+    @cached_property
+    def factor(self) -> float:
+        """The same over all parts."""
+        return float(np.trace(self.found) / np.trace(self.target))
+
+    @cached_property
+    def shape(self) -> Array:
+        """What the covariance is shrunk towards: the target, scaled to the variance of each part."""
+        scale = np.concatenate(
+            [
+                np.full(part.stop - part.start, factor**0.5)
+                for part, factor in zip(self.parts, self.factors, strict=True)
+            ]
+        )
+        return np.asarray(self.target * scale * scale[:, None])
+
+    @cached_property
+    def share(self) -> float:
+        """Share of that shape in the covariance (Ledoit and Wolf 2004)."""
+        squares, m = np.array([one.change @ one.change for one in self.clusters]), len(self.clusters)
+        scatter = float((squares**2).sum() - (self.found**2).sum() / m)
+        apart = float(((self.found - self.shape) ** 2).sum())
+        return min(scatter / apart, 1.0) if apart > 0 else 1.0
+
+    def coordinates(self) -> Array:
+        """Return the covariance of the coordinates: shrunk, with the priors, and in no direction below 1."""
+        matrix = (1 - self.share) * self.found + self.share * self.shape + self.prior
+        values, vectors = np.linalg.eigh(matrix)
+        return np.asarray((vectors * np.maximum(values, 1.0)) @ vectors.T)
+
+    def covariance(self) -> Array:
+        """Return the covariance of all unknowns, (unknowns, unknowns)."""
+        common = np.flatnonzero(self.shared)
+        v = self.root @ self.coordinates() @ self.root.T
+        columns = np.concatenate([one.columns for one in self.own])
+        by_shared = np.concatenate([one.by_shared for one in self.own])
+        mixed = by_shared @ v
+        full = np.zeros((self.layout.width,) * 2)
+        full[np.ix_(common, common)] = v
+        full[np.ix_(columns, common)], full[np.ix_(common, columns)] = mixed, mixed.T
+        full[np.ix_(columns, columns)] = mixed @ by_shared.T
+        for one in self.own:
+            full[np.ix_(one.columns, one.columns)] += max(self.factor, 1.0) * one.noise
+        return (full + full.T) / 2
+
+    def dof(self, columns: Index) -> Array:
+        """Return the degrees of freedom of the variances of some unknowns, (k,).
+
+        Satterthwaite's `2 E^2 / Var` of the estimated variance, a quadratic form of the residuals, for independent
+        errors (Bell and McCaffrey 2002). An unknown counts for the part that it depends on most; those of a single
+        cluster have the degrees of freedom of the least certain factor.
+        """
+        numbers = np.cumsum(self.shared) - 1
+        levers = [one.lever for one in self.clusters]
+        lines = self.root[numbers[columns[self.shared[columns]]]].T
+        lines = lines / np.linalg.norm(lines, axis=0)
+        weights = np.array([(lines[part] ** 2).sum(axis=0) for part in self.parts])
+        by_part = [
+            self._dof(lines, levers, part, factor) for part, factor in zip(self.parts, self.factors, strict=True)
+        ]
+        found = np.full(len(columns), min(alone for _, alone in by_part))
+        found[self.shared[columns]] = np.choose(weights.argmax(axis=0), [one for one, _ in by_part])
+        return found
+
+    def _dof(self, lines: Array, levers: Sequence[Array], part: slice, factor: float) -> tuple[Array, float]:
+        """Return the degrees of freedom of the variances along lines (coordinates, k), and of the factor of a part."""
+        # the form is sum z' K z over the changes z, with K = own l l' + rest E, E the coordinates of the part
+        trace = float(np.diag(self.target)[part].sum())
+        along = (lines * (self.target @ lines)).sum(axis=0)
+        own, rest = 1 - self.share, self.share * along / trace
+        squares = np.sum([one[:, part] @ one[part] for one in levers], axis=0)
+        products = np.array([one @ lines for one in levers])
+        pairs = np.einsum("cil,dil->lcd", products, products)
+        lengths = (products * (squares @ products)).sum(axis=(0, 1))
+        norms = float((squares**2).sum())
+        for c, (one, lever) in enumerate(zip(self.clusters, levers, strict=True)):
+            # a cluster with itself has F'F in place of -B B
+            inside, twice = one.information[part], lever[part] @ lever
+            pairs[:, c, c] = (lines * (one.information @ lines)).sum(axis=0)
+            lengths += ((inside @ lines) ** 2).sum(axis=0) - ((twice @ lines) ** 2).sum(axis=0)
+            norms += float((inside[:, part] ** 2).sum() - (twice[:, part] ** 2).sum())
+        variance = 2 * (own**2 * (pairs**2).sum(axis=(1, 2)) + 2 * own * rest * lengths + rest**2 * norms)
+        mean = factor * along + (lines * (self.prior @ lines)).sum(axis=0)
+        return 2 * mean**2 / (factor**2 * variance), trace**2 / norms
+
+
+def _root(solution: Solution, layout: Layout, shared: Mask, common: Mask) -> tuple[Array, tuple[slice, ...]]:
+    """Return L, (shared, coordinates), with `L L'` the covariance of the shared unknowns for independent errors.
+
+    The first coordinates are those of the unknowns that are common to all clusters (mask over the shared ones); the
+    further ones are what the others have besides. Return the slices of both, without empty ones.
+    """
+    known = solution.covariance_or_raise()
+    names = [name for name in layout.columns if shared[columns_of(layout, name)].any()]
+    chosen = [_chosen(layout, name, shared) for name in names]
+    white = np.concatenate(
+        [
+            np.concatenate([known.between(a, b)[np.ix_(i, j)] for b, j in zip(names, chosen, strict=True)], axis=1)
+            for a, i in zip(names, chosen, strict=True)
+        ]
+    )
+    std = np.sqrt(np.diag(white))
+    rest, roots, parts, place = white / std[:, None] / std, [], [], 0
+    for rows in (np.flatnonzero(common), np.flatnonzero(~common)):
+        values, vectors = np.linalg.eigh(rest[np.ix_(rows, rows)])
+        kept = values > _RANK * len(white)
+        root = rest[:, rows] @ vectors[:, kept] / np.sqrt(values[kept])
+        rest = rest - root @ root.T
+        roots.append(root)
+        parts.append(slice(place, place + root.shape[1]))
+        place += root.shape[1]
+    return std[:, None] * np.concatenate(roots, axis=1), tuple(part for part in parts if part.stop > part.start)
+
+
+def columns_of(layout: Layout, name: str) -> Index:
+    """Return the numbers of the free entries of a block, row by row."""
+    columns = layout.columns[name].ravel() if name in layout.columns else np.zeros(0, dtype=np.intp)
+    return np.asarray(columns[columns >= 0])
+
+
+def _chosen(layout: Layout, name: str, wanted: Mask) -> Index:
+    """Return the places of the wanted free entries of a block among all of its entries."""
+    columns = layout.columns[name].ravel()
+    return np.flatnonzero((columns >= 0) & wanted[np.maximum(columns, 0)])

@@ -1,0 +1,185 @@
+"""The covariance over clusters is the one that whole matrices give: CR2, shrunk, with Satterthwaite's degrees of freedom."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from adjust import dense, problems
+from adjust.dense import Array
+
+from metrocli.adjust.adjustment import adjust
+from metrocli.adjust.cluster_robust import ClusterRobust, cluster_robust
+from metrocli.errors import UndeterminedError
+from metrocli.instruments import camera
+
+
+def bent(problem: problems.Problem, size: float = 0.5) -> problems.Problem:
+    """The problem with smooth errors of its own in each image: waves along u and along v."""
+    group, rng = problem.groups[0], np.random.default_rng(17)
+    seen = group.observations
+    view = seen.index[camera.VIEW]
+    phase, amplitude = rng.uniform(0, 6, (2, 2, view.max() + 1)), rng.normal(0, size, (2, 2, view.max() + 1))
+    waves = amplitude[:, :, view] * np.sin(seen.readings[:, None] / 200 + phase[:, :, view])
+    moved = group.with_observations(seen.with_readings(seen.readings + waves.sum(axis=0)))
+    return problems.Problem(problem.blocks, (moved, *problem.groups[1:]), problem.datum)
+
+
+def robust(problem: problems.Problem) -> ClusterRobust:
+    solution = adjust(problem.blocks.values(), problem.groups, problem.datum)
+    group = problem.groups[0]
+    return cluster_robust(solution, {group.name: group.observations.index[camera.VIEW]})
+
+
+@dataclass
+class Plain:
+    """The same by whole matrices: all readings, all unknowns."""
+
+    found: ClusterRobust
+    problem: problems.Problem
+
+    def __post_init__(self) -> None:
+        whole = dense.at_solution(self.found.white.blocks, self.problem.groups)
+        self.places, residual, j = whole.places, whole.residual, whole.jacobian
+        q = whole.noise
+        view = np.repeat(self.problem.groups[0].observations.index[camera.VIEW], 2)
+        images = np.unique(view)
+        hat = j @ q @ j.T
+        own = [np.flatnonzero(view == image) for image in images]
+        used = np.array([(np.abs(j[rows]) > 0).any(axis=0) for rows in own]).sum(axis=0)
+        used[(np.abs(j[len(view) :]) > 0).any(axis=0)] = len(images)
+        self.shared = used > 1
+        joint = q[np.ix_(self.shared, self.shared)]
+        weights, changes = [], []
+        for rows in own:
+            values, vectors = np.linalg.eigh(np.eye(len(rows)) - hat[np.ix_(rows, rows)])
+            kept = values > 1e-9
+            root = (vectors[:, kept] / np.sqrt(values[kept])) @ vectors[:, kept].T
+            weight = np.zeros((len(q), len(residual)))
+            weight[:, rows] = q @ j[rows].T @ root
+            weights.append(weight[self.shared])
+            changes.append(weights[-1] @ residual)
+        # unknowns that all images use come first
+        order = np.argsort(used[self.shared] < len(images), kind="stable")
+        self.lower = np.linalg.cholesky(joint[np.ix_(order, order)])[np.argsort(order)]
+        first = int((used[self.shared] == len(images)).sum())
+        self.parts = [part for part in (np.arange(first), np.arange(first, len(joint))) if len(part)]
+        z = np.linalg.solve(self.lower, np.array(changes).T).T
+        free = np.eye(len(hat)) - hat
+        weights = [np.linalg.solve(self.lower, weight) @ free for weight in weights]
+        target = np.sum([weight @ weight.T for weight in weights], axis=0)
+        sample = z.T @ z
+        self.factors = [np.trace(sample[np.ix_(p, p)]) / np.trace(target[np.ix_(p, p)]) for p in self.parts]
+        scale = np.sqrt(np.repeat(self.factors, [len(part) for part in self.parts]))
+        aim = target * scale * scale[:, None]
+        scatter = np.sum([((len(z) * np.outer(one, one) - sample) ** 2).sum() for one in z]) / len(z) ** 2
+        self.share = min(scatter / ((sample - aim) ** 2).sum(), 1.0)
+        others = j[len(view) :][:, self.shared] @ self.lower
+        self.prior, self.target, self.weights = others.T @ others, target, weights
+        shrunk = (1 - self.share) * sample + self.share * aim + self.prior
+        values, vectors = np.linalg.eigh(shrunk)
+        self.covariance = self.lower @ (vectors * np.maximum(values, 1)) @ vectors.T @ self.lower.T
+
+    def dof(self, at: int) -> float:
+        """2 E^2 / Var of the variance of a shared unknown as a quadratic form of independent readings."""
+        line = self.lower[at] / np.linalg.norm(self.lower[at])
+        most = int(np.argmax([(line[part] ** 2).sum() for part in self.parts]))
+        part, factor = self.parts[most], self.factors[most]
+        inside = np.diag(np.isin(np.arange(len(line)), part).astype(float))
+        rest = self.share * (line @ self.target @ line) / np.trace(self.target[np.ix_(part, part)])
+        form = (1 - self.share) * np.outer(line, line) + rest * inside
+        whole = np.sum([weight.T @ form @ weight for weight in self.weights], axis=0) * factor
+        mean = np.trace(whole) + line @ self.prior @ line
+        return float(2 * mean**2 / (2 * (whole**2).sum()))
+
+
+def seen_in_part() -> problems.Problem:
+    """Targets of which each image shows two thirds, so that only the lens is common to all images."""
+    problem = problems.with_control()
+    group = problem.groups[0]
+    index = group.observations.index
+    part = group.selected((index[camera.TARGET] + index[camera.VIEW]) % 3 > 0)
+    return problems.Problem(problem.blocks, (part, *problem.groups[1:]), problem.datum)
+
+
+CASES: dict[str, Callable[[], problems.Problem]] = {
+    "poses eliminated": lambda: bent(problems.board_camera()),
+    "targets eliminated": lambda: bent(problems.with_control()),
+    "targets in some images": lambda: bent(seen_in_part()),
+    "with scale bars": lambda: bent(problems.with_scale_bars()),
+    "white": problems.board_camera,
+}
+
+
+@pytest.fixture(scope="module", params=CASES)
+def both(request: pytest.FixtureRequest) -> tuple[ClusterRobust, Plain]:
+    problem = CASES[request.param]()
+    found = robust(problem)
+    return found, Plain(found, problem)
+
+
+def of_shared(found: ClusterRobust, plain: Plain) -> Array:
+    names = list(found.white.blocks)
+    whole = found.solution.joint([name for name in names if found.white.blocks[name].free.any()])
+    return np.asarray(whole[np.ix_(plain.shared, plain.shared)])
+
+
+def test_the_covariance_is_that_of_whole_matrices(both: tuple[ClusterRobust, Plain]) -> None:
+    found, plain = both
+    size = np.sqrt(np.diag(plain.covariance))
+    assert abs((of_shared(found, plain) - plain.covariance) / size / size[:, None]).max() < 1e-5
+    assert found.sample.factors == pytest.approx(plain.factors, rel=1e-5)
+    assert found.sample.share == pytest.approx(plain.share, rel=1e-4)
+
+
+def test_degrees_of_freedom_are_those_of_the_quadratic_form(both: tuple[ClusterRobust, Plain]) -> None:
+    found, plain = both
+    names = [name for name, *_ in plain.places]
+    for block in (camera.LENS, camera.TARGET):
+        places = [at for at, shared in enumerate(np.flatnonzero(plain.shared)) if names[shared] == block][:12]
+        assert found.dof([block])[:12] == pytest.approx([plain.dof(at) for at in places], rel=1e-3)
+
+
+def test_the_lens_has_its_own_factor_where_images_show_other_targets() -> None:
+    found = robust(bent(seen_in_part())).sample
+    assert [part.stop - part.start for part in found.parts] == [7, 3 * (len(problems.CUBE) - 4)]
+    assert len(robust(bent(problems.board_camera())).sample.parts) == 1
+
+
+def test_poses_take_over_what_the_shared_unknowns_have() -> None:
+    """`pose = noise + K lens`: their covariance with the lens is K times that of the lens, in both solutions."""
+    found = robust(bent(problems.board_camera()))
+    size = found.white.blocks[camera.LENS].size
+    regression = []
+    for solution in (found.white, found.solution):
+        known = solution.covariance_or_raise()
+        regression.append(known.between(camera.VIEW, camera.LENS) @ np.linalg.inv(known.of(camera.LENS)))
+        assert regression[-1].shape == (8 * 6, size)
+    assert np.allclose(regression[0], regression[1], rtol=1e-5, atol=1e-8 * abs(regression[0]).max())
+    assert found.sample.factor > 2
+    rest = [
+        one.covariance_or_raise().of(camera.VIEW)
+        - regression[0] @ one.covariance_or_raise().between(camera.LENS, camera.VIEW)
+        for one in (found.white, found.solution)
+    ]
+    assert np.allclose(np.diag(rest[1]), max(found.sample.factor, 1) * np.diag(rest[0]), rtol=1e-4)
+
+
+def test_no_uncertainty_is_smaller_than_for_independent_errors() -> None:
+    for seed in range(5):
+        found = robust(problems.board_camera(seed=seed + 60))
+        names = [camera.LENS, camera.VIEW]
+        assert (np.linalg.eigvalsh(found.solution.joint(names) - found.white.joint(names)) > -1e-9).all()
+        assert 1 <= found.inflation([camera.LENS]) < 2
+
+
+def test_errors_shared_in_images_are_seen() -> None:
+    assert robust(bent(problems.board_camera())).inflation([camera.LENS]) > 2
+
+
+def test_four_clusters_are_refused() -> None:
+    with pytest.raises(UndeterminedError, match="4 clusters are too few"):
+        robust(problems.board_camera(views=4))
+    assert robust(problems.board_camera(views=5)).clusters == 5
