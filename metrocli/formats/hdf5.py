@@ -1,7 +1,6 @@
 """Result files in HDF5, readable with h5py, h5ls and MATLAB without metrocli; written completely or not at all.
 
-The same result gives the same bytes except for the attribute `created`: objects carry no timestamps, and names are
-sorted.
+The same result gives the same bytes but for the attribute `created`: objects have no timestamps, names are sorted.
 """
 
 from __future__ import annotations
@@ -27,10 +26,8 @@ SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _TEXT = h5py.string_dtype("utf-8")
 _OWN = ("job", "inputs", "parameters", "covariance", "statistics", "requirements", "warnings", "notes", "doubts")
 _SCALING = (  # of the covariance, for noise declared, estimated, structured
-    "for the declared noise",
-    "scaled by sigma0 squared, because the noise was estimated",
-    "for the noise estimated from the residuals, and errors that readings share",
-)
+    "for the declared noise", "scaled by sigma0 squared, because the noise was estimated",
+    "for the noise estimated from the residuals, and errors that readings share")  # fmt: skip
 
 
 def write(path: Path, result: Result, record: Record) -> None:

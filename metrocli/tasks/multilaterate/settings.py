@@ -87,7 +87,7 @@ class Scale:
     )
     common: float | None = setting(
         Quantity("ratio", minimum=0.0),
-        "standard uncertainty of the error that all scales share, as of one weather station; 0 if there is none",
+        "standard uncertainty of the error that all scales share, as of one weather station; 0 without one",
         default=None,
     )
 
