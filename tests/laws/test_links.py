@@ -217,10 +217,32 @@ def test_the_table_has_every_link() -> None:
         for c in vars(module).values()
         if isinstance(c, type) and hasattr(c, "step") and hasattr(c, "gives") and c is not Link
     }
-    assert classes | {"Coupling"} <= {type(case.link).__name__ for case in CASES.values()} | {"PointOf"}
+    # a prior of members has a test of its own: its slots are the members, not the readings
+    apart = {"PointOf", "ReadMembers"}
+    assert classes | {"Coupling"} <= {type(case.link).__name__ for case in CASES.values()} | apart
     assert {
         name for case in CASES.values() for block in case.blocks if block.name == "lens" for name in block.columns
     } == set(PARAMETERS)
+
+
+def test_a_joint_prior_of_members_is_the_squared_distance_in_its_covariance() -> None:
+    rng = np.random.default_rng(61)
+    root = rng.normal(size=(4, 4))
+    covariance = root @ root.T + np.eye(4)
+    block = Block("tracer", rng.normal(size=(4, 5)), tuple("xyzds"), tuple("abcd"))
+    group = groups.prior_of_members(block, 4, covariance)
+    off = np.zeros((4, 5))
+    off[:, 4] = rng.normal(size=4)
+    moved = {block.name: block.moved(off)}
+    linear = group.linear(moved, frozenset(moved))
+    assert np.isclose(linear.cost, off[:, 4] @ np.linalg.solve(covariance, off[:, 4]))
+    found = np.zeros((4, 4, 5))
+    for touch in linear.touches:
+        found[:, touch.index[0]] += touch.jacobian[:, :, 0]
+    gradient = np.einsum("a,ams->ms", linear.residual[:, 0], found)
+    expected = np.zeros((4, 5))
+    expected[:, 4] = -np.linalg.solve(covariance, off[:, 4])
+    assert np.allclose(gradient, expected)
 
 
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES.keys())

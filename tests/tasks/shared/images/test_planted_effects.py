@@ -105,6 +105,7 @@ def test_part_is_aligned_with_a_camera_that_has_effects(tmp_path: Path, metrocli
 ALIGNED = {
     "coupling-tilt": "alpha_s=3 mrad,beta_s=-2 mrad",
     "part-expansion": "scale=300 ppm",
+    "stretched-targets": "stretch=1000 ppm,shear=500 urad",
     "moved-target": "target=C3,dx=1 mm,dy=2 mm,dz=-1 mm",
     "focal-change": "ratio=1 percent",
     "principal-point-shift": "du=40 px,dv=-30 px",
