@@ -51,7 +51,9 @@ def test_radial_terms_the_bend_of_the_board_and_decentring_are_named_on_real_vie
     assert data["together"]["holdout_before"] > max(1.0, 3 * data["together"]["holdout_after"])
     assert data["together"]["holdout_after"] < best
     k1 = effects["radial-distortion"]["parameters"]["k1"]
-    assert abs(k1["value"] - reference["k1k2p1p2"]["dist"][0]) < 5 * k1["std"]
+    # the same lens by OpenCV's other detector: the first corners of view left02 pull k1 from -0.307 to -0.279
+    lens = json.loads((DATA / "left_SB.reference.json").read_text())["models"]["k1k2p1p2"]
+    assert abs(k1["value"] - lens["dist"][0]) < 5 * k1["std"] < 0.03
     if points == "left":  # in left_SB it is half as large, and at the margin of what the other structure allows to say
         assert told[2:] == ["decentring-distortion"]
         p1 = effects["decentring-distortion"]["parameters"]["p1"]
