@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -124,7 +125,7 @@ class Effect:
         """Return the names of the conditions that it needs at a place."""
         return tuple(name.format(**where) for name in self.needs)
 
-    @property
+    @cached_property
     def usual_sizes(self) -> tuple[float, float] | None:
         """Smallest and largest usual size in the internal unit of its first parameter, None if none are known."""
         if not self.usual:
@@ -138,7 +139,7 @@ class Effect:
         dimension = self.parameters[0].dimension
         return parse_quantity(text, dimension) if dimension and " " in text else float(text)
 
-    @property
+    @cached_property
     def plausible(self) -> float:
         """Largest usual size; without one the root mean square over the parameters of the dimension of the first."""
         if self.usual_sizes is not None:

@@ -45,6 +45,10 @@ def extended(model: Model, wanted: Iterable[Wanted]) -> Model:
         elif effect is not None:
             values = {key: _number(model, effect, key, value) for key, value in one.values.items()}
             model = with_effect(model, effect, [tuple(one.where[key] for key in effect.keys)], values)
+        elif not own and one.std and not model.places[one.forms[0].keys[0]].index:
+            key = one.forms[0].keys[0]
+            hint = f"write one entry for each {key}: {{name: {one.name}, {key}: {model.places[key].names[0]}}}"
+            own.append(one.node.fault(f"{one.name} takes no `std`: a reading does not concern one {key} alone", hint))
         elif not own:
             reasons = dict.fromkeys(lacking(model, form, one.where) for form in one.forms)
             hint = "" if _UNTOUCHED in reasons else "measure it with each reading"
@@ -125,6 +129,11 @@ def with_effect(
     return replace(model, blocks=blocks, groups=groups, datum=datum, added=(*model.added, added))
 
 
+def can_act_everywhere(model: Model, effect: Effect) -> bool:
+    """Whether an effect can have sizes of its own at all places of its kind, which readings must distinguish."""
+    return effect.common is not None and bool(model.places[effect.keys[0]].index) and bool(places_of(model, effect))
+
+
 def with_effect_everywhere(model: Model, effect: Effect, std: float) -> Model:
     """Return the model with an effect at all its places, each with estimated sizes that scatter about 0 by `std`."""
     model = with_effect(model, effect, places_of(model, effect), {})
@@ -143,7 +152,7 @@ def places_of(model: Model, effect: Effect) -> list[tuple[str, ...]]:
 
 def _form(model: Model, wanted: Wanted) -> Effect | None:
     if wanted.std:
-        return next((effect for effect in wanted.forms if places_of(model, effect)), None)
+        return next((effect for effect in wanted.forms if can_act_everywhere(model, effect)), None)
     return next((effect for effect in wanted.forms if can_act(model, effect, wanted.where)), None)
 
 

@@ -16,6 +16,7 @@ from metrocli.diagnosis.linear.fitted_columns import FittedColumns
 from metrocli.diagnosis.linear.score_tests import ScoreTests
 from metrocli.diagnosis.selection.selection_state import Chosen, Selection
 from metrocli.effects.effect import Effect
+from metrocli.effects.extension import can_act_everywhere
 
 _FEWEST = 3
 """Fewest named instances of an effect beside which all of its kind are considered"""
@@ -55,7 +56,7 @@ def all_of_a_kind(selection: Selection) -> AllOfAKind | None:
     for name, count in names.most_common():
         own = [one for one in selection.named if test_set.families[one.family].name == name]
         effect = test_set.alternative(own[0].family, own[0].number).effect
-        if count >= _FEWEST and effect.common is not None:
+        if count >= _FEWEST and can_act_everywhere(test_set.system.model, effect):
             found = _compared(selection, own, effect)
             if found is not None:
                 return found

@@ -8,28 +8,15 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.chain import Local, Step
-from metrocli.adjust.model.quantities import Quantity
-from metrocli.effects.links.of_block import OfBlock
+from metrocli.effects.links.of_block import AtQuantity
 
 
 @dataclass(frozen=True)
-class Stretch(OfBlock):
+class Stretch(AtQuantity):
     """A point of a list that is longer in x than in y: `X (1 + e)`, `X + g Y`; columns stretch e [1], shear g [rad].
 
     Growth of both axes alike is a scale, which poses absorb.
     """
-
-    at: Quantity
-
-    @property
-    def takes(self) -> Quantity:
-        """The quantity that is stretched."""
-        return self.at
-
-    @property
-    def gives(self) -> Quantity:
-        """The same quantity."""
-        return self.at
 
     def step(self, value: Array, local: Local) -> Step:
         """Return the point (3, n), with derivatives by the point and by stretch and shear."""

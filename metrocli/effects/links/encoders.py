@@ -8,29 +8,11 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.chain import Local, Step, through
-from metrocli.adjust.model.quantities import Quantity
-from metrocli.effects.links.of_block import OfBlock
+from metrocli.effects.links.of_block import AtQuantity
 
 
 @dataclass(frozen=True)
-class _At(OfBlock):
-    """A link that acts on the quantity `at`, so that one effect serves both the launch unit and the receiver."""
-
-    at: Quantity
-
-    @property
-    def takes(self) -> Quantity:
-        """The quantity on which it acts."""
-        return self.at
-
-    @property
-    def gives(self) -> Quantity:
-        """The same quantity."""
-        return self.at
-
-
-@dataclass(frozen=True)
-class EncoderOffset(_At):
+class EncoderOffset(AtQuantity):
     """Zero error of one encoder: `phi += offset` for one of the two angles; column offset [rad]."""
 
     component: int
@@ -43,7 +25,7 @@ class EncoderOffset(_At):
 
 
 @dataclass(frozen=True)
-class Eccentricity(_At):
+class Eccentricity(AtQuantity):
     """Eccentric disc of one encoder: `phi += c1 cos phi + s1 sin phi` for one of two angles; columns c1, s1 [rad]."""
 
     component: int
@@ -63,7 +45,7 @@ class Eccentricity(_At):
 
 
 @dataclass(frozen=True)
-class NonOrthogonality(_At):
+class NonOrthogonality(AtQuantity):
     """The tilt axis is not square to the base axis: `base += angle tan(tilt)`; column angle [rad]."""
 
     def step(self, value: Array, local: Local) -> Step:
@@ -78,7 +60,7 @@ class NonOrthogonality(_At):
 
 
 @dataclass(frozen=True)
-class BaseTilt(_At):
+class BaseTilt(AtQuantity):
     """The base axis is `Rx(tx) Ry(ty) z`, so the unit sees a beam b as `Ry(-ty) Rx(-tx) b`; columns tx, ty [rad]."""
 
     def step(self, value: Array, local: Local) -> Step:

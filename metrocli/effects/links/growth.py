@@ -8,27 +8,14 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.chain import Local, Step
-from metrocli.adjust.model.quantities import Quantity
-from metrocli.effects.links.of_block import OfBlock
+from metrocli.effects.links.of_block import AtQuantity
 
 _EYE = np.eye(3)[:, :, None]
 
 
 @dataclass(frozen=True)
-class Growth(OfBlock):
+class Growth(AtQuantity):
     """A point moves away from the origin: `X (1 + s)`; column scale, s [1]."""
-
-    at: Quantity
-
-    @property
-    def takes(self) -> Quantity:
-        """The quantity that grows."""
-        return self.at
-
-    @property
-    def gives(self) -> Quantity:
-        """The same quantity."""
-        return self.at
 
     def step(self, value: Array, local: Local) -> Step:
         """Return the point (3, n), with derivatives `(1 + s) I` by the point and X by the scale."""

@@ -1,8 +1,10 @@
-"""Base of all links of effects."""
+"""Bases of all links of effects."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+
+from metrocli.adjust.model.quantities import Quantity
 
 
 @dataclass(frozen=True)
@@ -15,3 +17,20 @@ class OfBlock:
     def blocks(self) -> tuple[str, ...]:
         """The name of its own block."""
         return (self.block,)
+
+
+@dataclass(frozen=True)
+class AtQuantity(OfBlock):
+    """A link that changes the quantity `at`, so that one effect serves several frames or instruments."""
+
+    at: Quantity
+
+    @property
+    def takes(self) -> Quantity:
+        """The quantity on which it acts."""
+        return self.at
+
+    @property
+    def gives(self) -> Quantity:
+        """The same quantity."""
+        return self.at

@@ -9,32 +9,21 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.chain import Local, Step
 from metrocli.adjust.model.quantities import Quantity
-from metrocli.effects.links.of_block import OfBlock
+from metrocli.effects.links.of_block import AtQuantity, OfBlock
 
 _EYE = np.eye(3)[:, :, None]
 
 
 @dataclass(frozen=True)
-class Shift(OfBlock):
+class Shift(AtQuantity):
     """A point is displaced: `X += s d c`, c = 1 or a condition; d has one to three columns, along x, y, z.
 
     x, y, z are those of the quantity's frame. s = -1 if the frame moves and not the point, as with a camera's holder
     or the machine.
     """
 
-    at: Quantity
     sign: float = 1.0
     condition: str = ""
-
-    @property
-    def takes(self) -> Quantity:
-        """The quantity that is displaced."""
-        return self.at
-
-    @property
-    def gives(self) -> Quantity:
-        """The same quantity."""
-        return self.at
 
     def step(self, value: Array, local: Local) -> Step:
         """Return the point (3, n)."""
