@@ -157,7 +157,7 @@ def _rotation(angles: Array) -> Array:
     return np.asarray(z @ y @ x)
 
 
-def measurement(rng: np.random.Generator, names: str, half: int = HALF) -> Measurement:
+def measurement(rng: np.random.Generator, names: str, half: int = HALF, noise: float = NOISE) -> Measurement:
     """Return views of a machine and an artefact at random, with noise; each view in an order of its own."""
     v = views(names, half)
     machine, artefact = rng.normal(0, 0.008, v.balls.shape), rng.normal(0, 0.03, v.balls.shape)
@@ -172,7 +172,7 @@ def measurement(rng: np.random.Generator, names: str, half: int = HALF) -> Measu
         t[order] = start + np.arange(len(rows)) * 15.0 + rng.uniform(0, 5, len(rows))
         start += len(rows) * 15.0 + float(rng.uniform(300, 1500))
     temp = 20 + rng.uniform(0.1, 0.4) * np.sin(2 * np.pi * t / rng.uniform(4000, 15000) + rng.uniform(0, 6))
-    return Measurement(v, t, temp, readings + rng.normal(0, NOISE, readings.shape))
+    return Measurement(v, t, temp, readings + rng.normal(0, noise, readings.shape))
 
 
 Values = Mapping[str, float]

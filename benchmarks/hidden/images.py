@@ -124,7 +124,7 @@ _TYPICAL = {"drift": 1e-5, "focal_t": 1e-6, "rate_u": 1e-3, "bend": 1e-6, "moved
 PAIRS = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 
 
-def _effects(plant: Plant, values: Mapping[str, float], place: str) -> dict[str, Any]:
+def effects_of(plant: Plant, values: Mapping[str, float], place: str) -> dict[str, Any]:
     """Return an effect as a scene takes it."""
     found: dict[str, Any] = {}
     for name, short in plant.parameters.items():
@@ -164,7 +164,7 @@ def _nearest(seen: Sight, kind: str, effect: tuple[str, str], left: Array) -> fl
             if (name.partition(",")[0], place) == effect:
                 continue
             units = [{key: _size(plant) * (key == own) for key in plant.parameters} for own in plant.parameters]
-            columns = np.stack([seen.left(_effects(plant, unit, place)) for unit in units], axis=1)
+            columns = np.stack([seen.left(effects_of(plant, unit, place)) for unit in units], axis=1)
             u, s, _ = np.linalg.svd(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300), full_matrices=False)
             most = max(most, float(np.linalg.norm(u[:, s > 1e-4].T @ left) / np.linalg.norm(left)))
     return most
@@ -179,14 +179,14 @@ def planted(images: Images, rng: np.random.Generator, name: str, times: float) -
     direction *= _size(plant) / np.linalg.norm(direction)
     values = dict(zip(plant.parameters, direction.tolist(), strict=True))
     effect, seen = name.partition(",")[0], sight(scene)
-    left = seen.left(_effects(plant, values, place))
+    left = seen.left(effects_of(plant, values, place))
     shows = float(np.linalg.norm(left)) / scene.noise
     if shows < 1e-3:
         return None
     factor = times * np.sqrt(stated(images.adjusted(), effect, len(plant.parameters))) / shows
     values = {key: value * factor for key, value in values.items()}
     noise = images.uv - scene.predicted(scene.start(), {})
-    uv = scene.predicted(scene.start(), _effects(plant, values, place)) + noise
+    uv = scene.predicted(scene.start(), effects_of(plant, values, place)) + noise
     where = ({plant.where: place} if plant.where else {}) | ({"by": plant.by} if plant.by else {})
     known = values | ({"k3": 0.0} if "k2" in values else {})
     return replace(images, uv=uv), Hidden(effect, where, known, _nearest(seen, scene.kind, (effect, place), left))
@@ -295,7 +295,7 @@ def _tried(kind: str, scenario: str, rng: np.random.Generator, at: tuple[int, st
         lens = [name for name in wanted if PLANTS[kind][name].left_out]
         if wanted[0].partition(",")[0] == wanted[1].partition(",")[0] or len(lens) == 2:
             return None
-    scene = _without(scene, [PLANTS[kind][name] for name in wanted], wanted)
+    scene = without(scene, [PLANTS[kind][name] for name in wanted], wanted)
     images = read(scene, rng)
     hidden: list[Hidden] = []
     for name in wanted:
@@ -317,7 +317,7 @@ def _tried(kind: str, scenario: str, rng: np.random.Generator, at: tuple[int, st
     return Case(scenario, replace(images, declared=1 / ratio).adjusted, tuple(hidden), wrong, ratio)
 
 
-def _without(scene: Scene, plants: list[Plant], names: list[str]) -> Scene:
+def without(scene: Scene, plants: list[Plant], names: list[str]) -> Scene:
     left_out = tuple(dict.fromkeys(name for plant in plants for name in plant.left_out))
     if "clamping-angle" in names:
         return replace(scene, angle_free=False, unknowns=scene.unknowns[:6])

@@ -152,8 +152,8 @@ def _squareness(m: Measurement) -> Iterator[Array]:
     yield np.stack([-m.at[:, 1], zero, zero], axis=1)
 
 
-def measurement(rng: np.random.Generator, size: tuple[int, int] = SIZE) -> Measurement:
-    """Return a machine with errors of some 50 um, read with noise."""
+def measurement(rng: np.random.Generator, size: tuple[int, int] = SIZE, noise: float = 1.0) -> Measurement:
+    """Return a machine with errors of some 50 um, read with so many times the declared noise."""
     knots, count = size
     at = np.concatenate(
         [LOW + np.indices((2, 2, 2)).reshape(3, -1).T * (HIGH - LOW), rng.uniform(LOW, HIGH, (count - 8, 3))]
@@ -169,8 +169,13 @@ def measurement(rng: np.random.Generator, size: tuple[int, int] = SIZE) -> Measu
     m = Measurement(at, rng.integers(len(TOOLS), size=count), came, t, place, turn, np.zeros((count, 3)), knots)
     error = sum(column * value for column, value in zip(_tables(m), _true_tables(rng, knots), strict=True))
     exact = (m.reflector + error - place) @ turn
-    noise = np.linalg.solve(m.white, rng.normal(size=(count, 3, 1)))[:, :, 0]
-    return replace(m, read=exact + noise)
+    return noisy(replace(m, read=exact), rng, noise)
+
+
+def noisy(m: Measurement, rng: np.random.Generator, noise: float = 1.0) -> Measurement:
+    """Return the measurement with noise added to what was read."""
+    white = rng.normal(size=(len(m.at), 3, 1)) * noise
+    return replace(m, read=m.read + np.linalg.solve(m.white, white)[:, :, 0])
 
 
 def _about_z(angle: float) -> Array:

@@ -12,8 +12,9 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.diagnosis.average_power import size_found
 from metrocli.diagnosis.hidden_change import POWER, HiddenChange, hidden_by_readings, hidden_change
-from metrocli.diagnosis.linear.candidates import Alternative, NotTested
+from metrocli.diagnosis.linear.candidates import Alternative, NotTested, thinned
 from metrocli.diagnosis.linear.distributions import noncentrality, single_level
 from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.linear.projection import System
@@ -24,6 +25,8 @@ from metrocli.effects.effect import Effect
 
 _POWER = 0.8
 """Probability with which an effect of the least detectable size is found"""
+_FORMS = 60
+"""Largest number of forms of an effect (values of its scan) over which the power is averaged"""
 _ALIKE = 0.9
 """Correlation above which two candidates are reported as alike"""
 _SAME = 0.999
@@ -48,7 +51,10 @@ class Candidate:
     visible: float
     """Fraction of the signature that the unknowns do not absorb"""
     detectable: float
-    """Smallest size that is found with 80 % power, counted over all that is tried; inf if nothing is visible"""
+    """Size that is found in 80 of 100 cases, over all directions of its parameters and all values of its scan.
+
+    It is counted over all that is tried; inf if nothing is visible.
+    """
     hides: HiddenChange
     """Largest change of the delivered result by an effect that is not found with 95 % power"""
     absorbed_by: tuple[str, ...]
@@ -172,7 +178,7 @@ def _candidate(job: AdjustedJob, test_set: ScoreTests, family: int, chosen: Sequ
     alternative = test_set.families[family].alternatives[at]
     raw = test_set.scales[family][at]
     visible = float(np.sqrt(np.mean(np.diag(gram[at]) / np.where(raw > 0, raw, 1.0) ** 2)))
-    size = detectable_size(test_set, family, at, noise) if rank else float("inf")
+    size = _size_found(test_set, family, chosen, ranks, alternative) * noise if rank else float("inf")
     farthest = np.sqrt(columns.shape[2]) * max(1.0, size / alternative.effect.plausible if rank else 1.0)
     power = {int(q): needed(test_set, family, int(q), POWER) * noise**2 if q else 0.0 for q in np.unique(ranks)}
     reach = np.array([(power[q], farthest) for q in ranks.tolist()])
@@ -185,18 +191,24 @@ def _full(job: AdjustedJob, system: System, alternative: Alternative) -> Array:
     return signature(job.model, system, alternative.effect, alternative.instance, dict(alternative.scanned))
 
 
-def detectable_size(test_set: ScoreTests, family: int, at: int, noise: float = 1.0) -> float:
-    """Return the size that is found with 80 % power: `sqrt(lambda q / tr G'MG)`, lambda the non-centrality."""
-    gram = test_set.grams[family][at]
-    _, rank = quadratic(gram[None], np.zeros((1, len(gram))), test_set.scales[family][at][None])
-    power = needed(test_set, family, int(rank[0]))
-    return float(np.sqrt(power * len(gram) / np.trace(gram)) * noise)
+def _size_found(test_set: ScoreTests, family: int, chosen: Sequence[int], ranks: Array, median: Alternative) -> float:
+    """Return the size found with 80 % power, over the visible forms whose sizes mean the same as the median's."""
+    alternatives = test_set.families[family].alternatives
+    own = (median.effect.by, median.parameters)
+    forms = [i for i, at in enumerate(chosen) if (alternatives[at].effect.by, alternatives[at].parameters) == own]
+    shown = thinned(np.array([i for i in forms if ranks[i] > 0]), _FORMS)
+    grams = test_set.grams[family][np.array(chosen)[shown]]
+    return size_found(grams, ranks[shown], _level(test_set, family), test_set.system.dof, _POWER)
 
 
 def needed(test_set: ScoreTests, family: int, rank: int, power: float = _POWER) -> float:
     """Return the non-centrality at which an alternative of a family is found with a power as a first effect."""
-    level = single_level(single_level(FIRST, test_set.causes), test_set.tests[family])
-    return noncentrality(level, rank, max(test_set.system.dof - rank, 1), power)
+    return noncentrality(_level(test_set, family), rank, max(test_set.system.dof - rank, 1), power)
+
+
+def _level(test_set: ScoreTests, family: int) -> float:
+    """Return the level of a single test of a family for a first effect."""
+    return single_level(single_level(FIRST, test_set.causes), test_set.tests[family])
 
 
 def _absorbers(system: System, full: Array) -> tuple[str, ...]:

@@ -17,11 +17,13 @@ from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.diagnosis.average_power import size_found
 from metrocli.diagnosis.cross_validation import fitted_without, held_out_errors
+from metrocli.diagnosis.detectability import design
 from metrocli.diagnosis.diagnose import diagnose
 from metrocli.diagnosis.extended_fit import score_tests_of_job
 from metrocli.diagnosis.linear.candidates import families_of
-from metrocli.diagnosis.linear.distributions import chi_interval, log_family, log_tail, noncentrality
+from metrocli.diagnosis.linear.distributions import chi_interval, log_family, log_tail, noncentrality, single_level
 from metrocli.diagnosis.linear.fitted_columns import PRIOR, nothing_fitted
 from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.linear.multiple_tests import effective_number_of_tests
@@ -167,6 +169,38 @@ def test_tails_are_those_of_the_f_distribution(q: int, rest: int) -> None:
 def test_the_least_detectable_size_has_its_power(level: float, q: int, rest: int) -> None:
     critical = stats.f.isf(level, q, rest)
     assert np.isclose(stats.ncf.sf(critical, q, rest, noncentrality(level, q, rest)), 0.8, atol=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("sizes", "rank"), [((4.0,), 1), ((1.0, 900.0), 2), ((1.0, 4.0, 100.0), 3), ((0.0, 1.0, 1.0), 2)]
+)
+def test_a_stated_size_has_its_power_on_average_over_directions(sizes: tuple[float, ...], rank: int) -> None:
+    rng = np.random.default_rng(8)
+    turn, _ = np.linalg.qr(rng.normal(size=(len(sizes), len(sizes))))
+    gram = turn @ np.diag(sizes) @ turn.T
+    size = size_found(gram[None], np.array([rank]), 1e-4, 100, 0.8)
+    towards = rng.normal(size=(20_000, len(sizes)))
+    towards /= np.linalg.norm(towards, axis=1)[:, None]
+    strength = size**2 * np.einsum("da,ab,db->d", towards, gram, towards)
+    critical = stats.f.isf(1e-4, rank, 100 - rank)
+    assert np.isclose(stats.ncf.sf(critical, rank, 100 - rank, strength).mean(), 0.8, atol=0.012)
+
+
+@pytest.mark.parametrize(("name", "keys"), [("tracer-drift", ("vx", "vy", "vz")), ("sphere-form", ("c2", "s2"))])
+def test_the_stated_size_of_an_effect_is_that_of_a_random_direction(name: str, keys: tuple[str, ...]) -> None:
+    """What is visible of it comes from formulas of its own; the level of a single test is that of the diagnosis."""
+    m = lengths.measurement(np.random.default_rng(2), 30)
+    one = next(c for c in design(adjusted(), field(), []).candidates if c.alternative.spot == (name, ("T1",)))
+    level = single_level(single_level(0.03, field().causes), field().tests[one.family])
+    units = [lengths.signature(name, 1, dict.fromkeys(keys, 0.0) | {key: 1e-6})(m) * 1e6 for key in keys]
+    seen = lengths.visible(m, lengths.absorbed_by(m), np.stack(units, axis=1))
+    towards = np.random.default_rng(3).normal(size=(5000, len(keys)))
+    strength = one.detectable**2 * ((towards / np.linalg.norm(towards, axis=1)[:, None] @ seen.T) ** 2).sum(axis=1)
+    rest = field().system.dof - len(keys)
+    found = stats.ncf.sf(stats.f.isf(level, len(keys), rest), len(keys), rest, strength)
+    assert np.isclose(found.mean(), 0.8, atol=0.02)
+    # not that of the mean strength, at which a share of the directions is hardly seen
+    assert stats.ncf.sf(stats.f.isf(level, len(keys), rest), len(keys), rest, strength.mean()) > 0.9
 
 
 def test_levels_of_many_tests() -> None:

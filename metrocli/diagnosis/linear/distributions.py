@@ -42,15 +42,26 @@ def single_level(level: float, tests: float) -> float:
 
 def noncentrality(level: float, q: int, rest: float, power: float = 0.8) -> float:
     """Return the non-centrality at which an F test of a level has a power (Baarda 1968 for q = 1, infinite rest)."""
-    from scipy.special import fdtri, ncfdtrinc
+    from scipy.special import ncfdtrinc
 
-    critical = fdtri(q, rest, 1 - level) if level > 1e-12 else _critical(level, q, rest)
+    critical = _critical(level, q, rest)
     found = float(ncfdtrinc(q, rest, 1 - power, critical))
     return found if np.isfinite(found) and found > 0 else float(q * critical)
 
 
+def power(level: float, q: int, rest: float, noncentralities: Array) -> Array:
+    """Return the power of an F test of a level at non-centralities."""
+    from scipy.special import ncfdtr
+
+    return np.asarray(1 - ncfdtr(q, rest, noncentralities, _critical(level, q, rest)))
+
+
 def _critical(level: float, q: int, rest: float) -> float:
-    """Return the critical F for a level that can be below rounding, by bisection of the logarithm of the tail."""
+    """Return the critical F; for a level that can be below rounding by bisection of the logarithm of the tail."""
+    from scipy.special import fdtri
+
+    if level > 1e-12:
+        return float(fdtri(q, rest, 1 - level))
     low, high = 0.0, 1.0 - 1e-12
     for _ in range(80):
         middle = (low + high) / 2

@@ -1,0 +1,65 @@
+"""The size at which an effect is found with a given probability, on average over its directions and its forms.
+
+Method: docs/algorithms/selection-and-levels.md (smallest detectable size).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.diagnosis.linear.distributions import noncentrality, power
+
+_DIRECTIONS = 1000
+_NODES = 80
+"""Values of the non-centrality at which the power is computed; between them it is interpolated"""
+_ALL = 0.99999
+"""Power that counts as certain"""
+_SMALLEST = 1e-3
+"""The size over that at which every test is certain, at least"""
+_HALVINGS = 25
+
+
+def size_found(grams: Array, ranks: Array, level: float, dof: int, wanted: float) -> float:
+    """Return the size `a` at which visible forms of an effect are found with a mean power.
+
+    The power at `a` is the mean of `P(F'(r, dof - r, a^2 d'Ad) > F_level)` over all forms, with Gram matrix A of
+    `grams` (k, q, q) and rank r of `ranks` (k,), and over unit vectors d in all directions of the q parameters.
+    """
+    towards = directions(grams.shape[1])
+    strengths = np.sqrt(np.maximum(np.einsum("da,kab,db->kd", towards, grams, towards), 0.0))
+    curves = {int(r): _curve(level, int(r), max(dof - int(r), 1)) for r in np.unique(ranks[ranks > 0])}
+
+    def mean_power(size: float) -> float:
+        found: float = sum(float(np.interp(size * strengths[ranks == r], *curve).sum()) for r, curve in curves.items())
+        return found / float(strengths.size)
+
+    high = max(float(roots[-1]) for roots, _ in curves.values()) / float(strengths.max())
+    while mean_power(high) < wanted:
+        high *= 2
+    low = high * _SMALLEST
+    for _ in range(_HALVINGS):
+        middle = float(np.sqrt(low * high))
+        low, high = (low, middle) if mean_power(middle) >= wanted else (middle, high)
+    return high
+
+
+def directions(count: int) -> Array:
+    """Return unit vectors (d, count) that are evenly spread over all directions."""
+    from scipy.special import ndtri
+
+    if count == 1:
+        return np.ones((1, 1))
+    # additive recurrence of Roberts (2018): multiples of powers of the root of x^(count + 1) = x + 1
+    root = 2.0
+    for _ in range(40):
+        root = (1 + root) ** (1 / (count + 1))
+    even = (0.5 + np.arange(1, _DIRECTIONS + 1)[:, None] * root ** -np.arange(1.0, count + 1)) % 1
+    normal = ndtri(even)
+    return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
+
+
+def _curve(level: float, rank: int, rest: int) -> tuple[Array, Array]:
+    """Return roots of non-centralities from 0 on, and the power at each."""
+    roots = np.linspace(0.0, np.sqrt(noncentrality(level, rank, rest, _ALL)), _NODES)
+    return roots, power(level, rank, rest, roots**2)
