@@ -16,6 +16,8 @@ from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.linear.candidates import Alternative, Family
 from metrocli.diagnosis.linear.projection import FLAT, VISIBLE, System
 
+_WEIGHTS = (0.0, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.05, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 0.97)
+"""Weights of what the readings show against what is usual, of which the one with the lowest bound is taken"""
 POWER = 0.95
 """Probability with which an effect is found that changes the result by more"""
 _MOST_NUMBERS = 4_000_000
@@ -39,25 +41,39 @@ def hidden_change(
 ) -> HiddenChange:
     """Return the largest change of a delivered member by undetected sizes theta of some alternatives of a family.
 
-    theta is undetected in a direction of its Gram matrix A = G'MG with eigenvalue v while `t^2 v < lambda s^2`, with
-    the non-centrality lambda of 95 % power in `reach`[:, 0] (alternatives,) times the variance of the noise. In no
-    direction does it exceed `reach`[:, 1], in plausible sizes: directions that the readings do not show end there.
-    The change of member m is `S_m theta`; its largest length is the spectral norm of S_m times the semi-axes.
+    theta is undetected while `theta' A theta < lambda s^2`, with its Gram matrix A = G'MG and, in `reach`[:, 0]
+    (alternatives,), the non-centrality lambda of 95 % power times the variance of the noise. It is usual while
+    `theta' C theta < 1`, with C diagonal and sizes up to `reach`[:, 1] times the plausible ones: directions that the
+    readings hardly show end there. The change of member m is `S_m theta`. Its largest length under both conditions is
+    at most the spectral norm of `S_m B^(-1/2)`, with `B = w A/(lambda s^2) + (1 - w) C` and any w (Lagrange).
     """
     at = list(chosen)
     scale = np.where(family.raw[at] > 0, family.raw[at], 1.0)
-    values, vectors = np.linalg.eigh(gram[at] / (scale[:, :, None] * scale[:, None, :]))
+    scaled = gram[at] / (scale[:, :, None] * scale[:, None, :])
+    values, vectors = np.linalg.eigh(scaled)
     seen = values > np.maximum(VISIBLE**2, FLAT * values[:, -1:])
-    # columns of `axes` are directions of the parameters with unit length in the scaled Gram matrix
-    axes = vectors / scale[:, :, None]
-    plausible = np.stack([_plausible(family.alternatives[i]) for i in at])
-    farthest = reach[:, 1, None] / np.linalg.norm(axes / plausible[:, :, None], axis=1)
-    shown = np.sqrt(reach[:, 0, None] / np.where(seen, values, 1.0))
-    axes = axes * np.where(seen, np.minimum(shown, farthest), farthest)[:, None, :]
+    shown = (vectors * np.where(seen, values, 0.0)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
+    shown = shown / np.where(reach[:, 0] > 0, reach[:, 0], 1.0)[:, None, None]
+    farthest = np.stack([_plausible(family.alternatives[i]) for i in at]) * reach[:, 1, None] * scale
+    usual = np.eye(farthest.shape[1]) / farthest[:, :, None] ** 2
     shift = _shifts(job, system, family.absorbed[:, at])
-    shift = np.where(_is_rounding(system, shift, scale), 0.0, shift)
-    moved = np.einsum("mckq,kqp->kmcp", shift, axes)
-    return _largest(job, moved)
+    shift = np.where(_is_rounding(system, shift, scale), 0.0, shift) / scale
+    narrow = seen.all(axis=1) & (np.linalg.eigvalsh(shown - usual) >= 0).all(axis=1)
+    changes, members = np.zeros(len(at)), np.zeros(len(at), dtype=np.intp)
+    changes[narrow], members[narrow] = _largest(_changes(shift[:, :, narrow], shown[narrow]))
+    if not narrow.all():
+        wide = [(w * shown + (1 - w) * usual)[~narrow] for w in _WEIGHTS]
+        bounds = [_largest(_changes(shift[:, :, ~narrow], bound)) for bound in wide]
+        found = np.argmin([change for change, _ in bounds], axis=0), np.arange(int((~narrow).sum()))
+        changes[~narrow] = np.stack([change for change, _ in bounds])[found]
+        members[~narrow] = np.stack([member for _, member in bounds])[found]
+    return _at_member(job, changes, members)
+
+
+def _changes(shift: Array, bound: Array) -> Array:
+    """Return `S_m B^(-1/2)` of all alternatives and members, (alternatives, members, columns, directions)."""
+    values, vectors = np.linalg.eigh(bound)
+    return np.asarray(np.einsum("mckq,kqp->kmcp", shift, vectors / np.sqrt(values)[:, None, :]))
 
 
 def hidden_by_readings(job: AdjustedJob, system: System, rows: Index, errors: Array) -> HiddenChange:
@@ -65,7 +81,7 @@ def hidden_by_readings(job: AdjustedJob, system: System, rows: Index, errors: Ar
     if len(rows) * system.layout.width > _MOST_NUMBERS and system.is_local(job.delivered.block):
         return _of_own_members(job, system, rows, errors)
     moved = _shifts(job, system, system.basis.rows(rows).T[:, :, None] * errors[:, None])
-    return _largest(job, np.moveaxis(moved, 2, 0))
+    return _at_member(job, *_largest(np.moveaxis(moved, 2, 0)))
 
 
 def _of_own_members(job: AdjustedJob, system: System, rows: Index, errors: Array) -> HiddenChange:
@@ -99,14 +115,21 @@ def _is_rounding(system: System, shift: Array, scale: Array) -> Array:
     return np.asarray(np.linalg.norm(shift, axis=(0, 1)) < _NOTHING * typical * scale)
 
 
-def _largest(job: AdjustedJob, moved: Array) -> HiddenChange:
-    """Return the largest spectral norm of (alternatives, members, columns, directions)."""
+def _largest(moved: Array) -> tuple[Array, Index]:
+    """Return the largest spectral norm of each alternative and its member, of (alternatives, members, rows, columns)."""
     squares = (moved**2).sum(axis=(2, 3))
-    if not squares.size or squares.max() == 0:
-        return HiddenChange(0.0)
     # the spectral norm is at least the Frobenius norm over the root of the rank, so few matrices need it
-    kept = np.argwhere(squares >= squares.max() / min(moved.shape[2:]))
-    norms = np.linalg.norm(moved[kept[:, 0], kept[:, 1]], 2, axis=(1, 2))
-    best = int(np.argmax(norms))
-    members = [name for block in job.delivered.blocks for name in job.model.blocks[block].members]
-    return HiddenChange(float(norms[best]), members[int(kept[best, 1])])
+    kept = squares >= squares.max(axis=1, keepdims=True, initial=0.0) / min(moved.shape[2:])
+    norms = np.zeros(squares.shape)
+    norms[kept] = np.linalg.norm(moved[kept], 2, axis=(1, 2))
+    best = np.argmax(norms, axis=1)
+    return norms[np.arange(len(norms)), best], best
+
+
+def _at_member(job: AdjustedJob, changes: Array, members: Index) -> HiddenChange:
+    """Return the largest of the changes with the name of its member."""
+    if changes.max(initial=0.0) == 0:
+        return HiddenChange(0.0)
+    best = int(np.argmax(changes))
+    names = [name for block in job.delivered.blocks for name in job.model.blocks[block].members]
+    return HiddenChange(float(changes[best]), names[int(members[best])])
