@@ -116,7 +116,7 @@ def _is_rounding(system: System, shift: Array, scale: Array) -> Array:
 
 
 def _largest(moved: Array) -> tuple[Array, Index]:
-    """Return the largest spectral norm of each alternative and its member, of (alternatives, members, rows, columns)."""
+    """Return the largest spectral norm over the members of each alternative, and the member."""
     squares = (moved**2).sum(axis=(2, 3))
     # the spectral norm is at least the Frobenius norm over the root of the rank, so few matrices need it
     kept = squares >= squares.max(axis=1, keepdims=True, initial=0.0) / min(moved.shape[2:])
