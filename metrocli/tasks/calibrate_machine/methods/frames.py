@@ -12,6 +12,9 @@ _FAR = 0.02
 """Largest median misfit as a share of the extent of the points; errors of machines are far smaller"""
 _UNITS = (1e3, 1e-3, 25.4, 1 / 25.4)
 _NEAR = 0.05
+"""Relative difference of extents up to which a unit explains them"""
+MIRRORED = "the tracker's frame is left-handed: two of mx, my, mz are swapped, or one of them has the wrong sign"
+"""Hint for measured points that are a mirror image; both causes look the same, since the frame is estimated"""
 
 
 def tracker_pose(measured: Array, nominal: Array, file: str) -> Array:
@@ -55,7 +58,7 @@ def mismatch(measured: Array, nominal: Array, file: str) -> Fault:
     mirrored = measured * [[1.0], [1.0], [-1.0]]
     if matches(poses.fit_pose(mirrored.T, nominal.T), mirrored, nominal):
         text = "the measured points are a mirror image of the commanded ones"
-        return Fault(text, file, hint="the tracker's frame is left-handed: one of its axes has the wrong sign")
+        return Fault(text, file, hint=MIRRORED)
     off = miss(poses.fit_pose(measured.T, nominal.T), measured, nominal)
     text = f"the measured points do not have the shape of the commanded ones: {off:.3g} mm off after the best alignment"
     return Fault(text, file, hint="is this the measurement of another path or list, or are rows missing or reordered?")

@@ -13,7 +13,7 @@ from metrocli.geometry import poses
 from metrocli.instruments.machine_path import Path
 from metrocli.instruments.track_alignment import Alignment, align
 from metrocli.table import Table
-from metrocli.tasks.calibrate_machine.methods.frames import extent, mismatch, wrong_unit
+from metrocli.tasks.calibrate_machine.methods.frames import MIRRORED, extent, mismatch, wrong_unit
 
 _FAR = 0.02
 """Largest misfit of a track that belongs to the path, as a share of the path's extent"""
@@ -96,8 +96,7 @@ def _aligned(points: Array, tool: Index | None, path: Path, tools: Array, file: 
     mirrored = align(points * [[1.0], [1.0], [-1.0]], tool, path, tools)
     if mirrored.miss <= limit:
         text = "the track is a mirror image of the path"
-        hint = "the tracker's frame is left-handed: one of its axes has the wrong sign"
-        raise InputError([Fault(text, file, hint=hint)])
+        raise InputError([Fault(text, file, hint=MIRRORED)])
     text = f"the track does not have the shape of the path: {found.miss:.3g} mm off after the best alignment"
     hint = "is this the track of another path, or are vertices missing or in another order?"
     raise InputError([Fault(text, file, hint=hint)])
