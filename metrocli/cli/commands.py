@@ -3,26 +3,20 @@
 from __future__ import annotations
 
 import errno
-import signal
-import threading
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from importlib import import_module
-from types import FrameType
 
 import click
 
 from metrocli import __version__
+from metrocli.cli.console import echo
 from metrocli.cli.help import COMMANDS, help_text, version_text
+from metrocli.cli.shell.signals import INTERRUPTED, TERMINATED, Terminated, ending
 from metrocli.errors import InputError, MetrocliError
 from metrocli.tasks import KINDS
 
-INTERRUPTED, BROKEN_PIPE, TERMINATED = 130, 141, 143
-"""Exit codes that shells give to programs ended by SIGINT, SIGPIPE and SIGTERM"""
-
-
-class Terminated(BaseException):
-    """SIGTERM as an exception, so that unfinished files are removed on the way out."""
+BROKEN_PIPE = 141
+"""Exit code that shells give to programs ended by SIGPIPE"""
 
 
 class Commands(click.Group):
@@ -64,57 +58,40 @@ def commands() -> None:
     """All commands."""
 
 
-@contextmanager
-def _terminable() -> Iterator[None]:
-    """Make SIGTERM raise Terminated; does nothing outside the main thread, where no signal arrives."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def stop(number: int, frame: FrameType | None) -> None:
-        raise Terminated
-
-    before = signal.signal(signal.SIGTERM, stop)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
-
-
 def run(arguments: Sequence[str] | None = None) -> int:
     """Carry out one command line and return its exit code; every failure is printed to stderr."""
     try:
-        with _terminable():
+        with ending():
             code = commands.main(arguments, prog_name="metrocli", standalone_mode=False)
         return code if isinstance(code, int) else 0
     except Terminated:
-        click.echo("terminated", err=True)
+        echo("terminated", err=True)
         return TERMINATED
     except SystemExit:
         # click raises this when the reader of stdout has gone (`metrocli ... | head`)
         return BROKEN_PIPE
     except click.exceptions.Abort:
-        click.echo("interrupted", err=True)
+        echo("interrupted", err=True)
         return INTERRUPTED
     except click.ClickException as error:
         error.show()
         return 2
     except InputError as error:
-        click.echo(str(error), err=True)
+        echo(str(error), err=True)
         return error.exit_code
     except MetrocliError as error:
-        click.echo(f"error: {error}", err=True)
+        echo(f"error: {error}", err=True)
         return error.exit_code
     except Exception as error:
         if isinstance(error, OSError) and error.errno in _CANNOT_WRITE:
-            click.echo(f"error: the output cannot be written: {error.strerror}", err=True)
+            echo(f"error: the output cannot be written: {error.strerror}", err=True)
             return InputError.exit_code
         if isinstance(error, OSError) and error.filename is not None:
             # a file may vanish or be closed to us at any moment between the check and the end
-            click.echo(f"{error.filename}: error: cannot be opened: {error.strerror}", err=True)
+            echo(f"{error.filename}: error: cannot be opened: {error.strerror}", err=True)
             return InputError.exit_code
         import traceback
 
         traceback.print_exc()
-        click.echo("\nthis is a defect of metrocli; please report it with the lines above", err=True)
+        echo("\nthis is a defect of metrocli; please report it with the lines above", err=True)
         return 1

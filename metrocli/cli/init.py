@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+from metrocli.cli.console import echo
+
 
 @click.command("init", help="Copy a sample project into DIR; without --sample, list the samples.")
 @click.argument("folder", required=False, type=click.Path(path_type=Path), metavar="DIR")
@@ -19,9 +21,9 @@ def command(folder: Path | None, sample: str | None) -> int:
 
     samples = {path.name: path for path in sorted(samples_folder().iterdir()) if (path / "metrocli.yaml").is_file()}
     if sample is None:
-        click.echo("samples (copy one with: metrocli init DIR --sample NAME):")
+        echo("samples (copy one with: metrocli init DIR --sample NAME):")
         for name, path in samples.items():
-            click.echo(f"  {name}: {_title(path)}")
+            echo(f"  {name}: {_title(path)}")
         return 0
     if sample not in samples:
         raise UsageError(f"no sample '{sample}'; {suggestion(sample, samples)}")
@@ -33,7 +35,7 @@ def command(folder: Path | None, sample: str | None) -> int:
         shutil.copytree(samples[sample], folder, dirs_exist_ok=True, ignore=shutil.ignore_patterns("results"))
     except (OSError, shutil.Error) as error:
         raise InputError([Fault(f"cannot be written: {error}", str(folder))]) from error
-    click.echo(f"{folder}: sample {sample} copied. Next: metrocli run {folder}")
+    echo(f"{folder}: sample {sample} copied. Next: metrocli run {folder}")
     return 0
 
 

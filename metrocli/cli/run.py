@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from metrocli.cli import options
-from metrocli.cli.console import Console
-from metrocli.record import DOUBTFUL, UNMET
+from metrocli.cli.console import Console, echo
+from metrocli.record import DOUBTFUL, NOT_MET, UNMET
 
 if TYPE_CHECKING:
-    from metrocli.project.pipeline import Report, State
+    from metrocli.project.pipeline import Report
+    from metrocli.project.staleness import State
 
 
 @click.command(
@@ -29,52 +30,54 @@ if TYPE_CHECKING:
 def command(project: Path, force: bool, dry_run: bool, as_json: bool, quiet: bool, verbose: bool, **how: bool) -> int:
     """Run the jobs and print one line for each; return the exit code of the first that failed."""
     from metrocli.project import pipeline
+    from metrocli.project.staleness import states
     from metrocli.project.steps import load_project
 
     steps = load_project(project, how["accept_doubtful"])
     console = Console(quiet or as_json, verbose)
     if dry_run:
-        for state in pipeline.states(steps):
-            console.print(f"{state.step.name}: {state_text(state, force)}")
+        for state in states(steps, force, how["strict"]):
+            console.print(f"{state.step.name}: {state_text(state)}")
         return 0
     reports = pipeline.run(steps, force, console.detail, lambda report: _print_report(report, console), how["strict"])
     if as_json:
         from metrocli.cli.summary import as_json as json_text
 
-        click.echo(json_text({"jobs": [_summary(report) for report in reports]}))
-    return next((report.exit_code for report in reports if report.exit_code), 0)
+        echo(json_text({"jobs": [_summary(report) for report in reports]}))
+    return pipeline.worst(report.exit_code for report in reports)
 
 
 def _print_report(report: Report, console: Console) -> None:
     """Print the line of one job to stdout; failures, warnings and unmet criteria to stderr."""
     place = f" -> {report.step.job.output}" if report.action == "ran" else ""
-    unmet = f" ({_UNFIT[report.record.status]})" if report.record and report.record.status in _UNFIT else ""
+    record = report.record if report.exit_code == NOT_MET else None
+    unmet = f" ({_UNFIT[record.status]})" if record else ""
     reason = f" ({report.reason})" if report.reason else ""
     console.print(f"{report.step.name}: {report.action}{reason}{place}{unmet}")
     if report.error:
-        click.echo(report.error, err=True)
+        echo(report.error, err=True)
     if report.done is not None:
         from metrocli.cli import terminal
 
         console.detail(terminal.result_text(report.done.result, report.done.record, report.done.path))
         for line in report.done.result.warnings:
-            console.warning(line)
-
-    if report.record is not None:
+            console.warning(f"{report.step.name}: {line}")
+    if record is not None:
         from metrocli.cli import terminal
 
-        terminal.print_unfit(report.record)
+        terminal.print_unfit(record)
 
 
 _UNFIT = {UNMET: "an acceptance criterion is not met", DOUBTFUL: "doubtful: do not use this result"}
 
 
-def state_text(state: State, force: bool = False) -> str:
+def state_text(state: State) -> str:
     """Return whether a job would run, and why, in words."""
     if state.waits:
         return f"would not run: {state.reason}"
-    reason = state.reason or ("forced" if force else "")
-    return f"would run: {reason}" if reason else "up to date"
+    if state.depends:
+        return f"would run if a result that it uses changes: {state.reason}"
+    return f"would run: {state.reason}" if state.reason else "up to date"
 
 
 def _summary(report: Report) -> dict[str, Any]:

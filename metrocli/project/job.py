@@ -12,6 +12,7 @@ from metrocli import tasks
 from metrocli.effects import wanted as effects
 from metrocli.effects.wanted import Wanted
 from metrocli.errors import Fault, InputError, UsageError
+from metrocli.formats.file_bytes import FileBytes, read_bytes
 from metrocli.nodes import Node
 from metrocli.project import yaml_text
 from metrocli.project.heading import Heading
@@ -45,6 +46,8 @@ class Input:
     """A path, a tuple of paths, or a dict of paths."""
     node: Node
     held: Any = None
+    bytes: FileBytes | None = None
+    """The bytes of the YAML file that `held` was read from"""
 
     @property
     def paths(self) -> tuple[Path, ...]:
@@ -125,9 +128,14 @@ def load(path: Path, wishes: Wishes | None = None) -> JobFile:
     if faults:
         raise InputError(_in_order(faults))
     output = wishes.output or heading.output or path.parent / "results" / f"{path.stem}.h5"
-    if os.path.abspath(output) in {os.path.abspath(file) for item in inputs for file in item.paths}:
+    if os.path.realpath(output) in {os.path.realpath(file) for item in inputs for file in item.paths}:
         raise InputError([root.at("output").fault(f"the output {output} is one of the inputs", "name another output")])
     return JobFile(path, heading, settings, inputs, output, text, root, wanted, wishes.accept_doubtful)
+
+
+def absolute(path: Path) -> Path:
+    """Return the absolute path of a file in its real folder, so that one file has one path, however it is reached."""
+    return Path(os.path.realpath(path.parent)) / path.name
 
 
 def kind_of_job(path: Path) -> str | None:
@@ -210,11 +218,12 @@ def _with_content(item: Input, faults: list[Fault]) -> Input:
     if section is None or path.suffix not in (".yaml", ".yml") or not path.is_file():
         return item
     try:
-        root = yaml_text.parse(yaml_text.read_text(path, str(path)), str(path), path.parent)
+        bytes_read = read_bytes(path, "a job file", most=yaml_text.MOST_BYTES)
+        root = yaml_text.parse(yaml_text.text_of(bytes_read, str(path)), str(path), path.parent)
     except InputError as error:
         faults.extend(error.faults)
         return item
-    return replace(item, held=Section(section).read(root, faults))
+    return replace(item, held=Section(section).read(root, faults), bytes=bytes_read)
 
 
 def _missing(inputs: Iterable[Input], wishes: Wishes) -> list[Fault]:
@@ -227,7 +236,7 @@ def _missing(inputs: Iterable[Input], wishes: Wishes) -> list[Fault]:
                 faults.append(pattern.fault(message, f"in {pattern.source.folder}"))
         places = item.node.items or [value for _, value in item.node.entries] or [item.node]
         for n, path in enumerate(item.paths):
-            if path.is_file() or item.key in wishes.not_needed or Path(os.path.abspath(path)) in wishes.made:
+            if path.is_file() or item.key in wishes.not_needed or absolute(path) in wishes.made:
                 continue
             found = "a folder, not a file" if path.is_dir() else "no such file"
             place = places[n] if len(places) == len(item.paths) else item.node

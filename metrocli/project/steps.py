@@ -10,7 +10,7 @@ from pathlib import Path
 from metrocli.errors import Fault, InputError
 from metrocli.nodes import Node
 from metrocli.project import yaml_text
-from metrocli.project.job import JobFile, Wishes, load
+from metrocli.project.job import JobFile, Wishes, absolute, load
 from metrocli.settings import BAD, ListOf, Section, Text, path_beside, setting
 
 FILE = "metrocli.yaml"
@@ -70,11 +70,6 @@ def load_project(place: Path, accept_doubtful: bool = False) -> tuple[Step, ...]
     return tuple(Step(name, jobs[name], needs[name]) for name in _ordered(nodes, needs))
 
 
-def absolute(path: Path) -> Path:
-    """Return the absolute path of a file, without following links."""
-    return Path(os.path.abspath(path))
-
-
 def _peek_output(path: Path) -> Path | None:
     """Return the output of a job file, None if the file has faults (they are reported when it is loaded)."""
     try:
@@ -109,7 +104,8 @@ def _makers(nodes: Sequence[Node], jobs: Mapping[str, JobFile], faults: list[Fau
 
 
 def _needed(job: JobFile, makers: Mapping[Path, str]) -> tuple[str, ...]:
-    paths = (absolute(path) for item in job.inputs for path in item.paths)
+    named = [path for item in job.inputs for path in item.paths]
+    paths = [place for path in named for place in (absolute(path), Path(os.path.realpath(path)))]
     return tuple(dict.fromkeys(makers[path] for path in paths if path in makers))
 
 
