@@ -58,6 +58,8 @@ class Record:
     """Digest of the job as meant; comments and notation do not change it."""
     content: str = ""
     """Digest of the result, equal for results that come out the same."""
+    job_file: str = ""
+    """The job file relative to the folder of the result, with forward slashes."""
 
     @property
     def status(self) -> str:

@@ -10,7 +10,7 @@ import click
 
 from metrocli import __version__
 from metrocli.cli.console import echo
-from metrocli.cli.help import COMMANDS, help_text, version_text
+from metrocli.cli.help import COMMANDS, ROOMS, help_text, version_text
 from metrocli.cli.shell.signals import INTERRUPTED, TERMINATED, Terminated, ending
 from metrocli.errors import InputError, MetrocliError
 from metrocli.tasks import KINDS
@@ -32,7 +32,7 @@ class Commands(click.Group):
             return make(cmd_name)
         if cmd_name not in COMMANDS:
             return None
-        command: click.Command = import_module(f"metrocli.cli.{cmd_name}").command
+        command: click.Command = import_module(f"metrocli.cli.{ROOMS.get(cmd_name, '')}{cmd_name}").command
         return command
 
     def resolve_command(

@@ -47,6 +47,7 @@ def _label(result: Result, record: Record) -> Label:
         meaning=record.meaning,
         content=record.content,
         inputs=record.inputs,
+        job_file=record.job_file,
         exit_code=record.exit_code,
         warned=not set(result.warnings) <= set(record.doubts),
     )

@@ -143,6 +143,7 @@ def _read_record(file: h5py.File, label: Label) -> Record:
         doubts=_read_texts(file["doubts"]),
         meaning=label.meaning,
         content=label.content,
+        job_file=label.job_file,
     )
     listed = [(row["path"], row["sha256"]) for row in _rows(file["inputs"])]
     if listed != [(one.path, one.sha256) for one in label.inputs]:

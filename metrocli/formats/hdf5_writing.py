@@ -39,7 +39,8 @@ def _write_all(file: h5py.File, result: Result, record: Record) -> None:
     for name, value in attributes.items():
         file.attrs[name] = value
     _write_texts(file, "job", record.job_text)
-    _write_table(file, "inputs", _table_of([asdict(item) for item in record.inputs], ("path", "sha256", "bytes", "content")))
+    columns = ("path", "sha256", "bytes", "content")
+    _write_table(file, "inputs", _table_of([asdict(item) for item in record.inputs], columns))
     _write_table(file, "parameters", _table_of([asdict(e) for e in result.estimates], ("name", "value", "std", "unit")))
     file["parameters"].attrs["dimensions"] = _texts([estimate.dimension for estimate in result.estimates])
     covariance = file.create_dataset("covariance", data=np.asarray(result.covariance, dtype=float))

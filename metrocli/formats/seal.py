@@ -37,6 +37,8 @@ class Label:
     content: str
     """Digest of the result and of the content of its inputs, without times, texts of jobs and versions"""
     inputs: tuple[InputFile, ...]
+    job_file: str = ""
+    """Relative to the folder of the result"""
     exit_code: int = 0
     warned: bool = False
     """Whether it has warnings that are no doubts"""
@@ -88,7 +90,7 @@ def _start_of_body(length: int) -> int:
 
 
 def _label_of(held: dict[str, Any]) -> Label:
-    names = ("kind", "status", "metrocli_version", "meaning", "content")
+    names = ("kind", "status", "metrocli_version", "meaning", "content", "job_file")
     texts = {name: held[name] for name in names}
     inputs = tuple(InputFile(**one) for one in held["inputs"])
     words = [*texts.values(), *(part for one in inputs for part in (one.path, one.sha256, one.content))]

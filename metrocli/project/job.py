@@ -101,6 +101,8 @@ class Wishes:
     effects: tuple[str, ...] = ()
     """The values of --effect, each `NAME:key=value,...`"""
     accept_doubtful: bool = False
+    text: str | None = None
+    """The text of the job, where it is not that of its file"""
 
 
 def load(path: Path, wishes: Wishes | None = None) -> JobFile:
@@ -110,7 +112,7 @@ def load(path: Path, wishes: Wishes | None = None) -> JobFile:
     """
     wishes = wishes or Wishes()
     faults: list[Fault] = []
-    root, text = _root(path, wishes.overrides, faults)
+    root, text = _root(path, wishes.overrides, faults, wishes.text)
     more = tuple(effect_node(effect, path.parent) for effect in wishes.effects)
     kind = _kind(root, path, wishes.kind)
     if kind is None:
@@ -143,12 +145,14 @@ def kind_of_job(path: Path) -> str | None:
     return _kind(_root(path, (), [])[0], path, None)
 
 
-def _root(path: Path, overrides: Sequence[str], faults: list[Fault]) -> tuple[Node, str]:
+def _root(
+    path: Path, overrides: Sequence[str], faults: list[Fault], text: str | None = None
+) -> tuple[Node, str]:
     """Return the tree of a job file with the overrides applied, and the equivalent YAML text.
 
     A fault for each repeated key is added to `faults`.
     """
-    text = yaml_text.read_text(path, str(path))
+    text = yaml_text.read_text(path, str(path)) if text is None else text
     root = yaml_text.parse(text, str(path), path.parent, faults)
     if root.kind != "mapping":
         raise InputError([root.fault("a job file must be a mapping of keys", "write 'metrocli: 1', 'job: KIND', ...")])

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+import os
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -83,12 +84,13 @@ def compute(
     result = replace(
         result,
         title=result.title or file.heading.title,
-        warnings=(*_accepted(file), *_table_warnings(job.files), *result.warnings),
+        warnings=_by_name(file, (*_accepted(file), *_table_warnings(job.files), *result.warnings)),
     )
     created = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     verdicts = _verdicts(file, result)
     doubts = doubts_of(result, verdicts, strict)
-    record = Record(file.text, files, __version__, created, verdicts, doubts, meaning.of_job(file))
+    place = Path(os.path.relpath(file.file, file.output.parent)).as_posix()
+    record = Record(file.text, files, __version__, created, verdicts, doubts, meaning.of_job(file), job_file=place)
     return result, replace(record, content=meaning.of_result(result, record))
 
 
@@ -153,6 +155,14 @@ def plan(file: JobFile) -> Plan:
     if planned is None:
         raise UsageError(f"{file.kind} jobs cannot be planned")
     return planned(content(file, kind.planned))
+
+
+def _by_name(file: JobFile, lines: Iterable[str]) -> tuple[str, ...]:
+    """Return lines that name the inputs relative to the job file, so that they are the same from every folder."""
+    names = {str(path): os.path.relpath(path, file.folder) for item in file.inputs for path in item.paths}
+    for path, name in names.items():
+        lines = [line.replace(path, name) for line in lines]
+    return tuple(lines)
 
 
 def _accepted(file: JobFile) -> tuple[str, ...]:
