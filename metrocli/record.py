@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from metrocli.units import as_stated, format_quantity
-
 DONE, DOUBTFUL, UNMET = "done", "doubtful", "requirements not met"
 """The status of a result; other jobs and exports use one that is done"""
 NOT_MET = 6
@@ -36,6 +34,8 @@ class Verdict:
     met: bool
 
     def __str__(self) -> str:
+        from metrocli.units import as_stated, format_quantity
+
         outcome = "met" if self.met else "NOT met"
         found = format_quantity(*as_stated(self.value, self.unit, self.condition))
         return f"required {self.name} {self.condition}: {outcome} ({found})"

@@ -59,39 +59,63 @@ def commands() -> None:
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
-    """Carry out one command line and return its exit code; every failure is printed to stderr."""
+    """Carry out one command line and return its exit code; every failure is printed to stderr.
+
+    With --json a failure is also printed to stdout, as the summary that programs expect there.
+    """
+    import sys
+
+    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    code, error = _carry_out(arguments)
+    if error is not None and "--json" in arguments:
+        _print_as_json(code, error)
+    return code
+
+
+def _print_as_json(code: int, error: Exception) -> None:
+    import json
+    from dataclasses import asdict
+
+    faults = error.faults if isinstance(error, InputError) else ()
+    message = error.format_message() if isinstance(error, click.ClickException) else str(error)
+    errors = [asdict(fault) for fault in faults] or [{"message": message}]
+    echo(json.dumps({"status": "error", "exit_code": code, "errors": errors}, indent=2, ensure_ascii=False))
+
+
+def _carry_out(arguments: list[str]) -> tuple[int, Exception | None]:
+    """Return the exit code of a command line, and the error that ended it."""
     try:
         with ending():
             code = commands.main(arguments, prog_name="metrocli", standalone_mode=False)
-        return code if isinstance(code, int) else 0
+        return (code if isinstance(code, int) else 0), None
     except Terminated:
         echo("terminated", err=True)
-        return TERMINATED
+        return TERMINATED, None
     except SystemExit:
         # click raises this when the reader of stdout has gone (`metrocli ... | head`)
-        return BROKEN_PIPE
+        return BROKEN_PIPE, None
     except click.exceptions.Abort:
         echo("interrupted", err=True)
-        return INTERRUPTED
+        return INTERRUPTED, None
     except click.ClickException as error:
         error.show()
-        return 2
+        return 2, error
     except InputError as error:
         echo(str(error), err=True)
-        return error.exit_code
+        return error.exit_code, error
     except MetrocliError as error:
         echo(f"error: {error}", err=True)
-        return error.exit_code
+        return error.exit_code, error
     except Exception as error:
         if isinstance(error, OSError) and error.errno in _CANNOT_WRITE:
             echo(f"error: the output cannot be written: {error.strerror}", err=True)
-            return InputError.exit_code
+            return InputError.exit_code, error
         if isinstance(error, OSError) and error.filename is not None:
             # a file may vanish or be closed to us at any moment between the check and the end
             echo(f"{error.filename}: error: cannot be opened: {error.strerror}", err=True)
-            return InputError.exit_code
+            return InputError.exit_code, error
         import traceback
 
         traceback.print_exc()
         echo("\nthis is a defect of metrocli; please report it with the lines above", err=True)
-        return 1
+        return 1, error

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from metrocli.cli import options
-from metrocli.cli.console import Console
+from metrocli.cli.console import Console, echo
 from metrocli.exports import FORMATS
 
 SUMMARIES = "; ".join(f"{name}, {form.summary}" for name, form in FORMATS.items())
@@ -22,13 +22,17 @@ SUMMARIES = "; ".join(f"{name}, {form.summary}" for name, form in FORMATS.items(
 )
 @options.ACCEPT
 @options.FORCE
+@options.JSON
 @options.QUIET
-def command(result: Path, form: str, out: Path | None, accept_doubtful: bool, force: bool, quiet: bool) -> int:
+def command(
+    result: Path, form: str, out: Path | None, accept_doubtful: bool, force: bool, as_json: bool, quiet: bool
+) -> int:
     """Write the files of a format: as NAME into the given folder, else as RESULT.NAME beside the result.
 
     Raises InputError if the result is not fit for use, unless that is accepted; the files then state it. Files that
     metrocli did not write are replaced with `force` only.
     """
+    from metrocli.cli.summary import as_json as json_text
     from metrocli.errors import Fault, InputError
     from metrocli.exports import export
     from metrocli.formats import csv, hdf5
@@ -46,6 +50,9 @@ def command(result: Path, form: str, out: Path | None, accept_doubtful: bool, fo
         path = inside(out, name) if out is not None else inside(result.parent, f"{result.stem}.{name}")
         contents[path] = (csv.to_text(content) if isinstance(content, Table) else content).encode()
     written = list(write_all(contents, force))
+    if as_json:
+        echo(json_text({"status": record.status, "files": list(map(str, written))}))
+        return 0
     for path in written:  # after all are written: the reader of this output may close it at any line
         Console(quiet).print(str(path))
     return 0

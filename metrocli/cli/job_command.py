@@ -51,7 +51,12 @@ def _carry_out(kind: str, path: Path, console: Console, wanted: dict[str, Any]) 
         if not wanted["force"]:
             refuse_foreign(job.output, kind)
         runner.verify(job, runner.content(job))
-        console.print(f"{path}: no faults; would write {job.output}")
+        if wanted["as_json"]:
+            from metrocli.cli.summary import as_json
+
+            echo(as_json({"job": str(path), "status": "no faults", "result": str(job.output)}))
+        else:
+            console.print(f"{path}: no faults; would write {job.output}")
         return 0
     from metrocli.cli import columns, summary, terminal
 

@@ -16,7 +16,7 @@ from metrocli.cli.console import echo
 @options.JSON
 def command(project: Path, accept_doubtful: bool, as_json: bool) -> int:
     """Print one line for each job; return 0 whenever the project can be read."""
-    from metrocli.cli.run import state_text
+    from metrocli.cli.run import state_data, state_text
     from metrocli.project.staleness import states
     from metrocli.project.steps import load_project
 
@@ -24,16 +24,7 @@ def command(project: Path, accept_doubtful: bool, as_json: bool) -> int:
     if as_json:
         from metrocli.cli.summary import as_json as json_text
 
-        rows = [
-            {
-                "job": one.step.name,
-                "up_to_date": not one.reason,
-                "reason": one.reason,
-                "status": one.label.status if one.label else None,
-            }
-            for one in found
-        ]
-        echo(json_text({"jobs": rows}))
+        echo(json_text({"jobs": [state_data(one) for one in found]}))
         return 0
     for state in found:
         unfit = state.record if state.label and state.label.exit_code and not state.reason else None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -71,8 +71,13 @@ class JobFile:
     """The text of the job as used, after --set."""
     root: Node
     effects: tuple[Wanted, ...] = ()
-    accept_doubtful: bool = False
-    """Whether results that are doubtful, or do not meet their requirements, are accepted as inputs"""
+    wishes: Wishes = field(default_factory=lambda: Wishes())
+    """What the command line asked for when it was loaded"""
+
+    @property
+    def accept_doubtful(self) -> bool:
+        """Whether results that are doubtful, or do not meet their requirements, are accepted as inputs."""
+        return self.wishes.accept_doubtful
 
     @property
     def kind(self) -> str:
@@ -132,7 +137,7 @@ def load(path: Path, wishes: Wishes | None = None) -> JobFile:
     output = wishes.output or heading.output or path.parent / "results" / f"{path.stem}.h5"
     if os.path.realpath(output) in {os.path.realpath(file) for item in inputs for file in item.paths}:
         raise InputError([root.at("output").fault(f"the output {output} is one of the inputs", "name another output")])
-    return JobFile(path, heading, settings, inputs, output, text, root, wanted, wishes.accept_doubtful)
+    return JobFile(path, heading, settings, inputs, output, text, root, wanted, wishes)
 
 
 def absolute(path: Path) -> Path:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import traceback
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from heapq import heappop, heappush
 from typing import TYPE_CHECKING, Any
 
-from metrocli.errors import InputError, MetrocliError
+from metrocli.errors import InputError
 from metrocli.formats.aside import sweep
 from metrocli.formats.seal import Label
 from metrocli.project.staleness import State, refuse_lost, state_of, unfit_words
@@ -16,7 +16,8 @@ from metrocli.project.steps import Step
 from metrocli.record import NOT_MET, Record
 
 if TYPE_CHECKING:
-    from metrocli.project.runner import Done, Progress
+    from metrocli.project.crew import Crew, Outcome
+    from metrocli.project.runner import Done
 
 
 class Action(StrEnum):
@@ -49,51 +50,88 @@ class Report:
         return State(self.step, "", self.label).record
 
 
-def run(
-    steps: Sequence[Step],
-    force: bool,
-    progress: Progress,
-    finished: Callable[[Report], Any],
-    strict: bool = False,
-) -> list[Report]:
-    """Bring every result up to date; call `finished` with the report of each job.
+@dataclass(frozen=True)
+class Order:
+    """How a project is run."""
+
+    force: bool = False
+    strict: bool = False
+
+
+def run(steps: Sequence[Step], order: Order, crew: Crew, finished: Callable[[Report], Any]) -> list[Report]:
+    """Bring every result up to date; call `finished` with the report of each job as soon as it is known.
 
     After a failure, or a result that is not fit for use, jobs that need it do not run; all others do.
     """
-    if not force:
+    if not order.force:
         refuse_lost(steps)
     for folder in {step.job.output.parent for step in steps}:
         sweep(folder)
-    reports: dict[str, Report] = {}
-    for step in steps:
-        report = _run_step(step, reports, force, progress, strict)
-        reports[step.name] = report
-        finished(report)
-    return list(reports.values())
+    return _Run(steps, order, crew, finished).reports_in_order()
 
 
-def _run_step(step: Step, reports: Mapping[str, Report], force: bool, progress: Progress, strict: bool) -> Report:
-    broken = next((name for name in step.needs if _stops(reports[name], step)), None)
-    if broken is not None:
-        return Report(step, Action.NOT_RUN, _why(reports[broken]), reports[broken].exit_code)
-    state = state_of(step, {}, force, strict)
-    if state.waits:
-        return Report(step, Action.FAILED, "", InputError.exit_code, error=state.reason)
-    if not state.reason and state.label is not None:
-        return Report(step, Action.UP_TO_DATE, "", state.label.exit_code, label=state.label)
-    from metrocli.project.runner import carry_out
+class _Run:
+    """One run: jobs wait for those that they need, are judged, and computed where they are out of date."""
 
+    def __init__(self, steps: Sequence[Step], order: Order, crew: Crew, finished: Callable[[Report], Any]) -> None:
+        self.order, self.crew, self.tell = order, crew, finished
+        self.steps = {step.name: step for step in steps}
+        self.reports: dict[str, Report] = {}
+        self.working: dict[str, State] = {}
+        self.unmet = {step.name: {name for name in step.needs if name in self.steps} for step in steps}
+        self.places = {name: number for number, name in enumerate(self.steps)}
+        self.ready = [(self.places[name], name) for name, needs in self.unmet.items() if not needs]
+        """Jobs that need nothing more, as a heap: the first of the project comes first"""
+        self.users: dict[str, list[str]] = {}
+        for name, needs in self.unmet.items():
+            for one in needs:
+                self.users.setdefault(one, []).append(name)
+
+    def reports_in_order(self) -> list[Report]:
+        while self.ready or self.working:
+            while self.ready and len(self.working) < self.crew.places:
+                self.judge(self.steps[heappop(self.ready)[1]])
+            if self.working:
+                for name, outcome in self.crew.finished():
+                    self.report(_written(self.working.pop(name), outcome))
+        return [self.reports[name] for name in self.steps]
+
+    def judge(self, step: Step) -> None:
+        """Report a job that does not run, and begin any other."""
+        needed = [self.reports[name] for name in step.needs if name in self.reports]
+        broken = next((report for report in needed if _stops(report, step)), None)
+        if broken is not None:
+            return self.report(Report(step, Action.NOT_RUN, _why(broken), broken.exit_code))
+        state = state_of(step, {}, self.order.force, self.order.strict)
+        if state.waits:
+            return self.report(Report(step, Action.FAILED, "", InputError.exit_code, error=state.reason))
+        if not state.reason and state.label is not None:
+            return self.report(Report(step, Action.UP_TO_DATE, "", state.label.exit_code, label=state.label))
+        self.working[step.name] = state
+        self.crew.begin(step.name, step.job, self.order.strict)
+
+    def report(self, report: Report) -> None:
+        name = report.step.name
+        self.reports[name] = report
+        self.tell(report)
+        for user in self.users.get(name, ()):
+            self.unmet[user].discard(name)
+            if not self.unmet[user]:
+                heappush(self.ready, (self.places[user], user))
+
+
+def _written(state: State, outcome: Outcome) -> Report:
+    """Write the result of a job that was computed, and return the report."""
+    from metrocli.project.runner import write
+
+    step = state.step
+    if outcome.result is None or outcome.record is None:
+        return Report(step, Action.FAILED, state.reason, outcome.exit_code, error=outcome.error)
     try:
-        done = carry_out(step.job, force, progress, strict=strict)
-    except MetrocliError as error:
+        done = write(step.job, outcome.result, outcome.record)
+    except InputError as error:
         return Report(step, Action.FAILED, state.reason, error.exit_code, error=str(error))
-    except Exception:
-        return Report(step, Action.FAILED, state.reason, MetrocliError.exit_code, error=_defect())
     return Report(step, Action.RAN, state.reason, done.record.exit_code, done)
-
-
-def _defect() -> str:
-    return f"{traceback.format_exc()}\nthis is a defect of metrocli; please report it with the lines above"
 
 
 def _stops(needed: Report, step: Step) -> bool:

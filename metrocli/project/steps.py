@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import heapq
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from metrocli.errors import Fault, InputError
+from metrocli.errors import Fault, InputError, UsageError
 from metrocli.nodes import Node
 from metrocli.project import yaml_text
 from metrocli.project.job import JobFile, Wishes, absolute, load
 from metrocli.settings import BAD, ListOf, Section, Text, path_beside, setting
+from metrocli.words import suggestion
 
 FILE = "metrocli.yaml"
 
@@ -114,23 +116,58 @@ def _ordered(nodes: Sequence[Node], needs: Mapping[str, tuple[str, ...]]) -> lis
 
     Raises InputError if jobs need each other in a circle.
     """
+    place = {node.text: number for number, node in enumerate(nodes) if node.text in needs}
+    unmet = {name: set(before) for name, before in needs.items()}
+    users: dict[str, list[str]] = {}
+    for name, before in needs.items():
+        for one in before:
+            users.setdefault(one, []).append(name)
+    ready = [(place[name], name) for name, before in unmet.items() if not before]
+    heapq.heapify(ready)
     ordered: list[str] = []
-    waiting = [node for node in nodes if node.text in needs]
-    while waiting:
-        ready = next((node for node in waiting if set(needs[node.text]) <= set(ordered)), None)
-        if ready is None:
-            chain = _cycle(waiting[0].text, needs, ordered)
-            place = next(node for node in waiting if node.text == chain[0])
-            raise InputError([place.fault(f"these jobs need each other's results: {' <- '.join(chain)}")])
-        ordered.append(ready.text)
-        waiting.remove(ready)
+    while ready:
+        _, done = heapq.heappop(ready)
+        ordered.append(done)
+        for user in users.get(done, ()):
+            unmet[user].discard(done)
+            if not unmet[user]:
+                heapq.heappush(ready, (place[user], user))
+    if len(ordered) < len(place):
+        chain = _cycle(next(name for name in place if unmet[name]), needs, set(ordered))
+        at = next(node for node in nodes if node.text == chain[0])
+        raise InputError([at.fault(f"these jobs need each other's results: {' <- '.join(chain)}")])
     return ordered
 
 
-def _cycle(name: str, needs: Mapping[str, tuple[str, ...]], ordered: Sequence[str]) -> list[str]:
+def _cycle(name: str, needs: Mapping[str, tuple[str, ...]], ordered: Collection[str]) -> list[str]:
     """Return a circle of jobs, found by following unmet needs until a name appears again."""
     chain = [name]
     while chain.count(name) < 2:
         name = next(other for other in needs[name] if other not in ordered)
         chain.append(name)
     return chain[chain.index(name) :]
+
+
+def selected(steps: Sequence[Step], only: Sequence[str], start: str | None) -> tuple[Step, ...]:
+    """Return the jobs named in `only` with all that they need, or `start` with all that needs it; else all.
+
+    A job is named as in the project or by its result. Raises UsageError for a name that no job has.
+    """
+    if only:
+        wanted = {_named(steps, name) for name in only}
+        for step in reversed(steps):
+            wanted |= set(step.needs) if step.name in wanted else set()
+    elif start is not None:
+        wanted = {_named(steps, start)}
+        for step in steps:
+            wanted |= {step.name} if wanted & set(step.needs) else set()
+    else:
+        return tuple(steps)
+    return tuple(step for step in steps if step.name in wanted)
+
+
+def _named(steps: Sequence[Step], name: str) -> str:
+    for step in steps:
+        if name == step.name or absolute(Path(name)) in (absolute(step.job.file), absolute(step.job.output)):
+            return step.name
+    raise UsageError(f"the project has no job '{name}'; {suggestion(name, [step.name for step in steps])}")

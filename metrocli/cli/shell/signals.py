@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import socket
 import sys
 import threading
 from collections.abc import Iterator
@@ -33,9 +32,9 @@ def ending() -> Iterator[None]:
         return
     before = {signal.SIGTERM: signal.signal(signal.SIGTERM, _terminate)}
     before[signal.SIGINT] = signal.signal(signal.SIGINT, signal.default_int_handler)
-    heard, wakes = socket.socketpair()
-    wakes.setblocking(False)
-    wake_before = signal.set_wakeup_fd(wakes.fileno(), warn_on_full_buffer=False)
+    heard, wakes = os.pipe()
+    os.set_blocking(wakes, False)
+    wake_before = signal.set_wakeup_fd(wakes, warn_on_full_buffer=False)
     done = threading.Event()
     watcher = threading.Thread(target=_watch, args=(heard, done), daemon=True)
     watcher.start()
@@ -46,18 +45,18 @@ def ending() -> Iterator[None]:
         signal.set_wakeup_fd(wake_before)
         for number, handler in before.items():
             signal.signal(number, handler)
-        wakes.close()
+        os.close(wakes)
         watcher.join()
-        heard.close()
+        os.close(heard)
 
 
 def _terminate(number: int, frame: FrameType | None) -> None:
     raise Terminated
 
 
-def _watch(heard: socket.socket, done: threading.Event) -> None:
+def _watch(heard: int, done: threading.Event) -> None:
     """Wait for a signal, then for the end of the command; end the process if that does not come."""
-    while number := heard.recv(1):
+    while number := os.read(heard, 1):
         if number[0] in _ENDS and not done.wait(_PATIENCE_S):
             word, code = _ENDS[signal.Signals(number[0])]
             _take_back()
