@@ -29,7 +29,7 @@ def command(place: Path, overrides: tuple[str, ...], accept_doubtful: bool, as_j
     from metrocli.cli.summary import as_json as json_text
     from metrocli.errors import Fault, InputError, UsageError
     from metrocli.formats.hdf5 import refuse_foreign
-    from metrocli.project.job import Wishes, load
+    from metrocli.project.job import Wishes, load_parts
     from metrocli.project.runner import content, verify
     from metrocli.project.steps import FILE, load_project
 
@@ -38,7 +38,7 @@ def command(place: Path, overrides: tuple[str, ...], accept_doubtful: bool, as_j
             raise UsageError("--set changes one job, and this is a project: name the job file instead")
         jobs: list[JobFile] = [step.job for step in load_project(place, accept_doubtful)]
     else:
-        jobs = [load(place, Wishes(overrides, accept_doubtful=accept_doubtful))]
+        jobs = load_parts(place, Wishes(overrides, accept_doubtful=accept_doubtful))
     faults: list[Fault] = []
     for job in jobs:
         missing = [item.key for item in job.inputs if not all(path.exists() for path in item.paths)]

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 @options.VERBOSE
 def command(project: Path, dry_run: bool, as_json: bool, quiet: bool, verbose: bool, **how: Any) -> int:
     """Run the jobs and print one line for each; return the worst of their exit codes."""
-    from metrocli.project import memo
+    from metrocli.project.running import memo
 
     console = Console(quiet or as_json, verbose)
     place = project / "metrocli.yaml" if project.is_dir() else project
@@ -49,8 +49,9 @@ def command(project: Path, dry_run: bool, as_json: bool, quiet: bool, verbose: b
     unmoved = memo.unmoved_jobs(place) if plain else None
     if unmoved is not None:
         return _nothing_to_do(unmoved, place.parent, console, as_json, dry_run)
-    from metrocli.project import depfile, pipeline
-    from metrocli.project.lock import locked
+    from metrocli.project import pipeline
+    from metrocli.project.running import depfile
+    from metrocli.project.running.lock import locked
     from metrocli.project.staleness import states
     from metrocli.project.steps import load_project, project_file, selected
 
@@ -94,7 +95,7 @@ def _nothing_to_do(jobs: Sequence[Sequence[str]], folder: Path, console: Console
 
 def _run(steps: Sequence[Step], order: Any, jobs: int, console: Console) -> list[Report]:
     from metrocli.project import pipeline
-    from metrocli.project.crew import Alone, processes
+    from metrocli.project.running.crew import Alone, processes
 
     with nullcontext(Alone(console.detail)) if jobs == 1 else processes(jobs) as crew:
         return pipeline.run(steps, order, crew, lambda report: _print_report(report, console))

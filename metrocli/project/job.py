@@ -15,6 +15,8 @@ from metrocli.errors import Fault, InputError, UsageError
 from metrocli.formats.file_bytes import FileBytes, read_bytes
 from metrocli.nodes import Node
 from metrocli.project import yaml_text
+from metrocli.project.campaign import KEY as CAMPAIGN
+from metrocli.project.campaign import Part, bound, parts_of
 from metrocli.project.heading import Heading
 from metrocli.project.overrides import effect_node, overridden
 from metrocli.project.ranges import ranges_of, within
@@ -108,6 +110,8 @@ class Wishes:
     accept_doubtful: bool = False
     text: str | None = None
     """The text of the job, where it is not that of its file"""
+    part: Part | None = None
+    """The part that a job is loaded for, if its file is for many"""
 
 
 def load(path: Path, wishes: Wishes | None = None) -> JobFile:
@@ -118,6 +122,12 @@ def load(path: Path, wishes: Wishes | None = None) -> JobFile:
     wishes = wishes or Wishes()
     faults: list[Fault] = []
     root, text = _root(path, wishes.overrides, faults, wishes.text)
+    if wishes.part is not None:
+        root = bound(root, wishes.part)
+        text = f"# {path.name}, for {wishes.part.name}\n{yaml_text.emit(root)}"
+    elif root.get(CAMPAIGN) is not None:
+        hint = "name it in a project (metrocli.yaml) and use: metrocli run PROJECT --only JOB[PART]"
+        raise InputError([root.at(CAMPAIGN).fault("this file is a job for each of many parts", hint)])
     more = tuple(effect_node(effect, path.parent) for effect in wishes.effects)
     kind = _kind(root, path, wishes.kind)
     if kind is None:
@@ -138,6 +148,12 @@ def load(path: Path, wishes: Wishes | None = None) -> JobFile:
     if os.path.realpath(output) in {os.path.realpath(file) for item in inputs for file in item.paths}:
         raise InputError([root.at("output").fault(f"the output {output} is one of the inputs", "name another output")])
     return JobFile(path, heading, settings, inputs, output, text, root, wanted, wishes)
+
+
+def load_parts(path: Path, wishes: Wishes) -> list[JobFile]:
+    """Return the job of a file, or one for each part if it is for many; raises as `load`."""
+    parts = parts_of(_root(path, wishes.overrides, [])[0])
+    return [load(path, replace(wishes, part=part)) for part in parts] or [load(path, wishes)]
 
 
 def absolute(path: Path) -> Path:

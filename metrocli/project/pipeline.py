@@ -16,8 +16,8 @@ from metrocli.project.steps import Step
 from metrocli.record import NOT_MET, Record
 
 if TYPE_CHECKING:
-    from metrocli.project.crew import Crew, Outcome
     from metrocli.project.runner import Done
+    from metrocli.project.running.crew import Crew, Outcome
 
 
 class Action(StrEnum):

@@ -13,7 +13,7 @@ import h5py
 import pytest
 from places import SAMPLES
 
-from metrocli.project.lineage import AS_READ, CHANGED, Origin, shortened
+from metrocli.project.provenance.lineage import AS_READ, CHANGED, Origin, shortened
 from metrocli.result import Estimate
 
 HEAD = "metrocli: 1\njob: straight-line\nnoise: 0.1 mm\n"

@@ -16,8 +16,8 @@ import pytest
 
 from metrocli.errors import InputError
 from metrocli.formats import hdf5
-from metrocli.project import memo
-from metrocli.project.lock import locked
+from metrocli.project.running import memo
+from metrocli.project.running.lock import locked
 
 JOB = """\
 metrocli: 1
@@ -135,7 +135,7 @@ def test_results_keep_their_time_when_nothing_changed(project: Path, metrocli: C
 HOLD = """
 import sys, time
 from pathlib import Path
-from metrocli.project.lock import locked
+from metrocli.project.running.lock import locked
 with locked(Path("metrocli.yaml"), False):
     print("held", flush=True)
     time.sleep(60)
@@ -167,7 +167,7 @@ class TestMemo:
     @pytest.fixture(autouse=True)
     def settled(self, project: Path, metrocli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
         metrocli("run")
-        monkeypatch.setattr("metrocli.project.memo._SETTLED_NS", -(10**12))
+        monkeypatch.setattr("metrocli.project.running.memo._SETTLED_NS", -(10**12))
         metrocli("run")
 
     def test_the_same_is_printed(self, metrocli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -175,7 +175,7 @@ class TestMemo:
         options = ((), ("--json",), ("--dry-run",), ("--dry-run", "--json"))
         quick = [metrocli("run", *one) for one in options]
         Path(memo.NAME).unlink()
-        monkeypatch.setattr("metrocli.project.memo.remember", lambda *arguments: None)
+        monkeypatch.setattr("metrocli.project.running.memo.remember", lambda *arguments: None)
         assert [metrocli("run", *one) for one in options] == quick
 
     @pytest.mark.parametrize("file", ["metrocli.yaml", "jobs/a.yaml", "results/d.h5", "."])
@@ -195,7 +195,7 @@ class TestMemo:
         assert memo.unmoved_jobs(Path("metrocli.yaml")) is None
 
     def test_young_files_are_not_remembered(self, metrocli: Callable[..., Any], monkeypatch: Any) -> None:
-        monkeypatch.setattr("metrocli.project.memo._SETTLED_NS", 10**12)
+        monkeypatch.setattr("metrocli.project.running.memo._SETTLED_NS", 10**12)
         Path(memo.NAME).unlink()
         metrocli("run", Path.cwd())
         assert not Path(memo.NAME).exists()

@@ -18,7 +18,7 @@ from metrocli.cli.console import echo
 def command(first: Path, second: Path, as_json: bool) -> int:
     """Print the differences, in standard uncertainties of the first result; return 0 whatever they are."""
     from metrocli.cli import columns, summary
-    from metrocli.project.comparison import between
+    from metrocli.project.provenance.comparison import between
 
     found = between(first, second)
     if as_json:

@@ -12,7 +12,7 @@ import click
 from metrocli.cli.console import echo
 
 if TYPE_CHECKING:
-    from metrocli.project.lineage import Origin
+    from metrocli.project.provenance.lineage import Origin
 
 
 @click.command("lineage", help="Show the jobs and files that a result was made from, back to the measurements.")
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 @click.option("--to", "form", type=click.Choice(["text", "mermaid", "dot", "json"]), default="text", help="Format.")
 def command(result: Path, form: str) -> int:
     """Print the lineage; each file with its digest and whether it still has the content that was read."""
-    from metrocli.project.lineage import shortened, trace
+    from metrocli.project.provenance.lineage import shortened, trace
 
     found = trace(result)
     if form == "json":

@@ -24,7 +24,7 @@ def command(
 ) -> int:
     """Print whether the result is the same; exit code 6 if it is another one. Written only with --output."""
     from metrocli.formats import hdf5
-    from metrocli.project.again import rerun
+    from metrocli.project.provenance.again import rerun
     from metrocli.uncertainty.workers import Workers
 
     console = Console(quiet, verbose)

@@ -81,6 +81,8 @@ def _looked_at(project_file: Path, steps: Iterable[Step]) -> Iterable[Path]:
     yield project_file
     for step in steps:
         yield step.job.file
+        if step.job.wishes.part is not None and step.job.wishes.part.file is not None:
+            yield step.job.wishes.part.file
         yield step.job.output
         for item in step.job.inputs:
             yield from item.paths
