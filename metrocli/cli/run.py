@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +15,8 @@ from metrocli.record import DOUBTFUL, NOT_MET, UNMET
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from metrocli.project.pipeline import Report
+    from metrocli.project.pipeline import Order, Report
+    from metrocli.project.running.crew import Crew
     from metrocli.project.staleness import State
     from metrocli.project.steps import Step
 
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 @click.option("--jobs", type=click.IntRange(1), default=1, metavar="N", help="Compute N jobs at once.")
 @click.option("--only", multiple=True, metavar="JOB", help="Run this job and what it needs (repeatable).")
 @click.option("--from", "start", metavar="JOB", help="Run this job and what needs its result.")
+@options.SCHEDULER
 @click.option("--wait", is_flag=True, help="Wait for another run on this project to end.")
 @click.option(
     "--depfile", type=click.Path(path_type=Path), metavar="FILE", help="Write for Make what the results depend on."
@@ -63,7 +65,7 @@ def command(project: Path, dry_run: bool, as_json: bool, quiet: bool, verbose: b
         order = pipeline.Order(how["force"], how["strict"])
         if dry_run:
             return _dry_run(list(states(steps, order.force, order.strict)), console, as_json)
-        reports = _run(steps, order, how["jobs"], console)
+        reports = _run(steps, order, console, how["jobs"], how["scheduler"])
     if plain and all(report.action == pipeline.Action.UP_TO_DATE and not report.exit_code for report in reports):
         memo.remember(file, steps, begun)
     code = pipeline.worst(report.exit_code for report in reports)
@@ -93,12 +95,21 @@ def _nothing_to_do(jobs: Sequence[Sequence[str]], folder: Path, console: Console
     return 0
 
 
-def _run(steps: Sequence[Step], order: Any, jobs: int, console: Console) -> list[Report]:
+def _run(steps: Sequence[Step], order: Order, console: Console, jobs: int, scheduler: str) -> list[Report]:
     from metrocli.project import pipeline
+
+    with _crew(console, jobs, scheduler) as crew:
+        return pipeline.run(steps, order, crew, lambda report: _print_report(report, console))
+
+
+def _crew(console: Console, jobs: int, scheduler: str) -> AbstractContextManager[Crew]:
     from metrocli.project.running.crew import Alone, processes
 
-    with nullcontext(Alone(console.detail)) if jobs == 1 else processes(jobs) as crew:
-        return pipeline.run(steps, order, crew, lambda report: _print_report(report, console))
+    if scheduler:
+        from metrocli.project.running.cluster import on_cluster
+
+        return on_cluster(scheduler)
+    return nullcontext(Alone(console.detail)) if jobs == 1 else processes(jobs)
 
 
 def _dry_run(found: Sequence[State], console: Console, as_json: bool) -> int:
