@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from metrocli.units import as_stated, format_quantity
-
 DONE, DOUBTFUL, UNMET = "done", "doubtful", "requirements not met"
 """The status of a result; other jobs and exports use one that is done"""
+NOT_MET = 6
+"""Exit code of a job that is done but is doubtful or does not meet an acceptance criterion"""
 
 
 @dataclass(frozen=True)
@@ -18,6 +18,8 @@ class InputFile:
     """Relative to the folder of the job file, with forward slashes."""
     sha256: str
     bytes: int
+    content: str = ""
+    """Digest of its content as values are read from it: the cells of a table, the numbers of a result."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +34,8 @@ class Verdict:
     met: bool
 
     def __str__(self) -> str:
+        from metrocli.units import as_stated, format_quantity
+
         outcome = "met" if self.met else "NOT met"
         found = format_quantity(*as_stated(self.value, self.unit, self.condition))
         return f"required {self.name} {self.condition}: {outcome} ({found})"
@@ -50,6 +54,12 @@ class Record:
     verdicts: tuple[Verdict, ...] = ()
     doubts: tuple[str, ...] = ()
     """Why the result must not be used; empty if nothing speaks against it."""
+    meaning: str = ""
+    """Digest of the job as meant; comments and notation do not change it."""
+    content: str = ""
+    """Digest of the result, equal for results that come out the same."""
+    job_file: str = ""
+    """The job file relative to the folder of the result, with forward slashes."""
 
     @property
     def status(self) -> str:
@@ -57,6 +67,11 @@ class Record:
         if self.doubts:
             return DOUBTFUL
         return DONE if all(verdict.met for verdict in self.verdicts) else UNMET
+
+    @property
+    def exit_code(self) -> int:
+        """The exit code of the job."""
+        return 0 if self.status == DONE else NOT_MET
 
     @property
     def reasons(self) -> tuple[str, ...]:

@@ -2,23 +2,34 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from metrocli.cli import options
-from metrocli.cli.console import Console
+from metrocli.cli.console import Console, echo
+
+if TYPE_CHECKING:
+    from metrocli.project.job import JobFile
 
 
 @click.command("check", help="Validate a job or a project, and the files they name, without computing.")
 @click.argument("place", type=click.Path(path_type=Path), metavar="JOB.yaml|PROJECT")
 @options.SET
 @options.ACCEPT
+@options.JSON
 @options.QUIET
-def command(place: Path, overrides: tuple[str, ...], accept_doubtful: bool, quiet: bool) -> int:
-    """Print `no faults` for each job; raise InputError with every fault otherwise."""
+def command(place: Path, overrides: tuple[str, ...], accept_doubtful: bool, as_json: bool, quiet: bool) -> int:
+    """Print `no faults` for each job, and its files outside the project; raise InputError with every fault otherwise.
+
+    A foreign file at the output is a fault too: `run` would not replace it.
+    """
+    from metrocli.cli.summary import as_json as json_text
     from metrocli.errors import Fault, InputError, UsageError
-    from metrocli.project.job import JobFile, Wishes, load
+    from metrocli.formats.hdf5 import refuse_foreign
+    from metrocli.project.job import Wishes, load_parts
     from metrocli.project.runner import content, verify
     from metrocli.project.steps import FILE, load_project
 
@@ -27,7 +38,7 @@ def command(place: Path, overrides: tuple[str, ...], accept_doubtful: bool, quie
             raise UsageError("--set changes one job, and this is a project: name the job file instead")
         jobs: list[JobFile] = [step.job for step in load_project(place, accept_doubtful)]
     else:
-        jobs = [load(place, Wishes(overrides, accept_doubtful=accept_doubtful))]
+        jobs = load_parts(place, Wishes(overrides, accept_doubtful=accept_doubtful))
     faults: list[Fault] = []
     for job in jobs:
         missing = [item.key for item in job.inputs if not all(path.exists() for path in item.paths)]
@@ -35,10 +46,25 @@ def command(place: Path, overrides: tuple[str, ...], accept_doubtful: bool, quie
             held = content(job, missing)
             if not missing:
                 verify(job, held)
+            refuse_foreign(job.output, job.kind)
         except InputError as error:
             faults.extend(error.faults)
     if faults:
         raise InputError(faults)
+    root = place if place.is_dir() else place.parent
+    outside = {job.file: _outside(job, root) for job in jobs} if (root / FILE).is_file() else {}
+    if as_json:
+        rows = [{"job": str(job.file), "outside": outside.get(job.file, [])} for job in jobs]
+        echo(json_text({"status": "no faults", "jobs": rows}))
     for job in jobs:
-        Console(quiet).print(f"{job.file}: no faults")
+        Console(quiet or as_json).print(f"{job.file}: no faults")
+        for path in outside.get(job.file, []):
+            Console(quiet or as_json).print(f"{job.file}: names a file outside the project: {path}")
     return 0
+
+
+def _outside(job: JobFile, root: Path) -> list[str]:
+    """Return the inputs and the output of a job that lie outside the project, links followed."""
+    home = os.path.realpath(root) + os.sep
+    named = [*(path for item in job.inputs for path in item.paths), job.output]
+    return [str(path) for path in dict.fromkeys(named) if not os.path.realpath(path).startswith(home)]

@@ -3,26 +3,20 @@
 from __future__ import annotations
 
 import errno
-import signal
-import threading
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from importlib import import_module
-from types import FrameType
 
 import click
 
 from metrocli import __version__
-from metrocli.cli.help import COMMANDS, help_text, version_text
+from metrocli.cli.console import echo
+from metrocli.cli.help import COMMANDS, ROOMS, help_text, version_text
+from metrocli.cli.shell.signals import INTERRUPTED, TERMINATED, Terminated, ending
 from metrocli.errors import InputError, MetrocliError
 from metrocli.tasks import KINDS
 
-INTERRUPTED, BROKEN_PIPE, TERMINATED = 130, 141, 143
-"""Exit codes that shells give to programs ended by SIGINT, SIGPIPE and SIGTERM"""
-
-
-class Terminated(BaseException):
-    """SIGTERM as an exception, so that unfinished files are removed on the way out."""
+BROKEN_PIPE = 141
+"""Exit code that shells give to programs ended by SIGPIPE"""
 
 
 class Commands(click.Group):
@@ -38,7 +32,7 @@ class Commands(click.Group):
             return make(cmd_name)
         if cmd_name not in COMMANDS:
             return None
-        command: click.Command = import_module(f"metrocli.cli.{cmd_name}").command
+        command: click.Command = import_module(f"metrocli.cli.{ROOMS.get(cmd_name, '')}{cmd_name}").command
         return command
 
     def resolve_command(
@@ -64,57 +58,64 @@ def commands() -> None:
     """All commands."""
 
 
-@contextmanager
-def _terminable() -> Iterator[None]:
-    """Make SIGTERM raise Terminated; does nothing outside the main thread, where no signal arrives."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def stop(number: int, frame: FrameType | None) -> None:
-        raise Terminated
-
-    before = signal.signal(signal.SIGTERM, stop)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
-
-
 def run(arguments: Sequence[str] | None = None) -> int:
-    """Carry out one command line and return its exit code; every failure is printed to stderr."""
+    """Carry out one command line and return its exit code; every failure is printed to stderr.
+
+    With --json a failure is also printed to stdout, as the summary that programs expect there.
+    """
+    import sys
+
+    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    code, error = _carry_out(arguments)
+    if error is not None and "--json" in arguments:
+        _print_as_json(code, error)
+    return code
+
+
+def _print_as_json(code: int, error: Exception) -> None:
+    import json
+    from dataclasses import asdict
+
+    faults = error.faults if isinstance(error, InputError) else ()
+    message = error.format_message() if isinstance(error, click.ClickException) else str(error)
+    errors = [asdict(fault) for fault in faults] or [{"message": message}]
+    echo(json.dumps({"status": "error", "exit_code": code, "errors": errors}, indent=2, ensure_ascii=False))
+
+
+def _carry_out(arguments: list[str]) -> tuple[int, Exception | None]:
+    """Return the exit code of a command line, and the error that ended it."""
     try:
-        with _terminable():
+        with ending():
             code = commands.main(arguments, prog_name="metrocli", standalone_mode=False)
-        return code if isinstance(code, int) else 0
+        return (code if isinstance(code, int) else 0), None
     except Terminated:
-        click.echo("terminated", err=True)
-        return TERMINATED
+        echo("terminated", err=True)
+        return TERMINATED, None
     except SystemExit:
         # click raises this when the reader of stdout has gone (`metrocli ... | head`)
-        return BROKEN_PIPE
+        return BROKEN_PIPE, None
     except click.exceptions.Abort:
-        click.echo("interrupted", err=True)
-        return INTERRUPTED
+        echo("interrupted", err=True)
+        return INTERRUPTED, None
     except click.ClickException as error:
         error.show()
-        return 2
+        return 2, error
     except InputError as error:
-        click.echo(str(error), err=True)
-        return error.exit_code
+        echo(str(error), err=True)
+        return error.exit_code, error
     except MetrocliError as error:
-        click.echo(f"error: {error}", err=True)
-        return error.exit_code
+        echo(f"error: {error}", err=True)
+        return error.exit_code, error
     except Exception as error:
         if isinstance(error, OSError) and error.errno in _CANNOT_WRITE:
-            click.echo(f"error: the output cannot be written: {error.strerror}", err=True)
-            return InputError.exit_code
+            echo(f"error: the output cannot be written: {error.strerror}", err=True)
+            return InputError.exit_code, error
         if isinstance(error, OSError) and error.filename is not None:
             # a file may vanish or be closed to us at any moment between the check and the end
-            click.echo(f"{error.filename}: error: cannot be opened: {error.strerror}", err=True)
-            return InputError.exit_code
+            echo(f"{error.filename}: error: cannot be opened: {error.strerror}", err=True)
+            return InputError.exit_code, error
         import traceback
 
         traceback.print_exc()
-        click.echo("\nthis is a defect of metrocli; please report it with the lines above", err=True)
-        return 1
+        echo("\nthis is a defect of metrocli; please report it with the lines above", err=True)
+        return 1, error

@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
 import click
+
+_CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f]")
+"""Characters by which a text could take over a terminal: all control characters but the tab and the end of a line"""
+
+
+def echo(text: str, err: bool = False, nl: bool = True) -> None:
+    """Print a text to stdout or stderr; control characters, which files of others may contain, are replaced."""
+    click.echo(_CONTROL.sub("\N{REPLACEMENT CHARACTER}", text), err=err, nl=nl)
 
 
 @dataclass(frozen=True)
@@ -20,22 +29,22 @@ class Console:
     def print(self, line: str) -> None:
         """Print a line to stdout, unless quiet."""
         if not self.quiet:
-            click.echo(line)
+            echo(line)
 
     def warning(self, line: str) -> None:
         """Print a warning to stderr, unless quiet."""
         if not self.quiet:
-            click.echo(f"warning: {line}", err=True)
+            echo(f"warning: {line}", err=True)
 
     def detail(self, line: str) -> None:
         """Print to stderr what is being done, with --verbose only."""
         if self.verbose:
-            click.echo(line, err=True)
+            echo(line, err=True)
 
     def waiting(self, line: str) -> None:
         """Print to stderr what takes time, where a person watches the terminal or with --verbose."""
         if self.verbose or (not self.quiet and sys.stderr.isatty()):
-            click.echo(line, err=True)
+            echo(line, err=True)
 
     @contextmanager
     def part_counter(self) -> Iterator[Callable[[int, int | None], None]]:

@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from metrocli.cli import options
-from metrocli.cli.console import Console
+from metrocli.cli.console import Console, echo
 
 CLEAN = "clean"
 
@@ -39,7 +39,7 @@ def command(job: Path, design: bool, output: Path | None, force: bool, as_json: 
     from metrocli.errors import InputError
     from metrocli.project import diagnosed
     from metrocli.project.job import Wishes, kind_of_job, load
-    from metrocli.project.pipeline import NOT_MET
+    from metrocli.record import NOT_MET
     from metrocli.tasks import KINDS
 
     console = Console(wanted["quiet"] or as_json, wanted["verbose"])
@@ -50,7 +50,7 @@ def command(job: Path, design: bool, output: Path | None, force: bool, as_json: 
         asked = replace(asked, not_needed=not_needed)
         adjusted, found = diagnosed.design_of(load(job, asked))
         if as_json:
-            click.echo(summary.as_json(verdict.design_data(adjusted, found)))
+            echo(summary.as_json(verdict.design_data(adjusted, found)))
         console.print(findings.of_design(adjusted, found))
         return 0
     loaded = load(job, asked)
@@ -61,9 +61,9 @@ def command(job: Path, design: bool, output: Path | None, force: bool, as_json: 
     except InputError as error:
         if output is not None:
             raise
-        click.echo(f"warning: no extended job was written: {error}", err=True)
+        echo(f"warning: no extended job was written: {error}", err=True)
     if as_json:
-        click.echo(summary.as_json(verdict.as_data(diagnosis) | {"extended_job": extended and str(extended)}))
+        echo(summary.as_json(verdict.as_data(diagnosis) | {"extended_job": extended and str(extended)}))
     console.print(findings.of_diagnosis(diagnosis, extended))
     return NOT_MET if wanted["require"] not in (None, diagnosis.verdict) else 0
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from metrocli.cli import options
-from metrocli.cli.console import Console
+from metrocli.cli.console import Console, echo
 from metrocli.exports import FORMATS
 
 SUMMARIES = "; ".join(f"{name}, {form.summary}" for name, form in FORMATS.items())
@@ -21,15 +21,22 @@ SUMMARIES = "; ".join(f"{name}, {form.summary}" for name, form in FORMATS.items(
     "--out", type=click.Path(path_type=Path), metavar="DIR", help="Folder to write to (default: beside the result)."
 )
 @options.ACCEPT
+@options.FORCE
+@options.JSON
 @options.QUIET
-def command(result: Path, form: str, out: Path | None, accept_doubtful: bool, quiet: bool) -> int:
+def command(
+    result: Path, form: str, out: Path | None, accept_doubtful: bool, force: bool, as_json: bool, quiet: bool
+) -> int:
     """Write the files of a format: as NAME into the given folder, else as RESULT.NAME beside the result.
 
-    Raises InputError if the result is not fit for use, unless that is accepted; the files then state it.
+    Raises InputError if the result is not fit for use, unless that is accepted; the files then state it. Files that
+    metrocli did not write are replaced with `force` only.
     """
+    from metrocli.cli.summary import as_json as json_text
     from metrocli.errors import Fault, InputError
     from metrocli.exports import export
-    from metrocli.formats import aside, csv, hdf5
+    from metrocli.formats import csv, hdf5
+    from metrocli.formats.own_files import inside, write_all
     from metrocli.table import Table
 
     found, record = hdf5.read(result)
@@ -38,15 +45,14 @@ def command(result: Path, form: str, out: Path | None, accept_doubtful: bool, qu
         reasons = "; ".join(record.reasons)
         raise InputError([Fault(f"not fit for use ({record.status}): {reasons}", str(result), hint=hint)])
     found = replace(found, doubts=record.reasons)
-    written = []
+    contents = {}
     for name, content in export(form, found).items():
-        path = out / name if out is not None else result.with_name(f"{result.stem}.{name}")
-        if isinstance(content, Table):
-            csv.write(path, content)
-        else:
-            with aside.written_aside(path) as temporary:
-                temporary.write_text(content, encoding="utf-8", newline="\n")
-        written.append(path)
+        path = inside(out, name) if out is not None else inside(result.parent, f"{result.stem}.{name}")
+        contents[path] = (csv.to_text(content) if isinstance(content, Table) else content).encode()
+    written = list(write_all(contents, force))
+    if as_json:
+        echo(json_text({"status": record.status, "files": list(map(str, written))}))
+        return 0
     for path in written:  # after all are written: the reader of this output may close it at any line
         Console(quiet).print(str(path))
     return 0

@@ -14,10 +14,15 @@ COMMANDS = {
     "simulate": "the measurement that a job's model predicts",
     "plan": "what a planned measurement will determine, and a better one",
     "show": "a result on the terminal",
+    "gather": "estimates and uncertainties of all results of a project, as one table",
+    "lineage": "where a result comes from, back to the measurements",
+    "diff": "what changed between two results, and which input or setting",
+    "rerun": "the same result again, from the job and inputs that it names",
     "export": "a result in another format: CSV, compensation tables",
     "schema": "JSON schema of a job, for editors",
 }
-"""The commands that are not kinds of job; each is the module of its name in this package."""
+"""The commands that are not kinds of job; each is the module of its name in this package or in one of ROOMS."""
+ROOMS = {"gather": "provenance.", "lineage": "provenance.", "diff": "provenance.", "rerun": "provenance."}
 
 
 def help_text() -> str:

@@ -6,22 +6,30 @@ from pathlib import Path
 
 import click
 
+from metrocli.cli import options
+from metrocli.cli.console import echo
+
 
 @click.command("init", help="Copy a sample project into DIR; without --sample, list the samples.")
 @click.argument("folder", required=False, type=click.Path(path_type=Path), metavar="DIR")
 @click.option("--sample", metavar="NAME", help="The sample to copy.")
-def command(folder: Path | None, sample: str | None) -> int:
+@options.JSON
+def command(folder: Path | None, sample: str | None, as_json: bool) -> int:
     """Copy a sample, or list all samples."""
     import shutil
 
+    from metrocli.cli.summary import as_json as json_text
     from metrocli.errors import Fault, InputError, UsageError
     from metrocli.words import suggestion
 
     samples = {path.name: path for path in sorted(samples_folder().iterdir()) if (path / "metrocli.yaml").is_file()}
+    if sample is None and as_json:
+        echo(json_text({"samples": {name: _title(path) for name, path in samples.items()}}))
+        return 0
     if sample is None:
-        click.echo("samples (copy one with: metrocli init DIR --sample NAME):")
+        echo("samples (copy one with: metrocli init DIR --sample NAME):")
         for name, path in samples.items():
-            click.echo(f"  {name}: {_title(path)}")
+            echo(f"  {name}: {_title(path)}")
         return 0
     if sample not in samples:
         raise UsageError(f"no sample '{sample}'; {suggestion(sample, samples)}")
@@ -33,7 +41,10 @@ def command(folder: Path | None, sample: str | None) -> int:
         shutil.copytree(samples[sample], folder, dirs_exist_ok=True, ignore=shutil.ignore_patterns("results"))
     except (OSError, shutil.Error) as error:
         raise InputError([Fault(f"cannot be written: {error}", str(folder))]) from error
-    click.echo(f"{folder}: sample {sample} copied. Next: metrocli run {folder}")
+    if as_json:
+        echo(json_text({"folder": str(folder), "sample": sample}))
+        return 0
+    echo(f"{folder}: sample {sample} copied. Next: metrocli run {folder}")
     return 0
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from metrocli.cli import options
-from metrocli.cli.console import Console
+from metrocli.cli.console import Console, echo
 from metrocli.tasks import KINDS
 
 
@@ -38,6 +38,7 @@ def make(kind: str) -> click.Command:
 def _carry_out(kind: str, path: Path, console: Console, wanted: dict[str, Any]) -> int:
     """Load the job; then check it (--dry-run), answer a question about it or run it; print the outcome."""
     from metrocli.errors import UsageError
+    from metrocli.formats.hdf5 import refuse_foreign
     from metrocli.project import runner
     from metrocli.project.job import Wishes, load
 
@@ -47,15 +48,21 @@ def _carry_out(kind: str, path: Path, console: Console, wanted: dict[str, Any]) 
     job = load(path, Wishes(wanted["overrides"], wanted["output"], kind, accept_doubtful=accept))
     question = next((one.name for one in KINDS[kind].questions if wanted[one.name]), None)
     if wanted["dry_run"]:
-        runner.refuse_foreign(job.output, kind, wanted["force"])
+        if not wanted["force"]:
+            refuse_foreign(job.output, kind)
         runner.verify(job, runner.content(job))
-        console.print(f"{path}: no faults; would write {job.output}")
+        if wanted["as_json"]:
+            from metrocli.cli.summary import as_json
+
+            echo(as_json({"job": str(path), "status": "no faults", "result": str(job.output)}))
+        else:
+            console.print(f"{path}: no faults; would write {job.output}")
         return 0
     from metrocli.cli import columns, summary, terminal
 
     if question is not None:
         table = runner.answer(job, question)
-        click.echo(summary.json_of_table(table) if wanted["as_json"] else columns.table_text(table))
+        echo(summary.json_of_table(table) if wanted["as_json"] else columns.table_text(table))
         return 0
     from metrocli.uncertainty.workers import Workers
 
@@ -63,7 +70,7 @@ def _carry_out(kind: str, path: Path, console: Console, wanted: dict[str, Any]) 
         workers = Workers(wanted.get("workers", 0), wanted.get("scheduler", ""), tell=show_parts)
         done = runner.carry_out(job, wanted["force"], console.detail, workers, wanted["strict"])
     if wanted["as_json"]:
-        click.echo(summary.json_of(done.result, done.record, done.path))
+        echo(summary.json_of(done.result, done.record, done.path))
     else:
         console.print(terminal.result_text(done.result, done.record, done.path))
     for line in done.result.warnings:

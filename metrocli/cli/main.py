@@ -18,6 +18,10 @@ def main() -> None:
     else:
         # Threads within one matrix product wait for each other where other programs run. numpy reads this on import.
         os.environ.setdefault("OMP_NUM_THREADS", "1")
+        import signal
+
+        # while Python loads the commands, and while it ends, Ctrl-C ends it without a traceback
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
         from metrocli.cli.commands import run
 
         sys.exit(run(arguments))

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from metrocli.cli import options
-from metrocli.cli.console import Console
+from metrocli.cli.console import Console, echo
 
 
 @click.command("plan", help="Show what a planned measurement will determine and how well, and propose a better one.")
@@ -44,7 +44,7 @@ def command(job: Path, out: Path | None, force: bool, as_json: bool, quiet: bool
         for line in (terminal.plan_text(plan, loaded.text), *map(str, written)):
             console.print(line)
     if as_json:
-        click.echo(text)
+        echo(text)
     for line in plan.warnings:
         console.warning(line)
     return 0

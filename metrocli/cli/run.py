@@ -2,23 +2,37 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from metrocli.cli import options
-from metrocli.cli.console import Console
-from metrocli.record import DOUBTFUL, UNMET
+from metrocli.cli.console import Console, echo
+from metrocli.record import DOUBTFUL, NOT_MET, UNMET
 
 if TYPE_CHECKING:
-    from metrocli.project.pipeline import Report, State
+    from collections.abc import Sequence
+
+    from metrocli.project.pipeline import Order, Report
+    from metrocli.project.running.crew import Crew
+    from metrocli.project.staleness import State
+    from metrocli.project.steps import Step
 
 
 @click.command(
     "run", help="Bring every result of a project up to date, in the order in which the jobs need each other."
 )
 @click.argument("project", type=click.Path(path_type=Path), default=Path())
+@click.option("--jobs", type=click.IntRange(1), default=1, metavar="N", help="Compute N jobs at once.")
+@click.option("--only", multiple=True, metavar="JOB", help="Run this job and what it needs (repeatable).")
+@click.option("--from", "start", metavar="JOB", help="Run this job and what needs its result.")
+@options.SCHEDULER
+@click.option("--wait", is_flag=True, help="Wait for another run on this project to end.")
+@click.option(
+    "--depfile", type=click.Path(path_type=Path), metavar="FILE", help="Write for Make what the results depend on."
+)
 @click.option("--force", is_flag=True, help="Run every job, and overwrite whatever is at the outputs.")
 @options.ACCEPT
 @options.STRICT
@@ -26,55 +40,143 @@ if TYPE_CHECKING:
 @options.JSON
 @options.QUIET
 @options.VERBOSE
-def command(project: Path, force: bool, dry_run: bool, as_json: bool, quiet: bool, verbose: bool, **how: bool) -> int:
-    """Run the jobs and print one line for each; return the exit code of the first that failed."""
-    from metrocli.project import pipeline
-    from metrocli.project.steps import load_project
+def command(project: Path, dry_run: bool, as_json: bool, quiet: bool, verbose: bool, **how: Any) -> int:
+    """Run the jobs and print one line for each; return the worst of their exit codes."""
+    from metrocli.project.running import memo
 
-    steps = load_project(project, how["accept_doubtful"])
     console = Console(quiet or as_json, verbose)
-    if dry_run:
-        for state in pipeline.states(steps):
-            console.print(f"{state.step.name}: {state_text(state, force)}")
-        return 0
-    reports = pipeline.run(steps, force, console.detail, lambda report: _print_report(report, console), how["strict"])
+    place = project / "metrocli.yaml" if project.is_dir() else project
+    plain = not any(how[option] for option in ("only", "start", "force", "depfile", "strict", "accept_doubtful"))
+    begun = memo.now_ns()
+    unmoved = memo.unmoved_jobs(place) if plain else None
+    if unmoved is not None:
+        return _nothing_to_do(unmoved, place.parent, console, as_json, dry_run)
+    from metrocli.project import pipeline
+    from metrocli.project.running import depfile
+    from metrocli.project.running.lock import locked
+    from metrocli.project.staleness import states
+    from metrocli.project.steps import load_project, project_file, selected
+
+    file = project_file(project)
+    with nullcontext() if dry_run else locked(file, how["wait"]):
+        steps = selected(load_project(project, how["accept_doubtful"]), how["only"], how["start"])
+        if how["depfile"] is not None:
+            depfile.write(how["depfile"], file, steps)
+        order = pipeline.Order(how["force"], how["strict"])
+        if dry_run:
+            return _dry_run(list(states(steps, order.force, order.strict)), console, as_json)
+        reports = _run(steps, order, console, how["jobs"], how["scheduler"])
+    if plain and all(report.action == pipeline.Action.UP_TO_DATE and not report.exit_code for report in reports):
+        memo.remember(file, steps, begun)
+    code = pipeline.worst(report.exit_code for report in reports)
     if as_json:
         from metrocli.cli.summary import as_json as json_text
 
-        click.echo(json_text({"jobs": [_summary(report) for report in reports]}))
-    return next((report.exit_code for report in reports if report.exit_code), 0)
+        echo(json_text({"jobs": [_summary(report) for report in reports], "exit_code": code}))
+    _print_count(reports, console)
+    return code
+
+
+def _nothing_to_do(jobs: Sequence[Sequence[str]], folder: Path, console: Console, as_json: bool, dry: bool) -> int:
+    """Print that all jobs are up to date, as a run that looks at everything would."""
+    if as_json:
+        import json
+
+        done = {"action": "up to date", "reason": "", "exit_code": 0}
+        would = {"up_to_date": True, "would": "up to date", "reason": "", "status": "done"}
+        listed = [
+            {"job": name, "result": str(folder / result), **would} if dry
+            else {"job": name, **done, "result": str(folder / result), "error": ""}
+            for name, result in jobs
+        ]  # fmt: skip
+        echo(json.dumps({"jobs": listed} if dry else {"jobs": listed, "exit_code": 0}, indent=2, ensure_ascii=False))
+    if not console.quiet and jobs:
+        echo("\n".join(f"{name}: up to date" for name, _ in jobs))
+    return 0
+
+
+def _run(steps: Sequence[Step], order: Order, console: Console, jobs: int, scheduler: str) -> list[Report]:
+    from metrocli.project import pipeline
+
+    with _crew(console, jobs, scheduler) as crew:
+        return pipeline.run(steps, order, crew, lambda report: _print_report(report, console))
+
+
+def _crew(console: Console, jobs: int, scheduler: str) -> AbstractContextManager[Crew]:
+    from metrocli.project.running.crew import Alone, processes
+
+    if scheduler:
+        from metrocli.project.running.cluster import on_cluster
+
+        return on_cluster(scheduler)
+    return nullcontext(Alone(console.detail)) if jobs == 1 else processes(jobs)
+
+
+def _dry_run(found: Sequence[State], console: Console, as_json: bool) -> int:
+    if as_json:
+        from metrocli.cli.summary import as_json as json_text
+
+        echo(json_text({"jobs": [state_data(state) for state in found]}))
+    for state in found:
+        console.print(f"{state.step.name}: {state_text(state)}")
+    return 0
 
 
 def _print_report(report: Report, console: Console) -> None:
     """Print the line of one job to stdout; failures, warnings and unmet criteria to stderr."""
     place = f" -> {report.step.job.output}" if report.action == "ran" else ""
-    unmet = f" ({_UNFIT[report.record.status]})" if report.record and report.record.status in _UNFIT else ""
+    record = report.record if report.exit_code == NOT_MET else None
+    unmet = f" ({_UNFIT[record.status]})" if record else ""
     reason = f" ({report.reason})" if report.reason else ""
     console.print(f"{report.step.name}: {report.action}{reason}{place}{unmet}")
     if report.error:
-        click.echo(report.error, err=True)
+        echo(report.error, err=True)
     if report.done is not None:
         from metrocli.cli import terminal
 
         console.detail(terminal.result_text(report.done.result, report.done.record, report.done.path))
         for line in report.done.result.warnings:
-            console.warning(line)
-
-    if report.record is not None:
+            console.warning(f"{report.step.name}: {line}")
+    if record is not None:
         from metrocli.cli import terminal
 
-        terminal.print_unfit(report.record)
+        terminal.print_unfit(record)
+
+
+def _print_count(reports: Sequence[Report], console: Console) -> None:
+    """Print to stderr how many jobs did what, where not all went well."""
+    if all(report.exit_code == 0 for report in reports) or console.quiet:
+        return
+    counts: dict[str, int] = {}
+    for report in reports:
+        what = "not fit for use" if report.exit_code == NOT_MET and report.action != "not run" else str(report.action)
+        counts[what] = counts.get(what, 0) + 1
+    echo(f"{len(reports)} jobs: {', '.join(f'{count} {what}' for what, count in counts.items())}", err=True)
 
 
 _UNFIT = {UNMET: "an acceptance criterion is not met", DOUBTFUL: "doubtful: do not use this result"}
 
 
-def state_text(state: State, force: bool = False) -> str:
+def state_text(state: State) -> str:
     """Return whether a job would run, and why, in words."""
     if state.waits:
         return f"would not run: {state.reason}"
-    reason = state.reason or ("forced" if force else "")
-    return f"would run: {reason}" if reason else "up to date"
+    if state.depends:
+        return f"would run if a result that it uses changes: {state.reason}"
+    return f"would run: {state.reason}" if state.reason else "up to date"
+
+
+def state_data(state: State) -> dict[str, Any]:
+    """Return the same for --json."""
+    word = "waits" if state.waits else "depends" if state.depends else "runs" if state.reason else "up to date"
+    return {
+        "job": state.step.name,
+        "result": str(state.step.job.output),
+        "up_to_date": not state.reason,
+        "would": word,
+        "reason": state.reason,
+        "status": state.label.status if state.label else None,
+    }
 
 
 def _summary(report: Report) -> dict[str, Any]:
@@ -82,5 +184,6 @@ def _summary(report: Report) -> dict[str, Any]:
 
     done = report.done
     facts = {"job": report.step.name, "action": report.action, "reason": report.reason, "exit_code": report.exit_code}
+    facts |= {"result": str(report.step.job.output)}
     more = summary.summary(done.result, done.record, done.path) if done else {"error": report.error}
     return facts | {"summary" if done else "error": more if done else report.error}

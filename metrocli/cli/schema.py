@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import click
 
+from metrocli.cli.console import echo
+
 
 @click.command("schema", help="Print the JSON schema (2020-12) of a job of one kind, or of any kind.")
 @click.argument("kind", required=False, metavar="[KIND]")
@@ -18,5 +20,5 @@ def command(kind: str | None) -> int:
     if kind is not None and kind not in KINDS:
         raise UsageError(f"no kind of job '{kind}'; {suggestion(kind, KINDS)}")
     dialect = "https://json-schema.org/draft/2020-12/schema"
-    click.echo(as_json(schema(kind) if kind else {"$schema": dialect, "anyOf": [schema(name) for name in KINDS]}))
+    echo(as_json(schema(kind) if kind else {"$schema": dialect, "anyOf": [schema(name) for name in KINDS]}))
     return 0

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from metrocli.cli import options
+from metrocli.cli.console import echo
 from metrocli.tasks import KINDS
 
 if TYPE_CHECKING:
@@ -36,19 +37,19 @@ def command(result: Path, name: str | None, as_json: bool, **asked: tuple[str, .
         if name not in found.tables:
             raise UsageError(f"{result} has no table '{name}'; {suggestion(name, found.tables)}")
         table = found.tables[name]
-        click.echo(summary.json_of_table(table) if as_json else csv.to_text(table), nl=as_json)
+        echo(summary.json_of_table(table) if as_json else csv.to_text(table), nl=as_json)
         return 0
     question = next((one for one in QUESTIONS if asked[one] is not None), None)
     if question is not None:
-        click.echo(_answer(found, question, asked[question] or (), as_json))
+        echo(_answer(found, question, asked[question] or (), as_json))
         return 0
     if as_json:
-        click.echo(summary.json_of(found, record, result))
+        echo(summary.json_of(found, record, result))
         return 0
-    click.echo(terminal.result_text(found, record, result))
-    click.echo(f"tables: {', '.join(found.tables) or 'none'}")
+    echo(terminal.result_text(found, record, result))
+    echo(f"tables: {', '.join(found.tables) or 'none'}")
     for line in found.warnings:
-        click.echo(f"warning: {line}", err=True)
+        echo(f"warning: {line}", err=True)
     return 0
 
 

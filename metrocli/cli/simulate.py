@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from metrocli.cli import options
-from metrocli.cli.console import Console
+from metrocli.cli.console import Console, echo
 
 
 @click.command("simulate", help="Write the measurement that the model of a job predicts, and the truth behind it.")
@@ -26,9 +26,11 @@ from metrocli.cli.console import Console
 @options.SET
 @options.ACCEPT
 @options.FORCE
+@options.JSON
 @options.QUIET
 def command(job: Path, out: Path, seed: int, images: bool, quiet: bool, force: bool, **wishes: Any) -> int:
     """Simulate; write tables, images and truth.json; print their paths."""
+    from metrocli.cli.summary import as_json as json_text
     from metrocli.errors import Fault, InputError
     from metrocli.project import runner
     from metrocli.project.job import Wishes, kind_of_job, load
@@ -43,6 +45,10 @@ def command(job: Path, out: Path, seed: int, images: bool, quiet: bool, force: b
     accept, effects = wishes["accept_doubtful"], wishes["effects"]
     asked = Wishes(wishes["overrides"], not_needed=not_needed, effects=effects, accept_doubtful=accept)
     loaded = load(job, asked)
-    for path in list(write(runner.simulate(loaded, SimulationOptions(seed, images)), out)):
+    written = list(write(runner.simulate(loaded, SimulationOptions(seed, images)), out))
+    if wishes["as_json"]:
+        echo(json_text({"files": list(map(str, written))}))
+        return 0
+    for path in written:
         Console(quiet).print(str(path))
     return 0

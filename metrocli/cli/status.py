@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from metrocli.cli import options
+from metrocli.cli.console import echo
 
 
 @click.command("status", help="List what is up to date in a project, what is not, and why.")
@@ -15,28 +16,20 @@ from metrocli.cli import options
 @options.JSON
 def command(project: Path, accept_doubtful: bool, as_json: bool) -> int:
     """Print one line for each job; return 0 whenever the project can be read."""
-    from metrocli.cli.run import state_text
-    from metrocli.project.pipeline import states
+    from metrocli.cli.run import state_data, state_text
+    from metrocli.project.staleness import states
     from metrocli.project.steps import load_project
 
     found = list(states(load_project(project, accept_doubtful)))
     if as_json:
         from metrocli.cli.summary import as_json as json_text
 
-        rows = [
-            {
-                "job": one.step.name,
-                "up_to_date": not one.reason,
-                "reason": one.reason,
-                "status": one.record.status if one.record else None,
-            }
-            for one in found
-        ]
-        click.echo(json_text({"jobs": rows}))
+        echo(json_text({"jobs": [state_data(one) for one in found]}))
         return 0
     for state in found:
-        missed = [verdict.name for verdict in state.record.verdicts if not verdict.met] if state.record else []
+        unfit = state.record if state.label and state.label.exit_code and not state.reason else None
+        missed = [verdict.name for verdict in unfit.verdicts if not verdict.met] if unfit else []
         unmet = f" (not met: {', '.join(missed)})" if missed else ""
-        doubt = f" (doubtful: {'; '.join(state.record.doubts)})" if state.record and state.record.doubts else ""
-        click.echo(f"{state.step.name}: {state_text(state)}{'' if state.reason else unmet + doubt}")
+        doubt = f" (doubtful: {'; '.join(unfit.doubts)})" if unfit and unfit.doubts else ""
+        echo(f"{state.step.name}: {state_text(state)}{unmet}{doubt}")
     return 0

@@ -8,12 +8,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import click
-
 from metrocli import units
 from metrocli.cli.columns import columns_text, table_text
+from metrocli.cli.console import echo
 from metrocli.plan import Plan
-from metrocli.project.pipeline import exit_code
 from metrocli.record import Record
 from metrocli.result import SCALE, Estimate, Result, ShownTable
 from metrocli.table import Table
@@ -52,8 +50,8 @@ def print_unfit(record: Record, printed: bool = False) -> int:
     """
     unmet = [str(verdict) for verdict in record.verdicts if not verdict.met]
     for line in () if printed else (*unmet, *_doubt_lines(record)):
-        click.echo(line, err=True)
-    return exit_code(record)
+        echo(line, err=True)
+    return record.exit_code
 
 
 def _doubt_lines(record: Record) -> list[str]:

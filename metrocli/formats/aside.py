@@ -1,26 +1,36 @@
-"""Write files completely or not at all."""
+"""Write files completely or not at all, and sweep what a killed program has left half written."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from glob import escape
 from pathlib import Path
 
 from metrocli.errors import Fault, InputError
+
+_open: set[Path] = set()
+"""Temporary files that this process is writing"""
 
 
 @contextmanager
 def written_aside(path: Path) -> Iterator[Path]:
     """Yield a temporary path in the same folder to write to; on success it replaces `path` in one step.
 
-    Raises InputError if the file cannot be written; `path` is then unchanged.
+    The temporary file is locked as long as its writer lives, so that others can see which ones are left over. Raises
+    InputError if the file cannot be written; `path` is then unchanged.
     """
     aside = path.with_name(f".{path.name}.{os.getpid()}.part")
+    handle = -1
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        sweep(path.parent, f".{escape(path.name)}.*.part")
+        _open.add(aside)
+        handle = os.open(aside, os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o666)
+        _lock(handle)
         yield aside
-        _flush(aside)
+        os.fsync(handle)
         aside.replace(path)
         _flush(path.parent)
     except OSError as error:
@@ -28,11 +38,50 @@ def written_aside(path: Path) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             aside.unlink()
+        if handle >= 0:
+            os.close(handle)
+        _open.discard(aside)
 
 
-def _flush(path: Path) -> None:
-    """Flush a file, or the entries of a folder, to the disk."""
-    handle = os.open(path, os.O_RDONLY)
+def write_bytes(path: Path, data: bytes) -> None:
+    """Write a file completely or not at all; raises InputError as `written_aside`."""
+    with written_aside(path) as aside, aside.open("wb") as file:
+        file.write(data)
+
+
+def sweep(folder: Path, pattern: str = ".*.part") -> None:
+    """Remove the temporary files in a folder whose writers no longer live."""
+    for left in folder.glob(pattern):
+        if left in _open:
+            continue
+        with suppress(OSError):
+            handle = os.open(left, os.O_RDWR | getattr(os, "O_NOFOLLOW", 0))
+            try:
+                _lock(handle)
+                left.unlink()
+            finally:
+                os.close(handle)
+
+
+def discard_all() -> None:
+    """Remove all temporary files of this process; for the moment before it ends without unwinding."""
+    for aside in list(_open):
+        with suppress(OSError):
+            aside.unlink()
+
+
+def _lock(handle: int) -> None:
+    """Lock an open file until it is closed or its process ends; raise BlockingIOError if another process holds it."""
+    try:
+        import fcntl
+    except ImportError:  # Windows: an open file cannot be removed there, which protects it as well
+        return
+    fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+def _flush(folder: Path) -> None:
+    """Flush the entries of a folder to the disk."""
+    handle = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(handle)
     finally:

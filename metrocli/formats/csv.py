@@ -18,6 +18,7 @@ import numpy as np
 from metrocli import copies, units
 from metrocli.errors import Fault, InputError
 from metrocli.formats.csv_text import Raw, read_text, shortened, taken_apart
+from metrocli.formats.file_bytes import FileBytes
 from metrocli.table import NUMBER, TEXT, WHOLE, Column, Columns, Table
 from metrocli.words import nearest
 
@@ -28,13 +29,13 @@ LONGEST_TEXT = 200
 _WHOLE_LIMIT = 1 << 62
 
 
-def read(path: Path, columns: Columns, shown: str = "") -> Table:
+def read(path: Path, columns: Columns, shown: str = "", held: FileBytes | None = None) -> Table:
     """Return the wanted columns of a CSV file in internal units.
 
-    `shown` is the name of the file in messages. The table's warnings list unused columns. Raises InputError with all
-    faults, at most MOST_FAULTS per file.
+    `shown` is the name of the file in messages, `held` its content if it is already read. The table's warnings list
+    unused columns. Raises InputError with all faults, at most MOST_FAULTS per file.
     """
-    raw = taken_apart(read_text(path, shown or str(path)), shown or str(path))
+    raw = taken_apart(read_text(path, shown or str(path), held), shown or str(path))
     columns = _every(raw, columns) if columns.every else columns
     places, faults = _find(raw, columns)
     values: dict[str, Values] = {}

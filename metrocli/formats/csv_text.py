@@ -10,6 +10,7 @@ from pathlib import Path
 
 from metrocli.errors import Fault, InputError
 from metrocli.formats.csv_plain import plain_cells
+from metrocli.formats.file_bytes import FileBytes, read_bytes
 
 MOST_FAULTS = 20
 LONGEST_TEXT = 200
@@ -51,13 +52,8 @@ class Raw:
         return len(line) + 1
 
 
-def read_text(path: Path, shown: str) -> str:
-    try:
-        if path.is_dir():
-            raise InputError([Fault("this is a folder, not a CSV file", shown)])
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError([Fault(f"cannot be read: {error.strerror}", shown)]) from error
+def read_text(path: Path, shown: str, held: FileBytes | None = None) -> str:
+    data = (held or read_bytes(path, "a CSV file", shown)).data
     if b"\0" in data:
         line = data[: data.index(b"\0")].count(b"\n") + 1
         raise InputError([Fault("this is not a text file", shown, line, 1, hint="expected CSV in UTF-8")])

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import os
-import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -12,10 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from metrocli.errors import Fault, InputError
+from metrocli.formats.aside import write_bytes
+from metrocli.formats.file_bytes import FileBytes, read_bytes
 from metrocli.formats.image_headers import HeaderError, size_of
 
 if TYPE_CHECKING:
-    from metrocli.imageset import ImageSet, Picture
+    from metrocli.imageset import Picture
 
 MOST_PIXELS = 200_000_000
 """Images with more pixels are refused before they are decoded."""
@@ -33,6 +32,10 @@ class ImageFiles:
     paths: tuple[Path, ...]
     size: Size
     """Width and height in pixels."""
+    lengths: tuple[int, ...]
+    """Bytes of each file."""
+    digests: tuple[str, ...]
+    """SHA-256 of each file as it was checked; a file that changes before it is decoded is refused."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -43,11 +46,11 @@ class ImageFiles:
         return len(self.paths)
 
     def __iter__(self) -> Iterator[tuple[str, Picture]]:
-        for path in self.paths:
-            yield path.name, read(path)
+        for path, digest in zip(self.paths, self.digests, strict=True):
+            yield path.name, read(path, digest)
 
 
-def read_images(paths: Sequence[Path]) -> ImageSet:
+def read_images(paths: Sequence[Path]) -> ImageFiles:
     """Return the images sorted by name, and check all files without decoding them.
 
     Raises InputError with all faults of all files: not readable, unknown format, incomplete, too large, different
@@ -58,12 +61,14 @@ def read_images(paths: Sequence[Path]) -> ImageSet:
         raise InputError("no image is given")
     faults: list[Fault] = []
     sizes: dict[Path, Size] = {}
-    contents: dict[bytes, Path] = {}
+    lengths: dict[Path, int] = {}
+    digests: dict[Path, str] = {}
+    contents: dict[str, Path] = {}
     for path in files:
         try:
-            data = _bytes(path)
-            sizes[path] = size_of(data)
-            faults += _same_content(path, contents.setdefault(hashlib.sha256(data).digest(), path))
+            held = _bytes(path)
+            sizes[path], lengths[path], digests[path] = size_of(held.data), len(held.data), held.sha256
+            faults += _same_content(path, contents.setdefault(held.sha256, path))
             faults += _size_fault(path, sizes[path])
         except HeaderError as fault:
             faults.append(_fault(path, str(fault)))
@@ -72,19 +77,25 @@ def read_images(paths: Sequence[Path]) -> ImageSet:
     faults += [*_same_names(files), *_different_sizes(sizes)]
     if faults:
         raise InputError(faults)
-    return ImageFiles(files, sizes[files[0]])
+    return ImageFiles(files, sizes[files[0]], tuple(lengths.values()), tuple(digests.values()))
 
 
-def read(path: Path) -> Picture:
-    """Return grey values, (height, width), 8 or 16 bit, on the pixel grid of the sensor: EXIF rotation is ignored."""
+def read(path: Path, digest: str = "") -> Picture:
+    """Return grey values, (height, width), 8 or 16 bit, on the pixel grid of the sensor: EXIF rotation is ignored.
+
+    Raises InputError if the SHA-256 of the file is another one than `digest`, where that is given.
+    """
     import cv2
     import numpy as np
 
-    data = _bytes(path)
+    held = _bytes(path)
+    data = held.data
     try:
         faults = _size_fault(path, size_of(data))
     except HeaderError as fault:
         faults = [_fault(path, str(fault))]
+    if digest and held.sha256 != digest:
+        faults = [_fault(path, "the image changed while the job ran; run it again")]
     if faults:
         raise InputError(faults)
     flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
@@ -109,24 +120,11 @@ def write(path: Path, picture: Picture) -> None:
         encoded = cv2.imencode(path.suffix, picture)[1].tobytes()
     except cv2.error as error:
         raise InputError([_fault(path, f"an image cannot be written as '{path.suffix}'")]) from error
-    try:
-        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=".", suffix=path.suffix, delete=False) as aside:
-            aside.write(encoded)
-        os.chmod(aside.name, 0o644)
-        os.replace(aside.name, path)
-    except OSError as error:
-        raise InputError([_fault(path, f"cannot be written: {error.strerror}")]) from error
+    write_bytes(path, encoded)
 
 
-def _bytes(path: Path) -> bytes:
-    try:
-        if not path.is_file():
-            raise InputError([_fault(path, "no such image" if not path.exists() else "not a file")])
-        if path.stat().st_size > MOST_BYTES:
-            raise InputError([_fault(path, f"the file has {path.stat().st_size} bytes; at most {MOST_BYTES} are read")])
-        return path.read_bytes()
-    except OSError as error:
-        raise InputError([_fault(path, f"cannot be read: {error.strerror}")]) from error
+def _bytes(path: Path) -> FileBytes:
+    return read_bytes(path, "an image", most=MOST_BYTES)
 
 
 def _size_fault(path: Path, size: Size) -> list[Fault]:

@@ -10,6 +10,7 @@ from typing import Any
 from metrocli import tasks
 from metrocli.errors import Fault
 from metrocli.nodes import Node
+from metrocli.project.campaign import ForEach
 from metrocli.project.ranges import Ranges
 from metrocli.project.requirements import Requirement, Requirements
 from metrocli.settings import BAD, Schema, Text, path_beside, setting
@@ -107,4 +108,5 @@ class Heading:
     effects: tuple[Node, ...] = setting(_Effects(), "extensions of the model, by name", default=())
     ranges: Mapping[str, Node] = setting(Ranges(), "largest values of columns in CSV files, by name", default={})
     require: tuple[Requirement, ...] = setting(Requirements(), "acceptance criteria", default=())
+    parts: Node | None = setting(ForEach(), "one result for each part of a list", default=None, key="for")
     output: Path | None = setting(_Output(), "result file, relative to the job file", default=None)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 from collections.abc import Collection, Mapping
 from dataclasses import replace
@@ -10,6 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from metrocli.errors import Fault, InputError
+from metrocli.formats.file_bytes import FileBytes, read_bytes
+from metrocli.project import meaning
 from metrocli.project.job import Input, JobFile
 from metrocli.record import DONE, InputFile
 from metrocli.settings import ANY_KIND, FileOf, ImageFiles, TableFile
@@ -21,20 +22,27 @@ def read_inputs(job: JobFile, absent: Collection[str] = ()) -> dict[str, Any]:
     Inputs in `absent` are left out where their files do not exist. Files that are named outside `inputs:` are in one
     dict under "files", by the path of their key. Raises InputError with the faults of all files.
     """
+    return read_with_files(job, absent)[0]
+
+
+def read_with_files(job: JobFile, absent: Collection[str] = ()) -> tuple[dict[str, Any], tuple[InputFile, ...]]:
+    """Return the content of each input as `read_inputs`, and the record of the very bytes that were read."""
     held: dict[str, Any] = {}
+    files: dict[str, InputFile] = {}
     faults: list[Fault] = [] if job.accept_doubtful else unfit_inputs(job)
     for item in job.inputs:
         if item.key in absent and not (item.paths and all(path.is_file() for path in item.paths)):
             continue
         try:
-            held[item.key] = _read(item)
+            held[item.key], read = _read(item, job.folder)
+            files |= {one.path: one for one in read}
         except InputError as error:
             faults.extend(error.faults)
     if faults:
         raise InputError(faults)
     elsewhere = {key: value for key, value in held.items() if "." in key}
     named = {key: value for key, value in held.items() if key not in elsewhere}
-    return named | ({"files": elsewhere} if elsewhere else {})
+    return named | ({"files": elsewhere} if elsewhere else {}), tuple(files[path] for path in sorted(files))
 
 
 def unfit_inputs(job: JobFile) -> list[Fault]:
@@ -58,46 +66,68 @@ def _unfit(item: Input, path: Path) -> Fault | None:
     return item.node.fault(message, "correct its job and run it again, or use it as it is by --accept-doubtful")
 
 
-def _read(item: Input) -> Any:
-    if item.held is not None:
-        return item.held
+def _read(item: Input, folder: Path) -> tuple[Any, list[InputFile]]:
+    """Return the content of an input, and the record of its files with paths relative to a folder."""
+    if item.bytes is not None:
+        return item.held, [_recorded(item.bytes, folder, meaning.digest(item.held, folder))]
     if isinstance(item.spec, ImageFiles):
         from metrocli.formats import images
 
-        return images.read_images(list(item.paths))
+        found = images.read_images(list(item.paths))
+        read_as = zip(found.paths, found.digests, found.lengths, strict=True)
+        return found, [_file(path, folder, digest, length, digest) for path, digest, length in read_as]
     if isinstance(item.value, Mapping):
-        return {name: _read_one(item.spec.value, path, item) for name, path in item.value.items()}
-    return _read_one(item.spec, item.value, item)
+        read = {name: _read_one(item.spec.value, path, item, folder) for name, path in item.value.items()}
+        return {name: one for name, (one, _) in read.items()}, [file for _, file in read.values()]
+    content, file = _read_one(item.spec, item.value, item, folder)
+    return content, [file]
 
 
-def _read_one(spec: Any, path: Path, item: Input) -> Any:
+def _read_one(spec: Any, path: Path, item: Input, folder: Path) -> tuple[Any, InputFile]:
     if isinstance(spec, TableFile):
         from metrocli.formats import csv
 
-        return csv.read(path, spec.columns)
+        held = read_bytes(path, "a CSV file")
+        table = csv.read(path, spec.columns, held=held)
+        return table, _recorded(held, folder, meaning.of_table(table))
     if isinstance(spec, FileOf):
         from metrocli.formats import hdf5
 
-        result, record = hdf5.read(path)
+        held = read_bytes(path, "a result file")
+        result, record = hdf5.read(path, held=held)
         if spec.results != ANY_KIND and result.kind not in spec.results:
             message = f"{item.node.path}: {path} is a result of {result.kind}"
             raise InputError([item.node.fault(message, f"expected {spec.expects}")])
-        return replace(result, made_from=(_hashed(path, path.parent), *record.inputs))
+        own = _recorded(held, path.parent, record.content)
+        return replace(result, made_from=(own, *record.inputs)), _recorded(held, folder, record.content)
     raise TypeError(f"no reader for {spec}")
 
 
 def input_files(job: JobFile) -> tuple[InputFile, ...]:
-    """Return the existing files of a job with their hashes; paths are relative to the job file."""
+    """Return the existing files of a job with the hashes of their bytes; paths are relative to the job file."""
+    held = {path: item.bytes for item in job.inputs for path in item.paths if item.bytes is not None}
     paths = sorted({path for item in job.inputs for path in item.paths if path.is_file()})
-    return tuple(_hashed(path, job.folder) for path in paths)
+    return tuple(_recorded(held.get(path) or read_bytes(path), job.folder, "") for path in paths)
 
 
-def _hashed(path: Path, folder: Path) -> InputFile:
-    digest = hashlib.sha256()
-    try:
-        with path.open("rb") as file:
-            while block := file.read(1 << 20):
-                digest.update(block)
-        return InputFile(Path(os.path.relpath(path, folder)).as_posix(), digest.hexdigest(), path.stat().st_size)
-    except OSError as error:
-        raise InputError([Fault(f"cannot be read: {error.strerror}", str(path))]) from error
+def content_now(job: JobFile, path: str) -> str:
+    """Return the digest of the content of an input as read now, by its path in the record; "" if it has faults."""
+    for item in job.inputs:
+        if path in {_relative(one, job.folder) for one in item.paths}:
+            try:
+                return next((one.content for one in _read(item, job.folder)[1] if one.path == path), "")
+            except InputError:
+                return ""
+    return ""
+
+
+def _recorded(held: FileBytes, folder: Path, content: str) -> InputFile:
+    return _file(held.path, folder, held.sha256, len(held.data), content)
+
+
+def _file(path: Path, folder: Path, digest: str, size: int, content: str) -> InputFile:
+    return InputFile(_relative(path, folder), digest, size, content)
+
+
+def _relative(path: Path, folder: Path) -> str:
+    return Path(os.path.relpath(path, folder)).as_posix()

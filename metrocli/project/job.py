@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +12,11 @@ from metrocli import tasks
 from metrocli.effects import wanted as effects
 from metrocli.effects.wanted import Wanted
 from metrocli.errors import Fault, InputError, UsageError
+from metrocli.formats.file_bytes import FileBytes, read_bytes
 from metrocli.nodes import Node
 from metrocli.project import yaml_text
+from metrocli.project.campaign import KEY as CAMPAIGN
+from metrocli.project.campaign import Part, bound, parts_of
 from metrocli.project.heading import Heading
 from metrocli.project.overrides import effect_node, overridden
 from metrocli.project.ranges import ranges_of, within
@@ -45,6 +48,8 @@ class Input:
     """A path, a tuple of paths, or a dict of paths."""
     node: Node
     held: Any = None
+    bytes: FileBytes | None = None
+    """The bytes of the YAML file that `held` was read from"""
 
     @property
     def paths(self) -> tuple[Path, ...]:
@@ -68,8 +73,13 @@ class JobFile:
     """The text of the job as used, after --set."""
     root: Node
     effects: tuple[Wanted, ...] = ()
-    accept_doubtful: bool = False
-    """Whether results that are doubtful, or do not meet their requirements, are accepted as inputs"""
+    wishes: Wishes = field(default_factory=lambda: Wishes())
+    """What the command line asked for when it was loaded"""
+
+    @property
+    def accept_doubtful(self) -> bool:
+        """Whether results that are doubtful, or do not meet their requirements, are accepted as inputs."""
+        return self.wishes.accept_doubtful
 
     @property
     def kind(self) -> str:
@@ -98,6 +108,10 @@ class Wishes:
     effects: tuple[str, ...] = ()
     """The values of --effect, each `NAME:key=value,...`"""
     accept_doubtful: bool = False
+    text: str | None = None
+    """The text of the job, where it is not that of its file"""
+    part: Part | None = None
+    """The part that a job is loaded for, if its file is for many"""
 
 
 def load(path: Path, wishes: Wishes | None = None) -> JobFile:
@@ -107,7 +121,13 @@ def load(path: Path, wishes: Wishes | None = None) -> JobFile:
     """
     wishes = wishes or Wishes()
     faults: list[Fault] = []
-    root, text = _root(path, wishes.overrides, faults)
+    root, text = _root(path, wishes.overrides, faults, wishes.text)
+    if wishes.part is not None:
+        root = bound(root, wishes.part)
+        text = f"# {path.name}, for {wishes.part.name}\n{yaml_text.emit(root)}"
+    elif root.get(CAMPAIGN) is not None:
+        hint = "name it in a project (metrocli.yaml) and use: metrocli run PROJECT --only JOB[PART]"
+        raise InputError([root.at(CAMPAIGN).fault("this file is a job for each of many parts", hint)])
     more = tuple(effect_node(effect, path.parent) for effect in wishes.effects)
     kind = _kind(root, path, wishes.kind)
     if kind is None:
@@ -125,9 +145,20 @@ def load(path: Path, wishes: Wishes | None = None) -> JobFile:
     if faults:
         raise InputError(_in_order(faults))
     output = wishes.output or heading.output or path.parent / "results" / f"{path.stem}.h5"
-    if os.path.abspath(output) in {os.path.abspath(file) for item in inputs for file in item.paths}:
+    if os.path.realpath(output) in {os.path.realpath(file) for item in inputs for file in item.paths}:
         raise InputError([root.at("output").fault(f"the output {output} is one of the inputs", "name another output")])
-    return JobFile(path, heading, settings, inputs, output, text, root, wanted, wishes.accept_doubtful)
+    return JobFile(path, heading, settings, inputs, output, text, root, wanted, wishes)
+
+
+def load_parts(path: Path, wishes: Wishes) -> list[JobFile]:
+    """Return the job of a file, or one for each part if it is for many; raises as `load`."""
+    parts = parts_of(_root(path, wishes.overrides, [])[0])
+    return [load(path, replace(wishes, part=part)) for part in parts] or [load(path, wishes)]
+
+
+def absolute(path: Path) -> Path:
+    """Return the absolute path of a file in its real folder, so that one file has one path, however it is reached."""
+    return Path(os.path.realpath(path.parent)) / path.name
 
 
 def kind_of_job(path: Path) -> str | None:
@@ -135,12 +166,14 @@ def kind_of_job(path: Path) -> str | None:
     return _kind(_root(path, (), [])[0], path, None)
 
 
-def _root(path: Path, overrides: Sequence[str], faults: list[Fault]) -> tuple[Node, str]:
+def _root(
+    path: Path, overrides: Sequence[str], faults: list[Fault], text: str | None = None
+) -> tuple[Node, str]:
     """Return the tree of a job file with the overrides applied, and the equivalent YAML text.
 
     A fault for each repeated key is added to `faults`.
     """
-    text = yaml_text.read_text(path, str(path))
+    text = yaml_text.read_text(path, str(path)) if text is None else text
     root = yaml_text.parse(text, str(path), path.parent, faults)
     if root.kind != "mapping":
         raise InputError([root.fault("a job file must be a mapping of keys", "write 'metrocli: 1', 'job: KIND', ...")])
@@ -210,11 +243,12 @@ def _with_content(item: Input, faults: list[Fault]) -> Input:
     if section is None or path.suffix not in (".yaml", ".yml") or not path.is_file():
         return item
     try:
-        root = yaml_text.parse(yaml_text.read_text(path, str(path)), str(path), path.parent)
+        bytes_read = read_bytes(path, "a job file", most=yaml_text.MOST_BYTES)
+        root = yaml_text.parse(yaml_text.text_of(bytes_read, str(path)), str(path), path.parent)
     except InputError as error:
         faults.extend(error.faults)
         return item
-    return replace(item, held=Section(section).read(root, faults))
+    return replace(item, held=Section(section).read(root, faults), bytes=bytes_read)
 
 
 def _missing(inputs: Iterable[Input], wishes: Wishes) -> list[Fault]:
@@ -227,7 +261,7 @@ def _missing(inputs: Iterable[Input], wishes: Wishes) -> list[Fault]:
                 faults.append(pattern.fault(message, f"in {pattern.source.folder}"))
         places = item.node.items or [value for _, value in item.node.entries] or [item.node]
         for n, path in enumerate(item.paths):
-            if path.is_file() or item.key in wishes.not_needed or Path(os.path.abspath(path)) in wishes.made:
+            if path.is_file() or item.key in wishes.not_needed or absolute(path) in wishes.made:
                 continue
             found = "a folder, not a file" if path.is_dir() else "no such file"
             place = places[n] if len(places) == len(item.paths) else item.node

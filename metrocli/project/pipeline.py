@@ -1,30 +1,23 @@
-"""A run of a project: which results are out of date and why; judged by content, never by time."""
+"""A run of a project: each job that is out of date, after the jobs whose results it uses."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any
+from heapq import heappop, heappush
+from typing import TYPE_CHECKING, Any
 
-from metrocli import __version__
-from metrocli.errors import Fault, InputError, MetrocliError
-from metrocli.project.inputs import input_files
-from metrocli.project.job import JobFile
-from metrocli.project.runner import Done, Progress, carry_out
-from metrocli.project.steps import Step, absolute
-from metrocli.record import DONE, DOUBTFUL, Record
+from metrocli.errors import InputError
+from metrocli.formats.aside import sweep
+from metrocli.formats.seal import Label
+from metrocli.project.staleness import State, refuse_lost, state_of, unfit_words
+from metrocli.project.steps import Step
+from metrocli.record import NOT_MET, Record
 
-
-@dataclass(frozen=True)
-class State:
-    """Whether the result of a step is up to date; `reason` states why not and is empty if it is."""
-
-    step: Step
-    reason: str
-    record: Record | None = None
-    waits: bool = False
-    """Whether the step does not run, since a result that it uses is not fit for use; `reason` names it"""
+if TYPE_CHECKING:
+    from metrocli.project.runner import Done
+    from metrocli.project.running.crew import Crew, Outcome
 
 
 class Action(StrEnum):
@@ -46,132 +39,99 @@ class Report:
     exit_code: int = 0
     done: Done | None = None
     error: str = ""
-    record: Record | None = None
-    """Of the result, if there is one"""
+    label: Label | None = None
+    """Of the result, if it was up to date"""
+
+    @property
+    def record(self) -> Record | None:
+        """The record of the result, if there is one."""
+        if self.done is not None:
+            return self.done.record
+        return State(self.step, "", self.label).record
 
 
-def states(steps: Iterable[Step]) -> Iterator[State]:
-    """Yield for each step whether it would run and why; a step also runs if a job runs whose result it uses."""
-    steps = tuple(steps)
-    _refuse_lost(steps)
-    would_run: set[str] = set()
-    unfit: dict[str, str] = {}
-    for step in steps:
-        cause = next((unfit[name] for name in step.needs if name in unfit), None)
-        state = State(step, cause, waits=True) if cause else _state(step, would_run)
-        if state.waits:
-            unfit[step.name] = f"{step.name} does not run"
-        elif state.reason:
-            would_run.add(step.name)
-        elif state.record is not None and state.record.status != DONE and not step.job.accept_doubtful:
-            unfit[step.name] = f"{step.name}: {_unfit_words(state.record)}"
-        yield state
+@dataclass(frozen=True)
+class Order:
+    """How a project is run."""
+
+    force: bool = False
+    strict: bool = False
 
 
-def _refuse_lost(steps: Sequence[Step]) -> None:
-    """Raise InputError for each input of the last result that no longer exists, such as one image of a file pattern.
-
-    Without this, a job would silently run with fewer images.
-    """
-    from metrocli.formats import hdf5
-
-    faults = []
-    made = {absolute(step.job.output) for step in steps}
-    for step in steps:
-        try:
-            _, record = hdf5.read_record(step.job.output) if step.job.output.exists() else ("", None)
-        except InputError:
-            continue
-        if record is not None and record.job_text == step.job.text:
-            paths = [item.path for item in record.inputs if absolute(step.job.folder / item.path) not in made]
-            lost = [path for path in paths if not (step.job.folder / path).is_file()]
-            hint = "restore it, or run without it by --force"
-            faults += [
-                Fault(f"the input {path} of the last result is gone", str(step.job.file), hint=hint) for path in lost
-            ]
-    if faults:
-        raise InputError(faults)
-
-
-def _state(step: Step, would_run: set[str]) -> State:
-    from metrocli.formats import hdf5
-
-    upstream = next((name for name in step.needs if name in would_run), None)
-    if upstream is not None:
-        return State(step, f"{upstream} runs")
-    if not step.job.output.exists():
-        return State(step, "there is no result yet")
-    try:
-        kind, record = hdf5.read_record(step.job.output)
-    except InputError as error:
-        return State(step, error.faults[0].message)
-    if kind != step.job.kind:
-        return State(step, f"{step.job.output} is a result of {kind}")
-    return State(step, _difference(step.job, record), record)
-
-
-def _difference(job: JobFile, record: Record) -> str:
-    """Return what changed since the result was made; empty if nothing did."""
-    if record.metrocli_version != __version__:
-        return f"the result was made by metrocli {record.metrocli_version}; this is metrocli {__version__}"
-    if record.job_text != job.text:
-        return "the job file changed"
-    before = {item.path: item.sha256 for item in record.inputs}
-    now = {item.path: item.sha256 for item in input_files(job)}
-    changed = [f"{path} changed" for path in now if path in before and now[path] != before[path]]
-    changed += [f"{path} is new" for path in now if path not in before]
-    changed += [f"{path} is gone" for path in before if path not in now]
-    return f"input {changed[0]}{f' (and {len(changed) - 1} more)' if len(changed) > 1 else ''}" if changed else ""
-
-
-def run(
-    steps: Sequence[Step],
-    force: bool,
-    progress: Progress,
-    finished: Callable[[Report], Any],
-    strict: bool = False,
-) -> list[Report]:
-    """Bring every result up to date; call `finished` with the report of each job.
+def run(steps: Sequence[Step], order: Order, crew: Crew, finished: Callable[[Report], Any]) -> list[Report]:
+    """Bring every result up to date; call `finished` with the report of each job as soon as it is known.
 
     After a failure, or a result that is not fit for use, jobs that need it do not run; all others do.
     """
-    if not force:
-        _refuse_lost(steps)
-    reports: dict[str, Report] = {}
-    ran: set[str] = set()
-    for step in steps:
-        report = _run_step(step, reports, ran, force, progress, strict)
-        reports[step.name] = report
-        if report.action is Action.RAN:
-            ran.add(step.name)
-        finished(report)
-    return list(reports.values())
+    if not order.force:
+        refuse_lost(steps)
+    for folder in {step.job.output.parent for step in steps}:
+        sweep(folder)
+    return _Run(steps, order, crew, finished).reports_in_order()
 
 
-def _run_step(
-    step: Step, reports: Mapping[str, Report], ran: set[str], force: bool, progress: Progress, strict: bool
-) -> Report:
-    broken = next((name for name in step.needs if _stops(reports[name], step)), None)
-    if broken is not None:
-        return Report(step, Action.NOT_RUN, _why(reports[broken]), reports[broken].exit_code)
-    state = _state(step, ran)
-    if strict and not state.reason and _warned(step):
-        state = State(step, "--strict, and the result has warnings")
-    if not state.reason and not force and state.record is not None:
-        return Report(step, Action.UP_TO_DATE, "", exit_code(state.record), record=state.record)
+class _Run:
+    """One run: jobs wait for those that they need, are judged, and computed where they are out of date."""
+
+    def __init__(self, steps: Sequence[Step], order: Order, crew: Crew, finished: Callable[[Report], Any]) -> None:
+        self.order, self.crew, self.tell = order, crew, finished
+        self.steps = {step.name: step for step in steps}
+        self.reports: dict[str, Report] = {}
+        self.working: dict[str, State] = {}
+        self.unmet = {step.name: {name for name in step.needs if name in self.steps} for step in steps}
+        self.places = {name: number for number, name in enumerate(self.steps)}
+        self.ready = [(self.places[name], name) for name, needs in self.unmet.items() if not needs]
+        """Jobs that need nothing more, as a heap: the first of the project comes first"""
+        self.users: dict[str, list[str]] = {}
+        for name, needs in self.unmet.items():
+            for one in needs:
+                self.users.setdefault(one, []).append(name)
+
+    def reports_in_order(self) -> list[Report]:
+        while self.ready or self.working:
+            while self.ready and len(self.working) < self.crew.places:
+                self.judge(self.steps[heappop(self.ready)[1]])
+            if self.working:
+                for name, outcome in self.crew.finished():
+                    self.report(_written(self.working.pop(name), outcome))
+        return [self.reports[name] for name in self.steps]
+
+    def judge(self, step: Step) -> None:
+        """Report a job that does not run, and begin any other."""
+        needed = [self.reports[name] for name in step.needs if name in self.reports]
+        broken = next((report for report in needed if _stops(report, step)), None)
+        if broken is not None:
+            return self.report(Report(step, Action.NOT_RUN, _why(broken), broken.exit_code))
+        state = state_of(step, {}, self.order.force, self.order.strict)
+        if state.waits:
+            return self.report(Report(step, Action.FAILED, "", InputError.exit_code, error=state.reason))
+        if not state.reason and state.label is not None:
+            return self.report(Report(step, Action.UP_TO_DATE, "", state.label.exit_code, label=state.label))
+        self.working[step.name] = state
+        self.crew.begin(step.name, step.job, self.order.strict)
+
+    def report(self, report: Report) -> None:
+        name = report.step.name
+        self.reports[name] = report
+        self.tell(report)
+        for user in self.users.get(name, ()):
+            self.unmet[user].discard(name)
+            if not self.unmet[user]:
+                heappush(self.ready, (self.places[user], user))
+
+
+def _written(state: State, outcome: Outcome) -> Report:
+    """Write the result of a job that was computed, and return the report."""
+    from metrocli.project.runner import write
+
+    step = state.step
+    if outcome.result is None or outcome.record is None:
+        return Report(step, Action.FAILED, state.reason, outcome.exit_code, error=outcome.error)
     try:
-        done = carry_out(step.job, force, progress, strict=strict)
-    except MetrocliError as error:
-        return Report(step, Action.FAILED, state.reason or "forced", error.exit_code, error=str(error))
-    return Report(step, Action.RAN, state.reason or "forced", exit_code(done.record), done, record=done.record)
-
-
-def _warned(step: Step) -> bool:
-    """Return whether the result of a step has warnings that are no doubts yet."""
-    from metrocli.formats import hdf5
-
-    result, record = hdf5.read(step.job.output)
-    return not set(result.warnings) <= set(record.doubts)
+        done = write(step.job, outcome.result, outcome.record)
+    except InputError as error:
+        return Report(step, Action.FAILED, state.reason, error.exit_code, error=str(error))
+    return Report(step, Action.RAN, state.reason, done.record.exit_code, done)
 
 
 def _stops(needed: Report, step: Step) -> bool:
@@ -182,20 +142,16 @@ def _stops(needed: Report, step: Step) -> bool:
 
 
 def _why(needed: Report) -> str:
-    if needed.record is not None:
-        return f"{needed.step.name}: {_unfit_words(needed.record)}"
+    status = needed.done.record.status if needed.done else needed.label.status if needed.label else ""
+    if status:
+        return f"{needed.step.name}: {unfit_words(status)}"
     return f"{needed.step.name} {'failed' if needed.action is Action.FAILED else 'does not run'}"
 
 
-def _unfit_words(record: Record) -> str:
-    what = "its result is doubtful" if record.status == DOUBTFUL else "an acceptance criterion is not met"
-    return f"{what}; --accept-doubtful uses it"
+_WORST_FIRST = (1, 3, 4, 5, NOT_MET)
 
 
-NOT_MET = 6
-"""Exit code of a job that is done but is doubtful or does not meet an acceptance criterion"""
-
-
-def exit_code(record: Record) -> int:
-    """Return the exit code of a finished job."""
-    return 0 if record.status == DONE else NOT_MET
+def worst(exit_codes: Iterable[int]) -> int:
+    """Return the exit code of a project: the worst of its jobs, in the order 1, 3, 4, 5, 6; 0 if all are done."""
+    found = set(exit_codes) - {0}
+    return min(found, key=_WORST_FIRST.index, default=0)

@@ -9,6 +9,7 @@ from pathlib import Path
 from metrocli.errors import Fault, InputError
 from metrocli.formats import csv
 from metrocli.formats.aside import written_aside
+from metrocli.formats.own_files import inside
 from metrocli.plan import Plan
 from metrocli.table import Table
 
@@ -37,7 +38,7 @@ def write(files: Mapping[str, Table | str], summary: str, folder: Path) -> Itera
     for old in _earlier(folder) - files.keys():
         (folder / old).unlink(missing_ok=True)
     for name, content in {**files, SUMMARY: summary + "\n"}.items():
-        path = folder / name
+        path = inside(folder, name)
         if isinstance(content, Table):
             csv.write(path, content)
         else:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+import os
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -12,9 +13,11 @@ from metrocli import __version__, tasks
 from metrocli.doubt import doubts_of
 from metrocli.effects.wanted import planted
 from metrocli.errors import Fault, InputError, MetrocliError, UsageError
+from metrocli.formats.hdf5 import refuse_foreign
 from metrocli.plan import Plan
+from metrocli.project import meaning
 from metrocli.project.chunks import ChunkFolder
-from metrocli.project.inputs import input_files, read_inputs, unfit_inputs
+from metrocli.project.inputs import read_inputs, read_with_files, unfit_inputs
 from metrocli.project.job import JobFile
 from metrocli.record import Record, Verdict
 from metrocli.result import Result
@@ -36,6 +39,8 @@ class Done:
     result: Result
     record: Record
     path: Path
+    changed: bool = True
+    """Whether the result is another one than the file had before"""
 
 
 def carry_out(
@@ -51,11 +56,27 @@ def carry_out(
 
     The chunks that `workers` finish are kept beside the output until the job is done: a killed run then continues.
     """
+    if not force:
+        refuse_foreign(file.output, file.kind)
+    return write(file, *compute(file, progress, workers, strict))
+
+
+def write(file: JobFile, result: Result, record: Record) -> Done:
+    """Write the result of a job and return what was done."""
+    from metrocli.formats import hdf5
+
+    changed = hdf5.write(file.output, result, record)
+    return Done(result, record, file.output, changed)
+
+
+def compute(
+    file: JobFile, progress: Progress = lambda line: None, workers: Workers = HERE, strict: bool = False
+) -> tuple[Result, Record]:
+    """Read the inputs, run the task and check the acceptance criteria; write nothing but finished chunks."""
     kind = tasks.KINDS[file.kind]
-    refuse_foreign(file.output, file.kind, force)
-    files = input_files(file)
-    progress(f"{file.file}: reading {len(files)} input files")
-    job = content(file)
+    progress(f"{file.file}: reading its inputs")
+    held, files = read_with_files(file)
+    job = _job(file, held)
     progress(f"{file.file}: {file.kind}")
     if kind.chunked:
         job = replace(job, workers=replace(workers, finished=ChunkFolder(file.output.with_suffix(".chunks"))))
@@ -63,15 +84,14 @@ def carry_out(
     result = replace(
         result,
         title=result.title or file.heading.title,
-        warnings=(*_accepted(file), *_table_warnings(job.files), *result.warnings),
+        warnings=_by_name(file, (*_accepted(file), *_table_warnings(job.files), *result.warnings)),
     )
     created = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     verdicts = _verdicts(file, result)
-    record = Record(file.text, files, __version__, created, verdicts, doubts_of(result, verdicts, strict))
-    from metrocli.formats import hdf5
-
-    hdf5.write(file.output, result, record)
-    return Done(result, record, file.output)
+    doubts = doubts_of(result, verdicts, strict)
+    place = Path(os.path.relpath(file.file, file.output.parent)).as_posix()
+    record = Record(file.text, files, __version__, created, verdicts, doubts, meaning.of_job(file), job_file=place)
+    return result, replace(record, content=meaning.of_result(result, record))
 
 
 def _sound(file: JobFile, job: Job[Any, Any]) -> Result:
@@ -100,7 +120,10 @@ def _sound(file: JobFile, job: Job[Any, Any]) -> Result:
 
 def content(file: JobFile, absent: Collection[str] = ()) -> Job[Any, Any]:
     """Return a job with the content of its files; inputs in `absent` may be missing."""
-    held = read_inputs(file, absent)
+    return _job(file, read_inputs(file, absent))
+
+
+def _job(file: JobFile, held: Mapping[str, Any]) -> Job[Any, Any]:
     return tasks.KINDS[file.kind].task().job(file.settings, effects=file.effects, **held)
 
 
@@ -134,19 +157,12 @@ def plan(file: JobFile) -> Plan:
     return planned(content(file, kind.planned))
 
 
-def refuse_foreign(path: Path, kind: str, force: bool) -> None:
-    """Raise InputError if `path` holds something other than a result of this kind, unless forced."""
-    if path.is_dir():
-        raise InputError([Fault("the output is a folder", str(path), hint="name a file that ends in .h5")])
-    if force or not path.exists():
-        return
-    from metrocli.formats import hdf5
-
-    there = hdf5.kind_of(path)
-    if there in (kind, ""):
-        return
-    what = "is not a result of metrocli" if there is None else f"is a result of {there}"
-    raise InputError([Fault(f"the file exists and {what}", str(path), hint="choose another --output, or use --force")])
+def _by_name(file: JobFile, lines: Iterable[str]) -> tuple[str, ...]:
+    """Return lines that name the inputs relative to the job file, so that they are the same from every folder."""
+    names = {str(path): os.path.relpath(path, file.folder) for item in file.inputs for path in item.paths}
+    for path, name in names.items():
+        lines = [line.replace(path, name) for line in lines]
+    return tuple(lines)
 
 
 def _accepted(file: JobFile) -> tuple[str, ...]:

@@ -8,20 +8,25 @@ from pathlib import Path
 
 from metrocli.formats import csv
 from metrocli.formats.aside import written_aside
+from metrocli.formats.own_files import inside
 from metrocli.simulation import Simulation
 
 
 def write(simulation: Simulation, folder: Path) -> Iterator[Path]:
-    """Write tables, images and truth.json into a folder; yield each path once its file is written."""
-    for name, table in simulation.files.items():
-        csv.write(folder / name, table)
-        yield folder / name
-    for name, picture in simulation.pictures:
+    """Write tables, images and truth.json into a folder; yield each path once its file is written.
+
+    Raises InputError, before anything is written, if the name of an image leads out of the folder.
+    """
+    tables = {inside(folder, name): table for name, table in simulation.files.items()}
+    pictures = [(inside(folder, name), picture) for name, picture in simulation.pictures]
+    for path, table in tables.items():
+        csv.write(path, table)
+        yield path
+    for path, picture in pictures:
         from metrocli.formats import images
 
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        images.write(folder / name, picture())
-        yield folder / name
+        images.write(path, picture())
+        yield path
     path = folder / "truth.json"
     with written_aside(path) as aside:
         aside.write_text(json.dumps(dict(simulation.truth), indent=2) + "\n", encoding="utf-8")

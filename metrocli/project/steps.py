@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import heapq
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from metrocli.errors import Fault, InputError
+from metrocli.errors import Fault, InputError, UsageError
 from metrocli.nodes import Node
 from metrocli.project import yaml_text
-from metrocli.project.job import JobFile, Wishes, load
+from metrocli.project.campaign import Part, bound, parts_of
+from metrocli.project.job import JobFile, Wishes, absolute, load
 from metrocli.settings import BAD, ListOf, Section, Text, path_beside, setting
+from metrocli.table import MOST_FAULTS
+from metrocli.words import suggestion
 
 FILE = "metrocli.yaml"
 
@@ -58,83 +62,158 @@ def load_project(place: Path, accept_doubtful: bool = False) -> tuple[Step, ...]
     project = Section(ProjectFile).read(root, faults)
     if project is BAD:
         raise InputError(faults)
-    nodes = root.at("jobs").items
-    made = {absolute(output) for node in nodes if (output := _peek_output(path_beside(node))) is not None}
+    listed = [one for node in root.at("jobs").items for one in _one_or_many(node)]
+    made = {absolute(output) for one in listed if (output := _peek_output(one)) is not None}
     jobs: dict[str, JobFile] = {}
-    for node in nodes:
-        _load_one(node, path_beside(node), Wishes(made=made, accept_doubtful=accept_doubtful), jobs, faults)
-    makers = _makers(nodes, jobs, faults)
+    for one in listed:
+        _load_one(one, Wishes(made=made, accept_doubtful=accept_doubtful, part=one.part), jobs, faults)
+    makers = _makers(listed, jobs, faults)
     if faults:
         raise InputError(faults)
     needs = {name: _needed(job, makers) for name, job in jobs.items()}
-    return tuple(Step(name, jobs[name], needs[name]) for name in _ordered(nodes, needs))
+    return tuple(Step(name, jobs[name], needs[name]) for name in _ordered(listed, needs))
 
 
-def absolute(path: Path) -> Path:
-    """Return the absolute path of a file, without following links."""
-    return Path(os.path.abspath(path))
+@dataclass(frozen=True)
+class _Listed:
+    """A job of the project: its place in metrocli.yaml, and the part that it is for."""
+
+    node: Node
+    root: Node | None
+    """Of the job file; None if it cannot be read, which is reported when it is loaded"""
+    part: Part | None = None
+
+    @property
+    def name(self) -> str:
+        return f"{self.node.text}[{self.part.name}]" if self.part else self.node.text
+
+    @property
+    def path(self) -> Path:
+        return path_beside(self.node)
 
 
-def _peek_output(path: Path) -> Path | None:
-    """Return the output of a job file, None if the file has faults (they are reported when it is loaded)."""
+def _one_or_many(node: Node) -> list[_Listed]:
+    """Return the job that a line of the project names, or one for each part if the job has `for:`."""
+    path = path_beside(node)
     try:
-        output = yaml_text.parse(yaml_text.read_text(path, str(path)), str(path), path.parent).get("output")
+        root = yaml_text.parse(yaml_text.read_text(path, str(path)), str(path), path.parent)
+    except InputError:
+        return [_Listed(node, None)]
+    parts = parts_of(root)
+    return [_Listed(node, root, part) for part in parts] or [_Listed(node, root)]
+
+
+def _peek_output(one: _Listed) -> Path | None:
+    """Return the output of a job, None if it has faults (they are reported when it is loaded)."""
+    if one.root is None:
+        return None
+    output = one.root.get("output")
+    if output is None:
+        stem = one.path.stem
+        return one.path.parent / "results" / f"{stem}.h5"
+    try:
+        alone = replace(one.root, entries=((output, output),))
+        return path_beside(bound(alone, one.part).entries[0][1] if one.part else output)
     except InputError:
         return None
-    return path_beside(output) if output is not None else path.parent / "results" / f"{path.stem}.h5"
 
 
-def _load_one(node: Node, path: Path, wishes: Wishes, jobs: dict[str, JobFile], faults: list[Fault]) -> None:
-    if not path.is_file():
-        faults.append(node.fault(f"no such job file: {path}"))
+def _load_one(one: _Listed, wishes: Wishes, jobs: dict[str, JobFile], faults: list[Fault]) -> None:
+    if not one.path.is_file():
+        faults.append(one.node.fault(f"no such job file: {one.path}"))
         return
     try:
-        jobs[node.text] = load(path, wishes)
+        jobs[one.name] = load(one.path, wishes)
     except InputError as error:
-        faults.extend(error.faults)
+        faults.extend(fault for fault in error.faults if fault not in faults[-MOST_FAULTS:])
 
 
-def _makers(nodes: Sequence[Node], jobs: Mapping[str, JobFile], faults: list[Fault]) -> dict[Path, str]:
+def _makers(listed: Sequence[_Listed], jobs: Mapping[str, JobFile], faults: list[Fault]) -> dict[Path, str]:
     """Return the name of the job that writes each result; adds a fault if two jobs write the same one."""
     makers: dict[Path, str] = {}
-    for node in nodes:
-        job = jobs.get(node.text)
+    for one in listed:
+        job = jobs.get(one.name)
         if job is None:
             continue
-        first = makers.setdefault(absolute(job.output), node.text)
-        if first != node.text:
-            place = job.root.get("output") or node
-            faults.append(place.fault(f"two jobs write {job.output}: {first} and {node.text}", "name another output"))
+        first = makers.setdefault(absolute(job.output), one.name)
+        if first != one.name:
+            place = job.root.get("output") or one.node
+            hint = "name another output" if one.part is None else "write the part in braces into the output"
+            faults.append(place.fault(f"two jobs write {job.output}: {first} and {one.name}", hint))
     return makers
 
 
 def _needed(job: JobFile, makers: Mapping[Path, str]) -> tuple[str, ...]:
-    paths = (absolute(path) for item in job.inputs for path in item.paths)
+    named = [path for item in job.inputs for path in item.paths]
+    paths = [place for path in named for place in (absolute(path), Path(os.path.realpath(path)))]
     return tuple(dict.fromkeys(makers[path] for path in paths if path in makers))
 
 
-def _ordered(nodes: Sequence[Node], needs: Mapping[str, tuple[str, ...]]) -> list[str]:
+def _ordered(listed: Sequence[_Listed], needs: Mapping[str, tuple[str, ...]]) -> list[str]:
     """Return the names with each job after those it needs, otherwise in the order of the file.
 
     Raises InputError if jobs need each other in a circle.
     """
+    place = {one.name: number for number, one in enumerate(listed) if one.name in needs}
+    unmet = {name: set(before) for name, before in needs.items()}
+    users: dict[str, list[str]] = {}
+    for name, before in needs.items():
+        for one in before:
+            users.setdefault(one, []).append(name)
+    ready = [(place[name], name) for name, before in unmet.items() if not before]
+    heapq.heapify(ready)
     ordered: list[str] = []
-    waiting = [node for node in nodes if node.text in needs]
-    while waiting:
-        ready = next((node for node in waiting if set(needs[node.text]) <= set(ordered)), None)
-        if ready is None:
-            chain = _cycle(waiting[0].text, needs, ordered)
-            place = next(node for node in waiting if node.text == chain[0])
-            raise InputError([place.fault(f"these jobs need each other's results: {' <- '.join(chain)}")])
-        ordered.append(ready.text)
-        waiting.remove(ready)
+    while ready:
+        _, done = heapq.heappop(ready)
+        ordered.append(done)
+        for user in users.get(done, ()):
+            unmet[user].discard(done)
+            if not unmet[user]:
+                heapq.heappush(ready, (place[user], user))
+    if len(ordered) < len(place):
+        chain = _cycle(next(name for name in place if unmet[name]), needs, set(ordered))
+        at = next(one for one in listed if one.name == chain[0])
+        raise InputError([at.node.fault(f"these jobs need each other's results: {' <- '.join(chain)}")])
     return ordered
 
 
-def _cycle(name: str, needs: Mapping[str, tuple[str, ...]], ordered: Sequence[str]) -> list[str]:
+def _cycle(name: str, needs: Mapping[str, tuple[str, ...]], ordered: Collection[str]) -> list[str]:
     """Return a circle of jobs, found by following unmet needs until a name appears again."""
     chain = [name]
     while chain.count(name) < 2:
         name = next(other for other in needs[name] if other not in ordered)
         chain.append(name)
     return chain[chain.index(name) :]
+
+
+def selected(steps: Sequence[Step], only: Sequence[str], start: str | None) -> tuple[Step, ...]:
+    """Return the jobs named in `only` with all that they need, or `start` with all that needs it; else all.
+
+    A job is named as in the project, with or without its part, or by its result. Raises UsageError for a name that no
+    job has.
+    """
+    if only:
+        wanted = {step for name in only for step in _named(steps, name)}
+        for step in reversed(steps):
+            wanted |= set(step.needs) if step.name in wanted else set()
+    elif start is not None:
+        wanted = _named(steps, start)
+        for step in steps:
+            wanted |= {step.name} if wanted & set(step.needs) else set()
+    else:
+        return tuple(steps)
+    return tuple(step for step in steps if step.name in wanted)
+
+
+def _named(steps: Sequence[Step], name: str) -> set[str]:
+    place = absolute(Path(name))
+    found = {
+        step.name
+        for step in steps
+        if name in (step.name, step.name.partition("[")[0])
+        or place in (absolute(step.job.file), absolute(step.job.output))
+    }
+    if not found:
+        hint = suggestion(name, [step.name for step in steps[:100]])
+        raise UsageError(f"the project has no job '{name}'; {hint}")
+    return found

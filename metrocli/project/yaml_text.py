@@ -12,12 +12,13 @@ from typing import Any
 import yaml
 
 from metrocli.errors import Fault, InputError
+from metrocli.formats.file_bytes import FileBytes, read_bytes
 from metrocli.nodes import Node, Source
 
 HDF5 = b"\x89HDF"
 """First bytes of a result file"""
 MOST_BYTES = 4_000_000
-DEEPEST = 30
+DEEPEST, MOST_VALUES = 30, 100_000
 _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _PLAIN_WORDS = (
     ("tab character", "the line is indented with a tab", "indent with spaces"),
@@ -42,14 +43,12 @@ _PLAIN_WORDS = (
 
 def read_text(path: Path, shown: str) -> str:
     """Return the text of a YAML file in UTF-8 (byte order mark tolerated), or raise InputError."""
-    try:
-        if path.is_dir():
-            raise InputError([Fault("this is a folder, not a file", shown)])
-        if path.stat().st_size > MOST_BYTES:
-            raise InputError([Fault(f"the file has more than {MOST_BYTES} bytes; a job file is smaller", shown)])
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError([Fault(f"cannot be read: {error.strerror}", shown)]) from error
+    return text_of(read_bytes(path, "a job file", shown, MOST_BYTES), shown)
+
+
+def text_of(held: FileBytes, shown: str) -> str:
+    """Return the text of a YAML file that is already read; raises InputError as `read_text`."""
+    data = held.data
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -123,9 +122,13 @@ class _Builder:
         self.repeated: list[Fault] = []
         self.root: Node | None = None
         self.stack: list[_Open] = []
-        self.documents = 0
+        self.documents = self.events = 0
 
     def take(self, event: Any) -> None:
+        self.events += 1
+        if self.events > MOST_VALUES:
+            self._refuse(event, f"more than {MOST_VALUES} values", "this is not a job file; put long lists into a CSV")
+            raise InputError(self.faults)
         if isinstance(event, yaml.DocumentStartEvent):
             self._start_document(event)
         elif isinstance(event, yaml.AliasEvent):

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import fnmatch
+import itertools
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,6 +33,10 @@ class TableFile(OfText):
         return {"type": "string", "minLength": 1}
 
 
+MOST_FILES = 100_000
+"""Most files that a pattern looks through"""
+
+
 @dataclass(frozen=True)
 class ImageFiles:
     """Images beside the job file: a path, a pattern such as img/*.jpg, or a list of these; read as sorted paths."""
@@ -45,7 +52,10 @@ class ImageFiles:
         each = [_path(self, part, faults) for part in (node.items or (node,))]
         if BAD in each:
             return BAD
-        return tuple(sorted({path for part in (node.items or (node,)) for path in _matches(part)}))
+        try:
+            return tuple(sorted({path for part in (node.items or (node,)) for path in _matches(part)}))
+        except TooManyFilesError as error:
+            return refuse(self, node, faults, str(error))
 
     def unmatched(self, node: Node) -> list[Node]:
         """Return the nodes of patterns that match no file."""
@@ -63,11 +73,42 @@ def _matches(node: Node) -> list[Path]:
     return [Path(os.path.normpath(path)) for path in _glob(node) if path.is_file()]
 
 
+class TooManyFilesError(ValueError):
+    """A pattern looks through more files than a measurement has."""
+
+
 def _glob(node: Node) -> Iterable[Path]:
-    pattern = Path(node.text)
+    pattern, seen = Path(node.text), itertools.count(1)
+
+    def looked_at(name: str) -> str:
+        if next(seen) > MOST_FILES:
+            raise TooManyFilesError(f"the pattern '{node.text}' looks through more than {MOST_FILES} files")
+        return name
+
     if pattern.is_absolute():
-        return Path(pattern.anchor).glob(str(pattern.relative_to(pattern.anchor)))
-    return node.source.folder.glob(node.text)
+        return _matching(Path(pattern.anchor), pattern.parts[1:], looked_at)
+    return _matching(node.source.folder, pattern.parts, looked_at)
+
+
+def _matching(folder: Path, parts: tuple[str, ...], looked_at: Callable[[str], str]) -> Iterator[Path]:
+    """Yield the paths below a folder that match the parts of a pattern; `**` stands for any number of folders."""
+    if not parts:
+        yield folder
+        return
+    first, rest = parts[0], parts[1:]
+    if not set(first) & set("*?["):
+        yield from _matching(folder / first, rest, looked_at)
+        return
+    if first == "**":
+        yield from _matching(folder, rest, looked_at)
+    with contextlib.suppress(OSError):
+        for name in sorted(map(looked_at, os.listdir(folder))):
+            below = folder / name
+            if first == "**":
+                if below.is_dir() and not below.is_symlink():
+                    yield from _matching(below, parts, looked_at)
+            elif fnmatch.fnmatchcase(name, first) and (not rest or below.is_dir()):
+                yield from _matching(below, rest, looked_at)
 
 
 ANY_KIND = ("any kind of job",)

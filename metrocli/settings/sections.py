@@ -11,6 +11,7 @@ from typing import Any
 from metrocli.errors import Fault
 from metrocli.nodes import Node
 from metrocli.settings.values import BAD, Schema, Spec, refuse
+from metrocli.table import MOST_FAULTS
 from metrocli.words import suggestion
 
 
@@ -72,7 +73,10 @@ def read_sections(node: Node, sections: Sequence[type], faults: list[Fault]) -> 
     known = [wanted.key for section in sections for wanted, _ in settings_of(section).values()]
     place = f" in '{node.path}'" if node.path else ""
     unknown = [key for key, _ in node.entries if key.text not in known]
-    faults.extend(key.fault(f"unknown key '{key.text}'{place}", _hint_for_key(key.text, known)) for key in unknown)
+    for key in unknown[:MOST_FAULTS]:
+        faults.append(key.fault(f"unknown key '{key.text}'{place}", _hint_for_key(key.text, known)))
+    if len(unknown) > MOST_FAULTS:
+        faults.append(unknown[MOST_FAULTS].fault(f"and {len(unknown) - MOST_FAULTS} more unknown keys from here on"))
     return [_read_section(node, section, faults) for section in sections]
 
 

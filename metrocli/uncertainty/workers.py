@@ -11,6 +11,7 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
@@ -98,15 +99,36 @@ def _window(submit: Callable[[int], Any], numbers: Iterable[int], most: int) -> 
         yield waiting.popleft().result()
 
 
-def _on_cluster(address: str, work: Callable[[int], T], numbers: Iterable[int]) -> Iterator[T]:
+@contextmanager
+def cluster(address: str) -> Iterator[Any]:
+    """Yield a client of a Dask cluster that has workers; raises InputError if there is none."""
     client = _client(address)
     try:
         _await_worker(client, address)
+        yield client
+    finally:
+        client.close()
+
+
+def first_finished(client: Any, futures: set[Any]) -> set[Any]:
+    """Return the futures that are finished, at least one; raises ConnectionError if the scheduler does not answer."""
+    import distributed
+
+    library: Any = distributed
+    while True:
+        try:
+            done: set[Any] = library.wait(futures, timeout=PATIENCE_S, return_when="FIRST_COMPLETED").done
+            return done
+        except (TimeoutError, library.TimeoutError):
+            if client.status != "running":
+                raise ConnectionError("the scheduler does not answer") from None
+
+
+def _on_cluster(address: str, work: Callable[[int], T], numbers: Iterable[int]) -> Iterator[T]:
+    with cluster(address) as client:
         scattered = client.scatter(work, broadcast=True)
         threads = max(sum(client.nthreads().values()), 1)
         yield from _window(lambda number: client.submit(_do, scattered, number, pure=False), numbers, 4 * threads)
-    finally:
-        client.close()
 
 
 def _await_worker(client: Any, address: str) -> None:

@@ -144,5 +144,6 @@ def test_the_file_keeps_the_dimensions(job: Path, metrocli: Metrocli, tmp_path: 
     metrocli("straight-line", job)
     found, stored = hdf5.read(Path("results/line.h5"))
     estimates = (RATE, *found.estimates[1:])
-    hdf5.write(tmp_path / "r.h5", replace(found, estimates=estimates), stored)
+    covariance = np.diag([estimate.std**2 for estimate in estimates])
+    hdf5.write(tmp_path / "r.h5", replace(found, estimates=estimates, covariance=covariance), stored)
     assert hdf5.read(tmp_path / "r.h5")[0].estimates == estimates

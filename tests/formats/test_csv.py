@@ -170,7 +170,7 @@ def test_very_many_faults_are_counted(tmp_path: Path) -> None:
 
 
 def test_files_that_cannot_be_read(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="No such file"):
+    with pytest.raises(InputError, match="no such file"):
         csv.read(tmp_path / "none.csv", COLUMNS)
     with pytest.raises(InputError, match="folder"):
         csv.read(tmp_path, COLUMNS)

@@ -41,7 +41,7 @@ RESULT = Result(
         "tables/EXX": Table({"position": np.array([1.0]), "n": np.array([3])}, {"position": "mm"}),
         "empty": Table({"name": np.array([], dtype=np.str_), "x": np.array([])}, {"x": "mm"}),
     },
-    arrays={"points_covariance": np.arange(18.0).reshape(2, 3, 3)},
+    arrays={"points_covariance": np.stack([np.eye(3), np.diag([1.0, 4.0, 9.0])])},
     warnings=("one", "zwölf"),
     shown=(ShownTable("residuals"),),
     notes=("R = [[1, 0], …]",),
@@ -94,7 +94,7 @@ def test_the_layout_is_plain_hdf5(tmp_path: Path) -> None:
         }.items():  # fmt: skip
             assert file.attrs[name] == value
         assert file["job"].asstr()[()] == RECORD.job_text
-        assert file["inputs"].dtype.names == ("path", "sha256", "bytes")
+        assert file["inputs"].dtype.names == ("path", "sha256", "bytes", "content")
         assert file["parameters"].dtype.names == ("name", "value", "std", "unit")
         assert file["parameters"]["name"].tolist() == [b"x", b"gamma_s"]
         assert (
@@ -131,32 +131,11 @@ def test_a_failure_leaves_what_was_there(tmp_path: Path) -> None:
     assert [path.name for path in path.parent.iterdir()] == ["r.h5"]
 
 
-@pytest.mark.parametrize("length", [0, 4, 8, 100, 700, 2000, -1])
+@pytest.mark.parametrize("length", [0, 1, 7, 100, 600, 700, 2000, -1])
 def test_a_truncated_file_is_refused(tmp_path: Path, length: int) -> None:
     path = written(tmp_path)
     path.write_bytes(path.read_bytes()[:length])
-    with pytest.raises(InputError, match=r"r\.h5: error: (the result file is|this is not a result)"):
-        hdf5.read(path)
-
-
-def test_any_damage_is_refused_or_harmless(tmp_path: Path) -> None:
-    path = written(tmp_path)
-    whole = path.read_bytes()
-    random = np.random.default_rng(1)
-    for _ in range(60):
-        at = int(random.integers(len(whole)))
-        path.write_bytes(whole[:at] + bytes([whole[at] ^ int(random.integers(1, 256))]) + whole[at + 1 :])
-        try:
-            hdf5.read(path)
-        except InputError as error:
-            assert "r.h5" in str(error)
-
-
-def test_an_incomplete_file_is_refused(tmp_path: Path) -> None:
-    path = written(tmp_path)
-    with h5py.File(path, "a") as file:
-        del file.attrs["complete"]
-    with pytest.raises(InputError, match="incomplete"):
+    with pytest.raises(InputError, match=r"r\.h5: error: the result file is damaged"):
         hdf5.read(path)
 
 
@@ -170,15 +149,14 @@ def test_foreign_files_are_refused(tmp_path: Path) -> None:
     assert hdf5.kind_of(path) is None
     with h5py.File(path, "w") as file:
         file.attrs["format"] = "other"
-    with pytest.raises(InputError, match="not a result of metrocli"):
+    with pytest.raises(InputError, match="not a result file of metrocli"):
         hdf5.read(path)
     assert hdf5.kind_of(path) is None
 
 
 def test_a_newer_format_is_refused(tmp_path: Path) -> None:
     path = written(tmp_path)
-    with h5py.File(path, "a") as file:
-        file.attrs["version"] = 2
+    path.write_bytes(path.read_bytes().replace(b"metrocli-result 1 ", b"metrocli-result 2 ", 1))
     with pytest.raises(InputError, match="version 2"):
         hdf5.read(path)
 
@@ -205,6 +183,8 @@ def test_kill_at_any_moment_leaves_a_whole_result_or_none(tmp_path: Path) -> Non
     assert process.stdout is not None
     process.stdout.readline()
     random = np.random.default_rng(0)
+    while not path.exists():
+        time.sleep(0.01)
     for _ in range(8):
         time.sleep(float(random.uniform(0.005, 0.06)))
         os.kill(process.pid, signal.SIGSTOP)  # as good as killed for who reads now

@@ -130,8 +130,8 @@ def test_floating_point_grey_values_are_refused(tmp_path: Path) -> None:
 
 def test_missing_file_and_folder(tmp_path: Path) -> None:
     text = message(tmp_path / "none.png", tmp_path)
-    assert "none.png: error: no such image" in text
-    assert f"{tmp_path}: error: not a file" in text
+    assert "none.png: error: there is no such file" in text
+    assert f"{tmp_path}: error: this is a folder, not an image" in text
 
 
 def test_two_sizes_name_both(tmp_path: Path) -> None:
@@ -152,6 +152,7 @@ def test_no_image_at_all() -> None:
 
 def test_unwritable_place(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot be written"):
-        write(tmp_path / "none" / "a.png", RAMP)
+        (tmp_path / "file").touch()
+        write(tmp_path / "file" / "a.png", RAMP)
     with pytest.raises(InputError, match="cannot be written as '.doc'"):
         write(tmp_path / "a.doc", RAMP)

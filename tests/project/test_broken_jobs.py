@@ -142,7 +142,7 @@ def test_a_job_may_allow_what_a_column_cannot_usually_hold(job: Path, metrocli: 
 
 def test_a_job_that_does_not_exist(job: Path, metrocli: Callable[..., object]) -> None:
     ran = metrocli("straight-line", "none.yaml")
-    assert (ran.code, ran.err) == (3, "none.yaml: error: cannot be read: No such file or directory\n")
+    assert (ran.code, ran.err) == (3, "none.yaml: error: there is no such file\n")
 
 
 def test_a_yaml_input_is_checked_with_the_job(job: Path, metrocli: Callable[..., object]) -> None:

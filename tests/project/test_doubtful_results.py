@@ -143,16 +143,6 @@ def test_an_export_refuses_it_unless_accepted_and_then_says_so(job: Path, metroc
     assert Path("results/line.doubtful.txt").read_text().startswith("sigma0 = 3.16")
 
 
-def test_files_from_before_the_status_are_judged_by_what_they_hold(job: Path, metrocli: Callable[..., Any]) -> None:
-    for noise, status in (("30 um", "doubtful"), ("0.1 mm", "done")):
-        metrocli("straight-line", job, "--set", f"noise={noise}")
-        with h5py.File("results/line.h5", "a") as file:
-            del file["doubts"], file.attrs["status"]
-        assert metrocli("show", "results/line.h5").code == 0
-        assert hdf5.read(Path("results/line.h5"))[1].status == status
-        assert hdf5.read_record(Path("results/line.h5"))[1].status == status
-
-
 def test_strict_makes_warnings_faults(job: Path, metrocli: Callable[..., Any]) -> None:
     Path("readings.csv").write_text("point,x_mm,y_mm,colour\na,0,1\nb,1,2\nc,2,3.1\n".replace(",1\n", ",1,red\n"))
     Path("readings.csv").write_text("point,x_mm,y_mm,colour\na,0,1,red\nb,1,2,red\nc,2,3.1,red\n")

@@ -1,0 +1,38 @@
+"""metrocli diff: what changed between two results, and which input or setting did."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+
+import click
+
+from metrocli.cli import options
+from metrocli.cli.console import echo
+
+
+@click.command("diff", help="Show which estimates moved between two results, and which inputs and settings changed.")
+@click.argument("first", type=click.Path(path_type=Path), metavar="A.h5")
+@click.argument("second", type=click.Path(path_type=Path), metavar="B.h5")
+@options.JSON
+def command(first: Path, second: Path, as_json: bool) -> int:
+    """Print the differences, in standard uncertainties of the first result; return 0 whatever they are."""
+    from metrocli.cli import columns, summary
+    from metrocli.project.provenance.comparison import between
+
+    found = between(first, second)
+    if as_json:
+        echo(summary.as_json(asdict(found)))
+        return 0
+    if found.same:
+        echo("the results are the same, bit for bit")
+    rows = [["estimate", "from", "to", "unit", "moved by"]]
+    rows += [[m.name, f"{m.before:.10g}", f"{m.after:.10g}", m.unit, f"{m.stds:.3g} std"] for m in found.moved]
+    if found.moved:
+        echo(columns.columns_text(rows))
+    for heading, lines in (("", found.only), ("setting ", found.settings), ("", found.inputs)):
+        for line in lines:
+            echo(f"{heading}{line}")
+    if not found.same and not (found.moved or found.only):
+        echo("no estimate moved; tables or other figures differ")
+    return 0

@@ -1,0 +1,191 @@
+"""The HDF5 part of a result file: what metrocli writes is read, all else that HDF5 can hold is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import h5py
+import numpy as np
+
+from metrocli import units
+from metrocli.errors import Fault, InputError
+from metrocli.formats.covariances import contradictions
+from metrocli.formats.seal import Label
+from metrocli.record import Record, Verdict
+from metrocli.result import SCALE, Estimate, Result, ShownTable
+from metrocli.table import Table
+
+_OWN = ("job", "inputs", "parameters", "covariance", "statistics", "requirements", "warnings", "notes", "doubts")
+_MOST_OBJECTS, _MOST_TEXTS, _DEEPEST = 100_000, 100_000, 8
+
+
+def content_of(label: Label, body: bytes, shown: str) -> tuple[Result, Record]:
+    """Return result and record; raise InputError if the file has anything that metrocli does not write."""
+    try:
+        with _opened(body) as file:
+            result = _read_result(file)
+            record = _read_record(file, label)
+    except InputError:
+        raise
+    except Exception as error:  # the libraries raise errors of many kinds for a file that others made
+        raise InputError([Fault(f"the result file is damaged: {error}", shown)]) from error
+    if result.kind != label.kind or record.status != label.status:
+        raise InputError([Fault("the label of the result file contradicts its content", shown)])
+    found = contradictions(result)
+    if found:
+        raise InputError([Fault(f"the result file is damaged: {message}", shown) for message in found])
+    return result, record
+
+
+def record_of(label: Label, body: bytes, shown: str) -> Record:
+    """Return only the record; raises InputError as `content_of`."""
+    try:
+        with _opened(body) as file:
+            return _read_record(file, label)
+    except Exception as error:
+        raise InputError([Fault(f"the result file is damaged: {error}", shown)]) from error
+
+
+def _opened(body: bytes) -> h5py.File:
+    """Open an HDF5 file in memory whose objects all lie in it: no links, no external data, no size that it has not."""
+    file = h5py.File(h5py.h5f.open_file_image(body))
+    for item in _walk(file, 0, set()):
+        if isinstance(item, h5py.Dataset):
+            _refuse_unusual(item)
+    return file
+
+
+def _walk(group: h5py.Group, depth: int, seen: set[int]) -> Iterator[Any]:
+    for name in group:
+        if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+            raise ValueError(f"'{name}' is a link to elsewhere")
+        item = group[name]
+        address = h5py.h5o.get_info(item.id).addr
+        if address in seen or len(seen) > _MOST_OBJECTS or depth > _DEEPEST:
+            raise ValueError(f"'{name}' is one object under two names, or one of too many")
+        seen.add(address)
+        yield item
+        if isinstance(item, h5py.Group):
+            yield from _walk(item, depth + 1, seen)
+
+
+def _refuse_unusual(data: h5py.Dataset) -> None:
+    """Raise ValueError for a dataset that is not stored in one piece in the file itself."""
+    stored = data.id.get_create_plist()
+    if stored.get_layout() not in (h5py.h5d.COMPACT, h5py.h5d.CONTIGUOUS) or stored.get_external_count():
+        raise ValueError(f"{data.name} is stored in pieces or in another file")
+    if data.shape is None or data.nbytes > data.id.get_storage_size():
+        raise ValueError(f"{data.name} has a shape, but not the values for it")
+    types = [data.dtype[name] for name in data.dtype.names] if data.dtype.names else [data.dtype]
+    if any(one.kind not in "biufSO" or one.hasobject != (h5py.check_string_dtype(one) is not None and one.kind == "O")
+           for one in types):  # fmt: skip
+        raise ValueError(f"{data.name} holds values of a type that results do not have")
+    if data.dtype.hasobject and (data.dtype.names or data.size > _MOST_TEXTS):
+        raise ValueError(f"{data.name} holds more texts than a result has")
+
+
+def _read_result(file: h5py.File) -> Result:
+    columns = _read_table(file["parameters"]).columns
+    count = len(columns["name"])
+    dimensions = map(str, file["parameters"].attrs.get("dimensions", [""] * count))
+    rows = zip(columns["name"], columns["value"], columns["std"], columns["unit"], dimensions, strict=True)
+    estimates = tuple(Estimate(str(n), float(v), float(s), str(u), d) for n, v, s, u, d in rows)
+    unknown = {one.dimension for one in estimates} - {"", SCALE, *units.DIMENSIONS}
+    if unknown:
+        raise ValueError(f"unknown dimensions of estimates: {', '.join(sorted(unknown))}")
+    tables: dict[str, Table] = {}
+    arrays: dict[str, Any] = {}
+    file.visititems(lambda name, item: _sort_in(name, item, tables, arrays))
+    return Result(
+        kind=_text(file, "kind"),
+        title=_text(file, "title"),
+        estimates=estimates,
+        covariance=np.asarray(file["covariance"][()], dtype=float),
+        statistics=_read_values(file["statistics"]),
+        tables=tables,
+        arrays=arrays,
+        warnings=_read_texts(file["warnings"]),
+        shown=tuple(_shown_of(str(text)) for text in file.attrs["shown"]),
+        notes=_read_texts(file["notes"]),
+        details=_read_values(file["details"]) if "details" in file else {},
+    )
+
+
+def _text(file: h5py.File, name: str) -> str:
+    value = file.attrs[name]
+    if not isinstance(value, str):
+        raise TypeError(f"the attribute {name} is not a text")
+    return value
+
+
+def _shown_of(text: str) -> ShownTable:
+    name, _, columns = text.partition(":")
+    return ShownTable(name, tuple(column.strip() for column in columns.split(",")) if columns else ())
+
+
+def _sort_in(name: str, item: Any, tables: dict[str, Table], arrays: dict[str, Any]) -> None:
+    if name in _OWN or name.startswith("plot/") or not isinstance(item, h5py.Dataset):
+        return
+    if item.dtype.names:
+        tables[name] = _read_table(item)
+    else:
+        arrays[name] = item[()]
+
+
+def _read_record(file: h5py.File, label: Label) -> Record:
+    record = Record(
+        job_text=file["job"].asstr()[()],
+        inputs=label.inputs,
+        metrocli_version=label.metrocli_version,
+        created=_text(file, "created"),
+        verdicts=tuple(_verdict(**row) for row in _rows(file["requirements"])),
+        doubts=_read_texts(file["doubts"]),
+        meaning=label.meaning,
+        content=label.content,
+        job_file=label.job_file,
+    )
+    listed = [(row["path"], row["sha256"]) for row in _rows(file["inputs"])]
+    if listed != [(one.path, one.sha256) for one in label.inputs]:
+        raise ValueError("the inputs of the label are not those of the file")
+    return record
+
+
+def _verdict(name: str, condition: str, value: float, unit: str, met: bool) -> Verdict:
+    return Verdict(name, condition, float(value), unit, bool(met))
+
+
+def _rows(data: h5py.Dataset) -> list[dict[str, Any]]:
+    columns = _read_table(data).columns
+    lists = [column.tolist() for column in columns.values()]
+    return [dict(zip(columns, row, strict=True)) for row in zip(*lists, strict=True)]
+
+
+def _read_table(data: h5py.Dataset) -> Table:
+    rows = data[()]
+    names = rows.dtype.names or ()
+    columns = {name: _column(rows[name]) for name in names}
+    found = [str(unit) for unit in data.attrs["units"]]
+    return Table(columns, {name: unit for name, unit in zip(names, found, strict=True) if unit})
+
+
+def _column(values: Any) -> Any:
+    return np.char.decode(values, "utf-8") if values.dtype.kind == "S" else np.ascontiguousarray(values)
+
+
+def _read_texts(data: h5py.Dataset) -> tuple[str, ...]:
+    return tuple(data.asstr()[()])
+
+
+def _read_values(group: h5py.Group) -> dict[str, Any]:
+    values: dict[str, Any] = {name: _plain(value) for name, value in group.attrs.items()}
+    return values | {name: _read_values(below) for name, below in group.items()}
+
+
+def _plain(value: Any) -> Any:
+    """Return a value of an attribute as a number, a text or a list of these; raise TypeError for anything else."""
+    plain = value.tolist() if hasattr(value, "tolist") else value
+    for one in plain if isinstance(plain, list) else [plain]:
+        if not isinstance(one, str | float | int):
+            raise TypeError("an attribute is neither number nor text")
+    return plain

@@ -1,0 +1,64 @@
+"""Files that metrocli wrote into folders of its users: replaced only while they are as it wrote them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from hashlib import sha256
+from pathlib import Path
+
+from metrocli.errors import Fault, InputError
+from metrocli.formats.aside import write_bytes
+
+LIST = ".metrocli-files"
+"""In each folder: a line `SHA-256  NAME` for each file that metrocli wrote there, as `sha256sum --check` reads it"""
+
+
+def inside(folder: Path, name: str) -> Path:
+    """Return the path of a file in a folder; raise InputError if the name leads out of it."""
+    parts = Path(name).parts
+    if not parts or Path(name).is_absolute() or ".." in parts or "\0" in name:
+        raise InputError([Fault(f"'{name}' is not the name of a file inside {folder}", hint="rename it in the inputs")])
+    return folder / name
+
+
+def write_all(contents: Mapping[Path, bytes], force: bool = False) -> Iterator[Path]:
+    """Write files and yield each path once it is written.
+
+    Raises InputError, before anything is written, if one of them exists that metrocli did not write, or that was
+    changed since then, unless forced.
+    """
+    lists = {path.parent: _listed(path.parent) for path in contents}
+    faults = []
+    for path, data in contents.items():
+        if not force and path.exists() and not _may_replace(path, data, lists[path.parent]):
+            hint = "choose another folder with --out, or use --force"
+            faults.append(Fault("the file exists, and metrocli did not write it so", str(path), hint=hint))
+    if faults:
+        raise InputError(faults)
+    for folder, names in lists.items():
+        # listed before they are written: after a kill the next call still knows them, by either digest
+        names |= {path.name: _digest(data) for path, data in contents.items() if path.parent == folder}
+        text = "".join(f"{digest}  {name}\n" for name, digest in sorted(names.items()))
+        write_bytes(folder / LIST, text.encode())
+    for path, data in contents.items():
+        write_bytes(path, data)
+        yield path
+
+
+def _may_replace(path: Path, data: bytes, listed: Mapping[str, str]) -> bool:
+    if not path.is_file():
+        return False
+    there = path.read_bytes()
+    return there == data or _digest(there) == listed.get(path.name)
+
+
+def _listed(folder: Path) -> dict[str, str]:
+    try:
+        lines = (folder / LIST).read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError):
+        return {}
+    return {name: digest for digest, _, name in (line.partition("  ") for line in lines)}
+
+
+def _digest(data: bytes) -> str:
+    return sha256(data).hexdigest()

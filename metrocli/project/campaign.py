@@ -1,0 +1,109 @@
+"""One job text for many parts: `for: {part: parts.csv}`, and `{part}` in its paths, titles and values."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from metrocli.errors import Fault, InputError
+from metrocli.formats.csv_text import read_text, taken_apart
+from metrocli.nodes import Node
+from metrocli.settings import BAD, Schema, path_beside
+from metrocli.words import suggestion
+
+KEY = "for"
+_NAME = re.compile(r"\{([^{}\s]+)\}")
+
+
+@dataclass(frozen=True)
+class Part:
+    """What stands for the names in braces in the job of one part."""
+
+    name: str
+    """The value that stands for the part itself, such as its serial number"""
+    values: Mapping[str, str]
+    """By name: the part, and all columns of its list"""
+    file: Path | None = None
+    """The CSV file with the list, if there is one"""
+
+
+class ForEach:
+    """The value of `for:`, one name with the path of a CSV file that has a column of that name, or with a list."""
+
+    expects = "one name with a CSV file or a list, such as {part: parts.csv} or {part: [A1, A2]}"
+
+    def fits(self, node: Node) -> bool:
+        return node.kind == "mapping" and len(node.entries) == 1
+
+    def read(self, node: Node, faults: list[Fault]) -> Any:
+        if self.fits(node):
+            return node
+        faults.append(node.fault(f"{node.path}: this is not a list of parts", f"expected {self.expects}"))
+        return BAD
+
+    def schema(self) -> Schema:
+        one: Schema = {"anyOf": [{"type": "string"}, {"type": "array", "minItems": 1}]}
+        return {"type": "object", "additionalProperties": one, "minProperties": 1, "maxProperties": 1}
+
+
+def parts_of(root: Node) -> tuple[Part, ...]:
+    """Return the parts of a job file, none if it is for one only; raise InputError if the list has faults."""
+    node = root.get(KEY)
+    if node is None:
+        return ()
+    faults: list[Fault] = []
+    if ForEach().read(node, faults) is BAD:
+        raise InputError(faults)
+    (name, value), *_ = node.entries
+    parts = _listed(name.text, value) if value.kind == "list" else _in_file(name.text, value)
+    seen: set[str] = set()
+    for part in parts:
+        if not part.name or part.name in seen or part.name in (".", "..") or set(part.name) & set("/\\\0\n"):
+            reason = "is there twice" if part.name in seen else "cannot be part of a file name"
+            raise InputError([value.fault(f"{value.path}: the {name.text} '{part.name}' {reason}")])
+        seen.add(part.name)
+    return parts
+
+
+def _listed(name: str, value: Node) -> tuple[Part, ...]:
+    if not value.items or any(item.kind != "scalar" for item in value.items):
+        raise InputError([value.fault(f"{value.path}: this is not a list of names", f"expected {ForEach.expects}")])
+    return tuple(Part(item.text, {name: item.text}) for item in value.items)
+
+
+def _in_file(name: str, value: Node) -> tuple[Part, ...]:
+    if value.kind != "scalar" or value.empty:
+        raise InputError([value.fault(f"{value.path}: there is no list", f"expected {ForEach.expects}")])
+    path = path_beside(value)
+    raw = taken_apart(read_text(path, str(path)), str(path))
+    if name not in raw.header:
+        raise InputError([raw.fault(f"the column '{name}' is missing", raw.header_line, None, f"{KEY}: names it")])
+    rows = zip(*([cell.strip() for cell in cells] for cells in raw.cells), strict=True)
+    listed = (dict(zip(raw.header, row, strict=True)) for row in rows)
+    return tuple(Part(row[name], row, path) for row in listed)
+
+
+def bound(root: Node, part: Part) -> Node:
+    """Return the job of one part: without `for:`, and with the values of the part for the names in braces.
+
+    Raises InputError with each name that the list of parts does not have.
+    """
+    faults: list[Fault] = []
+    entries = tuple((key, _bound(value, part, faults)) for key, value in root.entries if key.text != KEY)
+    if faults:
+        raise InputError(faults)
+    return replace(root, entries=entries)
+
+
+def _bound(node: Node, part: Part, faults: list[Fault]) -> Node:
+    if node.kind == "scalar":
+        unknown = [name for name in _NAME.findall(node.text) if name not in part.values]
+        faults += [
+            node.fault(f"{node.path}: no part has '{{{name}}}'", suggestion(name, part.values)) for name in unknown
+        ]
+        return replace(node, text=_NAME.sub(lambda found: part.values.get(found[1], ""), node.text))
+    items = tuple(_bound(item, part, faults) for item in node.items)
+    return replace(node, items=items, entries=tuple((k, _bound(v, part, faults)) for k, v in node.entries))

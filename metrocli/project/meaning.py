@@ -1,0 +1,138 @@
+"""Digests of what jobs and files mean: equal for equal values, whatever the comments, order of keys and notation.
+
+docs/decisions/080-up-to-date-by-meaning.md has what counts as a change.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable, Iterable, Mapping, Set
+from dataclasses import fields, is_dataclass
+from enum import Enum
+from numbers import Number
+from pathlib import Path
+from typing import Any
+
+from metrocli import __version__
+from metrocli.nodes import Node
+from metrocli.project.job import JobFile
+from metrocli.record import InputFile, Record
+from metrocli.result import Result
+from metrocli.table import Table
+
+_FOR_MESSAGES = ("node", "source", "file")
+"""Fields of settings that hold places for messages"""
+
+
+def of_job(job: JobFile) -> str:
+    """Return the digest of a job as meant: its settings in internal units, effects, criteria and output.
+
+    The content of the inputs is not part of it, but their names are: of images the pattern.
+    """
+    heading = {name: value for name, value in _named(job.heading) if name not in ("effects", "output", "parts")}
+    effects = [(one.name, [form.by for form in one.forms], one.where, one.values, one.std) for one in job.effects]
+    output = os.path.relpath(job.output, job.folder)
+    images = [item.node for item in job.inputs if isinstance(item.value, tuple)]
+    return digest([heading, job.settings, images, effects, output], job.folder)
+
+
+def of_table(table: Table) -> str:
+    """Return the digest of the cells of a table, in internal units; lines, comments and unused columns do not count."""
+    return digest([table.columns, table.units])
+
+
+def of_result(result: Result, record: Record) -> str:
+    """Return the digest of a result: its values, whether it is fit for use, and what its inputs hold.
+
+    When and by which version it was made does not count, nor the text of its job.
+    """
+    skipped = ("astray", "made_from", "tables")
+    values = {name: value for name, value in _named(result) if name not in skipped}
+    tables = {name: (table.columns, table.units) for name, table in result.tables.items()}
+    return digest([values, tables, record.verdicts, record.doubts, sorted(one.content for one in record.inputs)])
+
+
+def same_version(made_by: str) -> bool:
+    """Return whether another version of metrocli gives the same results: releases differ in the last number only."""
+    return made_by.split(".")[:2] == __version__.split(".")[:2]
+
+
+def changed_inputs(before: Iterable[InputFile], now: Iterable[InputFile], content: Callable[[str], str]) -> list[str]:
+    """Return a phrase for each input that is not what it was.
+
+    `content` returns the digest of the content of a path as read now; it is called only where the bytes differ.
+    """
+    known, found = ({one.path: one for one in files} for files in (before, now))
+    changed = [
+        f"input {path} changed ({_short(known[path])} -> {_short(one)})"
+        for path, one in found.items()
+        if path in known and one.sha256 != known[path].sha256 and content(path) != known[path].content
+    ]
+    changed += [f"input {path} is new" for path in found if path not in known]
+    return changed + [f"input {path} is gone" for path in known if path not in found]
+
+
+def _short(one: InputFile) -> str:
+    return f"{one.bytes} bytes, sha256 {one.sha256[:8]}"
+
+
+def changed_settings(before: Node, now: Node) -> list[str]:
+    """Return a phrase for each value that two texts of a job state differently, such as `noise: 1 um -> 2 um`."""
+    old, new = dict(_leaves(before)), dict(_leaves(now))
+    changed = [f"{path}: {old[path]} -> {text}" for path, text in new.items() if old.get(path, text) != text]
+    changed += [f"{path}: {text} is new" for path, text in new.items() if path not in old]
+    return changed + [f"{path}: {text} is gone" for path, text in old.items() if path not in new]
+
+
+def _leaves(node: Node) -> Iterable[tuple[str, str]]:
+    for below in (*node.items, *(value for _, value in node.entries)):
+        yield from _leaves(below)
+    if node.kind == "scalar":
+        yield node.path, node.text
+
+
+def _named(value: Any) -> Iterable[tuple[str, Any]]:
+    return ((field.name, getattr(value, field.name)) for field in fields(value))
+
+
+def digest(value: Any, folder: Path = Path()) -> str:
+    """Return the SHA-256 of a value made of dataclasses, mappings, sequences, arrays, texts and numbers.
+
+    The order of keys does not count; paths count relative to `folder`. Raises TypeError for anything else.
+    """
+    found = hashlib.sha256()
+    _add(value, found.update, folder)
+    return found.hexdigest()
+
+
+def _add(value: Any, add: Callable[[bytes], object], folder: Path) -> None:
+    """Feed a value to a digest, each part with its type and length, so that no two values give the same bytes."""
+    if value is None or isinstance(value, Enum | Number | str | bytes):
+        text = value if isinstance(value, bytes) else repr(value).encode()
+        add(f"{type(value).__name__}{len(text)}:".encode() + text)
+    elif isinstance(value, Path):
+        _add(Path(os.path.relpath(value, folder)).as_posix(), add, folder)
+    elif isinstance(value, Node):
+        _add([value.kind, value.text, value.items, {key.text: below for key, below in value.entries}], add, folder)
+    elif is_dataclass(value) and not isinstance(value, type):
+        kept = {name: held for name, held in _named(value) if name not in _FOR_MESSAGES and name[0] != "_"}
+        _add([type(value).__qualname__, kept], add, folder)
+    elif isinstance(value, Mapping):
+        _add([(str(key), value[key]) for key in sorted(value, key=str)], add, folder)
+    elif isinstance(value, Set):
+        _add(sorted(value, key=str), add, folder)
+    elif isinstance(value, list | tuple):
+        if value and all(isinstance(item, Path) for item in value):
+            value = ()  # the images that a pattern matches, which are inputs with a digest of their own
+        add(f"list{len(value)}:".encode())
+        for item in value:
+            _add(item, add, folder)
+    elif hasattr(value, "tobytes"):
+        words = value.dtype.kind == "U"  # whose bytes depend on the longest of them
+        data = "\0".join(value.tolist()).encode() if words else value.tobytes()
+        add(f"array{'text' if words else value.dtype.str}{value.shape}{len(data)}:".encode() + data)
+    elif callable(value):
+        _add(f"{value.__module__}.{value.__qualname__}", add, folder)
+    else:
+        raise TypeError(f"a {type(value).__name__} has no digest")

@@ -1,0 +1,125 @@
+"""The jobs of a project on a Dask cluster: files travel with the jobs, and results come back to be written here."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from metrocli import __version__
+from metrocli.errors import InputError, MetrocliError
+from metrocli.formats.file_bytes import read_bytes
+from metrocli.project.job import JobFile, Wishes, load
+from metrocli.project.running.crew import Outcome, attempt
+from metrocli.uncertainty.workers import Workers, cluster
+
+_MOST_AT_ONCE = 25
+"""Most jobs in one task of the cluster, so that its overhead of some milliseconds does not count"""
+_TASKS_PER_THREAD = 2
+
+
+@dataclass(frozen=True)
+class Packed:
+    """A job with the files that it names, by their paths below the folder that holds them all."""
+
+    name: str
+    shown: str
+    """That folder as messages name it, with a slash at its end; empty for the working folder"""
+    file: str
+    wishes: Wishes
+    strict: bool
+    files: Mapping[str, bytes]
+
+
+def pack(name: str, job: JobFile, strict: bool) -> Packed:
+    """Return a job ready to travel; raises InputError if a file cannot be read."""
+    paths = {Path(os.path.abspath(path)) for item in job.inputs for path in item.paths}
+    file = Path(os.path.abspath(job.file))
+    root = os.path.commonpath([file.parent, os.path.abspath(job.output.parent), *(path.parent for path in paths)])
+    files = {os.path.relpath(path, root): read_bytes(path).data for path in (file, *paths)}
+    part = job.wishes.part and replace(job.wishes.part, file=None)
+    wishes = replace(job.wishes, made=(), part=part)
+    shown = "" if os.path.samefile(root, ".") else os.path.relpath(root) + os.sep
+    return Packed(name, shown, os.path.relpath(file, root), wishes, strict, files)
+
+
+def carry_out(jobs: Sequence[Packed]) -> list[tuple[str, Outcome]]:
+    """Compute jobs on a worker, in a folder of their own, and return what became of them."""
+    return [(job.name, _carry_out(job)) for job in jobs]
+
+
+def _carry_out(packed: Packed) -> Outcome:
+    with tempfile.TemporaryDirectory(prefix="metrocli-") as folder:
+        for name, data in packed.files.items():
+            path = Path(folder) / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(data)
+        try:
+            outcome = attempt(load(Path(folder) / packed.file, packed.wishes), packed.strict, workers=Workers(1))
+        except MetrocliError as error:
+            outcome = Outcome(exit_code=error.exit_code, error=str(error))
+        return replace(outcome, error=outcome.error.replace(folder + os.sep, packed.shown))
+
+
+class Cluster:
+    """A crew of the workers of a Dask cluster."""
+
+    def __init__(self, client: Any, address: str) -> None:
+        self._client, self._address = client, address
+        self._threads = max(sum(client.nthreads().values()), 1)
+        self.places = self._threads * _TASKS_PER_THREAD * _MOST_AT_ONCE
+        self._packed: list[Packed] = []
+        self._done: list[tuple[str, Outcome]] = []
+        self._running: set[Any] = set()
+
+    def begin(self, name: str, job: JobFile, strict: bool) -> None:
+        try:
+            self._packed.append(pack(name, job, strict))
+        except InputError as error:
+            self._done.append((name, Outcome(exit_code=error.exit_code, error=str(error))))
+
+    def finished(self) -> Iterator[tuple[str, Outcome]]:
+        size = min(max(-(-len(self._packed) // (_TASKS_PER_THREAD * self._threads)), 1), _MOST_AT_ONCE)
+        batches = [self._packed[at : at + size] for at in range(0, len(self._packed), size)]
+        self._packed = []
+        try:
+            self._running |= {self._client.submit(carry_out, batch, pure=False) for batch in batches}
+            if not self._done:
+                self._take(self._first())
+        except InputError:
+            raise
+        except Exception as error:  # the library has many ways to report that the cluster has gone
+            message = f"--scheduler {self._address}: the cluster has ended ({type(error).__name__}); finished results "
+            raise InputError(f"{message}are kept, run again to go on") from error
+        yield from self._done
+        self._done = []
+
+    def _first(self) -> set[Any]:
+        from metrocli.uncertainty.workers import first_finished
+
+        return first_finished(self._client, self._running)
+
+    def _take(self, futures: set[Any]) -> None:
+        for future in futures:
+            self._running.discard(future)
+            self._done += future.result()
+
+
+@contextmanager
+def on_cluster(address: str) -> Iterator[Cluster]:
+    """Yield the crew of a running cluster; raises InputError if it cannot be used or has another metrocli."""
+    with cluster(address) as client:
+        found = set(client.run(_version).values())
+        if found != {__version__}:
+            others = ", ".join(sorted(found - {__version__}))
+            message = f"--scheduler {address}: workers have metrocli {others}, and this is metrocli {__version__}"
+            raise InputError(f"{message}: install the same version everywhere")
+        yield Cluster(client, address)
+
+
+def _version() -> str:
+    return __version__

@@ -1,0 +1,28 @@
+"""What the results of a project depend on, in the language of Make."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from metrocli.formats.aside import write_bytes
+from metrocli.project.steps import Step
+
+
+def write(path: Path, project_file: Path, steps: Sequence[Step]) -> None:
+    """Write a rule without commands for each result: it depends on its job, its inputs and the project file.
+
+    Paths are relative to the working folder, as Make needs them, if they lie below it.
+    """
+    rules = []
+    for step in steps:
+        inputs = [file for item in step.job.inputs for file in item.paths]
+        needed = " ".join(_word(one) for one in (step.job.file, project_file, *inputs))
+        rules.append(f"{_word(step.job.output)}: {needed}\n")
+    write_bytes(path, "".join(rules).encode())
+
+
+def _word(path: Path) -> str:
+    text = os.path.normpath(path)
+    return text.replace("$", "$$").replace("#", "\\#").replace(" ", "\\ ")

@@ -1,0 +1,94 @@
+"""What the last run with nothing to do looked at: while none of it moves, there is again nothing to do.
+
+docs/decisions/082-memo-of-a-run.md has what it rests on. Loads fast: neither YAML nor numpy is needed to use it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from contextlib import suppress
+from pathlib import Path
+
+from metrocli import __version__
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from metrocli.project.steps import Step
+
+NAME = ".metrocli-seen"
+_SETTLED_NS = 2_500_000_000
+"""Age that a file must have [ns]: within it, a second change may leave size and times as they are"""
+
+
+def unmoved_jobs(project_file: Path) -> list[list[str]] | None:
+    """Return the names and results of all jobs, if all files of the project are as when all results were up to date.
+
+    Returns None if anything moved, or nothing is remembered.
+    """
+    folder = project_file.parent
+    try:
+        with open(folder / NAME, encoding="utf-8") as file:
+            held = json.load(file)
+        if held["version"] != __version__ or held["project"] != project_file.name:
+            return None
+        for name, seen in held["files"].items():
+            if _signature(os.path.join(folder, name)) != seen:
+                return None
+        jobs: list[list[str]] = held["jobs"]
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return None
+    return jobs
+
+
+def remember(project_file: Path, steps: Sequence[Step], begun_ns: int) -> None:
+    """Remember that all results are up to date, as of `begun_ns`, when the project was read.
+
+    Nothing is remembered if any file is too young, or if a pattern of images has wildcards in the name of a folder. A
+    folder that cannot be written is no fault: the next run looks again.
+    """
+    folder = project_file.parent
+    files: dict[str, list[int]] = {}
+    with suppress(OSError):
+        for path in _looked_at(project_file, steps):
+            found = _signature(os.fspath(path))
+            if max(found[1:3]) > begun_ns - _SETTLED_NS:
+                return
+            files[os.path.relpath(path, folder)] = found
+        jobs = [[step.name, os.path.relpath(step.job.output, folder)] for step in steps]
+        held = {"version": __version__, "project": project_file.name, "jobs": jobs, "files": files}
+        aside = folder / f"{NAME}.{os.getpid()}"
+        aside.write_text(json.dumps(held), encoding="utf-8")
+        aside.replace(folder / NAME)
+
+
+def now_ns() -> int:
+    """Return the time [ns] for `remember`."""
+    return time.time_ns()
+
+
+def _signature(path: str) -> list[int]:
+    """Return what changes whenever a file or folder does; its ctime cannot be set back by its owner."""
+    found = os.stat(path)
+    return [found.st_size, found.st_mtime_ns, found.st_ctime_ns, found.st_ino]
+
+
+def _looked_at(project_file: Path, steps: Iterable[Step]) -> Iterable[Path]:
+    """Yield all files and folders that decide whether results are up to date; OSError for what cannot be listed."""
+    yield project_file
+    for step in steps:
+        yield step.job.file
+        if step.job.wishes.part is not None and step.job.wishes.part.file is not None:
+            yield step.job.wishes.part.file
+        yield step.job.output
+        for item in step.job.inputs:
+            yield from item.paths
+            for pattern in item.node.items or (item.node,):
+                if isinstance(item.value, tuple) and set(pattern.text) & set("*?["):
+                    place = pattern.source.folder / pattern.text
+                    if set(str(place.parent)) & set("*?["):
+                        raise OSError("not listed: new folders may match")
+                    yield place.parent

@@ -1,0 +1,129 @@
+"""Which results are out of date and why; judged by what jobs and files mean, never by time."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from metrocli import __version__
+from metrocli.errors import Fault, InputError
+from metrocli.formats import hdf5
+from metrocli.formats.seal import Label
+from metrocli.project import meaning, yaml_text
+from metrocli.project.inputs import content_now, input_files
+from metrocli.project.job import JobFile, absolute
+from metrocli.project.steps import Step
+from metrocli.record import DONE, DOUBTFUL, Record
+
+
+@dataclass(frozen=True)
+class State:
+    """Whether the result of a step is up to date; `reason` states why not and is empty if it is."""
+
+    step: Step
+    reason: str
+    label: Label | None = None
+    """Of the result, if there is one that can be believed"""
+    waits: bool = False
+    """Whether the step cannot run: a result that it uses is not fit for use, or its output is no result of its own"""
+    depends: bool = False
+    """Whether the step runs only if a job that runs before gives another result; `reason` names that job"""
+
+    @property
+    def record(self) -> Record | None:
+        """The record of the result."""
+        return hdf5.read_record(self.step.job.output)[1] if self.label is not None else None
+
+
+def states(steps: Iterable[Step], force: bool = False, strict: bool = False) -> Iterator[State]:
+    """Yield for each step whether it would run and why, before anything runs."""
+    steps = tuple(steps)
+    if not force:
+        refuse_lost(steps)
+    running: dict[str, Path] = {}
+    unfit: dict[str, str] = {}
+    for step in steps:
+        cause = next((unfit[name] for name in step.needs if name in unfit), None)
+        state = State(step, cause, waits=True) if cause else state_of(step, running, force, strict)
+        if state.waits:
+            unfit[step.name] = f"{step.name} does not run"
+        elif state.reason:
+            running[step.name] = step.job.output
+        elif state.label is not None and state.label.status != DONE and not step.job.accept_doubtful:
+            unfit[step.name] = f"{step.name}: {unfit_words(state.label.status)}"
+        yield state
+
+
+def state_of(step: Step, running: dict[str, Path], force: bool = False, strict: bool = False) -> State:
+    """Return whether a step would run, given the outputs of jobs that run before it and have not yet run."""
+    job = step.job
+    before = [name for name in step.needs if name in running]
+    if not os.path.lexists(job.output):
+        return State(step, "there is no result yet")
+    try:
+        if not force:
+            hdf5.refuse_foreign(job.output, job.kind)
+    except InputError as error:
+        return State(step, str(error), waits=True)
+    try:
+        label = hdf5.read_label(job.output)
+    except InputError as error:
+        return State(step, error.faults[0].message)
+    if force:
+        return State(step, "forced", label)
+    reason = _difference(job, label, {absolute(running[name]) for name in before})
+    if not reason and strict and label.warned:
+        reason = "--strict, and the result has warnings"
+    if not reason and before:
+        return State(step, f"{before[0]} runs", label, depends=True)
+    return State(step, reason, label)
+
+
+def _difference(job: JobFile, label: Label, running: Collection[Path]) -> str:
+    """Return what changed since the result was made; empty if nothing did. Outputs of `running` jobs do not count."""
+    if not meaning.same_version(label.metrocli_version):
+        return f"the result was made by metrocli {label.metrocli_version}; this is metrocli {__version__}"
+    if label.meaning != meaning.of_job(job):
+        changed = _changed_settings(job) or ["the job file changed"]
+    else:
+        known = [one for one in label.inputs if absolute(job.folder / one.path) not in running]
+        found = [one for one in input_files(job) if absolute(job.folder / one.path) not in running]
+        changed = meaning.changed_inputs(known, found, lambda path: content_now(job, path))
+    return f"{changed[0]}{f' (and {len(changed) - 1} more)' if len(changed) > 1 else ''}" if changed else ""
+
+
+def _changed_settings(job: JobFile) -> list[str]:
+    _, record = hdf5.read_record(job.output)
+    before = yaml_text.parse(record.job_text, "the job of the result", job.folder)
+    return meaning.changed_settings(before, yaml_text.parse(job.text, str(job.file), job.folder))
+
+
+def refuse_lost(steps: Sequence[Step]) -> None:
+    """Raise InputError for each input of the last result that no longer exists, such as one image of a file pattern.
+
+    Without this, a job would silently run with fewer images.
+    """
+    faults = []
+    made = {absolute(step.job.output) for step in steps}
+    for step in steps:
+        try:
+            label = hdf5.read_label(step.job.output)
+        except InputError:
+            continue
+        paths = [one.path for one in label.inputs if absolute(step.job.folder / one.path) not in made]
+        lost = [path for path in paths if not (step.job.folder / path).is_file()]
+        if lost and label.meaning == meaning.of_job(step.job):
+            hint = "restore it, or run without it by --force"
+            faults += [
+                Fault(f"the input {path} of the last result is gone", str(step.job.file), hint=hint) for path in lost
+            ]
+    if faults:
+        raise InputError(faults)
+
+
+def unfit_words(status: str) -> str:
+    """Return why a result of this status is not used, and the option that uses it."""
+    what = "its result is doubtful" if status == DOUBTFUL else "an acceptance criterion is not met"
+    return f"{what}; --accept-doubtful uses it"

@@ -1,0 +1,123 @@
+"""One job text for many parts: `for: {part: parts.csv}`."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import pytest
+
+HEAD = "metrocli: 1\njob: straight-line\n"
+JOB = HEAD + """\
+for: {part: ../parts.csv}
+title: Gear {part} of {customer}
+noise: "{noise} mm"
+inputs: {readings: "../data/{part}.csv"}
+output: ../results/{part}.h5
+"""
+PARTS = "part,customer,noise\nA1,Müller,0.1\nA2,Smith,0.2\n012,Müller,0.1\n"
+
+
+@pytest.fixture
+def project(job: Path) -> Path:
+    """Three parts, each with its readings."""
+    Path("jobs").mkdir()
+    Path("data").mkdir()
+    Path("jobs/gear.yaml").write_text(JOB)
+    Path("parts.csv").write_text(PARTS)
+    for n, part in enumerate(("A1", "A2", "012")):
+        Path(f"data/{part}.csv").write_text(Path("readings.csv").read_text().replace("3900", f"{3900 + n}"))
+    Path("metrocli.yaml").write_text("jobs: [jobs/gear.yaml]\n")
+    return Path()
+
+
+def ran(done: Any) -> list[str]:
+    return [line.split(": ")[0].partition("[")[2][:-1] for line in done.out.splitlines() if ": ran" in line]
+
+
+def test_each_part_has_its_result(project: Path, metrocli: Callable[..., Any]) -> None:
+    assert metrocli("check", ".").out.count("no faults") == 3
+    done = metrocli("run")
+    assert (done.code, ran(done)) == (0, ["A1", "A2", "012"]), done.err
+    with h5py.File("results/A2.h5") as file:
+        assert file.attrs["title"] == "Gear A2 of Smith"
+        text = file["job"].asstr()[()]
+    assert "noise: \"0.2 mm\"\n" in text
+    assert "for:" not in text
+    assert metrocli("rerun", "results/A2.h5").code == 0
+    assert [line.split(": ")[1] for line in metrocli("status").out.splitlines()] == ["up to date"] * 3
+
+
+def test_only_the_part_that_changed_runs(project: Path, metrocli: Callable[..., Any]) -> None:
+    metrocli("run")
+    Path("parts.csv").write_text(PARTS.replace("Smith", "Smythe"))
+    assert ran(metrocli("run")) == ["A2"]
+    Path("parts.csv").write_text("# a new part\n" + PARTS.replace("Smith", "Smythe") + "A3,Li,0.1\n")
+    Path("data/A3.csv").write_text(Path("readings.csv").read_text())
+    assert ran(metrocli("run", "--jobs", 2)) == ["A3"]
+    assert ran(metrocli("run", "--only", "jobs/gear.yaml[A1]", "--force")) == ["A1"]
+    assert ran(metrocli("run", "--only", "jobs/gear.yaml", "--force")) == ["A1", "A2", "012", "A3"]
+
+
+def test_a_job_of_a_part_uses_the_result_of_that_part(project: Path, metrocli: Callable[..., Any]) -> None:
+    Path("jobs/second.yaml").write_text(
+        HEAD + "for: {part: [A1, A2]}\nnoise: 0.1 mm\noutput: ../results/second-{part}.h5\n"
+        'inputs: {readings: ../readings.csv, known: "../results/{part}.h5"}\n'
+    )
+    Path("metrocli.yaml").write_text("jobs: [jobs/second.yaml, jobs/gear.yaml]\n")
+    assert metrocli("run").code == 0
+    Path("data/A1.csv").write_text(Path("data/A1.csv").read_text().replace("3100", "3111"))
+    done = metrocli("run")
+    assert [line for line in done.out.splitlines() if ": ran" in line][1].startswith("jobs/second.yaml[A1]: ran")
+    assert len(ran(done)) == 2
+
+
+def test_all_estimates_in_one_table(project: Path, metrocli: Callable[..., Any]) -> None:
+    metrocli("run")
+    Path("parts.csv").write_text(PARTS.replace("A2,Smith,0.2", "A2,Smith,0.3"))
+    assert metrocli("gather", ".", "--out", "table.csv").out == "table.csv: 3 results\n"
+    rows = list(csv.DictReader(Path("table.csv").read_text(encoding="utf-8").splitlines()))
+    assert [(row["part"], row["customer"], row["up_to_date"]) for row in rows] == [
+        ("A1", "Müller", "yes"), ("A2", "Smith", "no"), ("012", "Müller", "yes")]  # fmt: skip
+    for row in rows:
+        with h5py.File(f"results/{row['part']}.h5") as file:
+            found = {one["name"].decode(): (one["value"], one["std"]) for one in file["parameters"][()]}
+        assert (float(row["offset_mm"]), float(row["offset.std_mm"])) == found["offset"]
+        assert (float(row["slope_rad"]), float(row["slope.std_rad"])) == found["slope"]
+    Path("table.csv").write_text("mine\n")
+    assert metrocli("gather", ".", "--out", "table.csv").code == 3
+    assert len(json.loads(metrocli("gather", ".", "--out", "other.csv", "--json").out)["rows"]) == 3
+
+
+FAULTS = {
+    "no such column": (JOB.replace("{customer}", "{custmer}"), PARTS, "jobs/gear.yaml:4:8: error: title: no part has '{custmer}'"),
+    "column of parts missing": (JOB, PARTS.replace("part,", "prt,"), "parts.csv:1"),
+    "two parts of a name": (JOB, PARTS + "A1,x,0.1\n", "the part 'A1' is there twice"),
+    "a part that leads elsewhere": (JOB, PARTS + "../x,x,0.1\n", "the part '../x' cannot be part of a file name"),
+    "one output for all": (JOB.replace("/{part}.h5", "/all.h5"), PARTS, "write the part in braces into the output"),
+    "a value that does not fit": (JOB, PARTS.replace("0.2", "0.2 mm"), "jobs/gear.yaml:5:8: error: noise: "),
+    "no list": (JOB.replace("../parts.csv", "../none.csv"), PARTS, "none.csv: error: there is no such file"),
+    "an empty list": (JOB.replace("../parts.csv", "[]"), PARTS, "this is not a list of names"),
+    "two names": (JOB.replace("{part: ../parts.csv}", "{part: [a], b: [c]}"), PARTS, "this is not a list of parts"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_faults_have_their_place(name: str, project: Path, metrocli: Callable[..., Any]) -> None:
+    job, parts, message = FAULTS[name]
+    Path("jobs/gear.yaml").write_text(job)
+    Path("parts.csv").write_text(parts)
+    for command in (("run",), ("check", "."), ("check", "jobs/gear.yaml")):
+        done = metrocli(*command)
+        if name != "one output for all" or command[-1] != "jobs/gear.yaml":
+            assert (done.code, message in done.err) == (3, True), done.err
+    assert not Path("results").exists()
+
+
+def test_a_single_command_names_what_to_use(project: Path, metrocli: Callable[..., Any]) -> None:
+    done = metrocli("straight-line", "jobs/gear.yaml")
+    assert (done.code, "metrocli run PROJECT --only JOB[PART]" in done.err) == (3, True)

@@ -1,0 +1,216 @@
+"""Runs of a project: several at once, parts of it, for Make, one at a time, and nothing to do."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from metrocli.errors import InputError
+from metrocli.formats import hdf5
+from metrocli.project.running import memo
+from metrocli.project.running.lock import locked
+
+JOB = """\
+metrocli: 1
+job: report-uncertainty
+quantities: {{a: {{value: {value} mm, std: 1 um}}}}
+measurands: {{l: {{model: "2*a", unit: mm}}}}
+monte_carlo: {{trials: 1000}}
+output: ../results/{name}.h5
+"""
+USER = """\
+metrocli: 1
+job: report-uncertainty
+inputs: {{results: {{part: ../results/{used}.h5}}}}
+measurands: {{l: {{model: "2*part.l", unit: mm}}}}
+monte_carlo: {{trials: 1000}}
+output: ../results/{name}.h5
+"""
+ALL = ("a", "b", "c", "d")
+
+
+@pytest.fixture
+def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Four jobs: b uses a, d uses c."""
+    monkeypatch.chdir(tmp_path)
+    Path("jobs").mkdir()
+    for name, used in (("a", ""), ("b", "a"), ("c", ""), ("d", "c")):
+        text = USER.format(name=name, used=used) if used else JOB.format(name=name, value=10)
+        Path(f"jobs/{name}.yaml").write_text(text)
+    Path("metrocli.yaml").write_text("jobs: [jobs/a.yaml, jobs/b.yaml, jobs/c.yaml, jobs/d.yaml]\n")
+    return tmp_path
+
+
+def ran(done: Any) -> str:
+    return "".join(Path(line.split(":")[0]).stem for line in done.out.splitlines() if ": ran" in line)
+
+
+def test_several_at_once_give_the_same_results(project: Path, metrocli: Callable[..., Any]) -> None:
+    assert metrocli("run").code == 0
+    alone = {name: hdf5.read_label(Path(f"results/{name}.h5")).content for name in ALL}
+    for name in ALL:
+        Path(f"results/{name}.h5").unlink()
+    Path("jobs/c.yaml").write_text(JOB.format(name="c", value="0 um, std: 0"))
+    done = metrocli("run", "--jobs", 2)
+    assert done.code == 3, "one job has a fault, and nothing begins"
+    Path("jobs/c.yaml").write_text(JOB.format(name="c", value=10).replace("2*a", "2*sqrt(-1*a*a)"))
+    done = metrocli("run", "--jobs", 2)
+    assert done.code == 3
+    assert (sorted(ran(done)), "jobs/d.yaml: not run (jobs/c.yaml failed)" in done.out) == (["a", "b"], True)
+    assert done.err.splitlines()[-1] == "4 jobs: 2 ran, 1 failed, 1 not run"
+    Path("jobs/c.yaml").write_text(JOB.format(name="c", value=10))
+    assert sorted(ran(metrocli("run", "--jobs", 2))) == ["c", "d"]
+    assert {name: hdf5.read_label(Path(f"results/{name}.h5")).content for name in ALL} == alone
+
+
+def test_parts_of_a_project(project: Path, metrocli: Callable[..., Any]) -> None:
+    assert ran(metrocli("run", "--only", "jobs/d.yaml")) == "cd"
+    assert ran(metrocli("run", "--only", "results/b.h5", "--dry-run")) == ""
+    assert ran(metrocli("run", "--from", "jobs/a.yaml")) == "ab"
+    assert ran(metrocli("run")) == ""
+    Path("jobs/a.yaml").write_text(JOB.format(name="a", value=11))
+    Path("jobs/c.yaml").write_text(JOB.format(name="c", value=11))
+    assert ran(metrocli("run", "--from", "jobs/c.yaml")) == "cd"
+    assert ran(metrocli("run")) == "ab"
+    unknown = metrocli("run", "--only", "jobs/e.yaml")
+    assert (unknown.code, "did you mean" in unknown.err) == (2, True)
+
+
+def test_summaries_for_programs(project: Path, metrocli: Callable[..., Any]) -> None:
+    dry = json.loads(metrocli("run", "--dry-run", "--json").out)["jobs"]
+    assert [(one["job"], one["would"]) for one in dry] == [(f"jobs/{name}.yaml", "runs") for name in ALL]
+    done = json.loads(metrocli("run", "--json").out)
+    assert (done["exit_code"], [one["action"] for one in done["jobs"]]) == (0, ["ran"] * 4)
+    Path("jobs/a.yaml").write_text(JOB.format(name="a", value=11))
+    dry = json.loads(metrocli("run", "--dry-run", "--json").out)["jobs"]
+    assert [one["would"] for one in dry] == ["runs", "depends", "up to date", "up to date"]
+    assert dry[0]["reason"] == "quantities.a.value: 10 mm -> 11 mm"
+
+
+def test_errors_for_programs(project: Path, metrocli: Callable[..., Any]) -> None:
+    Path("jobs/a.yaml").write_text(JOB.format(name="a", value=11).replace("quantities", "quantitys"))
+    for command in (("run",), ("check", "jobs/a.yaml"), ("report-uncertainty", "jobs/a.yaml"), ("status",)):
+        failed = metrocli(*command, "--json")
+        found = json.loads(failed.out)
+        assert (failed.code, found["exit_code"], found["status"]) == (3, 3, "error")
+        fault = next(one for one in found["errors"] if one["message"] == "unknown key 'quantitys'")
+        assert (fault["file"], fault["line"], fault["column"]) == ("jobs/a.yaml", 3, 1)
+        assert fault["hint"] == "did you mean 'quantities'?"
+
+
+def test_make_learns_what_results_depend_on(project: Path, metrocli: Callable[..., Any]) -> None:
+    Path("jobs/b c.yaml").write_text(Path("jobs/b.yaml").read_text().replace("b.h5", "b c.h5"))
+    Path("metrocli.yaml").write_text("jobs: [jobs/a.yaml, 'jobs/b c.yaml']\n")
+    assert metrocli("run", "--depfile", "jobs.d").code == 0
+    assert Path("jobs.d").read_text().splitlines() == [
+        "results/a.h5: jobs/a.yaml metrocli.yaml",
+        "results/b\\ c.h5: jobs/b\\ c.yaml metrocli.yaml results/a.h5",
+    ]
+    Path("Makefile").write_text("include jobs.d\nresults/%.h5:\n\t@echo made $@\n")
+    for path in ("results/a.h5", "results/b c.h5"):
+        os.utime(path)
+    made = subprocess.run(["make", "results/a.h5"], capture_output=True, text=True, check=True)
+    assert "is up to date" in made.stdout
+    os.utime("jobs/a.yaml", (time.time() + 5, time.time() + 5))
+    made = subprocess.run(["make", "results/a.h5"], capture_output=True, text=True, check=True)
+    assert made.stdout == "made results/a.h5\n"
+
+
+def test_results_keep_their_time_when_nothing_changed(project: Path, metrocli: Callable[..., Any]) -> None:
+    metrocli("run")
+    before = {name: Path(f"results/{name}.h5").stat().st_mtime_ns for name in ALL}
+    assert ran(metrocli("run", "--force")) == "abcd"
+    assert {name: Path(f"results/{name}.h5").stat().st_mtime_ns for name in ALL} == before
+
+
+HOLD = """
+import sys, time
+from pathlib import Path
+from metrocli.project.running.lock import locked
+with locked(Path("metrocli.yaml"), False):
+    print("held", flush=True)
+    time.sleep(60)
+"""
+
+
+def test_one_run_at_a_time_and_the_lock_dies_with_its_process(project: Path, metrocli: Callable[..., Any]) -> None:
+    holder = subprocess.Popen([sys.executable, "-c", HOLD], stdout=subprocess.PIPE)
+    assert holder.stdout is not None
+    holder.stdout.readline()
+    refused = metrocli("run")
+    assert (refused.code, "another run works on this project" in refused.err) == (3, True)
+    assert metrocli("run", "--dry-run").code == 0
+    waiting = subprocess.Popen([sys.executable, "-m", "metrocli", "run", "--wait"], stdout=subprocess.DEVNULL)
+    time.sleep(0.5)
+    assert waiting.poll() is None
+    holder.kill()
+    holder.wait()
+    holder.stdout.close()
+    assert waiting.wait(60) == 0
+    with locked(Path("metrocli.yaml"), False), pytest.raises(InputError, match="another run"), locked(Path("metrocli.yaml"), False):
+        pass
+    assert sorted(os.listdir()) == ["jobs", "metrocli.yaml", "results"]
+
+
+class TestMemo:
+    """What is remembered of a run with nothing to do."""
+
+    @pytest.fixture(autouse=True)
+    def settled(self, project: Path, metrocli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
+        metrocli("run")
+        monkeypatch.setattr("metrocli.project.running.memo._SETTLED_NS", -(10**12))
+        metrocli("run")
+
+    def test_the_same_is_printed(self, metrocli: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
+        assert memo.unmoved_jobs(Path("metrocli.yaml")) == [[f"jobs/{n}.yaml", f"results/{n}.h5"] for n in ALL]
+        options = ((), ("--json",), ("--dry-run",), ("--dry-run", "--json"))
+        quick = [metrocli("run", *one) for one in options]
+        Path(memo.NAME).unlink()
+        monkeypatch.setattr("metrocli.project.running.memo.remember", lambda *arguments: None)
+        assert [metrocli("run", *one) for one in options] == quick
+
+    @pytest.mark.parametrize("file", ["metrocli.yaml", "jobs/a.yaml", "results/d.h5", "."])
+    def test_any_touch_ends_it(self, file: str, metrocli: Callable[..., Any]) -> None:
+        path = Path(file)
+        if path.is_dir():
+            Path("results/c.h5").unlink()
+        else:
+            found = path.stat()
+            data = path.read_bytes()
+            path.write_bytes(data)
+            os.utime(path, ns=(found.st_atime_ns, found.st_mtime_ns))  # as a tool that hides its change would
+        assert memo.unmoved_jobs(Path("metrocli.yaml")) is None
+
+    def test_a_damaged_memo_is_not_used(self) -> None:
+        Path(memo.NAME).write_text(Path(memo.NAME).read_text()[:-9])
+        assert memo.unmoved_jobs(Path("metrocli.yaml")) is None
+
+    def test_young_files_are_not_remembered(self, metrocli: Callable[..., Any], monkeypatch: Any) -> None:
+        monkeypatch.setattr("metrocli.project.running.memo._SETTLED_NS", 10**12)
+        Path(memo.NAME).unlink()
+        metrocli("run", Path.cwd())
+        assert not Path(memo.NAME).exists()
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_kill_at_any_moment_loses_nothing_that_was_finished(jobs: int, project: Path) -> None:
+    command = [sys.executable, "-m", "metrocli", "run", "--jobs", str(jobs)]
+    moments = [0.5, 1.0]
+    for moment in moments:
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, start_new_session=True)
+        time.sleep(moment)
+        os.killpg(process.pid, signal.SIGKILL)
+        out, _ = process.communicate()
+        for line in out.decode().splitlines():
+            assert hdf5.read(Path(line.split(" -> ")[-1]))[0].kind if " -> " in line else "up to date" in line
+    assert subprocess.run(command, stdout=subprocess.DEVNULL, check=False).returncode == 0
+    assert sorted(path.name for path in Path("results").iterdir()) == [f"{name}.h5" for name in ALL]
