@@ -22,6 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmarks.coverage import PART, aligned
+from metrocli.expressions.expression import parse
 from metrocli.geometry import poses
 from metrocli.result import Estimate, Result
 from metrocli.settings import Placed
@@ -30,7 +31,6 @@ from metrocli.tasks.report_uncertainty.entries import Contributor, Expansion, Mo
 from metrocli.tasks.report_uncertainty.settings import Settings
 from metrocli.uncertainty import monte_carlo
 from metrocli.uncertainty.distributions import Arcsine, CurvilinearTrapezoid, Normal, Uniform
-from metrocli.uncertainty.expression import parse
 from metrocli.uncertainty.inputs import Inputs, Quantity, join
 from metrocli.uncertainty.trials import plan_of
 from metrocli.uncertainty.volume import extremes

@@ -21,7 +21,7 @@ LAYERS = [
     {"instruments", "targets"},
     {"formats"},
     {"adjust"},
-    {"geometry"},
+    {"geometry", "expressions"},
     {"doubt"},
     {"imageset", "result", "record", "simulation", "plan", "nc_program"},
     {"settings"},

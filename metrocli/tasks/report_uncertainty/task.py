@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from metrocli.errors import InputError, UndeterminedError
+from metrocli.expressions.derivatives import NoValueError
 from metrocli.result import Result
 from metrocli.tasks.job import Job, Task
 from metrocli.tasks.report_uncertainty import volume_problem, volume_report
@@ -13,7 +14,6 @@ from metrocli.tasks.report_uncertainty.settings import Settings
 from metrocli.tasks.report_uncertainty.values import Model
 from metrocli.uncertainty import monte_carlo
 from metrocli.uncertainty.correlated import UnreachableError
-from metrocli.uncertainty.derivatives import NoValueError
 from metrocli.uncertainty.propagation import Coverage, Propagated, covered, propagate
 from metrocli.uncertainty.trials import plan_of
 from metrocli.uncertainty.workers import Workers

@@ -9,10 +9,10 @@ from typing import Any
 
 from metrocli import units
 from metrocli.errors import Fault
+from metrocli.expressions.dimensions import Compound, compound
+from metrocli.expressions.expression import Expression, ExpressionError, parse
 from metrocli.nodes import Node
 from metrocli.settings import BAD, Number, Schema
-from metrocli.uncertainty.dimensions import Compound, compound
-from metrocli.uncertainty.expression import Expression, ExpressionError, parse
 
 INFINITE = ("inf", ".inf", "infinite")
 SMALLEST, LARGEST = 1e-100, 1e100
