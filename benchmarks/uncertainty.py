@@ -136,8 +136,8 @@ def large_volume(points: int = 50, contributors: int = 20, parameters: int = 12)
     result = Result("align-part", "", estimates, root @ root.T, {})
     turns = [[f"m.e{n}*{'XYZ'[(n + axis) % 3]}" for n in range(3, parameters)] for axis in range(3)]
     sums = [" + ".join([f"m.e{axis}", *terms]) for axis, terms in enumerate(turns)]
+    from metrocli.expressions.written import Model
     from metrocli.nodes import Node, Source
-    from metrocli.tasks.report_uncertainty.values import Model
 
     nowhere = Node("scalar", Source("", (), Path()))
     models = tuple(Model(parse(text), nowhere) for text in sums)

@@ -65,7 +65,8 @@ def _adjuster(job: JobFile) -> Callable[[Mapping[str, object]], AdjustedJob]:
     declared = _declared(job.root.get("noise"))
 
     def adjust(inputs: Mapping[str, object]) -> AdjustedJob:
-        return replace(adjusted(task.job(job.settings, effects=job.effects, **inputs)), declared=declared)
+        found = adjusted(task.job(job.settings, effects=job.effects, **inputs))
+        return replace(found, declared=declared, effects=(*found.effects, *job.own.effects))
 
     return adjust
 
@@ -126,7 +127,8 @@ def _extended(job: JobFile, effects: Sequence[Node], noise: str, folder: Path) -
     items = [*(listed.items if listed is not None else ()), *effects]
     output = job.output.with_name(f"{job.output.stem}.extended.h5")
     below = replace(job.root, kind="list", text="", entries=(), items=tuple(items))
-    changed: dict[str, Callable[[Node], Node]] = {"inputs": lambda value: _relocated(value, job.folder, folder)}
+    moved: Callable[[Node], Node] = lambda value: _relocated(value, job.folder, folder)  # noqa: E731
+    changed = {"inputs": moved, "effects_from": moved}
     if noise:
         changed["noise"] = lambda value: _key(job, noise)
     kept = [

@@ -88,7 +88,8 @@ def _read_one(spec: Any, path: Path, item: Input) -> Any:
 
 def input_files(job: JobFile) -> tuple[InputFile, ...]:
     """Return the existing files of a job with their hashes; paths are relative to the job file."""
-    paths = sorted({path for item in job.inputs for path in item.paths if path.is_file()})
+    named = {path for item in job.inputs for path in item.paths}
+    paths = sorted(path for path in (*named, *job.own.files) if path.is_file())
     return tuple(_hashed(path, job.folder) for path in paths)
 
 

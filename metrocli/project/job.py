@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from metrocli.nodes import Node
 from metrocli.project import yaml_text
 from metrocli.project.heading import Heading
 from metrocli.project.overrides import effect_node, overridden
+from metrocli.project.own_effects import Own, own_effects
 from metrocli.project.ranges import ranges_of, within
 from metrocli.settings import (
     BAD,
@@ -70,6 +71,8 @@ class JobFile:
     effects: tuple[Wanted, ...] = ()
     accept_doubtful: bool = False
     """Whether results that are doubtful, or do not meet their requirements, are accepted as inputs"""
+    own: Own = field(default_factory=Own)
+    """Effects of one's own, which extend the table of the kind"""
 
     @property
     def kind(self) -> str:
@@ -116,7 +119,8 @@ def load(path: Path, wishes: Wishes | None = None) -> JobFile:
     section = tasks.KINDS[kind].settings()
     heading, settings = read_sections(root, (Heading, section), faults)
     named = (*(heading.effects if heading is not BAD else ()), *more)
-    wanted = effects.read(tasks.KINDS[kind].task().effects, named, faults) if named else ()
+    own = Own() if heading is BAD else own_effects(kind, heading.define, heading.effects_from, path, faults)
+    wanted = effects.read((*tasks.KINDS[kind].task().effects, *own.effects), named, faults) if named else ()
     inputs = _inputs(root, section, faults)
     if heading is not BAD and heading.ranges:
         ranges = ranges_of(heading.ranges, [item.spec for item in inputs], faults)
@@ -127,7 +131,7 @@ def load(path: Path, wishes: Wishes | None = None) -> JobFile:
     output = wishes.output or heading.output or path.parent / "results" / f"{path.stem}.h5"
     if os.path.abspath(output) in {os.path.abspath(file) for item in inputs for file in item.paths}:
         raise InputError([root.at("output").fault(f"the output {output} is one of the inputs", "name another output")])
-    return JobFile(path, heading, settings, inputs, output, text, root, wanted, wishes.accept_doubtful)
+    return JobFile(path, heading, settings, inputs, output, text, root, wanted, wishes.accept_doubtful, own)
 
 
 def kind_of_job(path: Path) -> str | None:

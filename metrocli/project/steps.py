@@ -10,6 +10,7 @@ from pathlib import Path
 from metrocli.errors import Fault, InputError
 from metrocli.nodes import Node
 from metrocli.project import yaml_text
+from metrocli.project.heading import FileBeside
 from metrocli.project.job import JobFile, Wishes, load
 from metrocli.settings import BAD, ListOf, Section, Text, path_beside, setting
 
@@ -22,6 +23,7 @@ class ProjectFile:
 
     jobs: tuple[str, ...] = setting(ListOf(Text(), distinct=True), "job files, relative to this file")
     project: str = setting(Text(), "name of the project", default="")
+    effects_from: Node | None = setting(FileBeside(), "file with effects of one's own, for all its jobs", default=None)
 
 
 @dataclass(frozen=True)

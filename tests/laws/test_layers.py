@@ -39,7 +39,7 @@ NOT_KINDS = {"__init__", "job", "kind", "shared"}
 """In `tasks`: what is no kind of job"""
 INSIDE = {
     "adjust": [{"coupled_fields", "iterated_weights", "robust", "dense_jacobian"}, {"adjustment"}, {"*"}, {"model"}],
-    "effects": [{"links"}, {"*"}],
+    "effects": [{"own"}, {"links"}, {"*"}],
     "diagnosis": [{"verdict"}, {"diagnose"}, {"findings"}, {"*"}, {"selection"}, {"linear"}, {"adjusted_job"}],
 }
 """Layers inside packages, from the top down; * is all that is not named"""

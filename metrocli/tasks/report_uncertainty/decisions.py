@@ -10,9 +10,9 @@ from typing import Any
 from metrocli import units
 from metrocli.errors import Fault
 from metrocli.expressions.dimensions import Compound, compound, described
+from metrocli.expressions.written import Measure
 from metrocli.settings import Placed
 from metrocli.tasks.report_uncertainty.entries import Limits
-from metrocli.tasks.report_uncertainty.values import Measure
 from metrocli.uncertainty.decision import (
     FACTOR_2017,
     Interval,
