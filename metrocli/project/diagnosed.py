@@ -80,8 +80,12 @@ def _declared(node: Node | None) -> str:
     return node.text if node.kind == "scalar" else ", ".join(filter(None, (_declared(one) for _, one in node.entries)))
 
 
-def write_extended(job: JobFile, diagnosis: Diagnosis, path: Path | None = None, force: bool = False) -> Path | None:
+def write_extended(
+    job: JobFile, diagnosis: Diagnosis, path: Path | None = None, force: bool = False, result: Path | None = None
+) -> Path | None:
     """Write the job extended by the named effects, by default beside it as `NAME.extended.yaml`; return its path.
+
+    `result` is the output of that job, by default `NAME.extended.h5` beside the output of this one.
 
     If structure is left that no effect explains, the chosen law stands in it with `cause: unknown`, and its noise is
     structured, where the kind has that. Returns None if
@@ -100,7 +104,7 @@ def write_extended(job: JobFile, diagnosis: Diagnosis, path: Path | None = None,
     defined = [] if law is None else [_node(job, as_define(law, called))]
     if not force:
         _refuse_foreign(path)
-    body = yaml_text.emit(_extended(job, new, defined, noise, path.parent))
+    body = yaml_text.emit(_extended(job, new, defined, noise, (path.parent, result)))
     text = f"# {job.file.name}{_NAMED if new else _SHARED}\n{_DIGEST}{_digest(body)}\n{body}"
     with written_aside(path) as aside:
         aside.write_text(text, encoding="utf-8")
@@ -135,9 +139,12 @@ def _free_name(diagnosis: Diagnosis) -> str:
     return next(name for name in (f"law-{number}" for number in count(1)) if name not in taken)
 
 
-def _extended(job: JobFile, effects: Sequence[Node], defined: Sequence[Node], noise: str, folder: Path) -> Node:
+def _extended(
+    job: JobFile, effects: Sequence[Node], defined: Sequence[Node], noise: str, to: tuple[Path, Path | None]
+) -> Node:
+    folder, result = to
     below = {"define": _longer(job, "define", defined), "effects": _longer(job, "effects", effects)}
-    output = job.output.with_name(f"{job.output.stem}.extended.h5")
+    output = result or job.output.with_name(f"{job.output.stem}.extended.h5")
     moved: Callable[[Node], Node] = lambda value: _relocated(value, job.folder, folder)  # noqa: E731
     changed = {"inputs": moved, "effects_from": moved}
     if noise:

@@ -162,7 +162,7 @@ def _worth_counting(selection: Selection, families: Sequence[Family], level: flo
     )
     fresh = replace(fitted, larger=None, freed=None, remembered={})
     least = min(float(plain.score(number, fresh).log_p.min()) for number in range(len(families)))
-    return least + np.log(_FEW) < np.log(level)
+    return bool(least + np.log(_FEW) < np.log(level))
 
 
 def _start(tests: ScoreTests, fitted: FittedColumns) -> FittedColumns:
