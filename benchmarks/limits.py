@@ -24,13 +24,13 @@ import numpy as np
 
 from benchmarks import alignment, blunders, camera_speed, coverage, detection, files, references, uncertainty
 from metrocli.errors import UndeterminedError
+from metrocli.expressions.expression import ExpressionError, parse
 from metrocli.simulation import SimulationOptions
 from metrocli.table import Table
 from metrocli.targets import blobs, ellipses
 from metrocli.tasks.align_part import task as align_part
 from metrocli.tasks.multilaterate import task as multilaterate
 from metrocli.tasks.multilaterate.settings import Inputs, Settings
-from metrocli.uncertainty.expression import ExpressionError, parse
 from metrocli.uncertainty.numbers import evaluate
 
 HOSTILE = ("9**9**9**9", "(" * 150 + "x" + ")" * 150, "(" * 10_000, "a+" * 500_000 + "a", "-" * 4000 + "x", "9" * 4000)

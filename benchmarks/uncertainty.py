@@ -22,6 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmarks.coverage import PART, aligned
+from metrocli.expressions.expression import parse
 from metrocli.geometry import poses
 from metrocli.result import Estimate, Result
 from metrocli.settings import Placed
@@ -30,7 +31,6 @@ from metrocli.tasks.report_uncertainty.entries import Contributor, Expansion, Mo
 from metrocli.tasks.report_uncertainty.settings import Settings
 from metrocli.uncertainty import monte_carlo
 from metrocli.uncertainty.distributions import Arcsine, CurvilinearTrapezoid, Normal, Uniform
-from metrocli.uncertainty.expression import parse
 from metrocli.uncertainty.inputs import Inputs, Quantity, join
 from metrocli.uncertainty.trials import plan_of
 from metrocli.uncertainty.volume import extremes
@@ -136,8 +136,8 @@ def large_volume(points: int = 50, contributors: int = 20, parameters: int = 12)
     result = Result("align-part", "", estimates, root @ root.T, {})
     turns = [[f"m.e{n}*{'XYZ'[(n + axis) % 3]}" for n in range(3, parameters)] for axis in range(3)]
     sums = [" + ".join([f"m.e{axis}", *terms]) for axis, terms in enumerate(turns)]
+    from metrocli.expressions.written import Model
     from metrocli.nodes import Node, Source
-    from metrocli.tasks.report_uncertainty.values import Model
 
     nowhere = Node("scalar", Source("", (), Path()))
     models = tuple(Model(parse(text), nowhere) for text in sums)

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from metrocli.cli import options
 from metrocli.cli.console import Console, echo
+
+if TYPE_CHECKING:
+    from metrocli.project.job import JobFile
 
 CLEAN = "clean"
 
@@ -22,6 +25,8 @@ CLEAN = "clean"
 )
 @click.option("--require", type=click.Choice([CLEAN]), help="Exit code 6 unless the verdict is this one.")
 @click.option("--limit", default="120 s", metavar="TIME", help="CPU time of the searches, e.g. '60 s'; default 120 s.")
+@click.option("--until-clean", is_flag=True, help="Extend, run and diagnose again until clean or nothing is gained.")
+@click.option("--most", default=5, show_default=True, type=click.IntRange(1), help="Most extensions of --until-clean.")
 @options.FORCE
 @options.SET
 @options.ACCEPT
@@ -54,6 +59,8 @@ def command(job: Path, design: bool, output: Path | None, force: bool, as_json: 
         console.print(findings.of_design(adjusted, found))
         return 0
     loaded = load(job, asked)
+    if wanted["until_clean"]:
+        return _loop(loaded, wanted, force, as_json)
     diagnosis = diagnosed.carry_out(loaded, console.waiting, _seconds(wanted["limit"]))
     extended = None
     try:
@@ -66,6 +73,21 @@ def command(job: Path, design: bool, output: Path | None, force: bool, as_json: 
         echo(summary.as_json(verdict.as_data(diagnosis) | {"extended_job": extended and str(extended)}))
     console.print(findings.of_diagnosis(diagnosis, extended))
     return NOT_MET if wanted["require"] not in (None, diagnosis.verdict) else 0
+
+
+def _loop(job: JobFile, wanted: dict[str, Any], force: bool, as_json: bool) -> int:
+    """Print the steps of the loop until a job is clean."""
+    from metrocli.cli import summary
+    from metrocli.cli.diagnosis_report.loop import loop_data, of_loop
+    from metrocli.record import NOT_MET
+    from metrocli.project.until_clean import until_clean
+
+    console = Console(wanted["quiet"] or as_json, wanted["verbose"])
+    loop = until_clean(job, wanted["most"], console.waiting, _seconds(wanted["limit"]), force)
+    if as_json:
+        click.echo(summary.as_json(loop_data(loop)))
+    console.print(of_loop(loop))
+    return NOT_MET if wanted["require"] not in (None, loop.last.verdict) else 0
 
 
 def _seconds(text: str) -> float:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.solution import Solution
+from metrocli.effects.acting import Acting
 from metrocli.effects.effect import Effect
 from metrocli.effects.model import Model
 
@@ -106,6 +107,8 @@ class AdjustedJob:
     """Fewest components of readings that an effect must change; what changes fewer is an outlier"""
     single_components: bool = False
     """Whether the components of a reading (u, v) are tested as outliers one by one"""
+    places: tuple[Acting, ...] = ()
+    """Quantities on which a law can act"""
     declared: str = ""
     """The noise that the job declares, in words"""
     adjusted: frozenset[tuple[str, tuple[str, ...]]] = frozenset()

@@ -51,7 +51,7 @@ class Gain:
 
 
 @dataclass(frozen=True)
-class _Held:
+class Held:
     """Prediction of one fold."""
 
     score: float
@@ -69,12 +69,12 @@ def cross_validated(job: AdjustedJob, selection: Selection, names: Sequence[Name
     """
     # each part has the same time for its search, so that all are treated alike
     test_set = selection.test_set
-    rows = _rows_of_folds(job, test_set)
+    rows = folds_of(job, test_set)
     spared = np.zeros(test_set.system.rows, dtype=bool)
     for one in selection.outliers:
         spared[test_set.places[one.number][test_set.places[one.number] >= 0]] = True
     groups: list[Sequence[NamedEffect]] = [*([name] for name in names), names]
-    found: list[list[tuple[_Held, _Held]]] = [[] for _ in groups]
+    found: list[list[tuple[Held, Held]]] = [[] for _ in groups]
     for fold in range(int(rows.max()) + 1):
         out = np.flatnonzero((rows == fold) & ~spared)
         if out.size:
@@ -83,7 +83,7 @@ def cross_validated(job: AdjustedJob, selection: Selection, names: Sequence[Name
             start = fitted_without(test_set, np.flatnonzero((rows == fold) & spared))
             for number, group in enumerate(groups):
                 found[number].append(_compared(test_set, start, trained, group, out))
-    return [_gain(pairs) for pairs in found]
+    return [gain_of(pairs) for pairs in found]
 
 
 def gain_of_model(
@@ -93,20 +93,25 @@ def gain_of_model(
 
     Rows of the readings have the same numbers in both; what the second has more are priors after them.
     """
-    rows = _rows_of_folds(job, before[0])
+    rows = folds_of(job, before[0])
     folds = (np.flatnonzero(rows == fold) for fold in range(int(rows.max()) + 1))
-    return _gain([(held_out_errors(*before, out), held_out_errors(*after, out)) for out in folds if out.size])
+    return gain_of([(held_out_errors(*before, out), held_out_errors(*after, out)) for out in folds if out.size])
 
 
 def _trained(test_set: ScoreTests, out: Index) -> Selection:
-    """Return the selection without some rows.
+    """Return the selection without some rows."""
+    return search(*without(test_set, out))
+
+
+def without(test_set: ScoreTests, out: Index) -> tuple[ScoreTests, FittedColumns]:
+    """Return the tests without some rows, and the fit from which a selection without them starts.
 
     Rows that hold only some readings of a local member are taken out by unknowns of their own.
     """
     if _by_members(test_set.system.basis, out):
         fewer = without_rows(test_set, out)
-        return search(fewer, nothing_fitted(fewer.system))
-    return search(test_set, fitted_without(test_set, out))
+        return fewer, nothing_fitted(fewer.system)
+    return test_set, fitted_without(test_set, out)
 
 
 def _by_members(basis: Basis, out: Index) -> bool:
@@ -114,7 +119,8 @@ def _by_members(basis: Basis, out: Index) -> bool:
     return basis.members > 0 and basis.shared.shape[1] < len(out) and basis.holds_whole_members(out)
 
 
-def _rows_of_folds(job: AdjustedJob, test_set: ScoreTests) -> Index:
+def folds_of(job: AdjustedJob, test_set: ScoreTests) -> Index:
+    """Return the number of the fold of each row, -1 for priors, (rows,)."""
     rows = np.full(test_set.system.rows, -1, dtype=np.intp)
     for group in job.model.readings:
         fold = test_set.system.spread(group, job.folds[group.name].astype(float) + 1)
@@ -130,7 +136,7 @@ def fitted_without(test_set: ScoreTests, out: Index) -> FittedColumns:
 
 def _compared(
     test_set: ScoreTests, start: FittedColumns, trained: Selection, names: Sequence[NamedEffect], out: Index
-) -> tuple[_Held, _Held]:
+) -> tuple[Held, Held]:
     """Return the prediction of a fold without and with effects, as the selection without the fold has them.
 
     In `start` the outliers of the fold are unknowns of their own, so they count for neither.
@@ -156,7 +162,7 @@ def _with_all(test_set: ScoreTests, fitted: FittedColumns, chosen: Sequence[Chos
     return fitted.with_columns(np.concatenate(columns, axis=1)) if columns else fitted
 
 
-def held_out_errors(test_set: ScoreTests, fitted: FittedColumns, out: Index) -> _Held:
+def held_out_errors(test_set: ScoreTests, fitted: FittedColumns, out: Index) -> Held:
     """Return the log density of the held-out readings (multivariate t) and their errors of prediction."""
     from scipy.special import gammaln
 
@@ -179,7 +185,7 @@ def held_out_errors(test_set: ScoreTests, fitted: FittedColumns, out: Index) -> 
     alike = test_set.system.alike[out]
     whole = spectrum.vectors[:, kept] @ (along[kept] / values[kept]) + rest_of_r
     shown = spectrum.shares - (spectrum.vectors[:, ~kept] ** 2).sum(axis=1)
-    return _Held(score, whole[alike] * test_set.system.scale[out][alike], float(shown[alike].sum()))
+    return Held(score, whole[alike] * test_set.system.scale[out][alike], float(shown[alike].sum()))
 
 
 @dataclass(frozen=True)
@@ -214,7 +220,8 @@ def _spectrum(test_set: ScoreTests, fitted: FittedColumns, out: Index) -> _Spect
     return _Spectrum(1 - squares[seen], vectors, round(float(shares.sum())) - int(seen.sum()), shares)
 
 
-def _gain(pairs: Sequence[tuple[_Held, _Held]]) -> Gain:
+def gain_of(pairs: Sequence[tuple[Held, Held]]) -> Gain:
+    """Return the gain from the predictions of all folds without and with what is judged."""
     differences = np.array([after.score - before.score for before, after in pairs])
     spread = float(differences.std(ddof=1)) if len(differences) > 1 else float("inf")
     sides = list(zip(*pairs, strict=True))

@@ -27,6 +27,7 @@ from metrocli.diagnosis.extended_fit import (
     with_scatter,
 )
 from metrocli.diagnosis.findings import Diagnosis, Finding, Scatter
+from metrocli.diagnosis.laws.search import Law, laws_in, without_imitations
 from metrocli.diagnosis.linear.candidates import NotTested
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns, nothing_fitted
 from metrocli.diagnosis.linear.projection import System
@@ -74,6 +75,8 @@ def diagnose(job: AdjustedJob, say: Say = lambda line: None, limit: float = LIMI
     say("looking for structure")
     searched = first = _search_about_solution(job, say)
     job, searched, scatters = _with_scatters(job, searched, say)
+    if job.places:
+        searched = replace(searched, selection=without_imitations(searched.job, searched.selection))
     names = confidence_sets(searched.selection)
     say("cross-validating: predicting parts of the readings from the others")
     gains = cross_validated(searched.job, searched.selection, names) if names else []
@@ -86,6 +89,11 @@ def diagnose(job: AdjustedJob, say: Say = lambda line: None, limit: float = LIMI
     if structure is None and repeats is not None and repeats.lack_of_fit < _LACK_OF_FIT:
         structure = RemainingStructure(repeats.lack_of_fit, (REPEATS,))
     noise = noise_of(fitted)
+    laws: tuple[Law, ...] = ()
+    if job.places:
+        say("looking for a law in what no effect explains")
+        laws = laws_in(searched.job, searched.selection, structure is not None)
+        structure = _structure_of(laws) if structure is None else structure
     say("computing what the measurement could not detect")
     return Diagnosis(
         job=job,
@@ -111,8 +119,18 @@ def diagnose(job: AdjustedJob, say: Say = lambda line: None, limit: float = LIMI
         together=gains[-1] if len(names) > 1 else None,
         repeats=repeats,
         scatters=scatters,
+        laws=laws,
         limited=limit if job.budget.ended else None,
     )
+
+
+def _structure_of(laws: Sequence[Law]) -> RemainingStructure | None:
+    """Return the structure that a law shows where smooth functions show none."""
+    law = next((one for one in laws if one.chosen), None)
+    if law is None:
+        return None
+    names = dict.fromkeys(name for term in law.terms for name in term.form.variables)
+    return RemainingStructure(law.p_value, tuple(names), tuple(name for _, name in law.terms[0].spot.where), law.size)
 
 
 def _with_scatters(

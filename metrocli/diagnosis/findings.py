@@ -11,6 +11,7 @@ from metrocli.diagnosis.detectability import Design
 from metrocli.diagnosis.extended_fit import (
     Size,
 )
+from metrocli.diagnosis.laws.search import Law
 from metrocli.diagnosis.mistakes import Mistaken
 from metrocli.diagnosis.noise import Noise, Unit
 from metrocli.diagnosis.residual_structure import (
@@ -84,10 +85,17 @@ class Diagnosis:
     """The noise found from repeated readings, if there are any"""
     scatters: tuple[Scatter, ...] = ()
     """Effects at all places of a kind; all other findings are beside them"""
+    laws: tuple[Law, ...] = ()
+    """The simplest sums of terms that explain what no effect does, one for each number of terms"""
     limited: float | None = None
     """The limit of CPU time [s], if the search ended there"""
     mistaken: Mistaken | None = None
     """A mistake in the files; all other findings are those of the job without it"""
+
+    @property
+    def law(self) -> Law | None:
+        """The law with the most evidence, if any predicts held-out readings better."""
+        return next((one for one in self.laws if one.chosen), None)
 
     @property
     def verdict(self) -> Verdict:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.blocks import Array, Space
 from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.linear.candidates import Alternative, Family
@@ -97,6 +97,9 @@ def _of_own_members(job: AdjustedJob, system: System, rows: Index, errors: Array
 def _plausible(alternative: Alternative) -> Array:
     """Return the largest usual size of each column of an alternative, (parameters,)."""
     effect = alternative.effect
+    if effect.space is Space.WAVE:
+        # both steps are lengths of the phasor
+        return np.full(len(alternative.parameters), effect.plausible)
     first = effect.parameters[0].dimension
     known = {p.name: effect.plausible if p.dimension == first else p.plausible for p in effect.parameters}
     return np.array([known[name] for name in alternative.parameters])

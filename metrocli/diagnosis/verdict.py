@@ -14,6 +14,8 @@ from metrocli.diagnosis.cross_validation import Gain
 from metrocli.diagnosis.detectability import Candidate, Design, WrongReading
 from metrocli.diagnosis.findings import Diagnosis, Finding, Scatter
 from metrocli.diagnosis.hidden_change import POWER, HiddenChange
+from metrocli.diagnosis.laws.definition import written
+from metrocli.diagnosis.laws.search import Law
 from metrocli.diagnosis.linear.candidates import Alternative
 from metrocli.diagnosis.mistakes import Mistaken
 from metrocli.diagnosis.residual_structure import RemainingStructure
@@ -46,9 +48,29 @@ def as_data(diagnosis: Diagnosis) -> dict[str, Any]:
         "together": None if diagnosis.together is None else _gain(diagnosis.together, diagnosis.job),
         "structure": {"before": diagnosis.before, "after": diagnosis.after},
         "unexplained": None if left is None else _left(diagnosis.job, left),
+        "laws": [_law(diagnosis.job, one) for one in diagnosis.laws],
         "candidates": candidates(diagnosis.job, diagnosis.design, [f.effect for f in diagnosis.findings]),
         "alike": alike(diagnosis.design),
         "separate_by": list(diagnosis.separate_by),
+    }
+
+
+def _law(job: AdjustedJob, law: Law) -> dict[str, Any]:
+    texts = written(law)
+    parameters: dict[str, Any] = {
+        name: {"value": value, "std": std, "unit": unit} for name, (value, std, unit) in texts.parameters.items()
+    }
+    parameters |= {name: {"value": value, "std": None, "unit": unit} for name, (value, unit) in texts.scan.items()}
+    return {
+        "acts_on": law.terms[0].spot.acting.name,
+        "where": dict(law.terms[0].spot.where),
+        "adds": texts.adds[""] if set(texts.adds) == {""} else texts.adds,
+        "parameters": parameters,
+        "terms": len(law.terms),
+        "p_value": law.p_value,
+        "gain": _gain(law.gain, job),
+        "part_of_structure": law.part_of_structure,
+        "chosen": law.chosen,
     }
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from metrocli import units
 from metrocli.adjust.model.blocks import Array, Space
 from metrocli.adjust.model.chain import Link
+from metrocli.expressions.written import OfUnit
 from metrocli.settings import Number, Quantity, Spec, Text
 from metrocli.units import parse_quantity
 
@@ -49,18 +50,22 @@ class Parameter:
     """For a scanned parameter that is a number: the values that it may have, in ascending order"""
     tried: int = 120
     """Number of grid values that `diagnose` tries first; it then refines between the best one and its neighbours"""
+    base: str = ""
+    """Its unit in base units, such as "mm s-2", if no dimension has it"""
 
     @property
     def spec(self) -> Spec:
         """How its value is read from a job file: as text, a quantity with unit, or a plain number."""
         if self.place:
             return Text()
+        if self.base:
+            return OfUnit(self.base)
         return Quantity(self.dimension) if self.dimension else Number()
 
     @property
     def unit(self) -> str:
         """The internal unit."""
-        return units.internal_unit(self.dimension) if self.dimension else "1"
+        return units.internal_unit(self.dimension) if self.dimension else self.base or "1"
 
 
 @dataclass(frozen=True)
@@ -103,6 +108,8 @@ class Effect:
     """Whether its parameters form a vector that turns with the frame of a free network"""
     of_one_reading: bool = False
     """Whether it spoils a single reading; `diagnose` finds such an effect as an outlier"""
+    definition: str = ""
+    """For an effect of one's own: its definition, one line of YAML"""
 
     @property
     def keys(self) -> tuple[str, ...]:

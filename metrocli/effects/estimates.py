@@ -87,6 +87,8 @@ def tables(added: Sequence[Added], solution: Adjusted) -> tuple[dict[str, Table]
     arrays: dict[str, Array] = {}
     for label, one in _labelled(added):
         block = solution.blocks[one.block]
+        if one.effect.definition:
+            found[f"effects/{label}/definition"] = Table({"define": np.array([one.effect.definition])})
         if one.std:
             found[f"effects/{label}/parameters"] = _everywhere(one, block, solution.std(one.block))
             continue

@@ -14,6 +14,7 @@ from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.chain import Chain, Link
 from metrocli.adjust.model.groups import Group, prior
 from metrocli.adjust.model.observations import Index
+from metrocli.effects.acting import NOMINAL
 from metrocli.effects.effect import COLUMN, ELAPSED, WARMING, Effect
 from metrocli.effects.model import Added, Model
 from metrocli.effects.wanted import Wanted
@@ -60,7 +61,7 @@ def extended(model: Model, wanted: Iterable[Wanted]) -> Model:
 
 
 def with_conditions(model: Model) -> Model:
-    """Return the model with all conditions that effects vary with: its aspects, `elapsed` and `warming`.
+    """Return the model with all conditions that effects vary with: its aspects, `elapsed`, `warming`, X, Y and Z.
 
     `elapsed` needs the times of the readings, `warming` their temperatures. Both count from the earliest reading of all
     and keep their values if readings are left out later.
@@ -76,10 +77,21 @@ def with_conditions(model: Model) -> Model:
             conditions[ELAPSED] = conditions["t"] - start
         if group.name in model.measured and "temp" in conditions and WARMING not in conditions:
             conditions[WARMING] = conditions["temp"] - (conditions["temp"][0] if first is None else first)
+        if group.name in model.measured:
+            conditions |= _nominal(model, group)
         timed = replace(group, observations=replace(group.observations, conditions=conditions))
         aspects = model.aspects if group.name in model.measured else {}
         groups.append(with_aspects(timed, aspects, model.blocks)[0])
     return replace(model, groups=tuple(groups))
+
+
+def _nominal(model: Model, group: Group) -> dict[str, Array]:
+    """Return the nominal coordinates X, Y, Z of the points of readings that do not have them yet."""
+    observations = group.observations
+    if NOMINAL[0] in observations.conditions:
+        return {}
+    found = (places[observations.index[name]] for name, places in model.nominal.items() if name in observations.index)
+    return {axis: values for places in found for axis, values in zip(NOMINAL, places.T, strict=True)}
 
 
 def can_act(model: Model, effect: Effect, where: Mapping[str, str]) -> bool:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 from metrocli.adjust.datum import Datum
 from metrocli.adjust.iterated_weights import Aspect
-from metrocli.adjust.model.blocks import Block
+from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.groups import Group
 from metrocli.effects.effect import Effect
 
@@ -53,6 +53,8 @@ class Model:
     aspects: Mapping[str, Aspect] = field(default_factory=dict)
     """Conditions that follow from the geometry, by name; they are evaluated at the present values of the blocks"""
     added: tuple[Added, ...] = ()
+    nominal: Mapping[str, Array] = field(default_factory=dict)
+    """For the block whose members are the points of the readings: their nominal coordinates, (members, 3)"""
 
     @property
     def readings(self) -> tuple[Group, ...]:

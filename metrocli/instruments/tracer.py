@@ -29,7 +29,7 @@ FREEDOMS = (
 )
 
 
-COS_2A, SIN_2A, INCIDENCE = "cos 2a", "sin 2a", "1 - cos i"
+COS_2A, SIN_2A, INCIDENCE, COS_A, SIN_A = "cos 2a", "sin 2a", "1 - cos i", "cos a", "sin a"
 """Covariates of a beam: a is its azimuth atan2(dy, dx), i its angle of incidence to the axis of the reflector"""
 
 
@@ -80,6 +80,12 @@ def _double_azimuth(blocks: Mapping[str, Block], observations: Observations) -> 
     return (x**2 - y**2) / flat, 2 * x * y / flat
 
 
+def _azimuth(blocks: Mapping[str, Block], observations: Observations) -> tuple[Array, Array]:
+    x, y, _ = beams(blocks, observations)
+    level = np.maximum(np.hypot(x, y), 1e-300)
+    return x / level, y / level
+
+
 def _incidence(blocks: Mapping[str, Block], observations: Observations) -> Array:
     """Return 1 - cos i for a reflector with its axis along +z; the reflector sees the beam along -b."""
     beam = beams(blocks, observations)
@@ -90,6 +96,8 @@ ASPECTS: dict[str, Aspect] = {
     COS_2A: lambda blocks, observations: _double_azimuth(blocks, observations)[0],
     SIN_2A: lambda blocks, observations: _double_azimuth(blocks, observations)[1],
     INCIDENCE: _incidence,
+    COS_A: lambda blocks, observations: _azimuth(blocks, observations)[0],
+    SIN_A: lambda blocks, observations: _azimuth(blocks, observations)[1],
 }
 """Covariates on which effects on a beam may depend, by name"""
 

@@ -6,13 +6,16 @@ import hashlib
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
+from typing import Any
 
 from metrocli import tasks
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.detectability import Design
 from metrocli.diagnosis.diagnose import LIMIT, diagnose, what_can_be_seen
 from metrocli.diagnosis.findings import Diagnosis
+from metrocli.diagnosis.laws.definition import as_define, as_wanted
 from metrocli.diagnosis.mistakes import without_mistakes
 from metrocli.diagnosis.verdict import as_job, proposed_noise, scatter_as_job
 from metrocli.errors import Fault, InputError, UsageError
@@ -65,7 +68,8 @@ def _adjuster(job: JobFile) -> Callable[[Mapping[str, object]], AdjustedJob]:
     declared = _declared(job.root.get("noise"))
 
     def adjust(inputs: Mapping[str, object]) -> AdjustedJob:
-        return replace(adjusted(task.job(job.settings, effects=job.effects, **inputs)), declared=declared)
+        found = adjusted(task.job(job.settings, effects=job.effects, **inputs))
+        return replace(found, declared=declared, effects=(*found.effects, *job.own.effects), places=task.places)
 
     return adjust
 
@@ -76,23 +80,31 @@ def _declared(node: Node | None) -> str:
     return node.text if node.kind == "scalar" else ", ".join(filter(None, (_declared(one) for _, one in node.entries)))
 
 
-def write_extended(job: JobFile, diagnosis: Diagnosis, path: Path | None = None, force: bool = False) -> Path | None:
+def write_extended(
+    job: JobFile, diagnosis: Diagnosis, path: Path | None = None, force: bool = False, result: Path | None = None
+) -> Path | None:
     """Write the job extended by the named effects, by default beside it as `NAME.extended.yaml`; return its path.
 
-    If structure is left that no effect explains, its noise is structured, where the kind has that. Returns None if
+    `result` is the output of that job, by default `NAME.extended.h5` beside the output of this one.
+
+    If structure is left that no effect explains, the chosen law stands in it with `cause: unknown`, and its noise is
+    structured, where the kind has that. Returns None if
     nothing changes. Raises InputError if the file there is no extended job or was edited since it
     was written, unless forced. Parameters that the readings do not determine separately are 0. In another
     folder, the relative paths of the inputs are changed to lead to the same files.
     """
     noise = proposed_noise(diagnosis)
-    if not diagnosis.findings and not diagnosis.scatters and not noise:
+    law = diagnosis.law
+    if not diagnosis.findings and not diagnosis.scatters and not noise and law is None:
         return None
     path = path or job.file.with_name(f"{job.file.stem}.extended.yaml")
     named = [*map(scatter_as_job, diagnosis.scatters), *(as_job(one.effect) for one in diagnosis.findings)]
-    new = [_node(job, entry) for entry in named]
+    called = _free_name(diagnosis)
+    new = [_node(job, entry) for entry in (*named, *([] if law is None else [as_wanted(law, called)]))]
+    defined = [] if law is None else [_node(job, as_define(law, called))]
     if not force:
         _refuse_foreign(path)
-    body = yaml_text.emit(_extended(job, new, noise, path.parent))
+    body = yaml_text.emit(_extended(job, new, defined, noise, (path.parent, result)))
     text = f"# {job.file.name}{_NAMED if new else _SHARED}\n{_DIGEST}{_digest(body)}\n{body}"
     with written_aside(path) as aside:
         aside.write_text(text, encoding="utf-8")
@@ -121,21 +133,36 @@ def _digest(body: str) -> str:
     return hashlib.sha256(body.encode("utf-8")).hexdigest()[:16]
 
 
-def _extended(job: JobFile, effects: Sequence[Node], noise: str, folder: Path) -> Node:
-    listed = job.root.get("effects")
-    items = [*(listed.items if listed is not None else ()), *effects]
-    output = job.output.with_name(f"{job.output.stem}.extended.h5")
-    below = replace(job.root, kind="list", text="", entries=(), items=tuple(items))
-    changed: dict[str, Callable[[Node], Node]] = {"inputs": lambda value: _relocated(value, job.folder, folder)}
+def _free_name(diagnosis: Diagnosis) -> str:
+    """Return the first of law-1, law-2, ... that no effect has."""
+    taken = {effect.name for effect in diagnosis.job.effects}
+    return next(name for name in (f"law-{number}" for number in count(1)) if name not in taken)
+
+
+def _extended(
+    job: JobFile, effects: Sequence[Node], defined: Sequence[Node], noise: str, to: tuple[Path, Path | None]
+) -> Node:
+    folder, result = to
+    below = {"define": _longer(job, "define", defined), "effects": _longer(job, "effects", effects)}
+    output = result or job.output.with_name(f"{job.output.stem}.extended.h5")
+    moved: Callable[[Node], Node] = lambda value: _relocated(value, job.folder, folder)  # noqa: E731
+    changed = {"inputs": moved, "effects_from": moved}
     if noise:
         changed["noise"] = lambda value: _key(job, noise)
     kept = [
         (key, changed[key.text](value) if key.text in changed else value)
         for key, value in job.root.entries
-        if key.text not in ("effects", "output")
+        if key.text not in (*below, "output")
     ]
-    more = [(_key(job, "effects"), below)] if items else []
+    more = [(_key(job, key), items) for key, items in below.items() if items.items]
     return replace(job.root, entries=(*kept, *more, (_key(job, "output"), _key(job, _path(output, folder)))))
+
+
+def _longer(job: JobFile, key: str, more: Sequence[Node]) -> Node:
+    """Return the list under a key of a job with more entries."""
+    listed = job.root.get(key)
+    items = (*(listed.items if listed is not None else ()), *more)
+    return replace(job.root, kind="list", text="", entries=(), items=items)
 
 
 def _path(path: Path, folder: Path) -> str:
@@ -156,6 +183,11 @@ def _key(job: JobFile, text: str) -> Node:
     return replace(job.root, kind="scalar", text=text, entries=(), items=())
 
 
-def _node(job: JobFile, effect: Mapping[str, str]) -> Node:
-    entries = tuple((_key(job, key), _key(job, value)) for key, value in effect.items())
-    return replace(job.root, kind="mapping", text="", entries=entries, items=())
+def _node(job: JobFile, value: Any) -> Node:
+    """Return texts, lists and mappings of texts as a node."""
+    if isinstance(value, Mapping):
+        entries = tuple((_key(job, key), _node(job, item)) for key, item in value.items())
+        return replace(job.root, kind="mapping", text="", entries=entries, items=())
+    if isinstance(value, list):
+        return replace(job.root, kind="list", text="", entries=(), items=tuple(_node(job, item) for item in value))
+    return _key(job, value)

@@ -8,12 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from metrocli import tasks
+from metrocli.effects.own.definition import Definition
 from metrocli.errors import Fault
 from metrocli.nodes import Node
 from metrocli.project.campaign import ForEach
 from metrocli.project.ranges import Ranges
 from metrocli.project.requirements import Requirement, Requirements
-from metrocli.settings import BAD, Schema, Text, path_beside, setting
+from metrocli.settings import BAD, Schema, Section, Text, path_beside, setting
 from metrocli.words import suggestion
 
 FORMAT_VERSION = "1"
@@ -80,6 +81,42 @@ class _Effects:
         return {"type": "array"}
 
 
+class _Definitions:
+    """The value of `define:`, a list of effects of one's own (`metrocli.effects.own`)."""
+
+    expects = "a list such as [{name: range-zero, acts_on: length, adds: r0, parameters: {...}}]"
+
+    def fits(self, node: Node) -> bool:
+        return node.kind == "list"
+
+    def read(self, node: Node, faults: list[Fault]) -> Any:
+        if self.fits(node):
+            return node.items
+        faults.append(node.fault("define: this is not a list", f"expected {self.expects}"))
+        return BAD
+
+    def schema(self) -> Schema:
+        return {"type": "array", "items": Section(Definition).schema()}
+
+
+class FileBeside:
+    """The path of a file, relative to the file that names it; read as its node, which has both."""
+
+    expects = "the path of a file"
+
+    def fits(self, node: Node) -> bool:
+        return node.kind == "scalar" and not node.empty
+
+    def read(self, node: Node, faults: list[Fault]) -> Any:
+        if self.fits(node) and "\0" not in node.text:
+            return node
+        faults.append(node.fault(f"{node.path}: this is not the path of a file", f"expected {self.expects}"))
+        return BAD
+
+    def schema(self) -> Schema:
+        return {"type": "string"}
+
+
 class _Output:
     """The value of `output:`, the path of the result file."""
 
@@ -106,6 +143,8 @@ class Heading:
     job: str = setting(_KindOfJob(), "kind of job")
     title: str = setting(Text(), "title of the result", default="")
     effects: tuple[Node, ...] = setting(_Effects(), "extensions of the model, by name", default=())
+    define: tuple[Node, ...] = setting(_Definitions(), "effects of one's own", default=())
+    effects_from: Node | None = setting(FileBeside(), "file with effects of one's own under `define:`", default=None)
     ranges: Mapping[str, Node] = setting(Ranges(), "largest values of columns in CSV files, by name", default={})
     require: tuple[Requirement, ...] = setting(Requirements(), "acceptance criteria", default=())
     parts: Node | None = setting(ForEach(), "one result for each part of a list", default=None, key="for")

@@ -19,6 +19,7 @@ from metrocli.project.campaign import KEY as CAMPAIGN
 from metrocli.project.campaign import Part, bound, parts_of
 from metrocli.project.heading import Heading
 from metrocli.project.overrides import effect_node, overridden
+from metrocli.project.own_effects import Own, own_effects
 from metrocli.project.ranges import ranges_of, within
 from metrocli.settings import (
     BAD,
@@ -75,6 +76,9 @@ class JobFile:
     effects: tuple[Wanted, ...] = ()
     wishes: Wishes = field(default_factory=lambda: Wishes())
     """What the command line asked for when it was loaded"""
+
+    own: Own = field(default_factory=Own)
+    """Effects of one's own, which extend the table of the kind"""
 
     @property
     def accept_doubtful(self) -> bool:
@@ -136,7 +140,8 @@ def load(path: Path, wishes: Wishes | None = None) -> JobFile:
     section = tasks.KINDS[kind].settings()
     heading, settings = read_sections(root, (Heading, section), faults)
     named = (*(heading.effects if heading is not BAD else ()), *more)
-    wanted = effects.read(tasks.KINDS[kind].task().effects, named, faults) if named else ()
+    own = Own() if heading is BAD else own_effects(kind, heading.define, heading.effects_from, path, faults)
+    wanted = effects.read((*tasks.KINDS[kind].task().effects, *own.effects), named, faults) if named else ()
     inputs = _inputs(root, section, faults)
     if heading is not BAD and heading.ranges:
         ranges = ranges_of(heading.ranges, [item.spec for item in inputs], faults)
@@ -147,7 +152,7 @@ def load(path: Path, wishes: Wishes | None = None) -> JobFile:
     output = wishes.output or heading.output or path.parent / "results" / f"{path.stem}.h5"
     if os.path.realpath(output) in {os.path.realpath(file) for item in inputs for file in item.paths}:
         raise InputError([root.at("output").fault(f"the output {output} is one of the inputs", "name another output")])
-    return JobFile(path, heading, settings, inputs, output, text, root, wanted, wishes)
+    return JobFile(path, heading, settings, inputs, output, text, root, wanted, wishes, own)
 
 
 def load_parts(path: Path, wishes: Wishes) -> list[JobFile]:

@@ -16,6 +16,7 @@ from typing import Any
 
 from metrocli import __version__
 from metrocli.nodes import Node
+from metrocli.project import yaml_text
 from metrocli.project.job import JobFile
 from metrocli.record import InputFile, Record
 from metrocli.result import Result
@@ -30,7 +31,8 @@ def of_job(job: JobFile) -> str:
 
     The content of the inputs is not part of it, but their names are: of images the pattern.
     """
-    heading = {name: value for name, value in _named(job.heading) if name not in ("effects", "output", "parts")}
+    apart = ("effects", "effects_from", "output", "parts")
+    heading = {name: value for name, value in _named(job.heading) if name not in apart}
     effects = [(one.name, [form.by for form in one.forms], one.where, one.values, one.std) for one in job.effects]
     output = os.path.relpath(job.output, job.folder)
     images = [item.node for item in job.inputs if isinstance(item.value, tuple)]
@@ -51,6 +53,11 @@ def of_result(result: Result, record: Record) -> str:
     values = {name: value for name, value in _named(result) if name not in skipped}
     tables = {name: (table.columns, table.units) for name, table in result.tables.items()}
     return digest([values, tables, record.verdicts, record.doubts, sorted(one.content for one in record.inputs)])
+
+
+def of_yaml(path: Path) -> str:
+    """Return the digest of the values of a YAML file, whatever its comments and notation."""
+    return digest(list(_leaves(yaml_text.parse(yaml_text.read_text(path, str(path)), str(path), path.parent))))
 
 
 def same_version(made_by: str) -> bool:

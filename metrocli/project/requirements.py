@@ -10,11 +10,11 @@ from typing import Any
 
 from metrocli import units
 from metrocli.errors import Fault
+from metrocli.expressions.dimensions import converted
 from metrocli.nodes import Node
 from metrocli.record import Verdict
 from metrocli.result import Result
 from metrocli.settings import BAD, Schema
-from metrocli.uncertainty.dimensions import converted
 from metrocli.words import suggestion
 
 _COMPARISONS: dict[str, Callable[[float, float], bool]] = {

@@ -12,6 +12,7 @@ from metrocli.errors import Fault, InputError, UsageError
 from metrocli.nodes import Node
 from metrocli.project import yaml_text
 from metrocli.project.campaign import Part, bound, parts_of
+from metrocli.project.heading import FileBeside
 from metrocli.project.job import JobFile, Wishes, absolute, load
 from metrocli.settings import BAD, ListOf, Section, Text, path_beside, setting
 from metrocli.table import MOST_FAULTS
@@ -26,6 +27,7 @@ class ProjectFile:
 
     jobs: tuple[str, ...] = setting(ListOf(Text(), distinct=True), "job files, relative to this file")
     project: str = setting(Text(), "name of the project", default="")
+    effects_from: Node | None = setting(FileBeside(), "file with effects of one's own, for all its jobs", default=None)
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 if TYPE_CHECKING:
     from metrocli.diagnosis.adjusted_job import AdjustedJob
+    from metrocli.effects.acting import Acting
     from metrocli.effects.effect import Effect
     from metrocli.effects.wanted import Wanted
     from metrocli.plan import Plan
@@ -49,6 +50,8 @@ class Task(Generic[S, F]):
     """Adjusts the job and returns it in the form that diagnosis needs"""
     effects: tuple[Effect, ...] = ()
     """Effects that its model can leave out, and that a job can add"""
+    places: tuple[Acting, ...] = ()
+    """Quantities on which effects of one's own can act"""
     answers: Mapping[str, Callable[[Job[S, F]], Table]] = field(default_factory=dict)
     """Function for each question of the job, by name"""
     result_answers: Mapping[str, Callable[[Result, Sequence[str]], tuple[Estimate, ...]]] = field(default_factory=dict)

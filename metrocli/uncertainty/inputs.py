@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from metrocli.expressions.dimensions import Compound
 from metrocli.uncertainty.correlated import CLIP, Dependent, Ellipse, Rows, UnreachableError, factor
-from metrocli.uncertainty.dimensions import Compound
 from metrocli.uncertainty.distributions import Distribution, Normal, Sampled, in_trials
 
 Array = npt.NDArray[np.float64]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from metrocli.uncertainty.expression import NEGATIVE, Expression, Part
+from metrocli.expressions.expression import NEGATIVE, Expression, Part
 
 Array = npt.NDArray[np.float64]
 _FUNCTIONS: dict[str, Callable[..., Any]] = {

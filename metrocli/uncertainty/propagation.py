@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from metrocli.uncertainty.derivatives import Jets, NoValueError
-from metrocli.uncertainty.expression import Expression
+from metrocli.expressions.derivatives import Jets, NoValueError
+from metrocli.expressions.expression import Expression
 from metrocli.uncertainty.inputs import Inputs
 from metrocli.uncertainty.numbers import evaluate
 

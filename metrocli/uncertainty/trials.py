@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from metrocli.errors import UndeterminedError
-from metrocli.uncertainty.expression import Expression
+from metrocli.expressions.expression import Expression
 from metrocli.uncertainty.inputs import Inputs
 from metrocli.uncertainty.numbers import evaluate
 from metrocli.uncertainty.samples import BINS, Counts, Edges, Sorted

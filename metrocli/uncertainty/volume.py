@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from metrocli.expressions.derivatives import Jets
+from metrocli.expressions.expression import Expression
 from metrocli.geometry import poses
 from metrocli.geometry.rotations import cross_matrix
-from metrocli.uncertainty.derivatives import Jets
-from metrocli.uncertainty.expression import Expression
 
 Array = npt.NDArray[np.float64]
 AXES = ("x", "y", "z")

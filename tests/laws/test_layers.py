@@ -21,7 +21,7 @@ LAYERS = [
     {"instruments", "targets"},
     {"formats"},
     {"adjust"},
-    {"geometry"},
+    {"geometry", "expressions"},
     {"doubt"},
     {"imageset", "result", "record", "simulation", "plan", "nc_program"},
     {"settings"},
@@ -39,8 +39,17 @@ NOT_KINDS = {"__init__", "job", "kind", "shared"}
 """In `tasks`: what is no kind of job"""
 INSIDE = {
     "adjust": [{"coupled_fields", "iterated_weights", "robust", "dense_jacobian"}, {"adjustment"}, {"*"}, {"model"}],
-    "effects": [{"links"}, {"*"}],
-    "diagnosis": [{"verdict"}, {"diagnose"}, {"findings"}, {"*"}, {"selection"}, {"linear"}, {"adjusted_job"}],
+    "effects": [{"own"}, {"links"}, {"*"}],
+    "diagnosis": [
+        {"verdict"},
+        {"diagnose"},
+        {"findings"},
+        {"laws"},
+        {"*"},
+        {"selection"},
+        {"linear"},
+        {"adjusted_job"},
+    ],
 }
 """Layers inside packages, from the top down; * is all that is not named"""
 MOST_MODULES, MOST_LINES = 20, 300

@@ -17,8 +17,8 @@ from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Observations
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.adjust.solution import Solution
-from metrocli.uncertainty.derivatives import Jets
-from metrocli.uncertainty.expression import ExpressionError, parse
+from metrocli.expressions.derivatives import Jets
+from metrocli.expressions.expression import ExpressionError, parse
 
 Array = npt.NDArray[np.float64]
 _RATIO = "(b1+b2*x+b3*x**2+b4*x**3)/(1+b5*x+b6*x**2+b7*x**3)"

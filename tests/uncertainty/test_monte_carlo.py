@@ -13,10 +13,10 @@ import pytest
 from tasks.report_uncertainty.jobs import carry_out
 
 from metrocli.errors import NotConvergedError
+from metrocli.expressions.expression import parse
 from metrocli.project.chunks import ChunkFolder
 from metrocli.uncertainty import monte_carlo
 from metrocli.uncertainty.distributions import Normal, Uniform
-from metrocli.uncertainty.expression import parse
 from metrocli.uncertainty.inputs import Inputs, Quantity, join
 from metrocli.uncertainty.monte_carlo import Outcome, tolerance_of
 from metrocli.uncertainty.samples import BINS, Binned, Edges, Sorted

@@ -10,6 +10,7 @@ import numpy as np
 from metrocli import units
 from metrocli.adjust.cluster_robust import FROM_RESIDUALS, STRUCTURED
 from metrocli.cli.diagnosis_report.candidates import candidate_lines
+from metrocli.cli.diagnosis_report.laws import law_lines
 from metrocli.cli.diagnosis_report.text_table import text_table
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.cross_validation import Gain
@@ -44,6 +45,8 @@ def of_diagnosis(diagnosis: Diagnosis, extended: Path | None) -> str:
     if diagnosis.outliers:
         parts.append(list(_wrong(diagnosis.outliers)))
     parts.append([*_structure(diagnosis), *_noise(diagnosis)])
+    if diagnosis.laws:
+        parts.append(list(law_lines(diagnosis)))
     parts += [list(_about_scatter(one)) for one in diagnosis.scatters]
     parts += [list(_about(finding)) for finding in findings[:_DESCRIBED]]
     if diagnosis.separate_by:
@@ -62,10 +65,12 @@ def of_diagnosis(diagnosis: Diagnosis, extended: Path | None) -> str:
 
 def _extension(diagnosis: Diagnosis) -> str:
     """Return what an extended job has that the job has not."""
-    if not diagnosis.findings and not diagnosis.scatters:
+    added = ["the named effects"] if diagnosis.findings or diagnosis.scatters else []
+    added += ["the law"] if diagnosis.law is not None else []
+    if not added:
         return "the job with `noise: structured`: its uncertainties include the structure left"
     shared = " and with `noise: structured`" if proposed_noise(diagnosis) else ""
-    return f"the job extended by the named effects{shared}, and diagnose it again"
+    return f"the job extended by {' and '.join(added)}{shared}, and diagnose it again"
 
 
 def _headline(diagnosis: Diagnosis) -> str:

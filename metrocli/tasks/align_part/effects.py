@@ -10,6 +10,7 @@ from metrocli.effects.links.eccentricity import TargetEccentricity
 from metrocli.effects.links.growth import Growth
 from metrocli.effects.links.lens_changes import LensChange
 from metrocli.effects.links.shifts import MachineError, Shift
+from metrocli.tasks.shared.images.places import IMAGE, image_point
 from metrocli.units import parse_quantity
 
 _MENDIKUTE = "Mendikute et al."
@@ -22,6 +23,17 @@ def _size(name: str, dimension: str, plausible: str) -> Parameter:
 
 def _sizes(names: tuple[str, ...], dimension: str, plausible: str) -> tuple[Parameter, ...]:
     return tuple(_size(name, dimension, plausible) for name in names)
+
+
+PLACES = (
+    IMAGE,
+    image_point("point-in-part", _PART),
+    image_point("point-in-machine", _MACHINE),
+    image_point("point-in-spindle", Quantity.POINT_IN_SPINDLE),
+    image_point("point-in-taper", _TAPER),
+    image_point("point-in-camera", Quantity.POINT_IN_CAMERA),
+)
+"""Quantities on which effects of one's own can act"""
 
 
 EFFECTS: tuple[Effect, ...] = (

@@ -94,7 +94,9 @@ def build(camera: CameraModel, sighted: Sighted, table: Table, free_angle: bool)
     if sighted.eccentric:
         group, blocks = corrected(group, blocks, others, None, targets.radius)
     places = places_of(sighted.images, targets.names)
-    return Problem(Model(blocks, (group, *others), None, (IMAGES,), places), camera, sighted, warnings)
+    nominal = {TARGET: targets.points}
+    model = Model(blocks, (group, *others), None, (IMAGES,), places, nominal=nominal)
+    return Problem(model, camera, sighted, warnings)
 
 
 def _spindle_poses(sighted: Sighted, table: Table) -> tuple[Array, tuple[str, ...], Sighted]:

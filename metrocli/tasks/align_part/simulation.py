@@ -8,7 +8,7 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.chain import Chain
 from metrocli.effects.model import Model
 from metrocli.instruments import spindle_camera as spindle
-from metrocli.instruments.camera import lens_link, target_block
+from metrocli.instruments.camera import TARGET, lens_link, target_block
 from metrocli.tasks.align_part.camera import CameraModel
 from metrocli.tasks.align_part.problem import places_of
 from metrocli.tasks.shared.images.adjustment import IMAGES
@@ -44,4 +44,5 @@ def true_model(camera: CameraModel, shown: Shown, seen: Sights, truth: Truth) ->
     )
     group = image_group(shown, seen, Chain((*spindle.to_camera(), lens_link(camera.convention))), spindle.SPINDLE)
     places = places_of(shown.images, shown.targets.names)
-    return Model({block.name: block for block in made}, (group,), None, (IMAGES,), places)
+    blocks = {block.name: block for block in made}
+    return Model(blocks, (group,), None, (IMAGES,), places, nominal={TARGET: shown.targets.points})

@@ -17,7 +17,7 @@ from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.tasks.align_part.camera import camera_of
 from metrocli.tasks.align_part.diagnosis import adjusted_job
-from metrocli.tasks.align_part.effects import EFFECTS
+from metrocli.tasks.align_part.effects import EFFECTS, PLACES
 from metrocli.tasks.align_part.problem import Problem, build, spindle_poses
 from metrocli.tasks.align_part.report import delivered, explained, predicted, report
 from metrocli.tasks.align_part.settings import Files, Settings
@@ -106,4 +106,4 @@ def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulatio
     return Simulation({"observations.csv": table}, true | values, drawn)
 
 
-TASK = Task(Files, run, simulate=simulate, diagnosed=diagnosed, effects=EFFECTS)
+TASK = Task(Files, run, simulate=simulate, diagnosed=diagnosed, effects=EFFECTS, places=PLACES)

@@ -10,6 +10,7 @@ from metrocli.effects.links.growth import Growth
 from metrocli.effects.links.lens_changes import LensChange
 from metrocli.effects.links.plane_bend import PlaneBend
 from metrocli.effects.links.shifts import Shift
+from metrocli.tasks.shared.images.places import IMAGE, image_point
 from metrocli.units import parse_quantity
 
 _LENS = "lens"
@@ -61,6 +62,15 @@ def _scale_of_targets(frame: Quantity) -> Effect:
         reveal="a calibrated length among the targets (the poses absorb a wrong scale, so no residual shows it)",
         source="VDI/VDE 2634 part 1: lengths, not residuals, show the scale",
     )
+
+
+PLACES = (
+    IMAGE,
+    image_point("point-in-camera", Quantity.POINT_IN_CAMERA),
+    image_point("point-on-board", Quantity.POINT_ON_BOARD),
+    image_point("point-on-targets", Quantity.POINT_ON_TARGETS),
+)
+"""Quantities on which effects of one's own can act"""
 
 
 EFFECTS: tuple[Effect, ...] = (

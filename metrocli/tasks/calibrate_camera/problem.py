@@ -126,7 +126,8 @@ def build(rig: str, settings: Camera, sighted: Sighted, bars: Table | None = Non
         else None
     )
     places = {"image": Place(sighted.images, "view"), "target": Place(targets.names, camera.TARGET)}
-    model = Model(blocks, (group, *others), datum, (IMAGES,), places)
+    nominal = {camera.TARGET: targets.points}
+    model = Model(blocks, (group, *others), datum, (IMAGES,), places, nominal=nominal)
     problem = Problem(model, rig, settings.convention, size, sighted)
     started = _better_start(problem, settings)
     if not sighted.eccentric:

@@ -85,4 +85,5 @@ def true_model(rig: str, shown: Shown, seen: Sights) -> Model:
     }
     group = image_group(shown, seen, camera.chain(rig, shown.convention), camera.VIEW)
     places = {"image": Place(shown.images, "view"), "target": Place(shown.targets.names, camera.TARGET)}
-    return Model(blocks, (group,), None, (IMAGES,), places)
+    nominal = {camera.TARGET: shown.targets.points}
+    return Model(blocks, (group,), None, (IMAGES,), places, nominal=nominal)

@@ -18,7 +18,7 @@ from metrocli.table import Table
 from metrocli.tasks.calibrate_camera.advice import explained, ran_out
 from metrocli.tasks.calibrate_camera.compare import compare_models
 from metrocli.tasks.calibrate_camera.diagnosis import adjusted_job
-from metrocli.tasks.calibrate_camera.effects import EFFECTS
+from metrocli.tasks.calibrate_camera.effects import EFFECTS, PLACES
 from metrocli.tasks.calibrate_camera.problem import Problem, build, robustly_started
 from metrocli.tasks.calibrate_camera.report import report
 from metrocli.tasks.calibrate_camera.settings import Files, Settings
@@ -122,4 +122,6 @@ def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulatio
     return Simulation({"observations.csv": table}, true | values, drawn)
 
 
-TASK = Task(Files, run, simulate=simulate, diagnosed=diagnosed, effects=EFFECTS, answers={"compare": compare})
+TASK = Task(
+    Files, run, simulate=simulate, diagnosed=diagnosed, effects=EFFECTS, places=PLACES, answers={"compare": compare}
+)

@@ -11,6 +11,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array, Block, Mask
 from metrocli.adjust.model.groups import Group, prior
 from metrocli.adjust.model.observations import Index
+from metrocli.effects.acting import NOMINAL
 from metrocli.effects.extension import extended
 from metrocli.effects.model import Model, Place
 from metrocli.effects.modelled import Modelled
@@ -205,7 +206,7 @@ def conditions(position: Array, table: Table | None = None) -> dict[str, Array]:
 
     Raises InputError if a direction of approach is not -1, 0 or 1.
     """
-    found = dict(zip(POSITION, position, strict=True))
+    found = dict(zip((*POSITION, *NOMINAL), (*position, *position), strict=True))
     if table is not None:
         _refuse_sides(table)
         found |= {name: table.numbers(name) for name in ("t", *SIDES) if name in table}

@@ -10,7 +10,7 @@ from metrocli.plan import Plan
 from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.tasks.calibrate_machine.diagnosis import adjusted_job
-from metrocli.tasks.calibrate_machine.effects import EFFECTS
+from metrocli.tasks.calibrate_machine.effects import EFFECTS, PLACES
 from metrocli.tasks.calibrate_machine.methods.on_the_fly import on_the_fly
 from metrocli.tasks.calibrate_machine.methods.six_dof import six_dof
 from metrocli.tasks.calibrate_machine.methods.standstill import standstill
@@ -68,4 +68,4 @@ def plan(job: Job[Settings, Files]) -> Plan:
     return replace(planned, warnings=(*planned.warnings, _WITHOUT)) if job.effects else planned
 
 
-TASK = Task(Files, run, plan=plan, simulate=simulate, diagnosed=diagnosed, effects=EFFECTS)
+TASK = Task(Files, run, plan=plan, simulate=simulate, diagnosed=diagnosed, effects=EFFECTS, places=PLACES)

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 from metrocli.adjust.model.chain import Link
 from metrocli.adjust.model.quantities import Quantity
+from metrocli.effects.acting import PLACE, TIMED, Acting, beam_from, components, point, scalar, seen_from
 from metrocli.effects.effect import Effect, Parameter
 from metrocli.effects.links.beams import BeamOffset
 from metrocli.effects.links.encoders import BaseTilt, Eccentricity, EncoderOffset, NonOrthogonality
 from metrocli.effects.links.lengths import LengthOffset, LengthScale
 from metrocli.effects.links.points import AxisError
 from metrocli.effects.links.shifts import Shift
-from metrocli.instruments.launch_unit import ENCODERS
+from metrocli.instruments.launch_unit import ENCODERS, UNIT
 from metrocli.units import parse_quantity
 
 LAUNCH, RECEIVER = UNITS = "launch", "receiver"
@@ -49,6 +51,34 @@ def _scale(block: str, where: Mapping[str, str]) -> Link:
 def _squareness(block: str, where: Mapping[str, str]) -> Link:
     pair = where["pair"]
     return AxisError(block, AXES.index(pair[0]), AXES.index(pair[1]))
+
+
+_POSE = ("pose",)
+_TURNS = ("base", "tilt")
+
+
+def _pair(name: str, quantity: Quantity) -> Acting:
+    units = ("rad", "rad")
+    return Acting(name, quantity, units, _TURNS, (*components(_TURNS, units), *TIMED, *PLACE), _POSE)
+
+
+PLACES = (
+    replace(scalar("angle", Quantity.ANGLE, "rad", ("encoder", "pose")), split={"encoder": ENCODERS}),
+    scalar("distance", Quantity.LENGTH, "mm", _POSE),
+    _pair("launch-angles", Quantity.LAUNCH_ANGLES),
+    _pair("receiver-angles", Quantity.RECEIVER_ANGLES),
+    point("point-in-machine", Quantity.POINT_IN_MACHINE, _POSE, *beam_from(UNIT), *seen_from(UNIT)),
+    *(
+        point(name, quantity, _POSE, *seen_from())
+        for name, quantity in (
+            ("beam-out", Quantity.BEAM_OUT),
+            ("beam-back", Quantity.BEAM_BACK),
+            ("beam-at-launch", Quantity.BEAM_AT_LAUNCH),
+            ("beam-at-receiver", Quantity.BEAM_AT_RECEIVER),
+        )
+    ),
+)
+"""Quantities on which effects of one's own can act"""
 
 
 EFFECTS: tuple[Effect, ...] = (

@@ -71,6 +71,7 @@ def build(readings: Readings, noise: Noise) -> Problem:
         (*read, *priors(receiver, readings.sigma, free)),
         measured=tuple(group.name for group in read),
         places=places,
+        nominal={lu.RECEIVER: readings.receiver},
     )
     return Problem(model, readings, (text + listed(steep),) if steep else ())
 

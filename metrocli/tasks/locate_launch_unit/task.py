@@ -15,7 +15,7 @@ from metrocli.table import Table
 from metrocli.tasks.job import Job, Task
 from metrocli.tasks.locate_launch_unit import KIND
 from metrocli.tasks.locate_launch_unit.diagnosis import adjusted_job
-from metrocli.tasks.locate_launch_unit.effects import EFFECTS
+from metrocli.tasks.locate_launch_unit.effects import EFFECTS, PLACES
 from metrocli.tasks.locate_launch_unit.plan import figures, planned_measurement
 from metrocli.tasks.locate_launch_unit.readings import read
 from metrocli.tasks.locate_launch_unit.report import report
@@ -109,5 +109,6 @@ TASK = Task(
     simulate=simulate,
     diagnosed=diagnosed,
     effects=EFFECTS,
+    places=PLACES,
     answers={"compare": compare},
 )

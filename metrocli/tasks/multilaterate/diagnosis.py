@@ -13,6 +13,7 @@ from metrocli.adjust.model.groups import Group, ReadBlock
 from metrocli.adjust.model.observations import Index, Mask, Observations
 from metrocli.adjust.solution import Solution
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate, Delivered
+from metrocli.effects.acting import NOMINAL
 from metrocli.effects.effect import ELAPSED, WARMING, Effect
 from metrocli.effects.extension import with_conditions
 from metrocli.effects.model import Model, Place
@@ -165,6 +166,7 @@ def _with_corners(model: Model) -> Model:
     late = np.repeat([0.0, 1.0], len(corners) * m)
     span = {name: (values.min(), np.ptp(values)) for name, values in old.conditions.items() if name in ("t", ELAPSED)}
     conditions = {name: start + width * late for name, (start, width) in span.items()}
+    conditions |= dict(zip(NOMINAL, corners[corner].T, strict=True))
     changed = replace(
         new,
         index={**new.index, t.POINT: len(block.members) + corner},

@@ -129,7 +129,8 @@ def network_of(
         "tracer": Place(tracer_block.members, t.TRACER),
         "point": Place(point_block.members, t.POINT),
     }
-    model = Model(blocks, (group, *others), datum, (LENGTHS,), acting, t.ASPECTS)
+    nominal = {t.POINT: readings.nominal}
+    model = Model(blocks, (group, *others), datum, (LENGTHS,), acting, t.ASPECTS, nominal=nominal)
     return Network(model, noise, readings.nominal, absolute, readings.said, _unused(readings), settings.scale)
 
 

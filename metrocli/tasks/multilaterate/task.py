@@ -13,7 +13,7 @@ from metrocli.tasks.job import Job, Task
 from metrocli.tasks.multilaterate.correction import refuse_lost
 from metrocli.tasks.multilaterate.diagnosis import adjusted_job
 from metrocli.tasks.multilaterate.distance import distance
-from metrocli.tasks.multilaterate.effects import EFFECTS
+from metrocli.tasks.multilaterate.effects import EFFECTS, PLACES
 from metrocli.tasks.multilaterate.layout import Layout, Planned
 from metrocli.tasks.multilaterate.plan import planned
 from metrocli.tasks.multilaterate.problem import Network, build, network_of
@@ -92,5 +92,6 @@ TASK = Task(
     simulate,
     diagnosed,
     EFFECTS,
+    PLACES,
     result_answers={"distance": lambda result, points: (distance(result, points[0], points[1]),)},
 )

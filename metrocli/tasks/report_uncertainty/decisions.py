@@ -9,9 +9,10 @@ from typing import Any
 
 from metrocli import units
 from metrocli.errors import Fault
+from metrocli.expressions.dimensions import Compound, compound, described
+from metrocli.expressions.written import Measure
 from metrocli.settings import Placed
 from metrocli.tasks.report_uncertainty.entries import Limits
-from metrocli.tasks.report_uncertainty.values import Measure
 from metrocli.uncertainty.decision import (
     FACTOR_2017,
     Interval,
@@ -23,7 +24,6 @@ from metrocli.uncertainty.decision import (
     guard_for_specific,
     zone,
 )
-from metrocli.uncertainty.dimensions import Compound, compound, described
 from metrocli.uncertainty.samples import Sample
 from metrocli.words import suggestion
 

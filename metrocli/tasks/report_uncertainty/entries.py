@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from metrocli.expressions.written import AnyQuantity, Measure, Model, ModelText
 from metrocli.result import Result
 from metrocli.settings import (
     ANY_KIND,
@@ -27,16 +28,7 @@ from metrocli.settings import (
     settings_of,
 )
 from metrocli.table import Columns, Table
-from metrocli.tasks.report_uncertainty.values import (
-    AnyQuantity,
-    DegreesOfFreedom,
-    Limit,
-    Measure,
-    Model,
-    ModelText,
-    Probability,
-    Trials,
-)
+from metrocli.tasks.report_uncertainty.values import DegreesOfFreedom, Limit, Probability, Trials
 
 READINGS = Columns((), (), "readings", every=True)
 SHAPES = (

@@ -12,6 +12,10 @@ import numpy as np
 
 from metrocli import units
 from metrocli.errors import Fault
+from metrocli.expressions import dimensions
+from metrocli.expressions.dimensions import Compound, compound, described
+from metrocli.expressions.expression import CONSTANTS, FUNCTIONS, NAME, Expression, ExpressionError
+from metrocli.expressions.written import Model
 from metrocli.result import Result
 from metrocli.settings import Placed
 from metrocli.table import Table
@@ -19,11 +23,7 @@ from metrocli.tasks.report_uncertainty import correlations
 from metrocli.tasks.report_uncertainty import decisions as uncertainty_decisions
 from metrocli.tasks.report_uncertainty.quantity import column_of, quantity, unit_of
 from metrocli.tasks.report_uncertainty.sources import identity, shared
-from metrocli.tasks.report_uncertainty.values import Model
-from metrocli.uncertainty import dimensions
-from metrocli.uncertainty.dimensions import Compound, compound, described
 from metrocli.uncertainty.distributions import Normal, Sampled
-from metrocli.uncertainty.expression import CONSTANTS, FUNCTIONS, NAME, Expression, ExpressionError
 from metrocli.uncertainty.inputs import Block, Inputs, NotSemiDefiniteError, Quantity, join
 from metrocli.words import suggestion
 

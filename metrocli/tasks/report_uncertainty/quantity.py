@@ -11,11 +11,11 @@ import numpy as np
 
 from metrocli import units
 from metrocli.errors import Fault
+from metrocli.expressions.dimensions import Compound, compound, described
+from metrocli.expressions.written import Measure
 from metrocli.settings import Placed
 from metrocli.table import Table
 from metrocli.tasks.report_uncertainty.entries import Given
-from metrocli.tasks.report_uncertainty.values import Measure
-from metrocli.uncertainty.dimensions import Compound, compound, described
 from metrocli.uncertainty.distributions import (
     Arcsine,
     Counts,

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from metrocli.errors import InputError, UndeterminedError
+from metrocli.expressions.derivatives import NoValueError
+from metrocli.expressions.written import Model
 from metrocli.result import Result
 from metrocli.tasks.job import Job, Task
 from metrocli.tasks.report_uncertainty import volume_problem, volume_report
@@ -10,10 +12,8 @@ from metrocli.tasks.report_uncertainty.entries import Files
 from metrocli.tasks.report_uncertainty.problem import Problem, build
 from metrocli.tasks.report_uncertainty.report import Found, report
 from metrocli.tasks.report_uncertainty.settings import Settings
-from metrocli.tasks.report_uncertainty.values import Model
 from metrocli.uncertainty import monte_carlo
 from metrocli.uncertainty.correlated import UnreachableError
-from metrocli.uncertainty.derivatives import NoValueError
 from metrocli.uncertainty.propagation import Coverage, Propagated, covered, propagate
 from metrocli.uncertainty.trials import plan_of
 from metrocli.uncertainty.workers import Workers

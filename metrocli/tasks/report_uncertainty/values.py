@@ -3,70 +3,15 @@
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import dataclass
 from typing import Any
 
-from metrocli import units
 from metrocli.errors import Fault
+from metrocli.expressions.written import AnyQuantity
 from metrocli.nodes import Node
 from metrocli.settings import BAD, Number, Schema
-from metrocli.uncertainty.dimensions import Compound, compound
-from metrocli.uncertainty.expression import Expression, ExpressionError, parse
 
 INFINITE = ("inf", ".inf", "infinite")
-SMALLEST, LARGEST = 1e-100, 1e100
-"""Range of values in base units whose squares and products do not overflow"""
-_NUMBER = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
-_QUANTITY = re.compile(rf"({_NUMBER})\s*(.*)", re.DOTALL)
-_COMMA = re.compile(r"([+-]?[0-9]*),([0-9]+)(.*)", re.DOTALL)
-
-
-@dataclass(frozen=True)
-class Measure:
-    """A number with its unit, as written in the job."""
-
-    number: float
-    unit: Compound
-    node: Node
-
-    @property
-    def value(self) -> float:
-        """The value in base units."""
-        return self.number * self.unit.factor
-
-    def fault(self, message: str, hint: str | None = None) -> Fault:
-        """Return a fault at the place of this value in the job."""
-        return self.node.fault(f"{self.node.path}: {message}", hint)
-
-
-@dataclass(frozen=True)
-class AnyQuantity:
-    """A number with any known unit or a product of units; a number without a unit is a plain number."""
-
-    expects = "a number with its unit such as '50.000623 mm' or '1180 kg/m^3', or a plain number"
-
-    def fits(self, node: Node) -> bool:
-        return node.kind == "scalar" and not node.empty
-
-    def read(self, node: Node, faults: list[Fault]) -> Any:
-        text = node.text.strip()
-        match, comma = _QUANTITY.fullmatch(text), _COMMA.fullmatch(text)
-        if not self.fits(node) or match is None or comma:
-            hint = f"write {comma[1] or '0'}.{comma[2]}{comma[3]}" if comma else f"expected {self.expects}"
-            said = f"'{text}' has a decimal comma" if comma else f"'{text}' is not a number with a unit"
-            return _refused(node, faults, said if self.fits(node) else "there is no value", hint)
-        try:
-            unit = compound(match[2])
-        except units.QuantityError as error:
-            return _refused(node, faults, error.message, error.hint)
-        measure = Measure(float(match[1]), unit, node)
-        if measure.value and not SMALLEST <= abs(measure.value) <= LARGEST:
-            return _refused(node, faults, f"'{text}' is out of range", "numbers reach from 1e-100 to 1e100")
-        return measure
-
-    def schema(self) -> Schema:
-        return {"anyOf": [{"type": "number"}, {"type": "string", "pattern": rf"^\s*{_NUMBER}\s*\S*"}]}
 
 
 def _refused(node: Node, faults: list[Fault], message: str, hint: str) -> Any:
@@ -90,50 +35,6 @@ class Limit:
 
     def schema(self) -> Schema:
         return {"anyOf": [{"type": "null"}, {"const": "none"}, AnyQuantity().schema()]}
-
-
-@dataclass(frozen=True)
-class Model:
-    """An expression with its place in the job."""
-
-    expression: Expression
-    node: Node
-
-    def fault(self, error: ExpressionError) -> Fault:
-        """Return the fault of an error in the model, at the column of the part that caused it."""
-        return _at(self.node, error)
-
-
-def _at(node: Node, error: ExpressionError) -> Fault:
-    from dataclasses import replace
-
-    fault = node.fault(f"{node.path}: {error.message}", error.hint)
-    whole = node.line is not None and node.text in (node.source.lines[node.line - 1] if node.source.lines else "")
-    if fault.column is None or not whole:
-        return fault
-    return replace(fault, column=fault.column + node.quoted + error.start)
-
-
-@dataclass(frozen=True)
-class ModelText:
-    """A model such as `ls*(1 + alpha*theta)`."""
-
-    expects = "an expression such as 'ls*(1 + alpha*theta) + d'"
-
-    def fits(self, node: Node) -> bool:
-        return node.kind == "scalar" and not node.empty
-
-    def read(self, node: Node, faults: list[Fault]) -> Any:
-        if not self.fits(node):
-            return _refused(node, faults, "there is no model", f"expected {self.expects}")
-        try:
-            return Model(parse(node.text), node)
-        except ExpressionError as error:
-            faults.append(_at(node, error))
-            return BAD
-
-    def schema(self) -> Schema:
-        return {"type": ["string", "number"]}
 
 
 @dataclass(frozen=True)

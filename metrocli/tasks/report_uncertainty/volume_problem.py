@@ -11,15 +11,15 @@ import numpy as np
 import numpy.typing as npt
 
 from metrocli.errors import Fault, InputError
+from metrocli.expressions.derivatives import NoValueError
+from metrocli.expressions.dimensions import compound, described, unit_of
+from metrocli.expressions.expression import NAME, ExpressionError
+from metrocli.expressions.written import Measure
 from metrocli.geometry.poses import EULER
 from metrocli.result import Result
 from metrocli.settings import Placed
 from metrocli.tasks.report_uncertainty.problem import degrees_of_freedom
 from metrocli.tasks.report_uncertainty.sources import contributors, identity, shared
-from metrocli.tasks.report_uncertainty.values import Measure
-from metrocli.uncertainty.derivatives import NoValueError
-from metrocli.uncertainty.dimensions import compound, described, unit_of
-from metrocli.uncertainty.expression import NAME, ExpressionError
 from metrocli.uncertainty.volume import AXES, Contribution, grid, of_models, of_pose
 from metrocli.words import suggestion
 

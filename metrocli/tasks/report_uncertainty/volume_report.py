@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from metrocli.expressions.dimensions import converted
+from metrocli.expressions.expression import Expression, parse
 from metrocli.result import Estimate, Result
 from metrocli.table import Table
 from metrocli.tasks.report_uncertainty import KIND
@@ -22,9 +24,7 @@ from metrocli.tasks.report_uncertainty.entries import Entries
 from metrocli.tasks.report_uncertainty.volume_problem import VolumeProblem, build
 from metrocli.uncertainty import monte_carlo
 from metrocli.uncertainty.decision import FACTOR_2017, capable
-from metrocli.uncertainty.dimensions import converted
 from metrocli.uncertainty.distributions import Normal, Uniform
-from metrocli.uncertainty.expression import Expression, parse
 from metrocli.uncertainty.inputs import Inputs, Quantity, join
 from metrocli.uncertainty.propagation import Coverage, coverage_factor, covered, effective_dof
 from metrocli.uncertainty.trials import plan_of

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+from metrocli.adjust.model.quantities import Quantity
+from metrocli.effects.acting import Acting, commanded, point, seen_from
 from metrocli.effects.effect import ELAPSED, Effect, Parameter, change_points
 from metrocli.effects.links.balls import BallShift, Bending, Growth, ReadingDrift, ReadingScale, ReadingStep
 from metrocli.units import parse_quantity
@@ -11,6 +15,22 @@ AXES = ("x", "y", "z")
 
 def _size(name: str, dimension: str, plausible: str) -> Parameter:
     return Parameter(name, dimension, parse_quantity(plausible, dimension))
+
+
+_PLACES = ("view", "ball", "axis")
+
+
+def _place(name: str, quantity: Quantity) -> Acting:
+    return replace(point(name, quantity, _PLACES, *seen_from()), of_place={"axis": lambda axis: commanded(axis)[:1]})
+
+
+PLACES = (
+    _place("coordinates", Quantity.MACHINE_READING),
+    _place("point-in-machine", Quantity.POINT_IN_MACHINE),
+    _place("point-on-table", Quantity.BALL_ON_TABLE),
+    _place("point-in-artefact", Quantity.BALL_IN_ARTEFACT),
+)
+"""Quantities on which effects of one's own can act"""
 
 
 EFFECTS: tuple[Effect, ...] = (

@@ -159,7 +159,8 @@ def build(readings: Readings, size: tuple[Index, float], noise: float, lengths: 
         "ball": Place(blocks[bg.ARTEFACT].members, bg.ARTEFACT),
         "axis": Place(AXES),
     }
-    model = Model(blocks, present, measured=(READINGS,), places=places)
+    nominal = {bg.MACHINE: np.asarray(all_sites * pitch, dtype=float)}
+    model = Model(blocks, present, measured=(READINGS,), places=places, nominal=nominal)
     return Problem(model, grid, readings.views, _conditions_on(grid, blocks, scale_given=len(present) > 1))
 
 

@@ -16,7 +16,7 @@ from metrocli.tasks.job import Job, Task
 from metrocli.tasks.selfcal_grid import mountings, readings
 from metrocli.tasks.selfcal_grid import plan as planned_views
 from metrocli.tasks.selfcal_grid.diagnosis import adjusted_job
-from metrocli.tasks.selfcal_grid.effects import EFFECTS
+from metrocli.tasks.selfcal_grid.effects import EFFECTS, PLACES
 from metrocli.tasks.selfcal_grid.point import error_at
 from metrocli.tasks.selfcal_grid.problem import Problem, build
 from metrocli.tasks.selfcal_grid.report import report
@@ -110,6 +110,7 @@ TASK = Task(
     simulate=simulate,
     diagnosed=diagnosed,
     effects=EFFECTS,
+    places=PLACES,
     answers={"compare": compare},
     result_answers={"at": error_at},
 )

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from metrocli.uncertainty.expression import NEGATIVE, Expression, ExpressionError, Part
+from metrocli.expressions.expression import NEGATIVE, Expression, ExpressionError, Part
 
 Array = npt.NDArray[Any]
 

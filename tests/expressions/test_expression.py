@@ -12,9 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from metrocli import units
-from metrocli.uncertainty.derivatives import Jets
-from metrocli.uncertainty.dimensions import base_unit, compound, converted, unit_of
-from metrocli.uncertainty.expression import DEEPEST, FUNCTIONS, LONGEST, ExpressionError, parse
+from metrocli.expressions.derivatives import Jets
+from metrocli.expressions.dimensions import base_unit, compound, converted, unit_of
+from metrocli.expressions.expression import DEEPEST, FUNCTIONS, LONGEST, ExpressionError, parse
 from metrocli.uncertainty.numbers import evaluate
 
 REFUSED = [

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 from metrocli import units
-from metrocli.uncertainty.expression import NEGATIVE, NUMBER, Expression, ExpressionError, Part
+from metrocli.expressions.expression import NEGATIVE, NUMBER, Expression, ExpressionError, Part
 
 Powers = tuple[tuple[str, Fraction], ...]
 _ATOM = re.compile(r"\s*(1(?![0-9])|[A-Za-zµμΩΩ°%]+)\s*(?:(?:\^|\*\*)?\s*(-?[0-9]+)|([²³]))?\s*([/*·]?)")

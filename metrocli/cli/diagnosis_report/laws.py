@@ -1,0 +1,37 @@
+"""The laws of a diagnosis as lines of its report."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from metrocli import units
+from metrocli.cli.diagnosis_report.text_table import text_table
+from metrocli.diagnosis.findings import Diagnosis
+from metrocli.diagnosis.laws.definition import written
+from metrocli.diagnosis.laws.search import Law
+
+_HEAD = ("", "law", "acts on", "explains", "chance", "held-out error", "log score")
+
+
+def law_lines(diagnosis: Diagnosis) -> Iterator[str]:
+    """Yield the table of laws, the simplest first, and the sizes of the chosen one."""
+    yield from text_table(_HEAD, [_row(law) for law in diagnosis.laws])
+    law = diagnosis.law
+    if law is None:
+        yield "No law predicts held-out readings better than none."
+        return
+    texts = written(law)
+    sizes = [f"{name} = {units.with_std(value, std)} {unit}" for name, (value, std, unit) in texts.parameters.items()]
+    sizes += [f"{name} = {value:.4g} {unit}" for name, (value, unit) in texts.scan.items()]
+    yield f"  {', '.join(sizes)}".replace(" 1,", ",").removesuffix(" 1")
+    yield "A law is no cause: what acts like this at this place is to be found. The extended job contains it."
+
+
+def _row(law: Law) -> tuple[str, ...]:
+    texts, spot = written(law), law.terms[0].spot
+    adds = "; ".join(f"{name}: {text}" if name else text for name, text in texts.adds.items())
+    place = " ".join([spot.acting.name, *(name for _, name in spot.where)])
+    chance = "p < 1e-12" if law.p_value < 1e-12 else f"p = {law.p_value:.2g}"
+    score = f"{law.gain.log_score:+.1f} ± {law.gain.log_score_std:.1f}"
+    share = f"{100 * law.part_of_structure:.0f} %"
+    return "*" if law.chosen else "", adds, place, share, chance, f"{-100 * law.gain.reduction:+.0f} %", score

@@ -1,0 +1,57 @@
+"""The report of the loop `diagnose --until-clean`: a table of its steps, and why it ended."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from metrocli import units
+from metrocli.cli.diagnosis_report.text_table import text_table
+from metrocli.diagnosis.findings import Diagnosis
+from metrocli.project.until_clean import Extension, Loop
+
+_HEAD = ("step", "added", "chance", "chi2", "dof", "held-out error", "changes result by")
+
+
+def of_loop(loop: Loop) -> str:
+    """Return the table of steps, and the end of the loop in a sentence."""
+    rows = [_row(number, one, loop.first) for number, one in enumerate(loop.extensions, 1)]
+    table = "\n".join(text_table(_HEAD, rows)) if rows else ""
+    jobs = "\n".join(f"  {one.job} -> {one.done.path}" for one in loop.extensions)
+    return "\n\n".join(filter(None, (f"verdict: {loop.last.verdict}", table, jobs, f"ended: {loop.end}")))
+
+
+def _row(number: int, one: Extension, first: Diagnosis) -> tuple[str, ...]:
+    job, statistics = first.job, one.done.result.statistics
+    unit = units.find_unit(*job.reading)
+    error = f"{unit.outside(one.before):.2g} to {unit.outside(one.after):.2g} {unit.symbol}"
+    shift = "" if one.shift is None else units.sized(one.shift, job.delivered.dimension)
+    chance = "p < 1e-12" if one.p_value < 1e-12 else f"p = {one.p_value:.2g}"
+    chi2, dof = (f"{statistics[name]:.4g}" if name in statistics else "" for name in ("chi2", "dof"))
+    return str(number), ", ".join(one.added), chance, chi2, dof, error, shift
+
+
+def loop_data(loop: Loop) -> dict[str, Any]:
+    """Return the loop as plain data."""
+    unit, job = units.find_unit(*loop.first.job.reading), loop.first.job
+    shown = units.find_unit(job.delivered.unit, job.delivered.dimension)
+    return {
+        "verdict": loop.last.verdict,
+        "end": loop.end,
+        "steps": [
+            {
+                "job": str(one.job),
+                "result": str(one.done.path),
+                "added": list(one.added),
+                "p_value": one.p_value,
+                "chi2": one.done.result.statistics.get("chi2"),
+                "dof": one.done.result.statistics.get("dof"),
+                "holdout_before": unit.outside(one.before),
+                "holdout_after": unit.outside(one.after),
+                "unit": unit.symbol,
+                "result_shift": None
+                if one.shift is None
+                else {"what": job.delivered.what, "value": shown.outside(one.shift), "unit": shown.symbol},
+            }
+            for one in loop.extensions
+        ],
+    }

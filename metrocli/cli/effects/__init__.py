@@ -1,0 +1,140 @@
+"""metrocli effects: the effects that a kind of job knows, and where effects of one's own can act."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from metrocli.cli import options
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from metrocli.effects.acting import Acting
+    from metrocli.effects.effect import Effect
+    from metrocli.tasks.kind import Kind
+
+
+@click.command("effects", help="List the effects of a kind of job, own ones included, and where own ones can act.")
+@click.argument("kind", required=False, metavar="[KIND]")
+@click.option("--from", "source", type=click.Path(path_type=Path), metavar="FILE", help="A file with `define:`.")
+@click.option("--check", is_flag=True, help="Test own effects, and those of packages, against the laws of effects.")
+@options.JSON
+def command(kind: str | None, source: Path | None, check: bool, as_json: bool) -> int:
+    """Print the tables of one kind or of all; raise InputError with every fault of the own effects."""
+    from metrocli.cli import summary
+    from metrocli.errors import InputError, UsageError
+    from metrocli.tasks import KINDS
+    from metrocli.words import suggestion
+
+    if kind is not None and kind not in KINDS:
+        raise UsageError(f"no kind of job '{kind}'; {suggestion(kind, KINDS)}")
+    chosen = {kind: KINDS[kind]} if kind else {name: one for name, one in KINDS.items() if one.task().places}
+    found = {name: (one, _own(name, source)) for name, one in chosen.items()}
+    if check:
+        faults, count = _faults(found)
+        if faults:
+            raise InputError(faults)
+    if as_json:
+        data = {name: _data(one, own) for name, (one, own) in found.items()}
+        click.echo(summary.as_json(data[kind] if kind else {"kinds": data}))
+        return 0
+    if check:
+        click.echo(f"{count} effects of one's own obey the laws")
+        return 0
+    click.echo("\n\n".join(_text(one, own) for one, own in found.values()))
+    return 0
+
+
+def _own(kind: str, source: Path | None) -> list[Effect]:
+    """Return the own effects of a kind: those of a file, else of the project of the working folder, and of packages."""
+    from metrocli.errors import Fault, InputError
+    from metrocli.project.own_effects import of_file, of_packages, of_project
+    from metrocli.settings import path_beside
+    from metrocli.tasks import KINDS
+
+    taken = {effect.name for effect in KINDS[kind].task().effects}
+    found = list(of_packages(kind))
+    node = None if source is not None else of_project(Path())
+    path = source if node is None else path_beside(node)
+    faults: list[Fault] = []
+    if path is not None:
+        found += of_file(kind, path, taken | {effect.name for effect in found}, faults, node)
+    if faults:
+        raise InputError(faults)
+    return found
+
+
+def _faults(found: dict[str, tuple[Kind, list[Effect]]]) -> tuple[list[Any], int]:
+    """Return a fault for each law that an own effect breaks, and the number of effects."""
+    from metrocli.effects.own.laws import broken
+    from metrocli.errors import Fault
+
+    faults = [
+        Fault(f"{effect.name}: {said}", hint=f"an effect for {name}")
+        for name, (kind, own) in found.items()
+        for effect in own
+        for said in broken(effect, kind.task().places)
+    ]
+    return faults, sum(len(own) for _, own in found.values())
+
+
+def _data(kind: Kind, own: Sequence[Effect]) -> dict[str, Any]:
+    task = kind.task()
+    return {
+        "effects": [*(_effect(one, False) for one in task.effects), *(_effect(one, True) for one in own)],
+        "places": [_place(one) for one in task.places],
+    }
+
+
+def _effect(effect: Effect, own: bool) -> dict[str, Any]:
+    return {
+        "name": effect.name,
+        "cause": effect.cause,
+        "where": list(effect.where),
+        "by": effect.by or None,
+        "parameters": {
+            one.name: {"unit": one.unit, "plausible": one.plausible, "scanned": one in effect.scanned}
+            for one in effect.all_parameters
+        },
+        "own": own,
+    }
+
+
+def _place(acting: Acting) -> dict[str, Any]:
+    return {
+        "acts_on": acting.name,
+        "unit": acting.units[0],
+        "units": list(acting.units),
+        "components": [name for name in acting.components if name],
+        "where": list(acting.where),
+        "variables": acting.all_units(),
+    }
+
+
+def _text(kind: Kind, own: Sequence[Effect]) -> str:
+    """Return the tables of a kind as text."""
+    from metrocli.cli.columns import columns_text
+
+    task = kind.task()
+    rows = [["effect", "where", "parameters", ""]]
+    rows += [[*_row(one), ""] for one in task.effects] + [[*_row(one), "own"] for one in own]
+    places = [["own effects act on", "components", "variables"]]
+    places += [_place_row(one) for one in task.places]
+    return f"{kind.name}\n\n{columns_text(rows)}\n\n{columns_text(places)}"
+
+
+def _place_row(acting: Acting) -> list[str]:
+    variables = ", ".join(_with_unit(*pair) for pair in acting.all_units().items())
+    return [acting.name, " ".join(acting.components) or acting.units[0], variables]
+
+
+def _row(effect: Effect) -> list[str]:
+    where = " ".join([*effect.keys, *([f"by {effect.by}"] if effect.by else [])])
+    return [effect.name, where, ", ".join(_with_unit(one.name, one.unit) for one in effect.all_parameters)]
+
+
+def _with_unit(name: str, unit: str) -> str:
+    return name if unit == "1" else f"{name} [{unit}]"

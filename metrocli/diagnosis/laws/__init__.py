@@ -1,0 +1,1 @@
+"""Laws: the simplest sums of terms that explain structure for which no effect is known."""

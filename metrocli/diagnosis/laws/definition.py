@@ -1,0 +1,95 @@
+"""A law as the definition of an effect of one's own, and as plain data.
+
+Method: docs/algorithms/laws.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+from metrocli.diagnosis.laws.search import Law
+from metrocli.expressions.dimensions import Powers, base_unit, compound
+
+_MARGIN = 1.5
+"""A scanned value is written with a range of this factor on both sides"""
+_PLAUSIBLE = 10.0
+"""Plausible size of a parameter, as a multiple of its value or its standard uncertainty"""
+
+
+@dataclass(frozen=True)
+class Written:
+    """The texts of a law: expressions by component, parameters with value, uncertainty and unit, and scanned values."""
+
+    adds: dict[str, str]
+    parameters: dict[str, tuple[float, float, str]]
+    scan: dict[str, tuple[float, str]]
+
+
+def written(law: Law) -> Written:
+    """Return the texts of a law."""
+    adds: dict[str, list[str]] = {}
+    parameters: dict[str, tuple[float, float, str]] = {}
+    scan: dict[str, tuple[float, str]] = {}
+    numbers = iter(range(1, 100))
+    for term, sizes, stds in zip(law.terms, law.sizes, law.stds, strict=True):
+        form, acting = term.form, term.spot.acting
+        known = acting.variables_at({})
+        unit = compound(acting.unit_of(term.spot.component)).powers
+        for name, power in form.powers_of().items():
+            unit = _divided(unit, compound(known[name].unit).powers, power)
+        scanned = f"s{len(scan) + 1}"
+        if form.scanned is not None:
+            scan[scanned] = (form.scanned, _text(compound(known[form.variables[0]].unit).powers))
+        for factor, size, std in zip(form.factors, sizes.tolist(), stds.tolist(), strict=True):
+            name = f"a{next(numbers)}"
+            parameters[name] = (size, std, _text(unit))
+            text = factor.replace("{s}", scanned)
+            adds.setdefault(term.spot.component, []).append(name if text == "1" else f"{name}*{text}")
+    return Written({key: " + ".join(parts) for key, parts in adds.items()}, parameters, scan)
+
+
+def _divided(unit: Powers, by: Powers, power: int) -> Powers:
+    powers = {name: Fraction(value) for name, value in unit}
+    for name, value in by:
+        powers[name] = powers.get(name, Fraction(0)) - power * value
+    return tuple((name, value) for name, value in sorted(powers.items()) if value)
+
+
+def _text(powers: Powers) -> str:
+    return base_unit(tuple(sorted(powers, key=lambda power: power[1] < 0)))
+
+
+def as_define(law: Law, name: str) -> dict[str, Any]:
+    """Return the entry of a law under `define:`, with `cause: unknown`."""
+    texts = written(law)
+    scalar = set(texts.adds) == {""}
+    found: dict[str, Any] = {
+        "name": name,
+        "cause": "unknown",
+        "acts_on": law.terms[0].spot.acting.name,
+        "adds": texts.adds[""] if scalar else texts.adds,
+        "parameters": {
+            key: {"unit": unit, "plausible": f"{_PLAUSIBLE * max(abs(value), std):.3g} {unit}".removesuffix(" 1")}
+            for key, (value, std, unit) in texts.parameters.items()
+        },
+    }
+    if law.terms[0].spot.where:
+        found["where"] = [key for key, _ in law.terms[0].spot.where]
+    if texts.scan:
+        found["scan"] = {key: dict(_range(value, unit)) for key, (value, unit) in texts.scan.items()}
+    return found
+
+
+def _range(value: float, unit: str) -> Iterator[tuple[str, str]]:
+    yield "from", f"{value / _MARGIN:.10g} {unit}".removesuffix(" 1")
+    yield "to", f"{value * _MARGIN:.10g} {unit}".removesuffix(" 1")
+    yield "steps", "31"
+
+
+def as_wanted(law: Law, name: str) -> Mapping[str, str]:
+    """Return the entry of a law under `effects:`: its sizes are estimated, its scanned values given."""
+    scan = {key: f"{value:.10g} {unit}".removesuffix(" 1") for key, (value, unit) in written(law).scan.items()}
+    return {"name": name, **dict(law.terms[0].spot.where), **scan}

@@ -1,0 +1,296 @@
+"""The search for laws: terms enter one by one while each adds evidence, and the same is repeated in each fold.
+
+Method: docs/algorithms/laws.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.observations import Index
+from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.diagnosis.cross_validation import Gain, Held, folds_of, gain_of, held_out_errors, without
+from metrocli.diagnosis.laws.library import Library, Term
+from metrocli.diagnosis.laws.terms import STEPS
+from metrocli.diagnosis.linear.candidates import Alternative, Family
+from metrocli.diagnosis.linear.fitted_columns import FittedColumns, nothing_fitted
+from metrocli.diagnosis.linear.score_tests import ScoreTests, grams_of, quadratic, score_tests_of
+from metrocli.diagnosis.selection.selection_state import Selection
+from metrocli.effects.effect import Effect, Parameter
+
+MOST_TERMS = 3
+_LEVEL, _ALONE = 0.01, 0.001
+"""Levels at which a term enters, counted over all that were tried: where structure is left, and where none was found"""
+_SEED = 17
+_FAR_MORE = 5.0
+"""A law replaces several effects if ln of its evidence exceeds theirs by this"""
+_LEAST_DOF = 5
+_FEW = 50
+"""Fewest independent tests that any library amounts to"""
+_FINE, _ROUNDS = 25, 3
+"""Values tried in each round between the neighbours of the best scanned value"""
+
+
+@dataclass(frozen=True)
+class Law:
+    """A sum of terms on one quantity at one place."""
+
+    terms: tuple[Term, ...]
+    sizes: tuple[Array, ...]
+    """Coefficient of each factor of each term, in internal units"""
+    stds: tuple[Array, ...]
+    p_value: float
+    """Level of its least significant term beside the others, counted over all that was tried"""
+    gain: Gain
+    part_of_structure: float
+    """Share of the squares that it explains, of those that it and smooth functions explain together"""
+    size: float
+    """Root mean square of what it explains over the readings on which it acts, in their unit"""
+    chosen: bool = False
+
+
+@dataclass(frozen=True)
+class _Step:
+    """A term that entered, with its visible columns where it was found."""
+
+    family: int
+    term: Term
+    columns: Array
+    log_level: float
+
+
+def laws_in(job: AdjustedJob, selection: Selection, structured: bool) -> tuple[Law, ...]:
+    """Return the laws in what the named effects and outliers of a selection leave: one for each number of terms.
+
+    The list is empty if no term is significant. The law with the largest held-out log score is chosen. `structured` is
+    whether smooth functions show structure. If they do not, a law must be more significant, and its gain shown: it then
+    is structure of its own, such as a wave that no smooth function has.
+    """
+    library = Library(job, selection.test_set.system)
+    families = library.families()
+    level = _LEVEL if structured else _ALONE
+    if not families or not _worth_counting(selection, families, level):
+        return ()
+    tests, start = _tests(selection, families)
+    steps = _forward(_Search(tests, start, library), level)
+    if not steps:
+        return ()
+    gains = _gains(job, tests, library, len(steps))
+    smooth = _smooth(selection, start)
+    found = [_law(library, start, steps[:count], gain, smooth) for count, gain in enumerate(gains, 1)]
+    best = max(found, key=lambda one: one.gain.log_score)
+    if not structured and not best.gain.shown:
+        return ()
+    return tuple(replace(one, chosen=one is best and one.gain.log_score > 0) for one in found)
+
+
+def without_imitations(job: AdjustedJob, selection: Selection) -> Selection:
+    """Return the selection without its effects where one law has far more evidence than several of them together.
+
+    Several effects can imitate one cause that is not among them, as three jumps do a saturation. The evidence is
+    `-n/2 ln S - q/2 ln n - sum ln m`, S the squares left, q the number of sizes, m the number of tests of each member.
+    """
+    if len(selection.named) < 2:
+        return selection
+    bare = selection
+    for one in selection.named:
+        bare = bare.without(one)
+    library = Library(job, selection.test_set.system)
+    families = library.families()
+    if not families:
+        return selection
+    tests, start = _tests(bare, families)
+    steps = _forward(_Search(tests, start, library), _LEVEL)
+    if not steps:
+        return selection
+    fitted = start.with_columns(np.concatenate([one.columns for one in steps], axis=1))
+    counted = [_tests_of(tests, one.family) for one in steps]
+    law = _evidence(fitted, start, counted, sum(one.term.form.scanned is not None for one in steps))
+    known = selection.test_set
+    counted = [_tests_of(known, one.family) for one in selection.named]
+    scans = sum(len(known.alternative(one.family, one.number).scanned) for one in selection.named)
+    names = _evidence(selection.fitted(without=selection.unknown), start, counted, scans)
+    return bare if law > names + _FAR_MORE else selection
+
+
+def _tests_of(tests: ScoreTests, family: int) -> float:
+    return float(np.log(tests.tests[family] * tests.causes))
+
+
+def _evidence(fitted: FittedColumns, start: FittedColumns, counted: Sequence[float], scans: int) -> float:
+    n, sizes = start.dof, start.dof - fitted.dof + scans
+    return float(-n / 2 * np.log(fitted.squares) - sizes / 2 * np.log(n) - sum(counted))
+
+
+def _tests(selection: Selection, families: Sequence[Family]) -> tuple[ScoreTests, FittedColumns]:
+    """Return the tests of the terms, and the fit of what was named, whose columns are the first family."""
+    system = selection.test_set.system
+    unknown = {id(one) for one in selection.unknown}
+    named = [one.columns for one in selection.chosen if id(one) not in unknown]
+    columns = np.concatenate([*named, np.zeros((system.rows, 0))], axis=1)
+    effect = Effect("named", "", (Parameter("size"),))
+    raw = np.ones((1, columns.shape[1]))
+    kept = Family("named", (Alternative(effect, ()),), columns[:, None], raw, columns[:0, None])
+    tests = score_tests_of(system, families, np.random.default_rng(_SEED))
+    tests = replace(
+        tests,
+        families=(kept, *tests.families),
+        scales=(kept.raw, *tests.scales),
+        grams=(grams_of(kept.columns), *tests.grams),
+        tests=(1.0, *tests.tests),
+    )
+    return tests, _start(tests, nothing_fitted(system))
+
+
+def _worth_counting(selection: Selection, families: Sequence[Family], level: float) -> bool:
+    """Return whether a term could be significant if the terms of its kind were few independent ones.
+
+    That spares the simulated noise of the exact count where nothing is near significance.
+    """
+    test_set, unknown = selection.test_set, selection.unknown
+    fitted = selection.fitted(without=unknown)
+    plain = replace(
+        test_set,
+        families=tuple(families),
+        scales=tuple(family.raw for family in families),
+        grams=tuple(grams_of(family.columns) for family in families),
+        remembered={},
+    )
+    fresh = replace(fitted, larger=None, freed=None, remembered={})
+    least = min(float(plain.score(number, fresh).log_p.min()) for number in range(len(families)))
+    return bool(least + np.log(_FEW) < np.log(level))
+
+
+def _start(tests: ScoreTests, fitted: FittedColumns) -> FittedColumns:
+    columns = tests.families[0].columns[:, 0]
+    return fitted.with_columns(columns) if columns.shape[1] else fitted
+
+
+@dataclass(frozen=True)
+class _Search:
+    """Where terms are sought: their tests, what is fitted already, and which rows are held out."""
+
+    tests: ScoreTests
+    start: FittedColumns
+    library: Library
+    out: Index | None = None
+
+    def visible(self, term: Term) -> Array:
+        """Return the visible columns of a term in the rows that are not held out, (rows, factors)."""
+        columns = self.library.columns(term)
+        if self.out is not None:
+            columns[self.out] = 0.0
+        return self.tests.system.seen(columns)
+
+
+def _forward(search: _Search, level: float = _LEVEL, most: int = MOST_TERMS) -> list[_Step]:
+    """Return the terms that enter: the most significant first, then those on the same quantity at the same place.
+
+    A scanned value is refined before the next term is sought, so that no term corrects the scan of another.
+    """
+    tests, fitted, steps = search.tests, search.start, list[_Step]()
+    while len(steps) < most and fitted.dof > _LEAST_DOF:
+        best: tuple[float, int, Term] | None = None
+        for number in range(1, len(tests.families)):
+            terms = search.library.terms[number - 1]
+            place = steps[0].term.place if steps else None
+            chosen = [i for i, term in enumerate(terms) if place is None or term.place == place]
+            if not chosen:
+                continue
+            score = tests.score(number, fitted, None if place is None else chosen)
+            found = tests.overall(tests.level(number, float(score.log_p[score.best])))
+            if best is None or found < best[0]:
+                best = found, number, terms[chosen[score.best]]
+        if best is None or best[0] > np.log(level):
+            break
+        term = _refined(search, fitted, best[1], best[2])
+        columns = search.visible(term)
+        steps.append(_Step(best[1], term, columns, best[0]))
+        fitted = fitted.with_columns(columns)
+    return steps
+
+
+def _refined(search: _Search, fitted: FittedColumns, family: int, term: Term) -> Term:
+    """Return a term with its scanned value refined between the neighbours of the best one in the scan."""
+    if term.form.scanned is None or term.form.kind == STEPS:
+        return term
+    alike = (
+        one.form.scanned
+        for one in search.library.terms[family - 1]
+        if one.spot == term.spot and one.form.variables == term.form.variables
+    )
+    values = np.array(sorted(value for value in alike if value is not None))
+    here = int(np.argmin(np.abs(values - term.form.scanned)))
+    low, high = values[max(here - 1, 0)], values[min(here + 1, len(values) - 1)]
+    for _ in range(_ROUNDS):
+        tried = [term.at(float(value)) for value in 1 / np.linspace(1 / low, 1 / high, _FINE)]
+        columns = np.stack([search.visible(one) for one in tried], axis=1)
+        n, k, q = columns.shape
+        left = fitted.beside(columns.reshape(n, k * q)).reshape(n, k, q)
+        right = (left.reshape(n, k * q).T @ fitted.residual).reshape(k, q)
+        gain, _ = quadratic(grams_of(left), right, np.maximum(np.linalg.norm(left, axis=0), 1e-300))
+        best = int(np.argmax(gain))
+        term = tried[best]
+        low, high = (float(tried[at].form.scanned or 0.0) for at in (max(best - 1, 0), min(best + 1, _FINE - 1)))
+    return term
+
+
+def _gains(job: AdjustedJob, tests: ScoreTests, library: Library, most: int) -> list[Gain]:
+    """Return the held-out gain of the laws of 1, 2, ... terms; each fold has the laws found without it."""
+    rows = folds_of(job, tests)
+    pairs: list[list[tuple[Held, Held]]] = [[] for _ in range(most)]
+    before = _start(tests, nothing_fitted(tests.system))
+    for fold in range(int(rows.max()) + 1):
+        out = np.flatnonzero(rows == fold)
+        if not out.size:
+            continue
+        trained, start = without(tests, out)
+        steps = _forward(_Search(trained, _start(trained, start), library, out), _LEVEL, most)
+        base = held_out_errors(tests, before, out)
+        for count in range(1, most + 1):
+            columns = [library.system.seen(library.columns(one.term)) for one in steps[:count]]
+            after = before.with_columns(np.concatenate(columns, axis=1)) if columns else before
+            pairs[count - 1].append((base, held_out_errors(tests, after, out)))
+    return [gain_of(one) for one in pairs]
+
+
+def _smooth(selection: Selection, start: FittedColumns) -> FittedColumns:
+    """Return the fit of the smooth functions that the selection holds, beside what was named."""
+    columns = [one.columns for one in selection.unknown]
+    return start.with_columns(np.concatenate(columns, axis=1)) if columns else start
+
+
+def _law(
+    library: Library,
+    start: FittedColumns,
+    steps: Sequence[_Step],
+    gain: Gain,
+    smooth: FittedColumns,
+) -> Law:
+    system, terms = library.system, [one.term for one in steps]
+    parts = [system.seen(library.columns(term)) for term in terms]
+    columns = np.concatenate(parts, axis=1)
+    beside = start.beside(columns)
+    scale = np.maximum(np.linalg.norm(beside, axis=0), 1e-300)
+    inverse = np.linalg.pinv((beside / scale).T @ (beside / scale), rcond=1e-10, hermitian=True)
+    sizes = inverse @ ((beside / scale).T @ start.residual) / scale
+    stds = np.sqrt(np.diag(inverse)) / scale
+    cuts = np.cumsum([part.shape[1] for part in parts])[:-1]
+    after = start.with_columns(columns)
+    acting = np.concatenate([library.columns(term) for term in terms], axis=1).any(axis=1)
+    shown = np.where(acting & system.alike, (start.residual - after.residual) * system.scale, 0.0)
+    explained = start.squares - after.squares
+    together = start.squares - smooth.with_columns(columns).squares
+    return Law(
+        tuple(terms),
+        tuple(np.split(sizes, cuts)),
+        tuple(np.split(stds, cuts)),
+        float(np.exp(max(one.log_level for one in steps))),
+        gain,
+        float(np.clip(explained / max(together, 1e-300), 0.0, 1.0)),
+        float(np.sqrt((shown[shown != 0] ** 2).mean())) if shown.any() else 0.0,
+    )

@@ -1,0 +1,110 @@
+"""Terms of a law: what is added to a component of a quantity, as columns of numbers and as text.
+
+Method: docs/algorithms/laws.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+
+WAVES, SATURATIONS, STEPS = "waves", "saturations", "steps"
+"""Forms with a scanned value: their period, time constant or place"""
+_ANGLES = ("azimuth", "angle", "base")
+"""Variables that go round: harmonics of them are tried instead of powers"""
+_SIDE = "from_"
+"""Begin of the variables that are directions of approach"""
+_HARMONICS, _POWERS = 4, 3
+
+
+@dataclass(frozen=True)
+class Form:
+    """One form of a term: the texts of its factors, in which `{s}` stands for the scanned value."""
+
+    kind: str
+    factors: tuple[str, ...]
+    variables: tuple[str, ...]
+    scanned: float | None = None
+
+    def columns(self, values: Mapping[str, Array]) -> Array:
+        """Return the factors as columns, (rows, factors), from the variables (rows,)."""
+        v = [values[name] for name in self.variables]
+        s = self.scanned
+        if self.kind == WAVES and s is not None:
+            turn = 2 * np.pi * v[0] / s
+            return np.stack([np.sin(turn), np.cos(turn)], axis=1)
+        if self.kind == SATURATIONS and s is not None:
+            return np.asarray(1 - np.exp(-v[0] / s))[:, None]
+        if self.kind == STEPS and s is not None:
+            return (v[0] > s).astype(float)[:, None]
+        if self.kind == "harmonics":
+            order = _order(self.factors[0])
+            return np.stack([np.sin(order * v[0]), np.cos(order * v[0])], axis=1)
+        if self.kind == "constant":
+            return np.ones((len(next(iter(values.values()))), 1))
+        return np.asarray(np.prod(v, axis=0))[:, None]
+
+    def powers_of(self) -> dict[str, int]:
+        """Return how often each variable is a factor with its unit; none in sines, exponentials and steps."""
+        if self.kind in ("powers", "direction", "products"):
+            return {name: self.variables.count(name) for name in self.variables}
+        return {}
+
+
+def _order(factor: str) -> int:
+    head = factor.partition("(")[2].partition("*")
+    return int(head[0]) if head[1] else 1
+
+
+def forms_of(values: Mapping[str, Array], elapsed: Mapping[str, Array], periods: int) -> Iterator[Form]:
+    """Yield all forms in some variables (rows,); `elapsed` are those that begin at 0 and grow, such as the time.
+
+    At most `periods` periods are tried for each variable, from one over its range to that many halves.
+    """
+    yield Form("constant", ("1",), ())
+    smooth = [name for name in values if name not in _ANGLES and not name.startswith(_SIDE)]
+    for name in values:
+        if name in _ANGLES:
+            for order in range(1, _HARMONICS + 1):
+                turn = f"{order}*{name}" if order > 1 else name
+                yield Form("harmonics", (f"sin({turn})", f"cos({turn})"), (name,))
+        elif name.startswith(_SIDE):
+            yield Form("direction", (name,), (name,))
+    for name in smooth:
+        for power in range(1, _POWERS + 1):
+            yield Form("powers", (f"{name}**{power}" if power > 1 else name,), (name,) * power)
+        yield from _waves(name, values[name], periods)
+    yield from (Form("products", (f"{a}*{b}",), (a, b)) for a, b in combinations(values, 2) if {a, b} - set(_ANGLES))
+    for name, times in elapsed.items():
+        yield from _saturations(name, times)
+        yield from _steps(name, times)
+
+
+def _waves(name: str, values: Array, periods: int) -> Iterator[Form]:
+    """Yield sine and cosine, their frequencies half a period over the range apart, so that none lies between them."""
+    span, steps = float(np.ptp(values)), len(np.unique(values))
+    if steps < 6:
+        return
+    for turns in np.arange(1.0, min((steps - 1) / 2, periods / 2 + 0.5) + 0.1, 0.5):
+        texts = (f"sin(2*pi*{name}/{{s}})", f"cos(2*pi*{name}/{{s}})")
+        yield Form(WAVES, texts, (name,), span / float(turns))
+
+
+def _saturations(name: str, values: Array) -> Iterator[Form]:
+    span = float(np.ptp(values))
+    if span > 0:
+        for constant in np.geomspace(span / 100, span, 30):
+            yield Form(SATURATIONS, (f"(1 - exp(-{name}/{{s}}))",), (name,), float(constant))
+
+
+def _steps(name: str, values: Array) -> Iterator[Form]:
+    unique = np.unique(values)
+    middles = (unique[1:] + unique[:-1]) / 2
+    kept = middles[np.unique(np.linspace(0, len(middles) - 1, 80).astype(int))] if len(middles) else middles
+    for at in kept.tolist():
+        yield Form(STEPS, (f"(1 + ({name} - {{s}})/abs({name} - {{s}}))/2",), (name,), at)

@@ -1,0 +1,87 @@
+"""An effect of one's own: expressions in parameters and variables are added to components of a quantity."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.chain import Local, Step
+from metrocli.effects.acting import Variable
+from metrocli.effects.links.of_block import AtQuantity
+from metrocli.errors import InputError
+from metrocli.expressions.derivatives import Jets, NoValueError
+from metrocli.expressions.expression import Expression
+
+
+@dataclass(frozen=True)
+class OwnTerms(AtQuantity):
+    """Terms of one's own: `q_i += f_i(p, v)` for some components i; columns p, then the scanned ones.
+
+    The variables v may be components of q itself and may depend on other blocks. All derivatives are exact: those of
+    f_i by p and v (`Jets`), then by the chain rule. If the first two parameters are amplitude and phase of a wave
+    (`wave`), derivatives are taken along the phasor and across it (`Space.WAVE`).
+    """
+
+    name: str
+    """Name of the effect, for messages"""
+    terms: tuple[tuple[int, Expression], ...]
+    """Component and what is added to it"""
+    parameters: tuple[str, ...]
+    scanned: tuple[str, ...]
+    variables: tuple[Variable, ...]
+    wave: bool = False
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """The blocks on which its variables depend, and its own block."""
+        return (*dict.fromkeys(name for one in self.variables for name in one.blocks), self.block)
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the quantity (d, n); raises InputError if an expression has no value at a reading."""
+        d, n = len(value), local.observations.count
+        rows, last = local.rows(self.block), local.members(self.block)[-1]
+        known = {one.name: one.at(value, local) for one in self.variables}
+        values = {name: step.value[0] for name, step in known.items()}
+        values |= {name: rows[number] for number, name in enumerate(self.parameters)}
+        # the row for readings elsewhere has no scanned values; those of the places are the same at all of them
+        values |= dict(zip(self.scanned, last[len(self.parameters) :], strict=True))
+        moved = np.array(np.broadcast_to(value, (d, n)))
+        by_input = np.array(np.broadcast_to(np.eye(d)[:, :, None], (d, d, n)))
+        by_block = {self.block: np.zeros((d, local.blocks[self.block].size, n))}
+        by_block |= {name: np.zeros((d, local.blocks[name].size, n)) for name in self.blocks if name != self.block}
+        for number, expression in self.terms:
+            gradient = self._evaluated(expression, values)
+            moved[number] += gradient.value
+            for column, name in enumerate(self.parameters):
+                by_block[self.block][number, column] = gradient.by.get(name, 0.0)
+            if self.wave:
+                across = self._evaluated(expression, values | {self.parameters[0]: np.ones(1)})
+                by_block[self.block][number, 1] = across.by[self.parameters[1]]
+            for name, step in known.items():
+                if name not in gradient.by:
+                    continue
+                if step.by_input is not None:
+                    by_input[number] += gradient.by[name] * step.by_input[0]
+                for block, inner in step.by_block.items():
+                    by_block[block][number] += gradient.by[name] * inner[0]
+        return Step(moved, by_input, by_block)
+
+    def _evaluated(self, expression: Expression, values: dict[str, Array]) -> _Gradient:
+        used = [name for name in expression.names if name not in self.scanned]
+        try:
+            jet = expression.carried_out(Jets(expression, used, values, order=1))
+        except NoValueError as error:
+            what = f"{self.name}: {error.message.replace(' at the best estimates', '')} at a reading"
+            raise InputError(f"{what}; {error.hint}") from error
+        gradient = np.broadcast_to(jet.gradient, (len(used), *np.shape(jet.gradient)[1:])) if used else ()
+        return _Gradient(jet.value, dict(zip(used, gradient, strict=True)))
+
+
+@dataclass(frozen=True)
+class _Gradient:
+    """Value of an expression at the readings, and its derivatives by name."""
+
+    value: Array
+    by: dict[str, Array]

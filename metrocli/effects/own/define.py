@@ -1,0 +1,291 @@
+"""From the definition of an effect of one's own to an entry of the table, with all faults at their places."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from metrocli import units
+from metrocli.adjust.model.blocks import Array, Space
+from metrocli.adjust.model.chain import Link
+from metrocli.effects.acting import Acting, Variable
+from metrocli.effects.effect import Effect, Parameter
+from metrocli.effects.links.own import OwnTerms
+from metrocli.effects.own.definition import Definition, Given, Scan, text_of
+from metrocli.effects.own.parameters import components, of_unit, only_divides, shape
+from metrocli.effects.own.trials import Trial, is_wave
+from metrocli.errors import Fault
+from metrocli.expressions.dimensions import Compound, base_unit, compound, described, unit_of
+from metrocli.expressions.expression import CONSTANTS, FUNCTIONS, NAME, ExpressionError
+from metrocli.nodes import Node
+from metrocli.settings import BAD, Section
+from metrocli.words import suggestion
+
+_NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
+_WORD = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+_KEYS = ("name", "by", "std")
+"""Keys of `effects:` that no parameter can have as its name"""
+_SAMPLE = {"axis": "x", "pair": "xy"}
+
+
+def read(nodes: Iterable[Node], places: Sequence[Acting], taken: Iterable[str], faults: list[Fault]) -> list[Effect]:
+    """Return the effects that the nodes define for a kind of job with these places to act.
+
+    `taken` are the names of its other effects. Appends a fault for each mistake.
+    """
+    names, found = set(taken), list[Effect]()
+    for node in nodes:
+        given = Section(Definition).read(node, faults)
+        if given is BAD:
+            continue
+        reader = _Reader(given, node, tuple(places), names)
+        effect = reader.effect()
+        faults.extend(reader.faults)
+        names.add(given.name.value)
+        if effect is not None:
+            found.append(effect)
+    return found
+
+
+@dataclass
+class _Reader:
+    """One definition as it is read; `faults` collects its mistakes."""
+
+    given: Definition
+    node: Node
+    places: tuple[Acting, ...]
+    taken: set[str]
+    faults: list[Fault] = field(default_factory=list)
+
+    def effect(self) -> Effect | None:
+        """Return the entry of the table, or None if the definition has a fault."""
+        self._name()
+        acting = self._acting()
+        if acting is None:
+            return None
+        where = self._where(acting)
+        parameters = [self._parameter(name, given) for name, given in self.given.parameters.items()]
+        scanned = [self._scanned(name, scan) for name, scan in self.given.scan.items()]
+        if not parameters:
+            self._fault(
+                "parameters", "an effect needs a parameter", "write parameters: {a: {unit: um, plausible: 10 um}}"
+            )
+        if self.faults:
+            return None
+        sample = {key: _SAMPLE.get(key) or next(iter(acting.split.get(key, {"": None}))) for key in where}
+        known = acting.variables_at(sample)
+        self._names(known, where)
+        used = self._used(known)
+        if self.faults:
+            return None
+        self._units(acting, used)
+        if self.faults:
+            return None
+        wave = self._tried(used)
+        if self.faults:
+            return None
+        ordered = self._in_order(parameters, wave)
+        own = list(used)
+        template = acting.variables_at(sample | ({"axis": "{axis}"} if "axis" in where else {}))
+        return Effect(
+            self.given.name.value,
+            self.given.cause,
+            ordered,
+            self._link(acting, own, ordered, scanned, wave),
+            where=where,
+            scanned=tuple(scanned),
+            space=Space.WAVE if wave else Space.FLAT,
+            needs=tuple(dict.fromkeys(need for name in own for need in template[name].needs)),
+            reveal=self.given.reveal,
+            source=self.given.source,
+            definition=text_of(self.node),
+        )
+
+    def _fault(self, key: str, message: str, hint: str | None = None) -> None:
+        node = self.node.at(key)
+        self.faults.append(node.fault(f"{node.path}: {message}", hint))
+
+    def _name(self) -> None:
+        name = self.given.name.value
+        if not _NAME.fullmatch(name):
+            self._fault("name", f"'{name}' is not the name of an effect", "write lower case and hyphens: range-zero")
+        elif name in self.taken:
+            self._fault("name", f"an effect '{name}' exists already", "choose another name")
+
+    def _acting(self) -> Acting | None:
+        wanted = self.given.acts_on.value
+        found = next((one for one in self.places if one.name == wanted), None)
+        if found is None:
+            known = [one.name for one in self.places]
+            hint = suggestion(wanted, known) if known else "this kind of job has no effects"
+            self._fault("acts_on", f"there is no quantity '{wanted}'", hint)
+            return None
+        for name in self.given.adds:
+            allowed = components(found, [one.value for one in self.given.where])
+            if name not in allowed:
+                what = f"there is no component '{name}'" if name else f"{wanted} is a vector"
+                self._fault(f"adds.{name}" if name else "adds", what, f"write {shape(allowed)}")
+        return found
+
+    def _where(self, acting: Acting) -> tuple[str, ...]:
+        for one in self.given.where:
+            if one.value not in acting.where:
+                hint = suggestion(one.value, acting.where) if acting.where else "leave it out"
+                self.faults.append(
+                    one.node.fault(f"{one.node.path}: no effect on {acting.name} has a '{one.value}'", hint)
+                )
+        return tuple(one.value for one in self.given.where)
+
+    def _parameter(self, name: str, given: Given) -> Parameter:
+        unit = self._unit(f"parameters.{name}.unit", given.unit.value)
+        size = given.plausible
+        if unit is not None and size.unit.powers != unit.powers:
+            self.faults.append(size.fault(f"{size.unit.text} is {described(size.unit)}", f"expected {described(unit)}"))
+        elif not size.value > 0:
+            self.faults.append(
+                size.fault("a plausible size is above zero", "write the largest size that can be believed")
+            )
+        return of_unit(name, given.unit.value, unit, size.value)
+
+    def _scanned(self, name: str, scan: Scan) -> Parameter:
+        low, high = scan.low, scan.high
+        if low.unit.powers != high.unit.powers:
+            self.faults.append(
+                high.fault(f"{high.unit.text} is {described(high.unit)}", f"expected {described(low.unit)}")
+            )
+        elif not low.value < high.value:
+            self.faults.append(high.fault("`to` is not above `from`", "write from: 2 mm, to: 100 mm"))
+        values = self._values(name, scan)
+        return of_unit(name, low.unit.text, low.unit, abs(high.value), lambda conditions: values, scan.steps)
+
+    def _values(self, name: str, scan: Scan) -> Array:
+        """Return the values to try: even in 1/value for a name that only divides, such as a period, else even."""
+        low, high = scan.low.value, scan.high.value
+        if low > 0 and all(only_divides(model, name) for model in self.given.adds.values()):
+            return np.asarray(1 / np.linspace(1 / high, 1 / low, scan.steps))
+        return np.linspace(low, high, scan.steps)
+
+    def _unit(self, key: str, text: str) -> Compound | None:
+        try:
+            unit = compound(text)
+        except units.QuantityError as error:
+            self._fault(key, error.message, error.hint)
+            return None
+        if unit.point:
+            self._fault(key, "a parameter is a difference of temperatures", "write K")
+            return None
+        return unit
+
+    def _names(self, known: Mapping[str, Variable], where: Sequence[str]) -> None:
+        """Add a fault for each parameter whose name is not free."""
+        both = [("parameters", name) for name in self.given.parameters] + [("scan", name) for name in self.given.scan]
+        seen: set[str] = set()
+        for key, name in both:
+            if not _WORD.fullmatch(name):
+                self._fault(f"{key}.{name}", f"'{name}' is not a name", "write letters, digits and _")
+            elif name in (*FUNCTIONS, *CONSTANTS, *_KEYS, *where):
+                self._fault(f"{key}.{name}", f"'{name}' has a meaning of its own", "choose another name")
+            elif name in known:
+                self._fault(f"{key}.{name}", f"'{name}' is a variable there", "choose another name")
+            elif name in seen:
+                self._fault(f"{key}.{name}", f"'{name}' is also under parameters", "choose another name")
+            seen.add(name)
+
+    def _used(self, known: Mapping[str, Variable]) -> dict[str, Variable]:
+        """Return the variables in the expressions; add a fault for each unknown name, and each parameter not used."""
+        own = {**self.given.parameters, **self.given.scan}
+        used: dict[str, Variable] = {}
+        named: set[str] = set()
+        for model in self.given.adds.values():
+            for part in model.expression.parts:
+                if part.operation != NAME:
+                    continue
+                named.add(part.name)
+                if part.name in known:
+                    used[part.name] = known[part.name]
+                elif part.name not in own:
+                    hint = suggestion(part.name, [*own, *known])
+                    self.faults.append(
+                        model.fault(ExpressionError(f"unknown variable '{part.name}'", part.start, hint))
+                    )
+        for key, names in (("parameters", self.given.parameters), ("scan", self.given.scan)):
+            for name in names:
+                if name not in named:
+                    self._fault(
+                        f"{key}.{name}", f"the parameter '{name}' changes nothing", "use it in `adds`, or leave it out"
+                    )
+        return used
+
+    def _units(self, acting: Acting, used: Mapping[str, Variable]) -> None:
+        named = {name: compound(one.unit) for name, one in used.items()}
+        named |= {name: compound(given.unit.value) for name, given in self.given.parameters.items()}
+        named |= {name: scan.low.unit for name, scan in self.given.scan.items()}
+        for name, model in self.given.adds.items():
+            wanted = compound(acting.unit_of(name))
+            try:
+                unit = unit_of(model.expression, named)
+            except ExpressionError as error:
+                self.faults.append(model.fault(error))
+                continue
+            if unit.powers != wanted.powers:
+                said = f"this is {described(unit)}, but {acting.name} is {described(wanted)}"
+                self.faults.append(model.fault(ExpressionError(said, 0, f"expected {base_unit(wanted.powers)}")))
+
+    def _tried(self, used: Mapping[str, Variable]) -> tuple[str, str] | None:
+        """Add the faults that trial values show; return amplitude and phase if the effect is a wave."""
+        plausible = {name: given.plausible.value for name, given in self.given.parameters.items()}
+        ranges = {name: (scan.low.value, scan.high.value) for name, scan in self.given.scan.items()}
+        expressions = [model.expression for model in self.given.adds.values()]
+        trial = Trial.of(expressions, used, plausible, ranges)
+        model = next(iter(self.given.adds.values()))
+        if trial is None:
+            text = "has no value for any of the values that were tried"
+            self.faults.append(model.fault(ExpressionError(text, 0, "a root, logarithm or division outside its range")))
+            return None
+        if not trial.vanishes:
+            hint = "where all its parameters are 0 an effect adds 0"
+            self.faults.append(model.fault(ExpressionError("this is not 0 where all parameters are 0", 0, hint)))
+            return None
+        idle = [name for name in (*plausible, *ranges) if name not in trial.moving]
+        for name in idle:
+            key = "parameters" if name in plausible else "scan"
+            self._fault(f"{key}.{name}", f"the parameter '{name}' changes nothing", "use it in `adds`, or leave it out")
+        still = [name for name in plausible if name not in trial.moving_at_zero and name not in idle]
+        wave = is_wave(trial, list(plausible), still)
+        for name in still if wave is None else ():
+            hint = f"try it at several values instead: scan: {{{name}: {{from: ..., to: ..., steps: 60}}}}"
+            self._fault(f"parameters.{name}", f"'{name}' changes nothing where all parameters are 0", hint)
+        return wave
+
+    def _in_order(self, parameters: Sequence[Parameter], wave: tuple[str, str] | None) -> tuple[Parameter, ...]:
+        """Return the parameters, amplitude and phase of a wave first."""
+        first = wave or ()
+        return tuple(sorted(parameters, key=lambda one: first.index(one.name) if one.name in first else len(first)))
+
+    def _link(
+        self,
+        acting: Acting,
+        used: Sequence[str],
+        parameters: Sequence[Parameter],
+        scanned: Sequence[Parameter],
+        wave: tuple[str, str] | None,
+    ) -> Callable[[str, Mapping[str, str]], Link]:
+        name, adds = self.given.name.value, {key: model.expression for key, model in self.given.adds.items()}
+
+        def link(block: str, where: Mapping[str, str]) -> Link:
+            known = acting.variables_at(where)
+            return OwnTerms(
+                block,
+                acting.at(where)[0],
+                name,
+                tuple((acting.numbers(key, where), expression) for key, expression in adds.items()),
+                tuple(one.name for one in parameters),
+                tuple(one.name for one in scanned),
+                tuple(known[one] for one in used),
+                wave is not None,
+            )
+
+        return link

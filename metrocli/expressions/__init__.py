@@ -1,0 +1,1 @@
+"""Expressions that a user writes: parsed without being executed, their units checked, with exact derivatives."""

@@ -1,0 +1,128 @@
+"""Effects of one's own: those of a job, of the files that it and its project name, and of installed packages."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from metrocli import tasks
+from metrocli.effects.effect import Effect
+from metrocli.effects.own.define import read
+from metrocli.errors import Fault, InputError
+from metrocli.nodes import Node
+from metrocli.project import yaml_text
+from metrocli.settings import path_beside
+from metrocli.words import suggestion
+
+PROJECT = "metrocli.yaml"
+ENTRY_POINTS = "metrocli.effects"
+"""Group of the entry points of packages: each is a function that returns effects for the name of a kind"""
+_KEY = "define"
+
+
+@dataclass(frozen=True)
+class Own:
+    """Effects of one's own, and the files that define them."""
+
+    effects: tuple[Effect, ...] = ()
+    files: tuple[Path, ...] = ()
+
+
+def own_effects(kind: str, define: Iterable[Node], named: Node | None, job: Path, faults: list[Fault]) -> Own:
+    """Return the effects for a job of a kind: its definitions, those of its file and its project, and of packages.
+
+    Appends a fault for each mistake, with its place.
+    """
+    task = tasks.KINDS[kind].task()
+    taken = {effect.name for effect in task.effects}
+    found: list[Effect] = []
+    files: list[Path] = []
+    for effect in of_packages(kind):
+        if effect.name in taken:
+            faults.append(Fault(f"a package offers an effect '{effect.name}', which exists already"))
+        taken.add(effect.name)
+        found.append(effect)
+    for node in filter(None, (named, of_project(job.parent))):
+        path = path_beside(node)
+        if path in files:
+            continue
+        files.append(path)
+        effects = of_file(kind, path, taken, faults, node)
+        taken |= {effect.name for effect in effects}
+        found += effects
+    found += read(define, task.places, taken, faults)
+    return Own(tuple(found), tuple(files))
+
+
+def of_project(folder: Path) -> Node | None:
+    """Return the node of `effects_from` in the nearest metrocli.yaml above a folder, or None."""
+    here = folder.absolute()
+    place = next((one / PROJECT for one in (here, *here.parents) if (one / PROJECT).is_file()), None)
+    if place is None:
+        return None
+    try:
+        root = yaml_text.parse(yaml_text.read_text(place, str(place)), str(place), place.parent)
+    except InputError:
+        # the faults of a project are reported where it is used
+        return None
+    node = root.get("effects_from") if root.get("jobs") is not None else None
+    return None if node is None or node.empty or node.kind != "scalar" else node
+
+
+def of_file(
+    kind: str, path: Path, taken: Iterable[str], faults: list[Fault], named: Node | None = None
+) -> list[Effect]:
+    """Return the effects that a file defines for a kind; those that only fit other kinds are left out."""
+    if not path.is_file():
+        message, hint = f"effects_from: no such file: {path}", "a file with effects under `define:`"
+        faults.append(named.fault(message, hint) if named is not None else Fault(message, str(path), hint=hint))
+        return []
+    try:
+        root = yaml_text.parse(yaml_text.read_text(path, str(path)), str(path), path.parent)
+    except InputError as error:
+        faults.extend(error.faults)
+        return []
+    define = root.get(_KEY)
+    for key, _ in root.entries:
+        if key.text != _KEY:
+            faults.append(key.fault(f"unknown key '{key.text}'", suggestion(key.text, [_KEY])))
+    if define is None or define.kind != "list":
+        faults.append((define or root).fault("there is no list `define:`", "write define: [{name: ...}, ...]"))
+        return []
+    names, found = set(taken), list[Effect]()
+    for node in define.items:
+        wrong: list[Fault] = []
+        effects = read([node], tasks.KINDS[kind].task().places, names, wrong)
+        if wrong and not _fits_another(kind, node):
+            faults.extend(wrong)
+        names |= {effect.name for effect in effects}
+        found += effects
+    return found
+
+
+def _fits_another(kind: str, node: Node) -> bool:
+    """Return whether a definition is without fault for another kind of job."""
+    for name, other in tasks.KINDS.items():
+        wrong: list[Fault] = []
+        if name != kind and read([node], other.task().places, (), wrong) and not wrong:
+            return True
+    return False
+
+
+@cache
+def _offered() -> tuple[tuple[str, object], ...]:
+    from importlib.metadata import entry_points
+
+    return tuple((point.name, point) for point in entry_points(group=ENTRY_POINTS))
+
+
+def of_packages(kind: str) -> Iterator[Effect]:
+    """Yield the effects that installed packages offer for a kind; raises InputError if one cannot be loaded."""
+    for name, point in _offered():
+        try:
+            yield from point.load()(kind)  # type: ignore[attr-defined]
+        except Exception as error:
+            text = f"the effects of the package entry '{name}' cannot be loaded: {error}"
+            raise InputError([Fault(text, ENTRY_POINTS, hint="uninstall the package, or correct it")]) from error

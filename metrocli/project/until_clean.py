@@ -1,0 +1,123 @@
+"""The loop diagnose, extend, run, diagnose again, until a job is clean or nothing more is gained."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from pathlib import Path
+
+import numpy as np
+
+from metrocli.diagnosis.cross_validation import Gain
+from metrocli.diagnosis.diagnose import LIMIT
+from metrocli.diagnosis.findings import Diagnosis, Verdict
+from metrocli.diagnosis.laws.definition import written
+from metrocli.project import runner
+from metrocli.project.diagnosed import carry_out, write_extended
+from metrocli.project.job import JobFile, Wishes, load
+from metrocli.project.runner import Done, Progress
+
+MOST = 5
+"""Largest number of extensions unless given"""
+
+
+class End(StrEnum):
+    """Why the loop ended."""
+
+    CLEAN = "clean"
+    UNEXPLAINED = "unexplained, and no law was found"
+    NOTHING_GAINED = "nothing that could be added predicts held-out readings better"
+    MOST = "the largest number of extensions is reached"
+    MISTAKEN = "a file of the job is wrong"
+
+
+@dataclass(frozen=True)
+class Extension:
+    """One extension of the job, and what it changed."""
+
+    job: Path
+    done: Done
+    added: tuple[str, ...]
+    """The effects, with their places, and the law"""
+    p_value: float
+    """Level of the least significant of them"""
+    before: float
+    after: float
+    """Held-out error without and with them, in the internal unit of the readings"""
+    shift: float | None
+    """Largest change of the delivered result by one of the effects; None if only a law was added"""
+
+
+@dataclass(frozen=True)
+class Loop:
+    """The extensions of a job up to the end, with the first and the last diagnosis."""
+
+    first: Diagnosis
+    last: Diagnosis
+    extensions: tuple[Extension, ...]
+    end: End
+
+
+def until_clean(
+    job: JobFile, most: int = MOST, progress: Progress = lambda line: None, limit: float = LIMIT, force: bool = False
+) -> Loop:
+    """Extend a job by what is found in it, as long as held-out readings show a gain; all jobs and results are written.
+
+    Extended jobs are `NAME.step1.yaml`, `NAME.step2.yaml`, ... beside the job, their results beside its output. Raises
+    InputError if a file there is no extended job or was edited, unless forced.
+    """
+    current, extensions = job, list[Extension]()
+    first = last = carry_out(job, progress, limit)
+    while True:
+        gained = _gaining(last)
+        end = _end(last, gained, len(extensions) == most)
+        if end is not None:
+            return Loop(first, last, tuple(extensions), end)
+        number = len(extensions) + 1
+        path = job.file.with_name(f"{job.file.stem}.step{number}.yaml")
+        result = job.output.with_name(f"{job.output.stem}.step{number}.h5")
+        write_extended(current, gained, path, force, result)
+        current = load(path, Wishes(accept_doubtful=job.accept_doubtful))
+        progress(f"{path}: running")
+        extensions.append(_extension(path, runner.carry_out(current, force=force), gained))
+        last = carry_out(current, progress, limit)
+
+
+def _end(last: Diagnosis, gained: Diagnosis, spent: bool) -> End | None:
+    """Return why the loop ends after a diagnosis, or None if it goes on with what is gained."""
+    if last.verdict is Verdict.MISTAKEN:
+        return End.MISTAKEN
+    if last.verdict is Verdict.CLEAN:
+        return End.CLEAN
+    if not (gained.findings or gained.scatters or gained.laws):
+        return End.UNEXPLAINED if last.left is not None and not last.laws else End.NOTHING_GAINED
+    return End.MOST if spent else None
+
+
+def _gaining(diagnosis: Diagnosis) -> Diagnosis:
+    """Return the diagnosis with those effects and laws only whose held-out gain is shown."""
+    return replace(
+        diagnosis,
+        findings=tuple(one for one in diagnosis.findings if one.gain.shown),
+        scatters=tuple(one for one in diagnosis.scatters if one.gain.shown),
+        laws=tuple(one for one in diagnosis.laws if one.chosen and one.gain.shown),
+    )
+
+
+def _extension(path: Path, done: Done, gained: Diagnosis) -> Extension:
+    names, levels, gains = zip(*_parts(gained), strict=True)
+    before, after = max(gain.before for gain in gains), min(gain.after for gain in gains)
+    shifts = [one.shift for one in gained.findings] + [one.shift for one in gained.scatters]
+    return Extension(path, done, names, max(levels), before, after, max(shifts, default=None))
+
+
+def _parts(gained: Diagnosis) -> Iterator[tuple[str, float, Gain]]:
+    """Yield what is added: in words, with its level and its gain."""
+    for finding in gained.findings:
+        yield str(finding.effect.alternative), float(np.exp(finding.effect.log_level)), finding.gain
+    for one in gained.scatters:
+        yield f"{one.found.effect.name} everywhere", float(np.exp(one.found.log_level)), one.gain
+    for law in gained.laws:
+        place = " ".join(name for _, name in law.terms[0].spot.where)
+        yield f"law {'; '.join(written(law).adds.values())} {place}".strip(), law.p_value, law.gain

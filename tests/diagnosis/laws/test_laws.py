@@ -1,0 +1,102 @@
+"""Laws: the terms mean what their texts mean, a planted law is found, and noise gives none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from simulated import lengths as simulated_lengths
+
+from metrocli.diagnosis.diagnose import diagnose
+from metrocli.diagnosis.findings import Diagnosis, Verdict
+from metrocli.diagnosis.laws.definition import as_define, as_wanted, written
+from metrocli.diagnosis.laws.terms import forms_of
+from metrocli.diagnosis.verdict import as_data
+from metrocli.effects.own.define import read
+from metrocli.errors import Fault
+from metrocli.expressions.derivatives import Jets
+from metrocli.expressions.expression import parse
+from metrocli.project import yaml_text
+from metrocli.tasks import KINDS
+
+TASK = KINDS["multilaterate"].task()
+PERIOD, SIZE = 410.0, 0.0012
+
+
+def test_the_columns_of_every_form_are_those_of_its_text() -> None:
+    rng = np.random.default_rng(2)
+    values = {
+        "X": rng.uniform(-300, 800, 40),
+        "t": rng.uniform(0, 900, 40),
+        "T": rng.uniform(-1, 2, 40),
+        "azimuth": rng.uniform(-3, 3, 40),
+        "from_x": rng.choice([-1.0, 1.0], 40),
+    }
+    kinds = set()
+    for form in forms_of(values, {"t": values["t"]}, 9):
+        kinds.add(form.kind)
+        found = form.columns(values)
+        for column, text in enumerate(form.factors):
+            expression = parse(text.replace("{s}", "s"))
+            known = values | {"s": np.array(form.scanned or 0.0)}
+            expected = expression.carried_out(Jets(expression, (), known, order=1)).value
+            assert np.allclose(found[:, column], expected, rtol=1e-12, atol=1e-12), text
+    assert kinds == {
+        "constant", "powers", "products", "direction", "harmonics", "waves", "saturations", "steps",
+    }  # fmt: skip
+
+
+def diagnosed(size: float, seed: int) -> Diagnosis:
+    """A network whose tracer T2 reads lengths with a wave in X of its points; plain formulas."""
+    rng = np.random.default_rng(seed)
+    net = simulated_lengths.network(40, 5).read(rng)
+    wave = np.zeros_like(net.readings)
+    wave[:, 2] = size * np.sin(2 * np.pi * net.nominal[:, 0] / PERIOD + 0.4)
+    net = replace(net, readings=net.readings + wave)
+    table = net.lengths()
+    table = replace(table, columns={**table.columns, "t": np.arange(len(table)) * 20.0})
+    job = TASK.job(simulated_lengths.settings(), lengths=table, points=net.point_table(), tracers=net.tracer_table())
+    return diagnose(replace(TASK.diagnosed(job), places=TASK.places))
+
+
+@pytest.fixture(scope="module")
+def found() -> Diagnosis:
+    return diagnosed(SIZE, 4)
+
+
+def test_a_wave_of_one_tracer_is_found_with_its_period_and_size(found: Diagnosis) -> None:
+    assert found.verdict is Verdict.UNEXPLAINED
+    law = found.law
+    assert law is not None and len(law.terms) == 1
+    texts = written(law)
+    assert law.terms[0].spot.where == (("tracer", "T2"),)
+    assert texts.adds == {"": "a1*sin(2*pi*X/s1) + a2*cos(2*pi*X/s1)"}
+    assert texts.scan["s1"][0] == pytest.approx(PERIOD, rel=0.03) and texts.scan["s1"][1] == "mm"
+    amplitude = np.hypot(*(value for value, _, _ in texts.parameters.values()))
+    spread = max(std for _, std, _ in texts.parameters.values())
+    assert abs(amplitude - SIZE) < 4 * spread
+    assert law.gain.shown and law.part_of_structure > 0.9 and law.p_value < 1e-3
+
+
+def test_the_law_is_a_definition_without_fault(found: Diagnosis) -> None:
+    assert found.law is not None
+    define, wanted = as_define(found.law, "law-1"), as_wanted(found.law, "law-1")
+    assert define["cause"] == "unknown" and wanted["tracer"] == "T2"
+    text = str({"define": [define]}).replace("'", '"')
+    faults: list[Fault] = []
+    (effect,) = read(yaml_text.parse(text, "job.yaml", Path()).at("define").items, TASK.places, (), faults)
+    assert not faults and [p.name for p in effect.parameters] == ["a1", "a2"]
+
+
+def test_the_data_of_a_law_have_the_keys_of_the_contract(found: Diagnosis) -> None:
+    (law,) = as_data(found)["laws"]
+    assert set(law) == {
+        "acts_on", "where", "adds", "parameters", "terms", "p_value", "gain", "part_of_structure", "chosen",
+    }  # fmt: skip
+    assert law["chosen"] and law["acts_on"] == "length" and law["parameters"]["a1"]["unit"] == "mm"
+
+
+def test_noise_alone_has_no_law() -> None:
+    assert diagnosed(0.0, 5).laws == ()

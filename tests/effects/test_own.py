@@ -1,0 +1,290 @@
+"""Effects of one's own: what a definition may be, its faults with their places, and how jobs and files use it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from places import DOCS
+from simulated import lengths as simulated_lengths
+
+from metrocli.cli.commands import run
+from metrocli.effects.acting import Acting, seen_from
+from metrocli.effects.effect import Effect, Parameter
+from metrocli.effects.links.lengths import LengthOffset, LengthScale
+from metrocli.effects.own.define import read
+from metrocli.effects.own.laws import broken
+from metrocli.errors import Fault
+from metrocli.formats import csv, hdf5
+from metrocli.project import yaml_text
+from metrocli.tasks import KINDS
+
+A = "parameters: {a: {unit: um, plausible: 10 um}}"
+
+
+def faults_of(text: str, kind: str = "multilaterate") -> list[Fault]:
+    task = KINDS[kind].task()
+    faults: list[Fault] = []
+    nodes = yaml_text.parse(text, "lab.yaml", Path()).at("define").items
+    read(nodes, task.places, {effect.name for effect in task.effects}, faults)
+    return faults
+
+
+def one(name: str = "rest-error", acts_on: str = "length", adds: str = "a", more: str = A) -> str:
+    return f"define:\n  - name: {name}\n    acts_on: {acts_on}\n    adds: {adds}\n    {more}\n"
+
+
+FAULTY = {
+    "unit": (one(adds="a*t"), 4, 11, "this is a speed"[:7], "expected mm"),
+    "exists": (one(name="tracer-scale"), 2, 11, "exists already", "choose another name"),
+    "unknown": (one(adds="a*sin(azimut)"), 4, 17, "unknown variable 'azimut'", "did you mean 'azimuth'?"),
+    "not 0": (one(adds="a + distance - distance + 0*length + length"), 4, 11, "not 0 where all parameters are 0", ""),
+    "idle": (one(more=f"{A[:-1]}, b: {{unit: um, plausible: 1 um}}}}"), 5, 54, "the parameter 'b' changes nothing", ""),
+    "idle in effect": (
+        one(adds="a + b - b", more=f"{A[:-1]}, b: {{unit: um, plausible: 1 um}}}}"), 5, 54, "'b' changes nothing", "",
+    ),
+    "of second order": (one(adds="a*a/length"), 5, 21, "changes nothing where all parameters are 0", "scan"),
+    "quantity": (one(acts_on="lenght"), 3, 14, "there is no quantity 'lenght'", "did you mean 'length'?"),
+    "vector": (one(acts_on="point-in-machine"), 4, 11, "is a vector", "x, y, z"),
+    "component": (one(acts_on="point-in-machine", adds="{w: a}"), 4, 15, "no component 'w'", "x, y, z"),
+    "where": (one(more=f"{A}\n    where: [tracr]"), 6, 13, "has a 'tracr'", "did you mean 'tracer'?"),
+    "name": (one(name="Rest Error"), 2, 11, "not the name of an effect", "lower case"),
+    "variable as parameter": (
+        one(adds="t", more="parameters: {t: {unit: um, plausible: 1 um}}"), 5, 21, "'t' is a variable there", "",
+    ),
+    "plausible": (one(more="parameters: {a: {unit: um, plausible: 10 s}}"), 5, 43, "s is a time", "a length"),
+    "long": (one(adds="a" + "+a" * 500_000), 4, None, "1000001 characters", ""),
+    "executed": (one(adds="__import__('os')"), 4, None, "cannot stand in a model", ""),
+    "scan": (
+        one(adds="a*sin(t/p)", more=f"{A}\n    scan: {{p: {{from: 9 s, to: 2 s}}}}"), 6, 31, "not above `from`", "",
+    ),
+    "unknown key": (one(more=f"{A}\n    reveals: x"), 6, 5, "unknown key 'reveals'", "reveal"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", FAULTY)
+def test_a_fault_has_its_place_and_a_hint(case: str) -> None:
+    text, line, column, message, hint = FAULTY[case]
+    (fault,) = faults_of(text)
+    assert (fault.file, fault.line) == ("lab.yaml", line)
+    assert column is None or fault.column == column
+    assert message in fault.message and hint in (fault.hint or "")
+
+
+def test_a_quantity_of_another_kind_is_no_quantity_here() -> None:
+    assert "no quantity 'image'" in faults_of(one(acts_on="image"))[0].message
+
+
+def test_a_definition_listed_twice_exists_already() -> None:
+    text = one() + one().removeprefix("define:\n")
+    assert "exists already" in faults_of(text)[0].message
+
+
+def effect_of(text: str, kind: str) -> Effect:
+    faults: list[Fault] = []
+    (found,) = read(yaml_text.parse(text, "lab.yaml", Path()).at("define").items, KINDS[kind].task().places, (), faults)
+    assert not faults
+    return found
+
+
+def test_periods_are_even_in_frequency_and_times_even() -> None:
+    wave = effect_of(
+        one(adds="a*sin(2*pi*X/p + b)", more="parameters: {a: {unit: um, plausible: 1 um}, "
+        "b: {unit: rad, plausible: 3 rad}}\n    scan: {p: {from: 2 mm, to: 100 mm, steps: 50}}"), "multilaterate",
+    )  # fmt: skip
+    grid = wave.scanned[0].grid
+    assert grid is not None
+    assert np.allclose(np.diff(1 / grid({})), (1 / 2 - 1 / 100) / 49)
+    assert wave.space.name == "WAVE" and [p.name for p in wave.parameters] == ["a", "b"]
+    step = effect_of(
+        one(adds="a*(1 + (t - at)/abs(t - at))", more=f"{A}\n    scan: {{at: {{from: 1 min, to: 10 min, steps: 10}}}}"),
+        "multilaterate",
+    )
+    grid = step.scanned[0].grid
+    assert grid is not None and np.allclose(grid({}), np.linspace(60, 600, 10))
+
+
+def test_a_unit_that_no_dimension_has_is_in_base_units() -> None:
+    squared = effect_of(
+        one(adds="a*t**2", more="parameters: {a: {unit: um/s^2, plausible: 2 um/s^2}}"), "multilaterate"
+    )
+    parameter = squared.parameters[0]
+    assert (parameter.unit, parameter.plausible) == ("mm s-2", pytest.approx(0.002))
+    faults: list[Fault] = []
+    node = yaml_text.parse("a: 3 um/s^2", "job.yaml", Path()).at("a")
+    assert parameter.spec.read(node, faults) == pytest.approx(0.003)
+    wrong = yaml_text.parse("a: 3 um/s", "job.yaml", Path()).at("a")
+    parameter.spec.read(wrong, faults)
+    assert "is a speed" in faults[0].message
+
+
+def test_the_laws_find_what_is_wrong_with_the_effect_of_a_package() -> None:
+    places = KINDS["multilaterate"].task().places
+    offset = (Parameter("offset", "length", 0.1),)
+    sound = Effect(
+        "shop-offset", "why", offset, lambda block, where: LengthOffset(block), reveal="how", source="whence"
+    )
+    assert list(broken(sound, places)) == []
+
+    class Lies(LengthScale):
+        def step(self, value, local):  # type: ignore[no-untyped-def]
+            step = super().step(value, local)
+            return type(step)(step.value + 1.0, step.by_input, {self.block: 2 * step.by_block[self.block]})
+
+    wrong = Effect("shop-scale", "", offset, lambda block, where: Lies(block), reveal="how", source="whence")
+    assert list(broken(wrong, places)) == [
+        "it has no cause",
+        "it is not 0 where all its parameters are 0",
+        "its derivative by 'offset' is not that of its values",
+    ]
+
+
+def test_polar_variables_have_the_derivatives_of_their_values() -> None:
+    point = np.array([[400.0, -250.0], [300.0, 80.0], [-120.0, 500.0]])
+    for variable in seen_from():
+        step = variable.at(point, None)  # type: ignore[arg-type]
+        for axis in range(3):
+            h = np.zeros((3, 1))
+            h[axis] = 1e-3
+            moved = variable.at(point + h, None).value - variable.at(point - h, None).value  # type: ignore[arg-type]
+            assert step.by_input is not None
+            assert np.allclose(step.by_input[0, axis], moved[0] / 2e-3, rtol=1e-6, atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", [name for name, kind in KINDS.items() if kind.task().effects])
+def test_every_kind_has_its_reading_and_its_points_as_places(kind: str) -> None:
+    least = {
+        "multilaterate": {"length", "point-in-machine"},
+        "locate-launch-unit": {"angle", "distance", "point-in-machine"},
+        "selfcal-grid": {"coordinates", "point-in-machine"},
+        "calibrate-machine": {"error-motion", "coordinates", "point-in-machine", "point-in-tracker"},
+        "align-part": {"image", "point-in-part", "point-in-machine", "point-in-camera"},
+        "calibrate-camera": {"image", "point-in-camera"},
+    }[kind]
+    places: tuple[Acting, ...] = KINDS[kind].task().places
+    assert least <= {place.name for place in places}
+    assert all(len(place.units) == len(place.components) for place in places)
+
+
+LAB = """define:
+  - name: rest-error
+    cause: the reflector rests deeper in its nest while it is warm
+    acts_on: length
+    adds: a*T*elevation
+    parameters: {a: {unit: um/K, plausible: 10 um/K}}
+    where: [tracer]
+    reveal: the nest at two temperatures
+    source: procedure 17
+  - name: board-wave
+    acts_on: point-on-board
+    adds: {z: "c*(X**2 + Y**2)"}
+    parameters: {c: {unit: 1/mm, plausible: 1e-5 1/mm}}
+"""
+JOB = """metrocli: 1
+job: multilaterate
+inputs: {lengths: lengths.csv, points: points.csv, tracers: tracers.csv}
+noise: {constant: 0.1 um, proportional: 0.1 um/m}
+simulation: {mover_error: 1 um, interval: 30 s, warming: 2 K}
+"""
+
+
+@pytest.fixture
+def shop(tmp_path: Path) -> Path:
+    """A project with an effect of its own, whose simulated measurement contains it."""
+    net = simulated_lengths.network(24, 5, noise=0.0)
+    csv.write(tmp_path / "points.csv", net.point_table())
+    csv.write(tmp_path / "tracers.csv", net.tracer_table(0.0))
+    (tmp_path / "lab.yaml").write_text(LAB)
+    (tmp_path / "metrocli.yaml").write_text("project: shop\njobs: [job.yaml]\neffects_from: lab.yaml\n")
+    (tmp_path / "job.yaml").write_text(JOB)
+    wanted = ["--effect", "rest-error:tracer=T2,a=9 um/K", "--seed", "3", "--quiet"]
+    assert run(["simulate", str(tmp_path / "job.yaml"), "--out", str(tmp_path / "made"), *wanted]) == 0
+    (tmp_path / "lengths.csv").write_text((tmp_path / "made" / "lengths.csv").read_text())
+    return tmp_path
+
+
+def test_a_simulation_has_the_effect_and_its_truth(shop: Path) -> None:
+    truth = json.loads((shop / "made" / "truth.json").read_text())
+    (size,) = [value for key, value in _flat(truth) if key.endswith("rest-error.T2.a")]
+    assert size == pytest.approx(0.009)
+
+
+def _flat(value: object, key: str = "") -> list[tuple[str, object]]:
+    if isinstance(value, dict):
+        return [pair for name, item in value.items() for pair in _flat(item, f"{key}/{name}")]
+    return [(key, value)]
+
+
+def test_diagnose_names_it_and_the_extended_job_estimates_it(shop: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["diagnose", str(shop / "job.yaml"), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert [one["name"] for one in found["effects"]] == ["rest-error"]
+    assert found["effects"][0]["where"] == {"tracer": "T2"}
+    own = [one for one in found["candidates"] if one["name"] == "rest-error"]
+    assert len(own) == 5 and all(one["hides"]["value"] > 0 for one in own)
+    extended = shop / "job.extended.yaml"
+    assert run(["multilaterate", str(extended), "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    size = result["estimates"]["rest-error.T2.a"]
+    assert abs(size["value"] - 0.009) < 4 * size["std"] and size["unit"] == "mm K-1"
+    held, record = hdf5.read(Path(result["result"]))
+    assert "adds: 'a*T*elevation'" in held.tables["effects/rest-error.T2/definition"].texts("define")[0]
+    assert any(one.path.endswith("lab.yaml") for one in record.inputs)
+
+
+def test_the_command_lists_own_effects_of_the_project(
+    shop: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(shop)
+    assert run(["effects", "multilaterate", "--json", "--check"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert [one["name"] for one in found["effects"] if one["own"]] == ["rest-error"]
+    length = next(place for place in found["places"] if place["acts_on"] == "length")
+    assert length["unit"] == "mm" and length["variables"]["azimuth"] == "rad" and length["components"] == []
+    assert run(["effects", "calibrate-camera"]) == 0
+    assert "board-wave" in capsys.readouterr().out
+
+
+def test_a_fault_in_the_file_of_a_job_has_its_place(shop: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (shop / "lab.yaml").write_text(LAB.replace("a*T*", "a*TT*"))
+    assert run(["check", str(shop / "job.yaml")]) == 3
+    assert f"{shop / 'lab.yaml'}:5:13: error: define[1].adds: unknown variable 'TT'" in capsys.readouterr().err
+    (shop / "metrocli.yaml").write_text("project: shop\njobs: [job.yaml]\neffects_from: gone.yaml\n")
+    assert run(["check", str(shop / "job.yaml")]) == 3
+    assert "effects_from: no such file" in capsys.readouterr().err
+
+
+def test_without_the_column_it_needs_the_effect_is_not_tested(shop: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rows = [line.split(",") for line in (shop / "lengths.csv").read_text().splitlines()]
+    keep = [i for i, name in enumerate(rows[0]) if name != "temp_degC"]
+    (shop / "lengths.csv").write_text("\n".join(",".join(row[i] for i in keep) for row in rows) + "\n")
+    assert run(["diagnose", str(shop / "job.yaml"), "--json", "--design"]) == 0
+    found = json.loads(capsys.readouterr().out)["candidates"]
+    (own,) = [one for one in found if one["name"] == "rest-error"]
+    assert own["status"] == "not-tested" and "temp_degC" in own["reason"]
+
+
+def test_the_examples_of_the_page_are_definitions() -> None:
+    section = (DOCS / "effects" / "own.md").read_text(encoding="utf-8").partition("## An example for each kind")[2]
+    lines = [line[4:] for line in section.partition("## ")[0].splitlines() if line.startswith("    ")]
+    found: dict[str, list[str]] = {}
+    for line in lines:
+        if line.startswith("# "):
+            found[line[2:].partition(":")[0]] = []
+        else:
+            found[list(found)[-1]].append(line)
+    assert set(found) == {name for name, kind in KINDS.items() if kind.task().places}
+    for kind, text in found.items():
+        assert faults_of("define:\n" + "\n".join(text), kind) == []
+
+
+def test_the_sample_finds_the_cause_of_the_laboratory(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["init", str(tmp_path / "lab"), "--sample", "laboratory-effects"]) == 0
+    capsys.readouterr()
+    assert run(["diagnose", str(tmp_path / "lab" / "jobs" / "hall.yaml"), "--json"]) == 0
+    (effect,) = json.loads(capsys.readouterr().out)["effects"]
+    assert (effect["name"], effect["where"]) == ("cable-wrap", {"tracer": "LT5"})
+    pull = effect["parameters"]["pull"]
+    assert abs(pull["value"] - 0.9e-3) < 2 * pull["std"]

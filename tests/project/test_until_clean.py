@@ -1,0 +1,46 @@
+"""The loop diagnose --until-clean: what it adds, where it ends, and that a law extends a job like an effect."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from metrocli.cli.commands import run
+from metrocli.formats import hdf5
+
+
+@pytest.fixture
+def hall(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Path:
+    """The sample in which the lengths of LT5 contain 0.9 um for each radian of azimuth."""
+    assert run(["init", str(tmp_path / "lab"), "--sample", "laboratory-effects"]) == 0
+    capsys.readouterr()
+    return tmp_path / "lab"
+
+
+def test_one_effect_makes_the_job_clean(hall: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["diagnose", str(hall / "jobs" / "hall.yaml"), "--until-clean", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["verdict"], found["end"]) == ("clean", "clean")
+    (step,) = found["steps"]
+    assert step["added"] == ["cable-wrap LT5"] and step["holdout_after"] < 0.6 * step["holdout_before"]
+    result, _ = hdf5.read(Path(step["result"]))
+    assert step["chi2"] == pytest.approx(result.statistics["chi2"])
+    assert Path(step["job"]) == hall / "jobs" / "hall.step1.yaml"
+
+
+def test_without_the_cause_a_law_makes_it_clean(hall: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (hall / "metrocli.yaml").write_text("project: hall\njobs: [jobs/hall.yaml]\n")
+    assert run(["diagnose", str(hall / "jobs" / "hall.yaml"), "--until-clean", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["end"] == "clean"
+    added = found["steps"][0]["added"]
+    assert len(added) == 1 and added[0].startswith("law ") and added[0].endswith("LT5") and "azimuth" in added[0]
+    job = Path(found["steps"][0]["job"]).read_text()
+    assert "cause: unknown" in job and "law-1" in job
+
+
+def test_with_a_limit_of_extensions_it_ends_there(hall: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["diagnose", str(hall / "jobs" / "hall.yaml"), "--until-clean", "--most", "0"]) == 2
+    assert "--most" in capsys.readouterr().err
