@@ -79,13 +79,13 @@ def _loop(job: JobFile, wanted: dict[str, Any], force: bool, as_json: bool) -> i
     """Print the steps of the loop until a job is clean."""
     from metrocli.cli import summary
     from metrocli.cli.diagnosis_report.loop import loop_data, of_loop
-    from metrocli.record import NOT_MET
     from metrocli.project.until_clean import until_clean
+    from metrocli.record import NOT_MET
 
     console = Console(wanted["quiet"] or as_json, wanted["verbose"])
     loop = until_clean(job, wanted["most"], console.waiting, _seconds(wanted["limit"]), force)
     if as_json:
-        click.echo(summary.as_json(loop_data(loop)))
+        echo(summary.as_json(loop_data(loop)))
     console.print(of_loop(loop))
     return NOT_MET if wanted["require"] not in (None, loop.last.verdict) else 0
 
