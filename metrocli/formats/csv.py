@@ -201,11 +201,13 @@ def _number(raw: Raw, row: int, index: int, column: Column, faults: list[Fault])
         value = int(cell) if column.dimension == WHOLE else float(cell)
         if _is_plain(cell) and abs(value) < _most(column):
             return value
-        reason = f"'{cell}' is not a finite number" if cell.isascii() else f"'{cell}' has digits that are not ASCII"
+        odd = "has digits that are not ASCII" if not cell.isascii() else "has an underscore" if "_" in cell else ""
+        reason = f"'{cell}' {odd or 'is not a finite number'}"
     except ValueError:
         reason = f"'{cell}' is not a {'whole ' if column.dimension == WHOLE else ''}number" if cell else "an empty cell"
     comma = re.fullmatch(r"([+-]?[0-9]*),([0-9]+)", cell)
     hint = f"write {comma[1]}.{comma[2]}" if comma else None if cell.isascii() else "write 0 to 9, as on a keyboard"
+    hint = f"write {cell.replace('_', '')}" if reason.endswith("underscore") else hint
     name = raw.header[index]
     faults.append(raw.fault(f"column '{name}': {reason}", raw.numbers[row], index, hint))
     return 0

@@ -115,7 +115,7 @@ BROKEN = {
     "nan": (HEAD + "a,1,2\na,2,NaN\n", "3:5", "column 'u_px': 'NaN' is not a finite number", ""),
     "infinity": (HEAD + "a,1,-inf\n", "2:5", "'-inf' is not a finite number", ""),
     "too large": (HEAD + "a,1,1e999\n", "2:5", "'1e999' is not a finite number", ""),
-    "underscore": (HEAD + "a,1,1_0\n", "2:5", "'1_0' is not a finite number", ""),
+    "underscore": (HEAD + "a,1,1_0\n", "2:5", "'1_0' has an underscore", "write 10"),
     "full-width digits": (HEAD + "a,1,４.７\n", "2:5", "'４.７' has digits that are not ASCII", "0 to 9"),
     "full-width whole": ("image,target,u_px,repeat\na,1,2,３\n", "2:7", "'３' has digits that are not ASCII", "0 to 9"),
     "inches": ("image,target,u_px,sigma_in\na,1,2,3\n", "1:19", "'sigma_in' is in inches", "write sigma_mm, with the numbers times 25.4"),
