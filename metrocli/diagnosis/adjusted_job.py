@@ -108,6 +108,8 @@ class AdjustedJob:
     """Whether the components of a reading (u, v) are tested as outliers one by one"""
     declared: str = ""
     """The noise that the job declares, in words"""
+    noise_model: str = ""
+    """estimated or structured, if the size of the noise follows from the residuals"""
     adjusted: frozenset[tuple[str, tuple[str, ...]]] = frozenset()
     """Cause and place of the effects that were adjusted to reach the present values of its unknowns"""
     standing: tuple[Standing, ...] = ()

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from metrocli import tasks
+from metrocli.adjust.cluster_robust import FROM_RESIDUALS
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.detectability import Design
 from metrocli.diagnosis.diagnose import LIMIT, diagnose, what_can_be_seen
@@ -24,6 +25,8 @@ from metrocli.project.job import JobFile
 from metrocli.project.runner import Progress, simulate
 from metrocli.simulation import SimulationOptions
 
+_MODEL = "model"
+"""Key beside the declared parts of a noise"""
 _NAMED = " with the effects that metrocli diagnose named"
 _SHARED = " with the noise that metrocli diagnose proposes"
 """Ends of the first line of an extended job, by which it is recognised before it is overwritten"""
@@ -62,10 +65,13 @@ def _adjuster(job: JobFile) -> Callable[[Mapping[str, object]], AdjustedJob]:
     adjusted = task.diagnosed
     if adjusted is None:
         raise UsageError(f"{job.kind} jobs cannot be diagnosed")
-    declared = _declared(job.root.get("noise"))
+    noise = job.root.get("noise")
+    declared, model = _declared(noise), _model(noise)
 
     def adjust(inputs: Mapping[str, object]) -> AdjustedJob:
-        return replace(adjusted(task.job(job.settings, effects=job.effects, **inputs)), declared=declared)
+        return replace(
+            adjusted(task.job(job.settings, effects=job.effects, **inputs)), declared=declared, noise_model=model
+        )
 
     return adjust
 
@@ -73,7 +79,15 @@ def _adjuster(job: JobFile) -> Callable[[Mapping[str, object]], AdjustedJob]:
 def _declared(node: Node | None) -> str:
     if node is None:
         return ""
-    return node.text if node.kind == "scalar" else ", ".join(filter(None, (_declared(one) for _, one in node.entries)))
+    if node.kind == "scalar":
+        return node.text
+    return ", ".join(filter(None, (_declared(one) for key, one in node.entries if key.text != _MODEL)))
+
+
+def _model(node: Node | None) -> str:
+    """Return `estimated` or `structured` if the job has it, alone or beside declared parts; else ''."""
+    found = node.get(_MODEL) if node is not None and node.kind == "mapping" else node
+    return found.text if found is not None and found.text in FROM_RESIDUALS else ""
 
 
 def write_extended(job: JobFile, diagnosis: Diagnosis, path: Path | None = None, force: bool = False) -> Path | None:
@@ -128,7 +142,7 @@ def _extended(job: JobFile, effects: Sequence[Node], noise: str, folder: Path) -
     below = replace(job.root, kind="list", text="", entries=(), items=tuple(items))
     changed: dict[str, Callable[[Node], Node]] = {"inputs": lambda value: _relocated(value, job.folder, folder)}
     if noise:
-        changed["noise"] = lambda value: _key(job, noise)
+        changed["noise"] = lambda value: _with_model(job, value, noise)
     kept = [
         (key, changed[key.text](value) if key.text in changed else value)
         for key, value in job.root.entries
@@ -136,6 +150,14 @@ def _extended(job: JobFile, effects: Sequence[Node], noise: str, folder: Path) -
     ]
     more = [(_key(job, "effects"), below)] if items else []
     return replace(job.root, entries=(*kept, *more, (_key(job, "output"), _key(job, _path(output, folder)))))
+
+
+def _with_model(job: JobFile, declared: Node, model: str) -> Node:
+    """Return the noise of a job with a model: beside its declared parts, else in their place."""
+    if declared.kind != "mapping":
+        return _key(job, model)
+    parts = tuple((key, value) for key, value in declared.entries if key.text != _MODEL)
+    return replace(declared, entries=(*parts, (_key(job, _MODEL), _key(job, model))))
 
 
 def _path(path: Path, folder: Path) -> str:
