@@ -12,6 +12,7 @@ from metrocli.adjust.model.groups import Linear
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.schur.layout import Layout, without_elimination
 from metrocli.adjust.solution import Solution
+from metrocli.adjust.sparse.nested_dissection import Sparse
 
 
 @dataclass(frozen=True)
@@ -30,9 +31,12 @@ class Cluster:
 class Rows:
     """The rows of all clusters, and those whose errors are independent."""
 
-    layout: Layout
+    width: int
+    """Number of unknowns"""
     of_clusters: tuple[Cluster, ...]
     others: tuple[Cluster, ...]
+    together: bool = False
+    """Whether unknowns that only one cluster uses count as shared, because the datum depends on them"""
 
     @property
     def common(self) -> Mask:
@@ -42,6 +46,8 @@ class Rows:
     @property
     def shared(self) -> Mask:
         """The unknowns of more than one cluster or of other rows, (unknowns,)."""
+        if self.together:
+            return np.ones(self.width, dtype=bool)
         found: Mask = self._counts > 1
         for one in self.others:
             found[one.columns] = True
@@ -50,25 +56,107 @@ class Rows:
     @property
     def _counts(self) -> Index:
         """How many clusters use each unknown."""
-        counts = np.zeros(self.layout.width, dtype=np.intp)
+        counts = np.zeros(self.width, dtype=np.intp)
         for one in self.of_clusters:
             counts[one.columns] += 1
         return counts
 
 
-def rows_of(solution: Solution, clusters: Mapping[str, Index]) -> Rows:
+def rows_of(solution: Solution, clusters: Mapping[str, Index], together: bool = False) -> Rows:
     """Return the rows at a solution; `clusters` has the cluster (n,) of each reading of some groups, by group."""
     layout = without_elimination(solution.blocks)
     linear = {group.name: group.linear(solution.blocks, layout.wanted) for group in solution.groups}
-    numbers = np.unique(np.concatenate([np.unique(index) for index in clusters.values()]))
     of_clusters = tuple(
         _joined([_selected(linear[name], layout, np.flatnonzero(index == at)) for name, index in clusters.items()])
-        for at in numbers.tolist()
+        for at in numbers_of(clusters)
     )
     others = tuple(
         _selected(one, layout, np.arange(one.residual.shape[1])) for name, one in linear.items() if name not in clusters
     )
-    return Rows(layout, of_clusters, others)
+    return Rows(layout.width, of_clusters, others, together)
+
+
+def rows_without_members(solution: Solution, clusters: Mapping[str, Index]) -> Rows | None:
+    """Return the rows at a solution without its eliminated block, by the unknowns of the reduced system.
+
+    The members are removed from the rows, `J_r - J_e W`, which leaves the residuals as they are. Priors of members
+    belong to the cluster of their member. Return None if a member is used by several clusters.
+    """
+    known = solution.covariance_or_raise()
+    layout, name = known.layout, known.layout.eliminated
+    if name is None:
+        return None
+    of_member = _clusters_of_members(solution, clusters, name)
+    if of_member is None:
+        return None
+    everywhere = dict(clusters)
+    linear = {group.name: group.linear(solution.blocks, layout.wanted) for group in solution.groups}
+    for group in solution.groups:
+        if group.name not in clusters and name in group.chain.blocks:
+            everywhere[group.name] = of_member[np.ravel(group.observations.index[name])]
+    of_clusters, others = [], []
+    for at in numbers_of(clusters):
+        parts = [
+            _without_member(linear[one], solution, np.flatnonzero(index == at)) for one, index in everywhere.items()
+        ]
+        of_clusters.append(_joined(parts))
+    for one, found in linear.items():
+        if one not in everywhere:
+            others.append(_selected(found, layout, np.arange(found.residual.shape[1])))
+    return Rows(layout.width, tuple(of_clusters), tuple(others), together=True)
+
+
+def rows_of_table(jacobian: Sparse, residual: Array, cluster: Index) -> Rows:
+    """Return rows from the derivatives (rows, unknowns) and residuals (rows,); `cluster` (rows,) is -1 in others."""
+    parts = {at: np.flatnonzero(cluster == at) for at in np.unique(cluster).tolist()}
+    found = {at: _dense(jacobian[rows], residual[rows]) for at, rows in parts.items()}
+    of_clusters = tuple(one for at, one in found.items() if at >= 0)
+    return Rows(int(jacobian.shape[1]), of_clusters, (found[-1],) if -1 in found else (), together=True)
+
+
+def numbers_of(clusters: Mapping[str, Index]) -> list[int]:
+    """Return the numbers of all clusters."""
+    found: list[int] = np.unique(np.concatenate([np.unique(index) for index in clusters.values()])).tolist()
+    return found
+
+
+def _dense(jacobian: Sparse, residual: Array) -> Cluster:
+    used = np.unique(jacobian.indices).astype(np.intp)
+    return Cluster(used, np.asarray(jacobian[:, used].toarray()), residual)
+
+
+def _clusters_of_members(solution: Solution, clusters: Mapping[str, Index], name: str) -> Index | None:
+    """Return the cluster of each member of a block; None if one is used by several, or by no cluster."""
+    block = solution.blocks[name]
+    found = np.full(len(block.members), -1, dtype=np.intp)
+    used = [
+        (np.ravel(group.observations.index[name]), clusters[group.name])
+        for group in solution.groups
+        if group.name in clusters and name in group.chain.blocks
+    ]
+    for members, index in used:
+        found[members] = index
+    alike = all((found[members] == index).all() for members, index in used)
+    return found if alike and (found >= 0)[block.free.any(axis=1)].all() else None
+
+
+def _without_member(linear: Linear, solution: Solution, rows: Index) -> Cluster:
+    """Return the rows of some readings by the reduced unknowns, with the eliminated members removed."""
+    known = solution.covariance_or_raise()
+    weights = known.eliminated.weights
+    n, width = len(rows), known.layout.width
+    full = np.zeros((linear.residual.shape[0], n, width + 1))
+    for touch in linear.touches:
+        jacobian = touch.jacobian[:, :, rows]
+        members = np.broadcast_to(touch.index, (linear.residual.shape[1],))[rows]
+        if touch.block == known.layout.eliminated:
+            full[:, :, :-1] -= np.einsum("dsn,nsw->dnw", jacobian, weights[members])
+            continue
+        columns = known.layout.columns[touch.block][members]
+        for i in range(columns.shape[1]):
+            full[:, np.arange(n), np.where(columns[:, i] >= 0, columns[:, i], width)] += jacobian[:, i]
+    residual = linear.residual[:, rows].ravel()
+    return Cluster(np.arange(width), full[:, :, :-1].reshape(len(residual), width), residual)
 
 
 def _selected(linear: Linear, layout: Layout, rows: Index) -> Cluster:

@@ -5,7 +5,6 @@ Method: docs/algorithms/cluster-robust-covariance.md.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -14,11 +13,12 @@ import numpy as np
 from metrocli.adjust.cluster_rows import Rows
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
-from metrocli.adjust.schur.layout import Layout
-from metrocli.adjust.solution import Solution
 
 _UNDETERMINED = 1e-9
 """Share of a direction that the other clusters determine, below which it is left out: its residuals are rounding"""
+_MOSTLY = 0.5
+"""Share of a variance from a single cluster above which it has the degrees of freedom of the factor"""
+_TINY = 1e-300
 _RANK = 1e-12
 """Smallest eigenvalue of a correlation matrix that is not a movement of a free network"""
 
@@ -47,14 +47,16 @@ class Spread:
     """(k,), below 1"""
     change: Array
     """What its errors contribute to the coordinates, `F' (I - F F')^-1/2 r`, (coordinates,)"""
+    alone: Array
+    """Directions that no other cluster determines, in which its residuals are zero, (coordinates, k')"""
 
     @classmethod
     def of(cls, rows: Array, residual: Array) -> Spread:
-        """Return a cluster from its rows and residuals, without what no other cluster determines."""
+        """Return a cluster from its rows and residuals."""
         u, sizes, vt = np.linalg.svd(rows, full_matrices=False)
         kept = 1 - sizes**2 > _UNDETERMINED
-        u, sizes, vt = u[:, kept], sizes[kept], vt[kept]
-        return cls(vt.T, sizes, vt.T @ (sizes / np.sqrt(1 - sizes**2) * (u.T @ residual)))
+        alone, u, sizes, vt = vt[~kept].T, u[:, kept], sizes[kept], vt[kept]
+        return cls(vt.T, sizes, vt.T @ (sizes / np.sqrt(1 - sizes**2) * (u.T @ residual)), alone)
 
     def form(self, powers: Array) -> Array:
         """Return `v diag(powers) v'` of its directions v, (coordinates, coordinates)."""
@@ -66,17 +68,17 @@ class Spread:
         return self.form(self.sizes**2)
 
     @property
-    def lever(self) -> Array:
-        """`B = F' (I - F F')^-1/2 F`; `change` of two clusters has the covariance `-B B'`."""
-        return self.form(self.sizes**2 / np.sqrt(1 - self.sizes**2))
+    def levers(self) -> Array:
+        """Sizes b of `B = F' (I - F F')^-1/2 F = v diag(b) v'`; `change` of two clusters has the covariance `-B B'`."""
+        return np.asarray(self.sizes**2 / np.sqrt(1 - self.sizes**2))
 
 
 @dataclass(frozen=True)
 class Sample:
     """What the errors of each cluster change, and the covariance that follows from it."""
 
-    layout: Layout
     shared: Mask
+    """The unknowns of more than one cluster, (unknowns,)"""
     root: Array
     """L with `L L'` the covariance of the shared unknowns for independent errors, (shared, coordinates)"""
     parts: tuple[slice, ...]
@@ -85,12 +87,17 @@ class Sample:
     own: tuple[Own, ...]
     prior: Array
     """Information of the rows whose errors are independent, (coordinates, coordinates)"""
+    grows: bool = True
+    """Whether the errors of what only one cluster determines grow as those of the shared unknowns do"""
 
     @classmethod
-    def of(cls, solution: Solution, rows: Rows) -> Sample:
-        """Return the sample of an adjustment."""
+    def of(cls, white: Array, rows: Rows, grows: bool = True) -> Sample:
+        """Return the sample of an adjustment; `white` is the covariance of its shared unknowns for independent errors.
+
+        `grows` is whether what only one cluster determines has the factor of the others.
+        """
         shared = rows.shared
-        root, parts = _root(solution, rows.layout, shared, rows.common[shared])
+        root, parts = _root(white, rows.common[shared])
         numbers = np.cumsum(shared) - 1
         clusters, own = [], []
         for one in rows.of_clusters:
@@ -105,7 +112,7 @@ class Sample:
             own.append(Own(one.columns[~common], inverse @ inverse.T, by_shared))
         known = [one.jacobian @ root[numbers[one.columns]] for one in rows.others]
         prior = np.sum([one.T @ one for one in known], axis=0) if known else np.zeros((root.shape[1],) * 2)
-        return cls(rows.layout, shared, root, parts, tuple(clusters), tuple(own), prior)
+        return cls(shared, root, parts, tuple(clusters), tuple(own), prior, grows)
 
     @cached_property
     def target(self) -> Array:
@@ -131,6 +138,16 @@ class Sample:
         """The same over all parts."""
         return float(np.trace(self.found) / np.trace(self.target))
 
+    @property
+    def of_own(self) -> float:
+        """How many times the variance of independent errors what only one cluster determines has; at least 1."""
+        return max(self.factor, 1.0) if self.grows else 1.0
+
+    @cached_property
+    def alone(self) -> Array:
+        """The covariance that independent errors give to what only one cluster determines."""
+        return np.asarray(np.sum([one.alone @ one.alone.T for one in self.clusters], axis=0))
+
     @cached_property
     def shape(self) -> Array:
         """What the covariance is shrunk towards: the target, scaled to the variance of each part."""
@@ -152,23 +169,29 @@ class Sample:
 
     def coordinates(self) -> Array:
         """Return the covariance of the coordinates: shrunk, with the priors, and in no direction below 1."""
-        matrix = (1 - self.share) * self.found + self.share * self.shape + self.prior
+        matrix = (1 - self.share) * self.found + self.share * self.shape + self.prior + self.of_own * self.alone
         values, vectors = np.linalg.eigh(matrix)
         return np.asarray((vectors * np.maximum(values, 1.0)) @ vectors.T)
+
+    def of_shared(self) -> Array:
+        """Return the covariance of the shared unknowns, (shared, shared)."""
+        return np.asarray(self.root @ self.coordinates() @ self.root.T)
 
     def covariance(self) -> Array:
         """Return the covariance of all unknowns, (unknowns, unknowns)."""
         common = np.flatnonzero(self.shared)
-        v = self.root @ self.coordinates() @ self.root.T
+        v = self.of_shared()
+        if len(common) == len(self.shared):
+            return v
         columns = np.concatenate([one.columns for one in self.own])
         by_shared = np.concatenate([one.by_shared for one in self.own])
         mixed = by_shared @ v
-        full = np.zeros((self.layout.width,) * 2)
+        full = np.zeros((len(self.shared),) * 2)
         full[np.ix_(common, common)] = v
         full[np.ix_(columns, common)], full[np.ix_(common, columns)] = mixed, mixed.T
         full[np.ix_(columns, columns)] = mixed @ by_shared.T
         for one in self.own:
-            full[np.ix_(one.columns, one.columns)] += max(self.factor, 1.0) * one.noise
+            full[np.ix_(one.columns, one.columns)] += self.of_own * one.noise
         return (full + full.T) / 2
 
     def dof(self, columns: Index) -> Array:
@@ -179,54 +202,58 @@ class Sample:
         cluster have the degrees of freedom of the least certain factor.
         """
         numbers = np.cumsum(self.shared) - 1
-        levers = [one.lever for one in self.clusters]
         lines = self.root[numbers[columns[self.shared[columns]]]].T
         lines = lines / np.linalg.norm(lines, axis=0)
         weights = np.array([(lines[part] ** 2).sum(axis=0) for part in self.parts])
-        by_part = [
-            self._dof(lines, levers, part, factor) for part, factor in zip(self.parts, self.factors, strict=True)
-        ]
-        found = np.full(len(columns), min(alone for _, alone in by_part))
-        found[self.shared[columns]] = np.choose(weights.argmax(axis=0), [one for one, _ in by_part])
+        by_part = [self._dof(lines, part, factor) for part, factor in zip(self.parts, self.factors, strict=True)]
+        of_own = min(alone for _, alone in by_part)
+        found = np.full(len(columns), of_own)
+        shared = np.choose(weights.argmax(axis=0), [one for one, _ in by_part])
+        alone = (lines * (self.alone @ lines)).sum(axis=0) > _MOSTLY
+        found[self.shared[columns]] = np.where(alone, of_own, shared)
         return found
 
-    def _dof(self, lines: Array, levers: Sequence[Array], part: slice, factor: float) -> tuple[Array, float]:
+    def _dof(self, lines: Array, part: slice, factor: float) -> tuple[Array, float]:
         """Return the degrees of freedom of the variances along lines (coordinates, k), and of the factor of a part."""
         # the form is sum z' K z over the changes z, with K = own l l' + rest E, E the coordinates of the part
         trace = float(np.diag(self.target)[part].sum())
         along = (lines * (self.target @ lines)).sum(axis=0)
         own, rest = 1 - self.share, self.share * along / trace
-        squares = np.sum([one[:, part] @ one[part] for one in levers], axis=0)
-        products = np.array([one @ lines for one in levers])
-        pairs = np.einsum("cil,dil->lcd", products, products)
+        within = [one.directions.T @ lines for one in self.clusters]
+        grams = [one.directions[part].T @ one.directions[part] for one in self.clusters]
+        products = np.array(
+            [one.directions @ (one.levers[:, None] * seen) for one, seen in zip(self.clusters, within, strict=True)]
+        )
+        # sum of B E B
+        squares = np.sum(
+            [
+                (one.directions * one.levers) @ gram @ (one.directions * one.levers).T
+                for one, gram in zip(self.clusters, grams, strict=True)
+            ],
+            axis=0,
+        )
+        pairs = np.einsum("cil,dil->lcd", products, products, optimize=True)
         lengths = (products * (squares @ products)).sum(axis=(0, 1))
         norms = float((squares**2).sum())
-        for c, (one, lever) in enumerate(zip(self.clusters, levers, strict=True)):
+        for c, (one, seen, gram) in enumerate(zip(self.clusters, within, grams, strict=True)):
             # a cluster with itself has F'F in place of -B B
-            inside, twice = one.information[part], lever[part] @ lever
-            pairs[:, c, c] = (lines * (one.information @ lines)).sum(axis=0)
-            lengths += ((inside @ lines) ** 2).sum(axis=0) - ((twice @ lines) ** 2).sum(axis=0)
-            norms += float((inside[:, part] ** 2).sum() - (twice[:, part] ** 2).sum())
+            inside, twice = one.sizes**2, one.levers**2
+            pairs[:, c, c] = (inside[:, None] * seen**2).sum(axis=0)
+            for size, sign in ((inside, 1.0), (twice, -1.0)):
+                shown = one.directions[part] @ (size[:, None] * seen)
+                lengths += sign * (shown**2).sum(axis=0)
+                norms += sign * float(size @ gram**2 @ size)
         variance = 2 * (own**2 * (pairs**2).sum(axis=(1, 2)) + 2 * own * rest * lengths + rest**2 * norms)
         mean = factor * along + (lines * (self.prior @ lines)).sum(axis=0)
-        return 2 * mean**2 / (factor**2 * variance), trace**2 / norms
+        return 2 * mean**2 / np.maximum(factor**2 * variance, _TINY), trace**2 / norms
 
 
-def _root(solution: Solution, layout: Layout, shared: Mask, common: Mask) -> tuple[Array, tuple[slice, ...]]:
+def _root(white: Array, common: Mask) -> tuple[Array, tuple[slice, ...]]:
     """Return L, (shared, coordinates), with `L L'` the covariance of the shared unknowns for independent errors.
 
     The first coordinates are those of the unknowns that are common to all clusters (mask over the shared ones); the
     further ones are what the others have besides. Return the slices of both, without empty ones.
     """
-    known = solution.covariance_or_raise()
-    names = [name for name in layout.columns if shared[columns_of(layout, name)].any()]
-    chosen = [_chosen(layout, name, shared) for name in names]
-    white = np.concatenate(
-        [
-            np.concatenate([known.between(a, b)[np.ix_(i, j)] for b, j in zip(names, chosen, strict=True)], axis=1)
-            for a, i in zip(names, chosen, strict=True)
-        ]
-    )
     std = np.sqrt(np.diag(white))
     rest, roots, parts, place = white / std[:, None] / std, [], [], 0
     for rows in (np.flatnonzero(common), np.flatnonzero(~common)):
@@ -238,15 +265,3 @@ def _root(solution: Solution, layout: Layout, shared: Mask, common: Mask) -> tup
         parts.append(slice(place, place + root.shape[1]))
         place += root.shape[1]
     return std[:, None] * np.concatenate(roots, axis=1), tuple(part for part in parts if part.stop > part.start)
-
-
-def columns_of(layout: Layout, name: str) -> Index:
-    """Return the numbers of the free entries of a block, row by row."""
-    columns = layout.columns[name].ravel() if name in layout.columns else np.zeros(0, dtype=np.intp)
-    return np.asarray(columns[columns >= 0])
-
-
-def _chosen(layout: Layout, name: str, wanted: Mask) -> Index:
-    """Return the places of the wanted free entries of a block among all of its entries."""
-    columns = layout.columns[name].ravel()
-    return np.flatnonzero((columns >= 0) & wanted[np.maximum(columns, 0)])

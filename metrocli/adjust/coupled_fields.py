@@ -114,6 +114,22 @@ class Design:
 
 
 @dataclass(frozen=True)
+class CorrelatedDesign(Design):
+    """A design whose readings have correlated errors, with the covariance of all unknowns as one table."""
+
+    matrix: Array
+    """(unknowns, unknowns)"""
+
+    def variances(self, rows: Sparse) -> Array:
+        """Return the variances of any sparse linear combinations of unknowns, (n,)."""
+        return np.asarray((rows.multiply(rows @ self.matrix)).sum(axis=1)).ravel()
+
+    def covariance(self, rows: Sparse) -> Array:
+        """Return the covariance of any linear combinations of unknowns, (n, n)."""
+        return np.asarray(rows @ (rows @ self.matrix).T)
+
+
+@dataclass(frozen=True)
 class FieldSolution:
     """The result of an adjustment of fields, with the same methods for covariances as `Solution`."""
 

@@ -111,6 +111,8 @@ class AdjustedJob:
     """Quantities on which a law can act"""
     declared: str = ""
     """The noise that the job declares, in words"""
+    noise_model: str = ""
+    """estimated or structured, if the size of the noise follows from the residuals"""
     adjusted: frozenset[tuple[str, tuple[str, ...]]] = frozenset()
     """Cause and place of the effects that were adjusted to reach the present values of its unknowns"""
     standing: tuple[Standing, ...] = ()

@@ -251,7 +251,7 @@ def scatter_as_job(one: Scatter) -> Mapping[str, str]:
 def proposed_noise(diagnosis: Diagnosis) -> str:
     """Return the noise that the extended job takes, so that uncertainties include the structure left; else ''."""
     job = diagnosis.job
-    wanted = diagnosis.left is not None and job.sharing >= FEWEST and job.declared != STRUCTURED
+    wanted = diagnosis.left is not None and job.sharing >= FEWEST and job.noise_model != STRUCTURED
     return STRUCTURED if wanted else ""
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from metrocli import tasks
+from metrocli.adjust.cluster_robust import FROM_RESIDUALS
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.detectability import Design
 from metrocli.diagnosis.diagnose import LIMIT, diagnose, what_can_be_seen
@@ -27,6 +28,8 @@ from metrocli.project.job import JobFile
 from metrocli.project.runner import Progress, simulate
 from metrocli.simulation import SimulationOptions
 
+_MODEL = "model"
+"""Key beside the declared parts of a noise"""
 _NAMED = " with the effects that metrocli diagnose named"
 _SHARED = " with the noise that metrocli diagnose proposes"
 """Ends of the first line of an extended job, by which it is recognised before it is overwritten"""
@@ -65,11 +68,13 @@ def _adjuster(job: JobFile) -> Callable[[Mapping[str, object]], AdjustedJob]:
     adjusted = task.diagnosed
     if adjusted is None:
         raise UsageError(f"{job.kind} jobs cannot be diagnosed")
-    declared = _declared(job.root.get("noise"))
+    noise = job.root.get("noise")
+    declared, model = _declared(noise), _model(noise)
 
     def adjust(inputs: Mapping[str, object]) -> AdjustedJob:
         found = adjusted(task.job(job.settings, effects=job.effects, **inputs))
-        return replace(found, declared=declared, effects=(*found.effects, *job.own.effects), places=task.places)
+        every = (*found.effects, *job.own.effects)
+        return replace(found, declared=declared, noise_model=model, effects=every, places=task.places)
 
     return adjust
 
@@ -77,7 +82,15 @@ def _adjuster(job: JobFile) -> Callable[[Mapping[str, object]], AdjustedJob]:
 def _declared(node: Node | None) -> str:
     if node is None:
         return ""
-    return node.text if node.kind == "scalar" else ", ".join(filter(None, (_declared(one) for _, one in node.entries)))
+    if node.kind == "scalar":
+        return node.text
+    return ", ".join(filter(None, (_declared(one) for key, one in node.entries if key.text != _MODEL)))
+
+
+def _model(node: Node | None) -> str:
+    """Return `estimated` or `structured` if the job has it, alone or beside declared parts; else ''."""
+    found = node.get(_MODEL) if node is not None and node.kind == "mapping" else node
+    return found.text if found is not None and found.text in FROM_RESIDUALS else ""
 
 
 def write_extended(
@@ -148,7 +161,7 @@ def _extended(
     moved: Callable[[Node], Node] = lambda value: _relocated(value, job.folder, folder)  # noqa: E731
     changed = {"inputs": moved, "effects_from": moved}
     if noise:
-        changed["noise"] = lambda value: _key(job, noise)
+        changed["noise"] = lambda value: _with_model(job, value, noise)
     kept = [
         (key, changed[key.text](value) if key.text in changed else value)
         for key, value in job.root.entries
@@ -163,6 +176,14 @@ def _longer(job: JobFile, key: str, more: Sequence[Node]) -> Node:
     listed = job.root.get(key)
     items = (*(listed.items if listed is not None else ()), *more)
     return replace(job.root, kind="list", text="", entries=(), items=items)
+
+
+def _with_model(job: JobFile, declared: Node, model: str) -> Node:
+    """Return the noise of a job with a model: beside its declared parts, else in their place."""
+    if declared.kind != "mapping":
+        return _key(job, model)
+    parts = tuple((key, value) for key, value in declared.entries if key.text != _MODEL)
+    return replace(declared, entries=(*parts, (_key(job, _MODEL), _key(job, model))))
 
 
 def _path(path: Path, folder: Path) -> str:

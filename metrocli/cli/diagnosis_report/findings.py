@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from metrocli import units
-from metrocli.adjust.cluster_robust import FROM_RESIDUALS, STRUCTURED
+from metrocli.adjust.cluster_robust import STRUCTURED
 from metrocli.cli.diagnosis_report.candidates import candidate_lines
 from metrocli.cli.diagnosis_report.laws import law_lines
 from metrocli.cli.diagnosis_report.text_table import text_table
@@ -77,7 +77,7 @@ def _headline(diagnosis: Diagnosis) -> str:
     """Return the verdict with what limits it: wrong readings, and noise that is not as declared."""
     noise, count = diagnosis.noise, len(diagnosis.outliers)
     wrong = f", with {count} wrong reading{'s' if count > 1 else ''}" if count else ""
-    if noise.as_declared or diagnosis.job.declared in FROM_RESIDUALS:
+    if noise.as_declared or diagnosis.job.noise_model:
         return f"{diagnosis.verdict}{wrong}"
     return f"{diagnosis.verdict}{wrong}, but the noise is {noise.ratio:.2g} times what was declared"
 
@@ -135,15 +135,15 @@ def _structure(diagnosis: Diagnosis) -> Iterator[str]:
     where = f" in the readings of {', '.join(left.where)}" if left.where else ""
     size = f", {units.sized(left.size, diagnosis.job.reading[1])} (root mean square)" if left.size else ""
     yield f"structure left: {_chance(left.p_value)}, varies with {' and '.join(left.depends_on)}{where}{size}"
-    include = "include it" if diagnosis.job.declared == STRUCTURED else "do not include it"
-    remedy = "; `noise: structured` includes it" if proposed_noise(diagnosis) else ""
+    include = "include it" if diagnosis.job.noise_model == STRUCTURED else "do not include it"
+    remedy = "; `noise: structured` includes it, as the extended job has it" if proposed_noise(diagnosis) else ""
     yield f"  No known effect explains it. The standard uncertainties of the result {include}{remedy}."
 
 
 def _noise(diagnosis: Diagnosis) -> Iterator[str]:
     noise, declared = diagnosis.noise, diagnosis.job.declared
     interval = f"{noise.ratio:.2f} [{noise.low:.2f}, {noise.high:.2f}]"
-    if declared in FROM_RESIDUALS:
+    if diagnosis.job.noise_model:
         yield f"noise: {interval} times the noise that the job estimates"
     elif noise.as_declared:
         yield f"noise: as declared ({interval} times {declared})"

@@ -21,6 +21,8 @@ from metrocli.instruments.tracker import TRACKER
 from metrocli.tasks.calibrate_machine import KIND
 from metrocli.tasks.calibrate_machine.effects import EFFECTS
 from metrocli.tasks.calibrate_machine.solve import Solved
+from metrocli.tasks.calibrate_machine.structure import clusters_of
+from metrocli.tasks.shared.structured_noise import count
 
 _FOLDS = 10
 _PIECES = "the readings are averages over pieces of the path longer than a pitch; a job may name it with its period"
@@ -46,6 +48,7 @@ def adjusted_job(solved: Solved) -> AdjustedJob:
         {group.name: _parts(group)},
         Delivered("error tables", first, (0, 1, 2), "um", "length", tuple(others)),
         refit,
+        sharing=count(clusters_of(solved).of[group.name]),
         not_sought={one.name: _PIECES for one in EFFECTS if one.space is Space.WAVE and _condensed(group)},
     )
 

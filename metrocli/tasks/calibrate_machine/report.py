@@ -24,7 +24,8 @@ from metrocli.tasks.calibrate_machine.solve import Solved
 from metrocli.tasks.calibrate_machine.tables import Tables, least_squares_squareness, tables_of, tool_names, unit_of
 from metrocli.tasks.calibrate_machine.volume_report import NOT_CONTAINED, volume_tables
 from metrocli.tasks.calibrate_machine.warnings import cures, identifiability_notes, machine_warnings, uncontrolled
-from metrocli.tasks.shared.statistics import Statistics, basic_statistics, noise_notes
+from metrocli.tasks.shared.statistics import Statistics, basic_statistics, found_notes, noise_notes, with_found
+from metrocli.tasks.shared.structured_noise import NoiseFound
 from metrocli.tasks.shared.uncontrolled import TABLE, in_words
 
 if TYPE_CHECKING:
@@ -33,29 +34,30 @@ if TYPE_CHECKING:
 SIGN = "actual minus commanded"
 
 
-def report(solved: Solved, settings: Settings) -> Result:
+def report(solved: Solved, settings: Settings, noise: NoiseFound) -> Result:
     """Return the result of a solved calibration."""
-    solution, added = solved.solution, solved.problem.effects
+    solution, added = noise.solution, solved.problem.effects
     tables = tables_of(solved.problem.machine, solution)
     identified = solved.identified
     effect_tables, effect_arrays = effect_results(added, solution)
     hidden = uncontrolled(solved, tables)
     volume = volume_tables(tables, identified, settings.volume.grid, solved.problem.tools_used)
     tools = (TOOL,) if solution.blocks[TOOL].free.any() else ()
+    found = (*_estimates(solution), *effect_estimates(added, solution))
     return Result(
         kind=KIND.name,
         title="",
-        estimates=(*_estimates(solution), *effect_estimates(added, solution)),
+        estimates=found,
         covariance=solution.joint((SQUARENESS, *tools, *free_blocks(added))),
-        statistics=_statistics(solved, settings),
+        statistics=with_found(_statistics(solved, settings), noise),
         tables={
             **{f"tables/{name}": _table(tables, name, identified) for name in ERRORS if _wanted(name, identified)},
             "errors": _errors(tables, identified),
             "squareness": _squareness(tables, identified),
             "axes": _axes(tables),
-            "tools": _tools(solved),
-            **_tracker(solved),
-            **_lines(solved),
+            "tools": _tools(solved, solution),
+            **_tracker(solution),
+            **_lines(solution),
             **solved.problem.tables,
             **volume,
             "residuals": _residuals(solved),
@@ -76,9 +78,12 @@ def report(solved: Solved, settings: Settings) -> Result:
         notes=(
             *identifiability_notes(identified),
             NOT_CONTAINED,
+            *found_notes(noise),
             *noise_notes(solution, cures(settings)),
             *in_words(hidden),
         ),
+        details=noise.details([one.name for one in found]),
+        plain=("dof",),
     )
 
 
@@ -159,11 +164,11 @@ def _axes(tables: Tables) -> Table:
     return Table(columns, dict.fromkeys(("low", "high", "reference"), "mm"))
 
 
-def _tools(solved: Solved) -> Table:
-    block = solved.solution.blocks[TOOL]
-    std = solved.solution.std(TOOL) if block.free.any() else np.zeros(block.values.shape)
+def _tools(solved: Solved, solution: Solution) -> Table:
+    block = solution.blocks[TOOL]
+    std = solution.std(TOOL) if block.free.any() else np.zeros(block.values.shape)
     used, open_ones = solved.problem.tools_used, solved.identified.open_tools
-    columns: dict[str, Values] = {"tool": np.array(tool_names(solved.solution.blocks))}
+    columns: dict[str, Values] = {"tool": np.array(tool_names(solution.blocks))}
     columns |= {axis: block.values[:, i] for i, axis in enumerate("xyz")}
     columns |= {f"s{axis}": std[:, i] for i, axis in enumerate("xyz")}
     columns["measured"] = np.array([name in used for name in block.members])
@@ -171,10 +176,10 @@ def _tools(solved: Solved) -> Table:
     return Table(columns, {f"{s}{axis}": "mm" for axis in "xyz" for s in ("", "s")})
 
 
-def _tracker(solved: Solved) -> dict[str, Table]:
-    if TRACKER not in solved.solution.blocks:
+def _tracker(solution: Solution) -> dict[str, Table]:
+    if TRACKER not in solution.blocks:
         return {}
-    block, std = solved.solution.blocks[TRACKER], solved.solution.std(TRACKER)[0]
+    block, std = solution.blocks[TRACKER], solution.std(TRACKER)[0]
     units = ["mm"] * 3 + ["rad"] * 3
     columns: dict[str, Values] = {
         "parameter": np.array(block.columns),
@@ -185,11 +190,11 @@ def _tracker(solved: Solved) -> dict[str, Table]:
     return {"tracker": Table(columns)}
 
 
-def _lines(solved: Solved) -> dict[str, Table]:
+def _lines(solution: Solution) -> dict[str, Table]:
     """Return the misalignment of each six-dof line: offsets of the channels, and slopes across the beam."""
-    if LINE not in solved.solution.blocks:
+    if LINE not in solution.blocks:
         return {}
-    block, std = solved.solution.blocks[LINE], solved.solution.std(LINE)
+    block, std = solution.blocks[LINE], solution.std(LINE)
     columns: dict[str, Values] = {"line": np.array(block.members)}
     units: dict[str, str] = {}
     for i, name in enumerate(block.columns):

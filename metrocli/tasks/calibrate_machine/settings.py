@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 from metrocli.instruments.machine import ALL_NAMES, axis_order, canonical
 from metrocli.nc_program import CONTROLS
@@ -23,6 +24,7 @@ from metrocli.settings import (
     setting,
 )
 from metrocli.table import TEXT, Column, Columns, Table
+from metrocli.tasks.shared.structured_noise import model_setting
 
 ON_THE_FLY, STANDSTILL, SIX_DOF = "on-the-fly", "standstill", "six-dof"
 _PLACE = tuple(Column(name, "length") for name in ("x", "y", "z"))
@@ -150,6 +152,13 @@ class LateralNoise:
 _LATERAL = Either(Quantity("length", positive=True), Section(LateralNoise))
 
 
+def _times(part: float | LateralNoise | str | None, factor: float) -> Any:
+    """Return a part of the noise times a factor; words and parts that are absent stay."""
+    if isinstance(part, LateralNoise):
+        return LateralNoise(factor * part.constant, factor * part.proportional)
+    return factor * part if isinstance(part, float) else part
+
+
 @dataclass(frozen=True)
 class Noise:
     """Standard deviations of the tracker (beam, lateral) or of the laser (displacement, straightness, angle)."""
@@ -162,6 +171,11 @@ class Noise:
         Quantity("length", positive=True), "six-dof: perpendicular to the beam", default=None
     )
     angle: float | None = setting(Quantity("angle", positive=True), "six-dof: angles", default=None)
+    model: str = model_setting()
+
+    def times(self, factor: float) -> Noise:
+        """Return the noise with all parts times a factor."""
+        return Noise(**{part.name: _times(getattr(self, part.name), factor) for part in fields(self)})
 
     @property
     def square(self) -> LateralNoise:

@@ -21,26 +21,35 @@ from metrocli.tasks.calibrate_machine.settings import ON_THE_FLY, SIX_DOF, STAND
 from metrocli.tasks.calibrate_machine.simulation import simulated
 from metrocli.tasks.calibrate_machine.solve import Solved, solve
 from metrocli.tasks.calibrate_machine.stops_plan import plan_of_lines, plan_of_points
+from metrocli.tasks.calibrate_machine.structure import noise_of
 from metrocli.tasks.job import Job, Task
+from metrocli.tasks.shared.structured_noise import settled
 
 _WITHOUT = "the plan leaves out the effects of the job: its uncertainties hold for the geometric errors alone"
 
 
 def run(job: Job[Settings, Files]) -> Result:
     """Estimate the geometric errors; raises InputError, UndeterminedError or NotConvergedError."""
-    return report(_solved(job), job.settings)
+    solved, factor = _settled(job)
+    return report(solved, job.settings, noise_of(solved, job.settings.noise.model, factor))
 
 
 def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
     """Adjust the calibration and return it in the form that diagnosis works on."""
-    return adjusted_job(_solved(job))
+    return adjusted_job(_settled(job)[0])
 
 
-def _solved(job: Job[Settings, Files]) -> Solved:
-    settings, files = job.settings, job.files
+def _settled(job: Job[Settings, Files]) -> tuple[Solved, float]:
+    """Return the solved calibration, and how many times the declared noise its readings have."""
+    return settled(job.settings.noise, lambda factor: _solved(job, factor), lambda one: [one.residuals])
+
+
+def _solved(job: Job[Settings, Files], factor: float = 1.0) -> Solved:
+    settings, files = replace(job.settings, noise=job.settings.noise.times(factor)), job.files
     if files.path is not None and files.track is not None:
         return on_the_fly(settings, files.path, files.track, job.effects)
-    return solve(problem_of(job).with_effects(job.effects), settings.outliers == "remove")
+    scaled = replace(job, settings=settings)
+    return solve(problem_of(scaled).with_effects(job.effects), settings.outliers == "remove")
 
 
 def problem_of(job: Job[Settings, Files]) -> Problem:

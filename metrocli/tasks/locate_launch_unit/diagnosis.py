@@ -54,6 +54,7 @@ def adjusted_job(located: Located) -> AdjustedJob:
         Delivered("place of the launch unit", lu.UNIT, (0, 1, 2), "um", "length"),
         refit,
         reading=("urad", "angle"),
+        sharing=poses,
     )
 
 

@@ -19,7 +19,16 @@ from metrocli.tasks.locate_launch_unit import KIND
 from metrocli.tasks.locate_launch_unit.readings import Readings
 from metrocli.tasks.locate_launch_unit.solve import Located
 from metrocli.tasks.locate_launch_unit.uncontrolled import uncontrolled
-from metrocli.tasks.shared.statistics import REMOVE, basic_statistics, beyond_bound, noise_notes, noise_warnings
+from metrocli.tasks.shared.statistics import (
+    REMOVE,
+    basic_statistics,
+    beyond_bound,
+    found_notes,
+    noise_notes,
+    noise_warnings,
+    with_found,
+)
+from metrocli.tasks.shared.structured_noise import NoiseFound
 from metrocli.tasks.shared.uncontrolled import TABLE, in_words
 from metrocli.words import listed
 
@@ -32,20 +41,21 @@ _CONTROLLED = 1e-6
 _TABLES = {"angles": tuple(lu.ENCODERS), "distances": (lu.DISTANCE,)}
 
 
-def report(located: Located, method: str) -> Result:
+def report(located: Located, method: str, noise: NoiseFound | None) -> Result:
     """Return the result of a located unit."""
-    std = np.sqrt(np.diag(located.covariance))
+    covariance = located.covariance if noise is None else noise.solution.covariance_or_raise().of(lu.UNIT)
+    std = np.sqrt(np.diag(covariance))
     rows = zip(lu.COLUMNS, located.values.tolist(), std.tolist(), UNITS, strict=True)
     unit = tuple(Estimate(*row) for row in rows)
     beams = _beams(located)
     solution, problem = located.solution, located.problem
     hidden = uncontrolled(located.readings.receiver, located.place)
-    if solution is None or problem is None:
+    if solution is None or problem is None or noise is None:
         return Result(
             kind=KIND.name,
             title="",
             estimates=unit,
-            covariance=located.covariance,
+            covariance=covariance,
             statistics=_statistics_as_printed(located, method, beams),
             tables={"beams": beams, TABLE: hidden},
             notes=in_words(hidden),
@@ -61,7 +71,7 @@ def report(located: Located, method: str) -> Result:
         if not groups.keys().isdisjoint(names)
     }
     outliers = _outliers(located)
-    effects, arrays = effect_results(problem.effects, solution)
+    effects, arrays = effect_results(problem.effects, noise.solution)
     rms = {
         table.units["residual"]: float(np.sqrt((table.numbers("residual") ** 2).mean())) for table in residuals.values()
     }
@@ -72,16 +82,19 @@ def report(located: Located, method: str) -> Result:
         "rejected": sum(group.observations.count for group in problem.all_groups)
         - sum(group.observations.count for group in solution.groups),
     }
+    found = (*unit, *estimates(problem.effects, noise.solution))
     return Result(
         kind=KIND.name,
         title="",
-        estimates=(*unit, *estimates(problem.effects, solution)),
-        covariance=solution.joint((lu.UNIT, *free_blocks(problem.effects))),
-        statistics=statistics,
+        estimates=found,
+        covariance=noise.solution.joint((lu.UNIT, *free_blocks(problem.effects))),
+        statistics=with_found(statistics, noise),
         tables={"beams": beams, **residuals, "outliers": outliers, TABLE: hidden, **effects},
         arrays=arrays,
         shown=(ShownTable("beams"), *((ShownTable("outliers"),) if len(outliers) else ())),
-        notes=(*noise_notes(solution, cures=(REMOVE,)), *in_words(hidden)),
+        notes=(*found_notes(noise), *noise_notes(solution, cures=(REMOVE,)), *in_words(hidden)),
+        details=noise.details([one.name for one in found]),
+        plain=("dof",),
         warnings=(
             *problem.warnings,
             *noise_warnings(solution, cures=(REMOVE,)),

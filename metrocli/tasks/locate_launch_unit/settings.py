@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from metrocli.settings import Choice, Flag, ListOf, Quantity, Section, TableFile, setting
 from metrocli.table import ABSENT, Table
 from metrocli.tasks.locate_launch_unit.plan_settings import Planned
 from metrocli.tasks.locate_launch_unit.readings import PLACES, POSES
+from metrocli.tasks.shared.structured_noise import DECLARED, model_setting
 
 METHODS = ("adjustment", "lines", "closed-loop")
 
@@ -40,6 +41,12 @@ class Noise:
     distance: float | None = setting(
         Quantity("length", positive=True), "standard deviation of a distance", default=None
     )
+    model: str = model_setting()
+
+    def times(self, factor: float) -> Noise:
+        """Return the noise with both parts times a factor."""
+        distance = None if self.distance is None else factor * self.distance
+        return replace(self, encoder=factor * self.encoder, distance=distance)
 
 
 @dataclass(frozen=True)
@@ -65,7 +72,12 @@ class Settings:
     simulation: Truth | None = setting(Section(Truth), "the truth for `metrocli simulate`", default=None)
 
     def faults(self) -> Iterable[tuple[str, str]]:
-        """Check that distances have a standard deviation."""
+        """Check that distances have a standard deviation, and that the method can estimate the noise."""
         distances = self.simulation is not None and self.simulation.distances
         if self.noise.distance is None and (distances or self.method == "closed-loop"):
             yield "noise", "distances need their standard deviation: add `distance: 1 um`"
+        if self.noise.model != DECLARED and self.method != "adjustment":
+            yield (
+                "noise.model",
+                "only `method: adjustment` has the residuals from which noise is estimated",
+            )

@@ -9,8 +9,9 @@ import numpy as np
 
 from metrocli.adjust.adjustment import adjust
 from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.groups import Group
 from metrocli.adjust.outcome import Outcome
-from metrocli.adjust.solution import Solution
+from metrocli.adjust.solution import Residuals, Solution, residuals_of
 from metrocli.effects.estimates import absorbed
 from metrocli.effects.wanted import Wanted
 from metrocli.errors import Fault, InputError, MetrocliError, NotConvergedError, UndeterminedError
@@ -58,6 +59,19 @@ class Located:
     outliers: tuple[Outlier, ...] = ()
     critical: float = float("nan")
     """Bound of |w| for an outlier"""
+
+    @property
+    def read(self) -> tuple[Group, ...]:
+        """The groups of readings that were used; none without an adjustment."""
+        if self.solution is None or self.problem is None:
+            return ()
+        names = {group.name for group in self.problem.groups}
+        return tuple(group for group in self.solution.groups if group.name in names)
+
+    @property
+    def residuals(self) -> list[Residuals]:
+        """The residuals of all readings that were used."""
+        return [] if self.solution is None else [residuals_of(self.solution, group) for group in self.read]
 
     @property
     def place(self) -> Array:

@@ -21,19 +21,26 @@ from metrocli.tasks.locate_launch_unit.readings import read
 from metrocli.tasks.locate_launch_unit.report import report
 from metrocli.tasks.locate_launch_unit.settings import METHODS, Files, Settings
 from metrocli.tasks.locate_launch_unit.simulation import simulated
-from metrocli.tasks.locate_launch_unit.solve import How, locate
+from metrocli.tasks.locate_launch_unit.solve import How, Located, locate
+from metrocli.tasks.locate_launch_unit.structure import noise_of
+from metrocli.tasks.shared.structured_noise import settled
 
 
 def run(job: Job[Settings, Files]) -> Result:
     """Return the located unit; raises InputError, UndeterminedError or NotConvergedError."""
-    return report(locate(read(job.files.poses), job.settings.noise, _how(job)), job.settings.method)
+    located, factor = _located(job, _how(job))
+    return report(located, job.settings.method, noise_of(located, job.settings.noise.model, factor))
+
+
+def _located(job: Job[Settings, Files], how: How) -> tuple[Located, float]:
+    """Return the located unit, and how many times the declared noise its readings have."""
+    readings, noise = read(job.files.poses), job.settings.noise
+    return settled(noise, lambda factor: locate(readings, noise.times(factor), how), lambda one: one.residuals)
 
 
 def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
     """Return the adjusted job in the form that diagnosis needs, with all readings; raises as `run` does."""
-    return adjusted_job(
-        locate(read(job.files.poses), job.settings.noise, replace(_how(job), remove=False, explain=False))
-    )
+    return adjusted_job(_located(job, replace(_how(job), remove=False, explain=False))[0])
 
 
 def _how(job: Job[Settings, Files]) -> How:

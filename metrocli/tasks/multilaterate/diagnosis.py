@@ -23,6 +23,8 @@ from metrocli.tasks.multilaterate import KIND
 from metrocli.tasks.multilaterate.effects import EFFECTS, RANGING
 from metrocli.tasks.multilaterate.problem import LENGTHS
 from metrocli.tasks.multilaterate.solve import Solved, refitted
+from metrocli.tasks.multilaterate.structure import clusters_of
+from metrocli.tasks.shared.structured_noise import count
 from metrocli.units import parse_quantity
 
 FOLDS = 10
@@ -55,6 +57,7 @@ def adjusted_job(solved: Solved) -> AdjustedJob:
         Delivered(*delivered, (0, 1, 2), "um", "length"),
         refit,
         astray=solved.astray,
+        sharing=count(clusters_of(solved)),
         offers=offers,
     )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,7 +24,15 @@ from metrocli.tasks.multilaterate.reliability import reliability
 from metrocli.tasks.multilaterate.settings import Correction
 from metrocli.tasks.multilaterate.solve import Solved
 from metrocli.tasks.multilaterate.uncontrolled import scale_warnings, uncontrolled
-from metrocli.tasks.shared.statistics import REMOVE, basic_statistics, noise_notes, noise_warnings
+from metrocli.tasks.shared.statistics import (
+    REMOVE,
+    basic_statistics,
+    found_notes,
+    noise_notes,
+    noise_warnings,
+    with_found,
+)
+from metrocli.tasks.shared.structured_noise import NoiseFound
 from metrocli.tasks.shared.uncontrolled import in_words
 from metrocli.words import listed
 
@@ -35,12 +44,21 @@ _ELSEWHERE = 0.5
 """Warn if a tracer is farther from its listed place than this share of its distance from the points"""
 
 
-def report(solved: Solved, probing: Table | None, tolerance: float, scatter: Correction) -> Result:
+@dataclass(frozen=True)
+class Probing:
+    """Probing points to correct, and what they scatter by."""
+
+    table: Table | None
+    tolerance: float
+    scatter: Correction
+
+
+def report(solved: Solved, noise: NoiseFound, probing: Probing) -> Result:
     """Return the result of a solved network; raises InputError if a probing point cannot be corrected."""
-    solution = solved.solution
+    solution = noise.solution
     added = solved.network.effects
     found = (*_tracer_estimates(solution), *estimates(added, solution))
-    points, arrays = _points(solved)
+    points, arrays = _points(solved, solution)
     effect_tables, effect_arrays = effect_results(added, solution)
     hidden = uncontrolled(solved.network)
     tables = {
@@ -52,27 +70,29 @@ def report(solved: Solved, probing: Table | None, tolerance: float, scatter: Cor
         "not_controlled": hidden,
         **effect_tables,
     }
-    if probing is not None:
+    if probing.table is not None:
         tables["corrected"], arrays["corrected_covariance"] = corrected(
-            solved.network, solution, probing, tolerance, scatter
+            solved.network, solution, probing.table, probing.tolerance, probing.scatter
         )
     rms = float(np.sqrt((solved.residuals.values**2).mean()))
     statistics = basic_statistics(solution, {"mm": rms}) | {
         "rejected": len(solved.rejected),
         "critical_w": solved.critical,
-        "weakness": layout_faults.weakness(solved.network, solution),
+        "weakness": layout_faults.weakness(solved.network, solved.solution),
     }
     return Result(
         kind=KIND.name,
         title="",
         estimates=found,
         covariance=solution.joint((t.TRACER, *free_blocks(added))),
-        statistics=statistics,
+        statistics=with_found(statistics, noise),
         tables=tables,
         arrays={**arrays, **effect_arrays},
-        warnings=(*_warnings(solved), *distant(solved.network, probing, tolerance)),
+        warnings=(*_warnings(solved), *distant(solved.network, probing.table, probing.tolerance)),
         shown=tuple(_shown(solved)),
-        notes=(*noise_notes(solution, cures=(REMOVE,)), *in_words(hidden)),
+        notes=(*found_notes(noise), *noise_notes(solution, cures=(REMOVE,)), *in_words(hidden)),
+        details=noise.details([one.name for one in found]),
+        plain=("dof",),
         astray=solved.astray,
     )
 
@@ -92,9 +112,9 @@ def _tracer_estimates(solution: Solution) -> tuple[Estimate, ...]:
     )
 
 
-def _points(solved: Solved) -> tuple[Table, dict[str, Array]]:
+def _points(solved: Solved, solution: Solution) -> tuple[Table, dict[str, Array]]:
     """Return /points, with the mover's error at each point (its reading minus the point), and their covariances."""
-    solution, network = solved.solution, solved.network
+    network = solved.network
     block, seen = solution.blocks[t.POINT], network.seen > 0
     each = solution.covariance_or_raise().members(t.POINT)[seen]
     std = np.sqrt(np.maximum(np.einsum("mii->mi", each), 0.0))

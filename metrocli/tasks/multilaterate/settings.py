@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from metrocli.settings import Choice, Quantity, Section, TableFile, setting
 from metrocli.table import ABSENT, TEXT, Column, Columns, Table
 from metrocli.tasks.shared.known_places import SIGMAS
+from metrocli.tasks.shared.structured_noise import model_setting
 
 _PLACE = tuple(Column(axis, "length") for axis in "xyz")
 LENGTHS = Columns(
@@ -76,6 +77,11 @@ class LengthNoise:
 
     constant: float = setting(Quantity("length", positive=True), "a: the part that does not depend on the length")
     proportional: float = setting(Quantity("ratio", minimum=0.0), "b: the part proportional to the path", default=0.0)
+    model: str = model_setting()
+
+    def times(self, factor: float) -> LengthNoise:
+        """Return the noise with both parts times a factor."""
+        return replace(self, constant=factor * self.constant, proportional=factor * self.proportional)
 
 
 @dataclass(frozen=True)

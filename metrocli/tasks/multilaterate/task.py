@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from metrocli.diagnosis.adjusted_job import AdjustedJob
@@ -18,23 +20,32 @@ from metrocli.tasks.multilaterate.layout import Layout, Planned
 from metrocli.tasks.multilaterate.plan import planned
 from metrocli.tasks.multilaterate.problem import Network, build, network_of
 from metrocli.tasks.multilaterate.readings import join
-from metrocli.tasks.multilaterate.report import report
+from metrocli.tasks.multilaterate.report import Probing, report
 from metrocli.tasks.multilaterate.settings import Files, Settings
 from metrocli.tasks.multilaterate.simulation import simulated
-from metrocli.tasks.multilaterate.solve import solve
+from metrocli.tasks.multilaterate.solve import Solved, solve
+from metrocli.tasks.multilaterate.structure import noise_of
+from metrocli.tasks.shared.structured_noise import settled
 
 
 def run(job: Job[Settings, Files]) -> Result:
     """Return the points; raises InputError, UndeterminedError or NotConvergedError."""
-    network, probing, tolerance = _network(job), job.files.probing, job.settings.tolerance
-    if probing is not None:
-        refuse_lost(network, probing, tolerance)
-    return report(solve(network, job.settings.outliers == "remove"), probing, tolerance, job.settings.correction)
+    settings, probing, tolerance = job.settings, job.files.probing, job.settings.tolerance
+
+    def solved(factor: float) -> Solved:
+        network = _network(job, factor)
+        if probing is not None:
+            refuse_lost(network, probing, tolerance)
+        return solve(network, settings.outliers == "remove")
+
+    found, factor = settled(settings.noise, solved, lambda one: [one.residuals])
+    noise = noise_of(found, settings.noise.model, factor)
+    return report(found, noise, Probing(probing, tolerance, settings.correction))
 
 
-def _network(job: Job[Settings, Files]) -> Network:
-    files = job.files
-    network = build(job.settings, files.lengths, files.points, files.tracers, files.distances)
+def _network(job: Job[Settings, Files], factor: float = 1.0) -> Network:
+    files, settings = job.files, replace(job.settings, noise=job.settings.noise.times(factor))
+    network = build(settings, files.lengths, files.points, files.tracers, files.distances)
     return network.with_effects(job.effects)
 
 
@@ -53,7 +64,9 @@ def check(job: Job[Settings, Files]) -> None:
 
 def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
     """Return the adjusted job in the form that diagnosis needs, with all lengths; raises as `run` does."""
-    return adjusted_job(solve(_network(job), remove=False))
+    noise = job.settings.noise
+    found, _ = settled(noise, lambda factor: solve(_network(job, factor), remove=False), lambda one: [one.residuals])
+    return adjusted_job(found)
 
 
 def plan(job: Job[Settings, Files]) -> Plan:

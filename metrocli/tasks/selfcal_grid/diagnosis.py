@@ -21,6 +21,7 @@ from metrocli.tasks.selfcal_grid import KIND
 from metrocli.tasks.selfcal_grid.effects import EFFECTS
 from metrocli.tasks.selfcal_grid.problem import READINGS, Problem
 from metrocli.tasks.selfcal_grid.solve import Solved
+from metrocli.tasks.selfcal_grid.structure import sharing
 
 FOLDS = 10
 _FEWEST = 4
@@ -47,6 +48,7 @@ def adjusted_job(solved: Solved) -> AdjustedJob:
         refit,
         fewest=_FEWEST,
         single_components=True,
+        sharing=sharing(solved),
         offers=lambda changed: offers(problem, changed),
     )
 

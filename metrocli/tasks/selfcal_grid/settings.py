@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from metrocli.adjust.cluster_robust import FROM_RESIDUALS
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
 from metrocli.geometry.rotations import rotation_from_vector
@@ -144,8 +145,9 @@ class Settings:
     grid: GridSettings = setting(Section(GridSettings), "the artefact")
     views: tuple[ViewSettings, ...] = setting(ListOf(Section(ViewSettings)), "how the artefact stood")
     noise: float | str = setting(
-        Either(Quantity("length", positive=True), Choice("estimated")),
-        "standard deviation of each coordinate of a ball",
+        Either(Quantity("length", positive=True), Choice(*FROM_RESIDUALS)),
+        "standard deviation of each coordinate of a ball, or 'estimated' from the residuals, "
+        "or 'structured': estimated, and readings taken one after the other may share errors",
     )
     outliers: str = setting(Choice("report", "remove"), "name outliers, or leave them out", default="report")
     leave_one_out: str = setting(

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from metrocli.adjust.cluster_robust import FROM_RESIDUALS, STRUCTURED
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.plan import Plan
@@ -24,7 +25,9 @@ from metrocli.tasks.selfcal_grid.sequence import in_sequence
 from metrocli.tasks.selfcal_grid.settings import Files, Settings, views_of
 from metrocli.tasks.selfcal_grid.simulation import simulated
 from metrocli.tasks.selfcal_grid.solve import Solved, leave_one_out, solve
+from metrocli.tasks.selfcal_grid.structure import with_structure
 from metrocli.tasks.selfcal_grid.undetermined import opened
+from metrocli.tasks.shared.structured_noise import Structured
 
 _MANY = 20_000
 """Number of readings above which views are left out in turn only if the job asks for it"""
@@ -34,15 +37,29 @@ def run(job: Job[Settings, Files]) -> Result:
     """Return the result with both error fields; raises InputError, UndeterminedError or NotConvergedError."""
     settings, files = job.settings, job.files
     solved = solve(_problem(job), settings.outliers == "remove")
-    if settings.noise == "estimated":
+    if settings.noise in FROM_RESIDUALS:
         solved = _with_noise_found(solved, settings.outliers == "remove")
+    shared, shown = None, solved
+    if settings.noise == STRUCTURED:
+        shown, shared = with_structure(solved)
     wanted = settings.leave_one_out == "yes" or (settings.leave_one_out == "auto" and len(files.views) <= _MANY)
-    found = report(solved, opened(solved.problem, solved.design), leave_one_out(solved) if wanted else [], files.map)
-    if settings.noise == "estimated":
+    found = report(shown, opened(solved.problem, solved.design), leave_one_out(solved) if wanted else [], files.map)
+    if settings.noise in FROM_RESIDUALS:
         noise = solved.problem.noise
         kept = {name: value for name, value in found.statistics.items() if name != "p_value"}
         found = replace(found, statistics={**kept, "noise_estimated": True, "noise": {"mm": noise}})
-    return found
+    return found if shared is None else _with_shared(found, shared)
+
+
+def _with_shared(found: Result, shared: Structured) -> Result:
+    """Return the result with what readings share."""
+    return replace(
+        found,
+        statistics={**found.statistics, **shared.statistics},
+        notes=(shared.note, *found.notes),
+        details=shared.details([one.name for one in found.estimates]),
+        plain=("dof",),
+    )
 
 
 def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:

@@ -12,7 +12,7 @@ from metrocli.adjust.probabilities import chi_square_bound
 from metrocli.adjust.solution import Residuals, Solution
 from metrocli.result import Scalar
 from metrocli.table import Table
-from metrocli.tasks.shared.structured_noise import Structured
+from metrocli.tasks.shared.structured_noise import DECLARED, NoiseFound, Structured
 from metrocli.words import listed
 
 if TYPE_CHECKING:
@@ -58,6 +58,27 @@ def with_noise(
     kept = {name: value for name, value in statistics.items() if name not in ("p_value", "sigma0_low", "sigma0_high")}
     found: Statistics = {"noise_estimated": True, "noise": noise, "sigma0": noise, "chi2": solution.dof * noise**2}
     return {**kept, **found, **(structured.statistics if structured is not None else {})}
+
+
+def with_found(statistics: Statistics, noise: NoiseFound) -> Statistics:
+    """Return the statistics of a job whose declared noise is right up to a factor from the residuals.
+
+    sigma0 then is that factor, and the global test does not apply. Declared noise changes nothing.
+    """
+    if noise.model == DECLARED:
+        return statistics
+    dof, factor = noise.solution.dof, noise.factor
+    kept = {name: value for name, value in statistics.items() if name != "p_value"}
+    found: Statistics = {"noise_estimated": True, "noise_factor": factor, "sigma0": factor, "chi2": dof * factor**2}
+    return {**kept, **found, **(noise.structured.statistics if noise.structured is not None else {})}
+
+
+def found_notes(noise: NoiseFound) -> tuple[str, ...]:
+    """Return the notes on noise whose size is from the residuals; none for declared noise."""
+    if noise.model == DECLARED:
+        return ()
+    lines = (f"estimated noise: {noise.factor:.3g} times the declared one; covariances are scaled by it",)
+    return (*lines, noise.structured.note) if noise.structured is not None else lines
 
 
 def residual_table(residuals: Residuals, group: Group) -> Table:

@@ -1,42 +1,132 @@
-"""`noise: structured`: the uncertainties of a job whose readings share errors, by image or the like.
+"""`noise: structured`: the uncertainties of a job whose readings share errors, by image, pose or time.
 
 Method: docs/algorithms/cluster-robust-covariance.md.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Protocol, Self, TypeVar
 
-from metrocli.adjust.cluster_robust import ClusterRobust, cluster_robust
+import numpy as np
+
+from metrocli.adjust.cluster_robust import FROM_RESIDUALS, Clusters, cluster_robust
+from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
-from metrocli.adjust.solution import Solution
+from metrocli.adjust.solution import Residuals, Solution
+from metrocli.errors import UndeterminedError
 from metrocli.result import Scalar
+from metrocli.settings import Choice, setting
 
 NOISE_HELP = (
     "standard deviation of an image coordinate, or 'estimated' from the residuals, "
     "or 'structured': estimated, and readings of one image may share errors"
 )
+DECLARED = "declared"
+POINTS_IN_TIME = "blocks of successive points"
+_MOST_BLOCKS, _LEAST_IN_BLOCK = 6, 2
+"""Measurements in time are cut into so many blocks at most, of so many points at least"""
+_ROUNDS, _SETTLED = 6, 1e-3
+"""Adjustments until the noise agrees with the residuals, and the relative change at which it does"""
+_CONTROLLED = 1e-6
+S = TypeVar("S")
+
+
+class Parts(Protocol):
+    """Declared parts of the noise of a kind, with the model of what they are."""
+
+    @property
+    def model(self) -> str:
+        """declared, estimated or structured."""
+
+    def times(self, factor: float) -> Self:
+        """Return the parts times a factor."""
+
+
+def model_setting() -> str:
+    """Return the setting of what the declared parts of the noise are."""
+    text = (
+        "declared: the parts are the noise; estimated: they are it up to a factor from the residuals; "
+        "structured: estimated, and readings taken together may share errors"
+    )
+    chosen: str = setting(Choice(DECLARED, *FROM_RESIDUALS), text, default=DECLARED)
+    return chosen
+
+
+def settled(noise: Parts, adjust: Callable[[float], S], found: Callable[[S], Sequence[Residuals]]) -> tuple[S, float]:
+    """Return the adjustment, and the factor of the noise parts that agrees with its residuals; 1 if they are declared.
+
+    `adjust` takes the factor, `found` returns the residuals of all readings. Raises UndeterminedError without degrees
+    of freedom.
+    """
+    factor = 1.0
+    solved = adjust(factor)
+    if noise.model == DECLARED:
+        return solved, factor
+    for _ in range(_ROUNDS):
+        change = _component(found(solved))
+        if abs(change - 1) <= _SETTLED:
+            break
+        factor *= change
+        solved = adjust(factor)
+    return solved, factor
+
+
+def _component(found: Sequence[Residuals]) -> float:
+    """Return `sqrt(v'Pv / sum r)` with redundancy numbers r (variance component)."""
+    redundancy = np.concatenate([one.redundancy.ravel() for one in found])
+    w = np.concatenate([one.normalised.ravel() for one in found])
+    if not redundancy.sum() > _CONTROLLED:
+        raise UndeterminedError(
+            "noise: the residuals do not show its size: there are no more readings than unknowns; "
+            "measure more, or leave out `model`, so that the noise is as declared"
+        )
+    size = float(np.sqrt((redundancy * w**2).sum() / redundancy.sum()))
+    return size if size > 0 else 1.0
+
+
+def in_blocks(order: Array) -> Index:
+    """Return the block (n,) of each of n measurements, of about equally many that follow each other."""
+    count = min(_MOST_BLOCKS, max(len(order) // _LEAST_IN_BLOCK, 1))
+    rank = np.argsort(np.argsort(order, kind="stable"), kind="stable")
+    return np.asarray(rank * count // max(len(order), 1), dtype=np.intp)
+
+
+def count(clusters: Index) -> int:
+    """Return the number of clusters."""
+    return len(np.unique(clusters))
+
+
+class Robust(Protocol):
+    """A covariance over clusters."""
+
+    @property
+    def clusters(self) -> int:
+        """Number of clusters."""
+
+    def inflation(self, names: Sequence[str]) -> float:
+        """Return the root mean square growth of the standard uncertainties of blocks."""
+
+    def dof(self, names: Sequence[str]) -> Array:
+        """Return the degrees of freedom (k,) of the variances of the free entries of blocks."""
 
 
 @dataclass(frozen=True)
 class Structured:
     """How the readings of a job share errors, and what that changes."""
 
-    robust: ClusterRobust
+    robust: Robust
     delivered: tuple[str, ...]
+    """Blocks of the result whose growth counts"""
+    estimates: tuple[str, ...]
     """Blocks of the estimates"""
     over: str
     """What is left out in turn, in words: images"""
 
-    @classmethod
-    def of(cls, solution: Solution, clusters: Mapping[str, Index], delivered: Sequence[str], over: str) -> Structured:
-        """Return the covariance that lets readings of one cluster share errors; raises as `cluster_robust` does."""
-        return cls(cluster_robust(solution, clusters, over), tuple(delivered), over)
-
     @property
     def inflation(self) -> float:
-        """Root mean square growth of the standard uncertainties of the estimates against independent errors."""
+        """Root mean square growth of the standard uncertainties of the result against independent errors."""
         return self.robust.inflation(self.delivered)
 
     @property
@@ -50,16 +140,43 @@ class Structured:
 
     def details(self, names: Sequence[str]) -> dict[str, dict[str, float]]:
         """Return the degrees of freedom of the estimates: for all the least, because their errors are joint."""
-        found = self.robust.dof(self.delivered)
+        found = self.robust.dof(self.estimates)
         return {name: {"dof": float(found.min())} for name in names} if len(found) else {}
 
     @property
     def note(self) -> str:
         """The line of the report."""
-        found = self.robust.dof(self.delivered)
+        found = self.robust.dof(self.estimates)
         dof = f", with {found.min():.1f} degrees of freedom" if len(found) else ""
         return (
-            f"noise: structured: readings of one image may share errors. The covariance is cluster-robust over "
+            f"noise: structured: readings taken together may share errors. The covariance is cluster-robust over "
             f"{self.robust.clusters} {self.over}; standard uncertainties are {self.inflation:.2f} times "
             f"those for white noise{dof}"
         )
+
+
+def structured(
+    solution: Solution, clusters: Clusters, estimates: Sequence[str], delivered: Sequence[str] = ()
+) -> tuple[Structured, Solution]:
+    """Return what readings of one cluster share, and the solution with the covariance that lets them share errors.
+
+    `estimates` are the blocks of the estimates, `delivered` those of the result whose growth counts, if they are
+    others. Raises as `cluster_robust` does.
+    """
+    robust = cluster_robust(solution, clusters)
+    return Structured(robust, tuple(delivered or estimates), tuple(estimates), clusters.over), robust.solution
+
+
+@dataclass(frozen=True)
+class NoiseFound:
+    """What the noise of a job is, and the solution whose covariance counts it."""
+
+    solution: Solution
+    model: str = DECLARED
+    factor: float = 1.0
+    """How many times the declared noise the readings have; 1 if it is declared"""
+    structured: Structured | None = None
+
+    def details(self, names: Sequence[str]) -> dict[str, dict[str, float]]:
+        """Return the degrees of freedom of the estimates, where they are not those of the adjustment."""
+        return self.structured.details(names) if self.structured is not None else {}

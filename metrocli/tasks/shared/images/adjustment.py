@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from metrocli.adjust.adjustment import Control, adjust
+from metrocli.adjust.cluster_robust import Clusters
 from metrocli.adjust.datum import Datum
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.groups import Group
@@ -17,7 +18,7 @@ from metrocli.adjust.robust import Fit, Suspects, apart, gross, robust_start, su
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
 from metrocli.errors import InputError, NotConvergedError
 from metrocli.table import Table
-from metrocli.tasks.shared.structured_noise import Structured
+from metrocli.tasks.shared.structured_noise import Structured, structured
 
 IMAGES = "images"
 """Name of the group of image points"""
@@ -89,9 +90,9 @@ class Adjusted:
 
         `delivered` are the blocks of the estimates. Raises as `cluster_robust` does.
         """
-        clusters = {self.group.name: self.group.observations.index["view"]}
-        found = Structured.of(self.solution, clusters, delivered, "images")
-        return replace(self, solution=found.robust.solution, structured=found)
+        clusters = Clusters({self.group.name: self.group.observations.index["view"]}, "images")
+        found, solution = structured(self.solution, clusters, delivered)
+        return replace(self, solution=solution, structured=found)
 
 
 @dataclass(frozen=True)
