@@ -27,7 +27,8 @@ from metrocli.diagnosis.extended_fit import (
     with_scatter,
 )
 from metrocli.diagnosis.findings import Diagnosis, Finding, Scatter
-from metrocli.diagnosis.laws.search import Law, laws_in, without_imitations
+from metrocli.diagnosis.laws.imitations import without_imitations
+from metrocli.diagnosis.laws.search import Law, laws_in
 from metrocli.diagnosis.linear.candidates import NotTested
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns, nothing_fitted
 from metrocli.diagnosis.linear.projection import System

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from effects.redefined import REDEFINED, Redefined
 from laws.effects_of_kinds import MEASURED, instance_of, size
+from simulated import lengths as simulated_lengths
 
 from metrocli.adjust.adjustment import adjust
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.solution import Solution
+from metrocli.diagnosis.diagnose import diagnose
 from metrocli.effects.effect import Effect
 from metrocli.effects.extension import with_effect
 from metrocli.effects.model import Model
@@ -89,3 +91,33 @@ def test_estimates_and_covariances_are_those_of_the_built_in_effect(one: Redefin
 
 def near(covariance: Array, expected: Array) -> None:
     assert np.abs(covariance - expected).max(initial=0.0) <= AGREE * np.abs(expected).max(initial=0.0)
+
+
+def test_the_verdict_is_that_of_the_built_in_effect() -> None:
+    """The diagnosis of a drift, once with the built-in effect in the table and once with the own one in its place."""
+    one = next(one for one in REDEFINED if one.name == "dead-path-drift")
+    task = KINDS[one.kind].task()
+    own = own_of(one)
+    rng = np.random.default_rng(6)
+    net = simulated_lengths.network(30, 5).read(rng)
+    table = net.lengths()
+    t = rng.uniform(0.0, 3600.0, len(table))
+    drift = 8e-7 * t * (np.asarray(table.columns["tracer"]) == "T1")
+    columns = {**table.columns, "t": t, "length": table.numbers("length") + drift}
+    files = {"lengths": replace(table, columns=columns), "points": net.point_table(), "tracers": net.tracer_table()}
+    assert task.diagnosed is not None
+    adjusted = task.diagnosed(task.job(simulated_lengths.settings(), **files))
+    built = diagnose(adjusted)
+    table_with_own = tuple(own if effect.name == one.name else effect for effect in adjusted.effects)
+    again = diagnose(replace(adjusted, effects=table_with_own))
+    assert again.verdict is built.verdict
+    assert [str(f.effect.alternative) for f in built.findings] == [f"{one.name} T1"]
+    assert [str(f.effect.alternative) for f in again.findings] == [f"{own.name} T1"]
+    (ours,), (theirs,) = again.findings, built.findings
+    pairs = [(a.value, b.value) for a, b in zip(ours.sizes, theirs.sizes, strict=True)]
+    pairs += [(a.std, b.std) for a, b in zip(ours.sizes, theirs.sizes, strict=True)]
+    pairs += [(ours.effect.log_level, theirs.effect.log_level), (ours.gain.log_score, theirs.gain.log_score)]
+    pairs += [(ours.shift, theirs.shift), (ours.gain.after, theirs.gain.after)]
+    found = {c.name.replace(own.name, one.name): c for c in again.design.candidates}
+    pairs += [(found[c.name].detectable, c.detectable) for c in built.design.candidates]
+    assert all(a == pytest.approx(b, rel=AGREE) for a, b in pairs if b is not None)

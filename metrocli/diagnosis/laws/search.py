@@ -23,11 +23,9 @@ from metrocli.diagnosis.selection.selection_state import Selection
 from metrocli.effects.effect import Effect, Parameter
 
 MOST_TERMS = 3
-_LEVEL, _ALONE = 0.01, 0.001
+LEVEL, _ALONE = 0.01, 0.001
 """Levels at which a term enters, counted over all that were tried: where structure is left, and where none was found"""
 _SEED = 17
-_FAR_MORE = 5.0
-"""A law replaces several effects if ln of its evidence exceeds theirs by this"""
 _LEAST_DOF = 5
 _FEW = 50
 """Fewest independent tests that any library amounts to"""
@@ -72,11 +70,11 @@ def laws_in(job: AdjustedJob, selection: Selection, structured: bool) -> tuple[L
     """
     library = Library(job, selection.test_set.system)
     families = library.families()
-    level = _LEVEL if structured else _ALONE
+    level = LEVEL if structured else _ALONE
     if not families or not _worth_counting(selection, families, level):
         return ()
-    tests, start = _tests(selection, families)
-    steps = _forward(_Search(tests, start, library), level)
+    tests, start = tests_of_terms(selection, families)
+    steps = forward(Search(tests, start, library), level)
     if not steps:
         return ()
     gains = _gains(job, tests, library, len(steps))
@@ -88,45 +86,7 @@ def laws_in(job: AdjustedJob, selection: Selection, structured: bool) -> tuple[L
     return tuple(replace(one, chosen=one is best and one.gain.log_score > 0) for one in found)
 
 
-def without_imitations(job: AdjustedJob, selection: Selection) -> Selection:
-    """Return the selection without its effects where one law has far more evidence than several of them together.
-
-    Several effects can imitate one cause that is not among them, as three jumps do a saturation. The evidence is
-    `-n/2 ln S - q/2 ln n - sum ln m`, S the squares left, q the number of sizes, m the number of tests of each member.
-    """
-    if len(selection.named) < 2:
-        return selection
-    bare = selection
-    for one in selection.named:
-        bare = bare.without(one)
-    library = Library(job, selection.test_set.system)
-    families = library.families()
-    if not families:
-        return selection
-    tests, start = _tests(bare, families)
-    steps = _forward(_Search(tests, start, library), _LEVEL)
-    if not steps:
-        return selection
-    fitted = start.with_columns(np.concatenate([one.columns for one in steps], axis=1))
-    counted = [_tests_of(tests, one.family) for one in steps]
-    law = _evidence(fitted, start, counted, sum(one.term.form.scanned is not None for one in steps))
-    known = selection.test_set
-    counted = [_tests_of(known, one.family) for one in selection.named]
-    scans = sum(len(known.alternative(one.family, one.number).scanned) for one in selection.named)
-    names = _evidence(selection.fitted(without=selection.unknown), start, counted, scans)
-    return bare if law > names + _FAR_MORE else selection
-
-
-def _tests_of(tests: ScoreTests, family: int) -> float:
-    return float(np.log(tests.tests[family] * tests.causes))
-
-
-def _evidence(fitted: FittedColumns, start: FittedColumns, counted: Sequence[float], scans: int) -> float:
-    n, sizes = start.dof, start.dof - fitted.dof + scans
-    return float(-n / 2 * np.log(fitted.squares) - sizes / 2 * np.log(n) - sum(counted))
-
-
-def _tests(selection: Selection, families: Sequence[Family]) -> tuple[ScoreTests, FittedColumns]:
+def tests_of_terms(selection: Selection, families: Sequence[Family]) -> tuple[ScoreTests, FittedColumns]:
     """Return the tests of the terms, and the fit of what was named, whose columns are the first family."""
     system = selection.test_set.system
     unknown = {id(one) for one in selection.unknown}
@@ -146,22 +106,21 @@ def _tests(selection: Selection, families: Sequence[Family]) -> tuple[ScoreTests
     return tests, _start(tests, nothing_fitted(system))
 
 
+def plain_tests(selection: Selection, families: Sequence[Family]) -> tuple[FittedColumns, ScoreTests]:
+    """Return the fit of what was named, and tests of the terms without the exact count of them."""
+    fitted = replace(selection.fitted(without=selection.unknown), larger=None, freed=None, remembered={})
+    scales, grams = tuple(family.raw for family in families), tuple(grams_of(family.columns) for family in families)
+    tests = replace(selection.test_set, families=tuple(families), scales=scales, grams=grams, remembered={})
+    return fitted, tests
+
+
 def _worth_counting(selection: Selection, families: Sequence[Family], level: float) -> bool:
     """Return whether a term could be significant if the terms of its kind were few independent ones.
 
     That spares the simulated noise of the exact count where nothing is near significance.
     """
-    test_set, unknown = selection.test_set, selection.unknown
-    fitted = selection.fitted(without=unknown)
-    plain = replace(
-        test_set,
-        families=tuple(families),
-        scales=tuple(family.raw for family in families),
-        grams=tuple(grams_of(family.columns) for family in families),
-        remembered={},
-    )
-    fresh = replace(fitted, larger=None, freed=None, remembered={})
-    least = min(float(plain.score(number, fresh).log_p.min()) for number in range(len(families)))
+    fitted, tests = plain_tests(selection, families)
+    least = min(float(tests.score(number, fitted).log_p.min()) for number in range(len(families)))
     return bool(least + np.log(_FEW) < np.log(level))
 
 
@@ -171,7 +130,7 @@ def _start(tests: ScoreTests, fitted: FittedColumns) -> FittedColumns:
 
 
 @dataclass(frozen=True)
-class _Search:
+class Search:
     """Where terms are sought: their tests, what is fitted already, and which rows are held out."""
 
     tests: ScoreTests
@@ -187,7 +146,7 @@ class _Search:
         return self.tests.system.seen(columns)
 
 
-def _forward(search: _Search, level: float = _LEVEL, most: int = MOST_TERMS) -> list[_Step]:
+def forward(search: Search, level: float = LEVEL, most: int = MOST_TERMS) -> list[_Step]:
     """Return the terms that enter: the most significant first, then those on the same quantity at the same place.
 
     A scanned value is refined before the next term is sought, so that no term corrects the scan of another.
@@ -214,7 +173,7 @@ def _forward(search: _Search, level: float = _LEVEL, most: int = MOST_TERMS) -> 
     return steps
 
 
-def _refined(search: _Search, fitted: FittedColumns, family: int, term: Term) -> Term:
+def _refined(search: Search, fitted: FittedColumns, family: int, term: Term) -> Term:
     """Return a term with its scanned value refined between the neighbours of the best one in the scan."""
     if term.form.scanned is None or term.form.kind == STEPS:
         return term
@@ -249,7 +208,7 @@ def _gains(job: AdjustedJob, tests: ScoreTests, library: Library, most: int) -> 
         if not out.size:
             continue
         trained, start = without(tests, out)
-        steps = _forward(_Search(trained, _start(trained, start), library, out), _LEVEL, most)
+        steps = forward(Search(trained, _start(trained, start), library, out), LEVEL, most)
         base = held_out_errors(tests, before, out)
         for count in range(1, most + 1):
             columns = [library.system.seen(library.columns(one.term)) for one in steps[:count]]

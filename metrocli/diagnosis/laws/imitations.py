@@ -1,0 +1,98 @@
+"""Effects that only imitate a law: they are named because nothing better was among the candidates.
+
+Method: docs/algorithms/laws.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.diagnosis.laws.library import Library
+from metrocli.diagnosis.laws.search import LEVEL, Search, forward, plain_tests, tests_of_terms
+from metrocli.diagnosis.linear.candidates import Family
+from metrocli.diagnosis.linear.fitted_columns import FittedColumns
+from metrocli.diagnosis.linear.score_tests import ScoreTests
+from metrocli.diagnosis.selection.selection_state import Chosen, Selection
+
+_FAR_MORE = 5.0
+"""A law replaces effects if ln of its evidence exceeds theirs by this"""
+
+
+def without_imitations(job: AdjustedJob, selection: Selection) -> Selection:
+    """Return the selection without those of its effects that only imitate a law.
+
+    Effects can imitate a cause that is not among them, as three jumps do a saturation. They are left out if they are
+    not significant beside the law, and if the law has far more evidence than they have. The evidence is
+    `-n/2 ln S - q/2 ln n - sum ln m`, S the squares left, q the number of sizes, m the number of tests of each member.
+    """
+    library = Library(job, selection.test_set.system) if selection.named else None
+    families = library.families() if library is not None else []
+    if library is None or not families:
+        return selection
+    bare = _reduced(selection, selection.named)
+    names = _of_names(selection, selection.named)
+    if not _could_exceed(bare, families, names):
+        return selection
+    tests, start = tests_of_terms(bare, families)
+    steps = forward(Search(tests, start, library), LEVEL)
+    if not steps:
+        return selection
+    columns = np.concatenate([one.columns for one in steps], axis=1)
+    beside = start.with_columns(columns)
+    idle = [one for one in selection.named if _log_level(selection.test_set, one, beside) > np.log(LEVEL)]
+    kept = _reduced(selection, idle)
+    fitted = kept.fitted(without=kept.unknown).with_columns(columns)
+    counted = [_count(tests, one.family) for one in steps]
+    counted += [_count(selection.test_set, one.family) for one in kept.named]
+    scans = sum(one.term.form.scanned is not None for one in steps) + _scans(selection, kept.named)
+    law = _evidence(fitted, start, counted, scans)
+    return kept if idle and law > names + _FAR_MORE else selection
+
+
+def _reduced(selection: Selection, gone: Sequence[Chosen]) -> Selection:
+    """Return the selection without some members."""
+    for one in gone:
+        selection = selection.without(one)
+    return selection
+
+
+def _log_level(tests: ScoreTests, one: Chosen, fitted: FittedColumns) -> float:
+    """Return ln of the level of a member beside a fit."""
+    found = tests.score(one.family, fitted, [one.number])
+    return tests.overall(tests.level(one.family, float(found.log_p[0])))
+
+
+def _of_names(selection: Selection, names: Sequence[Chosen]) -> float:
+    """Return the evidence of a selection without its smooth terms."""
+    start = _reduced(selection, names)
+    counted = [_count(selection.test_set, one.family) for one in names]
+    fitted = selection.fitted(without=selection.unknown)
+    return _evidence(fitted, start.fitted(without=start.unknown), counted, _scans(selection, names))
+
+
+def _scans(selection: Selection, names: Sequence[Chosen]) -> int:
+    return sum(len(selection.test_set.alternative(one.family, one.number).scanned) for one in names)
+
+
+def _could_exceed(bare: Selection, families: Sequence[Family], names: float) -> bool:
+    """Return whether the best single term could have far more evidence than the names if it were the only one tried."""
+    start, plain = plain_tests(bare, families)
+    scores = [plain.score(number, start) for number in range(len(families))]
+    best = max(
+        -start.dof / 2 * np.log(max(start.squares - float(gain), 1e-300)) - float(rank) / 2 * np.log(start.dof)
+        for score in scores
+        for gain, rank in [(score.gain[score.best], score.rank[score.best])]
+    )
+    return bool(best > names + _FAR_MORE)
+
+
+def _count(tests: ScoreTests, family: int) -> float:
+    return float(np.log(tests.tests[family] * tests.causes))
+
+
+def _evidence(fitted: FittedColumns, start: FittedColumns, counted: Sequence[float], scans: int) -> float:
+    n, sizes = start.dof, start.dof - fitted.dof + scans
+    return float(-n / 2 * np.log(fitted.squares) - sizes / 2 * np.log(n) - sum(counted))
