@@ -13,7 +13,7 @@ from types import FrameType
 import click
 
 from metrocli import __version__
-from metrocli.cli.help import COMMANDS, help_text, version_text
+from metrocli.cli.help import COMMANDS, PLACES, help_text, version_text
 from metrocli.errors import InputError, MetrocliError
 from metrocli.tasks import KINDS
 
@@ -38,7 +38,7 @@ class Commands(click.Group):
             return make(cmd_name)
         if cmd_name not in COMMANDS:
             return None
-        command: click.Command = import_module(f"metrocli.cli.{cmd_name}").command
+        command: click.Command = import_module(f"metrocli.cli.{PLACES.get(cmd_name, cmd_name)}").command
         return command
 
     def resolve_command(

@@ -14,10 +14,13 @@ COMMANDS = {
     "simulate": "the measurement that a job's model predicts",
     "plan": "what a planned measurement will determine, and a better one",
     "show": "a result on the terminal",
+    "plot": "a figure of a result (without a name: their names)",
     "export": "a result in another format: CSV, compensation tables",
     "schema": "JSON schema of a job, for editors",
 }
-"""The commands that are not kinds of job; each is the module of its name in this package."""
+"""The commands that are not kinds of job; each is the module of its name in this package, or where PLACES has it."""
+PLACES = {"plot": "look.plot"}
+"""Modules of commands in packages of this package"""
 
 
 def help_text() -> str:

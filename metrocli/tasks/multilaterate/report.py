@@ -23,7 +23,14 @@ from metrocli.tasks.multilaterate.reliability import reliability
 from metrocli.tasks.multilaterate.settings import Correction
 from metrocli.tasks.multilaterate.solve import Solved
 from metrocli.tasks.multilaterate.uncontrolled import scale_warnings, uncontrolled
-from metrocli.tasks.shared.statistics import REMOVE, basic_statistics, noise_notes, noise_warnings
+from metrocli.tasks.shared.statistics import (
+    REMOVE,
+    basic_statistics,
+    condition_columns,
+    noise_notes,
+    noise_warnings,
+    units_of,
+)
 from metrocli.tasks.shared.uncontrolled import in_words
 from metrocli.words import listed
 
@@ -128,7 +135,9 @@ def _residuals(solved: Solved) -> Table:
         "normalised": found.normalised[0],
         **reliability(solved.solution, solved.group, found, solved.critical),
     }
-    return Table(columns, dict.fromkeys(("reading", "residual", "sigma", *RELIABILITY_UNITS), "mm"))
+    when = condition_columns(observations)
+    in_mm = dict.fromkeys(("reading", "residual", "sigma", *RELIABILITY_UNITS), "mm")
+    return Table({**columns, **when}, in_mm | units_of(when))
 
 
 def _rejected(solved: Solved) -> Table:
