@@ -38,6 +38,7 @@ def command(job: Path, design: bool, output: Path | None, force: bool, as_json: 
     from metrocli.diagnosis import verdict
     from metrocli.errors import InputError
     from metrocli.project import diagnosed
+    from metrocli.project.inputs import input_files
     from metrocli.project.job import Wishes, kind_of_job, load
     from metrocli.project.pipeline import NOT_MET
     from metrocli.tasks import KINDS
@@ -63,7 +64,9 @@ def command(job: Path, design: bool, output: Path | None, force: bool, as_json: 
             raise
         click.echo(f"warning: no extended job was written: {error}", err=True)
     if as_json:
-        click.echo(summary.as_json(verdict.as_data(diagnosis) | {"extended_job": extended and str(extended)}))
+        of = diagnosed.identity(loaded.text, input_files(loaded))
+        more = {"extended_job": extended and str(extended), "of": of}
+        click.echo(summary.as_json(verdict.as_data(diagnosis) | more))
     console.print(findings.of_diagnosis(diagnosis, extended))
     return NOT_MET if wanted["require"] not in (None, diagnosis.verdict) else 0
 

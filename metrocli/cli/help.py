@@ -15,11 +15,12 @@ COMMANDS = {
     "plan": "what a planned measurement will determine, and a better one",
     "show": "a result on the terminal",
     "plot": "a figure of a result (without a name: their names)",
+    "report": "a result or a project as one self-contained HTML page",
     "export": "a result in another format: CSV, compensation tables",
     "schema": "JSON schema of a job, for editors",
 }
 """The commands that are not kinds of job; each is the module of its name in this package, or where PLACES has it."""
-PLACES = {"plot": "look.plot"}
+PLACES = {"plot": "look.plot", "report": "look.report"}
 """Modules of commands in packages of this package"""
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,25 +71,31 @@ def _radial(result: Result) -> list[Panel]:
         return []
     radius, along, across = radial(found, result)
     sides = (("along the radius", along), ("across the radius", across))
-    return [_panel(name, radius, w, lambda row: found.name(row)) for name, w in sides if np.isfinite(w).any()]
+    return _panels([(name, radius, w, found.name) for name, w in sides])
 
 
 def _others(result: Result, about: str) -> list[Panel]:
-    panels = []
+    sets = []
     for one in residuals_of(result):
         covariates = {"order": np.arange(1.0, len(one.w) + 1), **one.covariates}
-        if about in covariates and one.checked.any():
+        if about in covariates:
             name = f"residual {one.part.strip('_')}" if one.part else ""
-            panels.append(_panel(name, covariates[about], one.w, one.name))
-    return panels
+            sets.append((name, covariates[about], one.w, one.name))
+    return _panels(sets)
 
 
-def _panel(name: str, covariate: Array, w: Array, named: Callable[[int], str]) -> Panel:
+def _panels(sets: Sequence[tuple[str, Array, Array, Callable[[int], str]]]) -> list[Panel]:
+    """Return a panel for each set of residuals that others check; together they have at most `MOST` marks."""
+    checked = [one for one in sets if np.isfinite(one[2]).any()]
+    return [_panel(*one, MOST // len(checked)) for one in checked]
+
+
+def _panel(name: str, covariate: Array, w: Array, named: Callable[[int], str], most: int) -> Panel:
     kept = np.flatnonzero(np.isfinite(w))
     covariate, w = covariate[kept], w[kept]
     worst = int(np.argmax(np.abs(w)))
     text = named(int(kept[worst])) if abs(w[worst]) > largest_of(len(w)) else ""
-    return Panel(name, covariate, w, trend(covariate, w), thinned(covariate, w), text)
+    return Panel(name, covariate, w, trend(covariate, w), thinned(covariate, w, most), text)
 
 
 def height(found: Against) -> float:
@@ -153,5 +159,5 @@ def _caption(found: Against) -> str:
         text = f"{where}{bins} of {len(panel.trend.means)} means and {wrong} of {len(panel.w)} readings are outside."
         parts.append(text[0].upper() + text[1:])
     first = found.panels[0]
-    kept = f"lowest and highest of each of {MOST // 4} strips, the others at equal steps"
+    kept = f"lowest and highest of each of {MOST // len(found.panels) // 4} strips, the others at equal steps"
     return " ".join(filter(None, [*parts, words(len(first.rows), len(first.w), kept)]))

@@ -47,24 +47,22 @@ def height(found: Coverage) -> float:
 
 def draw(canvas: Canvas, found: Coverage) -> str:
     """Draw the figure and return its caption."""
-    (axes,), bar = canvas.axes_and_bar()
+    axes = canvas.axes()[0]
     axes.grid(False)
     axes.set_aspect("equal")
     shown = np.ma.masked_equal(found.counts, 0)
     drawn = axes.pcolormesh(found.x_edges, found.y_edges, shown, cmap=SIZES, vmin=0)
     drawn.set(edgecolor=canvas.theme.grid, linewidth=0.5)
-    if found.counts.max() < 1000:
-        half = drawn.get_clim()[1] / 2
-        for (i, j), count in np.ndenumerate(found.counts):
-            if count:
-                x, y = found.x_edges[j : j + 2].mean(), found.y_edges[i : i + 2].mean()
-                colour = "#0c0c0c" if count > half else "#fdfdfd"
-                axes.text(x, y, f"{count:.0f}", ha="center", va="center", fontsize=7, color=colour)
+    size = 7 if found.counts.max() < 1000 else 5
+    for (i, j), count in np.ndenumerate(found.counts):
+        if count:
+            x, y = found.x_edges[j : j + 2].mean(), found.y_edges[i : i + 2].mean()
+            colour = "#0c0c0c" if count > found.counts.max() / 2 else "#fdfdfd"
+            axes.text(x, y, f"{count:.0f}", ha="center", va="center", fontsize=size, color=colour)
     axes.invert_yaxis()
     axes.set_xlabel("u (px)")
     axes.set_ylabel("v (px)")
-    canvas.colour_bar(drawn, bar, "readings in a cell")
     return (
-        f"{found.counts.sum():.0f} readings; {100 * found.filled:.0f} % of the cells have at least one, empty cells "
-        "have no colour. The lens is extrapolated where there are no readings."
+        f"Readings in each cell, {found.counts.sum():.0f} together; {100 * found.filled:.0f} % of the cells have "
+        "at least one. The lens is extrapolated where there are no readings."
     )

@@ -14,6 +14,8 @@ from metrocli.plots.style import Canvas, arrows
 from metrocli.plots.thinning import thinned_vectors, words
 from metrocli.result import Result
 
+_MOST = 500
+"""Most vectors; more would hide each other"""
 _SHARE = 1 / 14
 """Length of the vectors in the picture, of its width"""
 
@@ -44,7 +46,7 @@ def data(result: Result, about: str) -> Vectors | None:
     if found is None:
         return None
     sizes = np.hypot(*found.vectors.T)
-    rows = thinned_vectors(found.places, sizes)
+    rows = thinned_vectors(found.places, sizes, _MOST)
     typical = float(np.quantile(sizes, 0.95))
     factor = magnification(typical, _SHARE * found.size[0])
     bound = largest_of(2 * len(sizes))

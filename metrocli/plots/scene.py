@@ -151,7 +151,7 @@ def _draw_scale(axes: Axes, found: Scene, rows: Array, ink: str, muted: str) -> 
 
 
 def _caption(found: Scene) -> str:
-    parts = ["Parallel projection; the three arrows have the stated length along x, y and z."]
+    parts = ["Parallel projection; in the still picture the three arrows have the stated length along x, y and z."]
     for one in found.places:
         if one.vectors is not None:
             sizes = np.linalg.norm(one.vectors, axis=1)

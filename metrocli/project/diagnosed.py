@@ -22,6 +22,7 @@ from metrocli.project import yaml_text
 from metrocli.project.inputs import read_inputs
 from metrocli.project.job import JobFile
 from metrocli.project.runner import Progress, simulate
+from metrocli.record import InputFile
 from metrocli.simulation import SimulationOptions
 
 _NAMED = " with the effects that metrocli diagnose named"
@@ -76,6 +77,16 @@ def _declared(node: Node | None) -> str:
     return node.text if node.kind == "scalar" else ", ".join(filter(None, (_declared(one) for _, one in node.entries)))
 
 
+def identity(job_text: str, inputs: Sequence[InputFile]) -> dict[str, str]:
+    """Return the digest of a job as used, and that of its inputs, by which a diagnosis and a result are matched."""
+    files = "\n".join(sorted(f"{item.sha256} {item.path}" for item in inputs))
+    return {"job_sha256": _whole_digest(job_text), "inputs_sha256": _whole_digest(files)}
+
+
+def _whole_digest(text: str) -> str:
+    return hashlib.sha256(text.encode("utf-8")).hexdigest()
+
+
 def write_extended(job: JobFile, diagnosis: Diagnosis, path: Path | None = None, force: bool = False) -> Path | None:
     """Write the job extended by the named effects, by default beside it as `NAME.extended.yaml`; return its path.
 
@@ -118,7 +129,7 @@ def _refuse_foreign(path: Path) -> None:
 
 
 def _digest(body: str) -> str:
-    return hashlib.sha256(body.encode("utf-8")).hexdigest()[:16]
+    return _whole_digest(body)[:16]
 
 
 def _extended(job: JobFile, effects: Sequence[Node], noise: str, folder: Path) -> Node:

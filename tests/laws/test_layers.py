@@ -14,7 +14,8 @@ ROOT = Path(metrocli.__file__).parent
 LAYERS = [
     {"cli", "__main__"},
     {"project"},
-    {"exports", "plots"},
+    {"exports", "report"},
+    {"plots"},
     {"tasks"},
     {"diagnosis", "uncertainty"},
     {"effects"},
@@ -34,10 +35,11 @@ LAYERS = [
 """From the top down; parts in one layer do not import each other."""
 LEVEL = {part: n for n, layer in enumerate(LAYERS) for part in layer}
 ALLOWED_WITHIN = {("__main__", "cli"), ("simulation", "imageset"), ("result", "record"), ("plan", "result")}
-NOT_FORMATS = {"exports", "plots", "tasks", "diagnosis", "uncertainty", "instruments", "effects", "targets"}
+NOT_FORMATS = {"exports", "plots", "report", "tasks", "diagnosis", "uncertainty", "instruments", "effects", "targets"}
 NOT_KINDS = {"__init__", "job", "kind", "shared"}
 """In `tasks`: what is no kind of job"""
 INSIDE = {
+    "report": [{"result_page", "project_page"}, {"*"}, {"content", "html"}],
     "plots": [{"*"}, {"readings", "places", "style"}, {"noise_bands", "thinning", "magnify"}],
     "adjust": [{"coupled_fields", "iterated_weights", "robust", "dense_jacobian"}, {"adjustment"}, {"*"}, {"model"}],
     "effects": [{"links"}, {"*"}],
