@@ -13,7 +13,7 @@ from types import FrameType
 import click
 
 from metrocli import __version__
-from metrocli.cli.help import COMMANDS, PLACES, help_text, version_text
+from metrocli.cli.help import COMMANDS, PLACES, example_of, help_text, version_text
 from metrocli.errors import InputError, MetrocliError
 from metrocli.tasks import KINDS
 
@@ -35,10 +35,13 @@ class Commands(click.Group):
         if cmd_name in KINDS:
             from metrocli.cli.job_command import make
 
-            return make(cmd_name)
+            made = make(cmd_name)
+            made.epilog = example_of(cmd_name)
+            return made
         if cmd_name not in COMMANDS:
             return None
         command: click.Command = import_module(f"metrocli.cli.{PLACES.get(cmd_name, cmd_name)}").command
+        command.epilog = example_of(cmd_name)
         return command
 
     def resolve_command(
@@ -90,9 +93,9 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except Terminated:
         click.echo("terminated", err=True)
         return TERMINATED
-    except SystemExit:
-        # click raises this when the reader of stdout has gone (`metrocli ... | head`)
-        return BROKEN_PIPE
+    except SystemExit as ended:
+        # click raises this after it has completed a word, and when the reader of stdout has gone (head)
+        return 0 if ended.code == 0 else BROKEN_PIPE
     except click.exceptions.Abort:
         click.echo("interrupted", err=True)
         return INTERRUPTED

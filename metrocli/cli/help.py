@@ -18,10 +18,33 @@ COMMANDS = {
     "report": "a result or a project as one self-contained HTML page",
     "export": "a result in another format: CSV, compensation tables",
     "schema": "JSON schema of a job, for editors",
+    "completion": "completion of commands and options in bash, zsh or fish",
 }
 """The commands that are not kinds of job; each is the module of its name in this package, or where PLACES has it."""
-PLACES = {"plot": "look.plot", "report": "look.report"}
+PLACES = {"plot": "look.plot", "report": "look.report", "completion": "shell.completion"}
 """Modules of commands in packages of this package"""
+
+EXAMPLES = {
+    "init": "metrocli init gear --sample gear-m3d3",
+    "run": "metrocli run gear",
+    "status": "metrocli status gear",
+    "check": "metrocli check jobs/tip4.yaml",
+    "diagnose": "metrocli diagnose jobs/tip4.yaml",
+    "simulate": "metrocli simulate jobs/tip4.yaml --out simulated",
+    "plan": "metrocli plan jobs/tip4.yaml",
+    "show": "metrocli show results/tip4.h5 --table points",
+    "plot": "metrocli plot results/tip4.h5 residuals --save residuals.svg",
+    "report": "metrocli report results/tip4.h5",
+    "export": "metrocli export results/tip4.h5 --to csv",
+    "schema": "metrocli schema multilaterate",
+    "completion": 'eval "$(metrocli completion bash)"',
+}
+"""An example of each command, which its help ends with"""
+
+
+def example_of(command: str) -> str:
+    """Return the example at the end of the help of a command."""
+    return f"Example: {EXAMPLES.get(command, f'metrocli {command} jobs/NAME.yaml')}"
 
 
 def help_text() -> str:
