@@ -10,7 +10,7 @@ import click
 
 from metrocli import __version__
 from metrocli.cli.console import echo
-from metrocli.cli.help import COMMANDS, ROOMS, help_text, version_text
+from metrocli.cli.help import COMMANDS, ROOMS, example_of, help_text, version_text
 from metrocli.cli.shell.signals import INTERRUPTED, TERMINATED, Terminated, ending
 from metrocli.errors import InputError, MetrocliError
 from metrocli.tasks import KINDS
@@ -29,10 +29,13 @@ class Commands(click.Group):
         if cmd_name in KINDS:
             from metrocli.cli.job_command import make
 
-            return make(cmd_name)
+            made = make(cmd_name)
+            made.epilog = example_of(cmd_name)
+            return made
         if cmd_name not in COMMANDS:
             return None
         command: click.Command = import_module(f"metrocli.cli.{ROOMS.get(cmd_name, '')}{cmd_name}").command
+        command.epilog = example_of(cmd_name)
         return command
 
     def resolve_command(
@@ -91,9 +94,9 @@ def _carry_out(arguments: list[str]) -> tuple[int, Exception | None]:
     except Terminated:
         echo("terminated", err=True)
         return TERMINATED, None
-    except SystemExit:
-        # click raises this when the reader of stdout has gone (`metrocli ... | head`)
-        return BROKEN_PIPE, None
+    except SystemExit as ended:
+        # click raises this after it has completed a word, and when the reader of stdout has gone (head)
+        return (0 if ended.code == 0 else BROKEN_PIPE), None
     except click.exceptions.Abort:
         echo("interrupted", err=True)
         return INTERRUPTED, None

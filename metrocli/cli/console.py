@@ -19,6 +19,17 @@ def echo(text: str, err: bool = False, nl: bool = True) -> None:
     click.echo(_CONTROL.sub("\N{REPLACEMENT CHARACTER}", text), err=err, nl=nl)
 
 
+def progress_text(done: int, of: int | None, elapsed: float) -> str:
+    """Return how many parts are done and, where their number is known, how long the others take at that rate [s]."""
+    if not of:
+        return f"{done} parts"
+    if not done:
+        return f"0 of {of} parts"
+    left = elapsed * (of - done) / done
+    # spaces at the end clear what a longer line left
+    return f"{done} of {of} parts, about {left:.0f} s left   "
+
+
 @dataclass(frozen=True)
 class Console:
     """Print as much as `--quiet` and `--verbose` ask for."""
@@ -60,7 +71,7 @@ class Console:
         def show(done: int, of: int | None) -> None:
             nonlocal shown
             if watched and time.monotonic() - begun > 2:
-                click.echo(f"\r{done} of {of} parts" if of else f"\r{done} parts", err=True, nl=False)
+                click.echo(f"\r{progress_text(done, of, time.monotonic() - begun)}", err=True, nl=False)
                 shown = True
 
         try:

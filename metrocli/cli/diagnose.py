@@ -43,6 +43,7 @@ def command(job: Path, design: bool, output: Path | None, force: bool, as_json: 
     from metrocli.diagnosis import verdict
     from metrocli.errors import InputError
     from metrocli.project import diagnosed
+    from metrocli.project.inputs import input_files
     from metrocli.project.job import Wishes, kind_of_job, load
     from metrocli.record import NOT_MET
     from metrocli.tasks import KINDS
@@ -70,7 +71,9 @@ def command(job: Path, design: bool, output: Path | None, force: bool, as_json: 
             raise
         echo(f"warning: no extended job was written: {error}", err=True)
     if as_json:
-        echo(summary.as_json(verdict.as_data(diagnosis) | {"extended_job": extended and str(extended)}))
+        of = diagnosed.identity(loaded.text, input_files(loaded))
+        more = {"extended_job": extended and str(extended), "of": of}
+        echo(summary.as_json(verdict.as_data(diagnosis) | more))
     console.print(findings.of_diagnosis(diagnosis, extended))
     return NOT_MET if wanted["require"] not in (None, diagnosis.verdict) else 0
 

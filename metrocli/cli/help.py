@@ -19,11 +19,49 @@ COMMANDS = {
     "lineage": "where a result comes from, back to the measurements",
     "diff": "what changed between two results, and which input or setting",
     "rerun": "the same result again, from the job and inputs that it names",
+    "plot": "a figure of a result (without a name: their names)",
+    "report": "a result or a project as one self-contained HTML page",
     "export": "a result in another format: CSV, compensation tables",
     "schema": "JSON schema of a job, for editors",
+    "completion": "completion of commands and options in bash, zsh or fish",
 }
 """The commands that are not kinds of job; each is the module of its name in this package or in one of ROOMS."""
-ROOMS = {"gather": "provenance.", "lineage": "provenance.", "diff": "provenance.", "rerun": "provenance."}
+ROOMS = {
+    "gather": "provenance.",
+    "lineage": "provenance.",
+    "diff": "provenance.",
+    "rerun": "provenance.",
+    "plot": "look.",
+    "report": "look.",
+    "completion": "shell.",
+}
+
+EXAMPLES = {
+    "init": "metrocli init gear --sample gear-m3d3",
+    "run": "metrocli run gear",
+    "status": "metrocli status gear",
+    "check": "metrocli check jobs/tip4.yaml",
+    "diagnose": "metrocli diagnose jobs/tip4.yaml",
+    "simulate": "metrocli simulate jobs/tip4.yaml --out simulated",
+    "plan": "metrocli plan jobs/tip4.yaml",
+    "effects": "metrocli effects multilaterate",
+    "gather": "metrocli gather PROJECT --out parts.csv",
+    "lineage": "metrocli lineage results/tip4.h5",
+    "diff": "metrocli diff results/tip3.h5 results/tip4.h5",
+    "rerun": "metrocli rerun results/tip4.h5",
+    "show": "metrocli show results/tip4.h5 --table points",
+    "plot": "metrocli plot results/tip4.h5 residuals --save residuals.svg",
+    "report": "metrocli report results/tip4.h5",
+    "export": "metrocli export results/tip4.h5 --to csv",
+    "schema": "metrocli schema multilaterate",
+    "completion": 'eval "$(metrocli completion bash)"',
+}
+"""An example of each command, which its help ends with"""
+
+
+def example_of(command: str) -> str:
+    """Return the example at the end of the help of a command."""
+    return f"Example: {EXAMPLES.get(command, f'metrocli {command} jobs/NAME.yaml')}"
 
 
 def help_text() -> str:

@@ -7,11 +7,14 @@ import sys
 
 from metrocli.cli.help import help_text, version_text
 
+COMPLETE = "_METROCLI_COMPLETE"
+"""Set by the completion of the shell, which then calls without arguments"""
+
 
 def main() -> None:
     """Run the installed command `metrocli`."""
     arguments = sys.argv[1:]
-    if arguments in ([], ["-h"], ["--help"]):
+    if arguments in ([], ["-h"], ["--help"]) and COMPLETE not in os.environ:
         sys.stdout.write(help_text())
     elif arguments == ["--version"]:
         sys.stdout.write(version_text() + "\n")

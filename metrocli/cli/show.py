@@ -21,8 +21,9 @@ QUESTIONS = {question.name: question for kind in KINDS.values() for question in 
 @click.argument("result", type=click.Path(path_type=Path), metavar="RESULT.h5")
 @click.option("--table", "name", metavar="NAME", help="Print one whole table as CSV.")
 @options.all_of(*map(options.asking, QUESTIONS.values()))
+@click.option("--units", type=click.Choice(["mm", "inch"]), default="mm", help="Unit of lengths; default mm.")
 @options.JSON
-def command(result: Path, name: str | None, as_json: bool, **asked: tuple[str, ...] | None) -> int:
+def command(result: Path, name: str | None, units: str, as_json: bool, **asked: tuple[str, ...] | None) -> int:
     """Print a result as its job did, or one of its tables, or the answer to a question of its kind."""
     from metrocli.cli import summary, terminal
     from metrocli.errors import UsageError
@@ -33,6 +34,12 @@ def command(result: Path, name: str | None, as_json: bool, **asked: tuple[str, .
     wanted = [f"--{one}" for one in QUESTIONS if asked[one] is not None] + ["--table"] * (name is not None)
     if len(wanted) > 1:
         raise UsageError(f"{' and '.join(wanted)}: one question at a time")
+    if units == "inch":
+        if as_json or wanted:
+            raise UsageError("--units inch is for the result on the terminal; tables, questions and --json are in mm")
+        from metrocli.cli.look.inches import in_inches
+
+        found = in_inches(found)
     if name is not None:
         if name not in found.tables:
             raise UsageError(f"{result} has no table '{name}'; {suggestion(name, found.tables)}")

@@ -26,6 +26,7 @@ from metrocli.project import yaml_text
 from metrocli.project.inputs import read_inputs
 from metrocli.project.job import JobFile
 from metrocli.project.runner import Progress, simulate
+from metrocli.record import InputFile
 from metrocli.simulation import SimulationOptions
 
 _MODEL = "model"
@@ -87,6 +88,16 @@ def _declared(node: Node | None) -> str:
     return ", ".join(filter(None, (_declared(one) for key, one in node.entries if key.text != _MODEL)))
 
 
+def identity(job_text: str, inputs: Sequence[InputFile]) -> dict[str, str]:
+    """Return the digest of a job as used, and that of its inputs, by which a diagnosis and a result are matched."""
+    files = "\n".join(sorted(f"{item.sha256} {item.path}" for item in inputs))
+    return {"job_sha256": _whole_digest(job_text), "inputs_sha256": _whole_digest(files)}
+
+
+def _whole_digest(text: str) -> str:
+    return hashlib.sha256(text.encode("utf-8")).hexdigest()
+
+
 def _model(node: Node | None) -> str:
     """Return `estimated` or `structured` if the job has it, alone or beside declared parts; else ''."""
     found = node.get(_MODEL) if node is not None and node.kind == "mapping" else node
@@ -143,7 +154,7 @@ def _refuse_foreign(path: Path) -> None:
 
 
 def _digest(body: str) -> str:
-    return hashlib.sha256(body.encode("utf-8")).hexdigest()[:16]
+    return _whole_digest(body)[:16]
 
 
 def _free_name(diagnosis: Diagnosis) -> str:

@@ -171,9 +171,7 @@ def kind_of_job(path: Path) -> str | None:
     return _kind(_root(path, (), [])[0], path, None)
 
 
-def _root(
-    path: Path, overrides: Sequence[str], faults: list[Fault], text: str | None = None
-) -> tuple[Node, str]:
+def _root(path: Path, overrides: Sequence[str], faults: list[Fault], text: str | None = None) -> tuple[Node, str]:
     """Return the tree of a job file with the overrides applied, and the equivalent YAML text.
 
     A fault for each repeated key is added to `faults`.

@@ -76,6 +76,13 @@ def load_project(place: Path, accept_doubtful: bool = False) -> tuple[Step, ...]
     return tuple(Step(name, jobs[name], needs[name]) for name in _ordered(listed, needs))
 
 
+def name_of_project(place: Path) -> str:
+    """Return the name that the project file states; empty without one."""
+    path = project_file(place)
+    node = yaml_text.parse(yaml_text.read_text(path, str(path)), str(path), path.parent).get("project")
+    return node.text if node is not None else ""
+
+
 @dataclass(frozen=True)
 class _Listed:
     """A job of the project: its place in metrocli.yaml, and the part that it is for."""

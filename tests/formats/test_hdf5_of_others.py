@@ -24,7 +24,9 @@ RESULT = Result(
     estimates=(Estimate("x", 1.5, 0.1, "mm"), Estimate("y", 0.1, 0.001, "rad")),
     covariance=np.array([[0.01, 1e-5], [1e-5, 1e-6]]),
     statistics={"observations": 10, "sigma0": 1.25, "rms": {"px": 0.1}},
-    tables={"residuals": Table({"image": np.array(["a", "b"]), "residual": np.array([0.1, np.nan])}, {"residual": "px"})},
+    tables={
+        "residuals": Table({"image": np.array(["a", "b"]), "residual": np.array([0.1, np.nan])}, {"residual": "px"})
+    },
     arrays={"points_covariance": np.stack([np.eye(3), np.diag([1.0, 4.0, 9.0])])},
     shown=(ShownTable("residuals"),),
 )

@@ -14,7 +14,8 @@ ROOT = Path(metrocli.__file__).parent
 LAYERS = [
     {"cli", "__main__"},
     {"project"},
-    {"exports"},
+    {"exports", "report"},
+    {"plots"},
     {"tasks"},
     {"diagnosis", "uncertainty"},
     {"effects"},
@@ -34,10 +35,12 @@ LAYERS = [
 """From the top down; parts in one layer do not import each other."""
 LEVEL = {part: n for n, layer in enumerate(LAYERS) for part in layer}
 ALLOWED_WITHIN = {("__main__", "cli"), ("simulation", "imageset"), ("result", "record"), ("plan", "result")}
-NOT_FORMATS = {"exports", "tasks", "diagnosis", "uncertainty", "instruments", "effects", "targets"}
+NOT_FORMATS = {"exports", "plots", "report", "tasks", "diagnosis", "uncertainty", "instruments", "effects", "targets"}
 NOT_KINDS = {"__init__", "job", "kind", "shared"}
 """In `tasks`: what is no kind of job"""
 INSIDE = {
+    "report": [{"result_page", "project_page"}, {"*"}, {"content", "html"}],
+    "plots": [{"*"}, {"readings", "places", "style"}, {"noise_bands", "thinning", "magnify"}],
     "adjust": [{"coupled_fields", "iterated_weights", "robust", "dense_jacobian"}, {"adjustment"}, {"*"}, {"model"}],
     "effects": [{"own"}, {"links"}, {"*"}],
     "diagnosis": [
@@ -59,6 +62,7 @@ ONLY_IN = {
     "click": {"cli"},
     "cv2": {"targets", "formats/images"},
     "distributed": {"uncertainty"},
+    "matplotlib": {"plots"},
 }
 FORBIDDEN = {"scipy.stats": "slow to import; scipy.special has the distributions"}
 VAGUE = {"utils", "util", "helpers", "helper", "common", "core", "base", "manager", "misc", "tools"}

@@ -12,13 +12,16 @@ import h5py
 import pytest
 
 HEAD = "metrocli: 1\njob: straight-line\n"
-JOB = HEAD + """\
+JOB = (
+    HEAD
+    + """\
 for: {part: ../parts.csv}
 title: Gear {part} of {customer}
 noise: "{noise} mm"
 inputs: {readings: "../data/{part}.csv"}
 output: ../results/{part}.h5
 """
+)
 PARTS = "part,customer,noise\nA1,Müller,0.1\nA2,Smith,0.2\n012,Müller,0.1\n"
 
 
@@ -46,7 +49,7 @@ def test_each_part_has_its_result(project: Path, metrocli: Callable[..., Any]) -
     with h5py.File("results/A2.h5") as file:
         assert file.attrs["title"] == "Gear A2 of Smith"
         text = file["job"].asstr()[()]
-    assert "noise: \"0.2 mm\"\n" in text
+    assert 'noise: "0.2 mm"\n' in text
     assert "for:" not in text
     assert metrocli("rerun", "results/A2.h5").code == 0
     assert [line.split(": ")[1] for line in metrocli("status").out.splitlines()] == ["up to date"] * 3

@@ -194,7 +194,9 @@ class TestExports:
         Path("jobs/first.yaml").write_text(FIRST.replace("0.1 mm", "0.2 mm"))
         metrocli("run")
         assert metrocli(*export).code == 0
-        check = subprocess.run(["sha256sum", "--check", ".metrocli-files"], cwd="data", check=False, capture_output=True)
+        check = subprocess.run(
+            ["sha256sum", "--check", ".metrocli-files"], cwd="data", check=False, capture_output=True
+        )
         assert check.returncode == 0
         Path("data/residuals.csv").write_text(Path("data/residuals.csv").read_text() + "note\n")
         assert metrocli(*export).code == 3

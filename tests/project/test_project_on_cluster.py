@@ -39,6 +39,7 @@ def cluster(tmp_path: Path) -> Iterator[tuple[Path, list[subprocess.Popen[bytes]
     elsewhere.mkdir()
     file = elsewhere / "scheduler.json"
     with (elsewhere / "log.txt").open("wb") as log:
+
         def start(*words: str) -> subprocess.Popen[bytes]:
             return subprocess.Popen([sys.executable, *words], cwd=elsewhere, env=ENVIRONMENT, stdout=log, stderr=log)
 
@@ -85,7 +86,9 @@ def test_the_results_are_those_of_this_computer(
     Path("data/p3.csv").rename("data/p3")
     Path("data/p3.csv").write_text("l_mm\n10\nx\n")
     done = metrocli("run", "--scheduler", file)
-    assert (done.code, "\njobs/part.yaml:4:58: error: quantities.a: data/p3.csv:3: 'x'" in done.err) == (3, True), done.err
+    assert (done.code, "\njobs/part.yaml:4:58: error: quantities.a: data/p3.csv:3: 'x'" in done.err) == (3, True), (
+        done.err
+    )
     assert {name: one for name, one in local.items() if name != "p3"} == contents()
     Path("data/p3").rename("data/p3.csv")
     assert metrocli("run", "--scheduler", file).code == 0

@@ -1,1 +1,1 @@
-"""What surrounds every command."""
+"""What surrounds every command, and commands for the shell in which metrocli runs."""

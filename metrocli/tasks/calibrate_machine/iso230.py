@@ -84,7 +84,7 @@ def positioning(runs: Sequence[Run]) -> tuple[Table | None, tuple[str, ...]]:
     Without such a line there is no table. Runs of several lines are not pooled, since each line has its own zero. A run
     that lacks a target of the others is left out: the figures need all runs at each target.
     """
-    lines = dict.fromkeys((axis, run.at, run.line) for axis in "XYZ" for run in runs if run.axis == axis)
+    lines = _lines(runs)
     rows, warnings = [], []
     for line in lines:
         own, lacking = _complete([run for run in runs if (run.axis, run.at, run.line) == line])
@@ -129,13 +129,46 @@ def _complete(runs: Sequence[Run]) -> tuple[list[Run], list[str]]:
 
 
 def _of_runs(runs: Sequence[Run]) -> Figures | None:
+    up, down = _both_ways(runs)
+    return figures(up, down) if len(up) and len(down) else None
+
+
+def _both_ways(runs: Sequence[Run]) -> tuple[Array, Array]:
+    """Return the deviations (runs, targets) in the positive and in the negative direction, ordered by target."""
     either: dict[bool, list[Array]] = {True: [], False: []}
     for run in runs:
         order = np.argsort(run.targets, kind="stable")
         either[bool(run.targets[-1] > run.targets[0])].append(run.deviation[order])
-    if not (either[True] and either[False]):
+    return np.array(either[True]), np.array(either[False])
+
+
+def at_targets(runs: Sequence[Run]) -> Table | None:
+    """Return mean and standard deviation (nan of one run) in both directions at each target of the same lines."""
+    parts = []
+    for axis, at, line in _lines(runs):
+        own, _ = _complete([run for run in runs if (run.axis, run.at, run.line) == (axis, at, line)])
+        up, down = _both_ways(own)
+        if len(up) and len(down):
+            position = np.sort(own[0].targets)
+            names = {"axis": axis, "at": _named(axis, at), "line": line}
+            labels = {name: np.full(len(position), text) for name, text in names.items()}
+            means = {"up": up.mean(axis=0), "down": down.mean(axis=0)}
+            spread = {"s_up": _spread(up), "s_down": _spread(down)}
+            parts.append(labels | {"position": position} | means | spread)
+    if not parts:
         return None
-    return figures(np.array(either[True]), np.array(either[False]))
+    columns: dict[str, Values] = {name: np.concatenate([one[name] for one in parts]) for name in parts[0]}
+    return Table(columns, dict.fromkeys(("position", "up", "s_up", "down", "s_down"), "mm"))
+
+
+def _spread(deviations: Array) -> Array:
+    """Return the standard deviation of runs (runs, targets) at each target; nan of one run."""
+    return deviations.std(axis=0, ddof=1) if len(deviations) > 1 else np.full(deviations.shape[1], np.nan)
+
+
+def _lines(runs: Sequence[Run]) -> list[tuple[str, tuple[float, ...], str]]:
+    """Return axis, place and name of each line, in the order of the axes."""
+    return list(dict.fromkeys((axis, run.at, run.line) for axis in "XYZ" for run in runs if run.axis == axis))
 
 
 def _too_few(axis: str, found: Figures, runs: Sequence[Run]) -> list[str]:

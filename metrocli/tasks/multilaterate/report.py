@@ -27,9 +27,11 @@ from metrocli.tasks.multilaterate.uncontrolled import scale_warnings, uncontroll
 from metrocli.tasks.shared.statistics import (
     REMOVE,
     basic_statistics,
+    condition_columns,
     found_notes,
     noise_notes,
     noise_warnings,
+    units_of,
     with_found,
 )
 from metrocli.tasks.shared.structured_noise import NoiseFound
@@ -148,7 +150,9 @@ def _residuals(solved: Solved) -> Table:
         "normalised": found.normalised[0],
         **reliability(solved.solution, solved.group, found, solved.critical),
     }
-    return Table(columns, dict.fromkeys(("reading", "residual", "sigma", *RELIABILITY_UNITS), "mm"))
+    when = condition_columns(observations)
+    in_mm = dict.fromkeys(("reading", "residual", "sigma", *RELIABILITY_UNITS), "mm")
+    return Table({**columns, **when}, in_mm | units_of(when))
 
 
 def _rejected(solved: Solved) -> Table:

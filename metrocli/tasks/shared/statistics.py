@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from metrocli.adjust.model.groups import Group
+from metrocli.adjust.model.observations import Array, Observations
 from metrocli.adjust.probabilities import chi_square_bound
 from metrocli.adjust.solution import Residuals, Solution
 from metrocli.result import Scalar
@@ -97,7 +98,23 @@ def residual_table(residuals: Residuals, group: Group) -> Table:
         ("redundancy", residuals.redundancy),
     ):
         columns[name] = np.ascontiguousarray(values.T).ravel()
-    return Table(columns, dict.fromkeys(("reading", "residual", "sigma"), observations.unit))
+    when = condition_columns(observations)
+    columns |= {name: np.repeat(values, d) for name, values in when.items()}
+    return Table(columns, dict.fromkeys(("reading", "residual", "sigma"), observations.unit) | units_of(when))
+
+
+_CONDITIONS = {"t": "s", "temp": "degC"}
+"""Conditions of a reading that tables of residuals have where the data have them, with their units"""
+
+
+def condition_columns(observations: Observations) -> dict[str, Array]:
+    """Return time and temperature of each reading, (n,) each, as far as the data have them."""
+    return {name: observations.conditions[name] for name in _CONDITIONS if name in observations.conditions}
+
+
+def units_of(conditions: Mapping[str, Array]) -> dict[str, str]:
+    """Return the units of columns of conditions."""
+    return {name: _CONDITIONS[name] for name in conditions}
 
 
 def chi_interval(solution: Solution) -> tuple[float, float]:

@@ -10,7 +10,7 @@ from simulated.machine import line, line_table
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
-from metrocli.tasks.calibrate_machine.iso230 import Run, figures, positioning
+from metrocli.tasks.calibrate_machine.iso230 import Run, at_targets, figures, positioning
 from metrocli.tasks.calibrate_machine.settings import Noise, Settings
 
 KNOTS = (5, 6, 5)
@@ -284,3 +284,20 @@ def test_a_wrong_reading_is_named_with_its_place(machine: sim.Machine) -> None:
     result = calibrate_machine.run(calibrate_machine.TASK.job(job(), lines=lines))
     assert result.tables["suspects"].texts("line")[0] == "L0 at 75 mm"
     assert any("line L0 at 75 mm (w = " in warning for warning in result.warnings)
+
+
+def test_deviations_at_targets_by_hand() -> None:
+    """Two runs up and one down: means and standard deviations at each target, in ascending order."""
+    targets = np.array([0.0, 10.0])
+    runs = [
+        Run("Y", targets, np.array([0.001, 0.004]), (5.0, 0.0), "L"),
+        Run("Y", targets[::-1], np.array([0.009, 0.002]), (5.0, 0.0), "L"),
+        Run("Y", targets, np.array([0.003, 0.004]), (5.0, 0.0), "L"),
+    ]
+    found = at_targets(runs)
+    assert found is not None and found.texts("at") == ["X = 5 mm, Z = 0 mm"] * 2
+    assert found.numbers("up") == pytest.approx([0.002, 0.004]) and found.numbers("down") == pytest.approx(
+        [0.002, 0.009]
+    )
+    assert found.numbers("s_up") == pytest.approx([0.001 * np.sqrt(2), 0.0]) and np.isnan(found.numbers("s_down")).all()
+    assert at_targets(runs[:1]) is None

@@ -18,7 +18,7 @@ from metrocli.errors import Fault, InputError
 from metrocli.instruments.machine import TOOL, Machine
 from metrocli.instruments.six_dof import ACROSS, CHANNELS, LINE, POSITION, LineNoise, line_block, line_chain
 from metrocli.table import Table
-from metrocli.tasks.calibrate_machine.iso230 import Run, positioning
+from metrocli.tasks.calibrate_machine.iso230 import Run, at_targets, positioning
 from metrocli.tasks.calibrate_machine.problem import (
     Problem,
     commanded,
@@ -155,7 +155,9 @@ def six_dof(settings: Settings, table: Table) -> Problem:
     must_support(machine, lines.position, blocks)
     laser = laser_noise(settings)
     along = lines.along
-    figures, warnings = positioning(runs_of(lines, table))
+    runs = runs_of(lines, table)
+    figures, warnings = positioning(runs)
+    found = {"positioning": figures, "positioning_targets": at_targets(runs)}
     observations = Observations(
         table.stacked(CHANNELS).T,
         np.ones(1),
@@ -176,7 +178,7 @@ def six_dof(settings: Settings, table: Table) -> Problem:
         np.ones(len(table)),
         tuple(settings.tools),
         facts={"lines": len(lines.names)},
-        tables={"positioning": figures} if figures is not None else {},
+        tables={name: one for name, one in found.items() if one is not None},
         warnings=warnings,
     )
 

@@ -1,0 +1,137 @@
+"""metrocli report: a result or a project as a self-contained HTML page."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from metrocli.cli import options
+
+if TYPE_CHECKING:
+    from metrocli.project.steps import Step
+    from metrocli.record import Record
+    from metrocli.report.content import Diagnosis
+
+
+@click.command("report", help="Write a result, or a project with all its results, as self-contained HTML pages.")
+@click.argument("place", type=click.Path(path_type=Path), metavar="RESULT.h5|PROJECT")
+@click.option(
+    "--out", type=click.Path(path_type=Path), metavar="FILE", help="Page to write (default: beside the result)."
+)
+@click.option(
+    "--diagnosis", type=click.Path(path_type=Path), metavar="FILE.json", help="Output of `metrocli diagnose --json`."
+)
+@options.QUIET
+def command(place: Path, out: Path | None, diagnosis: Path | None, quiet: bool) -> int:
+    """Write NAME.html beside a result, or report/index.html and the page of each result for a project."""
+    from metrocli.errors import UsageError
+    from metrocli.project.steps import FILE
+
+    if place.is_dir() or place.name == FILE:
+        if diagnosis is not None:
+            raise UsageError("--diagnosis is for the page of one result; beside NAME.h5, NAME.diagnosis.json is found")
+        written = _project(place, out)
+    else:
+        path = out or place.with_suffix(".html")
+        _write(path, _page(place, diagnosis, "JOB.yaml"))
+        written = [path]
+    for path in () if quiet else written:
+        click.echo(path)
+    return 0
+
+
+def _page(result: Path, diagnosis: Path | None, job: str) -> str:
+    from dataclasses import replace
+
+    from metrocli.cli import columns
+    from metrocli.formats import hdf5
+    from metrocli.report.content import Content
+    from metrocli.report.result_page import result_page
+
+    found, record = hdf5.read(result)
+    tables = {}
+    for one in found.shown:
+        if one.name in found.tables and len(found.tables[one.name]):
+            table = found.tables[one.name]
+            kept = {name: table.columns[name] for name in one.columns or table if name in table}
+            tables[one.name] = columns.table_text(replace(table, columns=kept))
+    held = _diagnosis(result, diagnosis, record)
+    return result_page(Content(found, record, result.name, tables, held, job=job))
+
+
+def _diagnosis(result: Path, given: Path | None, record: Record) -> Diagnosis | None:
+    """Return the diagnosis that is given, else the one beside the result; raise InputError if it cannot be read."""
+    import json
+
+    from metrocli.errors import Fault, InputError
+    from metrocli.project.diagnosed import identity
+    from metrocli.report.content import Diagnosis
+
+    path = given or result.with_name(f"{result.stem}.diagnosis.json")
+    if given is None and not path.is_file():
+        return None
+    try:
+        data: Any = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        hint = "write it by: metrocli diagnose JOB.yaml --json > FILE.json"
+        raise InputError(
+            [Fault(f"this is not the output of metrocli diagnose --json: {error}", str(path), hint=hint)]
+        ) from error
+    if not isinstance(data, dict) or "verdict" not in data:
+        hint = "write it by: metrocli diagnose JOB.yaml --json > FILE.json"
+        raise InputError([Fault("this is not the output of metrocli diagnose --json", str(path), hint=hint)])
+    return Diagnosis(data, str(path), data.get("of") == identity(record.job_text, record.inputs))
+
+
+_DIAGNOSE = "write it by: metrocli diagnose JOB.yaml --json > FILE.json"
+
+
+def _project(place: Path, out: Path | None) -> list[Path]:
+    """Write the pages of all results that exist, and the page that leads to them."""
+    from metrocli.project.pipeline import states
+    from metrocli.project.steps import load_project, name_of_project, project_file
+    from metrocli.report.project_page import Entry, project_page
+
+    file = project_file(place)
+    index = out or file.parent / "report" / "index.html"
+    found, written = list(states(load_project(place))), []
+    made = {step.job.output.resolve() for step in (one.step for one in found)}
+    entries = []
+    for state in found:
+        step, page = state.step, ""
+        if step.job.output.is_file():
+            page = f"{step.job.output.stem}.html"
+            _write(index.parent / page, _page(step.job.output, None, step.name))
+            written.append(index.parent / page)
+        status = state.record.status if state.record is not None else ""
+        own = tuple(_files(step, made, file.parent))
+        entry = Entry(step.name, step.job.kind, step.job.heading.title, status, state.reason, step.needs, own, page)
+        entries.append(entry)
+    _write(index, project_page(name_of_project(place) or file.parent.resolve().name, entries))
+    return [index, *written]
+
+
+def _files(step: Step, made: set[Path], home: Path) -> list[str]:
+    """Return the inputs that no job of the project writes, from the folder `home`; several of one key as one."""
+    names = []
+    for item in step.job.inputs:
+        paths = [path for path in item.paths if path.resolve() not in made]
+        if len(paths) == 1:
+            names.append(_from(home, paths[0]))
+        elif paths:
+            names.append(f"{_from(home, paths[0].parent)}/ ({len(paths)} files)")
+    return names
+
+
+def _from(home: Path, path: Path) -> str:
+    return Path(os.path.relpath(path, home)).as_posix()
+
+
+def _write(path: Path, text: str) -> None:
+    from metrocli.formats import aside
+
+    with aside.written_aside(path) as temporary:
+        temporary.write_text(text, encoding="utf-8", newline="\n")

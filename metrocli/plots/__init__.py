@@ -1,0 +1,100 @@
+"""Figures of results. Each figure is one module here and one entry in FIGURES; only this package loads matplotlib."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from metrocli.errors import UsageError
+from metrocli.words import suggestion
+
+if TYPE_CHECKING:
+    from metrocli.plots.style import Canvas
+    from metrocli.result import Result
+
+FORMS = ("svg", "pdf", "png")
+"""Formats of files, by their ending"""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """Module of a figure, and what of it is shown; the module is imported only when it is used."""
+
+    module: str
+    summary: str
+    about: str = ""
+
+
+FIGURES: dict[str, Entry] = {
+    "scene": Entry("scene", "3-D view of points, tracers, cameras, with deviations and ellipsoids"),
+    "residuals": Entry("against", "normalised residuals in the order of the readings", "order"),
+    "residuals-radius": Entry("against", "normalised residuals against the radius in the image", "radius"),
+    "residuals-time": Entry("against", "normalised residuals against time", "time"),
+    "residuals-temperature": Entry("against", "normalised residuals against temperature", "temperature"),
+    "residuals-length": Entry("against", "normalised residuals against the length", "length"),
+    "residuals-x": Entry("against", "normalised residuals against x", "x"),
+    "residuals-y": Entry("against", "normalised residuals against y", "y"),
+    "residuals-z": Entry("against", "normalised residuals against z", "z"),
+    "residuals-image": Entry("image_vectors", "residual vectors over the image"),
+    "residuals-part": Entry("part_vectors", "residuals over the part"),
+    "normal-plot": Entry("normal_plot", "normal plot of the normalised residuals"),
+    "coverage": Entry("coverage", "coverage of the image by readings"),
+    "error-curves": Entry("error_curves", "errors of a machine over its axes (actual minus commanded)"),
+    "positioning": Entry("positioning", "positioning of the axes by ISO 230-2"),
+    "volumetric-error": Entry("volume_map", "error of the machine over the volume", "error"),
+    "uncertainty-map": Entry("volume_map", "standard uncertainty over the volume", "uncertainty"),
+    "budget": Entry("budget", "uncertainty budget as a Pareto chart"),
+    "conformity": Entry("conformity", "values against tolerance and guard band"),
+    "correlation": Entry("correlation", "correlation matrix of the estimates"),
+}
+"""All figures, in the order in which a page shows them"""
+
+
+def data_of(name: str, result: Result) -> Any:
+    """Return the data of a figure, or None if the result cannot show it."""
+    entry = FIGURES[name]
+    return import_module(f"metrocli.plots.{entry.module}").data(result, entry.about)
+
+
+def names_of(result: Result) -> list[str]:
+    """Return the names of the figures that a result can show."""
+    return [name for name in FIGURES if data_of(name, result) is not None]
+
+
+@contextmanager
+def drawn(name: str, data: Any, dark: bool = False) -> Iterator[tuple[Canvas, str]]:
+    """Yield a figure with its title, and its caption, which states what is shown, in what unit and magnification."""
+    from metrocli.plots import style
+
+    entry = FIGURES[name]
+    module = import_module(f"metrocli.plots.{entry.module}")
+    with style.canvas(name, module.height(data), style.DARK if dark else style.LIGHT) as canvas:
+        caption: str = module.draw(canvas, data)
+        yield canvas, caption
+
+
+def title_of(name: str) -> str:
+    """Return the title of a figure: its summary with a capital letter."""
+    summary = FIGURES[name].summary
+    return f"{summary[0].upper()}{summary[1:]}"
+
+
+def check(result: Result, name: str, path: Path) -> None:
+    """Raise UsageError if a result has no such figure, or if the ending of the file is not svg, pdf or png."""
+    if path.suffix.lower().removeprefix(".") not in FORMS:
+        raise UsageError(f"--save {path}: the name of a figure ends in .svg, .pdf or .png")
+    if name not in FIGURES or data_of(name, result) is None:
+        raise UsageError(f"this result of {result.kind} has no figure '{name}'; {suggestion(name, names_of(result))}")
+
+
+def save(result: Result, name: str, path: Path, ending: str, dark: bool = False) -> None:
+    """Write a figure that `check` accepts, with title and caption, in the format of an ending such as ".svg"."""
+    from metrocli.plots import style
+
+    with drawn(name, data_of(name, result), dark) as (canvas, caption):
+        style.arrange(canvas, title_of(name), caption)
+        style.write(canvas, path, ending.lower().removeprefix("."))

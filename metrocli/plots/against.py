@@ -1,0 +1,163 @@
+"""Normalised residuals against their order, radius, time, temperature or length, with the envelope of pure noise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from metrocli.plots.noise_bands import Array, Trend, largest_of, trend
+from metrocli.plots.readings import image_residuals, radial, residuals_of
+from metrocli.plots.style import Canvas
+from metrocli.plots.thinning import MOST, Index, thinned, words
+from metrocli.result import Result
+
+_LABELS = {
+    "order": "order of the readings",
+    "radius": "distance from the principal point (px)",
+    "time": "time (s)",
+    "temperature": "temperature (°C)",
+    "length": "reading (mm)",
+    "x": "x (mm)",
+    "y": "y (mm)",
+    "z": "z (mm)",
+}
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One set of residuals against one covariate."""
+
+    name: str
+    covariate: Array
+    w: Array
+    trend: Trend
+    rows: Index
+    """Readings that are shown"""
+    label: str
+    """Name of the reading with the largest |w|, if that is beyond `most`"""
+
+    @property
+    def most(self) -> float:
+        """The bound that the largest |w| of pure noise exceeds in 5 % of measurements."""
+        return largest_of(len(self.w))
+
+    @property
+    def beyond(self) -> Index:
+        """The readings with larger |w|, largest first."""
+        rows = np.flatnonzero(np.abs(self.w) > self.most)
+        return rows[np.argsort(-np.abs(self.w[rows]), kind="stable")]
+
+
+@dataclass(frozen=True)
+class Against:
+    """What the figure shows."""
+
+    about: str
+    panels: tuple[Panel, ...]
+
+
+def data(result: Result, about: str) -> Against | None:
+    """Return the residuals against a covariate; None if the result lacks it."""
+    panels = _radial(result) if about == "radius" else _others(result, about)
+    return Against(about, tuple(panels)) if panels else None
+
+
+def _radial(result: Result) -> list[Panel]:
+    found = image_residuals(result)
+    if found is None:
+        return []
+    radius, along, across = radial(found, result)
+    sides = (("along the radius", along), ("across the radius", across))
+    return _panels([(name, radius, w, found.name) for name, w in sides])
+
+
+def _others(result: Result, about: str) -> list[Panel]:
+    sets = []
+    for one in residuals_of(result):
+        covariates = {"order": np.arange(1.0, len(one.w) + 1), **one.covariates}
+        if about in covariates:
+            name = f"residual {one.part.strip('_')}" if one.part else ""
+            sets.append((name, covariates[about], one.w, one.name))
+    return _panels(sets)
+
+
+def _panels(sets: Sequence[tuple[str, Array, Array, Callable[[int], str]]]) -> list[Panel]:
+    """Return a panel for each set of residuals that others check; together they have at most `MOST` marks."""
+    checked = [one for one in sets if np.isfinite(one[2]).any()]
+    return [_panel(*one, MOST // len(checked)) for one in checked]
+
+
+def _panel(name: str, covariate: Array, w: Array, named: Callable[[int], str], most: int) -> Panel:
+    kept = np.flatnonzero(np.isfinite(w))
+    covariate, w = covariate[kept], w[kept]
+    worst = int(np.argmax(np.abs(w)))
+    text = named(int(kept[worst])) if abs(w[worst]) > largest_of(len(w)) else ""
+    return Panel(name, covariate, w, trend(covariate, w), thinned(covariate, w, most), text)
+
+
+def height(found: Against) -> float:
+    """Return the height of the figure in inches."""
+    return 2.5 + 1.9 * (len(found.panels) - 1)
+
+
+def draw(canvas: Canvas, found: Against) -> str:
+    """Draw the figure and return its caption."""
+    theme = canvas.theme
+    panels = canvas.axes(len(found.panels), 1, sharex=found.about != "order")
+    for axes, panel in zip(panels, found.panels, strict=True):
+        x, w = panel.covariate, panel.w
+        marks = "." if len(panel.rows) > 300 else "o"
+        axes.plot(x[panel.rows], w[panel.rows], marks, ms=3, mew=0, alpha=0.55, color=theme.first, label="one reading")
+        wrong = panel.beyond
+        axes.plot(x[wrong], w[wrong], "D", ms=4, mew=0, color=theme.second)
+        if panel.label:
+            _name_worst(axes, x, w, wrong[0], panel.label, theme.second)
+        t = panel.trend
+        _envelope(axes, t, theme.band)
+        axes.plot(t.middles, t.means, "-o", ms=3, color=theme.ink, lw=1.0, label="mean of a bin", zorder=4)
+        out = t.beyond
+        axes.plot(t.middles[out], t.means[out], "o", ms=5, color=theme.second, zorder=5)
+        for side in (-1, 1):
+            axes.axhline(side * panel.most, color=theme.muted, lw=0.8, ls=(0, (4, 3)))
+        axes.axhline(0, color=theme.muted, lw=0.6)
+        axes.set_ylabel("w (standard deviations)")
+        axes.set_title(panel.name, fontweight="normal", fontsize=9)
+        largest = max(float(np.abs(w).max()), panel.most)
+        axes.set_ylim(-1.12 * largest, 1.12 * largest)
+    panels[-1].set_xlabel(_LABELS[found.about])
+    panels[0].legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
+    return _caption(found)
+
+
+def _name_worst(axes: Axes, x: Array, w: Array, row: int, label: str, colour: str) -> None:
+    """Write the name of a reading on the side where there is room."""
+    left = x[row] < (x.min() + x.max()) / 2
+    axes.annotate(
+        label, (x[row], w[row]), xytext=(6 if left else -6, 0), textcoords="offset points",
+        ha="left" if left else "right", va="center", fontsize=7.5, color=colour,
+    )  # fmt: skip
+
+
+def _envelope(axes: Axes, t: Trend, colour: str) -> None:
+    if len(t.middles) > 1:
+        axes.fill_between(t.middles, -t.bounds, t.bounds, color=colour, lw=0, label="pure noise", zorder=3, alpha=0.9)
+    else:
+        axes.errorbar(t.middles, [0.0], yerr=t.bounds, color=colour, lw=4, label="pure noise")
+
+
+def _caption(found: Against) -> str:
+    parts = [
+        "Points: residual (reading minus model) divided by its own standard deviation. Line: means of bins; the band "
+        "holds all of them with 95 % if there is noise only. Dashed: bound of the largest |w|, exceeded in 5 %."
+    ]
+    for panel in found.panels:
+        bins, wrong = len(panel.trend.beyond), len(panel.beyond)
+        where = f"{panel.name}: " if panel.name else ""
+        text = f"{where}{bins} of {len(panel.trend.means)} means and {wrong} of {len(panel.w)} readings are outside."
+        parts.append(text[0].upper() + text[1:])
+    first = found.panels[0]
+    kept = f"lowest and highest of each of {MOST // len(found.panels) // 4} strips, the others at equal steps"
+    return " ".join(filter(None, [*parts, words(len(first.rows), len(first.w), kept)]))

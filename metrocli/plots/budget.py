@@ -1,0 +1,78 @@
+"""Uncertainty budget as a Pareto chart."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrocli.plots.noise_bands import Array
+from metrocli.plots.style import Canvas
+from metrocli.result import Result
+
+_MOST = 10
+"""Contributors with a bar of their own; all others share one"""
+_LONGEST = 34
+
+
+@dataclass(frozen=True)
+class Chart:
+    """The budget of one measurand, largest contribution first."""
+
+    measurand: str
+    names: tuple[str, ...]
+    shares: Array
+    """(n,) percent of the variance"""
+
+    @property
+    def together(self) -> Array:
+        """(n,) percent: share of this and all larger contributions."""
+        return np.cumsum(self.shares)
+
+
+def data(result: Result, about: str) -> tuple[Chart, ...] | None:
+    """Return the shares of the contributors of each measurand, from the table `budget`."""
+    table = result.tables.get("budget")
+    if table is None or not len(table) or "share" not in table:
+        return None
+    measurands, names, shares = table.texts("measurand"), table.texts("contributor"), table.numbers("share")
+    charts = []
+    for measurand in dict.fromkeys(measurands):
+        rows = [row for row, one in enumerate(measurands) if one == measurand and np.isfinite(shares[row])]
+        rows.sort(key=lambda row: -shares[row])
+        own = [(names[row], float(shares[row])) for row in rows if shares[row] != 0]
+        if len(own) > _MOST + 1:
+            own = [*own[:_MOST], (f"{len(own) - _MOST} others", sum(share for _, share in own[_MOST:]))]
+        if own:
+            charts.append(Chart(measurand, tuple(name for name, _ in own), np.array([share for _, share in own])))
+    return tuple(charts) or None
+
+
+def height(found: tuple[Chart, ...]) -> float:
+    """Return the height of the figure in inches."""
+    return sum(0.26 * len(chart.names) + 0.75 for chart in found) + 0.2
+
+
+def draw(canvas: Canvas, found: tuple[Chart, ...]) -> str:
+    """Draw the figure and return its caption."""
+    theme = canvas.theme
+    heights = [len(chart.names) + 2.0 for chart in found]
+    for axes, chart in zip(canvas.axes(len(found), 1, height_ratios=heights), found, strict=True):
+        rows = np.arange(len(chart.names))
+        axes.barh(rows, chart.shares, height=0.66, color=theme.first)
+        axes.plot(chart.together, rows, "-o", ms=3.5, lw=1, color=theme.second, label="this and all above")
+        for row, share in zip(rows, chart.shares, strict=True):
+            text = f"{share:.1f} %" if abs(share) >= 0.1 else "< 0.1 %"
+            ground = {"facecolor": theme.surface, "edgecolor": "none", "pad": 0.6}
+            axes.text(max(share, 0) + 1, float(row), text, va="center", fontsize=7.5, bbox=ground)
+        axes.set_yticks(rows, [name if len(name) <= _LONGEST else f"{name[: _LONGEST - 1]}…" for name in chart.names])
+        axes.invert_yaxis()
+        axes.grid(axis="y", visible=False)
+        axes.set_xlim(min(0.0, float(chart.shares.min()) * 1.2), 112)
+        axes.set_title(chart.measurand)
+    axes.set_xlabel("share of the variance (%)")
+    canvas.figure.axes[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0))
+    return (
+        "Share of each contributor in the variance of the measurand, by GUM; the line adds them up. "
+        "Contributions of 0 are left out."
+    )

@@ -1,0 +1,88 @@
+"""Correlation matrix of the estimates."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrocli.plots.noise_bands import Array
+from metrocli.plots.style import BOTH_SIDES, Canvas
+from metrocli.result import Result
+
+MOST = 60
+"""Most estimates that are shown, those with the largest correlations"""
+HIGH = 0.95
+_WITH_NUMBERS = 14
+
+
+@dataclass(frozen=True)
+class Correlation:
+    """What the figure shows."""
+
+    names: tuple[str, ...]
+    matrix: Array
+    estimates: int
+
+    @property
+    def largest(self) -> tuple[str, str, float]:
+        """The two estimates with the largest absolute correlation, and it."""
+        off = np.abs(self.matrix - np.diag(np.diag(self.matrix)))
+        i, j = np.unravel_index(int(np.nanargmax(off)), off.shape)
+        return self.names[i], self.names[j], float(self.matrix[i, j])
+
+
+def data(result: Result, about: str) -> Correlation | None:
+    """Return `C_ij / sqrt(C_ii C_jj)` of the estimates with a variance; None with fewer than two."""
+    variance = np.diag(result.covariance)
+    rows = np.flatnonzero(np.isfinite(variance) & (variance > 0))
+    if len(rows) < 2:
+        return None
+    std = np.sqrt(variance[rows])
+    matrix = result.covariance[np.ix_(rows, rows)] / std[:, None] / std
+    kept = np.arange(len(rows))
+    if len(rows) > MOST:
+        strongest = np.abs(matrix - np.eye(len(rows))).max(axis=1)
+        kept = np.sort(np.argsort(-strongest, kind="stable")[:MOST])
+    names = tuple(result.estimates[rows[k]].name for k in kept)
+    return Correlation(names, matrix[np.ix_(kept, kept)], len(rows))
+
+
+def height(found: Correlation) -> float:
+    """Return the height of the figure in inches."""
+    return float(np.clip(0.33 * len(found.names) + 1.3, 2.6, 6.2))
+
+
+def draw(canvas: Canvas, found: Correlation) -> str:
+    """Draw the figure and return its caption."""
+    (axes,), bar = canvas.axes_and_bar()
+    count = len(found.names)
+    axes.grid(False)
+    axes.spines[:].set_visible(False)
+    drawn = axes.pcolormesh(found.matrix, cmap=BOTH_SIDES, vmin=-1, vmax=1, edgecolor=canvas.theme.surface, lw=0.6)
+    axes.set_aspect("equal")
+    axes.invert_yaxis()
+    ticks = np.arange(count) + 0.5
+    size = 8.0 if count <= 20 else 7.0 if count <= 32 else 4.5
+    axes.set_xticks(ticks, found.names, rotation=90, fontsize=size)
+    axes.set_yticks(ticks, found.names, fontsize=size)
+    axes.tick_params(length=0)
+    if count <= _WITH_NUMBERS:
+        for (i, j), number in np.ndenumerate(found.matrix):
+            if i != j:
+                colour = "#fdfdfd" if abs(number) > 0.75 else "#0c0c0c"
+                axes.text(j + 0.5, i + 0.5, _short(number), ha="center", va="center", fontsize=6.5, color=colour)
+    canvas.colour_bar(drawn, bar, "coefficient of correlation")
+    high = int((np.abs(np.triu(found.matrix, 1)) > HIGH).sum())
+    first, second, value = found.largest
+    beyond = f"{high} pair exceeds" if high == 1 else f"{high or 'No'} pairs exceed"
+    text = f"{beyond} {HIGH} in size; the largest is {value:+.3f} of {first} and {second}."
+    if count == found.estimates:
+        return text
+    return f"{text} {count} of {found.estimates} estimates are shown, those with the largest correlations."
+
+
+def _short(value: float) -> str:
+    """Return a coefficient with two decimals: ".98", "-.05", "0"."""
+    text = f"{value:.2f}"
+    return "0" if text in ("0.00", "-0.00") else text.replace("0.", ".")

@@ -1,0 +1,68 @@
+"""Coverage of the image by readings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrocli.plots.noise_bands import Array
+from metrocli.plots.readings import image_residuals
+from metrocli.plots.style import SIZES, Canvas
+from metrocli.result import Result
+
+_ACROSS = 10
+"""Cells over the width of the image, as in `coverage_cells`"""
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """Readings in each cell of the image."""
+
+    counts: Array
+    """(rows, columns)"""
+    x_edges: Array
+    y_edges: Array
+
+    @property
+    def filled(self) -> float:
+        """Share of cells with at least one reading."""
+        return float((self.counts > 0).mean())
+
+
+def data(result: Result, about: str) -> Coverage | None:
+    """Return the number of readings in ten by ten cells of the image; None if its size is not known."""
+    found = image_residuals(result)
+    if found is None or not found.whole:
+        return None
+    edges = [np.linspace(-0.5, size - 0.5, _ACROSS + 1) for size in found.size]
+    counts = np.histogramdd(found.places, bins=edges)[0]
+    return Coverage(counts.T, *edges)
+
+
+def height(found: Coverage) -> float:
+    """Return the height of the figure in inches."""
+    return min(4.9 * np.ptp(found.y_edges) / np.ptp(found.x_edges) + 0.8, 6.5)
+
+
+def draw(canvas: Canvas, found: Coverage) -> str:
+    """Draw the figure and return its caption."""
+    axes = canvas.axes()[0]
+    axes.grid(False)
+    axes.set_aspect("equal")
+    shown = np.ma.masked_equal(found.counts, 0)
+    drawn = axes.pcolormesh(found.x_edges, found.y_edges, shown, cmap=SIZES, vmin=0)
+    drawn.set(edgecolor=canvas.theme.grid, linewidth=0.5)
+    size = 7 if found.counts.max() < 1000 else 5
+    for (i, j), count in np.ndenumerate(found.counts):
+        if count:
+            x, y = found.x_edges[j : j + 2].mean(), found.y_edges[i : i + 2].mean()
+            colour = "#0c0c0c" if count > found.counts.max() / 2 else "#fdfdfd"
+            axes.text(x, y, f"{count:.0f}", ha="center", va="center", fontsize=size, color=colour)
+    axes.invert_yaxis()
+    axes.set_xlabel("u (px)")
+    axes.set_ylabel("v (px)")
+    return (
+        f"Readings in each cell, {found.counts.sum():.0f} together; {100 * found.filled:.0f} % of the cells have "
+        "at least one. The lens is extrapolated where there are no readings."
+    )

@@ -1,0 +1,124 @@
+"""The 21 error curves of a machine with their uncertainty bands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrocli.plots.noise_bands import Array
+from metrocli.plots.style import Canvas
+from metrocli.result import Result
+
+_K = 2.0
+_MICRO = 1e6
+_PER_MM = 1e3
+
+
+@dataclass(frozen=True)
+class Curve:
+    """One error over the position of its axis, in µm or µrad."""
+
+    name: str
+    position: Array
+    value: Array
+    spread: Array
+    """Expanded uncertainty, k = 2"""
+    status: str
+
+    @property
+    def determined(self) -> bool:
+        """Whether the measurement determines it."""
+        return bool(np.isfinite(self.value).any())
+
+
+@dataclass(frozen=True)
+class Errors:
+    """What the figure shows."""
+
+    curves: tuple[Curve, ...]
+    squareness: tuple[tuple[str, float, float], ...]
+    """Name, value and expanded uncertainty (µrad) of each squareness error"""
+
+
+def data(result: Result, about: str) -> Errors | None:
+    """Return the curves of all tables, in the order of the axes; None if the result has none."""
+    names = [name for name in result.tables if name.startswith("tables/")]
+    if not names:
+        return None
+    status = {}
+    if "errors" in result.tables:
+        listed = result.tables["errors"]
+        status = dict(zip(listed.texts("error"), listed.texts("status"), strict=True))
+    curves = []
+    for name in sorted(names, key=_order):
+        table, error = result.tables[name], name.removeprefix("tables/")
+        size = _PER_MM if table.units.get("value") == "mm" else _MICRO
+        value, std = table.numbers("value") * size, table.numbers("std") * size
+        curves.append(Curve(error, table.numbers("position"), value, _K * std, status.get(error, "")))
+    square = [one for one in result.estimates if one.name in ("A0Z", "B0Z", "C0Y") and np.isfinite(one.value)]
+    return Errors(tuple(curves), tuple((one.name, one.value * _MICRO, _K * one.std * _MICRO) for one in square))
+
+
+def _order(name: str) -> tuple[int, str, str]:
+    """Return the place of a table: along the axis first, then straightness, then angles."""
+    error = name[-3:]
+    kind = 0 if error[1] == error[2] else 1 if error[1] in "XYZ" else 2
+    return kind, error[1] if kind == 2 else "", error
+
+
+def height(found: Errors) -> float:
+    """Return the height of the figure in inches."""
+    return 1.55 * len(_panels(found)) / 3 + 0.5
+
+
+def _panels(found: Errors) -> list[list[Curve]]:
+    """Return the curves of each panel: rows are the direction of the error, columns the axis that moves."""
+    wanted = [f"E{direction}{axis}" for direction in "XYZABC" for axis in "XYZ"]
+    by_name = {curve.name: curve for curve in found.curves}
+    rows = [wanted[k : k + 3] for k in range(0, 18, 3)]
+    kept = [row for row in rows if any(name in by_name for name in row)]
+    return [[by_name[name]] if name in by_name else [] for row in kept for name in row]
+
+
+def draw(canvas: Canvas, found: Errors) -> str:
+    """Draw the figure and return its caption."""
+    theme, panels = canvas.theme, _panels(found)
+    rows = len(panels) // 3
+    all_axes = canvas.axes(rows, 3, sharex="col")
+    for k, (axes, curves) in enumerate(zip(all_axes, panels, strict=True)):
+        row, column = divmod(k, 3)
+        if not curves:
+            axes.set_visible(False)
+            continue
+        curve = curves[0]
+        unit = "µrad" if curve.name[1] in "ABC" else "µm"
+        axes.set_title(f"{curve.name} ({unit})", fontsize=8.5)
+        if curve.determined:
+            usable = np.isfinite(curve.spread)
+            low, high = curve.value - curve.spread, curve.value + curve.spread
+            axes.fill_between(curve.position[usable], low[usable], high[usable], color=theme.band, lw=0)
+            line = "--" if curve.status == "together" else "-"
+            axes.plot(curve.position, curve.value, color=theme.first, marker="o", ms=2, ls=line)
+            axes.axhline(0, color=theme.muted, lw=0.6)
+        else:
+            axes.text(0.5, 0.5, "not determined", transform=axes.transAxes, ha="center", color=theme.second, fontsize=8)
+            axes.set_yticks([])
+        axes.locator_params(axis="x", nbins=4)
+        if row == rows - 1 or not any(panels[k + 3 :: 3]):
+            axes.set_xlabel(f"{'XYZ'[column]} (mm)")
+            axes.tick_params(labelbottom=True)
+    return _caption(found)
+
+
+def _caption(found: Errors) -> str:
+    parts = [
+        "Rows: direction of the error; columns: axis that moves. Band: expanded uncertainty, k = 2 "
+        "(often thinner than the line)."
+    ]
+    if any(curve.status == "together" for curve in found.curves):
+        parts.append("Dashed: determined only together with errors that are not, so valid for the measured tools only.")
+    square = [f"{name} {value:.1f} ± {spread:.1f} µrad" for name, value, spread in found.squareness]
+    if square:
+        parts.append(f"Squareness (k = 2): {', '.join(square)}.")
+    return " ".join(parts)

@@ -1,0 +1,124 @@
+"""Residuals over the part: a vector at each point where lengths give one, and the size of w there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrocli.plots.magnify import in_words, length_in_words, magnification
+from metrocli.plots.noise_bands import Array
+from metrocli.plots.places import Places, places_of
+from metrocli.plots.style import SIZES, Canvas, arrows
+from metrocli.plots.thinning import thinned_vectors, words
+from metrocli.result import Result
+
+_SHARE = 1 / 10
+_AXES = "xyz"
+
+
+@dataclass(frozen=True)
+class PartResiduals:
+    """What the figure shows."""
+
+    names: tuple[str, ...]
+    at: Array
+    """(n, 3) mm"""
+    rms: Array
+    """(n,) root mean square of w at the point"""
+    vectors: Array | None
+    """(n, 3) mm: sum over the tracers of the residual along the beam"""
+    magnification: float
+    plane: tuple[int, int]
+    """The two axes along which the points extend most"""
+    points: int
+
+
+def data(result: Result, about: str) -> PartResiduals | None:
+    """Return the residuals at the points; of many points, the largest in each cell of the picture.
+
+    With tracers, the vector at a point is `sum_j v_ij e_ij`: residual times unit vector from the tracer to the point.
+    """
+    table = result.tables.get("residuals")
+    held = places_of(result)
+    points = next((one for one in held if one.kind == "points"), None)
+    if points is None or table is None or "normalised" not in table or not len(table):
+        return None
+    key = next((name for name in ("point", "target") if name in table), None)
+    if key is None:
+        return None
+    place = {name: n for n, name in enumerate(points.names)}
+    of = np.array([place.get(name, -1) for name in table.texts(key)])
+    w = table.numbers("normalised")
+    used = (of >= 0) & np.isfinite(w)
+    if not used.any():
+        return None
+    counts = np.bincount(of[used], minlength=len(points.names))
+    square = np.bincount(of[used], w[used] ** 2, len(points.names))
+    rms = np.sqrt(square / np.maximum(counts, 1))
+    seen = np.flatnonzero(counts)
+    vectors = _along_beams(result, points, held, of)
+    low_to_high = np.argsort(-np.ptp(points.at[seen], axis=0), kind="stable")[:2]
+    plane = (int(low_to_high.min()), int(low_to_high.max()))
+    rows = seen[thinned_vectors(points.at[seen][:, plane], rms[seen])]
+    factor = 1.0
+    if vectors is not None:
+        factor = magnification(float(np.linalg.norm(vectors[rows], axis=1).max()), _SHARE * _extent(points.at[rows]))
+    chosen = None if vectors is None else vectors[rows]
+    names = tuple(points.names[row] for row in rows)
+    return PartResiduals(names, points.at[rows], rms[rows], chosen, factor, plane, len(seen))
+
+
+def _along_beams(result: Result, points: Places, held: tuple[Places, ...], of: Array) -> Array | None:
+    tracers, table = next((one for one in held if one.kind == "tracers"), None), result.tables["residuals"]
+    if tracers is None or "tracer" not in table or table.units.get("residual") != "mm":
+        return None
+    station = {name: n for n, name in enumerate(tracers.names)}
+    by = np.array([station.get(name, -1) for name in table.texts("tracer")])
+    used = (of >= 0) & (by >= 0)
+    beam = points.at[of[used]] - tracers.at[by[used]]
+    along = table.numbers("residual")[used, None] * beam / np.linalg.norm(beam, axis=1)[:, None]
+    return np.stack([np.bincount(of[used], along[:, k], len(points.names)) for k in range(3)], axis=1)
+
+
+def _extent(at: Array) -> float:
+    return float(np.ptp(at, axis=0).max())
+
+
+def height(found: PartResiduals) -> float:
+    """Return the height of the figure in inches."""
+    wide, high = np.ptp(found.at[:, found.plane], axis=0)
+    return float(np.clip(5.2 * high / max(wide, 1e-9) + 0.9, 2.6, 6.0))
+
+
+def draw(canvas: Canvas, found: PartResiduals) -> str:
+    """Draw the figure and return its caption."""
+    (axes,), bar = canvas.axes_and_bar()
+    axes.set_aspect("equal")
+    i, j = found.plane
+    x, y = found.at[:, i], found.at[:, j]
+    largest = max(2.0, float(found.rms.max()))
+    drawn = axes.scatter(x, y, c=found.rms, s=16, cmap=SIZES, vmin=0, vmax=largest, linewidths=0, zorder=3)
+    moved = ""
+    if found.vectors is not None:
+        vectors = found.vectors * found.magnification
+        arrows(axes, found.at[:, found.plane], vectors[:, found.plane], canvas.theme.first)
+        sizes = np.linalg.norm(found.vectors, axis=1)
+        longest = f"{length_in_words(float(sizes.max()))} at {found.names[int(np.argmax(sizes))]}"
+        factor = in_words(found.magnification)
+        moved = f"Arrows: residuals of the lengths, summed along the beams, magnified {factor}; longest {longest}. "
+    worst = int(np.argmax(found.rms))
+    axes.annotate(
+        found.names[worst], (x[worst], y[worst]), xytext=(6, 6), textcoords="offset points",
+        fontsize=8, color=canvas.theme.second, fontweight="bold", zorder=5,
+    )  # fmt: skip
+    axes.plot(x[worst], y[worst], "o", ms=9, mfc="none", mec=canvas.theme.second, mew=1.4, zorder=4)
+    axes.margins(0.12)
+    axes.set_xlabel(f"{_AXES[i]} (mm)")
+    axes.set_ylabel(f"{_AXES[j]} (mm)")
+    canvas.colour_bar(drawn, bar, "root mean square of w")
+    text = (
+        f"{moved}Colour: root mean square of the normalised residuals at the point, 1 if there is noise only; "
+        f"the largest is {found.rms[worst]:.3g} at {found.names[worst]}."
+    )
+    return " ".join(filter(None, [text, words(len(found.at), found.points, "the largest of each cell", "points")]))

@@ -1,0 +1,109 @@
+"""Points, tracers and cameras of a result in space, with deviations, covariances and residuals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrocli.plots.noise_bands import Array
+from metrocli.result import Result
+from metrocli.table import Table
+
+_XYZ = ("x", "y", "z")
+
+
+@dataclass(frozen=True)
+class Places:
+    """Points of one kind."""
+
+    kind: str
+    names: tuple[str, ...]
+    at: Array
+    """(n, 3) mm"""
+    vectors: Array | None = None
+    """(n, 3) mm: deviation at each point, in its true size"""
+    vector_name: str = ""
+    covariance: Array | None = None
+    """(n, 3, 3) mm²"""
+
+
+def places_of(result: Result) -> tuple[Places, ...]:
+    """Return the points of a result with deviations and covariances, then its instruments."""
+    found = [_points(result), *_grids(result), _volume(result), _instruments(result, "tracers", "tracer")]
+    cameras = _instruments(result, "views", "image") if result.statistics.get("rig") == "network" else None
+    return tuple(one for one in (*found, cameras, _launch(result)) if one is not None and len(one.at))
+
+
+def _points(result: Result) -> Places | None:
+    table = result.tables.get("points")
+    if table is None or not all(name in table for name in _XYZ):
+        return None
+    errors = ("error_x", "error_y", "error_z")
+    vectors = table.stacked(errors) if errors[0] in table else None
+    covariance = result.arrays.get("points_covariance")
+    if covariance is None or covariance.shape != (len(table), 3, 3):
+        covariance = _of_stds(table, ("sx", "sy", "sz"))
+    name = "error of the mover (listed minus measured)" if vectors is not None else ""
+    key = next(name for name in table if table.columns[name].dtype.kind in "US")
+    return Places("points", tuple(table.texts(key)), table.stacked(_XYZ), vectors, name, covariance)
+
+
+def _of_stds(table: Table, names: tuple[str, str, str]) -> Array | None:
+    if names[0] not in table:
+        return None
+    return np.asarray(table.stacked(names)[:, :, None] ** 2 * np.eye(3))
+
+
+def _grids(result: Result) -> list[Places]:
+    """Return the machine error of a ball grid at its sites (`correction` has them in mm, with the opposite sign)."""
+    error, site = result.tables.get("machine_error"), result.tables.get("correction")
+    if error is None or site is None or len(error) != len(site):
+        return []
+    names = tuple(f"({i}, {j}, {k})" for i, j, k in error.stacked(("i", "j", "k")).astype(int).tolist())
+    stds = _of_stds(error, ("s_ex", "s_ey", "s_ez"))
+    return [Places("sites", names, site.stacked(_XYZ), error.stacked(("ex", "ey", "ez")), "error of the machine", stds)]
+
+
+def _volume(result: Result) -> Places | None:
+    """Return the error of the first tool on the grid of the volume."""
+    table = result.tables.get("volume")
+    if table is None or "tool" not in table or not len(table):
+        return None
+    tools = table.columns["tool"]
+    rows = np.flatnonzero(tools == tools[0])
+    own = Table({name: table.columns[name][rows] for name in table}, table.units)
+    at = own.stacked(_XYZ)
+    names = tuple(f"({x:g}, {y:g}, {z:g})" for x, y, z in at.tolist())
+    errors = own.stacked(("ex", "ey", "ez"))
+    kept = np.flatnonzero(np.isfinite(errors).all(axis=1))
+    if not len(kept):
+        return None
+    stds = _of_stds(own, ("s_ex", "s_ey", "s_ez"))
+    what = f"error of the {named('tool', str(tools[0]))} (actual minus commanded)"
+    chosen = tuple(names[row] for row in kept)
+    return Places("grid", chosen, at[kept], errors[kept], what, stds[kept] if stds is not None else None)
+
+
+def named(kind: str, name: str) -> str:
+    """Return "tool 'T1'", or "tool" where it has no name."""
+    return f"{kind} '{name}'" if name else kind
+
+
+def _instruments(result: Result, name: str, key: str) -> Places | None:
+    table = result.tables.get(name)
+    if table is None or key not in table or not all(axis in table for axis in _XYZ):
+        return None
+    return Places({"views": "cameras"}.get(name, name), tuple(table.texts(key)), table.stacked(_XYZ))
+
+
+def _launch(result: Result) -> Places | None:
+    """Return the place of a launch unit, with its covariance."""
+    if result.kind != "locate-launch-unit":
+        return None
+    known = {estimate.name: n for n, estimate in enumerate(result.estimates)}
+    if not set(_XYZ) <= set(known):
+        return None
+    rows = [known[name] for name in _XYZ]
+    at = np.array([[result.estimates[row].value for row in rows]])
+    return Places("launch unit", ("launch unit",), at, covariance=result.covariance[np.ix_(rows, rows)][None])

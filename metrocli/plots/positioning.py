@@ -1,0 +1,75 @@
+"""Positioning of the axes by ISO 230-2: mean deviations in both directions with their spread."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrocli.plots.noise_bands import Array
+from metrocli.plots.style import Canvas
+from metrocli.result import Result
+
+_PER_MM = 1e3
+_FIGURES = "AREBM"
+
+
+@dataclass(frozen=True)
+class Line:
+    """The runs of one line along an axis."""
+
+    axis: str
+    name: str
+    position: Array
+    """(n,) mm"""
+    up: Array
+    down: Array
+    """(n,) µm: mean deviation in each direction"""
+    s_up: Array
+    s_down: Array
+    """(n,) µm: standard deviation; nan with one run"""
+    figures: tuple[tuple[str, float], ...]
+    """A, R, E, B, M in µm; nan where a direction has one run"""
+
+
+def data(result: Result, about: str) -> tuple[Line, ...] | None:
+    """Return the lines with their figures."""
+    table, targets = result.tables.get("positioning"), result.tables.get("positioning_targets")
+    if table is None or targets is None or not len(table):
+        return None
+    names = [np.array(targets.texts(key)) for key in ("axis", "at", "line")]
+    found = []
+    for row in range(len(table)):
+        key = [table.texts(name)[row] for name in ("axis", "at", "line")]
+        own = np.logical_and.reduce([column == one for column, one in zip(names, key, strict=True)])
+        up, down, s_up, s_down = (targets.numbers(name)[own] * _PER_MM for name in ("up", "down", "s_up", "s_down"))
+        figures = tuple((letter, float(table.numbers(letter)[row]) * _PER_MM) for letter in _FIGURES)
+        name = ", ".join(filter(None, key[1:]))
+        found.append(Line(key[0], name, targets.numbers("position")[own], up, down, s_up, s_down, figures))
+    return tuple(found) or None
+
+
+def height(found: tuple[Line, ...]) -> float:
+    """Return the height of the figure in inches."""
+    return 2.1 * len(found) + 0.4
+
+
+def draw(canvas: Canvas, found: tuple[Line, ...]) -> str:
+    """Draw the figure and return its caption."""
+    theme = canvas.theme
+    for axes, line in zip(canvas.axes(len(found), 1), found, strict=True):
+        sides = (("up ↑", line.up, line.s_up, theme.first, "o"), ("down ↓", line.down, line.s_down, theme.second, "s"))
+        for name, mean, spread, colour, marker in sides:
+            axes.plot(line.position, mean, marker=marker, ms=3.5, color=colour, label=f"mean {name}")
+            if np.isfinite(spread).all():
+                axes.fill_between(line.position, mean - 2 * spread, mean + 2 * spread, color=colour, alpha=0.18, lw=0)
+        axes.axhline(0, color=theme.muted, lw=0.6)
+        axes.set_xlabel(f"{line.axis} (mm)")
+        axes.set_ylabel("deviation (µm)")
+        numbers = ", ".join(f"{letter} {value:.3g}" for letter, value in line.figures if np.isfinite(value))
+        axes.set_title(f"{line.axis}, {line.name}: {numbers} µm", fontsize=8.5)
+        axes.legend(loc="best", ncols=2)
+    return (
+        "Bands: mean ± 2 s of each direction. A: accuracy, R: repeatability, E: systematic deviation, each of both "
+        "directions, B: reversal value, M: range of the mean deviation. A and R need several runs in each direction."
+    )

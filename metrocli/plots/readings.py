@@ -1,0 +1,134 @@
+"""The residuals of any result in one form, whatever its tables are called."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from metrocli.result import Result
+from metrocli.table import Table
+
+Array = npt.NDArray[np.float64]
+
+_TABLES = ("residuals", "angles", "distances")
+"""Tables of residuals; those of the launch unit are by the kind of its readings"""
+_KEYS = ("image", "target", "point", "tracer", "pose", "view", "leg", "line", "at", "reading", "component")
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """Normalised residuals (reading minus model) of one kind, with what they may depend on."""
+
+    table: Table
+    part: str
+    """Ending of the columns: "" or "_a", "_b" where a row has several residuals"""
+    w: Array
+    """Normalised residuals; nan where no other reading checks the reading"""
+    covariates: dict[str, Array] = field(default_factory=dict)
+
+    @property
+    def checked(self) -> npt.NDArray[np.bool_]:
+        """Which readings have a normalised residual."""
+        return np.isfinite(self.w)
+
+    def name(self, row: int) -> str:
+        """Return what identifies a reading, such as "view01/r00c00 u"."""
+        cells = [str(self.table.columns[key][row]) for key in _KEYS if self._is_key(key)]
+        return "/".join(filter(None, cells)) + self.part.replace("_", " ")
+
+    def _is_key(self, key: str) -> bool:
+        return key in self.table and self.table.columns[key].dtype.kind in "US"
+
+
+def residuals_of(result: Result) -> list[Residuals]:
+    """Return the residuals of a result, one set for each table and component of a row; empty if it has none."""
+    return [one for name in _TABLES if name in result.tables for one in _of_table(result.tables[name])]
+
+
+def _of_table(table: Table) -> Iterator[Residuals]:
+    for column in table:
+        if not column.startswith("residual") or not len(table):
+            continue
+        part = column.removeprefix("residual")
+        if f"normalised{part}" not in table:
+            continue
+        yield Residuals(table, part, table.numbers(f"normalised{part}"), _covariates(table))
+
+
+def _covariates(table: Table) -> dict[str, Array]:
+    """Return what residuals may depend on, by the end of the figure's name."""
+    found = {"time": "t", "temperature": "temp", "length": "reading", "x": "x", "y": "y", "z": "z"}
+    held = {name: table.numbers(column) for name, column in found.items() if _is_number(table, column)}
+    if "length" in held and table.units.get("reading") != "mm":
+        del held["length"]
+    return {name: values for name, values in held.items() if np.ptp(values) > 0}
+
+
+def _is_number(table: Table, column: str) -> bool:
+    if column not in table or table.columns[column].dtype.kind != "f":
+        return False
+    return bool(np.isfinite(table.numbers(column)).all())
+
+
+@dataclass(frozen=True)
+class ImageResiduals:
+    """Residual vectors of an image: one row for each reading of u and v."""
+
+    table: Table
+    rows: npt.NDArray[np.intp]
+    """(n,) row of u in the table"""
+    places: Array
+    """(n, 2) px"""
+    vectors: Array
+    """(n, 2) reading minus model, px"""
+    w: Array
+    """(n, 2)"""
+    size: tuple[float, float]
+    """Width and height of the image, px; those of the part with readings if the result has no image size"""
+    whole: bool
+    """Whether the size is that of the image"""
+
+    def name(self, k: int) -> str:
+        """Return the image and target of a reading."""
+        row = self.rows[k]
+        return "/".join(str(self.table.columns[key][row]) for key in ("image", "target") if key in self.table)
+
+
+def image_residuals(result: Result) -> ImageResiduals | None:
+    """Return the residual vectors of a result of images, or None."""
+    table = result.tables.get("residuals")
+    if table is None or not len(table) or "component" not in table or table.units.get("residual") != "px":
+        return None
+    component = table.columns["component"].astype(str)
+    u, v = np.flatnonzero(component == "u"), np.flatnonzero(component == "v")
+    if len(u) != len(v) or not len(u):
+        return None
+    both = [np.stack([table.numbers(name)[u], table.numbers(name)[v]], axis=1) for name in _VECTORS]
+    places, vectors, w = both
+    given = [result.statistics.get(name) for name in ("image_width", "image_height")]
+    size = [float(one) for one in given if isinstance(one, int | float)]
+    whole = len(size) == len(given)
+    width, height = size if whole else (places.max(axis=0) * _MARGIN).tolist()
+    return ImageResiduals(table, u, places, vectors, w, (width, height), whole)
+
+
+_VECTORS = ("reading", "residual", "normalised")
+_MARGIN = 1.05
+
+
+def radial(found: ImageResiduals, result: Result) -> tuple[Array, Array, Array]:
+    """Return radius (n,) px, and w of each reading along the radius and across it, (n,) each.
+
+    The centre is the principal point (cx, cy) if the result has it, else the centre of the image. With e the unit
+    vector from the centre, along is w·e and across is w·(-e_y, e_x).
+    """
+    known = {estimate.name: estimate.value for estimate in result.estimates}
+    middle = [(size - 1) / 2 for size in found.size]
+    centre = np.array([known.get("cx", middle[0]), known.get("cy", middle[1])])
+    away = found.places - centre
+    radius = np.hypot(*away.T)
+    e = np.where(radius[:, None] > 0, away / np.maximum(radius, 1e-300)[:, None], [1.0, 0.0])
+    return radius, (found.w * e).sum(axis=1), found.w[:, 1] * e[:, 0] - found.w[:, 0] * e[:, 1]

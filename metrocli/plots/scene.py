@@ -1,0 +1,166 @@
+"""3-D view of points, tracers and cameras, with deviation vectors and uncertainty ellipsoids."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import EllipseCollection
+
+from metrocli.plots.magnify import in_words, length_in_words, magnification, round_size
+from metrocli.plots.noise_bands import Array
+from metrocli.plots.places import Places, places_of
+from metrocli.plots.style import MARKERS, Canvas, arrows, bare
+from metrocli.result import Result
+
+_MOST = 1500
+"""Most points of one kind; the longest vectors are always among them"""
+_SHARE = 1 / 10
+_K = 2.0
+"""Half axes of the ellipsoids in standard deviations"""
+_NAMED = 12
+TURN, TILT = np.radians(-55.0), np.radians(24.0)
+"""Direction of view: turn about z, then tilt"""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What the figure shows; sizes are true, magnified only when drawn."""
+
+    places: tuple[Places, ...]
+    vectors: float
+    """Magnification of the deviations"""
+    ellipsoids: float
+    """Magnification of the ellipsoids"""
+    left_out: int
+    """Points that are not shown"""
+
+    @property
+    def all_at(self) -> Array:
+        """Every place, (n, 3) mm."""
+        return np.concatenate([one.at for one in self.places])
+
+
+def data(result: Result, about: str) -> Scene | None:
+    """Return the places with magnifications by which vectors and ellipsoids are a tenth of the picture."""
+    found = places_of(result)
+    if sum(len(one.at) for one in found) < 2:
+        return None
+    kept = tuple(map(_largest, found))
+    size = float(np.linalg.norm(np.ptp(np.concatenate([one.at for one in kept]), axis=0)))
+    vectors = [np.linalg.norm(one.vectors, axis=1).max() for one in kept if one.vectors is not None]
+    variances = [np.trace(one.covariance, axis1=1, axis2=2) for one in kept if one.covariance is not None]
+    spreads = [_K * np.sqrt(one[np.isfinite(one)].max(initial=0.0)) for one in variances]
+    factors = [magnification(float(max(sizes, default=0.0)), _SHARE * size) for sizes in (vectors, spreads)]
+    left_out = sum(len(one.at) for one in found) - sum(len(one.at) for one in kept)
+    return Scene(kept, factors[0], factors[1], left_out)
+
+
+def _largest(one: Places) -> Places:
+    """Return the places with the longest vectors, or the first ones, in their order."""
+    if len(one.at) <= _MOST:
+        return one
+    sizes = np.linalg.norm(one.vectors, axis=1) if one.vectors is not None else -np.arange(len(one.at), dtype=float)
+    rows = np.sort(np.argsort(-sizes, kind="stable")[:_MOST])
+    chosen = [None if values is None else values[rows] for values in (one.vectors, one.covariance)]
+    return Places(one.kind, tuple(one.names[row] for row in rows), one.at[rows], chosen[0], one.vector_name, chosen[1])
+
+
+def view(turn: float = TURN, tilt: float = TILT) -> Array:
+    """Return the rows right, up and towards the eye, (3, 3), of a view turned about z and tilted."""
+    right = np.array([-np.sin(turn), np.cos(turn), 0.0])
+    towards = np.array([np.cos(turn) * np.cos(tilt), np.sin(turn) * np.cos(tilt), np.sin(tilt)])
+    return np.stack([right, np.cross(towards, right), towards])
+
+
+def outline(covariance: Array, rows: Array) -> tuple[Array, Array, Array]:
+    """Return half axes a >= b, (n,) each, and the angle of a, (n,) rad, of ellipsoids as they are seen.
+
+    The outline of the ellipsoid `x' C^-1 x = 1`, projected along a direction, is the ellipse of `P C P'`, (2, 2).
+    """
+    flat = np.einsum("ai,nij,bj->nab", rows[:2], covariance, rows[:2])
+    sizes, axes = np.linalg.eigh(flat)
+    half = np.sqrt(np.maximum(sizes, 0))
+    return half[:, 1], half[:, 0], np.arctan2(axes[:, 1, 1], axes[:, 0, 1])
+
+
+def height(found: Scene) -> float:
+    """Return the height of the figure in inches."""
+    wide, high = np.ptp(found.all_at @ view()[:2].T, axis=0)
+    return float(np.clip(5.6 * high / max(wide, 1e-9) + 0.9, 3.0, 6.0))
+
+
+def draw(canvas: Canvas, found: Scene) -> str:
+    """Draw the figure and return its caption."""
+    axes, theme, rows = canvas.axes()[0], canvas.theme, view()
+    bare(axes)
+    axes.set_xticks([])
+    axes.set_yticks([])
+    axes.set_aspect("equal")
+    for one, colour, marker in zip(found.places, theme.cycle, MARKERS, strict=False):
+        flat = one.at @ rows[:2].T
+        _draw_spread(axes, one, flat, found.ellipsoids, rows, theme.muted)
+        if one.vectors is not None:
+            arrows(axes, flat, one.vectors @ rows[:2].T * found.vectors, colour, 0.002)
+        few = len(one.names) <= _NAMED
+        size = 6 if few else 2.2
+        axes.plot(*flat.T, marker, ms=size, mew=0, color=colour, label=one.kind)
+        if few:
+            for name, place in zip(one.names, flat, strict=True):
+                axes.annotate(name, place, xytext=(6, 5), textcoords="offset points", fontsize=8)
+    axes.margins(0.1)
+    axes.autoscale_view()
+    _draw_scale(axes, found, rows, theme.ink, theme.muted)
+    if len(found.places) > 1:
+        axes.legend(loc="upper left")
+    return _caption(found)
+
+
+def _draw_spread(axes: Axes, one: Places, flat: Array, factor: float, rows: Array, colour: str) -> None:
+    if one.covariance is None:
+        return
+    usable = np.isfinite(one.covariance).all(axis=(1, 2))
+    long, short, angle = outline(one.covariance[usable], rows)
+    size = 2 * _K * factor
+    drawn = EllipseCollection(
+        size * long, size * short, np.degrees(angle), units="xy", offsets=flat[usable],
+        offset_transform=axes.transData, facecolors="none", edgecolors=colour, linewidths=0.6,
+    )  # fmt: skip
+    axes.add_collection(drawn)
+
+
+def _draw_scale(axes: Axes, found: Scene, rows: Array, ink: str, muted: str) -> None:
+    """Draw the axes x, y, z with a round length at the lower left corner of all places."""
+    at = found.all_at
+    length = round_size(0.25 * float(np.ptp(at, axis=0).max()))
+    flat = at @ rows[:2].T
+    spans = np.ptp(flat, axis=0)
+    origin = flat.min(axis=0) - 0.04 * spans.max()
+    for name, direction in zip("xyz", rows[:2].T * length, strict=True):
+        tip = origin + 1.12 * direction
+        line = {"arrowstyle": "-|>", "color": ink, "lw": 1, "shrinkA": 0, "shrinkB": 0}
+        axes.annotate("", tuple(origin + direction), tuple(origin), arrowprops=line)
+        axes.text(float(tip[0]), float(tip[1]), name, ha="center", va="center", fontsize=8)
+    axes.annotate(
+        f"{length:g} mm", tuple(origin), xytext=(-7, 0), textcoords="offset points",
+        ha="right", va="center", fontsize=8, color=muted,
+    )  # fmt: skip
+    axes.update_datalim(np.array([origin, origin + rows[:2, 0] * length]))
+    axes.autoscale_view()
+
+
+def _caption(found: Scene) -> str:
+    parts = ["Parallel projection; in the still picture the three arrows have the stated length along x, y and z."]
+    for one in found.places:
+        if one.vectors is not None:
+            sizes = np.linalg.norm(one.vectors, axis=1)
+            worst = int(np.argmax(sizes))
+            largest = f"{length_in_words(float(sizes[worst]))} at {one.names[worst]}"
+            parts.append(f"Vectors: {one.vector_name}, magnified {in_words(found.vectors)}; the longest is {largest}.")
+        if one.covariance is not None:
+            factor = in_words(found.ellipsoids)
+            parts.append(f"Ellipsoids ({one.kind}): two standard deviations along each axis, magnified {factor}.")
+    if found.left_out:
+        parts.append(f"{found.left_out} points with shorter vectors are left out.")
+    return " ".join(parts)

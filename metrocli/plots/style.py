@@ -1,0 +1,193 @@
+"""The look of all figures: colours that colour-blind eyes tell apart, sizes, captions; light and dark."""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from io import BytesIO, StringIO
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.figure import Figure
+
+Array = npt.NDArray[np.float64]
+
+WIDTH = 6.4
+"""Width of a figure in inches: that of the text on A4"""
+_CAPTION = 108
+"""Letters of one line of the caption"""
+
+
+@dataclass(frozen=True)
+class Theme:
+    """Colours by their role; each role has another colour, so that a page can replace them."""
+
+    surface: str
+    ink: str
+    muted: str
+    grid: str
+    band: str
+    """Fill of envelopes and uncertainty bands"""
+    first: str
+    second: str
+    """What stands out: beyond a limit, not determined"""
+    third: str
+    fourth: str
+
+    @property
+    def cycle(self) -> tuple[str, ...]:
+        """Colours of several kinds of marks side by side."""
+        return self.first, self.third, self.fourth, self.second
+
+
+LIGHT = Theme("#fffffe", "#1b1c1d", "#5b6066", "#dcdfe2", "#cfe3f1", "#0072b2", "#d55e00", "#007f5f", "#a0568a")
+DARK = Theme("#16181b", "#e8eaec", "#a3a9b0", "#363b41", "#1f4560", "#56b4e9", "#ff8f3d", "#35c19b", "#dd95c0")
+"""After Okabe and Ito (2008): blue, vermilion, bluish green and reddish purple"""
+BOTH_SIDES = LinearSegmentedColormap.from_list("both sides", ["#c04a00", "#f7c8a4", "#f4f4f2", "#a9cfe8", "#00568a"])
+"""Colours of values about 0; of sizes it is cividis"""
+SIZES = "cividis"
+_DIGITS = re.compile(r"(\d\.\d\d)\d+")
+"""More digits of a point (1/72 inch) than an image can show"""
+MARKERS = ("o", "s", "^", "D")
+
+
+def _settings(theme: Theme, name: str) -> Any:
+    return {
+        "font.family": "sans-serif",
+        "font.sans-serif": ["DejaVu Sans"],
+        "font.size": 9,
+        "axes.titlesize": 9.5,
+        "axes.titleweight": "bold",
+        "axes.titlelocation": "left",
+        "axes.labelsize": 9,
+        "axes.edgecolor": theme.muted,
+        "axes.labelcolor": theme.ink,
+        "axes.facecolor": theme.surface,
+        "axes.linewidth": 0.7,
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+        "axes.grid": True,
+        "axes.axisbelow": True,
+        "axes.formatter.useoffset": False,
+        "grid.color": theme.grid,
+        "grid.linewidth": 0.6,
+        "figure.facecolor": theme.surface,
+        "figure.edgecolor": theme.surface,
+        "figure.titlesize": 10.5,
+        "figure.titleweight": "bold",
+        "legend.frameon": False,
+        "legend.fontsize": 8,
+        "lines.linewidth": 1.4,
+        "text.color": theme.ink,
+        "xtick.color": theme.muted,
+        "ytick.color": theme.muted,
+        "xtick.labelcolor": theme.ink,
+        "ytick.labelcolor": theme.ink,
+        "xtick.labelsize": 8,
+        "ytick.labelsize": 8,
+        "svg.fonttype": "none",
+        "svg.hashsalt": name,
+        "pdf.fonttype": 42,
+        "path.simplify": True,
+    }
+
+
+@dataclass(frozen=True)
+class Canvas:
+    """A figure to draw on, with its colours."""
+
+    figure: Figure
+    theme: Theme
+
+    def axes(self, rows: int = 1, columns: int = 1, **how: Any) -> list[Axes]:
+        """Return axes in rows and columns, row by row."""
+        return list(self.figure.subplots(rows, columns, squeeze=False, **how).ravel())
+
+    def axes_and_bar(self, rows: int = 1, columns: int = 1, count: int = 1) -> tuple[list[Axes], Axes]:
+        """Return `count` axes in rows and columns with common scales, and the place of a scale of colours."""
+        grid = self.figure.add_gridspec(rows, columns + 1, width_ratios=[1.0] * columns + [0.035 * columns])
+        found: list[Axes] = []
+        for k in range(count):
+            first = found[0] if found else None
+            found.append(self.figure.add_subplot(grid[divmod(k, columns)], sharex=first, sharey=first))
+        return found, self.figure.add_subplot(grid[:, -1])
+
+    def colour_bar(self, drawn: Any, place: Axes, label: str) -> None:
+        """Add the scale of colours."""
+        bar = self.figure.colorbar(drawn, cax=place)
+        bar.set_label(label)
+        bar.outline.set_visible(False)
+
+
+@contextmanager
+def canvas(name: str, height: float, theme: Theme) -> Iterator[Canvas]:
+    """Yield an empty figure of a height in inches; `name` makes the names inside an SVG distinct."""
+    with matplotlib.rc_context(_settings(theme, name)):
+        figure = Figure(figsize=(WIDTH, height))
+        FigureCanvasAgg(figure)
+        yield Canvas(figure, theme)
+
+
+def arrows(axes: Axes, at: Array, vectors: Array, colour: str, width: float = 0.0022) -> None:
+    """Draw vectors (n, 2) at places (n, 2), in the units of the axes; `width` is a share of that of the axes."""
+    axes.quiver(
+        at[:, 0], at[:, 1], vectors[:, 0], vectors[:, 1], color=colour, width=width,
+        angles="xy", scale_units="xy", scale=1, headwidth=3.5, zorder=3,
+    )  # fmt: skip
+
+
+def bare(axes: Axes) -> None:
+    """Remove frame and grid of axes that show a picture."""
+    axes.grid(False)
+    axes.spines[:].set_visible(False)
+
+
+def arrange(canvas: Canvas, title: str = "", caption: str = "") -> None:
+    """Fit the axes with their labels into the figure; with a title above and a caption below it, the figure grows.
+
+    Once and by matplotlib's tight layout: its constrained layout takes four times as long.
+    """
+    figure, theme = canvas.figure, canvas.theme
+    width, height = figure.get_size_inches()
+    lines = textwrap.wrap(caption, _CAPTION)
+    above, below = 0.3 if title else 0.0, 0.155 * len(lines) + 0.1 if lines else 0.0
+    whole = height + above + below
+    figure.set_size_inches(width, whole)
+    figure.tight_layout(pad=0.4, rect=(0, below / whole, 1, 1 - above / whole))
+    if title:
+        figure.text(0.01, 1 - 0.08 / whole, title, va="top", fontsize=10.5, fontweight="bold")
+    if lines:
+        text = "\n".join(lines)
+        figure.text(0.01, 0.06 / whole, text, va="bottom", fontsize=7.5, color=theme.muted, linespacing=1.3)
+
+
+def write(canvas: Canvas, path: Path, form: str) -> None:
+    """Write a figure as svg, pdf or png; the same figure gives the same bytes."""
+    canvas.figure.savefig(path, format=form, dpi=200, metadata=_without_date(form))
+
+
+def svg(canvas: Canvas) -> str:
+    """Return a figure as the text of an SVG image."""
+    text = StringIO()
+    canvas.figure.savefig(text, format="svg", metadata=_without_date("svg"))
+    return _DIGITS.sub(r"\1", text.getvalue())
+
+
+def png(canvas: Canvas) -> bytes:
+    """Return a figure as the bytes of a PNG image."""
+    found = BytesIO()
+    canvas.figure.savefig(found, format="png", dpi=150, metadata=_without_date("png"))
+    return found.getvalue()
+
+
+def _without_date(form: str) -> dict[str, Any]:
+    return {"svg": {"Date": None, "Creator": None}, "pdf": {"CreationDate": None}, "png": {"Software": None}}[form]

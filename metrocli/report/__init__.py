@@ -1,0 +1,1 @@
+"""Results and projects as self-contained HTML pages."""

@@ -1,0 +1,45 @@
+"""What a page of a result holds, beside the result itself."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from metrocli.record import Record
+from metrocli.result import Result
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What `metrocli diagnose --json` printed for the job of a result."""
+
+    data: Mapping[str, Any]
+    path: str
+    of_this: bool
+    """Whether it is the diagnosis of this job with these inputs"""
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A file or an artefact that the result rests on."""
+
+    name: str
+    certificate: str = ""
+    """Number of its certificate; empty if not given"""
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Content:
+    """A result with what its page shows of it."""
+
+    result: Result
+    record: Record
+    path: str
+    tables: Mapping[str, str] = field(default_factory=dict)
+    """Shown tables as text"""
+    diagnosis: Diagnosis | None = None
+    references: tuple[Reference, ...] = ()
+    job: str = "JOB.yaml"
+    """How commands name the job"""

@@ -1,0 +1,132 @@
+"""What a reader looks for first: verdict, worst point, diagnosis, and what to do next."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from metrocli import units
+from metrocli.plots.magnify import length_in_words
+from metrocli.plots.noise_bands import largest_of
+from metrocli.plots.places import places_of
+from metrocli.plots.readings import residuals_of
+from metrocli.record import DONE, DOUBTFUL
+from metrocli.report.content import Content
+from metrocli.report.html import Html, tag
+from metrocli.result import SCALE, Estimate, Result
+
+K = 2.0
+"""Coverage factor of expanded uncertainties where the result states no other"""
+_CLEAN = ("clean", "explained")
+
+
+def expanded(result: Result, estimate: Estimate) -> tuple[float, float]:
+    """Return the expanded uncertainty and its k: those that the result states, else two standard uncertainties."""
+    details = result.details.get(estimate.name, {})
+    if "U" in details:
+        return float(details["U"]), float(details.get("k", K))
+    return K * estimate.std, K
+
+
+def row_of(result: Result, estimate: Estimate) -> tuple[str, str, str, str]:
+    """Return name, value, U and unit of an estimate: U to two digits, the value to the same decimals."""
+    spread, _ = expanded(result, estimate)
+    size, unit = 1.0, "" if estimate.unit == "1" else estimate.unit
+    if estimate.dimension and estimate.dimension != SCALE and np.isfinite(spread) and spread > 0:
+        _, unit = units.readable(spread, estimate.dimension)
+        size = units.find_unit(unit, estimate.dimension).inside(1.0)
+    value, uncertainty = units.rounded(estimate.value / size, spread / size)
+    return estimate.name, value, "" if value == uncertainty == units.NOT_DETERMINED else uncertainty, unit
+
+
+def verdict(content: Content) -> tuple[bool, str]:
+    """Return whether the result may be used, and that in one sentence."""
+    record = content.record
+    if record.status == DOUBTFUL:
+        return False, "Doubtful: do not use this result."
+    if record.status != DONE:
+        return False, "The result does not meet its requirements."
+    count = len(content.result.warnings)
+    if count:
+        return True, f"Done, with {count} warning{'s' if count > 1 else ''}."
+    return True, "Done."
+
+
+def worst(result: Result) -> Iterator[str]:
+    """Yield the worst reading, and the places with the largest deviation and the largest uncertainty."""
+    sets = [one for one in residuals_of(result) if one.checked.any()]
+    if sets:
+        sizes = [np.nan_to_num(np.abs(one.w)) for one in sets]
+        which = max(range(len(sets)), key=lambda k: sizes[k].max())
+        row, bound = int(np.argmax(sizes[which])), largest_of(sum(int(one.checked.sum()) for one in sets))
+        w = float(sizes[which][row])
+        chance = "more than noise reaches in 5 % of measurements" if w > bound else "as noise may be"
+        yield f"Reading {sets[which].name(row)}: |w| = {w:.2g} standard deviations; {chance} (bound {bound:.2f})."
+    for one in places_of(result):
+        if one.vectors is not None:
+            sizes_of = np.linalg.norm(one.vectors, axis=1)
+            k = int(np.argmax(sizes_of))
+            yield f"Largest {one.vector_name}: {length_in_words(float(sizes_of[k]))} at {one.names[k]}."
+        if one.covariance is not None and len(one.at) > 1:
+            spread = np.sqrt(np.trace(one.covariance, axis1=1, axis2=2))
+            known = np.where(np.isfinite(spread), spread, -1.0)
+            k = int(np.argmax(known))
+            size = length_in_words(K * float(known[k]))
+            yield f"Least known of the {one.kind}: {one.names[k]}, {size} in space (k = 2)."
+
+
+def diagnosed(content: Content) -> Iterator[str | Html]:
+    """Yield what the diagnosis at hand found, or how to make one."""
+    held = content.diagnosis
+    if held is None:
+        command = tag("code", f"metrocli diagnose {content.job} --json > {_stem(content.path)}.diagnosis.json")
+        yield Html(f"Not diagnosed yet: {command}, then make this page again.")
+        return
+    if not held.of_this:
+        yield f"{held.path} is the diagnosis of another job, or of other inputs: diagnose again."
+        return
+    data = held.data
+    yield f"Verdict: {data.get('verdict', '')}."
+    for effect in data.get("effects", ()):
+        where = ", ".join(map(str, dict(effect.get("where", {})).values()))
+        sizes = ", ".join(
+            f"{name} = {units.format_quantity(one['value'], one.get('unit') or '', one.get('std'))}"
+            for name, one in dict(effect.get("parameters", {})).items()
+            if one.get("value") is not None
+        )
+        yield f"{effect.get('name', '')} {where}: {sizes}".replace(" :", ":")
+    for one in list(data.get("outliers", ()))[:5]:
+        keys = "/".join(map(str, dict(one.get("observation", {})).values()))
+        yield f"Wrong reading: {keys} (w = {float(one.get('w') or 0):.1f})"
+    if data.get("mistake"):
+        yield f"Mistake in {data['mistake'].get('file')}: {data['mistake'].get('what')}"
+
+
+def _stem(path: str) -> str:
+    return path.removesuffix(".h5")
+
+
+def next_step(content: Content) -> str | Html:
+    """Return what to do next with the result."""
+    record, held = content.record, content.diagnosis
+    diagnose = tag("code", f"metrocli diagnose {content.job}")
+    if held is not None and held.of_this:
+        extended = held.data.get("extended_job")
+        if extended:
+            return Html(f"Run the extended job that the diagnosis wrote: {tag('code', str(extended))}.")
+        if held.data.get("mistake"):
+            return "Correct the mistake that the diagnosis found, and run the job again."
+        if held.data.get("outliers"):
+            return "Check the wrong readings, measure them again or leave them out, and run the job again."
+        if held.data.get("verdict") not in _CLEAN:
+            return "The residuals have structure that no known effect explains: measure what would separate causes."
+    if record.status == DOUBTFUL:
+        return Html(f"Find the cause by {diagnose}.")
+    if record.status != DONE:
+        return "See which requirement is not met: measure more, or better, where the uncertainty is largest."
+    if held is None and content.result.statistics.get("dof"):
+        return Html(f"Check the model by {diagnose}, then use or export the result.")
+    if content.result.warnings:
+        return "Read the warnings; then use or export the result."
+    return "Use or export the result."

@@ -1,0 +1,113 @@
+"""Figures inside a page: SVG whose colours follow the page, an image where that is smaller, 3-D views that turn."""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+import re
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from metrocli import plots
+from metrocli.plots import style
+from metrocli.plots.scene import TILT, TURN, Scene
+from metrocli.report.html import EMPTY, Html, joined, tag
+from metrocli.report.look import roles, variable
+from metrocli.result import Result
+
+LARGEST = 150_000
+"""Characters of an SVG beyond which the figure is an image of pixels"""
+MOST = 1_200_000
+"""Characters of all figures of a page; those beyond it are named only"""
+_NAMED = 12
+_ID = re.compile(r'(\bid="|url\(#|href="#)')
+
+
+def figures(result: Result) -> Iterator[tuple[str, Html]]:
+    """Yield name and content of each figure of a result, as long as the page has room."""
+    room = MOST
+    for name in plots.FIGURES:
+        data = plots.data_of(name, result)
+        if data is None:
+            continue
+        if room <= 0:
+            yield name, tag("p", tag("a", "", id=f"figure-{name}"), f"{plots.title_of(name)}: ", _command(name))
+            continue
+        drawn = _figure(name, data)
+        room -= len(drawn)
+        yield name, drawn
+
+
+def _command(name: str) -> Html:
+    return tag("code", f"metrocli plot RESULT.h5 {name}")
+
+
+def _figure(name: str, data: Any) -> Html:
+    with plots.drawn(name, data) as (canvas, caption):
+        style.arrange(canvas)
+        text = style.svg(canvas)
+        picture = inline(text, name, caption) if len(text) <= LARGEST else _image(style.png(canvas), caption)
+    turning = _turning(data) if isinstance(data, Scene) else {}
+    help_text = tag("p", "Drag, or use the arrow keys, to turn; + and - zoom.", class_="turning hidden muted")
+    held = tag("script", _as_json(turning), type="application/json") if turning else EMPTY
+    under = tag("figcaption", caption)
+    parts = [tag("h3", plots.title_of(name)), held, picture, help_text if turning else EMPTY, under]
+    return tag("figure", *parts, id=f"figure-{name}", data_scene=bool(turning))
+
+
+def inline(text: str, name: str, caption: str) -> Html:
+    """Return an SVG for the inside of a page: names made distinct, colours by their role, as wide as there is room."""
+    found = text[text.index("<svg") :]
+    found = re.sub(r"<metadata>.*?</metadata>", "", found, flags=re.DOTALL)
+    found = _ID.sub(rf"\g<1>{name}-", found)
+    for role, colour in roles(style.LIGHT).items():
+        found = found.replace(colour, variable(role))
+    size = re.search(r'viewBox="[^"]*"', found)
+    label = tag("title", f"{plots.title_of(name)}. {caption}")
+    opened = f'<svg {size[0] if size else ""} role="img" xmlns:xlink="http://www.w3.org/1999/xlink">{label}'
+    return Html(re.sub(r"<svg.*?>", lambda _: opened, found, count=1, flags=re.DOTALL))
+
+
+def _image(content: bytes, caption: str) -> Html:
+    return tag("img", src=f"data:image/png;base64,{base64.b64encode(content).decode()}", alt=caption)
+
+
+def _turning(scene: Scene) -> dict[str, Any]:
+    """Return the data of a view that turns: places from their middle, vectors and ellipsoids in true size."""
+    at = scene.all_at
+    middle = (at.min(axis=0) + at.max(axis=0)) / 2
+    kinds = []
+    for one in scene.places:
+        kind: dict[str, Any] = {"kind": one.kind, "at": _rounded(one.at - middle)}
+        if len(one.names) <= _NAMED:
+            kind["names"] = list(one.names)
+        if one.vectors is not None:
+            kind["vectors"] = _rounded(one.vectors)
+        if one.covariance is not None and np.isfinite(one.covariance).all():
+            kind["covariance"] = _rounded(4 * one.covariance)
+        kinds.append(kind)
+    size = float(np.linalg.norm(np.ptp(at, axis=0))) or 1.0
+    return {
+        "turn": float(TURN), "tilt": float(TILT), "size": size, "kinds": kinds,
+        "vectors": scene.vectors, "ellipsoids": scene.ellipsoids,
+    }  # fmt: skip
+
+
+def _rounded(values: Any) -> Any:
+    """Return numbers to four digits of the largest: more than a picture shows."""
+    largest = float(np.abs(values).max(initial=0.0))
+    return np.round(values, 3 - math.floor(math.log10(largest))).tolist() if largest > 0 else values.tolist()
+
+
+def _as_json(value: Any) -> Html:
+    """Return JSON that no text in it can end: the sign < is written as an escape."""
+    return Html(json.dumps(value, separators=(",", ":"), ensure_ascii=False).replace("<", "\\u003c"))
+
+
+def shown(result: Result) -> tuple[Html, bool]:
+    """Return all figures of a result, and whether one of them turns."""
+    found = list(figures(result))
+    return joined(content for _, content in found), any(name == "scene" for name, _ in found)

@@ -1,0 +1,116 @@
+"""The page of a project: its jobs, where they come from, what is stale."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from metrocli.report.html import EMPTY, Html, joined, table, tag
+from metrocli.report.look import page
+
+_WIDE, _HIGH, _GAP = 190, 46, 60
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One job of a project."""
+
+    name: str
+    kind: str
+    title: str
+    status: str
+    """Status of the result, or empty without one"""
+    stale: str
+    """Why it is not up to date; empty if it is"""
+    needs: tuple[str, ...]
+    inputs: tuple[str, ...]
+    """Files that no job of the project writes"""
+    page: str
+    """Link to the page of the result; empty without one"""
+
+
+def project_page(name: str, entries: Sequence[Entry]) -> str:
+    """Return the page of a project as HTML."""
+    stale = [one for one in entries if one.stale]
+    bad = [one for one in entries if not one.stale and one.status != "done"]
+    words = "All results are up to date and done."
+    if stale or bad:
+        words = f"{len(stale)} of {len(entries)} results are not up to date, {len(bad)} are not fit for use."
+    rows = [(_link(one), one.kind, one.title, _state(one), ", ".join(one.needs)) for one in entries]
+    parts = [
+        tag("p", "metrocli project", class_="muted"),
+        tag("h1", name),
+        tag("div", tag("p", tag("strong", words)), class_="verdict bad" if stale or bad else "verdict"),
+        tag("p", "Bring it up to date by ", tag("code", "metrocli run"), ".") if stale else EMPTY,
+        tag("h2", "Jobs"),
+        table(("job", "kind", "title", "state", "needs"), rows, "Jobs in the order in which they run"),
+        tag("h2", "Lineage"),
+        _lineage(entries),
+    ]
+    return page(name, *parts)
+
+
+def _link(one: Entry) -> Html:
+    return tag("a", one.name, href=one.page) if one.page else joined([one.name])
+
+
+def _state(one: Entry) -> Html:
+    if one.stale:
+        return tag("span", f"not up to date: {one.stale}", class_="stale")
+    return tag("span", f"up to date, {one.status}", class_="" if one.status == "done" else "stale")
+
+
+def ranks(entries: Sequence[Entry]) -> dict[str, int]:
+    """Return for each job the number of jobs before it on its longest way from the measurements."""
+    found: dict[str, int] = {}
+    for one in entries:  # in the order in which they run
+        found[one.name] = 1 + max((found[name] for name in one.needs), default=0)
+    return found
+
+
+def _lineage(entries: Sequence[Entry]) -> Html:
+    """Return the graph of files and jobs, from left to right, and the same as a list."""
+    rank = ranks(entries)
+    files = list(dict.fromkeys(path for one in entries for path in one.inputs))
+    columns = [
+        files,
+        *([one.name for one in entries if rank[one.name] == n] for n in range(1, max(rank.values(), default=0) + 1)),
+    ]
+    place = {name: (column, row) for column, names in enumerate(columns) for row, name in enumerate(names)}
+    boxes = [
+        _box(name, *place[name], one) for name, one in [(path, None) for path in files] + [(e.name, e) for e in entries]
+    ]
+    lines = [_line(place[source], place[one.name]) for one in entries for source in (*one.inputs, *one.needs)]
+    wide = len(columns) * (_WIDE + _GAP) - _GAP + 2
+    high = max(map(len, columns), default=1) * _HIGH
+    size = f"0 0 {wide} {high}"
+    drawn = tag(
+        "svg", tag("title", "Files and jobs; the list below has the same"), *lines, *boxes, viewBox=size, role="img"
+    )
+    items = [tag("li", f"{one.name} takes {', '.join((*one.needs, *one.inputs)) or 'no file'}") for one in entries]
+    return joined([tag("figure", drawn, style=f"max-width:{wide}px"), tag("ul", *items)])
+
+
+def _box(name: str, column: int, row: int, entry: Entry | None) -> Html:
+    x, y = column * (_WIDE + _GAP) + 1, row * _HIGH + 6
+    stroke = "var(--muted)" if entry is None else "var(--second)" if entry.stale else "var(--third)"
+    box = tag(
+        "rect",
+        x=f"{x}",
+        y=f"{y}",
+        width=f"{_WIDE}",
+        height="32",
+        rx="4",
+        style=f"fill:var(--surface);stroke:{stroke};stroke-width:1.5",
+    )
+    text = name if len(name) <= 26 else f"…{name[-25:]}"
+    label = tag("text", text, x=f"{x + 8}", y=f"{y + 20}", style="fill:var(--ink);font:12px system-ui,sans-serif")
+    return tag("g", tag("title", name), box, label)
+
+
+def _line(source: tuple[int, int], to: tuple[int, int]) -> Html:
+    x, y = source[0] * (_WIDE + _GAP) + _WIDE + 1, source[1] * _HIGH + 22
+    u, v = to[0] * (_WIDE + _GAP) + 1, to[1] * _HIGH + 22
+    bend = (x + u) / 2
+    path = f"M{x} {y}C{bend} {y} {bend} {v} {u} {v}"
+    return tag("path", d=path, style="fill:none;stroke:var(--muted);stroke-width:1")

@@ -1,0 +1,123 @@
+"""The page of one result: first what decides, then the figures, then where it comes from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from metrocli.report.content import Content
+from metrocli.report.findings import K, diagnosed, expanded, next_step, row_of, verdict, worst
+from metrocli.report.html import EMPTY, Html, joined, listed, table, tag
+from metrocli.report.look import page
+from metrocli.report.pictures import shown
+
+_FIRST = 12
+"""Estimates on the first screen; all others follow when they are asked for"""
+_STATISTICS = ("observations", "unknowns", "dof", "sigma0", "chi2", "p_value", "rms", "noise", "rejected")
+
+
+def result_page(content: Content) -> str:
+    """Return the page of a result as HTML."""
+    result = content.result
+    title = result.title or result.kind
+    figures, turns = shown(result)
+    parts = [
+        tag("p", f"metrocli {result.kind}", class_="muted"),
+        tag("h1", title),
+        _verdict(content),
+        tag("div", tag("section", _estimates(content)), tag("section", _facts(content)), class_="first"),
+        _warnings(content),
+        tag("h2", "Figures", id="figures") if figures else EMPTY,
+        figures,
+        _details(content),
+        _provenance(content),
+    ]
+    return page(f"{title} ({content.record.status})", *parts, turns=turns)
+
+
+def _verdict(content: Content) -> Html:
+    good, words = verdict(content)
+    lines = [tag("p", tag("strong", words)), *(tag("p", doubt) for doubt in content.record.doubts)]
+    lines.append(tag("p", tag("b", "Next: "), next_step(content)))
+    return tag("div", *lines, class_="verdict" if good else "verdict bad")
+
+
+def _estimates(content: Content) -> Html:
+    result = content.result
+    if not result.estimates:
+        return EMPTY
+    factors = {expanded(result, one)[1] for one in result.estimates}
+    k = f"k = {factors.pop():.3g}" if len(factors) == 1 else "k in the result"
+    head = ("estimate", "value", f"U ({k if factors or k else K})", "unit")
+    rows = [row_of(result, one) for one in result.estimates]
+    first = table(head, rows[:_FIRST], "Estimates with expanded uncertainty", (1, 2))
+    if len(rows) <= _FIRST:
+        return joined([tag("h2", "Estimates"), first])
+    rest = tag("details", tag("summary", f"{len(rows) - _FIRST} more"), table(head, rows[_FIRST:], "", (1, 2)))
+    return joined([tag("h2", "Estimates"), first, rest])
+
+
+def _facts(content: Content) -> Html:
+    bad = list(worst(content.result)) or ["This result has no readings or places to compare."]
+    required = [str(one) for one in content.record.verdicts] or ["No acceptance criterion in the job."]
+    columns = (("Worst", bad), ("Diagnosis", list(diagnosed(content))), ("Acceptance", required))
+    return joined(part for name, lines in columns for part in (tag("h2", name), listed(lines)))
+
+
+def _warnings(content: Content) -> Html:
+    warnings = content.result.warnings
+    return joined([tag("h2", "Warnings"), listed(warnings)]) if warnings else EMPTY
+
+
+def _details(content: Content) -> Html:
+    parts = [tag("h2", "Adjustment"), _statistics(content.result.statistics)]
+    notes = "\n".join(content.result.notes).strip("\n")
+    parts += [tag("pre", notes, tabindex="0")] if notes else []
+    for name, text in content.tables.items():
+        parts.append(tag("details", tag("summary", f"Table {name}"), tag("pre", text, tabindex="0")))
+    return joined(parts)
+
+
+def _statistics(statistics: Mapping[str, Any]) -> Html:
+    rows = []
+    for name in _STATISTICS:
+        value = statistics.get(name)
+        if isinstance(value, Mapping):
+            rows += [(f"{name} ({unit})", _number(one)) for unit, one in value.items()]
+        elif value is not None:
+            rows.append((name, _number(value)))
+    return table(("figure", "value"), rows, "", (1,)) if rows else EMPTY
+
+
+def _number(value: object) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _provenance(content: Content) -> Html:
+    record = content.record
+    files = [(one.path, f"{one.bytes}", one.sha256) for one in record.inputs]
+    made = f"{content.path}, made {record.created} by metrocli {record.metrocli_version}."
+    return joined(
+        [
+            tag("h2", "Traceability"),
+            listed(_traceability(content)),
+            tag("h2", "Provenance"),
+            tag("p", made),
+            table(("input", "bytes", "SHA-256"), files, "Inputs, relative to the job file", (1,)) if files else EMPTY,
+            tag("details", tag("summary", "Job as used"), tag("pre", record.job_text, tabindex="0")),
+        ]
+    )
+
+
+def _traceability(content: Content) -> Iterator[str]:
+    """Yield one sentence for each reference that the result rests on, with its certificate where it is given."""
+    for one in content.references:
+        certificate = f"certificate {one.certificate}" if one.certificate else "no certificate number is given"
+        yield f"{one.name}: {certificate}{f' ({one.note})' if one.note else ''}."
+    if not content.references:
+        yield "The job names no reference standard (certificate: references), so nothing here shows traceability."
+    table_of = content.result.tables.get("not_controlled")
+    if table_of is not None and len(table_of):
+        names = ", ".join(table_of.texts("effect"))
+        yield f"This measurement does not control: {names}. What controls them has to be traceable on its own."
+    yield "The uncertainties follow from the declared inputs and noise (GUM), not from errors that no reading checks."

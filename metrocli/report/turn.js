@@ -1,0 +1,82 @@
+"use strict";
+// 3-D views: drag or arrow keys turn, wheel or + and - zoom, 0 resets. Parallel projection as in the static figure.
+for (const holder of document.querySelectorAll("[data-scene]")) {
+  const scene = JSON.parse(holder.querySelector("script").textContent);
+  const still = holder.querySelector("svg, img"), canvas = document.createElement("canvas");
+  const pen = canvas.getContext("2d"), start = { turn: scene.turn, tilt: scene.tilt, zoom: 1 };
+  let view = { ...start };
+  canvas.tabIndex = 0;
+  canvas.setAttribute("role", "img");
+  canvas.setAttribute("aria-label", "3-D view; the arrow keys turn it, plus and minus zoom, 0 resets");
+  still.classList.add("hidden");
+  still.before(canvas);
+  holder.querySelector(".turning").classList.remove("hidden");
+  const colour = (role) => getComputedStyle(document.documentElement).getPropertyValue("--" + role).trim();
+  const axes = () => {
+    const [c, s, d, e] = [Math.cos(view.turn), Math.sin(view.turn), Math.cos(view.tilt), Math.sin(view.tilt)];
+    return [[-s, c, 0], [-c * e, -s * e, d]];
+  };
+  const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+  const line = (x, y, u, v) => {
+    pen.beginPath(); pen.moveTo(x, y); pen.lineTo(u, v);
+    const a = Math.atan2(v - y, u - x), l = Math.min(7, Math.hypot(u - x, v - y) / 2);
+    for (const turn of [-0.4, 0.4]) { pen.moveTo(u, v); pen.lineTo(u - l * Math.cos(a + turn), v - l * Math.sin(a + turn)); }
+    pen.stroke();
+  };
+  function draw() {
+    const wide = canvas.clientWidth || 600, high = Math.round(wide * 0.7), sharp = window.devicePixelRatio || 1;
+    canvas.width = wide * sharp; canvas.height = high * sharp;
+    pen.setTransform(sharp, 0, 0, sharp, 0, 0);
+    pen.clearRect(0, 0, wide, high);
+    const [right, up] = axes(), scale = view.zoom * 0.84 * Math.min(wide, high) / scene.size;
+    const flat = (p) => [wide / 2 + scale * dot(p, right), high / 2 - scale * dot(p, up)];
+    pen.font = "12px system-ui, sans-serif";
+    scene.kinds.forEach((kind, k) => {
+      const ink = colour(["first", "third", "fourth", "second"][k % 4]);
+      kind.at.forEach((p, i) => {
+        const [x, y] = flat(p);
+        if (kind.covariance) {
+          const c = kind.covariance[i], by = (a, b) => dot(a, [dot(c[0], b), dot(c[1], b), dot(c[2], b)]);
+          const [xx, xy, yy] = [by(right, right), by(right, up), by(up, up)];
+          const mean = (xx + yy) / 2, half = Math.hypot((xx - yy) / 2, xy), f = scale * scene.ellipsoids;
+          pen.strokeStyle = colour("muted"); pen.lineWidth = 0.7; pen.beginPath();
+          pen.ellipse(x, y, f * Math.sqrt(mean + half), f * Math.sqrt(Math.max(mean - half, 0)),
+            -Math.atan2(xy, (xx - yy) / 2) / 2, 0, 7);
+          pen.stroke();
+        }
+        pen.strokeStyle = pen.fillStyle = ink; pen.lineWidth = 1.3;
+        if (kind.vectors) {
+          const v = kind.vectors[i], f = scene.vectors;
+          line(x, y, ...flat([p[0] + f * v[0], p[1] + f * v[1], p[2] + f * v[2]]));
+        }
+        pen.beginPath(); pen.arc(x, y, kind.names ? 4 : 1.8, 0, 7); pen.fill();
+        if (kind.names) { pen.fillStyle = colour("ink"); pen.fillText(kind.names[i], x + 7, y - 6); }
+      });
+      pen.fillStyle = ink; pen.fillText("● " + kind.kind, 8, 18 + 16 * k);
+    });
+    pen.strokeStyle = pen.fillStyle = colour("ink"); pen.lineWidth = 1;
+    ["x", "y", "z"].forEach((name, k) => {
+      const [x, y] = [46, high - 46], u = x + 34 * right[k], v = y - 34 * up[k];
+      line(x, y, u, v); pen.fillText(name, x + 44 * right[k] - 3, y - 44 * up[k] + 4);
+    });
+  }
+  const change = (turn, tilt, zoom) => {
+    view.turn += turn; view.tilt = Math.max(-1.57, Math.min(1.57, view.tilt + tilt)); view.zoom *= zoom; draw();
+  };
+  let held = null;
+  canvas.addEventListener("pointerdown", (e) => { held = [e.clientX, e.clientY]; canvas.setPointerCapture(e.pointerId); });
+  canvas.addEventListener("pointerup", () => { held = null; });
+  canvas.addEventListener("pointermove", (e) => {
+    if (held) { change((held[0] - e.clientX) / 150, (e.clientY - held[1]) / 150, 1); held = [e.clientX, e.clientY]; }
+  });
+  canvas.addEventListener("wheel", (e) => { e.preventDefault(); change(0, 0, Math.exp(-e.deltaY / 500)); }, { passive: false });
+  canvas.addEventListener("keydown", (e) => {
+    const step = { ArrowLeft: [0.1, 0, 1], ArrowRight: [-0.1, 0, 1], ArrowUp: [0, 0.1, 1], ArrowDown: [0, -0.1, 1],
+      "+": [0, 0, 1.2], "-": [0, 0, 1 / 1.2] }[e.key];
+    if (e.key === "0") { view = { ...start }; draw(); }
+    else if (step) { e.preventDefault(); change(...step); }
+  });
+  window.addEventListener("resize", draw);
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw);
+  draw();
+}

@@ -1,0 +1,232 @@
+"""The data of each figure by values, and each figure as a file: title, unit and magnification are in it."""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from plots import results
+
+from metrocli import plots
+from metrocli.errors import UsageError
+from metrocli.plots import scene
+from metrocli.plots.style import DARK, LIGHT
+from metrocli.result import Result
+from metrocli.table import Table
+
+RNG = np.random.default_rng(881)
+UV = RNG.random((300, 2)) * [640, 480]
+
+
+def lens(**columns: np.ndarray) -> Result:
+    return results.camera(UV, RNG.normal(size=(300, 2)) * 0.1, **columns)
+
+
+def test_a_result_lists_only_what_it_can_show() -> None:
+    assert plots.names_of(lens()) == [
+        "residuals",
+        "residuals-radius",
+        "residuals-image",
+        "normal-plot",
+        "coverage",
+        "correlation",
+    ]
+    assert "residuals-time" in plots.names_of(lens(t=np.arange(300.0)))
+    assert plots.names_of(results.network()) == [
+        "scene",
+        "residuals",
+        "residuals-time",
+        "residuals-length",
+        "residuals-part",
+        "normal-plot",
+    ]
+    assert plots.names_of(results.machine()) == ["scene", "error-curves", "volumetric-error", "uncertainty-map"]
+    assert plots.names_of(results.budget()) == ["budget", "conformity"]
+    assert plots.names_of(Result("x", "", (), np.zeros((0, 0)), {})) == []
+
+
+def test_a_radial_error_shows_along_the_radius_only() -> None:
+    """Every reading is 0.5 px further out: w along the radius is 5, across it 0."""
+    away = UV - [320.0, 240.0]
+    out = 0.5 * away / np.linalg.norm(away, axis=1)[:, None]
+    along, across = plots.data_of("residuals-radius", results.camera(UV, out)).panels
+    assert along.w == pytest.approx(5.0) and across.w == pytest.approx(0.0, abs=1e-12)
+    assert along.covariate == pytest.approx(np.hypot(*away.T))
+    assert len(along.trend.beyond) == 20 and not len(across.trend.beyond)
+
+
+def test_the_worst_reading_is_named() -> None:
+    residuals = np.zeros((300, 2))
+    residuals[123] = [0.0, 0.9]
+    found = plots.data_of("residuals", results.camera(UV, residuals)).panels[0]
+    assert found.label == "i12/t3/v" and found.beyond.tolist() == [247]
+    shown = plots.data_of("residuals-image", results.camera(UV, residuals))
+    assert shown.worst_name == "i12/t3" and shown.beyond.tolist().count(True) == 1
+    assert shown.vectors[shown.worst].tolist() == [0.0, 0.9]
+
+
+def test_vectors_over_the_image_fit_into_it() -> None:
+    shown = plots.data_of("residuals-image", results.camera(UV, np.full((300, 2), 0.03)))
+    assert shown.magnification == 1000.0  # 0.0424 px become 42 px, at most 640 / 14
+    assert shown.readings == 300
+
+
+def test_coverage_counts_every_reading_once() -> None:
+    uv = np.array([[0.0, 0.0], [1.0, 1.0], [639.0, 479.0], [320.0, 0.0]])
+    found = plots.data_of("coverage", results.camera(uv, np.zeros((4, 2))))
+    assert found.counts.sum() == 4 and found.counts[0, 0] == 2 and found.counts[9, 9] == 1 and found.counts[0, 5] == 1
+    assert found.filled == 0.03
+
+
+def test_residuals_along_beams_by_hand() -> None:
+    """A: beams along x and y with 1 and 2 um; B: 3 um towards L1, along -x; C: 4 um along y."""
+    found = plots.data_of("residuals-part", results.network())
+    vectors = dict(zip(found.names, found.vectors.tolist(), strict=True))
+    assert vectors["A"] == pytest.approx([0.001, 0.002, 0.0])
+    assert vectors["B"] == pytest.approx([-0.003, 0.0, 0.0])
+    assert vectors["C"] == pytest.approx([0.0, 0.004, 0.0])
+    assert dict(zip(found.names, found.rms, strict=True)) == pytest.approx(
+        {"A": np.sqrt(2.5), "B": np.sqrt(4.5), "C": np.sqrt(8.0)}
+    )
+    assert found.plane == (0, 1) and found.magnification == 5000.0
+
+
+def test_the_scene_magnifies_vectors_and_ellipsoids() -> None:
+    found = plots.data_of("scene", results.network())
+    assert [one.kind for one in found.places] == ["points", "tracers"]
+    # the diagonal of all places is sqrt(200² + 300²) = 361 mm; the longest vector is 5 um, 36 mm at most
+    assert found.vectors == 5000.0
+    assert found.places[0].covariance[1] == pytest.approx(np.diag([1e-6, 4e-6, 9e-6]))
+
+
+@pytest.mark.parametrize("turn", [0.3, 2.0, -1.1])
+def test_outlines_are_the_shadows_of_ellipsoids(turn: float) -> None:
+    """The extent of many points of an ellipsoid along any direction of the picture is that of the drawn ellipse."""
+    rng = np.random.default_rng(882)
+    root = rng.normal(size=(3, 3))
+    rows = scene.view(turn, 0.4)
+    assert rows @ rows.T == pytest.approx(np.eye(3))
+    a, b, angle = (float(one[0]) for one in scene.outline((root @ root.T)[None], rows))
+    sphere = rng.normal(size=(200_000, 3))
+    flat = (sphere / np.linalg.norm(sphere, axis=1)[:, None]) @ root.T @ rows[:2].T
+    for direction, half in ((angle, a), (angle + np.pi / 2, b)):
+        assert (flat @ [np.cos(direction), np.sin(direction)]).max() == pytest.approx(half, rel=2e-3)
+
+
+def test_error_curves_are_in_micrometres_with_k_2() -> None:
+    found = plots.data_of("error-curves", results.machine())
+    straight, yaw = found.curves
+    assert (straight.name, straight.determined, yaw.name, yaw.determined) == ("EXX", True, "ECX", False)
+    assert straight.value.tolist() == [0.0, 20.0] and straight.spread.tolist() == [0.0, 2.0]
+    assert found.squareness == (("C0Y", pytest.approx(10.0), pytest.approx(4.0)),)
+
+
+def test_maps_over_the_volume() -> None:
+    error = plots.data_of("volumetric-error", results.machine())
+    assert error.largest == pytest.approx(np.hypot(0.02, 0.015)) and error.largest_at == (100.0, 0.0, 50.0)
+    assert [layer.z for layer in error.layers] == [0.0, 50.0]
+    assert error.layers[0].size == pytest.approx([0.0, 20.0, 0.0, 20.0])
+    spread = plots.data_of("uncertainty-map", results.machine())
+    assert spread.layers[1].size == pytest.approx(7.0) and spread.layers[1].vectors is None
+
+
+def test_correlations() -> None:
+    found = plots.data_of("correlation", lens())
+    assert found.matrix[0, 1] == pytest.approx(0.5) and found.largest == ("cx", "cy", pytest.approx(-0.9))
+
+
+def test_a_budget_is_sorted_and_adds_up() -> None:
+    (chart,) = plots.data_of("budget", results.budget())
+    assert chart.names == ("large", "middle", "small") and chart.together.tolist() == [60.0, 90.0, 100.0]
+
+
+def test_many_small_contributors_share_a_bar() -> None:
+    shares = np.append(np.full(20, 2.0), 60.0)
+    names = np.array([f"c{k}" for k in range(21)])
+    table = Table({"measurand": np.full(21, "l"), "contributor": names, "share": shares})
+    (chart,) = plots.data_of("budget", replace(results.budget(), tables={"budget": table}))
+    assert chart.names[0] == "c20" and chart.names[-1] == "11 others" and chart.together[-1] == 100.0
+
+
+def test_conformity() -> None:
+    (one,) = plots.data_of("conformity", results.budget())
+    assert (one.value, one.U, one.low, one.high, one.accepted) == (50.0005, 2e-4, 49.999, 50.001, (49.9992, 50.0008))
+
+
+ALL = [
+    (name, result)
+    for result in (
+        lens(t=np.arange(300.0), temp=np.linspace(19, 22, 300)),
+        results.network(),
+        results.machine(),
+        results.budget(),
+    )
+    for name in plots.names_of(result)
+]
+
+
+@pytest.mark.parametrize(("name", "result"), ALL, ids=lambda one: one if isinstance(one, str) else one.kind)
+def test_each_figure_names_what_it_shows(name: str, result: Result, tmp_path: Path) -> None:
+    plots.save(result, name, tmp_path / "x.svg", ".svg")
+    text = (tmp_path / "x.svg").read_text(encoding="utf-8")
+    words = " ".join("".join(node.itertext()) for node in ET.fromstring(text).iter() if node.tag.endswith("text"))
+    assert plots.title_of(name) in words
+    assert re.search(
+        r"\((µm|mm|px|s|°C|%|µrad|standard deviations)\)|coefficient|root mean square of w|\d mm", words
+    ), words
+    if name in ("residuals-image", "residuals-part", "scene", "volumetric-error"):
+        assert "magnified ×" in words
+
+
+def test_the_same_result_gives_the_same_bytes(tmp_path: Path) -> None:
+    for name in ("x.svg", "y.svg"):
+        plots.save(results.network(), "residuals-part", tmp_path / name, ".svg")
+    assert (tmp_path / "y.svg").read_bytes() == (tmp_path / "x.svg").read_bytes()
+
+
+def test_other_formats_and_the_dark_ground(tmp_path: Path) -> None:
+    result = results.budget()
+    for ending, magic in ((".pdf", b"%PDF"), (".png", b"\x89PNG")):
+        plots.save(result, "conformity", tmp_path / f"x{ending}", ending)
+        assert (tmp_path / f"x{ending}").read_bytes().startswith(magic)
+    plots.save(result, "conformity", tmp_path / "dark.svg", ".svg", dark=True)
+    text = (tmp_path / "dark.svg").read_text(encoding="utf-8")
+    assert DARK.surface in text and LIGHT.surface not in text
+
+
+def luminance(colour: str) -> float:
+    """Relative luminance of a colour (WCAG 2.1)."""
+    parts = np.array([int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)])
+    linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
+    return float(linear @ [0.2126, 0.7152, 0.0722])
+
+
+@pytest.mark.parametrize("theme", [LIGHT, DARK], ids=["light", "dark"])
+def test_text_and_marks_stand_out_from_the_ground(theme: object) -> None:
+    """WCAG 2.1: 4.5 for text, 3 for marks; the two most used colours differ in lightness too, for any eye."""
+
+    def contrast(one: str, other: str) -> float:
+        low, high = sorted((luminance(one), luminance(other)))
+        return (high + 0.05) / (low + 0.05)
+
+    ground = theme.surface  # type: ignore[attr-defined]
+    assert all(contrast(getattr(theme, name), ground) >= 4.5 for name in ("ink", "muted"))
+    assert all(contrast(getattr(theme, name), ground) >= 3.0 for name in ("first", "second", "third", "fourth"))
+    roles = [
+        getattr(theme, name)
+        for name in ("surface", "ink", "muted", "grid", "band", "first", "second", "third", "fourth")
+    ]
+    assert len(set(roles)) == len(roles)
+
+
+def test_faults_of_the_command_line() -> None:
+    with pytest.raises(UsageError, match=r"no figure 'corelation'; did you mean 'correlation'\?"):
+        plots.check(lens(), "corelation", Path("x.svg"))
+    with pytest.raises(UsageError, match="no figure 'scene'; allowed: residuals"):
+        plots.check(lens(), "scene", Path("x.svg"))
+    with pytest.raises(UsageError, match=r"x.jpg: the name of a figure ends in .svg, .pdf or .png"):
+        plots.check(lens(), "residuals", Path("x.jpg"))

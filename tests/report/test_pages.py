@@ -1,0 +1,264 @@
+"""Pages of results and projects: what they hold, that files cannot inject anything, that nothing is fetched."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from plots import results
+
+from metrocli.record import InputFile, Record, Verdict
+from metrocli.report.content import Content, Diagnosis, Reference
+from metrocli.report.project_page import Entry, project_page, ranks
+from metrocli.report.result_page import result_page
+from metrocli.result import Estimate, Result
+
+Metrocli = Callable[..., Any]
+EVIL = "<script>alert('x')</script>&\"quoted\""
+RECORD = Record(
+    "metrocli: 1\njob: x\n", (InputFile("a.csv", "ab" * 32, 123),), "0.1.0", "2026-11-20T10:00:00Z",
+    (Verdict("sigma0", "< 1.5", 1.0, "", True),),
+)  # fmt: skip
+VOID = {"meta", "img", "br", "hr", "link", "input"}
+
+
+class Page(HTMLParser):
+    """Elements with their attributes, the text that is shown, and faults of nesting."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(convert_charrefs=True)
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
+        self.open: list[str] = []
+        self.texts: list[str] = []
+        self.feed(text)
+        self.close()
+        assert not self.open, self.open
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if not {"script", "style"} & set(self.open):
+            self.texts.append(data)
+
+    @property
+    def text(self) -> str:
+        return " ".join(" ".join(self.texts).split())
+
+    def named(self, tag: str) -> list[dict[str, str | None]]:
+        return [held for name, held in self.elements if name == tag]
+
+
+def page_of(result: Result, **more: Any) -> Page:
+    return Page(result_page(Content(result, more.pop("record", RECORD), "r.h5", **more)))
+
+
+def lens() -> Result:
+    rng = np.random.default_rng(891)
+    return results.camera(rng.random((400, 2)) * [640, 480], rng.normal(size=(400, 2)) * 0.1)
+
+
+@pytest.mark.parametrize(
+    "result", [lens(), results.network(), results.machine(), results.budget()], ids=lambda r: r.kind
+)
+def test_a_page_fetches_nothing_and_is_well_formed(result: Result) -> None:
+    text = result_page(Content(result, RECORD, "r.h5"))
+    page = Page(text)
+    for name, held in page.elements:
+        for key in ("src", "href", "xlink:href", "data", "action", "poster", "srcset"):
+            link = held.get(key) or "#"
+            assert link.startswith(("#", "data:image/png;base64,")), (name, link)
+        assert not any(key.startswith("on") for key in held), held
+    policy = next(held["content"] or "" for held in page.named("meta") if held.get("http-equiv"))
+    assert policy.startswith("default-src 'none'; img-src data:;") and "http" not in policy
+    assert "@import" not in text and "url(http" not in text
+    ids = Counter(held["id"] for _, held in page.elements if held.get("id"))
+    assert not [name for name, count in ids.items() if count > 1]
+    used = set(re.findall(r"url\(#([^)]*)\)", text)) | {held["xlink:href"][1:] for held in page.named("use")}
+    assert used <= set(ids)
+    assert len(text) < 1_500_000 and "\u2028" not in text
+
+
+def test_the_script_is_the_one_that_the_policy_allows() -> None:
+    import base64
+    import hashlib
+
+    text = result_page(Content(results.network(), RECORD, "r.h5"))
+    code = text.rpartition("<script>")[2].partition("</script>")[0]
+    digest = base64.b64encode(hashlib.sha256(code.encode()).digest()).decode()
+    assert f"script-src 'sha256-{digest}'" in text and "data-scene" in code
+    without = result_page(Content(results.budget(), RECORD, "r.h5"))
+    assert "<script" not in without and "script-src 'none'" in without
+
+
+def test_first_comes_what_decides() -> None:
+    """Without any script: verdict, next step, estimates with U, the worst reading, diagnosis, acceptance; then figures."""
+    text = page_of(results.network()).text
+    order = [
+        text.index(one)
+        for one in (
+            "Net",
+            "Done.",
+            "Next:",
+            "L1.x",
+            "Worst",
+            "Diagnosis",
+            "Acceptance",
+            "Figures",
+            "Traceability",
+            "Provenance",
+        )
+    ]
+    assert order == sorted(order)
+    assert "L1.x -100.000 0.020 mm" in text  # U = 2 x 0.010, two digits
+    assert "Reading C/L2: |w| = 4" in text
+    assert "required sigma0 < 1.5: met (1)" in text
+    assert "ab" * 32 in text
+
+
+def test_u_is_that_of_the_result_where_it_states_one() -> None:
+    text = page_of(results.budget()).text
+    assert "U (k = 2)" in text and "50.00050 0.00020 mm" in text
+
+
+def test_a_doubtful_result_cannot_be_overlooked() -> None:
+    page = page_of(lens(), record=replace(RECORD, doubts=("sigma0 = 7",)))
+    assert "Doubtful: do not use this result. sigma0 = 7" in page.text
+    assert {"class": "verdict bad"} in page.named("div")
+    unmet = replace(RECORD, verdicts=(Verdict("sigma0", "< 0.5", 1.0, "", False),))
+    assert "does not meet its requirements" in page_of(lens(), record=unmet).text
+
+
+def test_what_comes_from_files_is_escaped() -> None:
+    result = replace(
+        results.network(), title=EVIL, warnings=(EVIL,), notes=(EVIL,),
+        estimates=(Estimate(EVIL, 1.0, 0.1, "mm"), Estimate("b", 1.0, 0.1, "mm")), covariance=np.diag([0.01, 0.01]),
+    )  # fmt: skip
+    table = result.tables["points"]
+    names = np.array(["A</script><script>alert(1)</script>", "B", "C"])
+    result = replace(
+        result, tables={**result.tables, "points": replace(table, columns={**table.columns, "point": names})}
+    )
+    record = replace(RECORD, job_text=EVIL, inputs=(InputFile(EVIL, EVIL, 1),), doubts=(EVIL,), created=EVIL)
+    diagnosis = Diagnosis(
+        {"verdict": EVIL, "effects": [{"name": EVIL, "where": {"a": EVIL}, "parameters": {}}]}, EVIL, True
+    )
+    held = Content(result, record, EVIL, {"views": EVIL}, diagnosis, (Reference(EVIL, EVIL, EVIL),), EVIL)
+    text = result_page(held)
+    page = Page(text)
+    assert len(page.named("script")) == 2 and "<script>alert" not in text
+    assert page.text.count("alert('x')") >= 12
+    data = json.loads(re.search(r'type="application/json">(.*?)</script>', text, re.DOTALL)[1])  # type: ignore[index]
+    assert data["kinds"][0]["names"][0] == names[0]
+
+
+def test_the_view_that_turns_has_true_sizes() -> None:
+    text = result_page(Content(results.network(), RECORD, "r.h5"))
+    data = json.loads(re.search(r'type="application/json">(.*?)</script>', text, re.DOTALL)[1])  # type: ignore[index]
+    points = data["kinds"][0]
+    assert points["vectors"][1] == [0.003, 0.004, 0.0] and data["vectors"] == 5000.0
+    # half axes of two standard deviations: 2, 4 and 6 um
+    assert np.sqrt(np.diag(points["covariance"][0])) == pytest.approx([0.002, 0.004, 0.006])
+    assert np.subtract(points["at"][1], points["at"][0]).tolist() == [100.0, 0.0, 0.0]
+
+
+def test_figures_follow_the_theme_of_the_page() -> None:
+    from metrocli.plots.style import LIGHT
+
+    text = result_page(Content(results.machine(), RECORD, "r.h5"))
+    head, _, body = text.partition("</head>")
+    assert "prefers-color-scheme:dark" in head and "@media print" in head and "size:A4" in head
+    assert "var(--ink)" in body and LIGHT.ink not in body and LIGHT.first not in body
+
+
+def test_traceability() -> None:
+    references = (Reference("gauge block 100 mm", "PTB 4711", "calibrated 2026-01-07"), Reference("laser"))
+    text = page_of(lens(), references=references).text
+    assert "gauge block 100 mm: certificate PTB 4711 (calibrated 2026-01-07)." in text
+    assert "laser: no certificate number is given." in text
+    assert "names no reference standard" in page_of(lens()).text
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        ({"verdict": "explained", "effects": [{"name": "jump", "where": {"t": "LT2"}, "parameters": {"step": {"value": 0.0016, "std": 0.0001, "unit": "mm"}}}], "extended_job": "x.extended.yaml"}, ["jump LT2: step = 0.00160 ± 0.00010 mm", "extended job", "x.extended.yaml"]),
+        ({"verdict": "clean", "outliers": [{"observation": {"p": "P1", "t": "LT1"}, "w": 6.5}]}, ["Wrong reading: P1/LT1 (w = 6.5)", "Check the wrong readings"]),
+        ({"verdict": "unexplained"}, ["Verdict: unexplained.", "structure that no known effect explains"]),
+        ({"verdict": "mistaken", "mistake": {"file": "points", "what": "is in inches"}}, ["Mistake in points: is in inches", "Correct the mistake"]),
+        ({"verdict": "clean"}, ["Verdict: clean.", "Use or export the result."]),
+    ],
+)  # fmt: skip
+def test_the_diagnosis_decides_what_is_next(data: dict[str, Any], words: list[str]) -> None:
+    text = page_of(lens(), diagnosis=Diagnosis(data, "d.json", True)).text
+    assert all(one in text for one in words), text[:900]
+    other = page_of(lens(), diagnosis=Diagnosis(data, "d.json", False)).text
+    assert "d.json is the diagnosis of another job, or of other inputs" in other and words[0] not in other
+
+
+ENTRIES = (
+    Entry("jobs/a.yaml", "calibrate-camera", "Lens", "done", "", (), ("obs.csv",), "a.html"),
+    Entry(
+        "jobs/b.yaml",
+        "align-part",
+        EVIL,
+        "done",
+        "input obs.csv changed",
+        ("jobs/a.yaml",),
+        ("obs.csv", "p.csv"),
+        "b.html",
+    ),
+    Entry(
+        "jobs/c.yaml", "report-uncertainty", "U", "", "there is no result yet", ("jobs/a.yaml", "jobs/b.yaml"), (), ""
+    ),
+)
+
+
+def test_the_page_of_a_project() -> None:
+    page = Page(project_page("House", ENTRIES))
+    assert "2 of 3 results are not up to date, 0 are not fit for use." in page.text
+    assert "not up to date: input obs.csv changed" in page.text
+    assert [held["href"] for held in page.named("a")] == ["a.html", "b.html"]
+    assert "jobs/b.yaml takes jobs/a.yaml, obs.csv, p.csv" in page.text and not page.named("script")
+    assert ranks(ENTRIES) == {"jobs/a.yaml": 1, "jobs/b.yaml": 2, "jobs/c.yaml": 3}
+    assert len(page.named("rect")) == 5 and len(page.named("path")) == 6
+    assert "All results are up to date and done." in Page(project_page("House", ENTRIES[:1])).text
+
+
+def test_the_command(job: Path, metrocli: Metrocli) -> None:
+    metrocli("straight-line", job)
+    assert metrocli("report", "results/line.h5").out == "results/line.html\n"
+    assert "slope" in Page(Path("results/line.html").read_text(encoding="utf-8")).text
+    Path("results/line.diagnosis.json").write_text('{"verdict": "clean", "of": {}}')
+    assert metrocli("report", "results/line.h5", "--out", "x.html").out == "x.html\n"
+    assert "diagnosis of another job" in Page(Path("x.html").read_text(encoding="utf-8")).text
+    Path("results/line.diagnosis.json").write_text("verdict: clean")
+    ran = metrocli("report", "results/line.h5")
+    assert ran.code == 3 and "not the output of metrocli diagnose --json" in ran.err
+
+
+def test_the_command_for_a_project(job: Path, metrocli: Metrocli) -> None:
+    Path("metrocli.yaml").write_text("project: Lines\njobs: [line.yaml]\n")
+    assert metrocli("report", ".").out == "report/index.html\n"
+    assert "there is no result yet" in Page(Path("report/index.html").read_text(encoding="utf-8")).text
+    metrocli("run", ".")
+    assert metrocli("report", ".").out == "report/index.html\nreport/line.html\n"
+    page = Page(Path("report/index.html").read_text(encoding="utf-8"))
+    assert "Lines" in page.text and page.named("a")[0]["href"] == "line.html"
+    assert metrocli("report", ".", "--diagnosis", "x.json").code == 2
