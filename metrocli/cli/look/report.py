@@ -91,7 +91,7 @@ _DIAGNOSE = "write it by: metrocli diagnose JOB.yaml --json > FILE.json"
 
 def _project(place: Path, out: Path | None) -> list[Path]:
     """Write the pages of all results that exist, and the page that leads to them."""
-    from metrocli.project.pipeline import states
+    from metrocli.project.staleness import states
     from metrocli.project.steps import load_project, name_of_project, project_file
     from metrocli.report.project_page import Entry, project_page
 
