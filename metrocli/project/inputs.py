@@ -12,7 +12,7 @@ from typing import Any
 from metrocli.errors import Fault, InputError
 from metrocli.project.job import Input, JobFile
 from metrocli.record import DONE, InputFile
-from metrocli.settings import ANY_KIND, FileOf, ImageFiles, TableFile
+from metrocli.settings import ANY_KIND, FileOf, ImageFiles, MeshFile, TableFile
 
 
 def read_inputs(job: JobFile, absent: Collection[str] = ()) -> dict[str, Any]:
@@ -75,6 +75,10 @@ def _read_one(spec: Any, path: Path, item: Input) -> Any:
         from metrocli.formats import csv
 
         return csv.read(path, spec.columns)
+    if isinstance(spec, MeshFile):
+        from metrocli.formats import meshes
+
+        return meshes.read(path)
     if isinstance(spec, FileOf):
         from metrocli.formats import hdf5
 

@@ -50,6 +50,7 @@ ONLY_IN = {
     "click": {"cli"},
     "cv2": {"targets", "formats/images"},
     "distributed": {"uncertainty"},
+    "trimesh": {"formats"},
 }
 FORBIDDEN = {"scipy.stats": "slow to import; scipy.special has the distributions"}
 VAGUE = {"utils", "util", "helpers", "helper", "common", "core", "base", "manager", "misc", "tools"}

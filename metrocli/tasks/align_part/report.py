@@ -21,6 +21,7 @@ from metrocli.instruments.camera import TARGET
 from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.align_part import KIND
+from metrocli.tasks.align_part.fitted_targets import added_by_fit
 from metrocli.tasks.align_part.problem import Problem
 from metrocli.tasks.align_part.uncontrolled import uncontrolled
 from metrocli.tasks.shared.images.adjustment import Adjusted
@@ -96,6 +97,8 @@ def report(problem: Problem, adjusted: Adjusted, prediction: Prediction | None) 
     solution = adjusted.solution
     found = adjusted.known_residuals()
     names, values, covariance, units = _estimates(solution, problem.effects)
+    if problem.common is not None:
+        covariance[:6, :6] += added_by_fit(problem.common, solution.blocks[spindle.PART].values[0])
     effect_tables, effect_arrays = effect_results(problem.effects, solution)
     std = np.sqrt(np.diag(covariance))
     estimates = tuple(

@@ -42,7 +42,10 @@ class Inputs:
         "result of calibrate-camera (rig cmm), or a camera written by hand (.yaml)",
     )
     poses: Path = setting(TableFile(POSES), "commanded pose of the spindle for each image")
-    targets: Path = setting(TableFile(TARGETS), "coordinates of targets in the part")
+    targets: Path = setting(
+        Either(TableFile(TARGETS), FileOf(("fit-part",))),
+        "coordinates of targets in the part (CSV), or the result of fit-part that has them",
+    )
     observations: Path | None = setting(TableFile(OBSERVATIONS), "image coordinates of targets", default=None)
     images: tuple[Path, ...] | None = setting(
         ImageFiles(), "images, such as img/*.png, instead of observations", default=None
@@ -55,7 +58,7 @@ class Files:
 
     camera: Result | CameraFile
     poses: Table
-    targets: Table
+    targets: Table | Result
     observations: Table | None = None
     images: ImageSet | None = None
 
