@@ -76,18 +76,22 @@ class Triangles:
 
     @cached_property
     def _paired(self) -> tuple[Index, Index]:
-        """Return the neighbour of each edge (3 f,), -1 without one, and the rows of edges used twice in one direction.
+        """Return the neighbour of each edge (3 f,), -1 without one, and edges used wrongly twice or more often.
 
         Edge e = 3 face + k runs from corner k to the next.
         """
         start, end = self.faces.ravel(), self.faces[:, _NEXT].ravel()
-        n = len(self.vertices)
-        key, back = start * n + end, end * n + start
+        key = np.minimum(start, end) * len(self.vertices) + np.maximum(start, end)
         order = np.argsort(key, kind="stable")
         ordered = key[order]
-        at = np.minimum(np.searchsorted(ordered, back), len(ordered) - 1)
-        neighbour = np.where(ordered[at] == back, order[at], -1)
-        twice = order[1:][ordered[1:] == ordered[:-1]]
+        first = np.flatnonzero(np.concatenate([[True], ordered[1:] != ordered[:-1]]))
+        counts = np.diff(np.append(first, len(ordered)))
+        pair = first[counts == 2]
+        one, other = order[pair], order[pair + 1]
+        opposite = start[one] == end[other]
+        neighbour = np.full(len(start), -1, dtype=np.intp)
+        neighbour[one[opposite]], neighbour[other[opposite]] = other[opposite], one[opposite]
+        twice = np.concatenate([one[~opposite], order[first[counts > 2]]])
         return neighbour, twice
 
     @property

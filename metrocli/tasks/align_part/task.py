@@ -19,6 +19,7 @@ from metrocli.tasks.align_part.camera import camera_of
 from metrocli.tasks.align_part.diagnosis import adjusted_job
 from metrocli.tasks.align_part.effects import EFFECTS
 from metrocli.tasks.align_part.fitted_targets import target_list
+from metrocli.tasks.align_part.fixturing import must_level
 from metrocli.tasks.align_part.problem import Problem, build, spindle_poses
 from metrocli.tasks.align_part.report import delivered, explained, predicted, report
 from metrocli.tasks.align_part.settings import Files, Settings
@@ -38,12 +39,14 @@ def run(job: Job[Settings, Files]) -> Result:
     Raises InputError if the files do not fit together, UndeterminedError if the readings do not determine the
     unknowns, and NotConvergedError if the adjustment does not converge.
     """
+    if job.files.supports is not None:
+        must_level(job.files.supports)
     problem = prepared(job)
     prediction = predicted(problem)
     adjusted = solved(job.settings, problem)
     if job.settings.noise == STRUCTURED:
         adjusted = adjusted.with_structure(delivered(problem.effects))
-    return report(problem, adjusted, prediction)
+    return report(problem, adjusted, prediction, job.files.supports)
 
 
 def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:

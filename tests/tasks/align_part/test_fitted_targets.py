@@ -84,5 +84,5 @@ def test_the_sample_finds_its_part_and_a_target_that_moved(tmp_path: Path, metro
     shutil.copy(home / "NEW" / "observations.csv", home / "machine" / "observations.csv")
     found = metrocli("diagnose", job, "--json")
     assert found.code == 0, found.err
-    summary = json.loads(found.out)
-    assert "T23" in json.dumps(summary["findings"]) and "moved-target" in json.dumps(summary["findings"])
+    named = [(one["name"], one["where"]) for one in json.loads(found.out)["effects"]]
+    assert named == [("moved-target", {"target": "T23"})]

@@ -11,6 +11,11 @@ import pytest
 from geometry.test_triangles import SIZE, block
 from simulated.castings import casting
 
+from metrocli.result import Result
+from metrocli.table import Table
+from metrocli.tasks.fit_part.readings import read
+from metrocli.tasks.fit_part.settings import Inputs, Overstock, Settings
+
 Metrocli = Callable[..., Any]
 
 
@@ -72,6 +77,24 @@ def test_targets_and_surfaces_that_no_point_has(tmp_path: Path, metrocli: Metroc
     ran = metrocli("check", job)
     assert ran.code == 3
     assert "targets: no point has the name 'X*'" in ran.err and "surfaces: no point has the name 'Z9'" in ran.err
+
+
+def test_points_of_a_result_come_with_their_covariance() -> None:
+    """As calibrate-camera (rig network) and multilaterate give them; the surfaces are named by patterns."""
+    rng = np.random.default_rng(6)
+    names, places = ["A1", "A2", "B1", "T1"], rng.normal(size=(4, 3))
+    covariance = np.stack([np.diag(rng.uniform(1e-4, 1e-3, 3)) for _ in names])
+    table = Table({"point": np.array(names), **{axis: places[:, k] for k, axis in enumerate("xyz")}})
+    result = Result(
+        "calibrate-camera", "", (), np.zeros((0, 0)), {}, {"points": table}, {"points_covariance": covariance}
+    )
+    files = Inputs(Path("points.h5"), Path("part.yaml"))
+    settings = Settings(files, Overstock(0.5), targets=("T*",), surfaces={"a": ("A*",), "b": ("B1",)})
+    found = read(settings, result, ("a", "b"), False)
+    assert found.surface_points.names == ("A1", "A2", "B1") and found.targets.names == ("T1",)
+    assert found.surface is not None and found.surface.tolist() == [0, 0, 1]
+    assert np.array_equal(found.surface_points.covariance, covariance[:3])
+    assert np.array_equal(found.targets.points, places[3:])
 
 
 def stl(path: Path, corners: np.typing.NDArray[np.float64]) -> None:
