@@ -13,7 +13,7 @@ from metrocli.formats.file_bytes import FileBytes, read_bytes
 from metrocli.project import meaning
 from metrocli.project.job import Input, JobFile
 from metrocli.record import DONE, InputFile
-from metrocli.settings import ANY_KIND, FileOf, ImageFiles, TableFile
+from metrocli.settings import ANY_KIND, FileOf, ImageFiles, MeshFile, TableFile
 
 
 def read_inputs(job: JobFile, absent: Collection[str] = ()) -> dict[str, Any]:
@@ -91,6 +91,11 @@ def _read_one(spec: Any, path: Path, item: Input, folder: Path) -> tuple[Any, In
         held = read_bytes(path, "a CSV file")
         table = csv.read(path, spec.columns, held=held)
         return table, _recorded(held, folder, meaning.of_table(table))
+    if isinstance(spec, MeshFile):
+        from metrocli.formats import meshes
+
+        held = read_bytes(path, "a mesh")
+        return meshes.read(path), _recorded(held, folder, held.sha256)
     if isinstance(spec, FileOf):
         from metrocli.formats import hdf5
 

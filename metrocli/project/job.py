@@ -29,6 +29,7 @@ from metrocli.settings import (
     ImageFiles,
     ListOf,
     MapOf,
+    MeshFile,
     Schema,
     Section,
     TableFile,
@@ -237,7 +238,8 @@ def _files_in(spec: Any, node: Node | None, within_inputs: bool = False) -> Iter
 
 
 def _names_files(spec: Any) -> bool:
-    return isinstance(spec, TableFile | ImageFiles | FileOf) or (isinstance(spec, MapOf) and _names_files(spec.value))
+    of_a_file = isinstance(spec, TableFile | ImageFiles | FileOf | MeshFile)
+    return of_a_file or (isinstance(spec, MapOf) and _names_files(spec.value))
 
 
 def _with_content(item: Input, faults: list[Fault]) -> Input:

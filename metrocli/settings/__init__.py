@@ -1,7 +1,7 @@
 """Specifications of job files: they read nodes into frozen dataclasses and describe themselves as JSON schema."""
 
 from metrocli.settings.composites import At, Either, ListOf, MapOf, Placed
-from metrocli.settings.files import ANY_KIND, FileOf, ImageFiles, TableFile, path_beside
+from metrocli.settings.files import ANY_KIND, FileOf, ImageFiles, MeshFile, TableFile, path_beside
 from metrocli.settings.sections import Section, Setting, read_sections, sections_schema, setting, settings_of
 from metrocli.settings.values import BAD, Choice, Flag, Number, Quantity, Schema, Spec, Text, Whole
 
@@ -16,6 +16,7 @@ __all__ = [
     "ImageFiles",
     "ListOf",
     "MapOf",
+    "MeshFile",
     "Number",
     "Placed",
     "Quantity",

@@ -140,6 +140,22 @@ class FileOf(OfText):
         return {"type": "string", "minLength": 1}
 
 
+@dataclass(frozen=True)
+class MeshFile(OfText):
+    """A mesh of triangles, with a path relative to the job file."""
+
+    expects = "the path of a mesh (.stl, .ply, .obj)"
+
+    def read(self, node: Node, faults: list[Fault]) -> Any:
+        path = _path(self, node, faults)
+        if path is not BAD and path.suffix.lower() not in (".stl", ".ply", ".obj"):
+            return refuse(self, node, faults, f"'{node.text}' does not end in .stl, .ply or .obj")
+        return path
+
+    def schema(self) -> Schema:
+        return {"type": "string", "minLength": 1}
+
+
 def _path(spec: Spec, node: Node, faults: list[Fault]) -> Any:
     if node.kind != "scalar" or node.empty or not node.text.strip() or "\0" in node.text:
         return refuse(spec, node, faults)

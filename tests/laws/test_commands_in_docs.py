@@ -21,6 +21,7 @@ SAMPLE = {
     "locate-launch-unit": ("xm60-launch-unit", "table", "table"),
     "selfcal-grid": ("ball-cube", "views", "views"),
     "calibrate-machine": ("otf-tracker", "feed-2500", "feed-2500"),
+    "fit-part": ("raw-part", "fit", "fit"),
     "report-uncertainty": ("gauge-block", "gum", "gum"),
 }
 """The sample, its job and its result that stand for JOB.yaml and RESULT.h5 on the pages of a kind; else the gear's"""

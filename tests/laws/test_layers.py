@@ -63,6 +63,7 @@ ONLY_IN = {
     "cv2": {"targets", "formats/images"},
     "distributed": {"uncertainty"},
     "matplotlib": {"plots"},
+    "trimesh": {"formats"},
 }
 FORBIDDEN = {"scipy.stats": "slow to import; scipy.special has the distributions"}
 VAGUE = {"utils", "util", "helpers", "helper", "common", "core", "base", "manager", "misc", "tools"}

@@ -37,6 +37,8 @@ class Problem(Modelled):
     camera: CameraModel
     sighted: Sighted
     warnings: tuple[str, ...] = ()
+    common: Array | None = None
+    """Covariance (6, 6) of a motion that all targets share, beside the adjustment"""
 
     @property
     def images(self) -> Group:

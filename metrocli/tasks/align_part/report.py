@@ -21,6 +21,9 @@ from metrocli.instruments.camera import TARGET
 from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.align_part import KIND
+from metrocli.tasks.align_part.fitted_targets import added_by_fit
+from metrocli.tasks.align_part.fixturing import corrections
+from metrocli.tasks.align_part.fixturing import in_words as in_words_of_supports
 from metrocli.tasks.align_part.problem import Problem
 from metrocli.tasks.align_part.uncontrolled import uncontrolled
 from metrocli.tasks.shared.images.adjustment import Adjusted
@@ -91,11 +94,15 @@ def _estimates(
     return names, values, (covariance + covariance.T) / 2, units
 
 
-def report(problem: Problem, adjusted: Adjusted, prediction: Prediction | None) -> Result:
-    """Return the result of a solved alignment."""
+def report(
+    problem: Problem, adjusted: Adjusted, prediction: Prediction | None, supports: Table | None = None
+) -> Result:
+    """Return the result of a solved alignment, with the corrections of its supports if they are given."""
     solution = adjusted.solution
     found = adjusted.known_residuals()
     names, values, covariance, units = _estimates(solution, problem.effects)
+    if problem.common is not None:
+        covariance[:6, :6] += added_by_fit(problem.common, solution.blocks[spindle.PART].values[0])
     effect_tables, effect_arrays = effect_results(problem.effects, solution)
     std = np.sqrt(np.diag(covariance))
     estimates = tuple(
@@ -127,6 +134,10 @@ def report(problem: Problem, adjusted: Adjusted, prediction: Prediction | None) 
         TABLE: hidden,
         **effect_tables,
     }
+    levelling: tuple[str, ...] = ()
+    if supports is not None:
+        tables["supports"] = corrections(values[:6], covariance[:6, :6], supports)
+        levelling = tuple(in_words_of_supports(values[:6], covariance[:6, :6], tables["supports"]))
     return Result(
         kind=KIND.name,
         title="",
@@ -137,7 +148,7 @@ def report(problem: Problem, adjusted: Adjusted, prediction: Prediction | None) 
         arrays=arrays,
         warnings=tuple(_warnings(problem, adjusted, views, prediction)),
         shown=(ShownTable("views", ("image", "readings", "rms", "largest", "largest_target")),),
-        notes=(*_notes(solution, adjusted, prediction), *in_words(hidden)),
+        notes=(*_notes(solution, adjusted, prediction), *levelling, *in_words(hidden)),
         details=adjusted.structured.details(names) if adjusted.structured is not None else {},
         plain=("dof",),
     )

@@ -12,6 +12,7 @@ from metrocli.result import Result
 from metrocli.settings import Choice, Either, FileOf, ImageFiles, ListOf, Quantity, Section, TableFile, setting
 from metrocli.table import TEXT, Column, Columns, Table
 from metrocli.targets.pattern import Pattern
+from metrocli.tasks.align_part.fixturing import SUPPORTS
 from metrocli.tasks.shared.images.camera_settings import CameraFile, Extrinsics
 from metrocli.tasks.shared.images.settings import eccentricity_setting, image_faults
 from metrocli.tasks.shared.images.sightings import OBSERVATIONS
@@ -42,7 +43,13 @@ class Inputs:
         "result of calibrate-camera (rig cmm), or a camera written by hand (.yaml)",
     )
     poses: Path = setting(TableFile(POSES), "commanded pose of the spindle for each image")
-    targets: Path = setting(TableFile(TARGETS), "coordinates of targets in the part")
+    targets: Path = setting(
+        Either(TableFile(TARGETS), FileOf(("fit-part",))),
+        "coordinates of targets in the part (CSV), or the result of fit-part that has them",
+    )
+    supports: Path | None = setting(
+        TableFile(SUPPORTS), "supports that raise the part along z of the machine", default=None
+    )
     observations: Path | None = setting(TableFile(OBSERVATIONS), "image coordinates of targets", default=None)
     images: tuple[Path, ...] | None = setting(
         ImageFiles(), "images, such as img/*.png, instead of observations", default=None
@@ -55,7 +62,8 @@ class Files:
 
     camera: Result | CameraFile
     poses: Table
-    targets: Table
+    targets: Table | Result
+    supports: Table | None = None
     observations: Table | None = None
     images: ImageSet | None = None
 

@@ -18,6 +18,8 @@ from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.tasks.align_part.camera import camera_of
 from metrocli.tasks.align_part.diagnosis import adjusted_job
 from metrocli.tasks.align_part.effects import EFFECTS, PLACES
+from metrocli.tasks.align_part.fitted_targets import target_list
+from metrocli.tasks.align_part.fixturing import must_level
 from metrocli.tasks.align_part.problem import Problem, build, spindle_poses
 from metrocli.tasks.align_part.report import delivered, explained, predicted, report
 from metrocli.tasks.align_part.settings import Files, Settings
@@ -37,12 +39,14 @@ def run(job: Job[Settings, Files]) -> Result:
     Raises InputError if the files do not fit together, UndeterminedError if the readings do not determine the
     unknowns, and NotConvergedError if the adjustment does not converge.
     """
+    if job.files.supports is not None:
+        must_level(job.files.supports)
     problem = prepared(job)
     prediction = predicted(problem)
     adjusted = solved(job.settings, problem)
     if job.settings.noise == STRUCTURED:
         adjusted = adjusted.with_structure(delivered(problem.effects))
-    return report(problem, adjusted, prediction)
+    return report(problem, adjusted, prediction, job.files.supports)
 
 
 def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
@@ -57,9 +61,10 @@ def prepared(job: Job[Settings, Files]) -> Problem:
     model = camera_of(files.camera)
     if files.images is not None:
         model.must_fit(files.images)
-    sighted = sightings(settings, files.observations, files.targets, files.images, Needs(fewest=1))
+    listed = target_list(files.targets)
+    sighted = sightings(settings, files.observations, listed.table, files.images, Needs(fewest=1))
     problem = build(model, sighted, files.poses, free_angle="clamping-angle" in settings.estimate)
-    return problem.with_effects(job.effects)
+    return replace(problem, common=listed.common).with_effects(job.effects)
 
 
 def solved(settings: Settings, problem: Problem) -> Adjusted:
@@ -87,7 +92,7 @@ def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulatio
         raise InputError("simulate needs the truth: give `simulation: {part: {x: 10 mm, ...}, clamping_angle: 1 mm/m}`")
     model = camera_of(files.camera)
     rng = np.random.default_rng(options.seed)
-    known = true_targets(known_targets(settings.pattern, files.targets, 0.0), rng)
+    known = true_targets(known_targets(settings.pattern, target_list(files.targets).table, 0.0), rng)
     at = np.array([getattr(truth.part, name) for name in EULER])
     held = spindle_poses(poses, range(len(poses)))
     part = pose_from_euler(at[:3], at[3:])

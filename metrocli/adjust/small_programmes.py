@@ -1,0 +1,134 @@
+"""Convex programmes of a few unknowns and many inequalities, with their dual values.
+
+Only few inequalities hold a solution, so each programme is solved for a working set that grows by the most violated
+ones until none is left. Method: docs/algorithms/overstock-fit.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from metrocli.errors import NotConvergedError
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+_ADDED = 40
+"""Inequalities that one round adds to the working set, at most"""
+_ROUNDS = 200
+_TOLERANCE = 1e-11
+"""Violation of an inequality that counts as none, relative to the largest bound"""
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """The solution of a programme with the proof that it is one."""
+
+    x: Array
+    """(k,)"""
+    duals: Array
+    """Dual value of each inequality, zero or positive (m,)"""
+
+
+def quadratic(hessian: Array, gradient: Array, rows: Array, bounds: Array) -> Optimum | None:
+    """Return the minimum of `x'Hx/2 + g'x` subject to `rows x >= bounds`; None if no x meets the inequalities.
+
+    H (k, k) is positive definite. With H = L L', y = L'x + L^-1 g the programme is one of least distance, min |y|
+    subject to `G y >= h`, which is a non-negative least-squares problem (Lawson and Hanson 1974, chapter 23).
+    """
+    factor = np.linalg.inv(np.linalg.cholesky(hessian))
+    centre = factor @ gradient
+    turned = rows @ factor.T
+    raised = bounds + turned @ centre
+    scale = max(1.0, float(np.abs(raised).max(initial=0.0)))
+
+    def solve(chosen: Index) -> tuple[Array, Array] | None:
+        return _least_distance(turned[chosen], raised[chosen] / scale)
+
+    found = _growing(solve, lambda y: turned @ y - raised / scale, raised / scale)
+    if found is None:
+        return None
+    y, duals = found
+    return Optimum(factor.T @ (y * scale - centre), duals * scale)
+
+
+def highest(rows: Array, values: Array, reach: float) -> tuple[Optimum, float]:
+    """Return the x within `|x_i| <= reach` for which the least of `values + rows x` is largest, and that least value.
+
+    The duals sum to 1 unless the reach holds the solution: the least value cannot grow, because the rows weighted by
+    them add up to zero.
+    """
+    from scipy.optimize import linprog
+
+    size = rows.shape[1]
+    cost = np.append(np.zeros(size), -1.0)
+    limits = [(-reach, reach)] * size + [(None, None)]
+
+    def solve(chosen: Index) -> tuple[Array, Array] | None:
+        against = np.column_stack([-rows[chosen], np.ones(len(chosen))])
+        solved = linprog(cost, against, values[chosen], bounds=limits, method="highs")
+        return (solved.x, -solved.ineqlin.marginals) if solved.status == 0 else None
+
+    start = np.argsort(values)[: 2 * _ADDED]
+    found = _growing(solve, lambda x: values + rows @ x[:-1] - x[-1], values, start)
+    if found is None:
+        raise NotConvergedError("the linear programme of the largest least overstock has no solution")
+    x, duals = found
+    return Optimum(x[:-1], duals), float((values + rows @ x[:-1]).min())
+
+
+def _growing(
+    solve: Callable[[Index], tuple[Array, Array] | None],
+    slack: Callable[[Array], Array],
+    bounds: Array,
+    start: Index | None = None,
+) -> tuple[Array, Array] | None:
+    """Solve with a working set that grows until every inequality is met; None if the working set has no solution."""
+    tolerance = _TOLERANCE * (1 + float(np.abs(bounds).max(initial=0.0)))
+    chosen = np.zeros(len(bounds), dtype=bool)
+    chosen[np.argsort(-bounds)[:_ADDED] if start is None else start] = True
+    for _ in range(_ROUNDS):
+        working = np.flatnonzero(chosen)
+        solved = solve(working)
+        if solved is None:
+            return None
+        x, duals = solved
+        left = np.where(chosen, np.inf, slack(x))
+        worst = np.argsort(left)[:_ADDED]
+        violated = worst[left[worst] < -tolerance]
+        if not violated.size:
+            whole = np.zeros(len(bounds))
+            whole[working] = duals
+            return x, whole
+        chosen[violated] = True
+    raise NotConvergedError("the working set of a convex programme does not stop growing")
+
+
+def _least_distance(rows: Array, bounds: Array) -> tuple[Array, Array] | None:
+    """Return the y of least |y| with `rows y >= bounds`, and the duals; None if no y meets the bounds."""
+    from scipy.optimize import nnls
+
+    size = rows.shape[1]
+    if not len(rows) or (bounds <= 0).all():
+        return np.zeros(size), np.zeros(len(rows))
+    stacked = np.vstack([rows.T, bounds])
+    goal = np.append(np.zeros(size), 1.0)
+    weights, _ = nnls(stacked, goal, maxiter=30 * stacked.shape[1] + 100)
+    rest = stacked @ weights - goal
+    if -rest[-1] < 1e-13:
+        return None
+    duals = weights / -rest[-1]
+    return _polished(rows, bounds, duals)
+
+
+def _polished(rows: Array, bounds: Array, duals: Array) -> tuple[Array, Array]:
+    """Return the solution that meets the active inequalities to rounding: `y = A'd`, `A A' d = b`."""
+    active = np.flatnonzero(duals > 0)
+    a = rows[active]
+    exact = np.zeros_like(duals)
+    exact[active] = np.linalg.lstsq(a @ a.T, bounds[active], rcond=None)[0]
+    kept = exact if (exact >= 0).all() else duals
+    return rows.T @ kept, kept

@@ -1,0 +1,59 @@
+"""Meshes of triangles from STL, PLY and OBJ files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from metrocli.errors import Fault, InputError
+from metrocli.geometry.triangles import Triangles
+
+
+def read(path: Path) -> Triangles:
+    """Return the mesh of a file, with equal vertices merged and triangles without area left out.
+
+    Raises InputError if the file cannot be read or has no triangles. Coordinates are as in the file.
+    """
+    import trimesh
+
+    try:
+        mesh: Any = trimesh.load(path, force="mesh", process=False, skip_materials=True)
+        corners = np.asarray(mesh.vertices, dtype=np.float64)[np.asarray(mesh.faces, dtype=np.intp)]
+    except OSError as error:
+        raise InputError([Fault(f"cannot be read: {error.strerror or error}", str(path))]) from error
+    except Exception as error:  # trimesh raises any kind of error for a damaged file
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise InputError([Fault(f"cannot be read as a mesh: {reason}", str(path), hint=_HINT)]) from error
+    if not len(corners):
+        raise InputError([Fault("there are no triangles in this file", str(path), hint=_HINT)])
+    if not np.isfinite(corners).all():
+        bad = int(np.flatnonzero(~np.isfinite(corners).all(axis=(1, 2)))[0])
+        raise InputError([Fault(f"triangle {bad + 1} has a coordinate that is no number", str(path))])
+    return _merged(corners)
+
+
+_HINT = "expected a mesh of triangles in STL, PLY or OBJ"
+
+
+def _merged(corners: np.typing.NDArray[np.float64]) -> Triangles:
+    points = np.ascontiguousarray(corners.reshape(-1, 3)) + 0.0
+    order = np.argsort(_mixed(points), kind="stable")
+    ordered = points[order]
+    new = np.concatenate([[True], (ordered[1:] != ordered[:-1]).any(axis=1)])
+    index = np.empty(len(points), dtype=np.intp)
+    index[order] = np.cumsum(new) - 1
+    faces = index.reshape(-1, 3)
+    distinct = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    return Triangles(ordered[new], faces[distinct])
+
+
+def _mixed(points: np.typing.NDArray[np.float64]) -> np.typing.NDArray[np.uint64]:
+    """Return one number for each point (n, 3), equal for equal points: sorting one column is faster than three."""
+    bits = points.view(np.uint64)
+    mixed = np.zeros(len(points), dtype=np.uint64)
+    for column, factor in enumerate((0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9)):
+        mixed = (mixed ^ bits[:, column]) * np.uint64(factor)
+        mixed ^= mixed >> np.uint64(29)
+    return mixed

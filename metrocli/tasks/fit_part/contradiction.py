@@ -1,0 +1,148 @@
+"""Why no pose leaves the minimum overstock everywhere: surfaces that contradict each other, and motions left open."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrocli.errors import UndeterminedError
+from metrocli.geometry.surfaces import Array
+from metrocli.tasks.fit_part.fit import LEAST_MOTION, most
+from metrocli.tasks.fit_part.stock import Local, Stock
+from metrocli.words import in_a_row
+
+_OPEN = 1e-4
+"""Singular value, relative to the largest, below which a motion changes no overstock"""
+_TOLERANCE = 1e-6
+"""Shortfall of the least overstock [mm] that is not counted"""
+
+
+@dataclass(frozen=True)
+class Contradiction:
+    """The smallest set of surfaces that cannot all have the minimum overstock."""
+
+    surfaces: tuple[str, ...]
+    least: float
+    """Largest least overstock that they allow [mm]"""
+    points: tuple[int, ...]
+    """Points that hold it"""
+
+
+def feasible(least: float, minimum: float) -> bool:
+    """Return whether the largest least overstock allows a minimum."""
+    return least >= minimum - _TOLERANCE
+
+
+def contradiction(stock: Stock, duals: Array, minimum: float, into: Array) -> Contradiction:
+    """Return an irreducible set of contradicting surfaces; without any one of them the others have the minimum.
+
+    The surfaces that hold the largest least overstock contradict each other. Each is left out in turn, and stays out if
+    the rest still does (deletion filter of Chinneck and Dravnieks 1991).
+    """
+    chosen = np.unique(stock.surface[duals > 0]).tolist()
+    least, held = _least(stock, chosen, into)
+    for one in list(chosen):
+        rest = [other for other in chosen if other != one]
+        if rest:
+            reached, holding = _least(stock, rest, into, minimum)
+            if not feasible(reached, minimum):
+                chosen, least, held = rest, reached, holding
+    return Contradiction(tuple(stock.nominal.names[one] for one in chosen), least, held)
+
+
+def _least(stock: Stock, surfaces: Sequence[int], into: Array, enough: float = np.inf) -> tuple[float, tuple[int, ...]]:
+    rows = np.flatnonzero(np.isin(stock.surface, surfaces))
+    _, least, duals = most(stock.of(rows), into, enough)
+    return least, tuple(rows[duals > 0].tolist())
+
+
+def refuse(
+    found: Contradiction, names: Sequence[str], minimum: float, whole: float, turned: Sequence[str]
+) -> UndeterminedError:
+    """Return the error of an infeasible fit; `whole` is the largest least overstock of all surfaces [mm].
+
+    `turned` are the surfaces whose points may be on the wrong side.
+    """
+    together = in_a_row(found.surfaces)
+    points = ", ".join(names[row] for row in found.points[:8])
+    possible = np.floor(whole * 100) / 100
+    what = (
+        f"`minimum: {possible:.2f} mm` would do for all surfaces"
+        if possible > 0
+        else f"no minimum above {possible:.2f} mm would do: material is missing"
+    )
+    contradict = "contradict each other" if len(found.surfaces) > 1 else "contradicts itself"
+    lines = [
+        f"no pose of the ideal part leaves {minimum:g} mm of overstock everywhere",
+        f"  surfaces that {contradict}: {together}",
+        f"  by how much: they leave at most {found.least:.3f} mm at their lowest points, "
+        f"{minimum - found.least:.3f} mm less than required (points {points})",
+        "  without any one of these surfaces the others of them have the minimum",
+        f"  {what}",
+    ]
+    lines += [f"  or: {wrong_side(turned)}"] if turned else []
+    return UndeterminedError("\n".join(lines))
+
+
+def wrong_side(turned: Sequence[str]) -> str:
+    """Return the sentence about surfaces whose material seems to be on the other side."""
+    return (
+        f"the points of {in_a_row(turned)} lie on the wrong side of the surface: with its material on the other side "
+        "the overstock varies less than half as much; turn its normal over, or exchange "
+        "`material: inside` and `outside`"
+    )
+
+
+def must_be_determined(local: Local, aim: str) -> tuple[str, ...]:
+    """Raise UndeterminedError if the points leave a motion of the part open that its aim does not decide.
+
+    For least-motion an open motion is no fault: the part stays there as it was. Returns sentences about that.
+    """
+    open_motions = [motion_in_words(local, one) for one in _null_space(local.rows)]
+    if open_motions and aim == LEAST_MOTION:
+        return (f"the overstock does not change with {in_a_row(open_motions)}: there the part stays where it was",)
+    if open_motions:
+        raise UndeterminedError(
+            f"the points give {6 - len(open_motions)} independent constraints of the 6 that a pose needs\n"
+            f"  undetermined: {in_a_row(open_motions)} changes no overstock\n"
+            "  what would determine it: points on a surface across that motion, or `aim: least-motion`"
+        )
+    alike = _null_space(local.rows - local.rows.mean(axis=0))
+    if alike and aim != LEAST_MOTION:
+        raise UndeterminedError(
+            f"the aim '{aim}' does not determine the pose\n"
+            f"  undetermined: {in_a_row([motion_in_words(local, one) for one in alike])} "
+            "changes the overstock of all points alike\n"
+            "  what would determine it: points on an opposite surface, or `aim: least-motion`"
+        )
+    return ()
+
+
+def _null_space(rows: Array) -> list[Array]:
+    """Return the steps of the pose that change nothing, each (6,)."""
+    eigenvalues, vectors = np.linalg.eigh(rows.T @ rows)
+    steps = vectors[:, eigenvalues < _OPEN**2 * eigenvalues[-1]]
+    # pure shifts apart from turns
+    _, _, mix = np.linalg.svd(steps[3:], full_matrices=True)
+    return list((steps @ mix.T).T)
+
+
+def motion_in_words(local: Local, step: Array) -> str:
+    """Return a step of the pose in words: a shift, or a turn about an axis in the part frame."""
+    turn = step[3:] / local.lever
+    if np.linalg.norm(step[3:]) < 1e-3 * np.linalg.norm(step[:3]):
+        return f"a shift along {_direction(step[:3])}"
+    axis = turn / np.linalg.norm(turn)
+    through = local.centre + np.cross(turn, step[:3]) / (turn @ turn)
+    place = ", ".join(f"{value:.0f}" for value in through)
+    return f"a turn about the direction {_direction(axis)} through ({place}) mm"
+
+
+def _direction(vector: Array) -> str:
+    unit = vector / np.linalg.norm(vector)
+    for k, name in enumerate("xyz"):
+        if abs(unit[k]) > 0.999:
+            return name
+    return "(" + ", ".join(f"{value:.2f}" for value in unit) + ")"

@@ -1,0 +1,190 @@
+"""Lay the ideal part into the raw part: even, most or least-motion, each with the minimum overstock everywhere.
+
+Each iteration solves a small convex programme on the exact pose. Method: docs/algorithms/overstock-fit.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrocli.adjust.small_programmes import highest, quadratic
+from metrocli.errors import NotConvergedError
+from metrocli.geometry import poses
+from metrocli.geometry.surfaces import Array
+from metrocli.tasks.fit_part.stock import Local, Stock
+
+EVEN, MOST, LEAST_MOTION = "even", "most", "least-motion"
+_ITERATIONS = 100
+_LOWEST = 1000
+"""Points with the least overstock among which its largest value is sought"""
+_STEP = 1e-9
+"""Step [mm] at which the iteration ends"""
+_WELL = 1e-9
+"""Smallest eigenvalue of a Hessian, relative to the largest, with which a step is computed"""
+_SMALLEST_REACH = 1e-4
+"""Reach of a linear programme [mm] at which the search for the largest least overstock ends: it is then off by less
+than reach^2 over the smallest radius"""
+UNBOUNDED = 0.2
+"""A least overstock of more than this share of the size of the point cloud has no limit"""
+
+
+@dataclass(frozen=True)
+class Objective:
+    """What an aim makes small, near one pose: value, gradient and second derivative by the step."""
+
+    value: float
+    gradient: Array
+    hessian: Array
+    safe: Array
+    """The part of the second derivative that is never negative (Gauss-Newton)"""
+
+
+@dataclass(frozen=True)
+class Aim:
+    """What the pose is chosen by."""
+
+    name: str
+    minimum: float
+    """Least overstock [mm]"""
+    before: Array | None = None
+    """Points in the part frame before the fit (n, 3), for least-motion"""
+
+    def objective(self, local: Local) -> Objective:
+        """Return the aim near a pose: half the mean square of `o - mean o`, or of the moves of the points."""
+        n = len(local.points)
+        if self.before is not None:
+            moves = local.points - self.before
+            by_step = local.movement
+            safe = np.einsum("nai,naj->ij", by_step, by_step, optimize=True) / n
+            gradient = np.einsum("nai,na->i", by_step, moves) / n
+            second = local.turning(moves) / n
+        else:
+            moves = local.overstock - local.overstock.mean()
+            rows = local.rows - local.rows.mean(axis=0)
+            safe, gradient = rows.T @ rows / n, rows.T @ moves / n
+            second = local.curvature(moves) / n
+        return Objective(float((moves**2).sum() / n / 2), gradient, safe + second, safe)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A fitted pose and the proof that it is optimal."""
+
+    into: Array
+    """Pose that brings the measured points into the part frame (6,)"""
+    local: Local
+    duals: Array
+    """Dual value of each point's minimum overstock (n,) [mm]: by how much the aim worsens with the minimum"""
+    hessian: Array
+    """Second derivative of the Lagrangian by the step (6, 6)"""
+    iterations: int
+    optimality: float
+    """Largest component of `gradient - sum duals rows`, relative to the largest of its parts"""
+
+
+def most(stock: Stock, into: Array, enough: float = np.inf) -> tuple[Array, float, Array]:
+    """Return the pose with the largest least overstock, that overstock, and the duals of the points (n,).
+
+    Linear programmes within a reach that grows where the prediction holds and shrinks where it fails. The search ends
+    as soon as the least overstock is `enough`; without limit it is inf.
+    """
+    local = stock.at(into)
+    least, reach = float(local.overstock.min()), local.lever / 5
+    duals = np.zeros(len(stock.measured))
+    limit = UNBOUNDED * local.lever
+    while reach > _SMALLEST_REACH:
+        if least >= enough:
+            break
+        if least > limit:
+            return into, np.inf, duals
+        found, expected = highest(local.rows, local.overstock, reach)
+        tried = local.moved(into, found.x)
+        other = stock.at(tried)
+        gain, hoped = float(other.overstock.min()) - least, expected - least
+        if gain > 0.1 * hoped:
+            into, local, least, duals = tried, other, least + gain, found.duals
+            reach = reach * 2 if gain > 0.9 * hoped and np.abs(found.x).max() > 0.99 * reach else reach
+        reach = reach if gain > 0.5 * hoped and hoped > _STEP else reach / 4
+    return into, least, duals
+
+
+def most_of_many(stock: Stock, into: Array) -> tuple[Array, float, Array]:
+    """Return what `most` returns, from the lowest points alone, and those that are lower at their optimum."""
+    chosen = np.zeros(len(stock.measured), dtype=bool)
+    overstock = stock.at(into).overstock
+    for _ in range(_ITERATIONS):
+        chosen[np.argsort(overstock)[:_LOWEST]] = True
+        rows = np.flatnonzero(chosen)
+        best, least, held = most(stock.of(rows), into)
+        overstock = stock.at(best).overstock
+        if not np.isfinite(least) or overstock.min() >= least - _STEP:
+            duals = np.zeros(len(overstock))
+            duals[rows] = held
+            return best, least, duals
+    raise NotConvergedError("the search for the largest least overstock does not end")
+
+
+def fit(stock: Stock, aim: Aim, into: Array) -> Fit:
+    """Return the best pose that leaves the minimum everywhere, from a pose that does so or nearly does.
+
+    Sequential quadratic programmes with the second derivative of the Lagrangian; a step is halved while it increases
+    aim and violation together. Raises NotConvergedError.
+    """
+    local, duals = stock.at(into), np.zeros(len(stock.measured))
+    objective = aim.objective(local)
+    for iteration in range(_ITERATIONS):
+        hessian = _convex(objective, -local.curvature(duals))
+        solved = quadratic(hessian, objective.gradient, local.rows, aim.minimum - local.overstock)
+        if solved is None:
+            raise NotConvergedError("no small step leaves the minimum overstock everywhere")
+        price = 2 * float(solved.duals.sum()) + 1e-6
+        step, merit = solved.x, _merit(objective, local, aim, price)
+        duals = solved.duals
+        if np.abs(step).max() < _STEP:
+            return _finished(local, into, objective, duals, iteration)
+        for _ in range(30):
+            tried = local.moved(into, step)
+            other = stock.at(tried)
+            reached = aim.objective(other)
+            if _merit(reached, other, aim, price) <= merit + 1e-12 * (1 + abs(merit)):
+                break
+            step = step / 2
+        into, local, objective = tried, other, reached
+        if np.abs(step).max() < _STEP:
+            return _finished(local, into, objective, duals, iteration)
+    raise NotConvergedError(f"the fit of the ideal part did not converge in {_ITERATIONS} iterations")
+
+
+def _merit(objective: Objective, local: Local, aim: Aim, price: float) -> float:
+    return objective.value + price * max(aim.minimum - float(local.overstock.min()), 0.0)
+
+
+def _convex(objective: Objective, of_constraints: Array) -> Array:
+    """Return the second derivative of the Lagrangian, or its part that is never negative where it has no minimum."""
+    for hessian in (objective.hessian + of_constraints, objective.hessian, objective.safe):
+        eigenvalues = np.linalg.eigvalsh(hessian)
+        if eigenvalues[0] > _WELL * eigenvalues[-1]:
+            return np.asarray(hessian)
+    return np.asarray(objective.safe + _WELL * np.trace(objective.safe) * np.eye(6))
+
+
+def _finished(local: Local, into: Array, objective: Objective, duals: Array, iterations: int) -> Fit:
+    held = local.rows.T @ duals
+    size = max(float(np.abs(objective.gradient).max()), float(np.abs(held).max()), 1e-9)
+    return Fit(
+        into,
+        local,
+        duals,
+        objective.hessian - local.curvature(duals),
+        iterations,
+        float(np.abs(objective.gradient - held).max()) / size,
+    )
+
+
+def aimed(stock: Stock, name: str, minimum: float, into: Array, start: Array) -> Aim:
+    """Return the aim of a job; `most` is even with the largest least overstock, which `minimum` then is."""
+    if name == LEAST_MOTION:
+        return Aim(name, minimum, poses.apply(start, stock.measured))
+    return Aim(name, minimum)

@@ -1,0 +1,85 @@
+"""The ideal part of a job: surfaces or mesh, with the faults that a mesh can have."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from metrocli.errors import InputError
+from metrocli.geometry.surfaces import Array, Surface, Surfaces, cone, cylinder, plane, sphere
+from metrocli.geometry.triangles import Triangles
+from metrocli.tasks.fit_part.nominals import OfMesh, OfSurfaces
+from metrocli.tasks.fit_part.settings import CONE, CYLINDER, PLANE, NominalFile, SurfaceEntry
+from metrocli.words import listed
+
+_SIZES = {"mm": 1.0, "m": 1000.0, "inch": 25.4}
+"""Units of a mesh, in mm"""
+_NEAR = 1.6
+"""Ratio of the sizes of points and mesh up to which they are taken as alike"""
+_SHOWN = 3
+
+
+def ideal(nominal: NominalFile | Triangles, unit: str = "mm") -> OfSurfaces | OfMesh:
+    """Return the ideal part; raises InputError if a mesh is open or inverted."""
+    if isinstance(nominal, NominalFile):
+        return OfSurfaces(Surfaces.of([_surface(one) for one in nominal.surfaces]))
+    mesh = replace(nominal, vertices=nominal.vertices * _SIZES[unit])
+    _must_be_closed(mesh)
+    return OfMesh(mesh)
+
+
+def _surface(entry: SurfaceEntry) -> Surface:
+    point, sign = np.array(entry.point), -1.0 if entry.material == "outside" else 1.0
+    along = np.array(entry.normal or entry.axis or (0.0, 0.0, 1.0))
+    if entry.type == PLANE:
+        return plane(entry.name, point, along)
+    if entry.type == CYLINDER:
+        return cylinder(entry.name, point, along, entry.radius or 0.0, sign)
+    if entry.type == CONE:
+        return cone(entry.name, point, along, entry.half_angle or 0.0, sign)
+    return sphere(entry.name, point, entry.radius or 0.0, sign)
+
+
+def _must_be_closed(mesh: Triangles) -> None:
+    opened, doubled = mesh.open_edges, mesh.doubled_edges
+    if opened.size or doubled.size:
+        places = [_edge_in_words(mesh, int(edge)) for edge in np.concatenate([opened, doubled])[:_SHOWN]]
+        what = (
+            f"{opened.size} edges have no neighbour that runs the other way"
+            if opened.size
+            else f"{doubled.size} edges are used twice in one direction"
+        )
+        raise InputError(
+            f"the mesh of the ideal part is open: {what}, e.g. {listed(places)}; "
+            "close its holes and make all triangles face outwards, so that inside and outside are known"
+        )
+    if mesh.volume <= 0:
+        raise InputError(
+            f"the mesh of the ideal part is inverted: its volume is {mesh.volume:.4g} mm^3, "
+            "since its triangles face into the material; turn all triangles over (flip normals) and export it again"
+        )
+
+
+def _edge_in_words(mesh: Triangles, edge: int) -> str:
+    face, k = divmod(edge, 3)
+    ends = mesh.vertices[mesh.faces[face, [k, (k + 1) % 3]]]
+    return " to ".join("(" + ", ".join(f"{value:g}" for value in end) + ")" for end in ends)
+
+
+def must_be_of_one_size(mesh: Triangles, points: Array, unit: str) -> None:
+    """Raise InputError if points and mesh differ in size by the ratio of two units of length."""
+    middle = mesh.corners.mean(axis=1)
+    weight = mesh.areas / mesh.areas.sum()
+    centre = weight @ middle
+    of_mesh = float(np.sqrt(weight @ ((middle - centre) ** 2).sum(axis=1)))
+    of_points = float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    for name, size in _SIZES.items():
+        ratio = of_points / of_mesh / (size / _SIZES[unit])
+        if name != unit and 1 / _NEAR < ratio < _NEAR:
+            span, reach = (np.ptp(one, axis=0) for one in (mesh.vertices / _SIZES[unit], points))
+            in_words = [" x ".join(f"{value:.4g}" for value in one) for one in (span, reach)]
+            raise InputError(
+                f"the mesh of the ideal part spans {in_words[0]}, the measured points {in_words[1]} mm: "
+                f"the coordinates of the mesh are in {name}, not in {unit}; write `nominal_unit: {name}`"
+            )

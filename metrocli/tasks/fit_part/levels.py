@@ -1,0 +1,130 @@
+"""Chips, flash and mistakes: points that do not lie at the level of the overstock of their surface.
+
+Each surface of a raw part has its own overstock, and its points scatter about it. A robust even fit gives the pose,
+then a robust step gives the level of each surface. The scatter is the median absolute deviation, which less than half
+of the points cannot change much.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from metrocli.geometry.surfaces import Array, Index
+from metrocli.tasks.fit_part.stock import Nominal, Stock
+
+SAMPLE = 3000
+"""Points with which the fit of many more begins"""
+LIMIT = 6.0
+"""Distance from the level, in standard deviations of the scatter, beyond which a point is left out"""
+_ROUNDS = 15
+_STEP = 1e-3
+"""Step [mm] at which the robust fit ends"""
+_WEIGHTED = 12
+_SIGMA = 1.4826
+"""Standard deviation over median absolute deviation of normal scatter"""
+_FEW = 8
+"""Points of a surface from which its own scatter is taken, if it is larger than that of all"""
+
+
+class Assigning(Nominal, Protocol):
+    """An ideal geometry that finds the surface of points."""
+
+    def nearest(self, points: Array, levels: Array | float = 0.0) -> Index:
+        """Return the surface of each point (n, 3), near the level (S,) of its overstock."""
+
+
+@dataclass(frozen=True)
+class Levels:
+    """Robust levels of the overstock, and which points lie off them."""
+
+    into: Array
+    """Pose into the part frame (6,)"""
+    stock: Stock
+    """With the surface of each point"""
+    level: Array
+    """Overstock of each surface (S,), nan without points"""
+    off: Array
+    """Distance of each point from the level of its surface (n,) [mm]"""
+    scatter: Array
+    """Standard deviation with which it is compared (n,) [mm]"""
+
+    @property
+    def outlying(self) -> npt.NDArray[np.bool_]:
+        """Which points are left out (n,)."""
+        return np.asarray(np.abs(self.off) > LIMIT * self.scatter)
+
+
+def levels(nominal: Assigning, measured: Array, surface: Index | None, into: Array, sigma: Array) -> Levels:
+    """Return robust levels from a rough pose; without `surface` each point is assigned to the nearest one.
+
+    sigma (n,) [mm] is the standard deviation of the measurement, the least scatter of a point.
+    """
+    count = len(nominal.names)
+    if len(measured) > 2 * SAMPLE:
+        some = np.random.default_rng(1).choice(len(measured), SAMPLE, replace=False)
+        sample = levels(nominal, measured[some], None if surface is None else surface[some], into, sigma[some])
+        into, level, rounds = sample.into, sample.level, 1
+    else:
+        level, rounds = np.zeros(count), _ROUNDS
+    stock = Stock(nominal, measured, np.zeros(len(measured), dtype=np.intp) if surface is None else surface)
+    for _ in range(rounds):
+        if surface is None:
+            stock = Stock(nominal, measured, nominal.nearest(stock.at(into).points, np.nan_to_num(level)))
+        local = stock.at(into)
+        level = _medians(local.overstock, stock.surface, count)
+        # one level for all surfaces makes them even; levels of their own leave shifts between opposite surfaces open
+        step, _ = _robust_step(local.rows, local.overstock, np.zeros_like(stock.surface), 1)
+        if np.abs(step).max() < _STEP:
+            break
+        into = local.moved(into, step)
+    _, off = _robust_step(local.rows, local.overstock, stock.surface, count)
+    scatter = _scatter(off, stock.surface, count, sigma)
+    return Levels(into, stock, level, off, scatter)
+
+
+def _robust_step(rows: Array, overstock: Array, surface: Index, count: int) -> tuple[Array, Array]:
+    """Return the step that makes each surface's overstock even, and what is left about the levels (n,).
+
+    Weights of Geman and McClure, 1/(1 + (r/3s)^2)^2. The levels are eliminated; of steps that change nothing but the
+    levels, the shortest is taken.
+    """
+    weights = np.ones(len(rows))
+    step, rest = np.zeros(6), overstock
+    for _ in range(_WEIGHTED):
+        total = np.maximum(np.bincount(surface, weights, count), 1e-300)
+
+        def centred(values: Array, weights: Array = weights, total: Array = total) -> Array:
+            return values - (np.bincount(surface, weights * values, count) / total)[surface]
+
+        design = np.stack([centred(column) for column in rows.T], axis=1)
+        goal = centred(overstock)
+        normals = (design * weights[:, None]).T @ design
+        step = -np.linalg.pinv(normals, rcond=1e-10, hermitian=True) @ ((design * weights[:, None]).T @ goal)
+        rest = goal + design @ step
+        scale = max(_SIGMA * float(np.median(np.abs(rest))), 1e-9)
+        weights = 1 / (1 + (rest / (3 * scale)) ** 2) ** 2
+    return step, rest
+
+
+def _medians(values: Array, surface: Index, count: int) -> Array:
+    """Return the median of each surface (S,), nan without points."""
+    order = np.lexsort((values, surface))
+    sizes = np.bincount(surface, minlength=count)
+    first = np.cumsum(sizes) - sizes
+    sorted_values = values[order]
+    low = np.minimum(first + np.maximum(sizes - 1, 0) // 2, len(values) - 1)
+    high = np.minimum(first + sizes // 2, len(values) - 1)
+    return np.asarray(np.where(sizes > 0, (sorted_values[low] + sorted_values[high]) / 2, np.nan))
+
+
+def _scatter(off: Array, surface: Index, count: int, sigma: Array) -> Array:
+    """Return the scatter of each point: of its surface or of all points, whichever is larger, or of the measurement."""
+    size = np.abs(off)
+    whole = _SIGMA * float(np.median(size))
+    own = np.where(np.bincount(surface, minlength=count) >= _FEW, _SIGMA * _medians(size, surface, count), 0.0)
+    least = np.maximum(sigma, 1e-6)
+    return np.asarray(np.maximum(np.maximum(np.nan_to_num(own)[surface], whole), least))

@@ -1,0 +1,76 @@
+"""Check of the uncertainties of a fit: fits to points with simulated errors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from metrocli.errors import NotConvergedError
+from metrocli.geometry import poses
+from metrocli.result import Scalar
+from metrocli.table import Table
+from metrocli.tasks.fit_part.contradiction import feasible
+from metrocli.tasks.fit_part.fit import MOST, most_of_many
+from metrocli.tasks.fit_part.solve import Solved, fitted_part
+from metrocli.tasks.fit_part.uncertainty import of_result
+
+_ALIKE = 0.2
+"""Difference of a standard uncertainty from that of the simulated fits from which a note warns"""
+
+
+@dataclass(frozen=True)
+class Check:
+    """Standard uncertainties of the pose, as computed and as simulated."""
+
+    table: Table
+    statistics: Mapping[str, Scalar]
+    notes: tuple[str, ...]
+
+
+def checked(solved: Solved, minimum: float, trials: int, seed: int) -> Check:
+    """Fit the part to points with simulated errors, `trials` times, and compare the scatter of the poses."""
+    rng = np.random.default_rng(seed)
+    covariance = solved.prepared.readings.surface_points.covariance[solved.used]
+    eigenvalues, vectors = np.linalg.eigh(covariance)
+    factor = vectors * np.sqrt(np.maximum(eigenvalues, 0.0))[:, None, :]
+    found = []
+    for _ in range(trials):
+        errors = (factor @ rng.normal(size=(len(factor), 3, 1)))[:, :, 0]
+        stock = replace(solved.stock, measured=solved.stock.measured + errors)
+        highest = (solved.fit.into, np.inf, solved.fit.duals)
+        if solved.aim.name == MOST:
+            highest = most_of_many(stock, solved.fit.into)
+            if not feasible(highest[1], minimum):
+                continue
+        try:
+            _, fitted = fitted_part(stock, solved.aim.name, minimum, highest, solved.prepared.start)
+        except NotConvergedError:
+            continue
+        found.append(poses.difference(poses.inverse(fitted.into), poses.inverse(solved.fit.into)))
+    by_angle = poses.euler_form_by_step(poses.inverse(solved.fit.into))
+    steps = np.array(found).reshape(-1, 6) @ by_angle.T
+    change = of_result(solved.fit)
+    computed = np.sqrt(np.diag(change @ solved.sensitivity.covariance @ change.T))
+    simulated = steps.std(axis=0, ddof=1) if len(steps) > 1 else np.full(6, np.nan)
+    ratio = simulated / np.maximum(computed, 1e-300)
+    table = Table(
+        {
+            "parameter": np.array(poses.EULER),
+            "value": computed,
+            "simulated": simulated,
+            "ratio": ratio,
+            "unit": np.array(["mm"] * 3 + ["rad"] * 3),
+        }
+    )
+    agree = bool((np.abs(ratio - 1) < _ALIKE).all())
+    verdict = "agree with" if agree else "differ from"
+    note = (
+        f"Monte Carlo: {len(steps)} of {trials} fits to points with simulated errors; their scatter is "
+        f"{ratio.min():.2f} to {ratio.max():.2f} of the standard uncertainties, which {verdict} it"
+    )
+    if not agree:
+        note += ": other points hold the fit in part of them, so use the simulated values (table monte_carlo)"
+    statistics: dict[str, Scalar] = {"monte_carlo_trials": len(steps), "monte_carlo_failed": trials - len(steps)}
+    return Check(table, statistics, (note,))

@@ -1,0 +1,106 @@
+"""The two forms of ideal geometry, surfaces and mesh, with what the search for a start and the fit need of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from metrocli.geometry.surfaces import Array, Index, Shape, Surfaces
+from metrocli.geometry.triangles import Nearest, Triangles
+
+
+@dataclass(frozen=True)
+class OfSurfaces:
+    """Ideal geometry from planes, cylinders, cones and spheres without limits."""
+
+    surfaces: Surfaces
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the surfaces."""
+        return self.surfaces.names
+
+    @property
+    def middle(self) -> Array:
+        """Middle of the points that the surfaces are given by (3,)."""
+        origin = self.surfaces.origin
+        return np.asarray((origin.max(axis=0) + origin.min(axis=0)) / 2)
+
+    def shape(self, points: Array, surface: Index) -> Shape:
+        """Return distance, normal and curvature at points (n, 3), each on the surface of its index (n,)."""
+        return self.surfaces.shape(points, surface)
+
+    def nearest(self, points: Array, levels: Array | float = 0.0) -> Index:
+        """Return the surface of each point (n, 3): the one whose overstock is nearest to its level (S,)."""
+        return self.surfaces.nearest(points, levels)
+
+    def quick(self, points: Array, surface: Index | None) -> tuple[Array, Array]:
+        """Return distances and normals at points (B, n, 3), each on its surface (n,), or on the nearest if None."""
+        if surface is None:
+            return self.surfaces.distances(points, self.surfaces.nearest(points))
+        return self.surfaces.distances(points, np.broadcast_to(surface, points.shape[:-1]))
+
+    def off_centre(self, points: Array, surface: Index | None) -> float:
+        """Return how far the points of the planes are from the point that the nominal gives of each [mm].
+
+        Root mean square over the planes, in their planes.
+        """
+        if surface is None:
+            return 0.0
+        gaps = []
+        for one in np.unique(surface):
+            if self.surfaces.sine[one] == -1.0:
+                gap = points[surface == one].mean(axis=0) - self.surfaces.origin[one]
+                axis = self.surfaces.axis[one]
+                gaps.append(float(((gap - axis * (gap @ axis)) ** 2).sum()))
+        return float(np.sqrt(np.mean(gaps))) if gaps else 0.0
+
+    def reversed(self, surface: int) -> OfSurfaces:
+        """Return the geometry with the material of one surface on the other side."""
+        return OfSurfaces(self.surfaces.reversed(surface))
+
+
+@dataclass(frozen=True)
+class OfMesh:
+    """Ideal geometry from a closed mesh of triangles; its surfaces are the smooth patches of the mesh."""
+
+    triangles: Triangles
+    before: dict[int, Nearest] = field(default_factory=dict, compare=False, repr=False)
+    """The last answer for each number of points"""
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """`face-1`, `face-2`, ...: the smooth patches of the mesh, the largest first."""
+        return tuple(f"face-{n + 1}" for n in range(self.triangles.patches))
+
+    @property
+    def middle(self) -> Array:
+        """Middle of the mesh (3,)."""
+        corners = self.triangles.vertices
+        return np.asarray((corners.max(axis=0) + corners.min(axis=0)) / 2)
+
+    def shape(self, points: Array, surface: Index) -> Shape:
+        """Return distance and normal at points (n, 3); triangles have no curvature."""
+        found = self._nearest(points)
+        return Shape(found.distance, found.normal, np.zeros((len(points), 3, 3)))
+
+    def nearest(self, points: Array, levels: Array | float = 0.0) -> Index:
+        """Return the patch of the triangle nearest to each point (n, 3)."""
+        return np.asarray(self.triangles.patch[self._nearest(points).face], dtype=np.intp)
+
+    def _nearest(self, points: Array) -> Nearest:
+        """Return the nearest triangles; a fit asks for the same points again and again, a little moved."""
+        found = self.triangles.nearest(points, self.before.get(len(points)))
+        self.before[len(points)] = found
+        return found
+
+    def quick(self, points: Array, surface: Index | None) -> tuple[Array, Array]:
+        """Return distances and normals at points (B, n, 3) from a triangle nearby."""
+        distance, normal = self.triangles.quick(points.reshape(-1, 3))
+        return distance.reshape(points.shape[:-1]), normal.reshape(points.shape)
+
+    def off_centre(self, points: Array, surface: Index | None) -> float:
+        """Return 0: the surfaces of a mesh have limits."""
+        return 0.0

@@ -1,0 +1,148 @@
+"""The measured points of a raw part: surface points with their surfaces, and coded targets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+
+import numpy as np
+import numpy.typing as npt
+
+from metrocli.errors import Fault, InputError, together
+from metrocli.geometry.surfaces import Array, Index
+from metrocli.result import Result
+from metrocli.table import Table
+from metrocli.tasks.fit_part.settings import Settings
+from metrocli.tasks.shared.known_places import sigmas
+from metrocli.words import suggestion
+
+TARGET_WORD = "target"
+"""Word in the column `surface` that marks a coded target"""
+
+
+@dataclass(frozen=True)
+class Places:
+    """Measured places with independent errors."""
+
+    names: tuple[str, ...]
+    points: Array
+    """(n, 3) mm"""
+    covariance: Array
+    """(n, 3, 3) mm^2"""
+
+    def of(self, rows: npt.NDArray[np.bool_]) -> Places:
+        """Return some of the places."""
+        names = tuple(name for name, kept in zip(self.names, rows.tolist(), strict=True) if kept)
+        return Places(names, self.points[rows], self.covariance[rows])
+
+    @property
+    def sigma(self) -> Array:
+        """Root mean square standard deviation of the coordinates of each (n,)."""
+        return np.asarray(np.sqrt(np.einsum("nkk->n", self.covariance) / 3))
+
+
+@dataclass(frozen=True)
+class Readings:
+    """The points of a raw part."""
+
+    surface_points: Places
+    surface: Index | None
+    """Surface of each surface point (n,), None if it has to be found"""
+    targets: Places
+    warnings: tuple[str, ...] = ()
+
+
+def read(settings: Settings, points: Table | Result, names: tuple[str, ...], of_mesh: bool) -> Readings:
+    """Return the points of a job; `names` are those of the ideal surfaces.
+
+    Coded targets are the points that `targets:` names, those with the surface `target`, and where the column names the
+    surfaces of others, those without one. Raises InputError with every fault.
+    """
+    table = points.tables.get("points") if isinstance(points, Result) else points
+    if table is None:
+        raise InputError("the result among the inputs has no table of points: a camera needs `rig: network`")
+    places, chosen, said = together(
+        lambda: _places(settings, points, table),
+        lambda: _chosen_targets(settings, table),
+        lambda: _said(settings, table, () if of_mesh else names),
+    )
+    named = np.array([bool(one) and one != TARGET_WORD for one in said])
+    target = chosen | np.array([one == TARGET_WORD for one in said])
+    if named.any():
+        target |= ~named
+    warnings = []
+    if of_mesh and named.any():
+        warnings.append("the surfaces named for the points are not used: the triangles of a mesh have no names")
+    surface = None
+    if named.any() and not of_mesh:
+        number = {name: n for n, name in enumerate(names)}
+        surface = np.array([number.get(one, 0) for one in said], dtype=np.intp)[~target]
+    if target.all():
+        raise InputError([table.fault("there is no point of a surface", "name surfaces in the column `surface`")])
+    if not any(map(np.any, places.covariance)):
+        warnings.append(
+            "the points are taken as exact: give a column sigma_mm, or `noise: 0.05 mm`, to get uncertainties"
+        )
+    return Readings(places.of(~target), surface, places.of(target), tuple(warnings))
+
+
+def _places(settings: Settings, points: Table | Result, table: Table) -> Places:
+    names, places = tuple(table.texts("point")), table.stacked(("x", "y", "z"))
+    if isinstance(points, Result):
+        return Places(names, places, np.asarray(points.arrays["points_covariance"], dtype=float))
+    sigma = sigmas(table, settings.noise or 0.0)
+    unknown = np.flatnonzero(np.isnan(sigma).any(axis=1))
+    if unknown.size and settings.noise is None:
+        raise InputError(
+            table.faults_at(
+                unknown,
+                lambda row: f"point '{names[row]}' has no standard deviation",
+                lambda row: "fill sigma_mm, or give `noise: 0.05 mm` for such points",
+            )
+        )
+    sigma = np.where(np.isnan(sigma), settings.noise or 0.0, sigma)
+    return Places(names, places, sigma[:, :, None] ** 2 * np.eye(3))
+
+
+def _chosen_targets(settings: Settings, table: Table) -> npt.NDArray[np.bool_]:
+    names = table.texts("point")
+    chosen = np.zeros(len(names), dtype=bool)
+    faults = []
+    for pattern in settings.targets:
+        hit = np.array([fnmatchcase(name, pattern) for name in names])
+        chosen |= hit
+        if not hit.any():
+            faults.append(
+                Fault(f"targets: no point has the name '{pattern}'", table.file, hint=suggestion(pattern, names))
+            )
+    if faults:
+        raise InputError(faults)
+    return chosen
+
+
+def _said(settings: Settings, table: Table, known: tuple[str, ...]) -> list[str]:
+    """Return the surface that the job or the file gives for each point, empty without one."""
+    names = table.texts("point")
+    said = list(table.texts("surface")) if "surface" in table else [""] * len(names)
+    faults = []
+    for surface, patterns in settings.surfaces.items():
+        if known and surface not in known:
+            faults.append(
+                Fault(f"surfaces: the ideal part has no surface '{surface}'", hint=suggestion(surface, known))
+            )
+        for pattern in patterns:
+            hit = [row for row, name in enumerate(names) if fnmatchcase(name, pattern)]
+            if not hit:
+                faults.append(Fault(f"surfaces: no point has the name '{pattern}'", table.file))
+            for row in hit:
+                said[row] = surface
+    wrong = [row for row, one in enumerate(said) if known and one and one != TARGET_WORD and one not in known]
+    if "surface" in table:
+        faults += table.faults_at(
+            wrong,
+            lambda row: f"the ideal part has no surface '{said[row]}'",
+            lambda row: suggestion(said[row], [*known, TARGET_WORD]),
+        )
+    if faults:
+        raise InputError(faults)
+    return said

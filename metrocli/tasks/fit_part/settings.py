@@ -1,0 +1,180 @@
+"""The keys of a fit-part job, of its ideal part, and the columns of its points."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from metrocli.geometry.triangles import Triangles
+from metrocli.result import Result
+from metrocli.settings import (
+    Choice,
+    Either,
+    FileOf,
+    ListOf,
+    MapOf,
+    MeshFile,
+    Number,
+    Quantity,
+    Section,
+    TableFile,
+    Text,
+    Whole,
+    setting,
+)
+from metrocli.table import ABSENT, TEXT, Column, Columns, Table
+from metrocli.tasks.fit_part.fit import EVEN, LEAST_MOTION, MOST
+from metrocli.tasks.shared.known_places import SIGMAS
+from metrocli.words import in_a_row
+
+POINTS = Columns(
+    (
+        Column("point", TEXT),
+        *(Column(axis, "length") for axis in "xyz"),
+        Column("surface", TEXT, required=False, may_be_empty=True),
+        *SIGMAS,
+    ),
+    key=("point",),
+    description="points measured on the raw part, and coded targets",
+)
+PLANE, CYLINDER, SPHERE, CONE = "plane", "cylinder", "sphere", "cone"
+_KEYS = {
+    PLANE: {"normal"},
+    CYLINDER: {"axis", "radius", "material"},
+    SPHERE: {"radius", "material"},
+    CONE: {"axis", "half_angle", "material"},
+}
+"""Keys of each type of surface beside name, type and point"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SurfaceEntry:
+    """One ideal surface."""
+
+    name: str = setting(Text(), "name, as in the column `surface` of the points")
+    type: str = setting(Choice(*_KEYS), "type of the surface")
+    point: tuple[float, ...] = setting(
+        ListOf(Quantity("length"), 3), "a point of a plane or of an axis, the centre of a sphere, the apex of a cone"
+    )
+    normal: tuple[float, ...] | None = setting(ListOf(Number(), 3), "plane: direction out of the material", None)
+    axis: tuple[float, ...] | None = setting(
+        ListOf(Number(), 3), "direction of the axis; a cone widens along it", default=None
+    )
+    radius: float | None = setting(Quantity("length", positive=True), "radius", default=None)
+    half_angle: float | None = setting(
+        Quantity("angle", positive=True), "cone: angle between axis and surface", default=None
+    )
+    material: str | None = setting(
+        Choice("inside", "outside"), "side of the material: inside (a boss) or outside (a bore)", default=None
+    )
+
+    def faults(self) -> Iterable[tuple[str, str]]:
+        """Yield (key, message) for keys that do not belong to the type, and directions of length 0."""
+        given = {
+            key for key in ("normal", "axis", "radius", "half_angle", "material") if getattr(self, key) is not None
+        }
+        missing, extra = _KEYS[self.type] - given, given - _KEYS[self.type]
+        if missing:
+            yield "type", f"a {self.type} also needs {in_a_row(sorted(missing))}"
+        for key in sorted(extra):
+            yield key, f"a {self.type} has no {key}"
+        for key in ("normal", "axis"):
+            vector = getattr(self, key)
+            if vector is not None and not any(vector):
+                yield key, f"the {key} is a direction and cannot be [0, 0, 0]"
+        if self.half_angle is not None and self.half_angle >= 1.57:
+            yield "half_angle", "the half angle of a cone is below 90 deg"
+
+
+@dataclass(frozen=True)
+class NominalFile:
+    """The ideal part as surfaces without limits."""
+
+    surfaces: tuple[SurfaceEntry, ...] = setting(ListOf(Section(SurfaceEntry)), "planes, cylinders, cones and spheres")
+
+    def faults(self) -> Iterable[tuple[str, str]]:
+        """Yield (key, message) for names that are used twice."""
+        names = [one.name for one in self.surfaces]
+        for name in sorted({name for name in names if names.count(name) > 1}):
+            yield "surfaces", f"two surfaces have the name '{name}'"
+        if not names:
+            yield "surfaces", "there is no surface"
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """The measured points and the ideal part."""
+
+    points: Path = setting(
+        Either(TableFile(POINTS), FileOf(("calibrate-camera", "multilaterate"))),
+        "points on the raw part (CSV), or the result that measured them",
+    )
+    nominal: Path = setting(
+        Either(FileOf(section=NominalFile), MeshFile()), "ideal part: surfaces (.yaml) or a mesh (.stl, .ply, .obj)"
+    )
+
+
+@dataclass(frozen=True)
+class Files:
+    """The contents of the input files."""
+
+    nominal: NominalFile | Triangles
+    points: Table | Result = ABSENT
+
+
+@dataclass(frozen=True)
+class Overstock:
+    """What the ideal part must keep inside the raw part."""
+
+    minimum: float = setting(Quantity("length"), "least overstock everywhere")
+    aim: str = setting(
+        Choice(EVEN, MOST, LEAST_MOTION),
+        "least variation of the overstock, largest least overstock, or least motion of the points",
+        default=EVEN,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Start:
+    """Rough pose of the ideal part: `X_measured = R(alpha, beta, gamma) X_part + (x, y, z)`."""
+
+    x: float = setting(Quantity("length"), "x of the part's origin", default=0.0)
+    y: float = setting(Quantity("length"), "y of the part's origin", default=0.0)
+    z: float = setting(Quantity("length"), "z of the part's origin", default=0.0)
+    alpha: float = setting(Quantity("angle"), "turn about x, first", default=0.0)
+    beta: float = setting(Quantity("angle"), "turn about y, second", default=0.0)
+    gamma: float = setting(Quantity("angle"), "turn about z, third", default=0.0)
+
+
+@dataclass(frozen=True)
+class MonteCarlo:
+    """A check of the uncertainties by fits to points with simulated errors."""
+
+    trials: int = setting(Whole(minimum=20, maximum=100_000), "number of fits", default=200)
+    seed: int = setting(Whole(minimum=0), "seed of the random numbers", default=1)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Lay the ideal part into a measured raw part, with the minimum overstock everywhere."""
+
+    inputs: Inputs = setting(Section(Inputs), "the files of the job")
+    overstock: Overstock = setting(Section(Overstock), "the overstock that is wanted")
+    targets: tuple[str, ...] = setting(
+        ListOf(Text()), "names of coded targets among the points, such as T*, which are no points of a surface", ()
+    )
+    surfaces: Mapping[str, tuple[str, ...]] = setting(
+        MapOf(ListOf(Text())), "names of the points of a surface, such as top: [P1*], instead of a column", {}
+    )
+    noise: float | None = setting(
+        Quantity("length", positive=True), "standard deviation of a coordinate, for points without one", default=None
+    )
+    start: Start = setting(Section(Start), "where the ideal part lies, roughly", default=Start())
+    nominal_unit: str = setting(Choice("mm", "m", "inch"), "unit of the coordinates in a mesh", default="mm")
+    outliers: str = setting(
+        Choice("report", "remove"), "chips and flash: name them, or leave them out and list them", default="remove"
+    )
+    monte_carlo: MonteCarlo | None = setting(
+        Section(MonteCarlo), "check of the uncertainties by simulated errors", default=None
+    )

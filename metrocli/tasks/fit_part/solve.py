@@ -1,0 +1,136 @@
+"""Solve a fit-part job: start, chips and flash, feasibility, fit, uncertainty."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from metrocli.errors import InputError, UndeterminedError
+from metrocli.geometry import poses
+from metrocli.geometry.surfaces import Array
+from metrocli.geometry.triangles import Triangles
+from metrocli.result import Result
+from metrocli.table import Table
+from metrocli.tasks.fit_part import contradiction as c
+from metrocli.tasks.fit_part import readings as r
+from metrocli.tasks.fit_part.fit import MOST, Aim, Fit, aimed, fit, most_of_many
+from metrocli.tasks.fit_part.ideal import ideal, must_be_of_one_size
+from metrocli.tasks.fit_part.levels import Levels, levels
+from metrocli.tasks.fit_part.nominals import OfMesh, OfSurfaces
+from metrocli.tasks.fit_part.settings import NominalFile, Settings, Start
+from metrocli.tasks.fit_part.start import found
+from metrocli.tasks.fit_part.stock import Stock
+from metrocli.tasks.fit_part.uncertainty import Sensitivity, sensitivity
+
+_EVENER = 0.5
+"""Ratio of the variations of the overstock below which a surface is taken as turned over"""
+_SLACK = 1e-8
+"""What the aim `most` leaves of the largest least overstock for making it even [mm]"""
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A job whose files fit together."""
+
+    nominal: OfSurfaces | OfMesh
+    readings: r.Readings
+    start: Array
+    """Pose into the part frame that the job gives (6,)"""
+
+
+@dataclass(frozen=True)
+class Solved:
+    """A fitted part."""
+
+    prepared: Prepared
+    levels: Levels
+    used: npt.NDArray[np.bool_]
+    """Which surface points take part in the fit (n,)"""
+    stock: Stock
+    """Of the points that take part"""
+    aim: Aim
+    fit: Fit
+    largest: float
+    """Largest possible least overstock [mm], inf without limit"""
+    sensitivity: Sensitivity
+    warnings: tuple[str, ...]
+
+
+def prepare(settings: Settings, nominal: NominalFile | Triangles, points: Table | Result) -> Prepared:
+    """Return ideal part and readings of a job; raises InputError with what is wrong with the files."""
+    part = ideal(nominal, settings.nominal_unit)
+    of_mesh = isinstance(part, OfMesh)
+    names = () if isinstance(part, OfMesh) else part.names
+    readings = r.read(settings, points, names, of_mesh)
+    if isinstance(part, OfMesh):
+        must_be_of_one_size(part.triangles, readings.surface_points.points, settings.nominal_unit)
+    return Prepared(part, readings, start_of(settings.start))
+
+
+def start_of(start: Start) -> Array:
+    """Return the pose into the part frame (6,) that a job gives."""
+    at = np.array([getattr(start, name) for name in poses.EULER])
+    return poses.inverse(poses.pose_from_euler(at[:3], at[3:]))
+
+
+def solve(settings: Settings, prepared: Prepared) -> Solved:
+    """Return the fitted part.
+
+    Raises InputError for surfaces turned over, UndeterminedError if the points leave the pose open or no pose has the
+    minimum overstock, NotConvergedError.
+    """
+    nominal, places = prepared.nominal, prepared.readings.surface_points
+    rough = found(nominal, places.points, prepared.readings.surface, prepared.start)
+    settled = levels(nominal, places.points, prepared.readings.surface, rough, places.sigma)
+    used = ~settled.outlying if settings.outliers == "remove" else np.ones(len(places.points), dtype=bool)
+    stock = settled.stock.of(used)
+    name, minimum = settings.overstock.aim, settings.overstock.minimum
+    open_motions = c.must_be_determined(stock.at(settled.into), name)
+    turned = reversed_surfaces(stock, nominal, settled.into) if isinstance(nominal, OfSurfaces) else []
+    highest, largest, holding = most_of_many(stock, settled.into)
+    if not c.feasible(largest, minimum):
+        contradiction = c.contradiction(stock, holding, minimum, highest)
+        raise c.refuse(contradiction, places.of(used).names, minimum, largest, turned)
+    if turned:
+        raise InputError(c.wrong_side(turned))
+    if name == MOST and not np.isfinite(largest):
+        raise UndeterminedError("the least overstock has no limit: no surface faces the others; use another aim")
+    aim, fitted = fitted_part(stock, name, minimum, (highest, largest, holding), prepared.start)
+    sense = sensitivity(fitted, aim, prepared.start, places.covariance[used])
+    warnings = (*prepared.readings.warnings, *open_motions)
+    return Solved(prepared, settled, used, stock, aim, fitted, largest, sense, warnings)
+
+
+def fitted_part(
+    stock: Stock, name: str, minimum: float, highest: tuple[Array, float, Array], start: Array
+) -> tuple[Aim, Fit]:
+    """Return the fit of an aim from the pose with the largest least overstock (pose, overstock, duals)."""
+    into, largest, duals = highest
+    if name != MOST:
+        aim = aimed(stock, name, min(minimum, largest), into, start)
+        return aim, fit(stock, aim, into)
+    aim = aimed(stock, name, largest - _SLACK, into, start)
+    even = fit(stock, aim, into)
+    held = np.abs(even.local.rows.T @ duals).max()
+    return aim, replace(even, duals=duals, optimality=float(held))
+
+
+def reversed_surfaces(stock: Stock, nominal: OfSurfaces, into: Array) -> list[str]:
+    """Return the names of surfaces with whose material on the other side the overstock is far more even."""
+    given = _variation(stock, into)
+    return [
+        nominal.names[one]
+        for one in np.unique(stock.surface).tolist()
+        if _variation(Stock(nominal.reversed(one), stock.measured, stock.surface), into) < _EVENER * given
+    ]
+
+
+def _variation(stock: Stock, into: Array) -> float:
+    """Return the standard deviation of the overstock after two steps towards the least one [mm]."""
+    for _ in range(2):
+        local = stock.at(into)
+        rows = local.rows - local.rows.mean(axis=0)
+        into = local.moved(into, -np.linalg.lstsq(rows, local.overstock - local.overstock.mean(), rcond=1e-6)[0])
+    return float(stock.at(into).overstock.std())

@@ -1,0 +1,101 @@
+"""Covariance of the fitted pose from that of the points, with the minimum overstock active at some of them.
+
+The optimum is where `gradient = sum duals rows` and `o = minimum` at the active points. Its derivative by the points
+gives the sensitivity of the pose; the same points are held active. Method: docs/algorithms/overstock-fit.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrocli.geometry import poses
+from metrocli.geometry.rotations import cross_matrix
+from metrocli.geometry.surfaces import Array
+from metrocli.tasks.fit_part.fit import MOST, Aim, Fit
+
+_SLIGHT = 1e-6
+"""Weight of evenness beside the largest least overstock"""
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """How the points move the fitted pose."""
+
+    by_point: Array
+    """Derivative of the step of the pose by each measured point (n, 6, 3)"""
+    covariance: Array
+    """Covariance of the step of the pose (6, 6)"""
+
+
+def sensitivity(fit: Fit, aim: Aim, start: Array, covariance: Array) -> Sensitivity:
+    """Return the sensitivity of a fit, and the covariance for points with independent errors of covariance (n, 3, 3).
+
+    `start` (6,) is the pose into the part frame before the fit.
+    """
+    local, n = fit.local, len(fit.local.points)
+    turn, before = poses.rotation_of(fit.into), poses.rotation_of(start)
+    normal, rows = local.shape.normal, local.rows
+    active = np.flatnonzero(fit.duals > 0)
+    weight = _SLIGHT if aim.name == MOST else 1.0
+    by_place = np.zeros((n, 6, 3))
+    changed = -fit.duals
+    if aim.before is not None:
+        moves = local.points - aim.before
+        by_place += np.swapaxes(local.movement, 1, 2) @ (turn - before) / n
+        by_place[:, 3:] -= cross_matrix(moves) @ turn / (local.lever * n)
+    else:
+        centred = local.overstock - local.overstock.mean()
+        along = normal @ turn
+        by_place += weight * (rows - rows.mean(axis=0))[:, :, None] * along[:, None, :] / n
+        changed = changed + weight * centred / n
+    by_place += changed[:, None, None] * _rows_by_place(fit) @ turn
+    hessian = fit.hessian if aim.name != MOST else weight * aim.objective(local).hessian - local.curvature(fit.duals)
+    system, right = _system(hessian, rows[active], aim.name == MOST), np.zeros((n, 0, 3))
+    extra = len(system) - 6
+    right = np.zeros((n, 6 + extra, 3))
+    right[:, :6] = by_place
+    first = len(system) - len(active)
+    right[active, first + np.arange(len(active))] = normal[active] @ turn
+    inverse = np.linalg.pinv(system, rcond=1e-13)
+    by_point = -(inverse[:6] @ right)
+    covered = np.einsum("nia,nab,njb->ij", by_point, covariance, by_point, optimize=True)
+    return Sensitivity(by_point, (covered + covered.T) / 2)
+
+
+def _rows_by_place(fit: Fit) -> Array:
+    """Return the derivative of each row of the overstock by its point in the part frame, (n, 6, 3)."""
+    local = fit.local
+    arms = cross_matrix(local.points - local.centre)
+    turning = (arms @ local.shape.bend - cross_matrix(local.shape.normal)) / local.lever
+    return np.concatenate([local.shape.bend, turning], axis=1)
+
+
+def _system(hessian: Array, active: Array, with_level: bool) -> Array:
+    """Return the matrix of the conditions of an optimum: step, least overstock where it is sought, duals."""
+    m, level = len(active), int(with_level)
+    size = 6 + level + m
+    system = np.zeros((size, size))
+    system[:6, :6] = hessian
+    system[:6, 6 + level :] = -active.T
+    system[6 + level :, :6] = active
+    if with_level:
+        system[6, 7:] = 1.0
+        system[7:, 6] = -1.0
+    return system
+
+
+def of_result(fit: Fit) -> Array:
+    """Return the derivative of the pose of the part (x, y, z, alpha, beta, gamma) by a step of the fit, (6, 6).
+
+    A step turns the part frame the other way: `dr = -R w`, `dd = -R (u - w x c)`.
+    """
+    local = fit.local
+    part = poses.inverse(fit.into)
+    turn = poses.rotation_of(part)
+    by_step = np.zeros((6, 6))
+    by_step[:3, :3] = -turn
+    by_step[:3, 3:] = -turn @ cross_matrix(local.centre) / local.lever
+    by_step[3:, 3:] = -turn / local.lever
+    return poses.euler_form_by_step(part) @ by_step

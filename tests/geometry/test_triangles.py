@@ -1,0 +1,76 @@
+"""Distances from a mesh of a block against the closed formula of a block, and the faults of meshes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from metrocli.geometry.triangles import Array, Triangles
+
+SIZE = np.array([60.0, 40.0, 20.0])
+
+
+def block(cells: int = 1) -> Triangles:
+    """A block from 0 to SIZE, each face of cells x cells squares."""
+    corners, faces, n = [], [], 0
+    step = np.arange(cells + 1) / cells
+    a, b = (one.ravel() for one in np.meshgrid(step, step, indexing="ij"))
+    at = np.arange((cells + 1) ** 2).reshape(cells + 1, -1)
+    p, q, r, s = (one.ravel() for one in (at[:-1, :-1], at[1:, :-1], at[1:, 1:], at[:-1, 1:]))
+    squares = np.concatenate([np.stack([p, q, r], 1), np.stack([p, r, s], 1)])
+    for axis in range(3):
+        for side in (0.0, 1.0):
+            face = np.empty((len(a), 3))
+            face[:, axis], face[:, (axis + 1) % 3], face[:, (axis + 2) % 3] = side, a, b
+            corners.append(face * SIZE)
+            faces.append((squares if side else squares[:, ::-1]) + n)
+            n += len(a)
+    vertices, index = np.unique(np.concatenate(corners).round(9), axis=0, return_inverse=True)
+    return Triangles(vertices, index.ravel()[np.concatenate(faces)])
+
+
+def distance(points: Array) -> Array:
+    """Signed distance from the block."""
+    beyond = np.abs(points - SIZE / 2) - SIZE / 2
+    return np.linalg.norm(np.maximum(beyond, 0), axis=1) + np.minimum(beyond.max(axis=1), 0)
+
+
+def places(n: int = 3000) -> Array:
+    return np.random.default_rng(2).uniform(-0.5, 1.5, (n, 3)) * SIZE
+
+
+def test_distance_of_coarse_and_fine_blocks() -> None:
+    for cells in (1, 9):
+        found = block(cells).nearest(places())
+        assert np.allclose(found.distance, distance(places()), atol=1e-9)
+        inside = places() - found.distance[:, None] * found.normal
+        assert np.allclose(distance(inside), 0, atol=1e-9)
+        assert np.allclose(np.linalg.norm(found.normal, axis=1), 1)
+
+
+def test_an_answer_nearby_gives_the_same_as_a_new_search() -> None:
+    mesh, points = block(9), places()
+    before = mesh.nearest(points)
+    for step in (1e-3, 0.3, 5.0):
+        moved = points + np.array([step, -step, step])
+        again = mesh.nearest(moved, before)
+        assert np.allclose(again.distance, distance(moved), atol=1e-9)
+    assert (before.margin > 1e-3).mean() > 0.3
+
+
+def test_patches_are_the_faces_of_the_block() -> None:
+    mesh = block(5)
+    assert mesh.patches == 6
+    areas = np.bincount(mesh.patch, mesh.areas)
+    assert np.allclose(areas, [2400, 2400, 1200, 1200, 800, 800])
+    assert abs(mesh.volume - 48000) < 1e-6
+
+
+def test_open_and_inverted_meshes() -> None:
+    mesh = block(2)
+    assert not mesh.open_edges.size and not mesh.doubled_edges.size
+    opened = Triangles(mesh.vertices, mesh.faces[1:])
+    assert opened.open_edges.size == 3
+    turned = mesh.faces.copy()
+    turned[0] = turned[0, ::-1]
+    assert Triangles(mesh.vertices, turned).doubled_edges.size == 3
+    assert Triangles(mesh.vertices, mesh.faces[:, ::-1]).volume < 0

@@ -1,0 +1,171 @@
+"""Wrong inputs of fit-part: each is refused with its place, what was found and what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from geometry.test_triangles import SIZE, block
+from simulated.castings import casting
+
+from metrocli.result import Result
+from metrocli.table import Table
+from metrocli.tasks.fit_part.readings import read
+from metrocli.tasks.fit_part.settings import Inputs, Overstock, Settings
+
+Metrocli = Callable[..., Any]
+
+
+def changed(path: Path, before: str, after: str) -> None:
+    text = path.read_text()
+    assert before in text
+    path.write_text(text.replace(before, after, 1))
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "message"),
+    [
+        (",left\n", ",lefft\n", "did you mean 'left'?"),
+        ("P3,", ",", "point"),
+        ("0.03,left", ",left", "has no standard deviation"),
+        ("0.03,left", "-0.03,left", "a standard deviation is negative"),
+    ],
+)
+def test_points(before: str, after: str, message: str, tmp_path: Path, metrocli: Metrocli) -> None:
+    job = casting(1).write(tmp_path)
+    changed(tmp_path / "points.csv", before, after)
+    for command in (("fit-part", job), ("check", job)):
+        ran = metrocli(*command)
+        assert ran.code == 3 and message in ran.err and "points.csv:" in ran.err
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "message"),
+    [
+        ("radius: 60 mm, ", "", "a cylinder also needs radius"),
+        ("type: plane, ", "type: plane, radius: 3 mm, ", "a plane has no radius"),
+        ("normal: [-1.0, 0.0, 0.0]", "normal: [0, 0, 0]", "cannot be [0, 0, 0]"),
+        ("name: left", "name: right", "two surfaces have the name 'right'"),
+        ("type: plane", "type: plain", "did you mean 'plane'?"),
+    ],
+)
+def test_nominals(before: str, after: str, message: str, tmp_path: Path, metrocli: Metrocli) -> None:
+    job = casting(1).write(tmp_path)
+    changed(tmp_path / "part.yaml", before, after)
+    ran = metrocli("check", job)
+    assert ran.code == 3 and message in ran.err and "part.yaml:" in ran.err
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "name"),
+    [("normal: [0.0, 0.0, 1.0]", "normal: [0.0, 0.0, -1.0]", "top"), ("material: inside", "material: outside", "boss")],
+)
+def test_a_surface_with_the_material_on_the_wrong_side(
+    before: str, after: str, name: str, tmp_path: Path, metrocli: Metrocli
+) -> None:
+    job = casting(2).write(tmp_path)
+    changed(tmp_path / "part.yaml", before, after)
+    ran = metrocli("fit-part", job)
+    assert ran.code in (3, 4) and f"the points of {name} lie on the wrong side" in ran.err
+
+
+def test_targets_and_surfaces_that_no_point_has(tmp_path: Path, metrocli: Metrocli) -> None:
+    job = casting(1).write(tmp_path, "targets: [X*]", "surfaces: {top: [Z9]}")
+    ran = metrocli("check", job)
+    assert ran.code == 3
+    assert "targets: no point has the name 'X*'" in ran.err and "surfaces: no point has the name 'Z9'" in ran.err
+
+
+def test_points_of_a_result_come_with_their_covariance() -> None:
+    """As calibrate-camera (rig network) and multilaterate give them; the surfaces are named by patterns."""
+    rng = np.random.default_rng(6)
+    names, places = ["A1", "A2", "B1", "T1"], rng.normal(size=(4, 3))
+    covariance = np.stack([np.diag(rng.uniform(1e-4, 1e-3, 3)) for _ in names])
+    table = Table({"point": np.array(names), **{axis: places[:, k] for k, axis in enumerate("xyz")}})
+    result = Result(
+        "calibrate-camera", "", (), np.zeros((0, 0)), {}, {"points": table}, {"points_covariance": covariance}
+    )
+    files = Inputs(Path("points.h5"), Path("part.yaml"))
+    settings = Settings(files, Overstock(0.5), targets=("T*",), surfaces={"a": ("A*",), "b": ("B1",)})
+    found = read(settings, result, ("a", "b"), False)
+    assert found.surface_points.names == ("A1", "A2", "B1") and found.targets.names == ("T1",)
+    assert found.surface is not None and found.surface.tolist() == [0, 0, 1]
+    assert np.array_equal(found.surface_points.covariance, covariance[:3])
+    assert np.array_equal(found.targets.points, places[3:])
+
+
+def stl(path: Path, corners: np.typing.NDArray[np.float64]) -> None:
+    lines = ["solid part"]
+    for face in corners:
+        lines += ["facet normal 0 0 0", "outer loop", *(f"vertex {x!r} {y!r} {z!r}" for x, y, z in face.tolist())]
+        lines += ["endloop", "endfacet"]
+    path.write_text("\n".join([*lines, "endsolid part", ""]))
+
+
+def points_on_block(folder: Path) -> Path:
+    """Points 2 to 4 mm outside of a block, turned a little."""
+    rng = np.random.default_rng(3)
+    rows = ["point,x_mm,y_mm,z_mm,sigma_mm"]
+    for n in range(300):
+        axis, side = n % 3, (n // 3) % 2
+        place = rng.uniform(0.1, 0.9, 3) * SIZE
+        place[axis] = SIZE[axis] * side + (2 * side - 1) * rng.uniform(2, 4)
+        x, y, z = np.array([[0.995, -0.0998, 0], [0.0998, 0.995, 0], [0, 0, 1]]) @ place + [3, -2, 1]
+        rows.append(f"P{n},{x:.6f},{y:.6f},{z:.6f},0.02")
+    (folder / "points.csv").write_text("\n".join(rows) + "\n")
+    job = folder / "job.yaml"
+    job.write_text(
+        "metrocli: 1\njob: fit-part\ninputs: {points: points.csv, nominal: part.stl}\n"
+        "overstock: {minimum: 0.5 mm, aim: even}\noutput: part.h5\n"
+    )
+    return job
+
+
+def test_a_mesh_gives_what_its_planes_give(tmp_path: Path, metrocli: Metrocli) -> None:
+    from metrocli.formats import hdf5
+
+    job = points_on_block(tmp_path)
+    stl(tmp_path / "part.stl", block(4).corners)
+    assert metrocli("fit-part", job).code == 0
+    mesh = hdf5.read(tmp_path / "part.h5")[0]
+    lines = ["surfaces:"]
+    for axis in range(3):
+        for side in (0, 1):
+            point, normal = SIZE / 2, np.zeros(3)
+            point[axis], normal[axis] = SIZE[axis] * side, 2 * side - 1
+            place = ", ".join(f"{value} mm" for value in point)
+            lines.append(f"- {{name: s{axis}{side}, type: plane, point: [{place}], normal: {normal.tolist()}}}")
+    (tmp_path / "part.yaml").write_text("\n".join(lines) + "\n")
+    assert metrocli("fit-part", job, "--force", "--set", "inputs.nominal=part.yaml").code == 0
+    planes = hdf5.read(tmp_path / "part.h5")[0]
+    for one, other in zip(mesh.estimates, planes.estimates, strict=True):
+        assert one.value == pytest.approx(other.value, abs=1e-5)
+        assert one.std == pytest.approx(other.std, rel=1e-3)
+    assert mesh.tables["surfaces"].texts("surface") == [f"face-{n}" for n in range(1, 7)]
+
+
+def test_meshes_that_cannot_be_used(tmp_path: Path, metrocli: Metrocli) -> None:
+    job = points_on_block(tmp_path)
+    corners = block(2).corners
+    for wrong, message in (
+        (corners[1:], "is open: 3 edges"),
+        (corners[:, ::-1], "is inverted"),
+        (corners / 25.4, "in inch, not in mm; write `nominal_unit: inch`"),
+        (corners / 1000, "in m, not in mm; write `nominal_unit: m`"),
+    ):
+        stl(tmp_path / "part.stl", wrong)
+        ran = metrocli("check", job)
+        assert ran.code == 3 and message in ran.err, ran.err
+    stl(tmp_path / "part.stl", corners / 25.4)
+    assert metrocli("fit-part", job, "--set", "nominal_unit=inch").code == 0
+
+
+def test_commands_that_the_kind_does_not_have(tmp_path: Path, metrocli: Metrocli) -> None:
+    job = casting(1).write(tmp_path)
+    for command in ("diagnose", "simulate", "plan"):
+        options = ("--out", tmp_path / "out") if command == "simulate" else ()
+        ran = metrocli(command, job, *options)
+        assert ran.code == 2 and "fit-part jobs cannot be" in ran.err
