@@ -2,27 +2,29 @@
 
 from __future__ import annotations
 
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from metrocli.errors import Fault, InputError
+from metrocli.formats.file_bytes import FileBytes, read_bytes
 from metrocli.geometry.triangles import Triangles
 
 
-def read(path: Path) -> Triangles:
+def read(path: Path, held: FileBytes | None = None) -> Triangles:
     """Return the mesh of a file, with equal vertices merged and triangles without area left out.
 
-    Raises InputError if the file cannot be read or has no triangles. Coordinates are as in the file.
+    `held` are the bytes of the file where they were read before. Raises InputError if the file cannot be read or has no
+    triangles. Coordinates are as in the file.
     """
     import trimesh
 
+    data, kind = BytesIO((held or read_bytes(path, "a mesh")).data), path.suffix.lower().removeprefix(".")
     try:
-        mesh: Any = trimesh.load(path, force="mesh", process=False, skip_materials=True)
+        mesh: Any = trimesh.load(data, file_type=kind, force="mesh", process=False, skip_materials=True)
         corners = np.asarray(mesh.vertices, dtype=np.float64)[np.asarray(mesh.faces, dtype=np.intp)]
-    except OSError as error:
-        raise InputError([Fault(f"cannot be read: {error.strerror or error}", str(path))]) from error
     except Exception as error:  # trimesh raises any kind of error for a damaged file
         reason = " ".join(str(error).split()) or type(error).__name__
         raise InputError([Fault(f"cannot be read as a mesh: {reason}", str(path), hint=_HINT)]) from error

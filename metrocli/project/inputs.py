@@ -95,7 +95,7 @@ def _read_one(spec: Any, path: Path, item: Input, folder: Path) -> tuple[Any, In
         from metrocli.formats import meshes
 
         held = read_bytes(path, "a mesh")
-        return meshes.read(path), _recorded(held, folder, held.sha256)
+        return meshes.read(path, held), _recorded(held, folder, held.sha256)
     if isinstance(spec, FileOf):
         from metrocli.formats import hdf5
 
