@@ -78,8 +78,9 @@ def readings() -> Table:
 def idle_project(folder: Path) -> Path:
     """Write a project of many jobs whose results are up to date."""
     from metrocli import __version__
-    from metrocli.project.inputs import input_files
+    from metrocli.project.inputs import read_with_files
     from metrocli.project.job import load
+    from metrocli.project.meaning import of_job
 
     (folder / "jobs").mkdir()
     (folder / "observations.csv").write_text("image,target,u_px,v_px\na,1,2,3\n")
@@ -90,7 +91,8 @@ def idle_project(folder: Path) -> Path:
     for name in names:
         (folder / name).write_text(JOB)
         job = load(folder / name)
-        hdf5.write(job.output, empty, Record(job.text, input_files(job), __version__, ""))
+        _, files = read_with_files(job)
+        hdf5.write(job.output, empty, Record(job.text, files, __version__, "", meaning=of_job(job)))
     return folder
 
 

@@ -72,7 +72,10 @@ def write(file: JobFile, result: Result, record: Record) -> Done:
 def compute(
     file: JobFile, progress: Progress = lambda line: None, workers: Workers = HERE, strict: bool = False
 ) -> tuple[Result, Record]:
-    """Read the inputs, run the task and check the acceptance criteria; write nothing but finished chunks."""
+    """Read the inputs, run the task and check the acceptance criteria; write nothing but finished chunks.
+
+    With `strict` every warning makes the result doubtful.
+    """
     kind = tasks.KINDS[file.kind]
     progress(f"{file.file}: reading its inputs")
     held, files = read_with_files(file)

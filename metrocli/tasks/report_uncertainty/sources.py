@@ -38,8 +38,9 @@ def shared(results: Mapping[str, Result], named: Iterable[str] = ()) -> list[str
 
 
 def _between(a: str, first: Result, b: str, second: Result) -> list[str]:
-    files = {item.sha256: item.path for item in first.made_from}
-    common = [files[item.sha256] for item in second.made_from if item.sha256 in files]
+    # by content too: a comment that was added between the two results leaves the readings what they are
+    files = {key: item.path for item in first.made_from for key in (item.sha256, item.content) if key}
+    common = [files[key] for item in second.made_from for key in (item.sha256, item.content) if key in files]
     lines = []
     if common:
         lines.append(
