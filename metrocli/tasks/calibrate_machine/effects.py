@@ -10,6 +10,7 @@ from metrocli.adjust.model.blocks import Array, Space
 from metrocli.effects.effect import Effect, Parameter
 from metrocli.effects.links.motions import AXES, Backlash, LoadSag, MachineDrift, ScrewPitchError, ThermalGrowth
 from metrocli.effects.links.trackers import TrackerEccentricity, TrackerMoves, TrackerScale
+from metrocli.tasks.shared.length_effects import LENGTH_EFFECTS
 from metrocli.units import parse_quantity
 
 _SCHWENKE = "Schwenke et al. 2008, Geometric error measurement and compensation of machines, CIRP Annals 57"
@@ -36,7 +37,7 @@ def _periods(conditions: Mapping[str, Array]) -> Array:
     return np.asarray(1 / np.linspace(1 / _LONGEST, 1 / _SHORTEST, count))
 
 
-EFFECTS: tuple[Effect, ...] = (
+OF_MACHINES: tuple[Effect, ...] = (
     Effect(
         "backlash",
         "the axis stops at another place when it arrives from the other side: play, friction and wind-up of its drive",
@@ -126,4 +127,10 @@ EFFECTS: tuple[Effect, ...] = (
         source=_SCHWENKE,
     ),
 )
-"""All effects, in the order of the documentation. A single tracker cannot separate machine-drift and tracker-drift."""
+"""Effects on machine and tracker. A single tracker cannot separate machine-drift and tracker-drift."""
+
+_NOT_WITH_LENGTHS = ("tracker-eccentricity", "tracker-scale", "tracker-drift")
+OF_LENGTHS = (*(effect for effect in OF_MACHINES if effect.name not in _NOT_WITH_LENGTHS), *LENGTH_EFFECTS)
+"""Effects on the machine and on lengths"""
+EFFECTS = (*OF_MACHINES, *LENGTH_EFFECTS)
+"""All effects, in the order of the documentation; each method has those that act on what it reads"""

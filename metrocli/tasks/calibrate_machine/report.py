@@ -13,6 +13,7 @@ from metrocli.effects.estimates import free_blocks
 from metrocli.effects.estimates import tables as effect_results
 from metrocli.instruments.machine import AXES, ERRORS, SQUARENESS, SQUARENESS_NAMES, TOOL
 from metrocli.instruments.six_dof import LINE
+from metrocli.instruments.tracer import TRACER
 from metrocli.instruments.tracker import TRACKER
 from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
@@ -56,6 +57,7 @@ def report(solved: Solved, settings: Settings) -> Result:
             "tools": _tools(solved),
             **_tracker(solved),
             **_lines(solved),
+            **_stations(solved),
             **solved.problem.tables,
             **volume,
             "residuals": _residuals(solved),
@@ -75,6 +77,7 @@ def report(solved: Solved, settings: Settings) -> Result:
         ),
         notes=(
             *identifiability_notes(identified),
+            *(solved.problem.noise.notes if solved.problem.noise else ()),
             NOT_CONTAINED,
             *noise_notes(solution, cures(settings)),
             *in_words(hidden),
@@ -185,6 +188,17 @@ def _tracker(solved: Solved) -> dict[str, Table]:
     return {"tracker": Table(columns)}
 
 
+def _stations(solved: Solved) -> dict[str, Table]:
+    """Return the place, dead path and scale of each station of lengths."""
+    if TRACER not in solved.solution.blocks:
+        return {}
+    block, std = solved.solution.blocks[TRACER], solved.solution.std(TRACER)
+    columns: dict[str, Values] = {"station": np.array(block.members)}
+    columns |= {name: block.values[:, i] for i, name in enumerate(block.columns)}
+    columns |= {f"s{name}" if i < 3 else f"s_{name}": std[:, i] for i, name in enumerate(block.columns)}
+    return {"stations": Table(columns, {name: "mm" for name in columns if name not in ("station", "scale", "s_scale")})}
+
+
 def _lines(solved: Solved) -> dict[str, Table]:
     """Return the misalignment of each six-dof line: offsets of the channels, and slopes across the beam."""
     if LINE not in solved.solution.blocks:
@@ -260,5 +274,6 @@ def _statistics(solved: Solved, settings: Settings) -> Statistics:
         "readings": solved.problem.readings.observations.count,
         "rejected": len(solved.rejected),
         "critical_w": solved.suspects.critical,
+        **(solved.problem.noise.facts if solved.problem.noise else {}),
         **solved.problem.facts,
     }

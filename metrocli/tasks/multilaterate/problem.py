@@ -11,7 +11,7 @@ import numpy as np
 from metrocli.adjust.iterated_weights import Aspect, Noise
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.chain import Chain
-from metrocli.adjust.model.groups import Group, prior, prior_of_members, priors
+from metrocli.adjust.model.groups import Group, priors
 from metrocli.adjust.model.observations import Index, Mask, Observations
 from metrocli.effects.model import Model, Place
 from metrocli.effects.modelled import Modelled
@@ -20,8 +20,9 @@ from metrocli.instruments import tracer as t
 from metrocli.instruments.frames import DistanceBetween
 from metrocli.table import Table
 from metrocli.tasks.multilaterate.readings import Readings, join, matched
-from metrocli.tasks.multilaterate.settings import LengthNoise, Scale, Settings
-from metrocli.tasks.multilaterate.start import places_of
+from metrocli.tasks.multilaterate.settings import Settings
+from metrocli.tasks.shared.lengths import PathNoise, Scale, scale_priors
+from metrocli.tasks.shared.tracer_places import places_of
 from metrocli.words import listed
 
 LENGTHS, DISTANCES = "lengths", "distances"
@@ -52,7 +53,7 @@ class Network(Modelled):
     @property
     def aspects(self) -> Mapping[str, Aspect]:
         """Conditions that effects in the network vary with and that follow from its geometry; none without effects."""
-        return t.ASPECTS if self.effects else {}
+        return t.aspects(t.reach()) if self.effects else {}
 
     @property
     def seen(self) -> Index:
@@ -88,7 +89,7 @@ def _without(group: Group, left: Mask) -> Group:
 def build(settings: Settings, lengths: Table, points: Table, tracers: Table | None, distances: Table | None) -> Network:
     """Return the adjustment of the files, with starting values found from the lengths; raises as `places_of` does."""
     readings = join(lengths, points, tracers, settings.measures == "absolute")
-    return network_of(settings, readings, places_of(readings), lengths, distances)
+    return network_of(settings, readings, places_of(readings.by_tracers), lengths, distances)
 
 
 def network_of(
@@ -111,15 +112,14 @@ def network_of(
         components=("length",),
         unit="mm",
     )
-    noise = _path_noise(settings.noise)
+    noise = PathNoise.of(settings.noise)
     blocks = {t.POINT: point_block, t.TRACER: tracer_block}
-    group = Group(LENGTHS, t.chain(), observations)
-    group = group.with_observations(replace(observations, sigma=noise(group, blocks)))
+    group = noise.at(Group(LENGTHS, t.chain(), observations), blocks)
     tracer_sigma = np.column_stack([readings.tracer_sigma, np.full((len(readings.stations), 2), np.nan)])
     others = (
         *priors(point_block, sigma, free),
         *priors(tracer_block, tracer_sigma, tracer_block.free),
-        *_scales(settings, tracer_block),
+        *scale_priors(settings.scale, tracer_block),
         *_distances(distances, names, readings.seen),
     )
     inner = settings.datum != "points" and bool(tracer_block.free[:, :3].any()) and bool(free.any())
@@ -129,7 +129,7 @@ def network_of(
         "tracer": Place(tracer_block.members, t.TRACER),
         "point": Place(point_block.members, t.POINT),
     }
-    model = Model(blocks, (group, *others), datum, (LENGTHS,), acting, t.ASPECTS)
+    model = Model(blocks, (group, *others), datum, (LENGTHS,), acting, t.aspects(t.reach()))
     return Network(model, noise, readings.nominal, absolute, readings.said, _unused(readings), settings.scale)
 
 
@@ -148,16 +148,6 @@ def _tracers(settings: Settings, readings: Readings, places: Array) -> Block:
     return t.tracer_block(places, readings.stations, free, readings.extent)
 
 
-def _scales(settings: Settings, block: Block) -> list[Group]:
-    """Return the prior of the scales, with the covariance `u^2 I + c^2 1 1'` if they share an error c."""
-    if settings.scale is None:
-        return []
-    own, common, m = settings.scale.uncertainty, settings.scale.common, len(block.members)
-    if common:
-        return [prior_of_members(block, 4, own**2 * np.eye(m) + common**2)]
-    return [prior(block, np.arange(m), np.full((m, 1), own), columns=(4,))]
-
-
 def _distances(table: Table | None, names: Sequence[str], seen: Index) -> list[Group]:
     if table is None:
         return []
@@ -174,14 +164,3 @@ def _distances(table: Table | None, names: Sequence[str], seen: Index) -> list[G
         raise InputError(faults)
     observations = Observations(length[None], sigma[None], {t.POINT: ends}, components=("length",), unit="mm")
     return [Group(DISTANCES, Chain((DistanceBetween(t.POINT),)), observations)]
-
-
-def _path_noise(settings: LengthNoise) -> Noise:
-    """Return `sigma = sqrt(a^2 + b^2 (l + l0)^2)` with the adjusted dead paths."""
-
-    def sigma(group: Group, blocks: Mapping[str, Block]) -> Array:
-        observations = group.observations
-        path = observations.readings[0] + blocks[t.TRACER].values[observations.index[t.TRACER], 3]
-        return np.asarray(np.sqrt(settings.constant**2 + (settings.proportional * path) ** 2)[None])
-
-    return sigma

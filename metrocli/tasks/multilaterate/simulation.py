@@ -86,7 +86,7 @@ def _model(design: Table, planned: Planned, points: Array, stations: Array) -> M
     tracer = t.tracer_block(stations, tracers, np.zeros(stations.shape, dtype=bool), 1.0)
     places = {"point": Place(tuple(names), t.POINT), "tracer": Place(tuple(tracers), t.TRACER)}
     group = Group(LENGTHS, t.chain(), observations)
-    return Model({t.POINT: point, t.TRACER: tracer}, (group,), None, (LENGTHS,), places, t.ASPECTS)
+    return Model({t.POINT: point, t.TRACER: tracer}, (group,), None, (LENGTHS,), places, t.aspects(t.reach()))
 
 
 def _listed(key: str, names: list[str], places: Array) -> Table:
