@@ -16,13 +16,10 @@ from metrocli.adjust.robust import Fit, Suspects, robust_start, suspects
 from metrocli.adjust.solution import Residuals, Solution, residuals_of
 from metrocli.errors import NotConvergedError, UndeterminedError
 from metrocli.instruments.machine import TOOL
-from metrocli.instruments.tracer import ALONE, STOP
 from metrocli.tasks.calibrate_machine.identifiability import Identifiability, identify
 from metrocli.tasks.calibrate_machine.problem import Problem
 
 _ROUNDS = 30
-_SETTLED = 1e-3
-"""An estimated repeatability has converged when a round changes it by less than this fraction"""
 _VAGUE = (
     "\nan unknown tool vector cannot be separated from the tracker's place: give `tool_uncertainty` as a few mm, "
     "not more"
@@ -118,17 +115,11 @@ def _adjusted(problem: Problem) -> _Found:
         noise = problem.noise
         if noise is None or noise.std is None:
             break
-        better = noise.renewed(found, group.observations.conditions[ALONE], _of_stops(solution))
+        better = noise.renewed(solution, problem.readings.name)
         problem = problem.with_noise(better, solution.blocks)
-        if abs(better.repeatability - noise.repeatability) < _SETTLED * noise.repeatability:
+        if better.near(noise):
             break
     return _Found(problem, solution, found, suspects(found, Fit(solution.cost, solution.dof, True)))
-
-
-def _of_stops(solution: Solution) -> Residuals | None:
-    """Return the residuals of the prior of stops: their deviations, with the redundancy of each."""
-    group = next((group for group in solution.groups if group.chain.blocks == (STOP,)), None)
-    return None if group is None else residuals_of(solution, group)
 
 
 def _worst(doubtful: Suspects) -> Index:

@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from metrocli.adjust.iterated_weights import Aspect, Noise
+from metrocli.adjust.iterated_weights import Aspect
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group, priors
@@ -21,7 +21,7 @@ from metrocli.instruments.frames import DistanceBetween
 from metrocli.table import Table
 from metrocli.tasks.multilaterate.readings import Readings, join, matched
 from metrocli.tasks.multilaterate.settings import Settings
-from metrocli.tasks.shared.lengths import PathNoise, Scale, scale_priors
+from metrocli.tasks.shared.lengths import PathNoise, Scale, scale_priors, stop_priors, stops_of, with_noise
 from metrocli.tasks.shared.tracer_places import places_of
 from metrocli.words import listed
 
@@ -33,7 +33,7 @@ LENGTHS, DISTANCES = "lengths", "distances"
 class Network(Modelled):
     """A network of lengths, ready to be adjusted."""
 
-    noise: Noise
+    noise: PathNoise
     """Standard deviations of the lengths, as a function of the adjusted paths"""
     nominal: Array
     """The mover's readings of the points, (points, 3)"""
@@ -68,6 +68,10 @@ class Network(Modelled):
             if t.POINT in group.observations.index:
                 held[group.observations.index[t.POINT].ravel()] = True
         return self.blocks[t.POINT].free.all(axis=1) & ~held
+
+    def with_noise(self, noise: PathNoise, blocks: Mapping[str, Block]) -> Network:
+        """Return the network at the values of `blocks` with another noise of its lengths."""
+        return replace(self, model=with_noise(self.model.with_blocks(blocks), LENGTHS, noise), noise=noise)
 
     def only(self, keep: Mask) -> Network:
         """Return the network with only these lengths; points that lose all their lengths are no longer unknowns."""
@@ -114,12 +118,20 @@ def network_of(
     )
     noise = PathNoise.of(settings.noise)
     blocks = {t.POINT: point_block, t.TRACER: tracer_block}
-    group = noise.at(Group(LENGTHS, t.chain(), observations), blocks)
+    stops, alone = _stops(readings, observations.conditions.get("t"))
+    stop_block = t.stop_block(stops) if noise.repeatability else None
+    if stop_block is not None:
+        blocks[t.STOP] = stop_block
+        observations = replace(observations, index={**observations.index, t.STOP: stops})
+    if noise.repeatability:
+        observations = replace(observations, conditions={**observations.conditions, t.ALONE: alone})
+    group = noise.at(Group(LENGTHS, t.chain(stops=stop_block is not None), observations), blocks)
     tracer_sigma = np.column_stack([readings.tracer_sigma, np.full((len(readings.stations), 2), np.nan)])
     others = (
         *priors(point_block, sigma, free),
         *priors(tracer_block, tracer_sigma, tracer_block.free),
         *scale_priors(settings.scale, tracer_block),
+        *stop_priors(stop_block, noise.repeatability),
         *_distances(distances, names, readings.seen),
     )
     inner = settings.datum != "points" and bool(tracer_block.free[:, :3].any()) and bool(free.any())
@@ -131,6 +143,23 @@ def network_of(
     }
     model = Model(blocks, (group, *others), datum, (LENGTHS,), acting, t.aspects(t.reach()))
     return Network(model, noise, readings.nominal, absolute, readings.said, _unused(readings), settings.scale)
+
+
+def _stops(readings: Readings, time: Array | None) -> tuple[Index, Array]:
+    """Return the number of the stop of each length, from 1, and 1 where its variance has the repeatability, (n,) each.
+
+    A stop that is the only one of its unknown point needs neither: the point is where the carrier stood.
+    """
+    stops = stops_of(readings.point, time)
+    alone = stops == 0
+    _, first = np.unique(stops, return_index=True)
+    begins = alone.copy()
+    begins[first] = True
+    several = np.bincount(readings.point, begins)[readings.point] > 1
+    known: Mask = np.asarray(np.isfinite(readings.point_sigma).any(axis=1))
+    kept = np.asarray(several | known[readings.point])
+    stops = np.where(kept, stops, 0)
+    return np.searchsorted(np.unique(np.append(stops, 0)), stops), (alone & kept).astype(float)
 
 
 def _unused(readings: Readings) -> tuple[str, ...]:

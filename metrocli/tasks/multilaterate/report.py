@@ -23,7 +23,7 @@ from metrocli.tasks.multilaterate.reliability import reliability
 from metrocli.tasks.multilaterate.settings import Correction
 from metrocli.tasks.multilaterate.solve import Solved
 from metrocli.tasks.multilaterate.uncontrolled import scale_warnings, uncontrolled
-from metrocli.tasks.shared.statistics import REMOVE, basic_statistics, noise_notes, noise_warnings
+from metrocli.tasks.shared.statistics import REMOVE, REPEATS, basic_statistics, noise_notes, noise_warnings
 from metrocli.tasks.shared.uncontrolled import in_words
 from metrocli.words import listed
 
@@ -61,6 +61,7 @@ def report(solved: Solved, probing: Table | None, tolerance: float, scatter: Cor
         "rejected": len(solved.rejected),
         "critical_w": solved.critical,
         "weakness": layout_faults.weakness(solved.network, solution),
+        **solved.network.noise.facts,
     }
     return Result(
         kind=KIND.name,
@@ -72,7 +73,7 @@ def report(solved: Solved, probing: Table | None, tolerance: float, scatter: Cor
         arrays={**arrays, **effect_arrays},
         warnings=(*_warnings(solved), *distant(solved.network, probing, tolerance)),
         shown=tuple(_shown(solved)),
-        notes=(*noise_notes(solution, cures=(REMOVE,)), *in_words(hidden)),
+        notes=(*solved.network.noise.notes, *noise_notes(solution, cures=(REMOVE,)), *in_words(hidden)),
         astray=solved.astray,
     )
 
@@ -159,7 +160,8 @@ def _suspects(solved: Solved) -> Table:
 
 
 def _warnings(solved: Solved) -> list[str]:
-    lines = [*solved.network.warnings, *noise_warnings(solved.solution, cures=(REMOVE,))]
+    cures = (REMOVE,) if solved.network.noise.repeatability else (REMOVE, REPEATS)
+    lines = [*solved.network.warnings, *noise_warnings(solved.solution, cures)]
     keys = solved.whole.lengths.observations.keys
     wrong = [
         f"{keys['point'][one.row]}/{keys['tracer'][one.row]}"

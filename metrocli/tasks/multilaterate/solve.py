@@ -163,10 +163,8 @@ def _adjusted(network: Network, state: Mapping[str, Block], out: dict[int, Rejec
     keep &= ~lost
     used = network.only(keep)
     blocks = {name: replace(block, free=used.blocks[name].free) for name, block in state.items()}
-    groups = [used.lengths, *used.others]
-    solution = adjust_with_iterated_weights(
-        blocks.values(), groups, (LENGTHS, network.noise), used.datum, network.aspects
-    )
+    used, solution = _settled(used.with_blocks(blocks))
+    network = replace(network, noise=used.noise)
     _must_carry(used, solution)
     if not solution.outcome.good:
         raise NotConvergedError(f"{solution.outcome.value} ({solution.iterations} steps)", solution.misfit)
@@ -178,6 +176,22 @@ def _adjusted(network: Network, state: Mapping[str, Block], out: dict[int, Rejec
     rows = np.flatnonzero(keep)
     suspects = tuple(replace(one, rows=tuple(rows[list(one.rows)].tolist())) for one in suspects)
     return Solved(used, network, solution, residuals, tuple(rejected), suspects, critical)
+
+
+def _settled(network: Network) -> tuple[Network, Solution]:
+    """Return the adjustment; an unknown repeatability is estimated with it."""
+    for _ in range(_ROUNDS):
+        groups, noise = [network.lengths, *network.others], network.noise
+        solution = adjust_with_iterated_weights(
+            network.blocks.values(), groups, (LENGTHS, noise), network.datum, network.aspects
+        )
+        if noise.std is None or not solution.outcome.good:
+            break
+        better = noise.renewed(solution, LENGTHS)
+        network = network.with_noise(better, solution.blocks)
+        if better.near(noise):
+            break
+    return network, solution
 
 
 def _kept(network: Network, out: Mapping[int, Rejected]) -> Mask:

@@ -10,7 +10,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.groups import Group, prior, prior_of_members
 from metrocli.adjust.model.observations import Index
-from metrocli.adjust.solution import Residuals
+from metrocli.adjust.solution import Solution, residuals_of
 from metrocli.effects.model import Model
 from metrocli.instruments import tracer as t
 from metrocli.settings import Choice, Either, Quantity, setting
@@ -19,6 +19,8 @@ from metrocli.units.people import format_quantity
 ESTIMATED = "estimated"
 REPEATABILITY = Either(Quantity("length", minimum=0.0), Choice(ESTIMATED))
 REPEATABILITY_WORDS = "standard deviation of each coordinate at a return to the same place; or estimated"
+_SETTLED = 1e-3
+"""An estimated repeatability has converged when a round changes it by less than this fraction"""
 _LEAST = 0.02
 """Least repeatability that is estimated, as a share of the constant part of the noise"""
 
@@ -95,16 +97,22 @@ class PathNoise:
         """Return a group of lengths with its standard deviations."""
         return group.with_observations(replace(group.observations, sigma=self(group, blocks)))
 
-    def renewed(self, lengths: Residuals, alone: Array, stops: Residuals | None) -> PathNoise:
+    def near(self, other: PathNoise) -> bool:
+        """Return whether an estimated repeatability has converged."""
+        return abs(self.repeatability - other.repeatability) < _SETTLED * other.repeatability
+
+    def renewed(self, solution: Solution, name: str) -> PathNoise:
         """Return the noise with the repeatability after one step of Fisher scoring (restricted maximum likelihood).
 
-        With v the residual, r_i the redundancy and s_i the standard deviation of each reading that contains it, the
-        step of the variance is `sum(v^2/s^4 - r_i/s^2) / sum(r_i/s^4)`. The deviations of stops count as readings of
-        zero (Förstner 1979; Koch, Parameter Estimation, 1999, 3.6).
+        `name` is the group of the lengths. With v the residual, r_i the redundancy and s_i the standard deviation of
+        each reading that contains it, the step of the variance is `sum(v^2/s^4 - r_i/s^2) / sum(r_i/s^4)`. The
+        deviations of stops count as readings of zero (Förstner 1979; Koch, Parameter Estimation, 1999, 3.6).
         """
         score, information = 0.0, 0.0
-        for found, share in ((lengths, alone), (stops, np.ones(1))):
-            if found is not None:
+        for group in solution.groups:
+            if group.name == name or group.chain.blocks == (t.STOP,):
+                share = group.observations.conditions.get(t.ALONE, np.zeros(1)) if group.name == name else np.ones(1)
+                found = residuals_of(solution, group)
                 variance = found.sigma**2
                 score += float((share * (found.values**2 / variance - found.redundancy) / variance).sum())
                 information += float((share * found.redundancy / variance**2).sum())
