@@ -14,6 +14,7 @@ COMMANDS = {
     "simulate": "the measurement that a job's model predicts",
     "plan": "what a planned measurement will determine, and a better one",
     "show": "a result on the terminal",
+    "compare": "two results: differences, E_n, one test of all",
     "export": "a result in another format: CSV, compensation tables",
     "schema": "JSON schema of a job, for editors",
 }

@@ -18,6 +18,7 @@ from metrocli.errors import NotConvergedError, UndeterminedError
 from metrocli.instruments.machine import TOOL
 from metrocli.tasks.calibrate_machine.identifiability import Identifiability, identify
 from metrocli.tasks.calibrate_machine.problem import Problem
+from metrocli.tasks.shared.lengths import settled
 
 _ROUNDS = 30
 _VAGUE = (
@@ -108,17 +109,9 @@ class _Found:
 
 def _adjusted(problem: Problem) -> _Found:
     """Return the adjustment; an unknown repeatability is estimated with it."""
-    for _ in range(_ROUNDS):
-        solution = adjusted(problem)
-        group = next(group for group in solution.groups if group.name == problem.readings.name)
-        found = residuals_of(solution, group)
-        noise = problem.noise
-        if noise is None or noise.std is None:
-            break
-        better = noise.renewed(solution, problem.readings.name)
-        problem = problem.with_noise(better, solution.blocks)
-        if better.near(noise):
-            break
+    name = problem.readings.name
+    problem, solution = settled(problem, adjusted, name)
+    found = residuals_of(solution, next(group for group in solution.groups if group.name == name))
     return _Found(problem, solution, found, suspects(found, Fit(solution.cost, solution.dof, True)))
 
 

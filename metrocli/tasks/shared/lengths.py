@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import Protocol, Self, TypeVar
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from metrocli.units.people import format_quantity
 ESTIMATED = "estimated"
 REPEATABILITY = Either(Quantity("length", minimum=0.0), Choice(ESTIMATED))
 REPEATABILITY_WORDS = "standard deviation of each coordinate at a return to the same place; or estimated"
+_ROUNDS = 30
 _SETTLED = 1e-3
 """An estimated repeatability has converged when a round changes it by less than this fraction"""
 _LEAST = 0.02
@@ -121,6 +123,33 @@ class PathNoise:
         least = (_LEAST * self.constant) ** 2
         value = float(np.sqrt(max(self.repeatability**2 + score / information, least)))
         return replace(self, repeatability=value, std=float(np.sqrt(2 / information) / (2 * value)))
+
+
+class Noisy(Protocol):
+    """An adjustment of lengths whose noise may have an unknown repeatability."""
+
+    @property
+    def noise(self) -> PathNoise | None:
+        """Standard deviations of the lengths; None without lengths."""
+
+    def with_noise(self, noise: PathNoise, blocks: Mapping[str, Block]) -> Self:
+        """Return the adjustment at the values of `blocks` with another noise."""
+
+
+P = TypeVar("P", bound=Noisy)
+
+
+def settled(problem: P, adjusted: Callable[[P], Solution], name: str) -> tuple[P, Solution]:
+    """Return the solution, and the problem with a repeatability that is estimated; `name` is the group of lengths."""
+    for _ in range(_ROUNDS):
+        solution, noise = adjusted(problem), problem.noise
+        if noise is None or noise.std is None or not solution.outcome.good:
+            break
+        better = noise.renewed(solution, name)
+        problem = problem.with_noise(better, solution.blocks)
+        if better.near(noise):
+            break
+    return problem, solution
 
 
 def stops_of(point: Index, time: Array | None) -> Index:
