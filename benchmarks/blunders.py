@@ -21,7 +21,8 @@ import numpy.typing as npt
 from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.tasks.multilaterate import task as multilaterate
-from metrocli.tasks.multilaterate.settings import Inputs, LengthNoise, Settings
+from metrocli.tasks.multilaterate.settings import Inputs, Settings
+from metrocli.tasks.shared.lengths import LengthNoise
 
 Array = npt.NDArray[np.float64]
 NOISE = LengthNoise(1e-4, 1e-7)

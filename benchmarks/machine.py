@@ -26,15 +26,14 @@ from metrocli.instruments.machine_path import Path
 from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
+from metrocli.tasks.calibrate_machine.files import TRACK, Inputs
 from metrocli.tasks.calibrate_machine.identifiability import identify
-from metrocli.tasks.calibrate_machine.path_search import edges_and_diagonals
 from metrocli.tasks.calibrate_machine.plan import planned_problem
+from metrocli.tasks.calibrate_machine.plans.path_search import edges_and_diagonals
 from metrocli.tasks.calibrate_machine.problem import machine_of
 from metrocli.tasks.calibrate_machine.settings import (
-    TRACK,
     AxesSettings,
     AxisSettings,
-    Inputs,
     MachineSettings,
     MachineSimulation,
     Noise,
@@ -263,7 +262,7 @@ def speed() -> None:
 
 def read(folder: str) -> None:
     """Read a path and a track, and solve; print time and memory."""
-    from metrocli.tasks.calibrate_machine.settings import PATH
+    from metrocli.tasks.calibrate_machine.files import PATH
 
     start = time.process_time()
     path, track = csv.read(File(folder) / "path.csv", PATH), csv.read(File(folder) / "track.csv", TRACK)

@@ -11,7 +11,7 @@ import pytest
 from metrocli.errors import InputError
 from metrocli.formats import csv, images
 from metrocli.table import Table
-from metrocli.tasks.calibrate_machine.settings import LINES, POINTS, TRACK
+from metrocli.tasks.calibrate_machine.files import LINES, POINTS, TRACK
 from metrocli.tasks.locate_launch_unit.readings import POSES
 from metrocli.tasks.multilaterate.settings import LENGTHS
 from metrocli.tasks.selfcal_grid.settings import VIEWS

@@ -14,7 +14,8 @@ from benchmarks.hidden.stated import stated
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.table import Table
 from metrocli.tasks.multilaterate import task as multilaterate
-from metrocli.tasks.multilaterate.settings import Inputs, LengthNoise, Settings
+from metrocli.tasks.multilaterate.settings import Inputs, Settings
+from metrocli.tasks.shared.lengths import LengthNoise
 
 Array = npt.NDArray[np.float64]
 NOISE = (1e-4, 1e-7)

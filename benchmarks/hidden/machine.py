@@ -15,10 +15,10 @@ from benchmarks.hidden.stated import stated
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
+from metrocli.tasks.calibrate_machine.files import Inputs
 from metrocli.tasks.calibrate_machine.settings import (
     AxesSettings,
     AxisSettings,
-    Inputs,
     LateralNoise,
     MachineSettings,
     Noise,

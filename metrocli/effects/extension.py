@@ -113,7 +113,8 @@ def lacking(model: Model, effect: Effect, where: Mapping[str, str]) -> str:
 def _reaches(group: Group, effect: Effect, where: Mapping[str, str]) -> bool:
     if effect.link is None:
         return effect.columns_of in group.chain.blocks
-    return group.chain.takes(effect.link("", where))
+    link = effect.link("", where)
+    return group.chain.takes(link) and set(link.blocks) <= {"", *group.chain.blocks}
 
 
 def with_effect(

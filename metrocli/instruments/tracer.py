@@ -10,14 +10,17 @@ import numpy as np
 from metrocli.adjust.datum import Datum
 from metrocli.adjust.iterated_weights import Aspect
 from metrocli.adjust.model.blocks import Array, Block, Mask
-from metrocli.adjust.model.chain import Chain, Local, Step
-from metrocli.adjust.model.observations import Observations
+from metrocli.adjust.model.chain import IDENTITY, Chain, Local, Step
+from metrocli.adjust.model.observations import Index, Observations
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.adjust.movements import of_members, of_points
 from metrocli.instruments.frames import PointOf
+from metrocli.instruments.machine import ErrorMotion, Machine, ReachedPoint
 
-POINT, TRACER = "point", "tracer"
-"""Blocks: reflector positions; x0, y0, z0, dead path and scale of each tracer"""
+POINT, TRACER, STOP = "point", "tracer", "stop"
+"""Blocks: reflector positions; x0, y0, z0, dead path and scale of each tracer; deviations of the carrier's stops"""
+ALONE = "alone"
+"""Condition: 1 for a length that is the only one of its stop, 0 for others"""
 COLUMNS = ("x", "y", "z", "dead_path", "scale")
 FREEDOMS = (
     "shift along x",
@@ -63,43 +66,71 @@ class LengthFrom:
         return Step(length, towards[None], {self.block: by_tracer})
 
 
-def chain() -> Chain:
-    """Return the forward model of a length."""
-    return Chain((PointOf(POINT, Quantity.POINT_IN_MACHINE), LengthFrom(TRACER)))
+@dataclass(frozen=True)
+class Returned:
+    """Link to the place where the carrier stood at a stop: the point plus the deviation of its return."""
+
+    takes = gives = Quantity.POINT_IN_MACHINE
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """Name of the block of stops."""
+        return (STOP,)
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the point, (3, n), with its derivatives by the point and by the deviation."""
+        return Step(value + local.rows(STOP), IDENTITY, {STOP: IDENTITY})
 
 
-def beams(blocks: Mapping[str, Block], observations: Observations) -> Array:
-    """Return the vectors from tracers to reflectors, (3, n)."""
-    ends = blocks[POINT].values[observations.index[POINT]] - blocks[TRACER].values[observations.index[TRACER], :3]
-    return np.ascontiguousarray(ends.T)
+def reach() -> Chain:
+    """Return the chain to a reflector whose place is an unknown."""
+    return Chain((PointOf(POINT, Quantity.POINT_IN_MACHINE),))
 
 
-def _double_azimuth(blocks: Mapping[str, Block], observations: Observations) -> tuple[Array, Array]:
-    x, y, _ = beams(blocks, observations)
+def reach_of_machine(machine: Machine) -> Chain:
+    """Return the chain to a reflector at the tool of a machine."""
+    return Chain((ErrorMotion(machine), ReachedPoint()))
+
+
+def chain(to: Chain | None = None, stops: bool = False) -> Chain:
+    """Return the forward model of a length to the end of a chain, default `reach()`; with the deviations of stops."""
+    return Chain((*(to or reach()).links, *([Returned()] if stops else []), LengthFrom(TRACER)))
+
+
+def beams(to: Chain, blocks: Mapping[str, Block], observations: Observations) -> Array:
+    """Return the vectors from tracers to the ends of a chain, (3, n)."""
+    ends = to.predict(blocks, observations)
+    return np.ascontiguousarray(ends - blocks[TRACER].values[observations.index[TRACER], :3].T)
+
+
+def _double_azimuth(beam: Array) -> tuple[Array, Array]:
+    x, y, _ = beam
     flat = np.maximum(x**2 + y**2, 1e-300)
     return (x**2 - y**2) / flat, 2 * x * y / flat
 
 
-def _azimuth(blocks: Mapping[str, Block], observations: Observations) -> tuple[Array, Array]:
-    x, y, _ = beams(blocks, observations)
+def aspects(to: Chain) -> dict[str, Aspect]:
+    """Return the covariates of the beams to the end of a chain on which effects may depend, by name.
+
+    The reflector has its axis along +z and sees the beam along -b.
+    """
+    return {
+        COS_2A: lambda blocks, observations: _double_azimuth(beams(to, blocks, observations))[0],
+        SIN_2A: lambda blocks, observations: _double_azimuth(beams(to, blocks, observations))[1],
+        INCIDENCE: lambda blocks, observations: _incidence(beams(to, blocks, observations)),
+        COS_A: lambda blocks, observations: _azimuth(beams(to, blocks, observations))[0],
+        SIN_A: lambda blocks, observations: _azimuth(beams(to, blocks, observations))[1],
+    }
+
+
+def _azimuth(beam: Array) -> tuple[Array, Array]:
+    x, y, _ = beam
     level = np.maximum(np.hypot(x, y), 1e-300)
     return x / level, y / level
 
 
-def _incidence(blocks: Mapping[str, Block], observations: Observations) -> Array:
-    """Return 1 - cos i for a reflector with its axis along +z; the reflector sees the beam along -b."""
-    beam = beams(blocks, observations)
+def _incidence(beam: Array) -> Array:
     return np.asarray(1 + beam[2] / np.sqrt((beam**2).sum(axis=0)))
-
-
-ASPECTS: dict[str, Aspect] = {
-    COS_2A: lambda blocks, observations: _double_azimuth(blocks, observations)[0],
-    SIN_2A: lambda blocks, observations: _double_azimuth(blocks, observations)[1],
-    INCIDENCE: _incidence,
-    COS_A: lambda blocks, observations: _azimuth(blocks, observations)[0],
-    SIN_A: lambda blocks, observations: _azimuth(blocks, observations)[1],
-}
-"""Covariates on which effects on a beam may depend, by name"""
 
 
 def point_block(points: Array, names: Sequence[str], free: Mask | bool, extent: float) -> Block:
@@ -113,6 +144,20 @@ def tracer_block(values: Array, names: Sequence[str], free: Mask, extent: float)
     """Return the block of tracers, (tracers, 5); their plausible reach is a tenth of the measured volume."""
     reach = np.array([extent / 10] * 4 + [1e-2])
     return Block(TRACER, values, COLUMNS, tuple(names), free=free, reach=reach, noun="tracer")
+
+
+def stop_block(stops: Index) -> Block | None:
+    """Return the block of deviations of stops, (1 + stops, 3), for the number of the stop of each length from 1.
+
+    The first member has none: it is for lengths that are the only one of their stop. None if all are.
+    """
+    count = int(stops.max(initial=0))
+    if not count:
+        return None
+    free = np.ones((count + 1, 3), dtype=bool)
+    free[0] = False
+    members = ("no other length", *map(str, range(1, count + 1)))
+    return Block(STOP, np.zeros((count + 1, 3)), ("x", "y", "z"), members, free, reach=np.array(1.0), noun="stop")
 
 
 def datum(points: Block, takes_part: Array) -> Datum:

@@ -12,7 +12,8 @@ from benchmarks.hidden import lengths
 from metrocli.diagnosis.mistakes import strangeness, without_mistakes
 from metrocli.table import Table
 from metrocli.tasks.multilaterate import task as multilaterate
-from metrocli.tasks.multilaterate.settings import Inputs, LengthNoise, Settings
+from metrocli.tasks.multilaterate.settings import Inputs, Settings
+from metrocli.tasks.shared.lengths import LengthNoise
 
 SETTINGS = Settings(Inputs(Path("-"), Path("-")), LengthNoise(*lengths.NOISE))
 

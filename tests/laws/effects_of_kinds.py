@@ -15,6 +15,7 @@ from simulated import grid as simulated_grid
 from simulated import launch as simulated_launch
 from simulated import lengths as simulated_lengths
 from simulated import machine as simulated_machine
+from simulated import machine_lengths as simulated_lengths_of_machine
 
 from metrocli.adjust.adjustment import adjust
 from metrocli.adjust.dense_jacobian import unit_noise
@@ -22,13 +23,16 @@ from metrocli.effects.effect import Effect
 from metrocli.effects.extension import with_conditions
 from metrocli.effects.model import Model
 from metrocli.geometry.poses import pose_from_euler
+from metrocli.tasks.calibrate_machine.methods.lengths import lengths as machine_lengths
 from metrocli.tasks.calibrate_machine.methods.standstill import standstill
+from metrocli.tasks.calibrate_machine.settings import Noise
 from metrocli.tasks.locate_launch_unit import problem as launch_problem
 from metrocli.tasks.locate_launch_unit import readings as launch_readings
 from metrocli.tasks.multilaterate.problem import build
 from metrocli.tasks.selfcal_grid import problem as grid_problem
 from metrocli.tasks.selfcal_grid import readings as grid_readings
 from metrocli.tasks.selfcal_grid.settings import views_of
+from metrocli.tasks.shared.length_effects import LENGTH_EFFECTS
 
 
 @dataclass(frozen=True)
@@ -90,7 +94,9 @@ def selfcal_grid(effect: Effect) -> Model:
 
 
 def calibrate_machine(effect: Effect) -> Model:
-    """120 points with three tools that are known to 1 um, from all sides; times at random."""
+    """120 points with three tools that are known to 1 um, from all sides, times at random; or lengths to 80 points."""
+    if effect in LENGTH_EFFECTS:
+        return machine_from_lengths(effect)
     rng = np.random.default_rng(6)
     tools = simulated_machine.THREE
     machine = simulated_machine.random_machine(rng)
@@ -104,10 +110,27 @@ def calibrate_machine(effect: Effect) -> Model:
     return with_conditions(problem.model.with_blocks(solved.blocks))
 
 
+def machine_from_lengths(effect: Effect) -> Model:
+    """80 points with three tools from five stations; known stations, where these would absorb it."""
+    rng = np.random.default_rng(16)
+    machine = simulated_machine.random_machine(rng, knots=(3, 3, 3))
+    none = Noise(constant=0.0)
+    table = simulated_lengths_of_machine.measured(
+        machine, rng, 80, simulated_machine.THREE, simulated_lengths_of_machine.STATIONS, none
+    )
+    columns = {**table.columns, "t": rng.uniform(100.0, 2000.0, 400), "temp": 20 + rng.uniform(0, 1, 400)}
+    settings = simulated_lengths_of_machine.settings(simulated_machine.THREE, (3, 3, 3))
+    problem = machine_lengths(settings, replace(table, columns=columns))
+    solved = adjust(problem.blocks.values(), problem.groups)
+    stations = solved.blocks["tracer"]
+    free = stations.free & (effect.name not in ("length-offset", "reflector-incidence"))
+    return with_conditions(problem.model.with_blocks({**solved.blocks, "tracer": replace(stations, free=free)}))
+
+
 MEASURED: dict[str, Measured] = {
     "calibrate-camera": Measured(lambda effect: with_conditions(calibration(effect)), {}),
     "align-part": Measured(lambda effect: with_conditions(alignment(effect)), {}),
-    "calibrate-machine": Measured(calibrate_machine, {"period": 37.0}),
+    "calibrate-machine": Measured(calibrate_machine, {"period": 37.0, "at": 900.0}),
     "multilaterate": Measured(multilaterate, {"at": 900.0}),
     "locate-launch-unit": Measured(locate_launch_unit, {}),
     "selfcal-grid": Measured(selfcal_grid, {"at": 1600.0, "from_view": 2.0}),

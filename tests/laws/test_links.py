@@ -20,7 +20,7 @@ from metrocli.instruments.frames import DistanceBetween, Into, OutOf, PointOf
 from metrocli.instruments.launch_unit import AboutBase, BeamBack, BeamLength, BeamOut, Encoders, Reading
 from metrocli.instruments.lens import PARAMETERS, Lens, LensBackward
 from metrocli.instruments.spindle_camera import Coupling
-from metrocli.instruments.tracer import LengthFrom
+from metrocli.instruments.tracer import LengthFrom, Returned
 
 N = 9
 ON_TARGETS, IN_CAMERA = Quantity.POINT_ON_TARGETS, Quantity.POINT_IN_CAMERA
@@ -138,6 +138,7 @@ CASES: dict[str, Case] = {
     "Into": Case(Into("pose", ON_TARGETS, IN_CAMERA), (pose_block("pose", 4),)),
     "Into, one": Case(Into("pose", ON_TARGETS, IN_CAMERA), (pose_block("pose", 1),)),
     "DistanceBetween": Case(DistanceBetween("points"), (point_block(5),), touched=2),
+    "Returned": Case(Returned(), (Block("stop", POINTS, tuple("xyz"), tuple("abcde")),)),
     "LengthFrom": Case(LengthFrom(), (Block("tracer", TRACERS, tracer.COLUMNS, tuple("abc")),)),
     "BeamOut": Case(BeamOut(), (unit_block(),)),
     "BeamBack": Case(BeamBack(), (unit_block(),)),
@@ -218,7 +219,8 @@ def test_the_table_has_every_link() -> None:
         if isinstance(c, type) and hasattr(c, "step") and hasattr(c, "gives") and c is not Link
     }
     # a prior of members has a test of its own: its slots are the members, not the readings
-    apart = {"PointOf", "ReadMembers"}
+    # links of the machine have tests of their own (test_model.py)
+    apart = {"PointOf", "ReadMembers", "ErrorMotion", "ReachedPoint"}
     assert classes | {"Coupling"} <= {type(case.link).__name__ for case in CASES.values()} | apart
     assert {
         name for case in CASES.values() for block in case.blocks if block.name == "lens" for name in block.columns

@@ -110,21 +110,30 @@ def test_results_are_shown(spindle: Path, metrocli: Metrocli) -> None:
 
 
 @pytest.mark.slow
-def test_the_machine_is_the_true_one_at_every_feed(tmp_path_factory: pytest.TempPathFactory) -> None:
+@pytest.mark.parametrize(
+    ("sample", "jobs"),
+    [
+        ("otf-tracker", {f"feed-{feed}": 12 for feed in (2500, 5000, 10000, 15000)}),
+        ("machine-lengths", {"lengths": 18, "one-tool": 12}),
+    ],
+)
+def test_the_machine_is_the_true_one(
+    sample: str, jobs: dict[str, int], tmp_path_factory: pytest.TempPathFactory
+) -> None:
     import csv
 
     from metrocli.formats import hdf5
 
-    project = _run("otf-tracker", tmp_path_factory)
+    project = _run(sample, tmp_path_factory)
     true: dict[str, list[float]] = {}
     with (project / "data" / "true_errors.csv").open(encoding="utf-8") as file:
         for row in csv.DictReader(file):
             true.setdefault(row["error"], []).append(float(row["value_mm"] or row["turn_rad"]))
-    for feed in ("2500", "5000", "10000", "15000"):
-        found, _ = hdf5.read(project / "results" / f"feed-{feed}.h5")
+    for job, count in jobs.items():
+        found, _ = hdf5.read(project / "results" / f"{job}.h5")
         status = dict(zip(found.tables["errors"].texts("error"), found.tables["errors"].texts("status"), strict=True))
         determined = [name for name in true if status[name] == "determined"]
-        assert len(determined) == 12
+        assert len(determined) == count
         off = [np.subtract(found.tables[f"tables/{name}"].numbers("value"), true[name]) for name in determined]
         std = [np.maximum(found.tables[f"tables/{name}"].numbers("std"), 1e-12) for name in determined]
         scores = np.concatenate([a / b for a, b in zip(off, std, strict=True)])

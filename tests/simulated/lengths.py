@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from metrocli.table import Table
-from metrocli.tasks.multilaterate.settings import Inputs, LengthNoise, Scale, Settings
+from metrocli.tasks.multilaterate.settings import Inputs, Settings
+from metrocli.tasks.shared.lengths import LengthNoise, Scale
 
 Array = npt.NDArray[np.float64]
 NOWHERE = Path("-")

@@ -11,10 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from metrocli.table import Table
+from metrocli.tasks.calibrate_machine.files import Inputs
 from metrocli.tasks.calibrate_machine.settings import (
     AxesSettings,
     AxisSettings,
-    Inputs,
     LateralNoise,
     MachineSettings,
     Noise,

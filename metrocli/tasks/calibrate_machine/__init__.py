@@ -1,10 +1,10 @@
-"""calibrate-machine: the 21 geometric errors of a machine with three linear axes, from a tracker or a 6-DoF laser."""
+"""calibrate-machine: the 21 geometric errors of a machine, from a tracker, from lengths, or from a 6-DoF laser."""
 
 from metrocli.tasks.kind import Kind
 
 KIND = Kind(
     "calibrate-machine",
-    "geometric errors of a 3-axis machine from tracker or 6-DoF data",
-    measured=("points", "track", "lines"),
-    planned=("points", "path", "track", "lines"),
+    "geometric errors of a 3-axis machine from a tracker, lengths or 6-DoF data",
+    measured=("points", "track", "lines", "lengths"),
+    planned=("points", "path", "track", "lines", "lengths"),
 )

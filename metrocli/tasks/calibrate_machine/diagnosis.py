@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 
 import numpy as np
 
-from metrocli.adjust.adjustment import adjust
 from metrocli.adjust.model.blocks import Array, Space
+from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.solution import Solution
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate, Delivered
-from metrocli.effects.effect import ELAPSED
+from metrocli.effects.effect import ELAPSED, WARMING
 from metrocli.effects.extension import with_conditions
 from metrocli.effects.model import Model
 from metrocli.geometry import poses
 from metrocli.instruments.machine import POSITION
+from metrocli.instruments.tracer import TRACER, beams
 from metrocli.instruments.tracker import TRACKER
 from metrocli.tasks.calibrate_machine import KIND
-from metrocli.tasks.calibrate_machine.effects import EFFECTS
-from metrocli.tasks.calibrate_machine.solve import Solved
+from metrocli.tasks.calibrate_machine.effects import OF_LENGTHS, OF_MACHINES
+from metrocli.tasks.calibrate_machine.solve import Solved, refitted
 from metrocli.tasks.calibrate_machine.structure import clusters_of
 from metrocli.tasks.shared.structured_noise import count
 
@@ -36,20 +38,20 @@ def adjusted_job(solved: Solved) -> AdjustedJob:
 
     def refit(changed: Model, keep: Mapping[str, Mask]) -> Solution:
         kept = [one.selected(keep[one.name]) if one.name in keep else one for one in changed.groups]
-        return adjust(changed.blocks.values(), kept)
+        return refitted(replace(problem, model=replace(changed, groups=tuple(kept))))
 
     first, *others = (axis.block for axis in problem.machine.axes)
     return AdjustedJob(
         KIND.name,
         model,
-        EFFECTS,
+        OF_LENGTHS if TRACER in model.blocks else OF_MACHINES,
         tuple(_covariates(model, group)),
-        (),
+        ("tracer",) if TRACER in model.blocks else (),
         {group.name: _parts(group)},
         Delivered("error tables", first, (0, 1, 2), "um", "length", tuple(others)),
         refit,
         sharing=count(clusters_of(solved).of[group.name]),
-        not_sought={one.name: _PIECES for one in EFFECTS if one.space is Space.WAVE and _condensed(group)},
+        not_sought={one.name: _PIECES for one in OF_MACHINES if one.space is Space.WAVE and _condensed(group)},
     )
 
 
@@ -68,6 +70,14 @@ def _covariates(model: Model, group: Group) -> Iterator[Covariate]:
         yield Covariate("order of the readings", {name: order}, 6, periodic=True)
     position = np.stack([conditions[axis] for axis in POSITION])
     yield Covariate("place in the machine", {name: position}, 3)
+    if WARMING in conditions:
+        yield Covariate("temp_degC", {name: conditions[WARMING]}, 6)
+    if TRACER in model.blocks:
+        beam = beams(Chain(group.chain.links[:2]), model.blocks, group.observations)
+        length = np.linalg.norm(beam, axis=0)
+        yield Covariate("length_mm", {name: length}, 5)
+        yield Covariate("beam azimuth", {name: np.arctan2(beam[1], beam[0])}, 4, angle=True)
+        yield Covariate("beam elevation", {name: beam[2] / length}, 4)
     if TRACKER in model.blocks:
         seen = poses.apply(poses.inverse(model.blocks[TRACKER].values[0]), position.T).T
         yield Covariate("distance from the tracker", {name: np.linalg.norm(seen, axis=0)}, 4)

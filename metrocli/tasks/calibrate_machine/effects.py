@@ -26,6 +26,7 @@ from metrocli.effects.acting import (
 from metrocli.effects.effect import Effect, Parameter
 from metrocli.effects.links.motions import AXES, Backlash, LoadSag, MachineDrift, ScrewPitchError, ThermalGrowth
 from metrocli.effects.links.trackers import TrackerEccentricity, TrackerMoves, TrackerScale
+from metrocli.tasks.shared.length_effects import LENGTH_EFFECTS
 from metrocli.units import parse_quantity
 
 _SCHWENKE = "Schwenke et al. 2008, Geometric error measurement and compensation of machines, CIRP Annals 57"
@@ -74,7 +75,7 @@ PLACES = (
 """Quantities on which effects of one's own can act; rx, ry, rz are rotations about the axes"""
 
 
-EFFECTS: tuple[Effect, ...] = (
+OF_MACHINES: tuple[Effect, ...] = (
     Effect(
         "backlash",
         "the axis stops at another place when it arrives from the other side: play, friction and wind-up of its drive",
@@ -164,4 +165,10 @@ EFFECTS: tuple[Effect, ...] = (
         source=_SCHWENKE,
     ),
 )
-"""All effects, in the order of the documentation. A single tracker cannot separate machine-drift and tracker-drift."""
+"""Effects on machine and tracker. A single tracker cannot separate machine-drift and tracker-drift."""
+
+_NOT_WITH_LENGTHS = ("tracker-eccentricity", "tracker-scale", "tracker-drift")
+OF_LENGTHS = (*(effect for effect in OF_MACHINES if effect.name not in _NOT_WITH_LENGTHS), *LENGTH_EFFECTS)
+"""Effects on the machine and on lengths"""
+EFFECTS = (*OF_MACHINES, *LENGTH_EFFECTS)
+"""All effects, in the order of the documentation; each method has those that act on what it reads"""

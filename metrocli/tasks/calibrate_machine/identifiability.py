@@ -16,8 +16,10 @@ import numpy as np
 from metrocli.adjust.dense_jacobian import Unknowns, normal_matrix, rows, unit_noise, unknowns_of
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.errors import UndeterminedError
-from metrocli.instruments.machine import ALL_NAMES, ANGLES, AXES, Machine, errors_of
+from metrocli.instruments.machine import ALL_NAMES, ANGLES, AXES, TOOL, Machine, errors_of
+from metrocli.instruments.tracer import STOP, TRACER
 from metrocli.tasks.calibrate_machine.determination import Determination
+from metrocli.tasks.calibrate_machine.layout import cure_of
 from metrocli.tasks.calibrate_machine.problem import Problem
 from metrocli.tasks.calibrate_machine.volume import grid_group, spread_over, without_rigid_motion
 
@@ -90,14 +92,15 @@ def identify(problem: Problem) -> Identifiability:
     Raises UndeterminedError if an open direction moves a measured tool in the volume.
     """
     blocks = problem.blocks
-    names = [name for name, block in blocks.items() if block.free.any()]
+    names = [name for name, block in blocks.items() if block.free.any() and name != STOP]
     unknowns = unknowns_of(blocks, names)
     reach = unknowns.reach(blocks)
     matrix = normal_matrix(problem.groups, blocks, unknowns)
     values, vectors = np.linalg.eigh(matrix * reach[:, None] * reach)
     opened = _Open(vectors[:, values < 1.0], reach, unknowns, blocks)
     grids = {tool: _grid_rows(problem, tool, unknowns) for tool in blocks["tool"].members}
-    _refuse_harmful(opened, [grids[tool] for tool in problem.tools_used])
+    stations = blocks[TRACER].values[:, :3] if TRACER in blocks else None
+    _refuse_harmful(opened, [grids[tool] for tool in problem.tools_used], cure_of(stations))
     held, undetermined = _hold(opened, problem.machine)
     shares = opened.shares(opened.directions)
     status = {name: _status(name, shares, undetermined, blocks) for name in ALL_NAMES}
@@ -125,7 +128,7 @@ def _grid_rows(problem: Problem, tool: str, unknowns: Unknowns) -> Array:
     return without_rigid_motion(rows(group, blocks, unknowns), position)
 
 
-def _refuse_harmful(opened: _Open, grids: Sequence[Array]) -> None:
+def _refuse_harmful(opened: _Open, grids: Sequence[Array], cure: str) -> None:
     if opened.directions.shape[1] == 0:
         return
     moved = np.concatenate([opened.moved(grid) for grid in grids])
@@ -144,8 +147,7 @@ def _refuse_harmful(opened: _Open, grids: Sequence[Array]) -> None:
                 else "the measurement does not determine a combination of errors that moves the tool in the volume:",
                 *lines,
                 *more,
-                "measure lines in other directions (`metrocli plan` proposes them), use fewer knots, give the axes "
-                "different knots, or leave errors out of `estimate`",
+                f"{cure}, use fewer knots, give the axes different knots, or leave errors out of `estimate`",
             ]
         )
     )
@@ -250,7 +252,7 @@ def worst_ratio(problem: Problem) -> float:
     from scipy.linalg import eigh
 
     blocks = problem.blocks
-    names = [name for name, block in blocks.items() if block.free.any() and name != "tool"]
+    names = [name for name, block in blocks.items() if block.free.any() and name not in (TOOL, STOP)]
     unknowns = unknowns_of(blocks, names)
     if unknowns.size == 0:
         return 0.0

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Self
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array, Block, Mask
+from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group, prior
 from metrocli.adjust.model.observations import Index
 from metrocli.effects.acting import NOMINAL
@@ -23,15 +24,20 @@ from metrocli.instruments.machine import (
     SQUARENESS,
     TOOL,
     Axis,
+    ErrorMotion,
     Machine,
+    ReachedPoint,
     axis_order,
     squareness_block,
     tool_block,
 )
 from metrocli.instruments.six_dof import LINE
+from metrocli.instruments.tracer import POINT, STOP, TRACER
+from metrocli.instruments.tracer import aspects as beam_aspects
 from metrocli.instruments.tracker import LEG, TRACKER
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.settings import Settings
+from metrocli.tasks.shared.lengths import PathNoise, with_noise
 from metrocli.words import suggestion
 
 SIDES = ("from_x", "from_y", "from_z")
@@ -57,6 +63,8 @@ class Problem(Modelled):
     """Additional statistics of the method, by name"""
     tables: Mapping[str, Table] = field(default_factory=dict)
     """Results that come from the readings alone, without the model, such as the figures of ISO 230-2"""
+    noise: PathNoise | None = None
+    """Standard deviations of lengths, which follow from the solution; None for other readings"""
 
     @property
     def readings(self) -> Group:
@@ -73,6 +81,10 @@ class Problem(Modelled):
         """The name of each reading in reports: point, leg, or line and place on it."""
         return tuple(" at ".join(parts) for parts in zip(*self.readings.observations.keys.values(), strict=True))
 
+    def with_noise(self, noise: PathNoise, blocks: Mapping[str, Block]) -> Self:
+        """Return the problem at the values of `blocks` with another noise of its lengths."""
+        return replace(self, model=with_noise(self.model.with_blocks(blocks), self.readings.name, noise), noise=noise)
+
     def with_effects(self, wanted: Iterable[Wanted]) -> Self:
         """Return the problem extended by the effects of a job.
 
@@ -88,10 +100,20 @@ class Problem(Modelled):
         )
 
 
-def model_of(blocks: Mapping[str, Block], readings: Group, others: Sequence[Group]) -> Model:
-    """Return the model of a machine with its readings and priors."""
-    places = {"axis": Place(POSITION), "pair": Place(PAIRS)}
-    return Model(blocks, (readings, *others), measured=(readings.name,), places=places)
+def model_of(
+    blocks: Mapping[str, Block], readings: Group, others: Sequence[Group] = (), points: Sequence[str] = ()
+) -> Model:
+    """Return the model of a machine with its readings and priors; `points` are the names of the points of lengths."""
+    tracers = blocks[TRACER].members if TRACER in blocks else ()
+    places = {
+        "axis": Place(POSITION),
+        "pair": Place(PAIRS),
+        "tracer": Place(tracers, TRACER),
+        "point": Place(tuple(points), POINT),
+    }
+    to = [link for link in readings.chain.links if isinstance(link, (ErrorMotion, ReachedPoint))]
+    aspects = beam_aspects(Chain(tuple(to))) if tracers else {}
+    return Model(blocks, (readings, *others), None, (readings.name,), places, aspects)
 
 
 def machine_of(settings: Settings) -> Machine:
@@ -226,6 +248,6 @@ def _refuse_sides(table: Table) -> None:
 
 ERROR_BLOCKS = ("axis X", "axis Y", "axis Z", SQUARENESS, TOOL)
 """Names of the blocks on which the predicted error of a point depends"""
-BLOCKS = (*ERROR_BLOCKS, TRACKER, LEG, LINE)
+BLOCKS = (*ERROR_BLOCKS, TRACKER, LEG, LINE, TRACER, STOP)
 """Names of the blocks of machine and instruments; all other blocks are effects"""
 PAIRS = ("xy", "xz", "yz")

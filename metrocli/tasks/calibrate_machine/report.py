@@ -13,6 +13,7 @@ from metrocli.effects.estimates import free_blocks
 from metrocli.effects.estimates import tables as effect_results
 from metrocli.instruments.machine import AXES, ERRORS, SQUARENESS, SQUARENESS_NAMES, TOOL
 from metrocli.instruments.six_dof import LINE
+from metrocli.instruments.tracer import TRACER
 from metrocli.instruments.tracker import TRACKER
 from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
@@ -58,6 +59,7 @@ def report(solved: Solved, settings: Settings, noise: NoiseFound) -> Result:
             "tools": _tools(solved, solution),
             **_tracker(solution),
             **_lines(solution),
+            **_stations(solution),
             **solved.problem.tables,
             **volume,
             "residuals": _residuals(solved),
@@ -77,6 +79,7 @@ def report(solved: Solved, settings: Settings, noise: NoiseFound) -> Result:
         ),
         notes=(
             *identifiability_notes(identified),
+            *(solved.problem.noise.notes if solved.problem.noise else ()),
             NOT_CONTAINED,
             *found_notes(noise),
             *noise_notes(solution, cures(settings)),
@@ -190,6 +193,17 @@ def _tracker(solution: Solution) -> dict[str, Table]:
     return {"tracker": Table(columns)}
 
 
+def _stations(solution: Solution) -> dict[str, Table]:
+    """Return the place, dead path and scale of each station of lengths."""
+    if TRACER not in solution.blocks:
+        return {}
+    block, std = solution.blocks[TRACER], solution.std(TRACER)
+    columns: dict[str, Values] = {"station": np.array(block.members)}
+    columns |= {name: block.values[:, i] for i, name in enumerate(block.columns)}
+    columns |= {f"s{name}" if i < 3 else f"s_{name}": std[:, i] for i, name in enumerate(block.columns)}
+    return {"stations": Table(columns, {name: "mm" for name in columns if name not in ("station", "scale", "s_scale")})}
+
+
 def _lines(solution: Solution) -> dict[str, Table]:
     """Return the misalignment of each six-dof line: offsets of the channels, and slopes across the beam."""
     if LINE not in solution.blocks:
@@ -265,5 +279,6 @@ def _statistics(solved: Solved, settings: Settings) -> Statistics:
         "readings": solved.problem.readings.observations.count,
         "rejected": len(solved.rejected),
         "critical_w": solved.suspects.critical,
+        **(solved.problem.noise.facts if solved.problem.noise else {}),
         **solved.problem.facts,
     }

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
-from pathlib import Path
 from typing import Any
 
 from metrocli.instruments.machine import ALL_NAMES, axis_order, canonical
@@ -18,56 +17,24 @@ from metrocli.settings import (
     Number,
     Quantity,
     Section,
-    TableFile,
     Text,
     Whole,
     setting,
 )
-from metrocli.table import TEXT, Column, Columns, Table
+from metrocli.tasks.calibrate_machine.files import Inputs
+from metrocli.tasks.shared.lengths import REPEATABILITY, REPEATABILITY_WORDS, LengthNoise, Scale
 from metrocli.tasks.shared.structured_noise import model_setting
 
-ON_THE_FLY, STANDSTILL, SIX_DOF = "on-the-fly", "standstill", "six-dof"
-_PLACE = tuple(Column(name, "length") for name in ("x", "y", "z"))
-_TOOL = Column("tool", TEXT, required=False)
-_TIME = Column("t", "time", required=False)
-POINTS = Columns(
-    (
-        Column("point", TEXT),
-        *_PLACE,
-        *(Column(name, "length") for name in ("mx", "my", "mz")),
-        _TIME,
-        _TOOL,
-        *(Column(f"from_{axis}", required=False) for axis in "xyz"),
-    ),
-    ("point",),
-    "commanded points, and where the tracker measured them",
-    measured=("mx", "my", "mz"),
-    alike=("x", "y", "z"),
-)
-PATH = Columns((*_PLACE, _TOOL, Column("feed", "speed", required=False)), (), "vertices of the path, in order")
-TRACK = Columns(
-    (*_PLACE, _TIME, _TOOL),
-    (),
-    "points of the tracker along the path",
-    measured=("x", "y", "z"),
-    fewest_copied=50,
-)
-LINES = Columns(
-    (
-        Column("line", TEXT),
-        Column("axis", TEXT),
-        Column("position", "length"),
-        *(Column(name, "length") for name in ("ex", "ey", "ez")),
-        *(Column(name, "angle") for name in ("ea", "eb", "ec")),
-        *(Column(name, "length", required=False) for name in ("x", "y", "z")),
-        _TIME,
-    ),
-    (),
-    "lines of a laser with six degrees of freedom",
-    measured=("ex", "ey", "ez", "ea", "eb", "ec"),
-    alike=("axis", "position"),
-    group=("line",),
-)
+ON_THE_FLY, STANDSTILL, SIX_DOF, LENGTHS = "on-the-fly", "standstill", "six-dof", "lengths"
+_INPUTS = {STANDSTILL: ("points",), ON_THE_FLY: ("path", "track"), SIX_DOF: ("lines",), LENGTHS: ("lengths",)}
+"""Inputs that each method needs"""
+_NOISE = {
+    STANDSTILL: ("beam",),
+    ON_THE_FLY: ("beam",),
+    SIX_DOF: ("displacement", "straightness", "angle"),
+    LENGTHS: ("constant",),
+}
+"""Standard deviations that each method needs"""
 _VECTOR = ListOf(Quantity("length"), 3)
 
 
@@ -122,26 +89,6 @@ class MachineSettings:
 
 
 @dataclass(frozen=True)
-class Inputs:
-    """The files of a job: which of them are needed depends on the method."""
-
-    points: Path | None = setting(TableFile(POINTS), "standstill: commanded and measured points", default=None)
-    path: Path | None = setting(TableFile(PATH), "on-the-fly: vertices of the path", default=None)
-    track: Path | None = setting(TableFile(TRACK), "on-the-fly: points of the tracker", default=None)
-    lines: Path | None = setting(TableFile(LINES), "six-dof: lines along axes and diagonals", default=None)
-
-
-@dataclass(frozen=True)
-class Files:
-    """The tables read from the inputs; None where the job has no such file."""
-
-    points: Table | None = None
-    path: Table | None = None
-    track: Table | None = None
-    lines: Table | None = None
-
-
-@dataclass(frozen=True)
 class LateralNoise:
     """Standard deviation perpendicular to the beam, `sqrt(c^2 + (p r)^2)` at distance r."""
 
@@ -161,7 +108,7 @@ def _times(part: float | LateralNoise | str | None, factor: float) -> Any:
 
 @dataclass(frozen=True)
 class Noise:
-    """Standard deviations of the tracker (beam, lateral) or of the laser (displacement, straightness, angle)."""
+    """Standard deviations of the tracker (beam, lateral), the laser (displacement ...) or lengths (constant ...)."""
 
     beam: float | None = setting(Quantity("length", positive=True), "tracker: along the beam", default=None)
     lateral: float | LateralNoise | None = setting(_LATERAL, "tracker: perpendicular to the beam", default=None)
@@ -171,11 +118,24 @@ class Noise:
         Quantity("length", positive=True), "six-dof: perpendicular to the beam", default=None
     )
     angle: float | None = setting(Quantity("angle", positive=True), "six-dof: angles", default=None)
+    constant: float | None = setting(
+        Quantity("length", positive=True), "lengths: the part that does not depend on the length", default=None
+    )
+    proportional: float = setting(
+        Quantity("ratio", minimum=0.0), "lengths: the part proportional to the path", default=0.0
+    )
+    repeatability: float | str | None = setting(REPEATABILITY, f"lengths: {REPEATABILITY_WORDS}", default=None)
+
     model: str = model_setting()
 
     def times(self, factor: float) -> Noise:
         """Return the noise with all parts times a factor."""
         return Noise(**{part.name: _times(getattr(self, part.name), factor) for part in fields(self)})
+
+    @property
+    def of_lengths(self) -> LengthNoise:
+        """The noise of lengths."""
+        return LengthNoise(self.constant or 0.0, self.proportional, self.repeatability)
 
     @property
     def square(self) -> LateralNoise:
@@ -208,10 +168,8 @@ class MachineSimulation:
     tracker: tuple[float, ...] = setting(
         _VECTOR, "place of the tracker in the machine", default=(-1000.0, -800.0, 300.0)
     )
-    points: int = setting(Whole(1, 1_000_000), "standstill: number of points", default=226)
-    interval: float = setting(
-        Quantity("time", positive=True), "standstill, six-dof: time between readings", default=4.0
-    )
+    points: int = setting(Whole(1, 1_000_000), "standstill, lengths: number of points", default=226)
+    interval: float = setting(Quantity("time", positive=True), "all but on-the-fly: time between readings", default=4.0)
     sampling: float = setting(Quantity("time", positive=True), "on-the-fly: time between points", default=0.002)
     feed: float = setting(
         Quantity("speed", positive=True), "on-the-fly: feed for a path without a column feed", default=40.0
@@ -232,6 +190,13 @@ class PathPlan:
     feed: float = setting(Quantity("speed", positive=True), "feed of the NC program", default=40.0)
     sampling: float = setting(Quantity("time", positive=True), "time between points of the tracker", default=0.002)
     tracker: tuple[float, ...] | None = setting(_VECTOR, "place of the tracker in the machine", default=None)
+    time: float = setting(Quantity("time", positive=True), "lengths: longest measurement", default=4 * 3600.0)
+    uncertainty: float | None = setting(
+        Quantity("length", positive=True),
+        "lengths: wanted standard uncertainty of the error vector, over the volume (default: the least in the time)",
+        default=None,
+    )
+    setup: float = setting(Quantity("time", minimum=0.0), "lengths: time to set up a station", default=900.0)
     seed: int = setting(Whole(0), "on-the-fly: seed of the random chords", default=1)
     control: str = setting(Choice(*CONTROLS), "control that the NC program is for", default="linuxcnc")
 
@@ -240,7 +205,7 @@ class PathPlan:
 class Settings:
     """Estimate the 21 geometric errors of a machine with three linear axes, and report which the data determine."""
 
-    method: str = setting(Choice(ON_THE_FLY, STANDSTILL, SIX_DOF), "how the machine was measured")
+    method: str = setting(Choice(ON_THE_FLY, STANDSTILL, SIX_DOF, LENGTHS), "how the machine was measured")
     machine: MachineSettings = setting(Section(MachineSettings), "axes and tools")
     inputs: Inputs = setting(Section(Inputs), "the files of the job")
     noise: Noise = setting(Section(Noise), "standard deviations of the readings")
@@ -249,8 +214,11 @@ class Settings:
         "errors to estimate; the others are taken as zero",
         default="all",
     )
+    scale: Scale | None = setting(
+        Section(Scale), "lengths: estimate the scales of the stations; fixed at 1 without it", default=None
+    )
     outliers: str = setting(
-        Choice("report", "remove"), "standstill, six-dof: report outliers, or leave them out", default="report"
+        Choice("report", "remove"), "all but on-the-fly: report outliers, or leave them out", default="report"
     )
     corner: float = setting(
         Quantity("length", minimum=0.0), "on-the-fly: length cut off at both ends of each leg", default=10.0
@@ -273,19 +241,20 @@ class Settings:
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield faults for inputs and noise that the method needs and lacks, and for settings it does not use."""
-        needed = {STANDSTILL: ("points",), ON_THE_FLY: ("path", "track"), SIX_DOF: ("lines",)}[self.method]
-        for key in ("points", "path", "track", "lines"):
+        needed = _INPUTS[self.method]
+        for key in ("points", "path", "track", "lines", "lengths", "stations"):
             given = getattr(self.inputs, key) is not None
-            if given != (key in needed):
+            if given != (key in needed) and not (key == "stations" and self.method == LENGTHS):
                 verb = "needs" if key in needed else "does not use"
                 yield "inputs" + (f".{key}" if given else ""), f"method {self.method} {verb} the input '{key}'"
         if not self.estimated:
             yield "estimate", "the list is empty: leave the key out to estimate all errors, or name some, such as EXX"
         if self.method == ON_THE_FLY and self.outliers == "remove":
             yield "outliers", "method on-the-fly always removes wild points of the track: leave this key out"
-        wanted = ("displacement", "straightness", "angle") if self.method == SIX_DOF else ("beam",)
-        for key in wanted:
+        for key in _NOISE[self.method]:
             if getattr(self.noise, key) is None:
                 yield "noise", f"method {self.method} needs the noise '{key}'"
-        if self.method != SIX_DOF and self.noise.lateral is None and self.noise.radial is None:
+        if self.method in (STANDSTILL, ON_THE_FLY) and self.noise.lateral is None and self.noise.radial is None:
             yield "noise", f"method {self.method} needs the noise 'lateral'"
+        if self.scale is not None and self.method != LENGTHS:
+            yield "scale", f"method {self.method} has no scales of tracking interferometers: leave this key out"

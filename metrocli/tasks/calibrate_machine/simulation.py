@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,9 +26,12 @@ from metrocli.instruments.machine import (
 )
 from metrocli.instruments.machine_path import Path
 from metrocli.instruments.six_dof import CHANNELS, LINE, line_block, line_chain
+from metrocli.instruments.tracer import POINT, TRACER, beams, reach_of_machine, tracer_block
+from metrocli.instruments.tracer import chain as length_chain
 from metrocli.instruments.tracker import TRACKER, point_chain, tracker_block
 from metrocli.simulation import Simulation
 from metrocli.table import Table
+from metrocli.tasks.calibrate_machine.files import Files
 from metrocli.tasks.calibrate_machine.methods.on_the_fly import path_of
 from metrocli.tasks.calibrate_machine.methods.six_dof import approach, laser_noise, line_conditions, planned_lines
 from metrocli.tasks.calibrate_machine.methods.standstill import tracker_noise
@@ -39,28 +42,30 @@ from metrocli.tasks.calibrate_machine.problem import (
     tools_of,
 )
 from metrocli.tasks.calibrate_machine.settings import (
+    LENGTHS,
     ON_THE_FLY,
     SIX_DOF,
     STANDSTILL,
-    Files,
     MachineSimulation,
     Settings,
 )
 from metrocli.tasks.calibrate_machine.truth import Flow, Truth, truth_of
 from metrocli.tasks.calibrate_machine.volume import grid_of
 from metrocli.tasks.job import Job
+from metrocli.tasks.shared.lengths import PathNoise
 
 if TYPE_CHECKING:
     from metrocli.table import Values
 
-_FINE = 401
-_HARMONICS = 4
 _ACCELERATION = 1000.0
 """Acceleration of the simulated machine [mm/s^2]"""
 _REST = 0.5
 """Rest of the machine at each vertex [s]"""
 _MISALIGNED = np.array([0.01] * 3 + [1e-4] * 5)
 """Standard deviations of the simulated misalignment of a line: three offsets [mm], five angles [rad]"""
+_STATIONS = 4
+_AROUND = np.array([[-0.4, -0.4, 0.1], [1.4, -0.3, 0.8], [1.3, 1.4, 0.0], [-0.4, 1.3, 1.0], [0.5, -0.9, 1.2]])
+"""Places of simulated stations, as shares of the travel"""
 
 
 def simulated(job: Job[Settings, Files], seed: int) -> Simulation:
@@ -77,6 +82,7 @@ def simulated(job: Job[Settings, Files], seed: int) -> Simulation:
         STANDSTILL: ("points.csv", _points),
         ON_THE_FLY: ("track.csv", _track),
         SIX_DOF: ("lines.csv", _lines),
+        LENGTHS: ("lengths.csv", _lengths),
     }[settings.method]
     table, model = make(_Measurement(settings, settings.simulation, job.files, tuple(job.effects)), truth, rng)
     square = dict(zip(SQUARENESS_NAMES, truth.blocks[SQUARENESS].values[0].tolist(), strict=True))
@@ -155,6 +161,63 @@ def _stops(job: _Measurement, machine: Machine, rng: np.random.Generator) -> Flo
     if table is not None:
         given |= {name: table.numbers(name) for name in given if name in table}
     return Flow(position, tool, given)
+
+
+def _lengths(job: _Measurement, truth: Truth, rng: np.random.Generator) -> tuple[Table, Model]:
+    """Return the lengths of a job's file made again, or those of all points read from one station after the other.
+
+    Each length is its own stop; the reading of a station is zero at its first point.
+    """
+    names, station, flow, points = _readings_of_stations(job, truth.machine, rng)
+    places = station_places(truth.machine, job.files.stations, len(names))
+    block = tracer_block(
+        np.column_stack([places, np.zeros(len(names)), np.ones(len(names))]), names, np.array(True), 1.0
+    )
+    noise = PathNoise.of(job.settings.noise.of_lengths)
+    returns = 0.0 if noise.std is not None else noise.repeatability
+    chain = length_chain(reach_of_machine(truth.machine))
+    members, point = np.unique(points, return_inverse=True)
+    flow = replace(flow, index={TRACER: station, POINT: point}, points=tuple(members.tolist()))
+    read, model = job.read(truth.model(chain, {TRACER: block}, flow))
+    path = read[0]
+    beam = beams(reach_of_machine(truth.machine), model.blocks, model.groups[0].observations) / path
+    deviation = (beam * rng.normal(size=beam.shape)).sum(axis=0) * returns
+    sigma = np.sqrt(noise.constant**2 + (noise.proportional * path) ** 2)
+    first = np.array([int(np.argmax(station == i)) for i in range(len(names))])
+    length = path + deviation + rng.normal(size=len(path)) * sigma
+    columns: dict[str, Values] = {"point": points, "station": np.array(names)[station]}
+    columns |= dict(zip(POSITION, flow.position, strict=True)) | {"length": length - path[first][station]}
+    columns |= dict(flow.conditions)
+    if list(job.settings.tools) != [""]:
+        columns["tool"] = np.array(list(job.settings.tools))[flow.tool]
+    return Table(columns, {**dict.fromkeys((*POSITION, "length"), "mm"), "t": "s"}), model
+
+
+def _readings_of_stations(
+    job: _Measurement, machine: Machine, rng: np.random.Generator
+) -> tuple[list[str], Index, Flow, np.typing.NDArray[np.str_]]:
+    """Return the names of the stations, the station of each length, its commanded position, and its point."""
+    table, listed = job.files.lengths, job.files.stations
+    if table is not None:
+        names = list(dict.fromkeys(table.texts("station")))
+        station = np.array([names.index(name) for name in table.texts("station")])
+        points = np.array(table.texts("point"), dtype=str)
+        flow = Flow(commanded(machine_of(job.settings), table), tools_of(table, job.settings), {})
+        timed = {"t": table.numbers("t")} if "t" in table else {}
+        return names, station, replace(flow, conditions=timed), points
+    once, n = _stops(job, machine, rng), job.simulation.points
+    names = [f"S{i + 1}" for i in range(_STATIONS)] if listed is None else listed.texts("station")
+    order = np.tile(np.arange(n), len(names))
+    time: Array = np.arange(float(len(order))) * job.simulation.interval
+    flow = Flow(once.position[:, order], once.tool[order], {"t": time})
+    return names, np.repeat(np.arange(len(names)), n), flow, np.array([f"P{i + 1:03d}" for i in range(n)])[order]
+
+
+def station_places(machine: Machine, listed: Table | None, count: int) -> Array:
+    """Return the places of stations, (stations, 3): as listed, else around the volume and at different heights."""
+    if listed is not None:
+        return listed.stacked("xyz")
+    return np.asarray(machine.low + (machine.high - machine.low) * _AROUND[np.arange(count) % len(_AROUND)])
 
 
 def _track(job: _Measurement, truth: Truth, rng: np.random.Generator) -> tuple[Table, Model]:

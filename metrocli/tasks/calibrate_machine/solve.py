@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from metrocli.adjust.adjustment import adjust
+from metrocli.adjust.iterated_weights import adjust_with_iterated_weights
 from metrocli.adjust.model.blocks import Block
-from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Index
 from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.robust import Fit, Suspects, robust_start, suspects
@@ -18,6 +18,7 @@ from metrocli.errors import NotConvergedError, UndeterminedError
 from metrocli.instruments.machine import TOOL
 from metrocli.tasks.calibrate_machine.identifiability import Identifiability, identify
 from metrocli.tasks.calibrate_machine.problem import Problem
+from metrocli.tasks.shared.lengths import settled
 
 _ROUNDS = 30
 _VAGUE = (
@@ -50,31 +51,33 @@ def solve(problem: Problem, remove: bool) -> Solved:
     state: Mapping[str, Block] = robust_start(identified.blocks.values(), problem.groups, problem.readings.name)
     rejected: list[tuple[str, float]] = []
     for _ in range(_ROUNDS):
-        solution, found, doubtful = _adjusted(state, problem)
-        worst = _worst(doubtful) if remove else np.zeros(0, dtype=np.intp)
+        found = _adjusted(problem.with_blocks(state))
+        worst = _worst(found.suspects) if remove else np.zeros(0, dtype=np.intp)
         if not worst.size:
             break
-        names = problem.names
-        tests = dict(zip(doubtful.rows.tolist(), doubtful.tests.tolist(), strict=True))
+        names = found.problem.names
+        tests = dict(zip(found.suspects.rows.tolist(), found.suspects.tests.tolist(), strict=True))
         rejected += [(names[i], tests[i]) for i in worst.tolist()]
-        problem, state = _without(problem, worst), solution.blocks
+        problem, state = _without(found.problem, worst), found.solution.blocks
         identified = identify(problem)
         state = {name: replace(block, free=identified.blocks[name].free) for name, block in state.items()}
-    return Solved(problem, identified, solution, found, doubtful, tuple(rejected))
+    return Solved(found.problem, identified, found.solution, found.residuals, found.suspects, tuple(rejected))
 
 
 def solved_again(solved: Solved, problem: Problem) -> Solved:
     """Return the solution of a relinearised problem of the same readings; their identifiability is taken over."""
-    solution, found, doubtful = _adjusted(problem.blocks, problem)
-    return replace(solved, problem=problem, solution=solution, residuals=found, suspects=doubtful)
+    found = _adjusted(problem)
+    return replace(
+        solved, problem=found.problem, solution=found.solution, residuals=found.residuals, suspects=found.suspects
+    )
 
 
-def adjusted(blocks: Mapping[str, Block], groups: tuple[Group, ...]) -> Solution:
-    """Return the adjustment.
+def adjusted(problem: Problem) -> Solution:
+    """Return the adjustment, with standard deviations and aspects that follow from the solution.
 
     Raises UndeterminedError if the unknowns are not determined, and NotConvergedError if there is no solution.
     """
-    solution = adjust(blocks.values(), groups)
+    solution = refitted(problem)
     if solution.outcome in (Outcome.UNDETERMINED, Outcome.TOO_FEW):
         open_ones = "\n".join(f"  {combination}" for combination in solution.undetermined[:8])
         vague = any(part[0] == TOOL for combination in solution.undetermined for part in combination.parts)
@@ -84,10 +87,32 @@ def adjusted(blocks: Mapping[str, Block], groups: tuple[Group, ...]) -> Solution
     return solution
 
 
-def _adjusted(state: Mapping[str, Block], problem: Problem) -> tuple[Solution, Residuals, Suspects]:
-    solution = adjusted(state, problem.groups)
-    found = residuals_of(solution, problem.readings)
-    return solution, found, suspects(found, Fit(solution.cost, solution.dof, True))
+def refitted(problem: Problem) -> Solution:
+    """Return the adjustment from the present values, whatever its outcome."""
+    blocks = problem.blocks.values()
+    if problem.noise is None:
+        return adjust(blocks, problem.groups)
+    aspects = problem.model.aspects if problem.effects else {}
+    noise = (problem.readings.name, problem.noise)
+    return adjust_with_iterated_weights(blocks, problem.groups, noise, None, aspects)
+
+
+@dataclass(frozen=True)
+class _Found:
+    """An adjustment and the tests of its readings; the noise of its problem is the final one."""
+
+    problem: Problem
+    solution: Solution
+    residuals: Residuals
+    suspects: Suspects
+
+
+def _adjusted(problem: Problem) -> _Found:
+    """Return the adjustment; an unknown repeatability is estimated with it."""
+    name = problem.readings.name
+    problem, solution = settled(problem, adjusted, name)
+    found = residuals_of(solution, next(group for group in solution.groups if group.name == name))
+    return _Found(problem, solution, found, suspects(found, Fit(solution.cost, solution.dof, True)))
 
 
 def _worst(doubtful: Suspects) -> Index:

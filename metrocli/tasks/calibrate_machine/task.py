@@ -11,16 +11,19 @@ from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.tasks.calibrate_machine.diagnosis import adjusted_job
 from metrocli.tasks.calibrate_machine.effects import EFFECTS, PLACES
+from metrocli.tasks.calibrate_machine.files import Files
+from metrocli.tasks.calibrate_machine.methods.lengths import lengths
 from metrocli.tasks.calibrate_machine.methods.on_the_fly import on_the_fly
 from metrocli.tasks.calibrate_machine.methods.six_dof import six_dof
 from metrocli.tasks.calibrate_machine.methods.standstill import standstill
 from metrocli.tasks.calibrate_machine.plan import plan_of_path
+from metrocli.tasks.calibrate_machine.plans.stations import plan_of_stations
+from metrocli.tasks.calibrate_machine.plans.stops import plan_of_lines, plan_of_points
 from metrocli.tasks.calibrate_machine.problem import Problem
 from metrocli.tasks.calibrate_machine.report import report
-from metrocli.tasks.calibrate_machine.settings import ON_THE_FLY, SIX_DOF, STANDSTILL, Files, Settings
+from metrocli.tasks.calibrate_machine.settings import LENGTHS, ON_THE_FLY, SIX_DOF, STANDSTILL, Settings
 from metrocli.tasks.calibrate_machine.simulation import simulated
 from metrocli.tasks.calibrate_machine.solve import Solved, solve
-from metrocli.tasks.calibrate_machine.stops_plan import plan_of_lines, plan_of_points
 from metrocli.tasks.calibrate_machine.structure import noise_of
 from metrocli.tasks.job import Job, Task
 from metrocli.tasks.shared.structured_noise import settled
@@ -53,11 +56,13 @@ def _solved(job: Job[Settings, Files], factor: float = 1.0) -> Solved:
 
 
 def problem_of(job: Job[Settings, Files]) -> Problem:
-    """Return the adjustment problem of a standstill or six-dof job; a track (on-the-fly) needs alignment first."""
+    """Return the adjustment problem of a job; a track (on-the-fly) needs alignment first."""
     if job.files.points is not None:
         return standstill(job.settings, job.files.points)
     if job.files.lines is not None:
         return six_dof(job.settings, job.files.lines)
+    if job.files.lengths is not None:
+        return lengths(job.settings, job.files.lengths, job.files.stations)
     raise InputError(f"method {job.settings.method} has no readings")
 
 
@@ -72,6 +77,7 @@ def plan(job: Job[Settings, Files]) -> Plan:
     planned = {
         STANDSTILL: lambda: plan_of_points(settings, files.points),
         SIX_DOF: lambda: plan_of_lines(settings, files.lines),
+        LENGTHS: lambda: plan_of_stations(settings, files.lengths, files.stations),
         ON_THE_FLY: lambda: plan_of_path(settings, files.path),
     }[settings.method]()
     return replace(planned, warnings=(*planned.warnings, _WITHOUT)) if job.effects else planned

@@ -12,9 +12,8 @@ from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Index, Observations
 from metrocli.adjust.model.quantities import Quantity
-from metrocli.effects.model import Model, Place
+from metrocli.effects.model import Model
 from metrocli.instruments.machine import (
-    POSITION,
     SQUARENESS_NAMES,
     TOOL,
     Axis,
@@ -24,10 +23,10 @@ from metrocli.instruments.machine import (
     squareness_block,
 )
 from metrocli.tasks.calibrate_machine.problem import (
-    PAIRS,
     conditions,
     error_blocks,
     machine_of,
+    model_of,
 )
 from metrocli.tasks.calibrate_machine.settings import (
     MachineSimulation,
@@ -35,14 +34,10 @@ from metrocli.tasks.calibrate_machine.settings import (
 )
 from metrocli.tasks.calibrate_machine.volume import grid_group, grid_of, without_rigid_motion
 
+_COMPONENTS = {Quantity.ERROR_MOTION: 6, Quantity.LENGTH: 1}
+"""Components of a reading by what it reads; all others have three"""
 _FINE = 401
 _HARMONICS = 4
-_ACCELERATION = 1000.0
-"""Acceleration of the simulated machine [mm/s^2]"""
-_REST = 0.5
-"""Rest of the machine at each vertex [s]"""
-_MISALIGNED = np.array([0.01] * 3 + [1e-4] * 5)
-"""Standard deviations of the simulated misalignment of a line: three offsets [mm], five angles [rad]"""
 
 
 @dataclass(frozen=True)
@@ -62,13 +57,11 @@ class Truth:
         """Return the forward model of the readings at the positions of a flow."""
         n = flow.position.shape[1]
         index = self.machine.index(flow.position) | {TOOL: flow.tool} | dict(flow.index)
-        sizes = np.zeros((6 if chain.quantities[-1] is Quantity.ERROR_MOTION else 3, n))
+        sizes = np.zeros((_COMPONENTS.get(chain.quantities[-1], 3), n))
         observations = Observations(
             sizes, np.ones(1), index, conditions=conditions(flow.position) | dict(flow.conditions)
         )
-        places = {"axis": Place(POSITION), "pair": Place(PAIRS)}
-        group = Group("readings", chain, observations)
-        return Model({**self.blocks, **more}, (group,), None, ("readings",), places)
+        return model_of({**self.blocks, **more}, Group("readings", chain, observations), points=flow.points)
 
 
 @dataclass(frozen=True)
@@ -80,6 +73,8 @@ class Flow:
     tool: Index
     conditions: Mapping[str, Array]
     index: Mapping[str, Index] = field(default_factory=dict)
+    points: tuple[str, ...] = ()
+    """Names of the points, if effects may act on one of them"""
 
 
 def truth_of(settings: Settings, simulation: MachineSimulation, rng: np.random.Generator) -> Truth:

@@ -9,12 +9,14 @@ import numpy as np
 
 from metrocli import units
 from metrocli.instruments.machine import ERRORS, TOOL
+from metrocli.instruments.tracer import TRACER
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.identifiability import Identifiability
-from metrocli.tasks.calibrate_machine.settings import ON_THE_FLY, Settings
+from metrocli.tasks.calibrate_machine.layout import line_of, stations_lie
+from metrocli.tasks.calibrate_machine.settings import LENGTHS, ON_THE_FLY, Settings
 from metrocli.tasks.calibrate_machine.solve import Solved
 from metrocli.tasks.calibrate_machine.tables import Tables
-from metrocli.tasks.shared.statistics import REMOVE, beyond_bound, noise_warnings
+from metrocli.tasks.shared.statistics import REMOVE, REPEATS, beyond_bound, noise_warnings
 from metrocli.tasks.shared.uncontrolled import AIR, AIR_WORDS, Hidden, table_of
 from metrocli.words import listed
 
@@ -26,7 +28,9 @@ _STEEL = units.parse_quantity("11.5 ppm", "ratio")
 
 def cures(settings: Settings) -> tuple[str, ...]:
     """Return the settings that a warning may recommend for a method."""
-    return () if settings.method == ON_THE_FLY else (REMOVE,)
+    if settings.method == ON_THE_FLY:
+        return ()
+    return (REMOVE, REPEATS) if settings.method == LENGTHS and settings.noise.repeatability is None else (REMOVE,)
 
 
 def machine_warnings(solved: Solved, settings: Settings) -> list[str]:
@@ -38,7 +42,7 @@ def machine_warnings(solved: Solved, settings: Settings) -> list[str]:
         lines.append(
             f"this measurement does not determine {' '.join(identified.undetermined)}: left out of the tables"
             + (f"; determined only together with them: {' '.join(identified.together)}" if identified.together else "")
-            + "; measure with tools of other length and offset to determine them"
+            + f"; {_tools_lie(solved)}"
         )
     if identified.open_tools:
         lines.append(
@@ -48,7 +52,7 @@ def machine_warnings(solved: Solved, settings: Settings) -> list[str]:
         size = f"{identified.ratio:.0f}" if math.isfinite(identified.ratio) else "any number of"
         lines.append(
             f"in the worst case the error in the volume is {size} times the misfit of the readings: "
-            "a good fit does not ensure a small error (`metrocli plan` proposes a measurement with a ratio of 4)"
+            f"a good fit does not ensure a small error ({_better(solved)})"
         )
     rows, tests = solved.suspects.rows.tolist(), solved.suspects.tests.tolist()
     if rows:
@@ -57,6 +61,30 @@ def machine_warnings(solved: Solved, settings: Settings) -> list[str]:
         told = [f"{key} {name} (w = {test:.1f})" for test, name in worst]
         lines.append(beyond_bound(told, solved.suspects.critical, f"{REMOVE} leaves them out" * (REMOVE in wording)))
     return lines
+
+
+def _better(solved: Solved) -> str:
+    """Return what would reduce the ratio of volume error to misfit."""
+    if TRACER not in solved.solution.blocks:
+        return "`metrocli plan` proposes a measurement with a ratio of 4"
+    lie = stations_lie(solved.solution.blocks[TRACER].values[:, :3])
+    return f"{f'{lie}; ' if lie else ''}more stations around the volume reduce it, and `metrocli plan` proposes them"
+
+
+def _tools_lie(solved: Solved) -> str:
+    """Return what the measured tools lack, and what would determine the errors that they leave open."""
+    block = solved.solution.blocks[TOOL]
+    vectors = block.values[[block.members.index(name) for name in solved.problem.tools_used]]
+    way = line_of(vectors)
+    if len(vectors) == 1:
+        return "it has one tool: measure with tools of other length and offset to determine them"
+    if way is not None:
+        along = " ".join(f"{part:.2f}" for part in way)
+        return (
+            f"its {len(vectors)} tools lie on one line, along ({along}), and no tool is offset square to it: "
+            "measure with one that is"
+        )
+    return "measure with tools of other length and offset to determine them"
 
 
 def identifiability_notes(identified: Identifiability) -> list[str]:

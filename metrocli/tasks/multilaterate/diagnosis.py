@@ -78,7 +78,7 @@ def covariates(model: Model) -> list[Covariate]:
     ]
     if ELAPSED not in conditions:
         found.append(Covariate("order of the readings", {LENGTHS: np.arange(observations.count, dtype=float)}, 6))
-    beam = t.beams(model.blocks, observations)
+    beam = t.beams(t.reach(), model.blocks, observations)
     length = np.sqrt((beam**2).sum(axis=0))
     found.append(Covariate("length_mm", {LENGTHS: length}, 5))
     found.append(Covariate("beam azimuth", {LENGTHS: np.arctan2(beam[1], beam[0])}, 4, angle=True))

@@ -1,164 +1,17 @@
-"""Effects on the lengths of tracking interferometers (docs/effects)."""
+"""Effects on the lengths of a network (docs/effects)."""
 
 from __future__ import annotations
-
-from collections.abc import Mapping
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.chain import Link, Local, Step
+from metrocli.adjust.model.chain import Local, Step
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.effects.acting import Variable, beam_from, point, scalar, seen_from
-from metrocli.effects.effect import ELAPSED, WARMING, Effect, Parameter, change_points
-from metrocli.effects.links.beams import BeamScale, TracerDrift
-from metrocli.effects.links.lengths import LengthJump, LengthOffset, LengthTerms
-from metrocli.effects.links.points import PointStep
-from metrocli.instruments.tracer import COS_2A, COS_A, INCIDENCE, SIN_2A, SIN_A, TRACER
-from metrocli.units import parse_quantity
+from metrocli.instruments.tracer import COS_A, INCIDENCE, SIN_A, TRACER
+from metrocli.tasks.shared.length_effects import LENGTH_EFFECTS
 
-_HARTIG = "Härtig et al., Coordinate Measurement Technique Considering the 3D-Abbe Principle,"
-
-
-def _size(name: str, dimension: str, plausible: str) -> Parameter:
-    return Parameter(name, dimension, parse_quantity(plausible, dimension))
-
-
-def _refraction(by: str, condition: str, need: str, rate: Parameter, usual: str) -> Effect:
-    def link(block: str, where: Mapping[str, str]) -> Link:
-        return BeamScale(block, condition=condition)
-
-    return Effect(
-        "refraction-drift",
-        "the refractive index of the air changes during the measurement without being corrected",
-        (rate,),
-        link,
-        by=by,
-        needs=(need,),
-        confused_with=("dead-path-drift", "tracer-drift"),
-        usual=usual,
-        reveal="temperature and pressure of the air with each reading; the first points again at the end",
-        source="Birch and Downs 1994, at 20 °C, 1013 hPa, 50 %: -0.955 ppm/K at constant relative humidity, "
-        "-0.930 ppm/K at constant vapour pressure, +0.268 ppm/hPa",
-    )
-
-
-EFFECTS: tuple[Effect, ...] = (
-    Effect(
-        "tracer-scale",
-        "the wavelength or the air correction of one tracer is wrong",
-        (_size("scale", "ratio", "5 ppm"),),
-        lambda block, where: BeamScale(block),
-        where=("tracer",),
-        confused_with=("dead-path-drift", "sphere-form", "length-scale"),
-        usual="0.1 to 5 ppm",
-        reveal="a calibrated length, or the same points from another place of this tracer",
-        source=f"{_HARTIG} eq. 1; EUROMET 610: 14 to 460 nm/m between systems",
-    ),
-    Effect(
-        "length-scale",
-        "all lengths are too long or too short in proportion: the common wavelength, air correction or unit is wrong",
-        (_size("scale", "ratio", "5 percent"),),
-        lambda block, where: BeamScale(block),
-        confused_with=("length-offset",),
-        usual="0.1 to 20 ppm",
-        reveal="a calibrated length (inputs: distances), or points known by sigma_mm",
-        source=f"{_HARTIG} eq. 4",
-    ),
-    Effect(
-        "length-offset",
-        "all absolute distances are off by the same amount: zero error of the instrument, delay of its electronics",
-        (_size("offset", "length", "1 m"),),
-        lambda block, where: LengthOffset(block),
-        confused_with=("length-scale",),
-        usual="1 um to 1 m",
-        reveal="distances from short to long, or the same line measured in parts",
-        source="zero constant of distance meters: Rüeger, Electronic Distance Measurement",
-    ),
-    _refraction("T", WARMING, "temp", _size("rate", "expansion", "2e-6 1/K"), "5e-7 to 2e-6 1/K"),
-    _refraction("t", ELAPSED, "t", _size("rate", "rate", "10 ppm/h"), "0.1 to 10 ppm/h"),
-    Effect(
-        "dead-path-drift",
-        "the dead path of one tracer grows: its stand, its optics or the air in it warm up",
-        (_size("rate", "speed", "1 um/min"),),
-        lambda block, where: LengthTerms(block, (ELAPSED,)),
-        where=("tracer",),
-        needs=("t",),
-        confused_with=("tracer-drift", "refraction-drift"),
-        usual="0.05 um/h to 1 um/min",
-        reveal="the first points again at the end, in widely different directions from this tracer",
-        source="Schwenke et al. 2008, Geometric error measurement and compensation of machines, CIRP Annals 57",
-    ),
-    Effect(
-        "dead-path-jump",
-        "the beam of one tracer was interrupted and recovered, or the tracer was displaced along the beam",
-        (_size("step", "length", "1 mm"),),
-        lambda block, where: LengthJump(block),
-        where=("tracer",),
-        scanned=(Parameter("at", "time", grid=change_points),),
-        needs=("t",),
-        confused_with=("dead-path-drift", "tracer-drift"),
-        usual="0.3 um to 1 mm",
-        reveal="points measured before and after the jump",
-        source="Teunissen 2018, Distributional theory for the DIA method, J. Geodesy 92 (step in the mean)",
-    ),
-    Effect(
-        "tracer-drift",
-        "one tracer moves on its stand during the measurement",
-        tuple(_size(name, "speed", "1 um/min") for name in ("vx", "vy", "vz")),
-        lambda block, where: TracerDrift(block),
-        where=("tracer",),
-        needs=("t",),
-        turns=True,
-        confused_with=("dead-path-drift",),
-        usual="1 to 50 um/h",
-        reveal="the first points again at the end, in three widely different directions from this tracer",
-        source="Schwenke et al. 2008, CIRP Annals 57",
-    ),
-    Effect(
-        "sphere-form",
-        "the reference sphere of one tracer is out of round",
-        tuple(_size(name, "length", "10 um") for name in ("c2", "s2")),
-        lambda block, where: LengthTerms(block, (COS_2A, SIN_2A)),
-        where=("tracer",),
-        confused_with=("tracer-scale",),
-        usual="0.02 to 0.3 um",
-        reveal="the points again with this tracer turned by 45 degrees about its vertical axis",
-        source="the first harmonic of the azimuth equals a shift of the centre; the second is the lowest observable",
-    ),
-    Effect(
-        "reflector-incidence",
-        "the length changes with the angle at which the beam enters the reflector",
-        (_size("c", "length", "20 um"),),
-        lambda block, where: LengthTerms(block, (INCIDENCE,)),
-        confused_with=("tracer-scale",),
-        usual="0.5 to 20 um",
-        reveal="points measured again with the reflector turned to another direction",
-        source="Lin et al. 2002; Ouyang et al. 2007 (corner cubes within 20 degrees)",
-    ),
-    Effect(
-        "reseated-reflector",
-        "the reflector was taken out of its nest, put back, and sits in another place",
-        tuple(_size(name, "length", "1 mm") for name in ("dx", "dy", "dz")),
-        lambda block, where: PointStep(block),
-        scanned=(Parameter("at", "time", grid=change_points),),
-        needs=("t",),
-        confused_with=("tracer-drift", "dead-path-jump"),
-        usual="0.5 to 20 um",
-        reveal="some points measured both before and after the reflector is touched",
-        source="geodetic practice: closing points",
-    ),
-    Effect(
-        "moved-point",
-        "one length is wrong",
-        (_size("step", "length", "10 m"),),
-        lambda block, where: LengthOffset(block),
-        where=("point", "tracer"),
-        reveal="this point measured again by this tracer",
-        source="Baarda 1968 (mean shift of one reading)",
-        of_one_reading=True,
-    ),
-)
+EFFECTS = LENGTH_EFFECTS
 """The table of effects, in the order of docs/effects"""
 
 _TRACER = ("tracer", "point")

@@ -8,10 +8,10 @@ from functools import partial
 
 import numpy as np
 
-from metrocli.adjust.iterated_weights import Aspect, Noise
+from metrocli.adjust.iterated_weights import Aspect
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.chain import Chain
-from metrocli.adjust.model.groups import Group, prior, prior_of_members, priors
+from metrocli.adjust.model.groups import Group, priors
 from metrocli.adjust.model.observations import Index, Mask, Observations
 from metrocli.effects.model import Model, Place
 from metrocli.effects.modelled import Modelled
@@ -20,8 +20,9 @@ from metrocli.instruments import tracer as t
 from metrocli.instruments.frames import DistanceBetween
 from metrocli.table import Table
 from metrocli.tasks.multilaterate.readings import Readings, join, matched
-from metrocli.tasks.multilaterate.settings import LengthNoise, Scale, Settings
-from metrocli.tasks.multilaterate.start import places_of
+from metrocli.tasks.multilaterate.settings import Settings
+from metrocli.tasks.shared.lengths import PathNoise, Scale, scale_priors, stop_priors, stops_of, with_noise
+from metrocli.tasks.shared.tracer_places import places_of
 from metrocli.words import listed
 
 LENGTHS, DISTANCES = "lengths", "distances"
@@ -32,7 +33,7 @@ LENGTHS, DISTANCES = "lengths", "distances"
 class Network(Modelled):
     """A network of lengths, ready to be adjusted."""
 
-    noise: Noise
+    noise: PathNoise
     """Standard deviations of the lengths, as a function of the adjusted paths"""
     nominal: Array
     """The mover's readings of the points, (points, 3)"""
@@ -52,7 +53,7 @@ class Network(Modelled):
     @property
     def aspects(self) -> Mapping[str, Aspect]:
         """Conditions that effects in the network vary with and that follow from its geometry; none without effects."""
-        return t.ASPECTS if self.effects else {}
+        return t.aspects(t.reach()) if self.effects else {}
 
     @property
     def seen(self) -> Index:
@@ -67,6 +68,10 @@ class Network(Modelled):
             if t.POINT in group.observations.index:
                 held[group.observations.index[t.POINT].ravel()] = True
         return self.blocks[t.POINT].free.all(axis=1) & ~held
+
+    def with_noise(self, noise: PathNoise, blocks: Mapping[str, Block]) -> Network:
+        """Return the network at the values of `blocks` with another noise of its lengths."""
+        return replace(self, model=with_noise(self.model.with_blocks(blocks), LENGTHS, noise), noise=noise)
 
     def only(self, keep: Mask) -> Network:
         """Return the network with only these lengths; points that lose all their lengths are no longer unknowns."""
@@ -88,7 +93,7 @@ def _without(group: Group, left: Mask) -> Group:
 def build(settings: Settings, lengths: Table, points: Table, tracers: Table | None, distances: Table | None) -> Network:
     """Return the adjustment of the files, with starting values found from the lengths; raises as `places_of` does."""
     readings = join(lengths, points, tracers, settings.measures == "absolute")
-    return network_of(settings, readings, places_of(readings), lengths, distances)
+    return network_of(settings, readings, places_of(readings.by_tracers), lengths, distances)
 
 
 def network_of(
@@ -111,15 +116,22 @@ def network_of(
         components=("length",),
         unit="mm",
     )
-    noise = _path_noise(settings.noise)
+    noise = PathNoise.of(settings.noise)
     blocks = {t.POINT: point_block, t.TRACER: tracer_block}
-    group = Group(LENGTHS, t.chain(), observations)
-    group = group.with_observations(replace(observations, sigma=noise(group, blocks)))
+    stops, alone = _stops(readings, observations.conditions.get("t"))
+    stop_block = t.stop_block(stops) if noise.repeatability else None
+    if stop_block is not None:
+        blocks[t.STOP] = stop_block
+        observations = replace(observations, index={**observations.index, t.STOP: stops})
+    if noise.repeatability:
+        observations = replace(observations, conditions={**observations.conditions, t.ALONE: alone})
+    group = noise.at(Group(LENGTHS, t.chain(stops=stop_block is not None), observations), blocks)
     tracer_sigma = np.column_stack([readings.tracer_sigma, np.full((len(readings.stations), 2), np.nan)])
     others = (
         *priors(point_block, sigma, free),
         *priors(tracer_block, tracer_sigma, tracer_block.free),
-        *_scales(settings, tracer_block),
+        *scale_priors(settings.scale, tracer_block),
+        *stop_priors(stop_block, noise.repeatability),
         *_distances(distances, names, readings.seen),
     )
     inner = settings.datum != "points" and bool(tracer_block.free[:, :3].any()) and bool(free.any())
@@ -130,8 +142,25 @@ def network_of(
         "point": Place(point_block.members, t.POINT),
     }
     nominal = {t.POINT: readings.nominal}
-    model = Model(blocks, (group, *others), datum, (LENGTHS,), acting, t.ASPECTS, nominal=nominal)
+    model = Model(blocks, (group, *others), datum, (LENGTHS,), acting, t.aspects(t.reach()), nominal=nominal)
     return Network(model, noise, readings.nominal, absolute, readings.said, _unused(readings), settings.scale)
+
+
+def _stops(readings: Readings, time: Array | None) -> tuple[Index, Array]:
+    """Return the number of the stop of each length, from 1, and 1 where its variance has the repeatability, (n,) each.
+
+    A stop that is the only one of its unknown point needs neither: the point is where the carrier stood.
+    """
+    stops = stops_of(readings.point, time)
+    alone = stops == 0
+    _, first = np.unique(stops, return_index=True)
+    begins = alone.copy()
+    begins[first] = True
+    several = np.bincount(readings.point, begins)[readings.point] > 1
+    known: Mask = np.asarray(np.isfinite(readings.point_sigma).any(axis=1))
+    kept = np.asarray(several | known[readings.point])
+    stops = np.where(kept, stops, 0)
+    return np.searchsorted(np.unique(np.append(stops, 0)), stops), (alone & kept).astype(float)
 
 
 def _unused(readings: Readings) -> tuple[str, ...]:
@@ -147,16 +176,6 @@ def _tracers(settings: Settings, readings: Readings, places: Array) -> Block:
     free[:, 3] = settings.measures != "absolute"
     free[:, 4] = settings.scale is not None
     return t.tracer_block(places, readings.stations, free, readings.extent)
-
-
-def _scales(settings: Settings, block: Block) -> list[Group]:
-    """Return the prior of the scales, with the covariance `u^2 I + c^2 1 1'` if they share an error c."""
-    if settings.scale is None:
-        return []
-    own, common, m = settings.scale.uncertainty, settings.scale.common, len(block.members)
-    if common:
-        return [prior_of_members(block, 4, own**2 * np.eye(m) + common**2)]
-    return [prior(block, np.arange(m), np.full((m, 1), own), columns=(4,))]
 
 
 def _distances(table: Table | None, names: Sequence[str], seen: Index) -> list[Group]:
@@ -175,14 +194,3 @@ def _distances(table: Table | None, names: Sequence[str], seen: Index) -> list[G
         raise InputError(faults)
     observations = Observations(length[None], sigma[None], {t.POINT: ends}, components=("length",), unit="mm")
     return [Group(DISTANCES, Chain((DistanceBetween(t.POINT),)), observations)]
-
-
-def _path_noise(settings: LengthNoise) -> Noise:
-    """Return `sigma = sqrt(a^2 + b^2 (l + l0)^2)` with the adjusted dead paths."""
-
-    def sigma(group: Group, blocks: Mapping[str, Block]) -> Array:
-        observations = group.observations
-        path = observations.readings[0] + blocks[t.TRACER].values[observations.index[t.TRACER], 3]
-        return np.asarray(np.sqrt(settings.constant**2 + (settings.proportional * path) ** 2)[None])
-
-    return sigma

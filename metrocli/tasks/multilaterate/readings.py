@@ -13,6 +13,7 @@ from metrocli.adjust.model.observations import Index
 from metrocli.errors import InputError, together
 from metrocli.table import MOST_FAULTS, Table
 from metrocli.tasks.shared.known_places import sigmas
+from metrocli.tasks.shared.tracer_places import Seen
 from metrocli.words import nearest
 
 
@@ -48,6 +49,21 @@ class Readings:
     def extent(self) -> float:
         """Largest side of the box around the points that are read [mm]."""
         return float(np.ptp(self.nominal[self.seen > 0], axis=0).max()) or 1.0
+
+    @property
+    def by_tracers(self) -> Seen:
+        """The lengths of each tracer, as the search of its place takes them."""
+        return Seen(
+            self.stations,
+            self.station,
+            self.nominal[self.point],
+            self.length,
+            self.said,
+            self.tracer_sigma,
+            self.extent,
+            self.absolute,
+            self.file,
+        )
 
 
 def join(lengths: Table, points: Table, tracers: Table | None, absolute: bool) -> Readings:

@@ -26,6 +26,7 @@ from metrocli.tasks.multilaterate.solve import Solved
 from metrocli.tasks.multilaterate.uncontrolled import scale_warnings, uncontrolled
 from metrocli.tasks.shared.statistics import (
     REMOVE,
+    REPEATS,
     basic_statistics,
     condition_columns,
     found_notes,
@@ -80,7 +81,8 @@ def report(solved: Solved, noise: NoiseFound, probing: Probing) -> Result:
     statistics = basic_statistics(solution, {"mm": rms}) | {
         "rejected": len(solved.rejected),
         "critical_w": solved.critical,
-        "weakness": layout_faults.weakness(solved.network, solved.solution),
+        "weakness": layout_faults.weakness(solved.network, solution),
+        **solved.network.noise.facts,
     }
     return Result(
         kind=KIND.name,
@@ -92,7 +94,12 @@ def report(solved: Solved, noise: NoiseFound, probing: Probing) -> Result:
         arrays={**arrays, **effect_arrays},
         warnings=(*_warnings(solved), *distant(solved.network, probing.table, probing.tolerance)),
         shown=tuple(_shown(solved)),
-        notes=(*found_notes(noise), *noise_notes(solution, cures=(REMOVE,)), *in_words(hidden)),
+        notes=(
+            *solved.network.noise.notes,
+            *found_notes(noise),
+            *noise_notes(solution, cures=(REMOVE,)),
+            *in_words(hidden),
+        ),
         details=noise.details([one.name for one in found]),
         plain=("dof",),
         astray=solved.astray,
@@ -183,7 +190,8 @@ def _suspects(solved: Solved) -> Table:
 
 
 def _warnings(solved: Solved) -> list[str]:
-    lines = [*solved.network.warnings, *noise_warnings(solved.solution, cures=(REMOVE,))]
+    cures = (REMOVE,) if solved.network.noise.repeatability else (REMOVE, REPEATS)
+    lines = [*solved.network.warnings, *noise_warnings(solved.solution, cures)]
     keys = solved.whole.lengths.observations.keys
     wrong = [
         f"{keys['point'][one.row]}/{keys['tracer'][one.row]}"

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from metrocli.settings import Choice, Quantity, Section, TableFile, setting
 from metrocli.table import ABSENT, TEXT, Column, Columns, Table
 from metrocli.tasks.shared.known_places import SIGMAS
-from metrocli.tasks.shared.structured_noise import model_setting
+from metrocli.tasks.shared.lengths import LengthNoise, Scale
 
 _PLACE = tuple(Column(axis, "length") for axis in "xyz")
 LENGTHS = Columns(
@@ -69,33 +69,6 @@ class Files:
     probing: Table | None = None
     distances: Table | None = None
     candidates: Table | None = None
-
-
-@dataclass(frozen=True)
-class LengthNoise:
-    """Standard deviation of a length, `sqrt(a^2 + b^2 (l + l0)^2)` (Härtig et al., weights of eq. 2)."""
-
-    constant: float = setting(Quantity("length", positive=True), "a: the part that does not depend on the length")
-    proportional: float = setting(Quantity("ratio", minimum=0.0), "b: the part proportional to the path", default=0.0)
-    model: str = model_setting()
-
-    def times(self, factor: float) -> LengthNoise:
-        """Return the noise with both parts times a factor."""
-        return replace(self, constant=factor * self.constant, proportional=factor * self.proportional)
-
-
-@dataclass(frozen=True)
-class Scale:
-    """Prior knowledge of the tracers' scales."""
-
-    uncertainty: float = setting(
-        Quantity("ratio", positive=True), "standard uncertainty of each tracer's scale about 1 (eq. 4), its own part"
-    )
-    common: float | None = setting(
-        Quantity("ratio", minimum=0.0),
-        "standard uncertainty of the error that all scales share, as of one weather station; 0 without one",
-        default=None,
-    )
 
 
 @dataclass(frozen=True)

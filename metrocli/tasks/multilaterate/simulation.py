@@ -22,6 +22,7 @@ from metrocli.tasks.multilaterate.layout import Planned
 from metrocli.tasks.multilaterate.problem import LENGTHS
 from metrocli.tasks.multilaterate.readings import matched
 from metrocli.tasks.multilaterate.settings import LengthSimulation, Settings
+from metrocli.tasks.shared.lengths import LengthNoise, PathNoise, stops_of
 
 if TYPE_CHECKING:
     from metrocli.table import Values
@@ -56,6 +57,7 @@ def simulated(
     path = distance[observations.index[t.POINT], observations.index[t.TRACER]]
     sigma = np.sqrt(settings.noise.constant**2 + (settings.noise.proportional * path) ** 2)
     reading = model.groups[0].chain.predict(model.blocks, observations)[0] + rng.normal(0.0, 1.0, path.shape) * sigma
+    reading = reading + _returns(settings.noise, observations, actual, places, rng)
     said = places + rng.normal(0.0, 1.0, places.shape) * truth.tracer_error
     units = {"length": "mm", "t": "s", "temp": "degC"}
     columns: dict[str, Values] = {"point": design.columns["point"], "tracer": design.columns["tracer"]}
@@ -67,6 +69,22 @@ def simulated(
         "true_points.csv": _listed("point", planned.points.texts("point"), actual),
     }
     return Simulation(files, _named(names, stations) | true_values(model))
+
+
+def _returns(
+    noise: LengthNoise, observations: Observations, points: Array, places: Array, rng: np.random.Generator
+) -> Array | float:
+    """Return how much the mover's return to its places changes each length, (n,); 0 without a repeatability."""
+    size = PathNoise.of(noise)
+    if not size.repeatability or size.std is not None:
+        return 0.0
+    point, tracer = observations.index[t.POINT], observations.index[t.TRACER]
+    stops = stops_of(point, observations.conditions.get("t"))
+    beam = points[point] - places[tracer]
+    own = rng.normal(0.0, size.repeatability, beam.shape)
+    shared = rng.normal(0.0, size.repeatability, (int(stops.max(initial=0)) + 1, 3))[stops]
+    deviation = np.where((stops == 0)[:, None], own, shared)
+    return np.asarray((beam * deviation).sum(axis=1) / np.linalg.norm(beam, axis=1))
 
 
 def _named(names: Sequence[str], stations: Array) -> dict[str, float]:
@@ -88,7 +106,7 @@ def _model(design: Table, planned: Planned, points: Array, stations: Array) -> M
     group = Group(LENGTHS, t.chain(), observations)
     nominal = {t.POINT: planned.points.stacked("xyz")}
     blocks = {t.POINT: point, t.TRACER: tracer}
-    return Model(blocks, (group,), None, (LENGTHS,), places, t.ASPECTS, nominal=nominal)
+    return Model(blocks, (group,), None, (LENGTHS,), places, t.aspects(t.reach()), nominal=nominal)
 
 
 def _listed(key: str, names: list[str], places: Array) -> Table:

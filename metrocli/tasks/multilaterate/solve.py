@@ -20,6 +20,7 @@ from metrocli.instruments import tracer as t
 from metrocli.tasks.multilaterate.blunders import Reason, Rejected, far_off, most_wrong
 from metrocli.tasks.multilaterate.layout_faults import carries, explained
 from metrocli.tasks.multilaterate.problem import LENGTHS, Network
+from metrocli.tasks.shared.lengths import settled
 
 _EQUAL = 1e-4
 """Tests of a point that differ by less than this share are equal"""
@@ -151,10 +152,7 @@ def _brought_back(network: Network, state: Mapping[str, Block], gross: Mapping[i
 
 def refitted(network: Network, keep: Mask) -> Solution:
     """Adjust a network to some of its lengths, from the present values, with weights from the adjusted paths."""
-    used = network.only(keep)
-    groups = [used.lengths, *used.others]
-    noise = (LENGTHS, network.noise)
-    return adjust_with_iterated_weights(used.blocks.values(), groups, noise, used.datum, network.aspects)
+    return _weighted(network.only(keep))
 
 
 def _adjusted(network: Network, state: Mapping[str, Block], out: dict[int, Rejected]) -> Solved:
@@ -163,10 +161,8 @@ def _adjusted(network: Network, state: Mapping[str, Block], out: dict[int, Rejec
     keep &= ~lost
     used = network.only(keep)
     blocks = {name: replace(block, free=used.blocks[name].free) for name, block in state.items()}
-    groups = [used.lengths, *used.others]
-    solution = adjust_with_iterated_weights(
-        blocks.values(), groups, (LENGTHS, network.noise), used.datum, network.aspects
-    )
+    used, solution = settled(used.with_blocks(blocks), _weighted, LENGTHS)
+    network = replace(network, noise=used.noise)
     _must_carry(used, solution)
     if not solution.outcome.good:
         raise NotConvergedError(f"{solution.outcome.value} ({solution.iterations} steps)", solution.misfit)
@@ -178,6 +174,12 @@ def _adjusted(network: Network, state: Mapping[str, Block], out: dict[int, Rejec
     rows = np.flatnonzero(keep)
     suspects = tuple(replace(one, rows=tuple(rows[list(one.rows)].tolist())) for one in suspects)
     return Solved(used, network, solution, residuals, tuple(rejected), suspects, critical)
+
+
+def _weighted(network: Network) -> Solution:
+    """Return the adjustment from the present values, with weights from the adjusted paths."""
+    groups, noise = [network.lengths, *network.others], (LENGTHS, network.noise)
+    return adjust_with_iterated_weights(network.blocks.values(), groups, noise, network.datum, network.aspects)
 
 
 def _kept(network: Network, out: Mapping[int, Rejected]) -> Mask:

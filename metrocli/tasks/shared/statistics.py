@@ -24,6 +24,8 @@ _ABSURD = 10.0
 
 ESTIMATED, REMOVE = "`noise: estimated`", "`outliers: remove`"
 """Settings that a warning recommends, if the job has them"""
+REPEATS = "`noise: {repeatability: estimated}`"
+"""A setting that a warning recommends where the carrier returns to its places for each station"""
 _NAMED = 5
 """Outliers that a warning names, at most"""
 
@@ -141,7 +143,7 @@ def noise_warnings(solution: Solution, cures: Collection[str] = (ESTIMATED, REMO
         return [
             f"sigma0 = {solution.sigma0:.1f}: the model does not fit the readings; "
             f"check for gross errors{f' ({REMOVE})' if REMOVE in cures else ''}, wrong names or units, "
-            "or a declared noise that is far too small"
+            f"or a declared noise that is far too small{_of_return(cures)}"
         ]
     return [_noise_sentence(solution, "larger", low, high, cures)]
 
@@ -159,7 +161,13 @@ def _noise_sentence(solution: Solution, word: str, low: float, high: float, cure
     return (
         f"sigma0 = {solution.sigma0:.3f} is outside {low:.3f} ... {high:.3f}: "
         f"the residuals are {word} than the declared noise; "
-        f"standard uncertainties are for the declared noise{scaled}"
+        f"standard uncertainties are for the declared noise{scaled}{_of_return(cures) if word == 'larger' else ''}"
+    )
+
+
+def _of_return(cures: Collection[str]) -> str:
+    return f"; where the carrier returns to its places for each station, {REPEATS} estimates its scatter" * (
+        REPEATS in cures
     )
 
 

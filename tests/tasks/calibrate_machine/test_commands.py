@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from metrocli.formats import csv, hdf5
-from metrocli.tasks.calibrate_machine.settings import TRACK
+from metrocli.tasks.calibrate_machine.files import TRACK
 
 Metrocli = Callable[..., Any]
 HEAD = """metrocli: 1

@@ -16,8 +16,8 @@ from metrocli.simulation import SimulationOptions
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
 from metrocli.tasks.calibrate_machine.identifiability import identify
-from metrocli.tasks.calibrate_machine.path_search import edges_and_diagonals
 from metrocli.tasks.calibrate_machine.plan import planned_problem
+from metrocli.tasks.calibrate_machine.plans.path_search import edges_and_diagonals
 from metrocli.tasks.calibrate_machine.problem import machine_of
 from metrocli.tasks.calibrate_machine.settings import MachineSimulation, Noise, PathPlan
 

@@ -13,7 +13,8 @@ from metrocli.simulation import SimulationOptions
 from metrocli.table import Table
 from metrocli.tasks.multilaterate import task as multilaterate
 from metrocli.tasks.multilaterate.distance import distance
-from metrocli.tasks.multilaterate.settings import LengthSimulation, Scale, Settings
+from metrocli.tasks.multilaterate.settings import LengthSimulation, Settings
+from metrocli.tasks.shared.lengths import Scale
 
 OWN, COMMON = 0.3e-6, 5e-6
 RUNS = 60

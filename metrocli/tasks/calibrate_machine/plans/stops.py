@@ -40,11 +40,11 @@ def plan_of_points(settings: Settings, points: Table | None) -> Plan:
     wanted = settings.plan or PathPlan()
     own = []
     if points is not None:
-        own = _judged(f"the points of the job: {len(points)}", settings, _seen(settings, points))
+        own = judged(f"the points of the job: {len(points)}", settings, _seen(settings, points))
     # Each point gives three coordinates and each knot has six errors: at least two points per knot are needed
     count = max(float(_FEWEST), 2 * sum(len(axis.knots) for axis in machine_of(settings).axes) / len(settings.tools))
     while True:
-        table = _all_over(settings, round(count))
+        table = all_over(settings, round(count))
         worth = _worth(settings, _seen(settings, table))
         if isinstance(worth, Worth) and worth.identified.ratio <= wanted.ratio:
             break
@@ -55,7 +55,7 @@ def plan_of_points(settings: Settings, points: Table | None) -> Plan:
     blocks: list[NcBlock] = []
     for k, name in enumerate(names):
         blocks.append(Stop(f"mount reflector {name}".strip()))
-        blocks += _visits(table.stacked(POSITION)[tool == k], wanted.feed)
+        blocks += visits(table.stacked(POSITION)[tool == k], wanted.feed)
     text = program(
         "metrocli points for calibrate-machine", [*PLACES, "a reading in each dwell"], blocks, wanted.control
     )
@@ -67,7 +67,7 @@ def plan_of_points(settings: Settings, points: Table | None) -> Plan:
 def plan_of_lines(settings: Settings, lines: Table | None) -> Plan:
     """Return what the job's lines will determine, and propose lines along the axes and three face diagonals."""
     wanted, machine = settings.plan or PathPlan(), machine_of(settings)
-    own = [] if lines is None else _judged("the lines of the job", settings, lambda: six_dof(settings, lines))
+    own = [] if lines is None else judged("the lines of the job", settings, lambda: six_dof(settings, lines))
     given = planned_lines(machine, (settings.simulation or MachineSimulation()).step)
     columns: dict[str, Values] = {
         "line": np.array(given.names)[given.of],
@@ -84,7 +84,7 @@ def plan_of_lines(settings: Settings, lines: Table | None) -> Plan:
     blocks: list[NcBlock] = []
     for k, name in enumerate(given.names):
         blocks.append(Stop(f"set the laser up along {name}"))
-        blocks += _visits(given.position[:, given.of == k].T, wanted.feed)
+        blocks += visits(given.position[:, given.of == k].T, wanted.feed)
     text = program("metrocli lines for calibrate-machine", [*PLACES, "a reading in each dwell"], blocks, wanted.control)
     notes = [*own, f"proposed: {len(given.names)} lines", *identifiability_notes(worth.identified)[1:]]
     warnings = (
@@ -99,11 +99,11 @@ def plan_of_lines(settings: Settings, lines: Table | None) -> Plan:
     return planned(notes, (Estimate("readings", float(len(table)), 0.0, "1"),), worth, files, warnings)
 
 
-def _visits(places: Array, feed: float) -> list[NcBlock]:
+def visits(places: Array, feed: float) -> list[NcBlock]:
     return [block for at in places.tolist() for block in (Feed(dict(zip("XYZ", at, strict=True)), feed), Dwell(REST))]
 
 
-def _all_over(settings: Settings, count: int) -> Table:
+def all_over(settings: Settings, count: int) -> Table:
     """Return `count` points and the eight corners for each tool, one tool after the other.
 
     Each tool has its own piece of the Halton sequence. If the points went to the tools in turn, each of two tools
@@ -141,7 +141,7 @@ def _worth(settings: Settings, problem: Callable[[], Problem]) -> Worth | Undete
         return error
 
 
-def _judged(head: str, settings: Settings, problem: Callable[[], Problem]) -> list[str]:
+def judged(head: str, settings: Settings, problem: Callable[[], Problem]) -> list[str]:
     """Return lines of text on what the readings of the job will determine."""
     worth = _worth(settings, problem)
     lines: Sequence[str] = (

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 
 from metrocli import units
 from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.observations import Index
 from metrocli.errors import Fault, InputError, UndeterminedError
 from metrocli.instruments.tracer_start import start
-from metrocli.tasks.multilaterate.readings import Readings
 
 _MISFIT = 0.05
 """Lengths whose median misfit exceeds this share of the volume do not belong to these points"""
@@ -18,24 +21,47 @@ _SPARE = 3
 """Redundant lengths that a tracer needs before its misfit is meaningful"""
 
 
-def places_of(readings: Readings) -> Array:
+@dataclass(frozen=True)
+class Seen:
+    """Lengths with the places of their points as far as they are known, and what is known of the tracers."""
+
+    tracers: Sequence[str]
+    tracer: Index
+    """Number of the tracer of each length, (n,)"""
+    points: Array
+    """Place of the point of each length, (n, 3)"""
+    length: Array
+    said: Array
+    """Listed places of the tracers, (tracers, 3), nan if not listed"""
+    sigma: Array
+    """Standard uncertainties of the listed places, (tracers, 3): 0 exact, nan unknown"""
+    extent: float
+    """Largest side of the box around the points [mm]"""
+    absolute: bool = False
+    file: str = ""
+    noun: str = "tracer"
+    """What the file calls a tracer: one that moves has several stations"""
+
+
+def places_of(readings: Seen) -> Array:
     """Return x0, y0, z0, dead path and scale 1 of each tracer, (tracers, 5).
 
     Raises UndeterminedError if a tracer reads too few points to determine or to find its place. Raises InputError if
     lengths and points do not belong together: wrong units, a reversed sign, the rows of one tracer in another order.
     """
-    values = np.zeros((len(readings.stations), 5))
+    values = np.zeros((len(readings.tracers), 5))
     values[:, 4] = 1.0
-    misfits, strange = np.zeros(len(readings.stations)), np.zeros(len(readings.stations), dtype=bool)
+    misfits, strange = np.zeros(len(readings.tracers)), np.zeros(len(readings.tracers), dtype=bool)
     fewest = 3 if readings.absolute else 4
-    for i, name in enumerate(readings.stations):
-        mine = readings.station == i
-        if mine.sum() < fewest and not (readings.tracer_sigma[i] == 0).all():
+    for i, name in enumerate(readings.tracers):
+        mine = readings.tracer == i
+        if mine.sum() < fewest and not (readings.sigma[i] == 0).all():
             raise UndeterminedError(
-                f"tracer {name} reads {mine.sum()} points: its place{'' if readings.absolute else ' and dead path'} "
+                f"{readings.noun} {name} reads {mine.sum()} points: "
+                f"its place{'' if readings.absolute else ' and dead path'} "
                 f"need at least {fewest}, not in one plane, and {fewest + 2} for a check"
             )
-        points, lengths = readings.nominal[readings.point[mine]], readings.length[mine]
+        points, lengths = readings.points[mine], readings.length[mine]
         values[i, :4] = _start_of(readings, i, points, lengths)
         if mine.sum() >= fewest + _SPARE:
             misfits[i] = _misfit(points, lengths, values[i])
@@ -47,19 +73,19 @@ def places_of(readings: Readings) -> Array:
     return values
 
 
-def _start_of(readings: Readings, i: int, points: Array, lengths: Array) -> Array:
+def _start_of(readings: Seen, i: int, points: Array, lengths: Array) -> Array:
     """Return x0, y0, z0 and dead path of one tracer from its lengths; coordinates with a sigma stay as listed."""
     given = readings.said[i]
     said = None if np.isnan(given).any() else given
-    known = np.isfinite(readings.tracer_sigma[i])
+    known = np.isfinite(readings.sigma[i])
     if known.all():
         dead = 0.0 if readings.absolute else float(np.median(np.linalg.norm(points - given, axis=1) - lengths))
         return np.array([*given, dead])
     found = start(points, lengths, readings.absolute, said)
     if np.isnan(found).any():
         raise UndeterminedError(
-            f"tracer {readings.stations[i]} reads {len(points)} points, too few to find where it stands: "
-            "let it read two more, or give its approximate place in `inputs: tracers`"
+            f"{readings.noun} {readings.tracers[i]} reads {len(points)} points, too few to find where it stands: "
+            f"let it read two more, or give its approximate place in `inputs: {readings.noun}s`"
         )
     return np.array([*np.where(known, given, found[:3]), found[3]])
 
@@ -68,15 +94,14 @@ def _misfit(points: Array, lengths: Array, tracer: Array) -> float:
     return float(np.median(np.abs(lengths + tracer[3] - np.linalg.norm(points - tracer[:3], axis=1))))
 
 
-def _strange(readings: Readings, i: int, misfit: float, bad: int) -> Fault:
-    mine = readings.station == i
-    points, lengths = readings.nominal[readings.point[mine]], readings.length[mine]
+def _strange(readings: Seen, i: int, misfit: float, bad: int) -> Fault:
+    mine = readings.tracer == i
+    points, lengths = readings.points[mine], readings.length[mine]
     text = (
-        f"the lengths of tracer {readings.stations[i]} do not belong to these points: they are off by {misfit:.3g} mm"
+        f"the lengths of {readings.noun} {readings.tracers[i]} do not belong to these points: "
+        f"they are off by {misfit:.3g} mm"
     )
-    hint = (
-        "are its rows in another order?" if bad < len(readings.stations) else "do points and lengths belong together?"
-    )
+    hint = "are its rows in another order?" if bad < len(readings.tracers) else "do points and lengths belong together?"
     for factor, symbol in _factors():
         found = np.nan_to_num(start(points, factor * lengths, readings.absolute))
         if _misfit(points, factor * lengths, found) < _MISFIT * readings.extent / 10:

@@ -1,0 +1,99 @@
+"""The files of a calibrate-machine job: their columns, and the tables read from them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from metrocli.settings import TableFile, setting
+from metrocli.table import TEXT, Column, Columns, Table
+from metrocli.tasks.shared.known_places import SIGMAS
+
+_PLACE = tuple(Column(name, "length") for name in ("x", "y", "z"))
+_TOOL = Column("tool", TEXT, required=False)
+_TIME = Column("t", "time", required=False)
+_SIDES = tuple(Column(f"from_{axis}", required=False) for axis in "xyz")
+POINTS = Columns(
+    (
+        Column("point", TEXT),
+        *_PLACE,
+        *(Column(name, "length") for name in ("mx", "my", "mz")),
+        _TIME,
+        _TOOL,
+        *_SIDES,
+    ),
+    ("point",),
+    "commanded points, and where the tracker measured them",
+    measured=("mx", "my", "mz"),
+    alike=("x", "y", "z"),
+)
+PATH = Columns((*_PLACE, _TOOL, Column("feed", "speed", required=False)), (), "vertices of the path, in order")
+TRACK = Columns(
+    (*_PLACE, _TIME, _TOOL),
+    (),
+    "points of the tracker along the path",
+    measured=("x", "y", "z"),
+    fewest_copied=50,
+)
+LINES = Columns(
+    (
+        Column("line", TEXT),
+        Column("axis", TEXT),
+        Column("position", "length"),
+        *(Column(name, "length") for name in ("ex", "ey", "ez")),
+        *(Column(name, "angle") for name in ("ea", "eb", "ec")),
+        *(Column(name, "length", required=False) for name in ("x", "y", "z")),
+        _TIME,
+    ),
+    (),
+    "lines of a laser with six degrees of freedom",
+    measured=("ex", "ey", "ez", "ea", "eb", "ec"),
+    alike=("axis", "position"),
+    group=("line",),
+)
+
+LENGTHS = Columns(
+    (
+        Column("point", TEXT),
+        Column("station", TEXT),
+        *_PLACE,
+        Column("length", "length"),
+        _TOOL,
+        _TIME,
+        Column("temp", "temperature", required=False),
+        *_SIDES,
+    ),
+    (),
+    "commanded points, and the lengths read there by tracking interferometers",
+    measured=("length",),
+    alike=("station",),
+)
+STATIONS = Columns(
+    (Column("station", TEXT), *_PLACE, Column("dead_path", "length", required=False, may_be_empty=True), *SIGMAS),
+    ("station",),
+    "approximate places of the stations",
+)
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """The files of a job: which of them are needed depends on the method."""
+
+    points: Path | None = setting(TableFile(POINTS), "standstill: commanded and measured points", default=None)
+    path: Path | None = setting(TableFile(PATH), "on-the-fly: vertices of the path", default=None)
+    track: Path | None = setting(TableFile(TRACK), "on-the-fly: points of the tracker", default=None)
+    lines: Path | None = setting(TableFile(LINES), "six-dof: lines along axes and diagonals", default=None)
+    lengths: Path | None = setting(TableFile(LENGTHS), "lengths: commanded points and lengths", default=None)
+    stations: Path | None = setting(TableFile(STATIONS), "lengths: approximate places of the stations", default=None)
+
+
+@dataclass(frozen=True)
+class Files:
+    """The tables read from the inputs; None where the job has no such file."""
+
+    points: Table | None = None
+    path: Table | None = None
+    track: Table | None = None
+    lines: Table | None = None
+    lengths: Table | None = None
+    stations: Table | None = None

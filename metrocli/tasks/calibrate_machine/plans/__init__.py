@@ -1,0 +1,1 @@
+"""What planned measurements of each method will determine, and how they are proposed."""

@@ -1,0 +1,280 @@
+"""Machines from lengths: the shared cases, exact recovery, intervals, words for what is open, and the planner."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from places import SHARED
+from simulated import machine as sim
+from simulated import machine_lengths as lengths
+
+from metrocli.errors import InputError, UndeterminedError
+from metrocli.project.inputs import read_inputs
+from metrocli.project.job import load
+from metrocli.result import Result
+from metrocli.table import Table
+from metrocli.tasks.calibrate_machine import task as calibrate_machine
+from metrocli.tasks.calibrate_machine.layout import line_of, stations_lie
+from metrocli.tasks.calibrate_machine.settings import Noise, PathPlan, Settings
+from metrocli.tasks.calibrate_machine.solve import Solved, solve
+from metrocli.tasks.calibrate_machine.tables import tables_of
+from metrocli.tasks.calibrate_machine.volume import Prediction, predict
+
+CASES = SHARED / "cases" / "machine-lengths"
+FOUND = sorted(CASES.iterdir()) if CASES.exists() else []
+absent = pytest.mark.skipif(not FOUND, reason="../shared/cases/machine-lengths is not there")
+
+
+def run(settings: Settings, table: Table, stations: Table | None = None) -> Result:
+    return calibrate_machine.run(calibrate_machine.TASK.job(settings, lengths=table, stations=stations))
+
+
+def rows_of(table: Table, rows: npt.NDArray[np.intp]) -> Table:
+    lines = tuple(table.lines[i] for i in rows)
+    return replace(table, columns={name: np.asarray(table.columns[name])[rows] for name in table.columns}, lines=lines)
+
+
+def solved_of(settings: Settings, table: Table) -> Solved:
+    return solve(calibrate_machine.problem_of(calibrate_machine.TASK.job(settings, lengths=table)), False)
+
+
+def predicted(solved: Solved, at: sim.Array, tool: int) -> Prediction:
+    tables = tables_of(solved.problem.machine, solved.solution)
+    return predict(tables.machine, tables.blocks, (tables.unknowns, tables.raw), at.T, tool)[0]
+
+
+@absent
+@pytest.mark.parametrize("case", FOUND, ids=lambda case: case.name)
+def test_cases_that_another_program_simulated_come_out_right(case: Path) -> None:
+    job, truth = load(case / "job.yaml"), json.loads((case / "truth.json").read_text())
+    task = calibrate_machine.TASK.job(job.settings, **read_inputs(job))
+    solved = solve(calibrate_machine.problem_of(task), False)
+    result = calibrate_machine.report(solved, job.settings)
+    statistics = result.statistics
+    assert statistics["possible_rank"] - statistics["rank"] == truth["undetermined"]["directions"]
+    open_ones = set(f"{statistics['undetermined']} {statistics['together']}".split())
+    assert open_ones == set(truth["undetermined"]["moved"])
+    scores = []
+    for name, table in truth["tables"].items():
+        if name not in open_ones:
+            found = result.tables[f"tables/{name}"]
+            std, off = found.numbers("std"), found.numbers("value") - table["value"]
+            scores.append(off[std > 1e-15] / std[std > 1e-15])
+    z = np.concatenate(scores)
+    assert np.abs(z).max() < 4
+    assert (np.abs(z) < 1.96).mean() > 0.9
+    assert statistics["sigma0"] == pytest.approx(1, abs=0.08)
+    names, reference = list(job.settings.tools), truth["reference"]
+    tool = np.array([names.index(name) if len(names) > 1 else 0 for name in reference["tool"]])
+    at, true = np.array(reference["commanded"]), np.array(reference["error_mm"])
+    for which in np.unique(tool):
+        found = predicted(solved, at[tool == which], int(which))
+        miss = found.error.T - true[tool == which]
+        assert np.sqrt(((miss / found.std.T) ** 2).mean()) < 1.5
+        assert np.linalg.norm(miss, axis=1).mean() < 0.02 * truth["reference"]["mean_error_mm"]
+
+
+@pytest.mark.parametrize("order", ["XYZ", "YXZ"])
+def test_without_noise_the_error_of_both_tools_is_recovered_to_a_nanometre(order: str) -> None:
+    rng = np.random.default_rng(31)
+    machine = sim.random_machine(rng, order)
+    table = lengths.measured(machine, rng, noise=Noise(constant=0.0), stations=lengths.STATIONS)
+    settings = lengths.settings()
+    settings = replace(settings, machine=replace(settings.machine, chain=order))
+    solved = solved_of(settings, table)
+    at = rng.uniform(sim.LOW, sim.HIGH, (200, 3))
+    for tool, vector in enumerate(lengths.TWO.values()):
+        true = sim.displacements(machine, at, np.array(vector))
+        assert np.abs(predicted(solved, at, tool).error.T - true).max() < 1e-6
+        assert np.linalg.norm(true, axis=1).mean() > 0.03
+
+
+def test_listed_stations_change_nothing() -> None:
+    rng = np.random.default_rng(32)
+    machine = sim.random_machine(rng)
+    table = lengths.measured(machine, rng, 100)
+    near = lengths.listed(np.round(lengths.STATIONS[:4] + rng.normal(size=(4, 3)) * 20, 0))
+    one, other = run(lengths.settings(), table), run(lengths.settings(), table, near)
+    for name in ("EXX", "ECY", "EZY"):
+        assert one.tables[f"tables/{name}"].numbers("value") == pytest.approx(
+            other.tables[f"tables/{name}"].numbers("value"), abs=1e-9
+        )
+    places = one.tables["stations"].stacked("xyz")
+    assert np.abs(places - lengths.STATIONS[:4]).max() < 0.05
+    assert (np.abs(places - lengths.STATIONS[:4]) < 5 * one.tables["stations"].stacked(("sx", "sy", "sz"))).all()
+
+
+def test_lengths_and_a_tracker_agree_on_the_same_machine() -> None:
+    """The joint test of the difference at points all over the volume, after the best shift and turn."""
+    rng = np.random.default_rng(33)
+    machine = sim.random_machine(rng)
+    by_lengths = solved_of(lengths.settings(sim.THREE), lengths.measured(machine, rng, 250, sim.THREE))
+    job = calibrate_machine.TASK.job(sim.settings(tools=sim.THREE), points=sim.points(machine, rng, 300, sim.THREE))
+    by_tracker = solve(calibrate_machine.problem_of(job), False)
+    scores = []
+    for solved, other in ((by_lengths, by_tracker),):
+        one, two = (tables_of(part.problem.machine, part.solution) for part in (solved, other))
+        covariance = one.covariance + two.covariance
+        known = np.diag(covariance) > 1e-24
+        difference = (one.values - two.values)[known]
+        values, vectors = np.linalg.eigh(
+            covariance[np.ix_(known, known)] / np.outer(*(np.sqrt(np.diag(covariance)[known]),) * 2)
+        )
+        z = vectors.T @ (difference / np.sqrt(np.diag(covariance)[known]))
+        good = values > 1e-9
+        scores = z[good] / np.sqrt(values[good])
+    n = len(scores)
+    assert n > 60
+    assert abs((scores**2).sum() - n) < 3.5 * np.sqrt(2 * n)
+
+
+def test_intervals_contain_the_truth() -> None:
+    inside = []
+    for seed in range(4):
+        rng = np.random.default_rng(400 + seed)
+        machine = sim.random_machine(rng)
+        solved = solved_of(lengths.settings(sim.THREE), lengths.measured(machine, rng, 120, sim.THREE))
+        at = rng.uniform(sim.LOW, sim.HIGH, (60, 3))
+        found = predicted(solved, at, 0)
+        true = sim.displacements(machine, at, np.array(sim.THREE["T1"])).T
+        inside.append(np.abs(found.error - true) < 1.96 * found.std)
+    assert 0.91 < np.mean(inside) < 0.985
+
+
+def test_one_tool_leaves_four_tables_open_and_another_tool_is_not_predicted() -> None:
+    rng = np.random.default_rng(35)
+    machine = sim.random_machine(rng)
+    two = {"T1": (0.0, 0.0, 120.0), "T2": (80.0, 0.0, 60.0)}
+    table = lengths.measured(machine, rng, tools={"T1": two["T1"]})
+    result = run(lengths.settings(two), table)
+    assert set(result.statistics["undetermined"].split()) == {"ECY", "EAZ", "EBZ", "ECZ"}
+    assert set(result.statistics["together"].split()) == {"EXZ", "EYZ", "A0Z", "B0Z"}
+    warnings = " ".join(result.warnings)
+    assert "it has one tool" in warnings
+    assert "error of tool T2 cannot be predicted" in warnings
+    solved = solved_of(lengths.settings(two), table)
+    at = rng.uniform(sim.LOW, sim.HIGH, (100, 3))
+    found = predicted(solved, at, 0)
+    miss = found.error.T - sim.displacements(machine, at, np.array(two["T1"]))
+    assert np.sqrt(((miss / found.std.T) ** 2).mean()) == pytest.approx(1, abs=0.35)
+
+
+@pytest.mark.parametrize("together", [False, True])
+def test_the_repeatability_is_estimated_with_its_uncertainty(together: bool) -> None:
+    scores, z = [], []
+    for seed in range(2):
+        rng = np.random.default_rng(500 + seed)
+        machine = sim.random_machine(rng)
+        table = lengths.measured(machine, rng, 90, sim.THREE, repeatability=1e-3, together=together)
+        noise = replace(lengths.NOISE, repeatability="estimated")
+        result = run(lengths.settings(sim.THREE, noise=noise), table)
+        statistics = result.statistics
+        scores.append((statistics["repeatability"] - 1e-3) / statistics["repeatability_std"])
+        assert statistics["repeatability_std"] < 1e-4
+        assert statistics["sigma0"] == pytest.approx(1, abs=0.12)
+        for name in sim.NAMES:
+            found = result.tables[f"tables/{name}"]
+            std = found.numbers("std")
+            z.append(((found.numbers("value") - machine.tables[name]) / np.maximum(std, 1e-30))[std > 1e-12])
+    assert np.abs(scores).max() < 3.5
+    assert np.sqrt((np.concatenate(z) ** 2).mean()) == pytest.approx(1, abs=0.2)
+
+
+def test_lengths_of_one_stop_share_its_deviation() -> None:
+    """Against generalised least squares with the full covariance of the lengths, for a machine with few unknowns."""
+    rng = np.random.default_rng(36)
+    machine = sim.Machine("XYZ", (5, 5, 5), {name: np.zeros(5) for name in sim.NAMES}, (2e-5, 0.0, 0.0))
+    r = 1e-3
+    table = lengths.measured(machine, rng, 40, sim.ONE, repeatability=r, together=True)
+    noise = replace(lengths.NOISE, repeatability=r)
+    result = run(lengths.settings(sim.ONE, noise=noise, estimate=("A0Z",)), table)
+    m, n = 4, 40
+    position = table.stacked("xyz")[:n] + np.array(sim.ONE["T1"])
+    stations = result.tables["stations"].stacked("xyz")
+    beam = position[None] - stations[:, None]
+    path = np.linalg.norm(beam, axis=2)
+    u = beam / path[..., None]
+    design = np.zeros((m, n, 1 + 4 * m))
+    design[..., 0] = -u[..., 1] * table.numbers("z")[:n]
+    for j in range(m):
+        design[j, :, 1 + 4 * j : 4 + 4 * j], design[j, :, 4 + 4 * j] = -u[j], -1.0
+    flat = design.reshape(m * n, -1)
+    covariance = np.diag((0.3e-3**2 + (1e-7 * path) ** 2).ravel())
+    for i in range(n):
+        at = np.arange(m) * n + i
+        covariance[np.ix_(at, at)] += r**2 * u[:, i] @ u[:, i].T
+    q = np.linalg.inv(flat.T @ np.linalg.solve(covariance, flat))
+    assert result.estimates[0].std == pytest.approx(np.sqrt(q[0, 0]), rel=1e-3)
+
+
+def test_without_a_repeatability_the_warning_says_how_to_estimate_it() -> None:
+    rng = np.random.default_rng(37)
+    table = lengths.measured(sim.random_machine(rng), rng, repeatability=1e-3)
+    assert any("repeatability: estimated" in warning for warning in run(lengths.settings(), table).warnings)
+
+
+def test_one_station_is_refused_and_the_cure_is_named() -> None:
+    rng = np.random.default_rng(38)
+    table = lengths.measured(sim.random_machine(rng), rng, 400, stations=lengths.STATIONS[:1])
+    with pytest.raises(UndeterminedError, match=r"(?s)E[A-Z]{2} at .*there is only one station: add stations"):
+        run(lengths.settings(), table)
+
+
+def test_stations_and_tools_on_a_line_or_in_a_plane_are_named() -> None:
+    assert stations_lie(lengths.STATIONS) == ""
+    assert stations_lie(lengths.STATIONS * [1, 1, 0]) == "the 5 stations lie in one plane"
+    assert stations_lie(np.outer([1.0, 2, 5], [3.0, 1, 2])) == "the 3 stations lie on one line"
+    assert line_of(np.array([[0.0, 0, 120], [80, 0, 60]])) == pytest.approx([0.8, 0, -0.6])
+    assert line_of(np.array(list(sim.THREE.values()))) is None
+    assert line_of(np.array([[0.0, 0, 120]])) is None
+
+
+def test_wrong_files_are_refused_with_their_cause() -> None:
+    rng = np.random.default_rng(39)
+    table = lengths.measured(sim.random_machine(rng), rng, 60)
+    turned = replace(table, columns={**table.columns, "length": -table.numbers("length")})
+    with pytest.raises(InputError, match="fit with the other sign"):
+        run(lengths.settings(), turned)
+    known = lengths.listed(lengths.STATIONS[:3])
+    with pytest.raises(InputError, match="lengths.csv:182: error: station 'S4' is not in stations.csv"):
+        run(lengths.settings(), table, known)
+    few = lengths.measured(sim.random_machine(rng), rng, 60)
+    keep = np.flatnonzero((np.array(few.texts("station")) != "S2") | (np.arange(240) < 63))
+    with pytest.raises(UndeterminedError, match="station S2 reads 3 points"):
+        run(lengths.settings(), rows_of(few, keep))
+
+
+def test_the_plan_keeps_its_promise_in_its_time() -> None:
+    settings = lengths.settings(plan=PathPlan(time=3 * 3600.0))
+    plan = calibrate_machine.plan(calibrate_machine.TASK.job(settings))
+    figures = {figure.name: figure.value for figure in plan.figures}
+    assert figures["duration"] <= 3 * 3600.0
+    points, stations = plan.files["points.csv"], plan.files["stations.csv"]
+    assert isinstance(points, Table) and isinstance(stations, Table)
+    assert len(stations) == figures["stations"] >= 3
+    n, m = len(points), len(stations)
+    machine, rng = sim.random_machine(np.random.default_rng(40)), np.random.default_rng(41)
+    vectors = np.array([lengths.TWO[name] for name in points.texts("tool")])
+    reached = points.stacked("xyz") + vectors + sim.displacements(machine, points.stacked("xyz"), vectors)
+    path = np.linalg.norm(reached - stations.stacked("xyz")[:, None], axis=2)
+    read = path - 300 + rng.normal(size=path.shape) * np.sqrt(0.3e-3**2 + (1e-7 * path) ** 2)
+    columns = {name: np.tile(np.asarray(values), m) for name, values in points.columns.items()}
+    columns |= {"station": np.repeat(stations.texts("station"), n), "length": read.ravel()}
+    table = Table(columns, {**points.units, "length": "mm"}, "lengths.csv", tuple(range(2, m * n + 2)))
+    result = run(settings, table)
+    assert result.tables["volumetric"].numbers("uncertainty").mean() == pytest.approx(figures["uncertainty"], rel=0.02)
+
+
+def test_a_wanted_uncertainty_takes_less_time() -> None:
+    wanted = PathPlan(time=6 * 3600.0, uncertainty=0.5e-3)
+    plan = calibrate_machine.plan(calibrate_machine.TASK.job(lengths.settings(plan=wanted)))
+    figures = {figure.name: figure.value for figure in plan.figures}
+    assert figures["uncertainty"] <= 0.5e-3
+    assert figures["duration"] < 3 * 3600.0
+    with pytest.raises(UndeterminedError, match="too short for three stations"):
+        calibrate_machine.plan(calibrate_machine.TASK.job(lengths.settings(plan=PathPlan(time=1800.0))))

@@ -1,0 +1,85 @@
+"""Two results held against each other: figures by hand, a result with itself, and p-values that are uniform."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simulated import machine as sim
+from simulated import machine_lengths as lengths
+
+from metrocli.errors import InputError
+from metrocli.result import Estimate, Result
+from metrocli.table import Table
+from metrocli.tasks.calibrate_machine import task as calibrate_machine
+from metrocli.uncertainty.comparison import compare
+
+
+def result(values: dict[str, float], covariance: list[list[float]], **more: object) -> Result:
+    std = np.sqrt(np.diag(covariance))
+    estimates = tuple(Estimate(name, value, s, "mm") for (name, value), s in zip(values.items(), std, strict=True))
+    return Result("multilaterate", "", estimates, np.array(covariance), {}, **more)  # type: ignore[arg-type]
+
+
+def test_figures_by_hand() -> None:
+    first = result({"a": 1.0, "b": 2.0}, [[0.04, 0.0], [0.0, 0.09]])
+    second = result({"b": 2.9, "a": 1.3}, [[0.16, 0.06], [0.06, 0.05]])
+    found = compare(first, second)
+    by_name = {one.name: one for one in found.compared}
+    assert by_name["a"].difference == pytest.approx(0.3)
+    assert by_name["a"].std == pytest.approx(0.3)
+    assert by_name["b"].en == pytest.approx(0.9 / (2 * 0.5))
+    d, q = np.array([0.3, 0.9]), np.array([[0.09, 0.06], [0.06, 0.25]])
+    assert found.chi2 == pytest.approx(d @ np.linalg.solve(q, d))
+    assert found.dof == 2
+    assert found.p_value == pytest.approx(np.exp(-found.chi2 / 2))
+    assert found.max_en == pytest.approx(0.9)
+
+
+def test_points_are_compared_by_name_and_what_only_one_has_is_listed() -> None:
+    def points(names: list[str], x: list[float]) -> Table:
+        n = len(x)
+        columns = {"point": np.array(names), "x": np.array(x), "y": np.zeros(n), "z": np.zeros(n)}
+        return Table(columns | {s: np.full(n, 3e-4) for s in ("sx", "sy", "sz")}, {"x": "mm"})
+
+    first = result({"a": 1.0, "c": 0.0}, [[1.0, 0.0], [0.0, 1.0]], tables={"points": points(["P1", "P2"], [0.0, 5.0])})
+    second = result({"a": 1.0}, [[1.0]], tables={"points": points(["P3", "P2"], [9.0, 5.001])})
+    found = compare(first, second)
+    x = next(one for one in found.compared if one.name == "P2.x")
+    assert (x.difference, x.std) == (pytest.approx(1e-3), pytest.approx(3e-4 * 2**0.5))
+    assert "P1.x" not in {one.name for one in found.compared}
+    assert found.only_in_one == ("estimates c",)
+
+
+def test_results_that_have_nothing_in_common_are_refused() -> None:
+    first = result({"a": 1.0}, [[1.0]])
+    with pytest.raises(InputError, match="two kinds cannot be compared: multilaterate and align-part"):
+        compare(first, replace(first, kind="align-part"))
+    with pytest.raises(InputError, match="nothing in common"):
+        compare(first, result({"b": 1.0}, [[1.0]]))
+
+
+def calibrated(machine: sim.Machine, seed: int) -> Result:
+    rng = np.random.default_rng(seed)
+    table = lengths.measured(machine, rng, 50, sim.THREE)
+    settings = lengths.settings(sim.THREE, (3, 3, 3))
+    return calibrate_machine.run(calibrate_machine.TASK.job(settings, lengths=table))
+
+
+def test_calibrations_of_one_machine_differ_by_their_uncertainty_and_a_changed_machine_is_found() -> None:
+    machine = sim.random_machine(np.random.default_rng(60), knots=(3, 3, 3))
+    results = [calibrated(machine, 600 + i) for i in range(4)]
+    itself = compare(results[0], results[0])
+    assert (itself.chi2, itself.max_en) == (0.0, 0.0)
+    found = [compare(results[i], results[i + 1]) for i in range(0, 4, 2)]
+    dof = sum(one.dof for one in found)
+    # three squareness errors; of three knots one is free in straightness, two in all others
+    assert dof == 2 * (3 + 6 * 1 + 12 * 2)
+    assert abs(sum(one.chi2 for one in found) - dof) < 3.5 * np.sqrt(2 * dof)
+    moved = replace(machine, tables={**machine.tables, "EXX": machine.tables["EXX"] + [0.0, 0.002, 0.0]})
+    changed = compare(results[0], calibrated(moved, 700))
+    assert changed.p_value < 1e-6
+    worst = max(changed.compared, key=lambda one: one.en)
+    assert (worst.group, worst.name) == ("EXX", "300 mm")
+    assert worst.difference == pytest.approx(0.002, abs=4 * worst.std)
