@@ -26,6 +26,7 @@ import numpy.typing as npt
 from metrocli.adjust.coupled_fields import adjust_fields, design_of
 from metrocli.instruments import ball_grid as bg
 from metrocli.table import Table
+from metrocli.tasks.selfcal_grid.determination.undetermined import opened
 from metrocli.tasks.selfcal_grid.lengths import largest
 from metrocli.tasks.selfcal_grid.problem import Problem, build
 from metrocli.tasks.selfcal_grid.readings import read
@@ -41,7 +42,6 @@ from metrocli.tasks.selfcal_grid.settings import (
 )
 from metrocli.tasks.selfcal_grid.simulation import simulated
 from metrocli.tasks.selfcal_grid.task import run
-from metrocli.tasks.selfcal_grid.undetermined import opened
 
 Array = npt.NDArray[np.float64]
 NOISE, PITCH, RUNS = 5e-4, 65.0, 200

@@ -12,7 +12,7 @@ Method: docs/algorithms/nested-dissection.md and docs/algorithms/free-networks.m
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -24,6 +24,7 @@ from metrocli.adjust.model.observations import Index
 from metrocli.adjust.outcome import Outcome
 from metrocli.adjust.solution import Residuals, Solution
 from metrocli.adjust.sparse.bordered_factor import BorderedFactor, bordered_factor
+from metrocli.adjust.sparse.jacobian import gradient, jacobian
 from metrocli.adjust.sparse.nested_dissection import Sparse
 from metrocli.adjust.sparse.partition import Partition, partition
 
@@ -185,7 +186,7 @@ def design_of(fields: Fields) -> Design:
     """
     parts = partition(fields.blocks, fields.groups, fields.net, fields.local)
     at = fields.design(fields.blocks)
-    jacobian = _jacobian([group.linear(at, frozenset(fields.blocks)) for group in fields.groups], parts)
+    jacobian = jacobian([group.linear(at, frozenset(fields.blocks)) for group in fields.groups], parts)
     reduction = bordered_factor(jacobian, parts, _places(fields, parts))
     return Design(parts, jacobian, reduction, _constraint(_conditions(fields, parts), reduction.null))
 
@@ -208,7 +209,7 @@ def adjust_fields(fields: Fields, design: Design | None = None) -> FieldSolution
     small = 1e-12 * design.partition.width
     while iterations < _LIMIT:
         iterations += 1
-        gradient = _gradient(linears, design.partition)
+        gradient = gradient(linears, design.partition)
         step = design.solve(gradient)
         restoring = design.null @ (design.constraint @ design.partition.values_of(state))
         fall = float(gradient @ step)
@@ -245,41 +246,6 @@ def _tried(
 
 def _linears(fields: Fields, state: Mapping[str, Block]) -> list[Linear]:
     return [group.linear(state, frozenset(fields.blocks)) for group in fields.groups]
-
-
-def _gradient(linears: Sequence[Linear], parts: Partition) -> Array:
-    """Return the gradient `J' residual` at the present values."""
-    total = np.zeros(parts.width)
-    for linear in linears:
-        for touch in linear.touches:
-            towards = np.einsum("dsn,dn->ns", touch.jacobian, linear.residual)
-            columns = parts.columns[touch.block][touch.index]
-            inside = columns >= 0
-            total += np.bincount(columns[inside], towards[inside], minlength=parts.width)
-    return total
-
-
-def _jacobian(linears: Sequence[Linear], parts: Partition) -> Sparse:
-    """Return the sparse Jacobian of all groups, one below the other."""
-    from scipy.sparse import csr_array, vstack
-
-    stacked = []
-    for linear in linears:
-        d, n = linear.residual.shape
-        values: list[Array] = []
-        rows: list[Index] = []
-        columns: list[Index] = []
-        for touch in linear.touches:
-            at = parts.columns[touch.block][touch.index]
-            a, s, i = np.nonzero(touch.jacobian)
-            keep = at[i, s] >= 0
-            a, s, i = a[keep], s[keep], i[keep]
-            values.append(touch.jacobian[a, s, i])
-            rows.append(a * n + i)
-            columns.append(at[i, s])
-        entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
-        stacked.append(csr_array(entries, shape=(d * n, parts.width)))
-    return vstack(stacked, format="csr")
 
 
 def _places(fields: Fields, parts: Partition) -> Array:

@@ -16,7 +16,7 @@ from metrocli.tasks.calibrate_machine.methods.lengths import lengths
 from metrocli.tasks.calibrate_machine.methods.on_the_fly import on_the_fly
 from metrocli.tasks.calibrate_machine.methods.six_dof import six_dof
 from metrocli.tasks.calibrate_machine.methods.standstill import standstill
-from metrocli.tasks.calibrate_machine.plan import plan_of_path
+from metrocli.tasks.calibrate_machine.plans.planned import plan_of_path
 from metrocli.tasks.calibrate_machine.plans.stations import plan_of_stations
 from metrocli.tasks.calibrate_machine.plans.stops import plan_of_lines, plan_of_points
 from metrocli.tasks.calibrate_machine.problem import Problem

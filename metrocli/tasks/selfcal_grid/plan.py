@@ -15,12 +15,12 @@ from metrocli.plan import Plan
 from metrocli.result import Estimate, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.selfcal_grid import KIND
+from metrocli.tasks.selfcal_grid.determination.undetermined import Open, candidates, determined, opened
 from metrocli.tasks.selfcal_grid.problem import Problem, build
 from metrocli.tasks.selfcal_grid.readings import Readings
 from metrocli.tasks.selfcal_grid.settings import Settings, turn_in_words
 from metrocli.tasks.selfcal_grid.simulation import balls_on, views_on_the_grid
 from metrocli.tasks.selfcal_grid.solve import design
-from metrocli.tasks.selfcal_grid.undetermined import Open, candidates, determined, opened
 
 if TYPE_CHECKING:
     from metrocli.table import Values

@@ -18,11 +18,11 @@ from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.selfcal_grid import KIND
 from metrocli.tasks.selfcal_grid import warnings as grid_warnings
+from metrocli.tasks.selfcal_grid.determination.undetermined import Open, determined
 from metrocli.tasks.selfcal_grid.error_map import Covariance, SiteErrors, Smooth, error_map, smooth
 from metrocli.tasks.selfcal_grid.lengths import LengthError, largest
 from metrocli.tasks.selfcal_grid.solve import LeftOut, Solved
 from metrocli.tasks.selfcal_grid.uncontrolled import uncontrolled
-from metrocli.tasks.selfcal_grid.undetermined import Open, determined
 from metrocli.tasks.shared.statistics import Statistics, basic_statistics, noise_notes, residual_table
 from metrocli.tasks.shared.uncontrolled import TABLE, in_words
 from metrocli.units import find_unit

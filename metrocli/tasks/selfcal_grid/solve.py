@@ -14,8 +14,8 @@ from metrocli.adjust.solution import Residuals, Solution
 from metrocli.adjust.sparse.bordered_factor import OpenDesignError
 from metrocli.errors import NotConvergedError, UndeterminedError
 from metrocli.instruments import ball_grid as bg
+from metrocli.tasks.selfcal_grid.determination.undetermined import with_determined_datum
 from metrocli.tasks.selfcal_grid.problem import Problem
-from metrocli.tasks.selfcal_grid.undetermined import with_determined_datum
 
 _ROUNDS = 30
 _TAKEN = 1e-9

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
+from metrocli.tasks.selfcal_grid.determination.undetermined import Open
 from metrocli.tasks.selfcal_grid.solve import LeftOut, Solved
-from metrocli.tasks.selfcal_grid.undetermined import Open
 from metrocli.tasks.shared.statistics import beyond_bound, noise_warnings
 from metrocli.words import listed
 

@@ -15,8 +15,8 @@ from metrocli.instruments.machine_path import Path
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
 from metrocli.tasks.calibrate_machine.identifiability import Identifiability, identify
 from metrocli.tasks.calibrate_machine.methods.standstill import standstill
-from metrocli.tasks.calibrate_machine.plan import planned_problem
 from metrocli.tasks.calibrate_machine.plans.path_search import edges_and_diagonals
+from metrocli.tasks.calibrate_machine.plans.planned import planned_problem
 from metrocli.tasks.calibrate_machine.problem import machine_of
 from metrocli.tasks.calibrate_machine.settings import PathPlan
 

@@ -251,7 +251,7 @@ def test_wrong_files_are_refused_with_their_cause() -> None:
 
 def test_the_plan_keeps_its_promise_in_its_time() -> None:
     settings = lengths.settings(plan=PathPlan(time=3 * 3600.0))
-    plan = calibrate_machine.plan(calibrate_machine.TASK.job(settings))
+    plan = calibrate_machine.plans.planned(calibrate_machine.TASK.job(settings))
     figures = {figure.name: figure.value for figure in plan.figures}
     assert figures["duration"] <= 3 * 3600.0
     points, stations = plan.files["points.csv"], plan.files["stations.csv"]
@@ -272,9 +272,9 @@ def test_the_plan_keeps_its_promise_in_its_time() -> None:
 
 def test_a_wanted_uncertainty_takes_less_time() -> None:
     wanted = PathPlan(time=6 * 3600.0, uncertainty=0.5e-3)
-    plan = calibrate_machine.plan(calibrate_machine.TASK.job(lengths.settings(plan=wanted)))
+    plan = calibrate_machine.plans.planned(calibrate_machine.TASK.job(lengths.settings(plan=wanted)))
     figures = {figure.name: figure.value for figure in plan.figures}
     assert figures["uncertainty"] <= 0.5e-3
     assert figures["duration"] < 3 * 3600.0
     with pytest.raises(UndeterminedError, match="too short for three stations"):
-        calibrate_machine.plan(calibrate_machine.TASK.job(lengths.settings(plan=PathPlan(time=1800.0))))
+        calibrate_machine.plans.planned(calibrate_machine.TASK.job(lengths.settings(plan=PathPlan(time=1800.0))))

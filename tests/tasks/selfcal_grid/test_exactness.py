@@ -13,9 +13,9 @@ from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.tasks.selfcal_grid import readings as grid_readings
 from metrocli.tasks.selfcal_grid import task as selfcal_grid
+from metrocli.tasks.selfcal_grid.determination.undetermined import opened
 from metrocli.tasks.selfcal_grid.problem import Problem, build
 from metrocli.tasks.selfcal_grid.settings import views_of
-from metrocli.tasks.selfcal_grid.undetermined import opened
 
 
 def problem_of(one: Grid, table: Table) -> Problem:

@@ -17,7 +17,7 @@ from metrocli.adjust.coupled_fields import Design, in_datum
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Mask
 from metrocli.instruments import ball_grid as bg
-from metrocli.tasks.selfcal_grid.patterns import patterns
+from metrocli.tasks.selfcal_grid.determination.patterns import patterns
 from metrocli.tasks.selfcal_grid.problem import Problem
 from metrocli.tasks.selfcal_grid.settings import Rotate, turn_in_words
 

@@ -1,0 +1,1 @@
+"""What views leave undetermined: patterns of machine errors, and what would determine them."""
