@@ -186,9 +186,9 @@ def design_of(fields: Fields) -> Design:
     """
     parts = partition(fields.blocks, fields.groups, fields.net, fields.local)
     at = fields.design(fields.blocks)
-    jacobian = jacobian([group.linear(at, frozenset(fields.blocks)) for group in fields.groups], parts)
-    reduction = bordered_factor(jacobian, parts, _places(fields, parts))
-    return Design(parts, jacobian, reduction, _constraint(_conditions(fields, parts), reduction.null))
+    rows = jacobian([group.linear(at, frozenset(fields.blocks)) for group in fields.groups], parts)
+    reduction = bordered_factor(rows, parts, _places(fields, parts))
+    return Design(parts, rows, reduction, _constraint(_conditions(fields, parts), reduction.null))
 
 
 def in_datum(fields: Fields, design: Design) -> Design:
@@ -209,10 +209,10 @@ def adjust_fields(fields: Fields, design: Design | None = None) -> FieldSolution
     small = 1e-12 * design.partition.width
     while iterations < _LIMIT:
         iterations += 1
-        gradient = gradient(linears, design.partition)
-        step = design.solve(gradient)
+        downhill = gradient(linears, design.partition)
+        step = design.solve(downhill)
         restoring = design.null @ (design.constraint @ design.partition.values_of(state))
-        fall = float(gradient @ step)
+        fall = float(downhill @ step)
         trial = _tried(fields, state, (step - restoring, design), cost)
         if trial is None:
             outcome = Outcome.CONVERGED if fall <= 1e-6 * design.partition.width else Outcome.DIVERGED

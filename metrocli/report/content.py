@@ -21,16 +21,6 @@ class Diagnosis:
 
 
 @dataclass(frozen=True)
-class Reference:
-    """A file or an artefact that the result rests on."""
-
-    name: str
-    certificate: str = ""
-    """Number of its certificate; empty if not given"""
-    note: str = ""
-
-
-@dataclass(frozen=True)
 class Content:
     """A result with what its page shows of it."""
 
@@ -40,6 +30,5 @@ class Content:
     tables: Mapping[str, str] = field(default_factory=dict)
     """Shown tables as text"""
     diagnosis: Diagnosis | None = None
-    references: tuple[Reference, ...] = ()
     job: str = "JOB.yaml"
     """How commands name the job"""

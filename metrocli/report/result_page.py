@@ -10,6 +10,7 @@ from metrocli.report.findings import K, diagnosed, expanded, next_step, row_of, 
 from metrocli.report.html import EMPTY, Html, joined, listed, table, tag
 from metrocli.report.look import page
 from metrocli.report.pictures import shown
+from metrocli.words import listed as listed_words
 
 _FIRST = 12
 """Estimates on the first screen; all others follow when they are asked for"""
@@ -110,12 +111,11 @@ def _provenance(content: Content) -> Html:
 
 
 def _traceability(content: Content) -> Iterator[str]:
-    """Yield one sentence for each reference that the result rests on, with its certificate where it is given."""
-    for one in content.references:
-        certificate = f"certificate {one.certificate}" if one.certificate else "no certificate number is given"
-        yield f"{one.name}: {certificate}{f' ({one.note})' if one.note else ''}."
-    if not content.references:
-        yield "The job names no reference standard (certificate: references), so nothing here shows traceability."
+    """Yield what the result rests on, what the measurement does not control, and what its uncertainties are of."""
+    files = [one.path for one in content.record.inputs]
+    if files:
+        yield f"The result rests on {listed_words(files)}, whose digests are below."
+    yield "Certificate numbers of reference standards are not recorded with it: add them where this page is filed."
     table_of = content.result.tables.get("not_controlled")
     if table_of is not None and len(table_of):
         names = ", ".join(table_of.texts("effect"))

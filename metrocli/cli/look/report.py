@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -75,14 +77,12 @@ def _diagnosis(result: Path, given: Path | None, record: Record) -> Diagnosis | 
         return None
     try:
         data: Any = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        hint = "write it by: metrocli diagnose JOB.yaml --json > FILE.json"
-        raise InputError(
-            [Fault(f"this is not the output of metrocli diagnose --json: {error}", str(path), hint=hint)]
-        ) from error
+    except OSError as error:
+        raise InputError([Fault(f"cannot be read: {error.strerror}", str(path), hint=_DIAGNOSE)]) from error
+    except ValueError:
+        data = None
     if not isinstance(data, dict) or "verdict" not in data:
-        hint = "write it by: metrocli diagnose JOB.yaml --json > FILE.json"
-        raise InputError([Fault("this is not the output of metrocli diagnose --json", str(path), hint=hint)])
+        raise InputError([Fault("this is not the output of metrocli diagnose --json", str(path), hint=_DIAGNOSE)])
     return Diagnosis(data, str(path), data.get("of") == identity(record.job_text, record.inputs))
 
 
@@ -91,6 +91,7 @@ _DIAGNOSE = "write it by: metrocli diagnose JOB.yaml --json > FILE.json"
 
 def _project(place: Path, out: Path | None) -> list[Path]:
     """Write the pages of all results that exist, and the page that leads to them."""
+    from metrocli.errors import InputError
     from metrocli.project.staleness import states
     from metrocli.project.steps import load_project, name_of_project, project_file
     from metrocli.report.project_page import Entry, project_page
@@ -98,13 +99,15 @@ def _project(place: Path, out: Path | None) -> list[Path]:
     file = project_file(place)
     index = out or file.parent / "report" / "index.html"
     found, written = list(states(load_project(place))), []
-    made = {step.job.output.resolve() for step in (one.step for one in found)}
+    outputs = [state.step.job.output for state in found]
+    made = {output.resolve() for output in outputs}
     entries = []
     for state in found:
         step, page = state.step, ""
-        if step.job.output.is_file():
-            page = f"{step.job.output.stem}.html"
-            _write(index.parent / page, _page(step.job.output, None, step.name))
+        with suppress(InputError):  # a result that is absent or damaged has no page; its state names the reason
+            text = _page(step.job.output, None, step.name)
+            page = _page_name(step.job.output, outputs, file.parent)
+            _write(index.parent / page, text)
             written.append(index.parent / page)
         status = state.record.status if state.record is not None else ""
         own = tuple(_files(step, made, file.parent))
@@ -112,6 +115,14 @@ def _project(place: Path, out: Path | None) -> list[Path]:
         entries.append(entry)
     _write(index, project_page(name_of_project(place) or file.parent.resolve().name, entries))
     return [index, *written]
+
+
+def _page_name(output: Path, outputs: Sequence[Path], home: Path) -> str:
+    """Return the name of the page of a result: that of its file, with its folders where others have the same name."""
+    alike = [other for other in outputs if other.stem == output.stem]
+    if len(alike) == 1 and output.stem != "index":
+        return f"{output.stem}.html"
+    return f"{_from(home, output.with_suffix('')).replace('/', '-')}.html"
 
 
 def _files(step: Step, made: set[Path], home: Path) -> list[str]:
