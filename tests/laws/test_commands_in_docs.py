@@ -111,7 +111,8 @@ def test_the_commands_of_a_page_run(
     kind = kind_of(page, wanted)
     monkeypatch.chdir(tmp_path)
     if any(one.startswith("metrocli ") for one, _ in wanted) and not any(one.startswith("cd ") for one, _ in wanted):
-        ran(SAMPLE[kind][0], tmp_path)
+        own = page.parent.name if (page.parent / "metrocli.yaml").exists() else SAMPLE[kind][0]
+        ran(own, tmp_path)
     for number, (command, quoted) in enumerate(wanted):
         first, *rest = meant(command, kind, number)
         if first == "cd":
