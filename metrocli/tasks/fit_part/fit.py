@@ -26,8 +26,8 @@ _WELL = 1e-9
 _SMALLEST_REACH = 1e-4
 """Reach of a linear programme [mm] at which the search for the largest least overstock ends: it is then off by less
 than reach^2 over the smallest radius"""
-UNBOUNDED = 0.2
-"""A least overstock of more than this share of the size of the point cloud has no limit"""
+UNBOUNDED = 2.0
+"""A least overstock of more than this many times the size of the point cloud has no limit"""
 
 
 @dataclass(frozen=True)
@@ -103,8 +103,9 @@ def most(stock: Stock, into: Array, enough: float = np.inf) -> tuple[Array, floa
         tried = local.moved(into, found.x)
         other = stock.at(tried)
         gain, hoped = float(other.overstock.min()) - least, expected - least
+        duals = found.duals
         if gain > 0.1 * hoped:
-            into, local, least, duals = tried, other, least + gain, found.duals
+            into, local, least = tried, other, least + gain
             reach = reach * 2 if gain > 0.9 * hoped and np.abs(found.x).max() > 0.99 * reach else reach
         reach = reach if gain > 0.5 * hoped and hoped > _STEP else reach / 4
     return into, least, duals
