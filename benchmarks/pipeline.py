@@ -120,6 +120,8 @@ class Project:
         name, table = self.chance.choice(NAMES), self.chance.choice(["one", "two"])
         output = Path(f"results/{name}.h5")
         kind = self.chance.choice(CHANGES)
+        if name not in self.truth.made:
+            kind = "rewritten"  # another change has just taken or damaged its result
         if kind == "touch":
             self.chance.choice([output, Path(f"{table}.csv"), Path(f"jobs/{name}.yaml")]).touch()
         elif kind == "rewritten":
