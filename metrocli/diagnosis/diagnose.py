@@ -89,12 +89,14 @@ def diagnose(job: AdjustedJob, say: Say = lambda line: None, limit: float = LIMI
     repeats = pure_error(job, tests.system, fitted)
     if structure is None and repeats is not None and repeats.lack_of_fit < _LACK_OF_FIT:
         structure = RemainingStructure(repeats.lack_of_fit, (REPEATS,))
-    noise = noise_of(fitted)
     laws: tuple[Law, ...] = ()
     if job.places:
         say("looking for a law in what no effect explains")
         laws = laws_in(searched.job, searched.selection, structure is not None)
         structure = _structure_of(laws) if structure is None else structure
+    # without an extended fit the law is about the same linearised system, and what it explains is no noise
+    law = next((one for one in laws if one.chosen and fit is None), None)
+    noise = noise_of(fitted if law is None else fitted.with_columns(law.columns))
     say("computing what the measurement could not detect")
     return Diagnosis(
         job=job,

@@ -48,6 +48,8 @@ class Law:
     """Share of the squares that it explains, of those that it and smooth functions explain together"""
     size: float
     """Root mean square of what it explains over the readings on which it acts, in their unit"""
+    columns: Array
+    """Its visible columns in the linearised system, (rows, factors)"""
     chosen: bool = False
 
 
@@ -252,4 +254,5 @@ def _law(
         gain,
         float(np.clip(explained / max(together, 1e-300), 0.0, 1.0)),
         float(np.sqrt((shown[shown != 0] ** 2).mean())) if shown.any() else 0.0,
+        columns,
     )
