@@ -29,7 +29,7 @@ from straight_line import KIND  # noqa: E402
 from metrocli import tasks  # noqa: E402
 from metrocli.cli.commands import run as metrocli  # noqa: E402
 from metrocli.formats import hdf5  # noqa: E402
-from metrocli.project import meaning  # noqa: E402
+from metrocli.project import meaning, runner  # noqa: E402
 from metrocli.project.running import memo  # noqa: E402
 
 NAMES = ("a", "b", "c", "d", "e", "f")
@@ -157,7 +157,7 @@ class Project:
                 at = self.chance.randrange(len(data))
                 output.write_bytes(data[:at] + bytes([data[at] ^ (1 << self.chance.randrange(8))]) + data[at + 1 :])
             self.truth.made.pop(name, None)
-        meaning.__version__ = self.truth.version  # type: ignore[attr-defined]
+        set_version(self.truth.version)
         return kind
 
 
@@ -165,6 +165,12 @@ CHANGES = (
     "touch", "rewritten", "noise", "title", "iterations", "cell", "known", "version", "old copy", "deleted",
     "truncated", "edited",
 )  # fmt: skip
+
+
+def set_version(version: str) -> None:
+    """Make this process a metrocli of another version."""
+    for module in (meaning, runner):
+        module.__version__ = version  # type: ignore[attr-defined]
 
 
 def call(*arguments: str) -> list[dict[str, Any]]:
@@ -205,7 +211,7 @@ def changes(count: int, seed: int = 0) -> tuple[int, int, int]:
             other += not certain <= ran <= certain | perhaps
     finally:
         memo._SETTLED_NS = settled
-        meaning.__version__ = before  # type: ignore[attr-defined]
+        set_version(before)
     return wrong, needless, other
 
 
@@ -273,7 +279,6 @@ def idle_files(count: int) -> None:
 
 def idle(count: int) -> tuple[float, float]:
     """Return the CPU time [ms] of the first and of a later run with nothing to do."""
-    from metrocli.project import runner
     from metrocli.project.job import load
 
     idle_files(count)

@@ -101,7 +101,7 @@ def _window(submit: Callable[[int], Any], numbers: Iterable[int], most: int) -> 
 
 @contextmanager
 def cluster(address: str) -> Iterator[Any]:
-    """Yield a client of a Dask cluster; raises InputError if it has no workers."""
+    """Yield a client of a Dask cluster that has workers; raises InputError without them."""
     client = _client(address)
     try:
         _await_worker(client, address)

@@ -195,7 +195,7 @@ def test_names_that_a_result_lacks(
 
 def test_a_covariance_that_is_none_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for covariance, message in (
-        ([[4e-6, 9e-6], [9e-6, 4e-6]], "not positive semi-definite"),
+        ([[4e-6, 9e-6], [9e-6, 4e-6]], "covariance is not positive"),
         ([[math.nan, 0], [0, 1e-6]], "no valid covariance"),
     ):
         assert carry_out(tmp_path, job(SUM, part=stored(tmp_path, "part", covariance))).code == 3
