@@ -66,5 +66,5 @@ def command(place: Path, overrides: tuple[str, ...], accept_doubtful: bool, as_j
 def _outside(job: JobFile, root: Path) -> list[str]:
     """Return the inputs and the output of a job that lie outside the project, links followed."""
     home = os.path.realpath(root) + os.sep
-    named = [*(path for item in job.inputs for path in item.paths), job.output]
+    named = [*job.files, job.output]
     return [str(path) for path in dict.fromkeys(named) if not os.path.realpath(path).startswith(home)]

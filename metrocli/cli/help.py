@@ -34,6 +34,7 @@ ROOMS = {
     "rerun": "provenance.",
     "plot": "look.",
     "report": "look.",
+    "compare": "look.",
     "completion": "shell.",
 }
 

@@ -112,8 +112,7 @@ def _read_one(spec: Any, path: Path, item: Input, folder: Path) -> tuple[Any, In
 def input_files(job: JobFile) -> tuple[InputFile, ...]:
     """Return the existing files of a job with the hashes of their bytes; paths are relative to the job file."""
     held = {path: item.bytes for item in job.inputs for path in item.paths if item.bytes is not None}
-    named = {path for item in job.inputs for path in item.paths}
-    paths = sorted(path for path in (*named, *job.own.files) if path.is_file())
+    paths = sorted({path for path in job.files if path.is_file()})
     return tuple(_recorded(held.get(path) or read_bytes(path), job.folder, "") for path in paths)
 
 

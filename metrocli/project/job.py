@@ -82,6 +82,11 @@ class JobFile:
     """Effects of one's own, which extend the table of the kind"""
 
     @property
+    def files(self) -> tuple[Path, ...]:
+        """All files that it reads beside its own text: inputs, and effects of one's own."""
+        return (*(path for item in self.inputs for path in item.paths), *self.own.files)
+
+    @property
     def accept_doubtful(self) -> bool:
         """Whether results that are doubtful, or do not meet their requirements, are accepted as inputs."""
         return self.wishes.accept_doubtful

@@ -28,6 +28,8 @@ class Own:
 
     effects: tuple[Effect, ...] = ()
     files: tuple[Path, ...] = ()
+    project: Path | None = None
+    """The project file, if it names one of the files"""
 
 
 def own_effects(kind: str, define: Iterable[Node], named: Node | None, job: Path, faults: list[Fault]) -> Own:
@@ -44,7 +46,8 @@ def own_effects(kind: str, define: Iterable[Node], named: Node | None, job: Path
             faults.append(Fault(f"a package offers an effect '{effect.name}', which exists already"))
         taken.add(effect.name)
         found.append(effect)
-    for node in filter(None, (named, of_project(job.parent))):
+    by_project = of_project(job.parent)
+    for node in filter(None, (named, by_project)):
         path = path_beside(node)
         if path in files:
             continue
@@ -53,7 +56,8 @@ def own_effects(kind: str, define: Iterable[Node], named: Node | None, job: Path
         taken |= {effect.name for effect in effects}
         found += effects
     found += read(define, task.places, taken, faults)
-    return Own(tuple(found), tuple(files))
+    project = None if by_project is None else by_project.source.folder / PROJECT
+    return Own(tuple(found), tuple(files), project)
 
 
 def of_project(folder: Path) -> Node | None:

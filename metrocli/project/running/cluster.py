@@ -37,7 +37,8 @@ class Packed:
 
 def pack(name: str, job: JobFile, strict: bool) -> Packed:
     """Return a job ready to travel; raises InputError if a file cannot be read."""
-    paths = {Path(os.path.abspath(path)) for item in job.inputs for path in item.paths}
+    beside = job.files if job.own.project is None else (*job.files, job.own.project)
+    paths = {Path(os.path.abspath(path)) for path in beside}
     file = Path(os.path.abspath(job.file))
     root = os.path.commonpath([file.parent, os.path.abspath(job.output.parent), *(path.parent for path in paths)])
     files = {os.path.relpath(path, root): read_bytes(path).data for path in (file, *paths)}

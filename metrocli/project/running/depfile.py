@@ -17,8 +17,7 @@ def write(path: Path, project_file: Path, steps: Sequence[Step]) -> None:
     """
     rules = []
     for step in steps:
-        inputs = [file for item in step.job.inputs for file in item.paths]
-        needed = " ".join(_word(one) for one in (step.job.file, project_file, *inputs))
+        needed = " ".join(_word(one) for one in (step.job.file, project_file, *step.job.files))
         rules.append(f"{_word(step.job.output)}: {needed}\n")
     write_bytes(path, "".join(rules).encode())
 

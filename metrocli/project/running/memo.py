@@ -84,6 +84,7 @@ def _looked_at(project_file: Path, steps: Iterable[Step]) -> Iterable[Path]:
         if step.job.wishes.part is not None and step.job.wishes.part.file is not None:
             yield step.job.wishes.part.file
         yield step.job.output
+        yield from step.job.own.files
         for item in step.job.inputs:
             yield from item.paths
             for pattern in item.node.items or (item.node,):

@@ -1,0 +1,69 @@
+"""A file with effects of one's own is an input of the jobs that it serves: staleness, memo, depfile and cluster."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from metrocli.project.job import load
+from metrocli.project.running.cluster import carry_out, pack
+from metrocli.project.running.memo import remember, unmoved_jobs
+from metrocli.project.steps import load_project
+
+Metrocli = Callable[..., Any]
+EFFECT = "effects: [{name: cable-wrap, tracer: LT5}]\n"
+
+
+@pytest.fixture
+def shop(tmp_path: Path, metrocli: Metrocli, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A project that estimates an effect of the laboratory's own file, run once."""
+    metrocli("init", tmp_path / "shop", "--sample", "laboratory-effects")
+    monkeypatch.chdir(tmp_path / "shop")
+    job = Path("jobs/hall.yaml")
+    job.write_text(job.read_text() + EFFECT)
+    assert metrocli("run").code == 0
+    return tmp_path / "shop"
+
+
+def _will_run(metrocli: Metrocli) -> bool:
+    (job,) = json.loads(metrocli("status", "--json").out)["jobs"]
+    return not job["up_to_date"]
+
+
+def test_values_of_the_file_count_and_comments_do_not(shop: Path, metrocli: Metrocli) -> None:
+    lab = shop / "lab-effects.yaml"
+    assert not _will_run(metrocli)
+    lab.write_text("# another comment\n" + lab.read_text())
+    assert not _will_run(metrocli)
+    lab.write_text(lab.read_text().replace("adds: pull*azimuth", "adds: 2*pull*azimuth"))
+    assert _will_run(metrocli)
+    assert metrocli("run").code == 0 and not _will_run(metrocli)
+
+
+def test_a_run_with_nothing_to_do_looks_at_the_file(shop: Path, metrocli: Metrocli) -> None:
+    lab, result = shop / "lab-effects.yaml", shop / "results" / "hall.h5"
+    begun = time.time_ns() + 10**10
+    remember(shop / "metrocli.yaml", load_project(shop), begun)
+    assert unmoved_jobs(shop / "metrocli.yaml") is not None
+    before = result.read_bytes()
+    lab.write_text(lab.read_text().replace("adds: pull*azimuth", "adds: 3*pull*azimuth"))
+    assert unmoved_jobs(shop / "metrocli.yaml") is None
+    assert metrocli("run").code == 0 and result.read_bytes() != before
+
+
+def test_make_knows_the_file(shop: Path, metrocli: Metrocli) -> None:
+    assert metrocli("run", "--depfile", "deps.mk").code == 0
+    assert "lab-effects.yaml" in (shop / "deps.mk").read_text()
+
+
+def test_the_file_travels_with_its_job(shop: Path) -> None:
+    packed = pack("hall", load(shop / "jobs" / "hall.yaml"), False)
+    assert {"lab-effects.yaml", "metrocli.yaml"} <= {os.path.basename(name) for name in packed.files}
+    ((name, outcome),) = carry_out([packed])
+    assert (name, outcome.exit_code, outcome.error) == ("hall", 0, "")
