@@ -254,7 +254,11 @@ def test_faults_of_a_job_are_told(folder: Path, old: str, new: str, said: str, m
     [
         (lambda lines: [lines[0], lines[1].replace(",T", ",X"), *lines[2:]], 3, "points.csv:2: error: tool 'X"),
         (lambda lines: [lines[0].replace("mx_mm,my_mm,mz_mm", "mx_m,my_m,mz_m"), *lines[1:]], 3, "1000 times as large"),
-        (lambda lines: [lines[0].replace("mx_mm,my_mm", "my_mm,mx_mm"), *lines[1:]], 3, "two of mx, my, mz are swapped"),
+        (
+            lambda lines: [lines[0].replace("mx_mm,my_mm", "my_mm,mx_mm"), *lines[1:]],
+            3,
+            "two of mx, my, mz are swapped",
+        ),
         (
             lambda lines: [lines[0], lines[1].replace(lines[1].split(",")[4], "nan"), *lines[2:]],
             3,
