@@ -23,8 +23,8 @@ _HALVINGS = 25
 def size_found(grams: Array, ranks: Array, level: float, dof: int, wanted: float) -> float:
     """Return the size `a` at which visible forms of an effect are found with a mean power.
 
-    The power at `a` is the mean of `P(F'(r, dof - r, a^2 d'Ad) > F_level)` over all forms and over unit vectors d in
-    all directions of the q parameters. `grams` (k, q, q) has the Gram matrix A of each form, `ranks` (k,) its rank r.
+    The power at `a` is the mean of `P(F'(r, dof - r, a^2 d'Ad) > F_level)` over all forms and directions. Forms have
+    Gram matrices A, `grams` (k, q, q), and ranks r, `ranks` (k,). Directions d are unit vectors of the q parameters.
     """
     towards = directions(grams.shape[1])
     strengths = np.sqrt(np.maximum(np.einsum("da,kab,db->kd", towards, grams, towards), 0.0))
