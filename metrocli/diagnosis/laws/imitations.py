@@ -11,7 +11,7 @@ import numpy as np
 
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.laws.library import Library
-from metrocli.diagnosis.laws.search import LEVEL, Search, forward, plain_tests, tests_of_terms
+from metrocli.diagnosis.laws.search import LEVEL, Search, fits, forward, plain_tests, tests_of_terms
 from metrocli.diagnosis.linear.candidates import Family
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns
 from metrocli.diagnosis.linear.score_tests import ScoreTests
@@ -28,7 +28,9 @@ def without_imitations(job: AdjustedJob, selection: Selection) -> Selection:
     not significant beside the law, and if the law has far more evidence than they have. The evidence is
     `-n/2 ln S - q/2 ln n - sum ln m`, S the squares left, q the number of sizes, m the number of tests of each member.
     """
-    library = Library(job, selection.test_set.system) if selection.named else None
+    tests = selection.test_set
+    sought = selection.named and not tests.budget.ended and fits(tests.system)
+    library = Library(job, tests.system) if sought else None
     families = library.families() if library is not None else []
     if library is None or not families:
         return selection
@@ -36,17 +38,17 @@ def without_imitations(job: AdjustedJob, selection: Selection) -> Selection:
     names = _of_names(selection, selection.named)
     if not _could_exceed(bare, families, names):
         return selection
-    tests, start = tests_of_terms(bare, families)
-    steps = forward(Search(tests, start, library), LEVEL)
+    of_terms, start = tests_of_terms(bare, families)
+    steps = forward(Search(of_terms, start, library), LEVEL)
     if not steps:
         return selection
     columns = np.concatenate([one.columns for one in steps], axis=1)
     beside = start.with_columns(columns)
-    idle = [one for one in selection.named if _log_level(selection.test_set, one, beside) > np.log(LEVEL)]
+    idle = [one for one in selection.named if _log_level(tests, one, beside) > np.log(LEVEL)]
     kept = _reduced(selection, idle)
     fitted = kept.fitted(without=kept.unknown).with_columns(columns)
-    counted = [_count(tests, one.family) for one in steps]
-    counted += [_count(selection.test_set, one.family) for one in kept.named]
+    counted = [_count(of_terms, one.family) for one in steps]
+    counted += [_count(tests, one.family) for one in kept.named]
     scans = sum(one.term.form.scanned is not None for one in steps) + _scans(selection, kept.named)
     law = _evidence(fitted, start, counted, scans)
     return kept if idle and law > names + _FAR_MORE else selection

@@ -18,6 +18,7 @@ from metrocli.diagnosis.laws.library import Library, Term
 from metrocli.diagnosis.laws.terms import STEPS
 from metrocli.diagnosis.linear.candidates import Alternative, Family
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns, nothing_fitted
+from metrocli.diagnosis.linear.projection import System
 from metrocli.diagnosis.linear.score_tests import ScoreTests, grams_of, quadratic, score_tests_of
 from metrocli.diagnosis.selection.selection_state import Selection
 from metrocli.effects.effect import Effect, Parameter
@@ -27,6 +28,8 @@ LEVEL, _ALONE = 0.01, 0.001
 """Levels at which a term enters, counted over all that were tried: where structure is left, and where none was found"""
 _SEED = 17
 _LEAST_DOF = 5
+_MOST_ROWS = 25_000
+"""Largest number of components of readings for which laws are sought: the columns of all terms are held at once"""
 _FEW = 50
 """Fewest independent tests that any library amounts to"""
 _FINE, _ROUNDS = 25, 3
@@ -66,10 +69,12 @@ class _Step:
 def laws_in(job: AdjustedJob, selection: Selection, structured: bool) -> tuple[Law, ...]:
     """Return the laws in what the named effects and outliers of a selection leave: one for each number of terms.
 
-    The list is empty if no term is significant. The law with the largest held-out log score is chosen. `structured` is
+    The list is empty if no term is significant, if the measurement is too large or the time of the search is spent. The law with the largest held-out log score is chosen. `structured` is
     whether smooth functions show structure. If they do not, a law must be more significant, and its gain shown: it then
     is structure of its own, such as a wave that no smooth function has.
     """
+    if selection.test_set.budget.ended or not fits(selection.test_set.system):
+        return ()
     library = Library(job, selection.test_set.system)
     families = library.families()
     level = LEVEL if structured else _ALONE
@@ -88,6 +93,11 @@ def laws_in(job: AdjustedJob, selection: Selection, structured: bool) -> tuple[L
     return tuple(replace(one, chosen=one is best and one.gain.log_score > 0) for one in found)
 
 
+def fits(system: System) -> bool:
+    """Return whether a system is small enough for the columns of all terms."""
+    return system.rows <= _MOST_ROWS
+
+
 def tests_of_terms(selection: Selection, families: Sequence[Family]) -> tuple[ScoreTests, FittedColumns]:
     """Return the tests of the terms, and the fit of what was named, whose columns are the first family."""
     system = selection.test_set.system
@@ -104,6 +114,7 @@ def tests_of_terms(selection: Selection, families: Sequence[Family]) -> tuple[Sc
         scales=(kept.raw, *tests.scales),
         grams=(grams_of(kept.columns), *tests.grams),
         tests=(1.0, *tests.tests),
+        budget=selection.test_set.budget,
     )
     return tests, _start(tests, nothing_fitted(system))
 
@@ -151,10 +162,11 @@ class Search:
 def forward(search: Search, level: float = LEVEL, most: int = MOST_TERMS) -> list[_Step]:
     """Return the terms that enter: the most significant first, then those on the same quantity at the same place.
 
-    A scanned value is refined before the next term is sought, so that no term corrects the scan of another.
+    A scanned value is refined before the next term is sought, so that no term corrects the scan of another. The search
+    ends with what it has found where its time is spent.
     """
     tests, fitted, steps = search.tests, search.start, list[_Step]()
-    while len(steps) < most and fitted.dof > _LEAST_DOF:
+    while len(steps) < most and fitted.dof > _LEAST_DOF and not tests.budget.spent():
         best: tuple[float, int, Term] | None = None
         for number in range(1, len(tests.families)):
             terms = search.library.terms[number - 1]
