@@ -69,9 +69,10 @@ class _Step:
 def laws_in(job: AdjustedJob, selection: Selection, structured: bool) -> tuple[Law, ...]:
     """Return the laws in what the named effects and outliers of a selection leave: one for each number of terms.
 
-    The list is empty if no term is significant, if the measurement is too large or the time of the search is spent. The law with the largest held-out log score is chosen. `structured` is
-    whether smooth functions show structure. If they do not, a law must be more significant, and its gain shown: it then
-    is structure of its own, such as a wave that no smooth function has.
+    The list is empty if no term is significant, if the measurement is too large or the time of the search is spent. The
+    law with the largest held-out log score is chosen. `structured` is whether smooth functions show structure. If they
+    do not, a law must be more significant, and its gain shown: it then is structure of its own, such as a wave that no
+    smooth function has.
     """
     if selection.test_set.budget.ended or not fits(selection.test_set.system):
         return ()
