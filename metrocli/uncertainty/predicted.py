@@ -31,7 +31,7 @@ _SLACK = 1e-6
 
 @dataclass(frozen=True)
 class Places:
-    """Places in the frame of the result, with covariance `Q_ab = C_a K C_b'` of two and `Q_aa = C_a K C_a' + O_a` of one."""
+    """Places in the frame of the result: two have covariance `C_a K C_b'`, each has `C_a K C_a' + O_a`."""
 
     values: Array
     """(n, 3) mm"""
