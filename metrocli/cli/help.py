@@ -22,6 +22,7 @@ COMMANDS = {
     "plot": "a figure of a result (without a name: their names)",
     "report": "a result or a project as one self-contained HTML page",
     "compare": "two results: differences, E_n, one test of all",
+    "verify": "a result against independent measurements",
     "export": "a result in another format: CSV, compensation tables",
     "schema": "JSON schema of a job, for editors",
     "completion": "completion of commands and options in bash, zsh or fish",
@@ -35,6 +36,7 @@ ROOMS = {
     "plot": "look.",
     "report": "look.",
     "compare": "look.",
+    "verify": "look.",
     "completion": "shell.",
 }
 
@@ -53,6 +55,7 @@ EXAMPLES = {
     "rerun": "metrocli rerun results/tip4.h5",
     "show": "metrocli show results/tip4.h5 --table points",
     "compare": "metrocli compare results/tip3.h5 results/tip4.h5",
+    "verify": 'metrocli verify results/feed-2500.h5 data/check.csv --require "max_en < 1"',
     "plot": "metrocli plot results/tip4.h5 residuals --save residuals.svg",
     "report": "metrocli report results/tip4.h5",
     "export": "metrocli export results/tip4.h5 --to csv",

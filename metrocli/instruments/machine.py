@@ -230,7 +230,7 @@ class ErrorMotion:
         """Return d and theta, with derivatives by the two (or four) knots of each axis on which a reading depends."""
         position = np.stack([local.observations.conditions[name] for name in POSITION])
         tool = local.rows(TOOL)
-        motion, by_block = _squareness(position, local.members(SQUARENESS)[0])
+        motion, by_block = by_squareness(position, local.members(SQUARENESS)[0])
         by_tool = np.zeros((6, 3, position.shape[1]))
         for axis in self.machine.axes:
             index, weight = axis.places(position[axis.number])
@@ -242,18 +242,19 @@ class ErrorMotion:
             if TOOL in local.wanted:
                 by_tool[:3] += np.moveaxis(cross_matrix(error[3:].T), 0, -1)
             if axis.block in local.wanted:
-                by_block[axis.block] = weight[:, None] * _by_error(lever)
+                by_block[axis.block] = weight[:, None] * by_errors(lever)
         return Step(motion, by_block={**by_block, TOOL: by_tool})
 
 
-def _squareness(position: Array, values: Array) -> tuple[Array, dict[str, Array]]:
+def by_squareness(position: Array, values: Array) -> tuple[Array, dict[str, Array]]:
+    """Return the motion (6, n) that squareness (3,) gives at positions (3, n), and its derivatives, (6, 3, n)."""
     _, y, z = position
     by_value = np.zeros((6, 3, position.shape[1]))
     by_value[0, 1], by_value[0, 2], by_value[1, 0] = z, -y, -z
     return np.einsum("abn,b->an", by_value, values), {SQUARENESS: by_value}
 
 
-def _by_error(lever: Array) -> Array:
+def by_errors(lever: Array) -> Array:
     """Return the derivatives of (d, theta) by the six errors of an axis, (6, 6, n), for levers (3, n).
 
     `d = E + theta x L`.

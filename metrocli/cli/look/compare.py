@@ -2,49 +2,39 @@
 
 from __future__ import annotations
 
-import operator
-import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from metrocli.cli import options
+from metrocli.cli.console import echo
+from metrocli.cli.look import requirement
 
 if TYPE_CHECKING:
     from metrocli.record import Record
     from metrocli.uncertainty.comparison import Comparison
 
-NOT_MET = 6
-_COMPARISONS = {"<=": operator.le, ">=": operator.ge, "<": operator.lt, ">": operator.gt}
-_REQUIREMENT = re.compile(r"\s*(max_en|p_value|chi2)\s*(<=|>=|<|>)\s*([0-9.eE+-]+)\s*")
-_ROWS = 12
+FIGURES = ("max_en", "p_value", "chi2")
+"""What --require can take"""
 
 
 @click.command("compare", help="Differences of two results, with their uncertainty, E_n and one test of all.")
 @click.argument("first", type=click.Path(path_type=Path), metavar="A.h5")
 @click.argument("second", type=click.Path(path_type=Path), metavar="B.h5")
-@click.option("--require", metavar="CONDITION", help="Exit code 6 unless it is met, 'max_en < 1' or 'p_value > 0.05'.")
+@requirement.option("'max_en < 1' or 'p_value > 0.05'")
 @options.JSON
 def command(first: Path, second: Path, require: str | None, as_json: bool) -> int:
     """Print B minus A for all that both results determine; raises UsageError for a wrong condition."""
     from metrocli.cli import summary
-    from metrocli.errors import UsageError
     from metrocli.formats import hdf5
     from metrocli.uncertainty.comparison import compare
 
-    wanted = None if require is None else _REQUIREMENT.fullmatch(require)
-    if require is not None and wanted is None:
-        raise UsageError(f"--require '{require}' is not a condition: write e.g. 'max_en < 1' or 'p_value > 0.05'")
+    wanted = requirement.read(require, FIGURES)
     (one, of_one), (other, of_other) = hdf5.read(first), hdf5.read(second)
     found, shared = compare(one, other), _shared(of_one, of_other)
-    click.echo(summary.as_json(_figures(found, shared)) if as_json else _text(found, shared))
-    if wanted is None:
-        return 0
-    value = float(getattr(found, wanted[1]))
-    met = bool(_COMPARISONS[wanted[2]](value, float(wanted[3])))
-    click.echo(f"required {require}: {'met' if met else 'NOT met'} ({value:.4g})", err=True)
-    return 0 if met else NOT_MET
+    echo(summary.as_json(_figures(found, shared)) if as_json else _text(found, shared))
+    return 0 if wanted is None else wanted.exit_code(found)
 
 
 def _shared(first: Record, second: Record) -> list[str]:
@@ -67,16 +57,13 @@ def _figures(found: Comparison, shared: list[str]) -> dict[str, Any]:
 
 def _text(found: Comparison, shared: list[str]) -> str:
     from metrocli import units
-    from metrocli.cli.columns import columns_text
+    from metrocli.cli.columns import worst_rows
 
-    worst = sorted(found.compared, key=lambda one: -one.en)[:_ROWS]
     rows = [["quantity", "B - A", "E_n"]]
-    for one in worst:
+    for one in sorted(found.compared, key=lambda one: -one.en):
         name = one.name if one.group == "estimates" else f"{one.group} {one.name}"
         rows.append([name, units.format_quantity(one.difference, one.unit, one.std), f"{one.en:.2f}"])
-    lines = [columns_text(rows)]
-    if len(found.compared) > len(worst):
-        lines.append(f"... {len(found.compared) - len(worst)} more, with smaller E_n (--json has all)")
+    lines = worst_rows(rows)
     lines.append(f"{len(found.compared)} quantities, largest E_n {found.max_en:.2f}")
     lines.append(f"all together: chi2 {found.chi2:.4g} of {found.dof} degrees of freedom, p {found.p_value:.3g}")
     if shared:

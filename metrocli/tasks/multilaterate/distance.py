@@ -15,9 +15,9 @@ from metrocli.adjust.schur.covariance import Covariance
 from metrocli.errors import InputError, UsageError
 from metrocli.instruments import tracer as t
 from metrocli.result import Estimate, Result
+from metrocli.uncertainty.predicted import COMMON, CORE
 from metrocli.words import suggestion
 
-COMMON, CORE = "points_common", "points_core"
 _LARGEST = 4_000_000
 """Largest size of the factors, in numbers; results of larger networks do not hold them"""
 

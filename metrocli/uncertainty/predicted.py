@@ -1,0 +1,174 @@
+"""Places that a result predicts, with their joint covariance: reached by a calibrated machine, or listed by name."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from metrocli.errors import Fault, InputError
+from metrocli.instruments.machine import (
+    AXES,
+    SQUARENESS_NAMES,
+    Axis,
+    Machine,
+    bracket,
+    by_errors,
+    by_squareness,
+    errors_of,
+)
+from metrocli.result import Result
+from metrocli.table import Table
+from metrocli.uncertainty.comparison import ENTRIES, POINTS, TABLES, TABLES_COVARIANCE
+from metrocli.words import suggestion
+
+Array = npt.NDArray[np.float64]
+COMMON, CORE, POINTS_COVARIANCE = "points_common", "points_core", "points_covariance"
+_SLACK = 1e-6
+"""A commanded position beyond the range of an axis by less than this is rounding [mm]"""
+
+
+@dataclass(frozen=True)
+class Places:
+    """Places in the frame of the result: two have covariance `C_a K C_b'`, each has `C_a K C_a' + O_a`."""
+
+    values: Array
+    """(n, 3) mm"""
+    common: Array
+    """C (n, 3, k)"""
+    core: Array
+    """K (k, k)"""
+    own: Array
+    """O (n, 3, 3) mm^2"""
+
+
+def has_machine(result: Result) -> bool:
+    """Return whether a result has error tables with their covariance."""
+    return TABLES_COVARIANCE in result.arrays
+
+
+def has_points(result: Result) -> bool:
+    """Return whether a result has points with their covariance."""
+    return POINTS in result.tables and POINTS_COVARIANCE in result.arrays
+
+
+def reached(result: Result, commanded: Table) -> Places:
+    """Return where the tool of a calibrated machine is at commanded positions: `p + T + d(p)` of the 21 errors.
+
+    Its covariance is that of the error tables and of the tool vectors. Tables that are not determined count as zero,
+    as in the result. Raises InputError for positions outside the axes, and for tools without a prediction.
+    """
+    machine = _machine(result)
+    position = commanded.stacked(("x", "y", "z")).T
+    tools = result.tables["tools"]
+    which = _tools(tools, commanded, _outside(machine, commanded))
+    vectors = tools.stacked(("x", "y", "z"))[which]
+    by_entry = _by_entry(result.tables[ENTRIES], machine, position, vectors.T)
+    displacement = by_entry @ _values(result)
+    by_tool = np.eye(3)[None, :, None, :] * (which[:, None] == np.arange(len(tools)))[:, None, :, None]
+    common = np.concatenate([by_entry, by_tool.reshape(len(which), 3, -1)], axis=2)
+    entries, size = len(by_entry[0, 0]), common.shape[2]
+    core = np.zeros((size, size))
+    core[:entries, :entries] = result.arrays[TABLES_COVARIANCE]
+    core[entries:, entries:] = np.diag(tools.stacked(("sx", "sy", "sz")).ravel() ** 2)
+    return Places(position.T + vectors + displacement, common, core, np.zeros((len(which), 3, 3)))
+
+
+def listed(result: Result, names: Table, columns: tuple[str, ...]) -> tuple[Places, ...]:
+    """Return the points of a result that each of some columns names; raises InputError for names that it lacks."""
+    points = result.tables[POINTS]
+    known = {name: i for i, name in enumerate(points.texts("point"))}
+    faults: list[Fault] = []
+    for column in columns:
+        cells = names.texts(column)
+        missing = [row for row, name in enumerate(cells) if name not in known]
+        faults += names.faults_at(
+            missing,
+            lambda row, cells=cells, column=column: f"the result has no point '{cells[row]}' (column '{column}')",  # type: ignore[misc]
+            lambda row, cells=cells: suggestion(cells[row], known) if len(known) < 1000 else None,  # type: ignore[misc]
+        )
+    if faults:
+        raise InputError(faults)
+    common, core = result.arrays.get(COMMON), result.arrays.get(CORE)
+    if common is None or core is None:
+        common, core = np.zeros((len(known), 3, 0)), np.zeros((0, 0))
+    values, whole = points.stacked(("x", "y", "z")), np.asarray(result.arrays[POINTS_COVARIANCE])
+    own = whole - common @ core @ np.swapaxes(common, 1, 2)
+    rows = [np.array([known[name] for name in names.texts(column)], dtype=np.intp) for column in columns]
+    return tuple(Places(values[at], common[at], core, own[at]) for at in rows)
+
+
+def _machine(result: Result) -> Machine:
+    axes, entries = result.tables["axes"], result.tables[ENTRIES]
+    place = axes.numbers("place")
+    error, position = np.array(entries.texts("error")), entries.numbers("position")
+    x, y, z = (Axis(letter, position[error == f"E{letter}{letter}"]) for letter in AXES)
+    return Machine(tuple(np.argsort(place).tolist()), (x, y, z))
+
+
+def _outside(machine: Machine, commanded: Table) -> list[Fault]:
+    faults: list[Fault] = []
+    for axis in machine.axes:
+        name = axis.letter.lower()
+        at, low, high = commanded.numbers(name), float(axis.knots[0]), float(axis.knots[-1])
+        faults += commanded.faults_at(
+            np.flatnonzero((at < low - _SLACK) | (at > high + _SLACK)).tolist(),
+            lambda row, at=at, name=name: f"the commanded {name} {at[row]:g} mm is outside the calibrated axis",  # type: ignore[misc]
+            lambda row, low=low, high=high: f"expected {low:g} to {high:g} mm: leave the point out",  # type: ignore[misc]
+        )
+    return faults
+
+
+def _tools(tools: Table, commanded: Table, faults: list[Fault]) -> npt.NDArray[np.intp]:
+    """Return the number of the tool of each row; raises InputError with the faults found before and its own."""
+    names = tools.texts("tool")
+    if "tool" not in commanded and len(names) > 1:
+        hint = f"add a column 'tool' with {', '.join(names)}"
+        faults = [*faults, commanded.fault("the machine has several tools, and the points name none", hint)]
+    cells = commanded.texts("tool") if "tool" in commanded and len(names) > 1 else [names[0]] * len(commanded)
+    open_ones = {name for name, good in zip(names, tools.columns["predictable"], strict=True) if not good}
+    faults = [
+        *faults,
+        *commanded.faults_at(
+            [row for row, name in enumerate(cells) if name not in names],
+            lambda row: f"the result has no tool '{cells[row]}' (column 'tool')",
+            lambda row: suggestion(cells[row], names),
+        ),
+        *commanded.faults_at(
+            [row for row, name in enumerate(cells) if name in open_ones],
+            lambda row: f"the result does not determine the errors of tool '{cells[row]}'",
+            lambda row: f"predicted are: {', '.join(name for name in names if name not in open_ones)}",
+        ),
+    ]
+    if faults:
+        raise InputError(faults)
+    return np.array([names.index(name) for name in cells], dtype=np.intp)
+
+
+def _values(result: Result) -> Array:
+    """Return the entries of all tables; those without a value in the result are zero."""
+    listed, square = result.tables[ENTRIES], {one.name: one.value for one in result.estimates}
+    error, position = np.array(listed.texts("error")), listed.numbers("position")
+    values = np.array([square.get(name, 0.0) for name in error.tolist()])
+    for name in np.unique(error[~np.isnan(position)]).tolist():
+        if TABLES + name in result.tables:
+            values[error == name] = np.nan_to_num(result.tables[TABLES + name].numbers("value"), nan=0.0)
+    return values
+
+
+def _by_entry(entries: Table, machine: Machine, position: Array, tool: Array) -> Array:
+    """Return the derivatives of d by the entries of all tables, (n, 3, entries), at positions (3, n), tools (3, n)."""
+    error, n = np.array(entries.texts("error")), position.shape[1]
+    derivative, rows = np.zeros((n, 3, len(error))), np.arange(n)
+    for axis in machine.axes:
+        lower, share = bracket(axis.knots, position[axis.number])
+        by_error = by_errors(machine.lever(axis.number, position, tool))[:3]
+        for k, name in enumerate(errors_of(axis.letter)):
+            columns = np.flatnonzero(error == name)
+            derivative[rows, :, columns[lower]] = (by_error[:, k] * (1 - share)).T
+            derivative[rows, :, columns[lower + 1]] = (by_error[:, k] * share).T
+    by_angle = next(iter(by_squareness(position, np.zeros(3))[1].values()))[:3]
+    for k, name in enumerate(SQUARENESS_NAMES):
+        derivative[:, :, error == name] = by_angle[:, k].T[:, :, None]
+    return derivative

@@ -1,0 +1,209 @@
+"""A result held against independent measurements of points or lengths: deviations, their uncertainty, and E_n."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from metrocli.errors import InputError
+from metrocli.geometry import poses
+from metrocli.geometry.rotations import cross_matrix
+from metrocli.result import Result
+from metrocli.table import TEXT, Column, Columns, Table
+from metrocli.uncertainty import predicted
+from metrocli.uncertainty.predicted import Places
+from metrocli.units.ranges import Range, range_of
+
+Array = npt.NDArray[np.float64]
+COVERAGE = (2.0, 2.4860, 2.8329)
+"""k of one, two and three components of a deviation: the probability of k = 2, 95.45 % (JCGM 102, 6.5.3)"""
+_ROUNDING = 1e-9
+"""Share of the largest eigenvalue of a covariance below which others are rounding, and rounding of coordinates [mm]"""
+_FLAT = 1e-6
+"""Points whose spread across a line is below this share of their length lie on it"""
+
+_SIGMA = Range(0.0, range_of("length").high)
+_PLACE = tuple(Column(name, "length") for name in ("x", "y", "z"))
+_MEASURED = tuple(Column(name, "length") for name in ("mx", "my", "mz"))
+_SPREAD = Column("sigma", "length", required=False, allowed=_SIGMA)
+COMMANDED = Columns(
+    (Column("point", TEXT), *_PLACE, *_MEASURED, _SPREAD, Column("tool", TEXT, required=False)),
+    ("point",),
+    "commanded points, and where an independent instrument measured them",
+)
+MEASURED = Columns((Column("point", TEXT), *_PLACE, _SPREAD), ("point",), "points measured independently")
+LENGTHS = Columns(
+    (
+        Column("from", TEXT),
+        Column("to", TEXT),
+        Column("length", "length", allowed=_SIGMA),
+        Column("sigma", "length", allowed=_SIGMA),
+    ),
+    ("from", "to"),
+    "lengths between points of the result",
+)
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """One independent measurement against the prediction, in mm."""
+
+    name: str
+    """The point; both ends of a length"""
+    value: float
+    """Measured minus predicted length; for a point the length of `vector`"""
+    expanded: float
+    """U: how large the deviation in its direction may be, with 95.45 % probability; k = 2 for a length"""
+    en: float
+    vector: tuple[float, ...] = ()
+    """Measured minus predicted coordinates of a point, in the frame of the result"""
+
+
+@dataclass(frozen=True)
+class Verification:
+    """All deviations of a result from independent measurements."""
+
+    deviations: tuple[Deviation, ...]
+
+    @property
+    def mean(self) -> float:
+        """Mean of the deviations: with sign for lengths, mean distance for points [mm]."""
+        return float(np.mean(self._values))
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of the deviations [mm]."""
+        return float(np.sqrt(np.mean(self._values**2)))
+
+    @property
+    def largest(self) -> float:
+        """Largest absolute deviation [mm]."""
+        return float(np.abs(self._values).max())
+
+    @property
+    def inside(self) -> float:
+        """Share of the deviations within their expanded uncertainty, 0 to 1."""
+        return float(np.mean([one.en <= 1.0 for one in self.deviations]))
+
+    @property
+    def max_en(self) -> float:
+        """Largest E_n."""
+        return max(one.en for one in self.deviations)
+
+    @property
+    def _values(self) -> Array:
+        return np.array([one.value for one in self.deviations])
+
+
+def columns_for(result: Result, header: Collection[str]) -> Columns:
+    """Return what a file with this header is read as; raises InputError if the result predicts nothing like it."""
+    lengths = bool({"from", "to"} & set(header))
+    if predicted.has_points(result):
+        return LENGTHS if lengths else MEASURED
+    if not predicted.has_machine(result):
+        raise InputError(
+            f"this result of {result.kind} predicts neither points nor a machine's errors, so nothing can be held "
+            "against it: verify takes results of calibrate-machine, and those with a table of points and its "
+            "covariance (multilaterate, calibrate-camera with `rig: network`)"
+        )
+    if lengths:
+        raise InputError(
+            "a result of calibrate-machine has no named points, so it predicts no length between them: give commanded "
+            "and measured points, point,x_mm,y_mm,z_mm,mx_mm,my_mm,mz_mm"
+        )
+    return COMMANDED
+
+
+def verify(result: Result, check: Table, aligned: bool = False) -> Verification:
+    """Return the deviations of measurements, read by `columns_for`, from what a result predicts.
+
+    Points are laid onto the prediction by the shift and turn of least squares, unless they are `aligned` with it.
+    Raises InputError for rows without a prediction, and for points that are too few to be laid.
+    """
+    if not len(check):
+        raise InputError([check.fault("the file has no rows", "give at least one measurement")])
+    if "length" in check:
+        return Verification(_lengths(check, *predicted.listed(result, check, ("from", "to"))))
+    if "mx" in check:
+        places, measured = predicted.reached(result, check), check.stacked(("mx", "my", "mz"))
+    else:
+        (places,), measured = predicted.listed(result, check, ("point",)), check.stacked(("x", "y", "z"))
+    own = places.own + (check.numbers("sigma", 0.0) ** 2)[:, None, None] * np.eye(3)
+    if aligned:
+        covariance = places.common @ places.core @ np.swapaxes(places.common, 1, 2) + own
+    else:
+        measured = _laid(check, measured, places.values)
+        covariance = _after_fit(places, own)
+    return Verification(_points(check.texts("point"), measured - places.values, covariance))
+
+
+def _laid(check: Table, measured: Array, onto: Array) -> Array:
+    """Return measured points (n, 3) after the shift and turn that bring them nearest to others."""
+    for points in (measured, onto):
+        spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+        if len(points) < 3 or spread[1] <= _FLAT * spread[0]:
+            found = f"{len(points)} points" if len(points) < 3 else "the points lie on one line, which"
+            hint = "expected three points off one line; `--aligned` takes points in the frame of the result"
+            raise InputError([check.fault(f"{found} cannot be laid onto the prediction", hint)])
+    return poses.apply(poses.fit_pose(measured, onto), measured)
+
+
+def _after_fit(places: Places, own: Array) -> Array:
+    """Return the covariance of each deviation after the fit of shift and turn, (n, 3, 3).
+
+    `P Q P`, P = I - B B' with B (3n, 6) an orthonormal basis of the small motions of all points; only its blocks of
+    single points are computed. `own` is O with the variances of the measurement.
+    """
+    n = len(own)
+    centred = places.values - places.values.mean(axis=0)
+    motions = np.zeros((n, 3, 6))
+    motions[:, :, :3], motions[:, :, 3:] = np.eye(3), cross_matrix(centred) / np.abs(centred).max()
+    basis = np.linalg.qr(motions.reshape(-1, 6))[0].reshape(n, 3, 6)
+    common = places.common - basis @ np.einsum("nia,nik->ak", basis, places.common)
+    moved = own @ basis
+    fitted = basis @ np.einsum("nia,nib->ab", basis, moved)
+    crossed = moved @ np.swapaxes(basis, 1, 2)
+    left = own - crossed - np.swapaxes(crossed, 1, 2) + fitted @ np.swapaxes(basis, 1, 2)
+    return np.asarray(common @ places.core @ np.swapaxes(common, 1, 2) + left)
+
+
+def _points(names: list[str], vectors: Array, covariance: Array) -> tuple[Deviation, ...]:
+    """Return the deviations of points: `E_n^2 = v' Q^+ v / k^2` with the k of the rank of Q, and `U = |v| / E_n`.
+
+    A part of v in a direction without uncertainty, beyond rounding, gives an infinite E_n and U = 0.
+    """
+    values, axes = np.linalg.eigh(covariance)
+    kept = values > np.maximum(_ROUNDING * values[:, -1:], 0.0)
+    parts = np.einsum("nia,ni->na", axes, vectors)
+    k = np.array([COVERAGE[0], *COVERAGE])[kept.sum(axis=1)]
+    scores = np.where(kept, parts, 0.0) / np.sqrt(np.where(kept, values, 1.0))
+    en = np.linalg.norm(scores, axis=1) / k
+    en[np.linalg.norm(np.where(kept, 0.0, parts), axis=1) > _ROUNDING] = np.inf
+    sizes = np.linalg.norm(vectors, axis=1)
+    widest = k * np.sqrt(np.maximum(values[:, -1], 0.0))
+    expanded = np.where(en > 0, sizes / np.where(en > 0, en, 1.0), widest)
+    rows = zip(names, sizes.tolist(), expanded.tolist(), en.tolist(), vectors.tolist(), strict=True)
+    return tuple(Deviation(name, size, big, one, tuple(vector)) for name, size, big, one, vector in rows)
+
+
+def _lengths(check: Table, first: Places, second: Places) -> tuple[Deviation, ...]:
+    """Return the deviations of lengths, `U = 2 sqrt(e' (Q_aa + Q_bb - Q_ab - Q_ba) e + sigma^2)`, e the direction."""
+    ends = list(zip(check.texts("from"), check.texts("to"), strict=True))
+    same = [row for row, (one, other) in enumerate(ends) if one == other]
+    if same:
+        raise InputError(check.faults_at(same, lambda row: f"the length is from '{ends[row][0]}' to itself"))
+    away = second.values - first.values
+    length = np.linalg.norm(away, axis=1)
+    along = away / np.where(length > 0, length, 1.0)[:, None]
+    shared = np.einsum("ni,nik->nk", along, second.common - first.common)
+    variance = np.einsum("nk,kl,nl->n", shared, first.core, shared)
+    variance += np.einsum("ni,nij,nj->n", along, first.own + second.own, along)
+    expanded = COVERAGE[0] * np.sqrt(np.maximum(variance, 0.0) + check.numbers("sigma") ** 2)
+    deviation = check.numbers("length") - length
+    without = np.where(np.abs(deviation) > _ROUNDING, np.inf, 0.0)
+    en = np.where(expanded > 0, np.abs(deviation) / np.where(expanded > 0, expanded, 1.0), without)
+    rows = zip(ends, deviation.tolist(), expanded.tolist(), en.tolist(), strict=True)
+    return tuple(Deviation(f"{one} - {other}", *figures) for (one, other), *figures in rows)
