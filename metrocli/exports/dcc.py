@@ -66,16 +66,17 @@ def files(result: Result, record: Record) -> Exported:
 
 def _missing(record: Record) -> Iterator[Fault]:
     """Yield a fault for each key that the certificate needs and the job lacks, and for references that it has not."""
-    stated, place = record.certificate, f"certificate: of {record.job_file or 'the job'}"
+    stated, job = record.certificate, f"in the job {record.job_file}".strip()
     for path in _REQUIRED:
         first, _, second = path.partition(".")
         if not (stated.get(first, {}).get(second) if second else stated.get(first)):
-            yield Fault(f"{place}: {': '.join(path.split('.'))} is missing", hint="add it and run the job again")
+            name = ": ".join(path.split("."))
+            yield Fault(f"certificate: {name} is missing {job}", hint="add it and run the job again")
     paths = [one.path for one in record.inputs]
     for name in stated.get("references", {}):
         if name not in paths and _FILE.fullmatch(name):
             hint = f"its inputs are: {', '.join(paths)}" if paths else "it has no inputs; name the standard"
-            yield Fault(f"{place}: references: {name} is no input of the result", hint=hint)
+            yield Fault(f"certificate: references: {name} is no input of the result", hint=hint)
 
 
 def _administrative(to: ET.Element, result: Result, record: Record) -> None:
