@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
 
 DONE, DOUBTFUL, UNMET = "done", "doubtful", "requirements not met"
 """The status of a result; other jobs and exports use one that is done"""
@@ -60,6 +62,14 @@ class Record:
     """Digest of the result, equal for results that come out the same."""
     job_file: str = ""
     """The job file relative to the folder of the result, with forward slashes."""
+    certificate: Mapping[str, Any] = field(default_factory=dict)
+    """What the job states for a certificate (`certificate:`): texts, and mappings of texts, by key."""
+
+    def references(self) -> list[tuple[str, str]]:
+        """Return what the result rests on, with certificate numbers: its inputs, then standards that are no files."""
+        stated: Mapping[str, str] = self.certificate.get("references", {})
+        paths = [one.path for one in self.inputs]
+        return [(name, stated.get(name, "")) for name in (*paths, *(one for one in stated if one not in paths))]
 
     @property
     def status(self) -> str:

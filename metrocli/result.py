@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 Scalar = float | int | str | bool
 SCALE = "scale"
 """Dimension of an estimate that is a factor about 1: reports also show its difference from 1"""
+K = 2.0
+"""Coverage factor of expanded uncertainties where the result states no other"""
 
 
 @dataclass(frozen=True)
@@ -71,3 +73,10 @@ class Result:
     """Distance of places from where the files list them, relative to what is plausible; not written to the file."""
     made_from: tuple[InputFile, ...] = ()
     """For a result that is the input of another job: its own file, and the files it was made from."""
+
+    def expanded(self, estimate: Estimate) -> tuple[float, float]:
+        """Return the expanded uncertainty and its k: those that the result states, else two standard uncertainties."""
+        details = self.details.get(estimate.name, {})
+        if "U" in details:
+            return float(details["U"]), float(details.get("k", K))
+        return K * estimate.std, K

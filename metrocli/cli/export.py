@@ -46,7 +46,7 @@ def command(
         raise InputError([Fault(f"not fit for use ({record.status}): {reasons}", str(result), hint=hint)])
     found = replace(found, doubts=record.reasons)
     contents = {}
-    for name, content in export(form, found).items():
+    for name, content in export(form, found, record).items():
         path = inside(out, name) if out is not None else inside(result.parent, f"{result.stem}.{name}")
         contents[path] = (csv.to_text(content) if isinstance(content, Table) else content).encode()
     written = list(write_all(contents, force))

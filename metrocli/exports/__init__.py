@@ -8,6 +8,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from metrocli.record import Record
     from metrocli.result import Result
     from metrocli.table import Table
 
@@ -21,6 +22,8 @@ class Format:
 
     module: str
     summary: str
+    recorded: bool = False
+    """Whether the files also state what the record of the result holds: job, inputs, certificate"""
 
 
 FORMATS: dict[str, Format] = {
@@ -32,14 +35,15 @@ FORMATS: dict[str, Format] = {
     "linuxcnc": Format("metrocli.exports.linuxcnc", "COMP_FILE of each joint"),
     "isg-csv": Format("metrocli.exports.isg_csv", "volumetric compensation of ISG and Beckhoff"),
     "etalon": Format("metrocli.exports.etalon", "Etalon exchange format"),
+    "dcc": Format("metrocli.exports.dcc", "Digital Calibration Certificate of PTB (XML)", recorded=True),
 }
 
 
-def export(name: str, result: Result) -> Exported:
+def export(name: str, result: Result, record: Record | None = None) -> Exported:
     """Return the files of a result in a format; raises InputError if the result has nothing to export in it.
 
     Beside the files of a result with doubts, a text states them.
     """
-    files: Callable[[Result], Exported] = import_module(FORMATS[name].module).files
+    files: Callable[..., Exported] = import_module(FORMATS[name].module).files
     doubts = {"doubtful.txt": "\n".join([*result.doubts, ""])} if result.doubts else {}
-    return {**files(result), **doubts}
+    return {**(files(result, record) if FORMATS[name].recorded else files(result)), **doubts}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from typing import Any
 
@@ -16,7 +17,10 @@ from metrocli.record import Record, Verdict
 from metrocli.result import SCALE, Estimate, Result, ShownTable
 from metrocli.table import Table
 
-_OWN = ("job", "inputs", "parameters", "covariance", "statistics", "requirements", "warnings", "notes", "doubts")
+_OWN = ("job", "inputs", "parameters", "covariance", "statistics", "requirements", "warnings", "notes", "doubts",
+        "certificate")  # fmt: skip
+_PARTS = ("laboratory", "customer", "item", "references")
+"""Keys of a certificate that hold texts by name"""
 _MOST_OBJECTS, _MOST_TEXTS, _DEEPEST = 100_000, 100_000, 8
 
 
@@ -144,11 +148,21 @@ def _read_record(file: h5py.File, label: Label) -> Record:
         meaning=label.meaning,
         content=label.content,
         job_file=label.job_file,
+        certificate=_certificate(file),
     )
     listed = [(row["path"], row["sha256"]) for row in _rows(file["inputs"])]
     if listed != [(one.path, one.sha256) for one in label.inputs]:
         raise ValueError("the inputs of the label are not those of the file")
     return record
+
+
+def _certificate(file: h5py.File) -> dict[str, Any]:
+    """Return what the job states for a certificate; raise TypeError if a key holds what no job states there."""
+    found: dict[str, Any] = json.loads(file["certificate"].asstr()[()]) if "certificate" in file else {}
+    parts = [one if name in _PARTS and isinstance(one, dict) else {name: one} for name, one in found.items()]
+    if not all(isinstance(text, str) and name not in _PARTS for part in parts for name, text in part.items()):
+        raise TypeError("the certificate holds what no job states")
+    return found
 
 
 def _verdict(name: str, condition: str, value: float, unit: str, met: bool) -> Verdict:

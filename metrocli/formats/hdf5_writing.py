@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
@@ -39,6 +40,8 @@ def _write_all(file: h5py.File, result: Result, record: Record) -> None:
     for name, value in attributes.items():
         file.attrs[name] = value
     _write_texts(file, "job", record.job_text)
+    if record.certificate:
+        _write_texts(file, "certificate", json.dumps(record.certificate, ensure_ascii=False))
     columns = ("path", "sha256", "bytes", "content")
     _write_table(file, "inputs", _table_of([asdict(item) for item in record.inputs], columns))
     _write_table(file, "parameters", _table_of([asdict(e) for e in result.estimates], ("name", "value", "std", "unit")))

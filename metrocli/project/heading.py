@@ -15,6 +15,7 @@ from metrocli.project.campaign import ForEach
 from metrocli.project.ranges import Ranges
 from metrocli.project.requirements import Requirement, Requirements
 from metrocli.settings import BAD, Schema, Section, Text, path_beside, setting
+from metrocli.settings.certificate import Certificate
 from metrocli.words import suggestion
 
 FORMAT_VERSION = "1"
@@ -148,4 +149,7 @@ class Heading:
     ranges: Mapping[str, Node] = setting(Ranges(), "largest values of columns in CSV files, by name", default={})
     require: tuple[Requirement, ...] = setting(Requirements(), "acceptance criteria", default=())
     parts: Node | None = setting(ForEach(), "one result for each part of a list", default=None, key="for")
+    certificate: Certificate | None = setting(
+        Section(Certificate), "laboratory, customer, item: what a certificate states", default=None
+    )
     output: Path | None = setting(_Output(), "result file, relative to the job file", default=None)

@@ -32,7 +32,7 @@ def of_job(job: JobFile) -> str:
     The content of the inputs is not part of it, but their names are: of images the pattern.
     """
     apart = ("effects", "effects_from", "output", "parts")
-    heading = {name: value for name, value in _named(job.heading) if name not in apart}
+    heading = {name: value for name, value in _named(job.heading) if name not in apart and value is not None}
     effects = [(one.name, [form.by for form in one.forms], one.where, one.values, one.std) for one in job.effects]
     output = os.path.relpath(job.output, job.folder)
     images = [item.node for item in job.inputs if isinstance(item.value, tuple)]

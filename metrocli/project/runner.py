@@ -93,7 +93,11 @@ def compute(
     verdicts = _verdicts(file, result)
     doubts = doubts_of(result, verdicts, strict)
     place = Path(os.path.relpath(file.file, file.output.parent)).as_posix()
-    record = Record(file.text, files, __version__, created, verdicts, doubts, meaning.of_job(file), job_file=place)
+    certificate = file.heading.certificate.stated() if file.heading.certificate is not None else {}
+    record = Record(
+        file.text, files, __version__, created, verdicts, doubts, meaning.of_job(file), job_file=place,
+        certificate=certificate,
+    )  # fmt: skip
     return result, replace(record, content=meaning.of_result(result, record))
 
 

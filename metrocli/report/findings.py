@@ -14,24 +14,14 @@ from metrocli.plots.readings import residuals_of
 from metrocli.record import DONE, DOUBTFUL
 from metrocli.report.content import Content
 from metrocli.report.html import Html, tag
-from metrocli.result import SCALE, Estimate, Result
+from metrocli.result import SCALE, Estimate, K, Result
 
-K = 2.0
-"""Coverage factor of expanded uncertainties where the result states no other"""
 _CLEAN = ("clean", "explained")
-
-
-def expanded(result: Result, estimate: Estimate) -> tuple[float, float]:
-    """Return the expanded uncertainty and its k: those that the result states, else two standard uncertainties."""
-    details = result.details.get(estimate.name, {})
-    if "U" in details:
-        return float(details["U"]), float(details.get("k", K))
-    return K * estimate.std, K
 
 
 def row_of(result: Result, estimate: Estimate) -> tuple[str, str, str, str]:
     """Return name, value, U and unit of an estimate: U to two digits, the value to the same decimals."""
-    spread, _ = expanded(result, estimate)
+    spread, _ = result.expanded(estimate)
     size, unit = 1.0, "" if estimate.unit == "1" else estimate.unit
     if estimate.dimension and estimate.dimension != SCALE and np.isfinite(spread) and spread > 0:
         _, unit = units.readable(spread, estimate.dimension)

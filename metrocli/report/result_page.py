@@ -6,10 +6,11 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from metrocli.report.content import Content
-from metrocli.report.findings import K, diagnosed, expanded, next_step, row_of, verdict, worst
+from metrocli.report.findings import diagnosed, next_step, row_of, verdict, worst
 from metrocli.report.html import EMPTY, Html, joined, listed, table, tag
 from metrocli.report.look import page
 from metrocli.report.pictures import shown
+from metrocli.result import K
 from metrocli.words import listed as listed_words
 
 _FIRST = 12
@@ -47,7 +48,7 @@ def _estimates(content: Content) -> Html:
     result = content.result
     if not result.estimates:
         return EMPTY
-    factors = {expanded(result, one)[1] for one in result.estimates}
+    factors = {result.expanded(one)[1] for one in result.estimates}
     k = f"k = {factors.pop():.3g}" if len(factors) == 1 else "k in the result"
     head = ("estimate", "value", f"U ({k if factors or k else K})", "unit")
     rows = [row_of(result, one) for one in result.estimates]
@@ -115,7 +116,10 @@ def _traceability(content: Content) -> Iterator[str]:
     files = [one.path for one in content.record.inputs]
     if files:
         yield f"The result rests on {listed_words(files)}, whose digests are below."
-    yield "Certificate numbers of reference standards are not recorded with it: add them where this page is filed."
+    numbers = [f"{name}: certificate {number}" for name, number in content.record.references() if number]
+    yield from numbers
+    if not numbers:
+        yield "Certificate numbers of references are not recorded: state them in certificate: references: of the job."
     table_of = content.result.tables.get("not_controlled")
     if table_of is not None and len(table_of):
         names = ", ".join(table_of.texts("effect"))

@@ -200,3 +200,20 @@ def test_covariances_of_what_is_not_determined_are_left_out(tmp_path: Path) -> N
     covariance[:2, :2] = RESULT.covariance
     hdf5.write(tmp_path / "r.h5", dataclasses.replace(RESULT, estimates=estimates, covariance=covariance), RECORD)
     assert hdf5.read(tmp_path / "r.h5")[0].estimates == estimates
+
+
+@pytest.mark.parametrize("text", ["[]", '{"number": 1}', '{"laboratory": "L"}', '{"item": {"name": ["x"]}}', "{"])
+def test_a_certificate_holds_texts_only(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "r.h5"
+    stated = {"number": "1", "item": {"name": "Prüfling"}, "references": {"a/b.csv": "2"}}
+    hdf5.write(path, RESULT, dataclasses.replace(RECORD, certificate=stated))
+    found, record = hdf5.read(path)
+    assert record.certificate == stated and "certificate" not in found.arrays
+
+    def change(file: h5py.File) -> None:
+        del file["certificate"]
+        file.create_dataset("certificate", data=text, dtype=h5py.string_dtype("utf-8"))
+
+    resealed(path, change)
+    with pytest.raises(InputError, match="damaged"):
+        hdf5.read(path)

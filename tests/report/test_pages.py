@@ -190,7 +190,10 @@ def test_figures_follow_the_theme_of_the_page() -> None:
 def test_traceability() -> None:
     text = page_of(lens()).text
     assert "The result rests on a.csv, whose digests are below." in text
-    assert "Certificate numbers of reference standards are not recorded" in text
+    assert "Certificate numbers of references are not recorded" in text
+    stated = replace(RECORD, certificate={"references": {"a.csv": "PTB-1"}})
+    text = Page(result_page(Content(lens(), stated, "r.h5"))).text
+    assert "a.csv: certificate PTB-1" in text and "not recorded" not in text
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,290 @@
+"""The Digital Calibration Certificate (DCC) of PTB, schema 3.3.0, https://ptb.de/dcc: a certificate as XML.
+
+The elements and their order are those of dcc.xsd. The same result gives the same bytes.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+from xml.etree import ElementTree as ET
+
+import numpy as np
+
+from metrocli.errors import Fault, InputError
+from metrocli.exports import Exported, dsi
+from metrocli.record import Record
+from metrocli.result import Estimate, K, Result
+from metrocli.table import Table
+
+DCC, SCHEMA = "https://ptb.de/dcc", "3.3.0"
+_XSI = "http://www.w3.org/2001/XMLSchema-instance"
+_REQUIRED = (
+    "number", "laboratory.name", "laboratory.city", "laboratory.country", "customer.name", "customer.city",
+    "item.name", "item.serial", "person", "begin", "end", "issued",
+)  # fmt: skip
+_CURVES, _POSITIONS = "tables/", ("position",)
+"""The group of a machine's curves of errors, and their columns without uncertainty"""
+_FILE = re.compile(r".*/.*|.*\.[A-Za-z][A-Za-z0-9]{1,4}")
+_NO_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+_ADDRESS = {"street": "street", "post_code": "postCode", "city": "city", "country": "countryCode"}
+
+
+def files(result: Result, record: Record) -> Exported:
+    """Return the certificate of a result as `dcc.xml`.
+
+    Raises InputError with all keys that `certificate:` of the job lacks, and all units that D-SI does not have.
+    """
+    tables = _certified(result)
+    known = [one for one in result.estimates if np.isfinite([one.value, *result.expanded(one)]).all()]
+    symbols = [one.unit for one in known]
+    symbols += [table.units.get(name) or "1" for table in tables.values() for name in (*_pairs(table), *_places(table))]
+    faults = [*_missing(record), *dsi.without_notation(symbols)]
+    if not known and not tables:
+        faults.append(Fault("the result has no estimate and no table with uncertainties to certify"))
+    if faults:
+        raise InputError(faults)
+    root = ET.Element(f"{{{DCC}}}digitalCalibrationCertificate", {"schemaVersion": SCHEMA})
+    root.set(f"{{{_XSI}}}schemaLocation", f"{DCC} {DCC}/v{SCHEMA}/dcc.xsd")
+    _administrative(_add(root, "administrativeData"), result, record)
+    measured = _add(root, "measurementResults")
+    _standards(measured, record)
+    one = _add(measured, "measurementResult")
+    _named(one, "name", result.title or result.kind)
+    _named(_add(_add(one, "usedMethods"), "usedMethod"), "name", f"metrocli {result.kind}")
+    results = _add(one, "results")
+    if known:
+        data = _result(results, "Estimates", _left_out(result.estimates, known))
+        for estimate in known:
+            _estimate(data, result, estimate)
+    for name, table in tables.items():
+        _table(results, result, name, table)
+    return {"dcc.xml": _text_of(root)}
+
+
+def _missing(record: Record) -> Iterator[Fault]:
+    """Yield a fault for each key that the certificate needs and the job lacks, and for references that it has not."""
+    stated, job = record.certificate, f"in the job {record.job_file}".strip()
+    for path in _REQUIRED:
+        first, _, second = path.partition(".")
+        if not (stated.get(first, {}).get(second) if second else stated.get(first)):
+            name = ": ".join(path.split("."))
+            yield Fault(f"certificate: {name} is missing {job}", hint="add it and run the job again")
+    paths = [one.path for one in record.inputs]
+    for name in stated.get("references", {}):
+        if name not in paths and _FILE.fullmatch(name):
+            hint = f"its inputs are: {', '.join(paths)}" if paths else "it has no inputs; name the standard"
+            yield Fault(f"certificate: references: {name} is no input of the result", hint=hint)
+
+
+def _administrative(to: ET.Element, result: Result, record: Record) -> None:
+    """Add who calibrated what for whom."""
+    stated = record.certificate
+    software = _add(_add(to, "dccSoftware"), "software")
+    _named(software, "name", "metrocli")
+    _add(software, "release", record.metrocli_version)
+    _add(software, "type", "application")
+    core = _add(to, "coreData")
+    _add(core, "countryCodeISO3166_1", stated["laboratory"]["country"])
+    _add(core, "usedLangCodeISO639_1", "en")
+    _add(core, "mandatoryLangCodeISO639_1", "en")
+    _add(core, "uniqueIdentifier", stated["number"])
+    _identified(core, [("calibrationLaboratory", stated.get("order"), "order number")])
+    if "received" in stated:
+        _add(core, "receiptDate", stated["received"])
+    _add(core, "beginPerformanceDate", stated["begin"])
+    _add(core, "endPerformanceDate", stated["end"])
+    _add(core, "performanceLocation", stated["place"])
+    _add(core, "issueDate", stated["issued"])
+    _item(_add(_add(to, "items"), "item"), stated["item"])
+    laboratory = _add(to, "calibrationLaboratory")
+    if "code" in stated["laboratory"]:
+        _add(laboratory, "calibrationLaboratoryCode", stated["laboratory"]["code"])
+    _contact(_add(laboratory, "contact"), stated["laboratory"])
+    person = _add(_add(to, "respPersons"), "respPerson")
+    _named(_add(person, "person"), "name", stated["person"])
+    _add(person, "mainSigner", "true")
+    _contact(_add(to, "customer"), stated["customer"])
+    statements = _add(to, "statements")
+    for name, lines in _statements(result, record):
+        statement = _add(statements, "statement")
+        _named(statement, "name", name)
+        _named(statement, "declaration", *lines)
+
+
+def _item(to: ET.Element, item: Mapping[str, str]) -> None:
+    _named(to, "name", item["name"])
+    if "manufacturer" in item:
+        _named(_add(to, "manufacturer"), "name", item["manufacturer"])
+    if "model" in item:
+        _add(to, "model", item["model"])
+    numbers = (("manufacturer", item["serial"], "serial number"), ("owner", item.get("inventory"), "inventory number"))
+    _identified(to, numbers)
+
+
+def _contact(to: ET.Element, contact: Mapping[str, str]) -> None:
+    _named(to, "name", contact["name"])
+    if "email" in contact:
+        _add(to, "eMail", contact["email"])
+    location = _add(to, "location")
+    for key, name in _ADDRESS.items():
+        if key in contact:
+            _add(location, name, contact[key])
+
+
+def _identified(to: ET.Element, numbers: Sequence[tuple[str, str | None, str]]) -> None:
+    """Add numbers that identify something, each with its issuer and what it is; none if there are none."""
+    given = [one for one in numbers if one[1]]
+    held = _add(to, "identifications") if given else to
+    for issuer, value, name in given:
+        one = _add(held, "identification")
+        _add(one, "issuer", issuer)
+        _add(one, "value", value)
+        _named(one, "name", name)
+
+
+def _statements(result: Result, record: Record) -> Iterator[tuple[str, list[str]]]:
+    """Yield name and lines of each statement: traceability, uncertainty, what was required, and what forbids use."""
+    numbers = {name: number or "not given" for name, number in record.references()}
+    digests = {one.path: f"; SHA-256 {one.sha256}" for one in record.inputs}
+    rests = [f"{name}: certificate {number}{digests.get(name, '')}" for name, number in numbers.items()]
+    yield "Traceability", ["The result rests on these references.", *rests] if rests else ["The job states all values."]
+    yield (
+        "Measurement uncertainty",
+        [
+            "The uncertainties are expanded by the coverage factor k that is stated with each (GUM).",
+            "They follow from the declared inputs and noise, not from errors that no reading checks.",
+        ],
+    )
+    if record.verdicts:
+        yield "Acceptance criteria", [str(one) for one in record.verdicts]
+    if result.warnings:
+        yield "Warnings", list(result.warnings)
+    if result.doubts:
+        yield "Not fit for use", list(result.doubts)
+
+
+def _standards(to: ET.Element, record: Record) -> None:
+    """Add each reference that has a certificate, with its number."""
+    numbered = [(name, number) for name, number in record.references() if number]
+    held = _add(to, "measuringEquipments") if numbered else to
+    for name, number in numbered:
+        one = _add(held, "measuringEquipment")
+        _named(one, "name", name)
+        _identified(one, [("other", number, "certificate number")])
+
+
+def _left_out(estimates: Sequence[Estimate], known: Sequence[Estimate]) -> str:
+    names = [one.name for one in estimates if one not in known]
+    return f"Not determined, so not certified: {', '.join(names)}." if names else ""
+
+
+def _result(to: ET.Element, name: str, remark: str) -> ET.Element:
+    """Add a result and return where its data go."""
+    one = _add(to, "result")
+    _named(one, "name", name)
+    if remark:
+        _named(one, "description", remark)
+    return _add(one, "data")
+
+
+def _estimate(to: ET.Element, result: Result, estimate: Estimate) -> None:
+    spread, k = result.expanded(estimate)
+    quantity = _add(to, "quantity")
+    _named(quantity, "name", estimate.name)
+    dsi.real(quantity, estimate.value, estimate.unit, spread, k, _probability(result, k, estimate.name))
+    _pixels(quantity, estimate.unit)
+
+
+def _probability(result: Result, k: float, name: str = "") -> float:
+    """Return the coverage probability: the stated one, else that of k for normal errors.
+
+    Where the noise was estimated it is that of Student's distribution with the degrees of freedom (GUM G.3).
+    """
+    from scipy import stats
+
+    stated = result.details.get(name, {}).get("probability")
+    if stated is not None:
+        return float(stated)
+    dof = result.statistics.get("dof")
+    estimated = "noise_estimated" in result.statistics and isinstance(dof, int | float) and dof > 0
+    return float(1 - 2 * stats.t.sf(k, dof if estimated else np.inf))
+
+
+def _certified(result: Result) -> dict[str, Table]:
+    """Return the tables to certify by name: the first shown one with standard uncertainties, and curves of errors.
+
+    Their rows are those in which every value and its uncertainty are determined.
+    """
+    shown = ((one.name, result.tables[one.name]) for one in result.shown if one.name in result.tables)
+    first = next(((name, table) for name, table in shown if _pairs(table)), None)
+    curves = [(name, table) for name, table in result.tables.items() if name.startswith(_CURVES) and _pairs(table)]
+    whole = ((name, _whole(table)) for name, table in ([first] if first else []) + curves)
+    return {name: table for name, table in whole if len(table)}
+
+
+def _whole(table: Table) -> Table:
+    pairs = _pairs(table)
+    rows = np.isfinite(table.stacked([*pairs, *pairs.values()])).all(axis=1)
+    return replace(table, columns={name: column[rows] for name, column in table.columns.items()}, lines=())
+
+
+def _pairs(table: Table) -> dict[str, str]:
+    """Return the columns that have standard uncertainties, with the column of these: `sx` or `s_x` of `x`."""
+    known = {name: ["std"] if name == "value" else [f"s_{name}", f"s{name}"] for name in table}
+    return {name: std for name, stds in known.items() for std in stds if std in table}
+
+
+def _places(table: Table) -> list[str]:
+    """Return the columns that place a row and have no uncertainty."""
+    return [name for name in _POSITIONS if name in table]
+
+
+def _table(to: ET.Element, result: Result, name: str, table: Table) -> None:
+    """Add a table as a list of columns."""
+    lacking = len(result.tables[name]) - len(table)
+    remark = f"Not determined, so not certified: {lacking} of {len(result.tables[name])} rows." if lacking else ""
+    held = _add(_result(to, name, remark), "list")
+    for key in (one for one in table if table.columns[one].dtype.kind == "U"):
+        cells = [re.sub(r"\s+", "_", cell.strip()) or "-" for cell in table.texts(key)]
+        quantity = _add(held, "quantity")
+        _named(quantity, "name", key)
+        _add(quantity, "charsXMLList", " ".join(cells))
+    pairs, probability = _pairs(table), _probability(result, K)
+    for column in (*_places(table), *pairs):
+        quantity = _add(held, "quantity")
+        _named(quantity, "name", column)
+        unit, spreads = table.units.get(column) or "1", K * table.numbers(pairs[column]) if column in pairs else None
+        dsi.real_list(quantity, table.numbers(column), unit, spreads, K, probability)
+        _pixels(quantity, unit)
+
+
+def _pixels(to: ET.Element, unit: str) -> None:
+    """Add the definition of the unit of images to a quantity that has it."""
+    if dsi.PIXEL in re.findall("[a-z]+", unit):
+        data = _add(_add(to, "measurementMetaData"), "metaData")
+        _add(data, "nonSIDefinition", "px: the distance between neighbouring pixels of the camera")
+        _add(data, "nonSIUnit", unit)
+
+
+def _add(to: ET.Element, name: str, text: Any = None) -> ET.Element:
+    made = ET.SubElement(to, f"{{{DCC}}}{name}")
+    if text is not None:
+        made.text = _NO_XML.sub("\N{REPLACEMENT CHARACTER}", str(text))
+    return made
+
+
+def _named(to: ET.Element, name: str, *texts: str) -> None:
+    """Add an element that holds texts in English."""
+    made = _add(to, name)
+    for text in texts:
+        _add(made, "content", text).set("lang", "en")
+
+
+def _text_of(root: ET.Element) -> str:
+    for prefix, space in (("dcc", DCC), ("si", dsi.SI), ("xsi", _XSI)):
+        ET.register_namespace(prefix, space)
+    ET.indent(root)
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{ET.tostring(root, encoding="unicode")}\n'
