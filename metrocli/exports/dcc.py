@@ -203,14 +203,14 @@ def _probability(result: Result, k: float, name: str = "") -> float:
 
     Where the noise was estimated it is that of Student's distribution with the degrees of freedom (GUM G.3).
     """
-    from scipy import stats
+    from scipy.special import ndtr, stdtr
 
     stated = result.details.get(name, {}).get("probability")
     if stated is not None:
         return float(stated)
     dof = result.statistics.get("dof")
     estimated = "noise_estimated" in result.statistics and isinstance(dof, int | float) and dof > 0
-    return float(1 - 2 * stats.t.sf(k, dof if estimated else np.inf))
+    return float(2 * (stdtr(dof, k) if estimated else ndtr(k)) - 1)
 
 
 def _certified(result: Result) -> dict[str, Table]:
