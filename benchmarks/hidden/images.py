@@ -65,10 +65,11 @@ class Images:
         poses = Table(columns, {**dict.fromkeys("xyz", "mm"), **dict.fromkeys("abc", "rad"), "t": "s"})
         place = dict(zip(("x", "y", "z", "alpha", "beta", "gamma"), mounting.tolist(), strict=True))
         camera = CameraFile(image_size=scene.image_size, extrinsics=Extrinsics(**place), **scene.lens)
-        files = part_job.Inputs(camera=NOWHERE, poses=NOWHERE, targets=NOWHERE, observations=NOWHERE)
+        inputs = part_job.Inputs(camera=NOWHERE, poses=NOWHERE, targets=NOWHERE, observations=NOWHERE)
         estimate = ("part-pose", "clamping-angle") if scene.angle_free else ("part-pose",)
-        settings = part_job.Settings(inputs=files, noise=noise, estimate=estimate)
-        return align_part.diagnosed(align_part.TASK.job(settings, camera, poses, targets, observations))
+        settings = part_job.Settings(inputs=inputs, noise=noise, estimate=estimate)
+        files = {"camera": camera, "poses": poses, "targets": targets, "observations": observations}
+        return align_part.diagnosed(align_part.TASK.job(settings, **files))
 
 
 def _names(letter: str, count: int) -> npt.NDArray[np.str_]:

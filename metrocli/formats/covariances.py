@@ -16,6 +16,8 @@ _CROSS = ("views_lens_covariance",)
 """Covariances between two different sets of quantities, which need not be symmetric"""
 _TOLERANCE = 1e-6
 """Largest negative eigenvalue of a correlation matrix, and relative difference of variances, left by rounding"""
+_ROUNDING = 1e-12
+"""Largest negative variance left by rounding, relative to the largest variance"""
 
 
 def contradictions(result: Result) -> list[str]:
@@ -50,7 +52,7 @@ def _fault(matrices: Array) -> str:
     """Return what is wrong with one covariance, or any of a stack of them (..., n, n); empty for nothing."""
     variances = np.diagonal(matrices, axis1=-2, axis2=-1)
     known = np.isfinite(variances)
-    if (variances[known] < 0).any():
+    if (variances[known] < -_ROUNDING * np.abs(variances[known]).max(initial=0.0)).any():
         return "has a negative variance"
     size = np.sqrt(np.where(known & (variances > 0), variances, 1.0))
     both = known[..., :, None] & known[..., None, :]

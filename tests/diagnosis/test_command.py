@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -290,7 +292,7 @@ def test_an_extended_job_takes_the_place_of_an_older_one_and_of_no_other_file(fo
 
 
 def test_a_noise_that_the_job_estimates_is_not_called_declared() -> None:
-    found = diagnose(replace(lengths.measurement(np.random.default_rng(4), 20).adjusted(), declared="estimated"))
+    found = diagnose(replace(lengths.measurement(np.random.default_rng(4), 20).adjusted(), declared="estimated", noise_model="estimated"))
     text = " ".join(diagnosis_report.of_diagnosis(found, None).split())
     assert ("times the noise that the job estimates" in text, "declared" in text) == (True, False)
 
@@ -455,14 +457,14 @@ def test_an_input_that_cannot_be_read_is_named(
     """The right to read is withdrawn: from a user who may do everything only by refusing the call itself."""
     job = write(folder, measured())
     (folder / "metrocli.yaml").write_text("project: hall\njobs: [job.yaml]\n")
-    plain = Path.open
+    plain = os.open
 
-    def refused(path: Path, *more: object, **named: object) -> object:
-        if path.name == "lengths.csv":
+    def refused(path: Any, *more: Any, **named: Any) -> int:
+        if Path(path).name == "lengths.csv":
             raise PermissionError(13, "Permission denied", str(path))
-        return plain(path, *more, **named)  # type: ignore[call-overload]
+        return plain(path, *more, **named)
 
-    monkeypatch.setattr(Path, "open", refused)
+    monkeypatch.setattr(os, "open", refused)
     ran = metrocli(command, *(() if command == "run" else (job,)))
     assert ran.code == 3, ran.err
     assert "lengths.csv: error: cannot be read: Permission denied" in ran.err

@@ -316,7 +316,7 @@ def test_files_are_whole_though_nobody_reads_the_output(folder: Path, metrocli: 
     assert metrocli("calibrate-machine", job).code == 0
     for arguments in (
         ("plan", job, "--out", folder / "piped"),
-        ("export", folder / "result.h5", "--to", "csv", "--out", folder / "piped"),
+        ("export", folder / "result.h5", "--to", "csv", "--out", folder / "piped", "--force"),
         ("simulate", job, "--out", folder / "piped", "--force"),
     ):
         ran = subprocess.Popen(
