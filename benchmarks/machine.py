@@ -69,7 +69,7 @@ def settings(
 
 def planned(job: Settings) -> Table:
     """The path that `metrocli plan` proposes."""
-    table = calibrate_machine.plans.planned(calibrate_machine.TASK.job(job)).files["path.csv"]
+    table = calibrate_machine.plan(calibrate_machine.TASK.job(job)).files["path.csv"]
     assert isinstance(table, Table)
     return Table({name: values for name, values in table.columns.items() if name != "feed"}, table.units)
 
@@ -176,7 +176,7 @@ def paths() -> None:
     for knots in ((11, 11, 11), (13, 11, 11), (25, 21, 21)):
         job = settings(knots)
         machine = machine_of(job)
-        proposed = calibrate_machine.plans.planned(calibrate_machine.TASK.job(job))
+        proposed = calibrate_machine.plan(calibrate_machine.TASK.job(job))
         vertices = proposed.files["path.csv"].stacked("xyz")  # type: ignore[union-attr]
         for label, path in (
             ("edges and diagonals", edges_and_diagonals(machine)),

@@ -22,8 +22,10 @@ from metrocli.tasks.calibrate_machine import task as calibrate_machine
 from metrocli.tasks.calibrate_machine.layout import line_of, stations_lie
 from metrocli.tasks.calibrate_machine.settings import Noise, PathPlan, Settings
 from metrocli.tasks.calibrate_machine.solve import Solved, solve
+from metrocli.tasks.calibrate_machine.structure import noise_of
 from metrocli.tasks.calibrate_machine.tables import tables_of
 from metrocli.tasks.calibrate_machine.volume import Prediction, predict
+from metrocli.tasks.shared.structured_noise import DECLARED
 
 CASES = SHARED / "cases" / "machine-lengths"
 FOUND = sorted(CASES.iterdir()) if CASES.exists() else []
@@ -54,7 +56,7 @@ def test_cases_that_another_program_simulated_come_out_right(case: Path) -> None
     job, truth = load(case / "job.yaml"), json.loads((case / "truth.json").read_text())
     task = calibrate_machine.TASK.job(job.settings, **read_inputs(job))
     solved = solve(calibrate_machine.problem_of(task), False)
-    result = calibrate_machine.report(solved, job.settings)
+    result = calibrate_machine.report(solved, job.settings, noise_of(solved, DECLARED, 1.0))
     statistics = result.statistics
     assert statistics["possible_rank"] - statistics["rank"] == truth["undetermined"]["directions"]
     open_ones = set(f"{statistics['undetermined']} {statistics['together']}".split())
@@ -251,7 +253,7 @@ def test_wrong_files_are_refused_with_their_cause() -> None:
 
 def test_the_plan_keeps_its_promise_in_its_time() -> None:
     settings = lengths.settings(plan=PathPlan(time=3 * 3600.0))
-    plan = calibrate_machine.plans.planned(calibrate_machine.TASK.job(settings))
+    plan = calibrate_machine.plan(calibrate_machine.TASK.job(settings))
     figures = {figure.name: figure.value for figure in plan.figures}
     assert figures["duration"] <= 3 * 3600.0
     points, stations = plan.files["points.csv"], plan.files["stations.csv"]
@@ -272,9 +274,9 @@ def test_the_plan_keeps_its_promise_in_its_time() -> None:
 
 def test_a_wanted_uncertainty_takes_less_time() -> None:
     wanted = PathPlan(time=6 * 3600.0, uncertainty=0.5e-3)
-    plan = calibrate_machine.plans.planned(calibrate_machine.TASK.job(lengths.settings(plan=wanted)))
+    plan = calibrate_machine.plan(calibrate_machine.TASK.job(lengths.settings(plan=wanted)))
     figures = {figure.name: figure.value for figure in plan.figures}
     assert figures["uncertainty"] <= 0.5e-3
     assert figures["duration"] < 3 * 3600.0
     with pytest.raises(UndeterminedError, match="too short for three stations"):
-        calibrate_machine.plans.planned(calibrate_machine.TASK.job(lengths.settings(plan=PathPlan(time=1800.0))))
+        calibrate_machine.plan(calibrate_machine.TASK.job(lengths.settings(plan=PathPlan(time=1800.0))))

@@ -27,7 +27,7 @@ NOISE = Noise(beam=1e-3, lateral=5e-3)
 @pytest.mark.parametrize("knots", [(13, 11, 11), (11, 11, 11), (25, 21, 21)])
 def test_the_path_reaches_the_ratio_within_the_length(knots: tuple[int, int, int]) -> None:
     settings = sim.settings("on-the-fly", knots=knots, noise=NOISE)
-    plan = calibrate_machine.plans.planned(calibrate_machine.TASK.job(settings))
+    plan = calibrate_machine.plan(calibrate_machine.TASK.job(settings))
     figures = {estimate.name: estimate.value for estimate in plan.figures}
     assert figures["ratio"] <= 4.0
     assert figures["path_length"] <= edges_and_diagonals(machine_of(settings)).length
@@ -41,7 +41,7 @@ def test_the_path_reaches_the_ratio_within_the_length(knots: tuple[int, int, int
 def test_the_promised_uncertainty_is_that_of_the_measurement() -> None:
     settings = sim.settings("on-the-fly", knots=(5, 5, 5), noise=NOISE)
     settings = replace(settings, plan=PathPlan(feed=40.0, sampling=0.05, tracker=(-900.0, -700.0, 200.0)))
-    plan = calibrate_machine.plans.planned(calibrate_machine.TASK.job(settings))
+    plan = calibrate_machine.plan(calibrate_machine.TASK.job(settings))
     vertices = plan.files["path.csv"].stacked("xyz")  # type: ignore[union-attr]
     machine = sim.random_machine(np.random.default_rng(61))
     flight = sim.flight(machine, vertices, np.random.default_rng(62), spacing=2.0)
@@ -59,7 +59,7 @@ def test_the_promised_uncertainty_is_that_of_the_measurement() -> None:
 
 def test_three_tools_share_the_path() -> None:
     settings = sim.settings("on-the-fly", tools=sim.THREE, knots=(7, 6, 6), noise=NOISE)
-    plan = calibrate_machine.plans.planned(calibrate_machine.TASK.job(settings))
+    plan = calibrate_machine.plan(calibrate_machine.TASK.job(settings))
     table = plan.files["path.csv"]
     assert list(dict.fromkeys(table.texts("tool"))) == ["T1", "T2", "T3"]  # type: ignore[union-attr]
     assert all(status == "determined" for status in plan.tables["errors"].texts("status"))
@@ -68,7 +68,7 @@ def test_three_tools_share_the_path() -> None:
 
 def test_the_program_drives_the_path() -> None:
     settings = sim.settings("on-the-fly", tools=sim.THREE, knots=(5, 5, 5), noise=NOISE)
-    plan = calibrate_machine.plans.planned(calibrate_machine.TASK.job(settings))
+    plan = calibrate_machine.plan(calibrate_machine.TASK.job(settings))
     vertices = plan.files["path.csv"].stacked("xyz")  # type: ignore[union-attr]
     tool = np.array(plan.files["path.csv"].texts("tool"))  # type: ignore[union-attr]
     path = Path.of(vertices, np.unique(tool, return_inverse=True)[1])
@@ -87,14 +87,14 @@ def test_the_jobs_own_path_is_judged() -> None:
     table = sim.coordinate_table(
         "path.csv", np.concatenate([[lines.start[0], lines.end[0]], [lines.start[1], lines.end[1]]]), {}
     )
-    plan = calibrate_machine.plans.planned(calibrate_machine.TASK.job(settings, path=table))
+    plan = calibrate_machine.plan(calibrate_machine.TASK.job(settings, path=table))
     assert plan.notes[0].startswith("the path of the job: 3 legs")
     assert any("combinations of errors that move" in line or "no reading is near" in line for line in plan.notes)
 
 
 def test_a_length_that_is_too_short_is_said() -> None:
     settings = sim.settings("on-the-fly", knots=(7, 7, 7), noise=NOISE)
-    plan = calibrate_machine.plans.planned(
+    plan = calibrate_machine.plan(
         calibrate_machine.TASK.job(replace(settings, plan=PathPlan(length=9000.0, ratio=1.5)))
     )
     assert any("allow a longer path" in line for line in plan.warnings)
@@ -112,7 +112,7 @@ def test_points_are_planned_and_keep_their_promise() -> None:
     settings = replace(
         sim.settings(tools=sim.THREE, knots=(7, 6, 6), noise=NOISE), plan=PathPlan(tracker=(-900.0, -700.0, 200.0))
     )
-    plan = calibrate_machine.plans.planned(calibrate_machine.TASK.job(settings))
+    plan = calibrate_machine.plan(calibrate_machine.TASK.job(settings))
     figures = {estimate.name: estimate.value for estimate in plan.figures}
     assert figures["ratio"] <= 4.0 and plan.warnings == ()
     assert set(plan.tables["errors"].texts("status")) == {"determined"}
@@ -130,7 +130,7 @@ def test_points_are_planned_and_keep_their_promise() -> None:
         plan, calibrate_machine.run(calibrate_machine.TASK.job(settings, points=sim.point_table(at, seen, tool)))
     )
     assert min(ratios) > 0.8 and max(ratios) < 1.25
-    fewer = calibrate_machine.plans.planned(
+    fewer = calibrate_machine.plan(
         calibrate_machine.TASK.job(settings, points=sim.point_table(at[::3], seen[::3], tool[::3]))
     )
     assert any("combinations of errors that move" in line or "no reading is near" in line for line in fewer.notes)
@@ -140,7 +140,7 @@ def test_lines_of_a_laser_are_planned_and_keep_their_promise() -> None:
     settings = sim.settings(
         "six-dof", tools={"": (0.0, 0.0, 0.0)}, noise=Noise(displacement=5e-4, straightness=1e-3, angle=1e-6)
     )
-    plan = calibrate_machine.plans.planned(
+    plan = calibrate_machine.plan(
         calibrate_machine.TASK.job(replace(settings, plan=PathPlan(control="siemens")))
     )
     lines = plan.files["lines.csv"]
