@@ -17,15 +17,16 @@ from metrocli.diagnosis.detectability import Design
 from metrocli.diagnosis.diagnose import LIMIT, diagnose, what_can_be_seen
 from metrocli.diagnosis.findings import Diagnosis
 from metrocli.diagnosis.laws.definition import as_define, as_wanted
+from metrocli.diagnosis.laws.search import Law
 from metrocli.diagnosis.mistakes import without_mistakes
 from metrocli.diagnosis.verdict import as_job, proposed_noise, scatter_as_job
-from metrocli.errors import Fault, InputError, UsageError
+from metrocli.errors import Fault, InputError, NotConvergedError, UndeterminedError, UsageError
 from metrocli.formats.aside import written_aside
 from metrocli.nodes import Node
 from metrocli.project import yaml_text
 from metrocli.project.inputs import read_inputs
-from metrocli.project.job import JobFile
-from metrocli.project.runner import Progress, simulate
+from metrocli.project.job import JobFile, Wishes, load
+from metrocli.project.runner import Progress, content, simulate
 from metrocli.record import InputFile
 from metrocli.simulation import SimulationOptions
 
@@ -111,28 +112,49 @@ def write_extended(
 
     `result` is the output of that job, by default `NAME.extended.h5` beside the output of this one.
 
-    If structure is left that no effect explains, the chosen law stands in it with `cause: unknown`, and its noise is
-    structured, where the kind has that. Returns None if
-    nothing changes. Raises InputError if the file there is no extended job or was edited since it
-    was written, unless forced. Parameters that the readings do not determine separately are 0. In another
-    folder, the relative paths of the inputs are changed to lead to the same files.
+    If structure is left that no effect explains, the chosen law stands in it with `cause: unknown`, unless the job
+    cannot be adjusted with it, and its noise is structured, where the kind has that. Returns None if nothing changes.
+    Raises InputError if the file there is no extended job or was edited since it was written, unless forced. Parameters
+    that the readings do not determine separately are 0. In another folder, the relative paths of the inputs are changed
+    to lead to the same files.
     """
-    noise = proposed_noise(diagnosis)
-    law = diagnosis.law
-    if not diagnosis.findings and not diagnosis.scatters and not noise and law is None:
-        return None
     path = path or job.file.with_name(f"{job.file.stem}.extended.yaml")
+    law, place = diagnosis.law, (path, result)
+    others = bool(diagnosis.findings or diagnosis.scatters or proposed_noise(diagnosis))
+    if not others and law is None:
+        return None
+    if not force:
+        _refuse_foreign(path)
+    _write(job, diagnosis, law, place)
+    if law is not None and not _adjusts(path):
+        if not others:
+            path.unlink()
+            return None
+        _write(job, diagnosis, None, place)
+    return path
+
+
+def _adjusts(path: Path) -> bool:
+    """Return whether an extended job can be adjusted: a law in the linearised readings need not hold in the model."""
+    job = load(path, Wishes(accept_doubtful=True))
+    try:
+        tasks.KINDS[job.kind].task().run(content(job))
+    except (NotConvergedError, UndeterminedError):
+        return False
+    return True
+
+
+def _write(job: JobFile, diagnosis: Diagnosis, law: Law | None, place: tuple[Path, Path | None]) -> None:
+    """Write the extended job, with a law or without, to a path; its result has the path beside it, or the usual one."""
+    path, result = place
     named = [*map(scatter_as_job, diagnosis.scatters), *(as_job(one.effect) for one in diagnosis.findings)]
     called = _free_name(diagnosis)
     new = [_node(job, entry) for entry in (*named, *([] if law is None else [as_wanted(law, called)]))]
     defined = [] if law is None else [_node(job, as_define(law, called))]
-    if not force:
-        _refuse_foreign(path)
-    body = yaml_text.emit(_extended(job, new, defined, noise, (path.parent, result)))
+    body = yaml_text.emit(_extended(job, new, defined, proposed_noise(diagnosis), (path.parent, result)))
     text = f"# {job.file.name}{_NAMED if new else _SHARED}\n{_DIGEST}{_digest(body)}\n{body}"
     with written_aside(path) as aside:
         aside.write_text(text, encoding="utf-8")
-    return path
 
 
 def _refuse_foreign(path: Path) -> None:
