@@ -292,7 +292,11 @@ def test_an_extended_job_takes_the_place_of_an_older_one_and_of_no_other_file(fo
 
 
 def test_a_noise_that_the_job_estimates_is_not_called_declared() -> None:
-    found = diagnose(replace(lengths.measurement(np.random.default_rng(4), 20).adjusted(), declared="estimated", noise_model="estimated"))
+    found = diagnose(
+        replace(
+            lengths.measurement(np.random.default_rng(4), 20).adjusted(), declared="estimated", noise_model="estimated"
+        )
+    )
     text = " ".join(diagnosis_report.of_diagnosis(found, None).split())
     assert ("times the noise that the job estimates" in text, "declared" in text) == (True, False)
 

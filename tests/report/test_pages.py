@@ -276,4 +276,7 @@ def test_results_of_one_name_and_damaged_ones(job: Path, metrocli: Metrocli) -> 
     assert (ran.code, ran.out.split()) == (0, ["report/index.html", "report/a-line.html", "report/b-line.html"])
     page = Page(Path("report/index.html").read_text(encoding="utf-8"))
     assert [held["href"] for held in page.named("a")] == ["a-line.html", "b-line.html"]
-    assert "1 of 3 results are not up to date" in page.text and "the file exists and is not a result of metrocli" in page.text
+    assert (
+        "1 of 3 results are not up to date" in page.text
+        and "the file exists and is not a result of metrocli" in page.text
+    )

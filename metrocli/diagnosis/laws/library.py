@@ -28,13 +28,16 @@ _SAME = 1e-9
 _EFFECT = Effect("law", "", (Parameter("size"),))
 
 
+Where = tuple[tuple[str, str], ...]
+
+
 @dataclass(frozen=True)
 class Spot:
     """A component of a quantity at a place, where terms act."""
 
     acting: Acting
     component: str
-    where: tuple[tuple[str, str], ...]
+    where: Where
     """Kind of place and its name; empty for all readings"""
 
 
@@ -46,7 +49,7 @@ class Term:
     form: Form
 
     @property
-    def place(self) -> tuple[str, tuple[tuple[str, str], ...]]:
+    def place(self) -> tuple[str, Where]:
         """The quantity and the place; all terms of one law share it."""
         return self.spot.acting.name, self.spot.where
 

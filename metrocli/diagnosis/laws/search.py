@@ -14,9 +14,10 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.cross_validation import Gain, Held, folds_of, gain_of, held_out_errors, without
-from metrocli.diagnosis.laws.library import Library, Term
+from metrocli.diagnosis.laws.library import Library, Term, Where
 from metrocli.diagnosis.laws.terms import STEPS
 from metrocli.diagnosis.linear.candidates import Alternative, Family
+from metrocli.diagnosis.linear.distributions import log_tail
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns, nothing_fitted
 from metrocli.diagnosis.linear.projection import System
 from metrocli.diagnosis.linear.score_tests import ScoreTests, grams_of, quadratic, score_tests_of
@@ -32,6 +33,8 @@ _MOST_ROWS = 25_000
 """Largest number of components of readings for which laws are sought: the columns of all terms are held at once"""
 _FEW = 50
 """Fewest independent tests that any library amounts to"""
+_NEAR, _MOST_REFINED = 6.0, 6
+"""Terms are compared with refined scans if their levels (ln) in the scan are this near to the best, at most so many"""
 _FINE, _ROUNDS = 25, 3
 """Values tried in each round between the neighbours of the best scanned value"""
 
@@ -168,24 +171,48 @@ def forward(search: Search, level: float = LEVEL, most: int = MOST_TERMS) -> lis
     """
     tests, fitted, steps = search.tests, search.start, list[_Step]()
     while len(steps) < most and fitted.dof > _LEAST_DOF and not tests.budget.spent():
-        best: tuple[float, int, Term] | None = None
-        for number in range(1, len(tests.families)):
-            terms = search.library.terms[number - 1]
-            place = steps[0].term.place if steps else None
-            chosen = [i for i, term in enumerate(terms) if place is None or term.place == place]
-            if not chosen:
-                continue
-            score = tests.score(number, fitted, None if place is None else chosen)
-            found = tests.overall(tests.level(number, float(score.log_p[score.best])))
-            if best is None or found < best[0]:
-                best = found, number, terms[chosen[score.best]]
-        if best is None or best[0] > np.log(level):
+        found = _best_at_each_spot(search, fitted, steps[0].term.place if steps else None)
+        if not found or found[0][0] > np.log(level):
             break
-        term = _refined(search, fitted, best[1], best[2])
-        columns = search.visible(term)
-        steps.append(_Step(best[1], term, columns, best[0]))
-        fitted = fitted.with_columns(columns)
+        near = [one for one in found if one[0] < min(found[0][0] + _NEAR, float(np.log(level)))][:_MOST_REFINED]
+        refined = [_refined_step(search, fitted, *one) for one in near]
+        squares = [fitted.with_columns(step.columns).squares for step in refined]
+        levels = [_level(tests, fitted, step, left) for step, left in zip(refined, squares, strict=True)]
+        best = refined[int(np.argmin(levels))]
+        steps.append(best)
+        fitted = fitted.with_columns(best.columns)
     return steps
+
+
+def _best_at_each_spot(
+    search: Search, fitted: FittedColumns, place: tuple[str, Where] | None
+) -> list[tuple[float, int, Term]]:
+    """Return level, family and term of the best term of each form on each quantity at each place, the best first."""
+    found: dict[tuple[int, str, Where, str], tuple[float, int, Term]] = {}
+    for number, terms in enumerate(search.library.terms, 1):
+        chosen = [i for i, term in enumerate(terms) if place is None or term.place == place]
+        if not chosen:
+            continue
+        score = search.tests.score(number, fitted, None if place is None else chosen)
+        for at in np.argsort(score.log_p, kind="stable").tolist():
+            term = terms[chosen[at]]
+            spot = number, *term.place, term.spot.component
+            if spot not in found:
+                found[spot] = search.tests.overall(search.tests.level(number, float(score.log_p[at]))), number, term
+    return sorted(found.values(), key=lambda one: one[0])
+
+
+def _refined_step(search: Search, fitted: FittedColumns, level: float, family: int, term: Term) -> _Step:
+    """Return a term with its scanned value refined; its level stays that of the scan, which counts what was tried."""
+    refined = _refined(search, fitted, family, term)
+    return _Step(family, refined, search.visible(refined), level)
+
+
+def _level(tests: ScoreTests, fitted: FittedColumns, step: _Step, squares: float) -> float:
+    """Return ln of the level of a refined term, by which terms on different quantities are compared."""
+    q = float(step.columns.shape[1])
+    share = np.array(np.clip(1 - squares / max(fitted.squares, 1e-300), 0.0, 1.0))
+    return tests.overall(tests.level(step.family, float(log_tail(share, q, max(fitted.dof - q, 1.0)))))
 
 
 def _refined(search: Search, fitted: FittedColumns, family: int, term: Term) -> Term:

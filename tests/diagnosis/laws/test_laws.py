@@ -73,10 +73,11 @@ def test_a_wave_of_one_tracer_is_found_with_its_period_and_size(found: Diagnosis
     texts = written(law)
     assert law.terms[0].spot.where == (("tracer", "T2"),)
     # along the beam of T2 a displacement of the point acts almost as the length does
-    assert list(texts.adds.values()) == ["a1*sin(2*pi*X/s1) + a2*cos(2*pi*X/s1)"]
+    assert texts.adds == {"": "a1*sin(2*pi*X/s1) + a2*cos(2*pi*X/s1)"}
     assert texts.scan["s1"][0] == pytest.approx(PERIOD, rel=0.03) and texts.scan["s1"][1] == "mm"
     amplitude = np.hypot(*(value for value, _, _ in texts.parameters.values()))
-    assert 0.8 * SIZE < amplitude < 1.6 * SIZE
+    spread = max(std for _, std, _ in texts.parameters.values())
+    assert abs(amplitude - SIZE) < 4 * spread
     assert law.gain.shown and law.part_of_structure > 0.9 and law.p_value < 1e-3
 
 
@@ -95,9 +96,7 @@ def test_the_data_of_a_law_have_the_keys_of_the_contract(found: Diagnosis) -> No
     assert set(law) == {
         "acts_on", "where", "adds", "parameters", "terms", "p_value", "gain", "part_of_structure", "chosen",
     }  # fmt: skip
-    assert (
-        law["chosen"] and law["acts_on"] in ("length", "point-in-machine") and law["parameters"]["a1"]["unit"] == "mm"
-    )
+    assert law["chosen"] and law["acts_on"] == "length" and law["parameters"]["a1"]["unit"] == "mm"
 
 
 def test_noise_alone_has_no_law() -> None:

@@ -140,9 +140,7 @@ def test_lines_of_a_laser_are_planned_and_keep_their_promise() -> None:
     settings = sim.settings(
         "six-dof", tools={"": (0.0, 0.0, 0.0)}, noise=Noise(displacement=5e-4, straightness=1e-3, angle=1e-6)
     )
-    plan = calibrate_machine.plan(
-        calibrate_machine.TASK.job(replace(settings, plan=PathPlan(control="siemens")))
-    )
+    plan = calibrate_machine.plan(calibrate_machine.TASK.job(replace(settings, plan=PathPlan(control="siemens"))))
     lines = plan.files["lines.csv"]
     assert isinstance(lines, Table)
     assert list(dict.fromkeys(lines.texts("line"))) == ["x", "y", "z", "xy", "yz", "xz"]
