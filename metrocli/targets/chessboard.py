@@ -24,6 +24,10 @@ Array = npt.NDArray[np.float64]
 
 LEAST_SIDE = 32
 """Images with a shorter side are not searched: OpenCV's search fails on them."""
+_CONTINUES = 0.5
+"""The board continues if squares farther out alternate with more than this share of its contrast."""
+_FEWEST_SQUARES = 4
+"""Fewest squares in a row that alternate otherwise than by chance."""
 
 
 def find(pattern: Pattern, picture: Picture) -> Sightings:
@@ -39,6 +43,9 @@ def find(pattern: Pattern, picture: Picture) -> Sightings:
     grid, reason = _in_order(pattern, start, picture)
     if reason:
         return nothing(f"no chessboard: {reason}")
+    if _continues(grid, picture):
+        rows, columns = pattern.shape
+        return nothing(f"no chessboard: the board has more than {columns} x {rows} inner corners")
     corners, sigma = fit_grid(picture, grid)
     flat, spread = corners.reshape(-1, 2), sigma.ravel()
     seen = np.flatnonzero(np.isfinite(spread))
@@ -79,8 +86,38 @@ def _in_order(pattern: Pattern, corners: Array, picture: Picture) -> tuple[Array
 
 def _first_square_is_bright(grid: Array, picture: Picture) -> bool:
     """Return whether the squares with the colour of the first inner one are brighter than the others."""
+    return bool(_contrasts(_squares(grid, picture)).mean() > 0)
+
+
+def _continues(grid: Array, picture: Picture) -> bool:
+    """Return whether there are squares beyond those around the outermost corners: then corners have no certain names."""
+    return any(
+        _continues_below(side, picture)
+        for side in (grid, grid[::-1], grid.swapaxes(0, 1), grid.swapaxes(0, 1)[::-1])
+    )
+
+
+def _continues_below(grid: Array, picture: Picture) -> bool:
+    """Return whether the squares go on below the row that ends the board, where the last two rows of corners lead."""
+    last, step = grid[-1], grid[-1] - grid[-2]
+    squares = _squares(np.concatenate([grid, [last + step, last + 1.5 * step]]), picture)
+    if squares.shape[1] < _FEWEST_SQUARES or np.isnan(squares[-1]).any():
+        return False
+    *inside, _, beyond = _contrasts(squares)
+    board = float(np.mean(inside))
+    return bool(beyond * np.sign(board) > _CONTINUES * abs(board))
+
+
+def _squares(grid: Array, picture: Picture) -> Array:
+    """Return the grey values in the middle of the squares between corners (rows, columns, 2); NaN beyond the image."""
     middle = (grid[:-1, :-1] + grid[1:, :-1] + grid[:-1, 1:] + grid[1:, 1:]) / 4
-    u, v = np.rint(middle).astype(int).reshape(-1, 2).T
+    u, v = np.moveaxis(np.rint(middle).astype(int), -1, 0)
+    inside = (u >= 0) & (v >= 0) & (u < picture.shape[1]) & (v < picture.shape[0])
     grey = picture[v.clip(0, picture.shape[0] - 1), u.clip(0, picture.shape[1] - 1)].astype(float)
-    sign = (np.indices(middle.shape[:2]).sum(0) % 2).ravel() == 0
-    return bool(grey[sign].mean() > grey[~sign].mean())
+    return np.where(inside, grey, np.nan)
+
+
+def _contrasts(squares: Array) -> Array:
+    """Return how much brighter the squares with the colour of the first one are than the others, for each row."""
+    first = np.indices(squares.shape).sum(0) % 2 == 0
+    return np.asarray(squares.mean(axis=1, where=first) - squares.mean(axis=1, where=~first))
