@@ -90,10 +90,9 @@ def _first_square_is_bright(grid: Array, picture: Picture) -> bool:
 
 
 def _continues(grid: Array, picture: Picture) -> bool:
-    """Return whether there are squares beyond those around the outermost corners: then corners have no certain names."""
+    """Return whether squares go on beyond those around the outermost corners: then no corner has a certain name."""
     return any(
-        _continues_below(side, picture)
-        for side in (grid, grid[::-1], grid.swapaxes(0, 1), grid.swapaxes(0, 1)[::-1])
+        _continues_below(side, picture) for side in (grid, grid[::-1], grid.swapaxes(0, 1), grid.swapaxes(0, 1)[::-1])
     )
 
 

@@ -65,6 +65,21 @@ def test_the_pixel_size_is_not_controlled(tmp_path: Path, metrocli: Metrocli) ->
     assert hidden(before, "pixel_size") == pytest.approx(focal * (2.2022e-3 - 2.2e-3), rel=1e-3)
 
 
+def test_the_principal_point_of_a_camera_file_moves_the_part_across_the_view(
+    tmp_path: Path, metrocli: Metrocli
+) -> None:
+    job = small_jobs.align(tmp_path)
+    results = []
+    for cx in ("1286.8", "1287.8"):
+        text = small_jobs.CAMERA_FILE.replace("cx: 1286.8", f"cx: {cx}")
+        (tmp_path / "camera.yaml").write_text(text)
+        assert metrocli("align-part", job).code == 0
+        results.append(hdf5.read(tmp_path / "part.h5")[0])
+    at = [np.array([estimate.value for estimate in one.estimates[:3]]) for one in results]
+    # the distortion beside it makes 6 %
+    assert hidden(results[0], "cx and cy") == pytest.approx(float(np.linalg.norm(at[1] - at[0])), rel=0.1)
+
+
 def test_the_scale_of_a_measuring_machine_is_not_controlled(tmp_path: Path, metrocli: Metrocli) -> None:
     job = small_jobs.cmm(tmp_path)
     before = carried_out(job, metrocli)

@@ -7,7 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from metrocli import units
+from metrocli.geometry import poses
 from metrocli.instruments import spindle_camera as spindle
+from metrocli.instruments.camera import LENS, TAPER, TARGET
 from metrocli.table import Table
 from metrocli.tasks.align_part.problem import Problem
 from metrocli.tasks.shared.images.adjustment import Adjusted
@@ -39,5 +41,17 @@ def _rows(problem: Problem, adjusted: Adjusted) -> Iterator[Hidden]:
         _SEAT,
         "a target of known place in the machine",
     )
+    if not blocks[LENS].free.any():
+        lens, index = blocks[LENS].named(), adjusted.group.observations.index
+        angle = float(blocks[spindle.COUPLING].values[0, 0])
+        held = blocks[spindle.SPINDLE].values[index[spindle.SPINDLE]]
+        to_camera = spindle.part_in_camera(blocks[spindle.PART].values[0], held, angle, blocks[TAPER].values[0])
+        depth = poses.apply(to_camera, blocks[TARGET].values[index[TARGET]])[:, 2]
+        yield Hidden(
+            "cx and cy of the camera file, taken as exact, or its image_size (the part across the view)",
+            "1 px",
+            float(np.median(depth)) / lens.get("f", lens.get("fx", np.inf)),
+            "a calibration result as camera, with its covariance; the spindle turned between images",
+        )
     if problem.sighted.eccentric:
         yield from diameters(adjusted.group, blocks, problem.sighted.targets.radius)

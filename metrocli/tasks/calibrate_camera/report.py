@@ -21,6 +21,7 @@ from metrocli.table import Table
 from metrocli.tasks.calibrate_camera import KIND
 from metrocli.tasks.calibrate_camera.coverage import coverage
 from metrocli.tasks.calibrate_camera.lens_conventions import conventions_table, form_covariance, photogrammetric_form
+from metrocli.tasks.calibrate_camera.principal_point import PrincipalPoint, principal_point
 from metrocli.tasks.calibrate_camera.problem import Problem
 from metrocli.tasks.calibrate_camera.settings import Camera
 from metrocli.tasks.calibrate_camera.uncontrolled import uncontrolled
@@ -58,6 +59,7 @@ class _Calibration:
     residuals: Residuals
     covariance: Covariance
     delivered: Parameters
+    centre: PrincipalPoint | None
 
     @property
     def solution(self) -> Solution:
@@ -80,13 +82,14 @@ def report(problem: Problem, settings: Camera, adjusted: Adjusted) -> Result:
     covariance = solution.covariance_or_raise()
     p = parameters(problem.rig, solution, problem.effects)
     effect_tables, effect_arrays = effect_results(problem.effects, solution)
-    solved = _Calibration(problem, settings, adjusted, adjusted.known_residuals(), covariance, p)
+    centre = principal_point(problem, adjusted)
+    solved = _Calibration(problem, settings, adjusted, adjusted.known_residuals(), covariance, p, centre)
     views = _views(solved)
     arrays: dict[str, Array] = {"correlation": p.correlation, **effect_arrays}
     form = photogrammetric_form(problem, settings, solution)
     if form is not None:
         arrays["photogrammetric_covariance"] = form_covariance(form, covariance)
-    names, hidden = problem.sighted.targets.names, uncontrolled(problem, settings, adjusted)
+    names, hidden = problem.sighted.targets.names, uncontrolled(problem, settings, adjusted, centre)
     tables = {
         "residuals": residual_table(solved.residuals, adjusted.group),
         "targets": solved.rms_table("target", solved.index(camera.TARGET), names),
@@ -229,12 +232,19 @@ def _warnings(solved: _Calibration, views: Table) -> list[str]:
     lines += _correlation_warnings(solved.delivered.high_correlations())
     if adjusted.noise is None:
         lines += noise_warnings(solved.solution)
+    if solved.centre is not None:
+        lines += solved.centre.warnings()
     return lines + [text for text, among in _folds(solved) if not among]
 
 
 def _doubts(solved: _Calibration) -> list[str]:
-    """Return why the camera must not be used: a lens model that maps two directions to one pixel among the readings."""
-    return [text for text, among in _folds(solved) if among]
+    """Return why the camera must not be used.
+
+    Its principal point is held far from where the readings see it, or the lens model maps two directions to one pixel
+    among the readings.
+    """
+    centre = solved.centre.doubts() if solved.centre is not None else []
+    return centre + [text for text, among in _folds(solved) if among]
 
 
 def _folds(solved: _Calibration) -> Iterator[tuple[str, bool]]:
