@@ -47,8 +47,8 @@ def faults(table: Table, columns: Columns) -> list[Fault]:
     measured = [name for name in columns.measured if name in table]
     if not measured or len(table) < 2 * _ROWS:
         return []
-    readings = _row_hashes(table, measured)
-    rows = _row_hashes(table, (*columns.alike, *measured))
+    readings = row_hashes(table, measured)
+    rows = row_hashes(table, (*columns.alike, *measured))
     alike = _share_alike(readings)
     if alike > _MOST_ALIKE:
         return []
@@ -58,7 +58,7 @@ def faults(table: Table, columns: Columns) -> list[Fault]:
     found = list(_groups(table, columns, rows, least, alike))
     if found:
         return [table.fault(f"{text} (equal: {what})", hint) for text in found]
-    run = _run(rows, max(least, columns.fewest_copied, _by_chance(len(rows), alike)))
+    run = first_run(rows, max(least, columns.fewest_copied, _by_chance(len(rows), alike)))
     if run is None:
         return []
     return [table.fault_at(run.again, f"{run.rows} rows repeat {_place(table, run)} (equal: {what})", hint)]
@@ -70,7 +70,7 @@ def _place(table: Table, run: Copy) -> str:
     return f"line {table.lines[run.first]} and those after it"
 
 
-def _row_hashes(table: Table, names: Sequence[str]) -> Hashes:
+def row_hashes(table: Table, names: Sequence[str]) -> Hashes:
     """Return a number for each row that is equal for rows with equal values in these columns."""
     rows = np.zeros(len(table), dtype=np.uint64)
     for name in names:
@@ -83,7 +83,7 @@ def _codes(values: npt.NDArray[np.generic]) -> Hashes:
     if values.dtype.kind in "US":
         numbers: Hashes = np.unique(values, return_inverse=True)[1].astype(np.uint64).ravel()
         return numbers
-    bits: Hashes = np.ascontiguousarray(values, dtype=np.float64).view(np.uint64)
+    bits: Hashes = (np.ascontiguousarray(values, dtype=np.float64) + 0.0).view(np.uint64)  # -0 is 0
     return bits
 
 
@@ -130,7 +130,7 @@ def _groups(table: Table, columns: Columns, rows: Hashes, least: int, alike: flo
     ]
 
 
-def _run(rows: Hashes, least: int) -> Copy | None:
+def first_run(rows: Hashes, least: int) -> Copy | None:
     """Return the first run of at least `least` rows that repeats an earlier one, None without one.
 
     Rows that repeat the row before them (an instrument at rest) count once.

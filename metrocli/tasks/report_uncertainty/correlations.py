@@ -12,6 +12,7 @@ from metrocli.errors import Fault
 from metrocli.nodes import Node
 from metrocli.settings import Placed
 from metrocli.table import Table
+from metrocli.tasks.report_uncertainty.copied_readings import same
 from metrocli.uncertainty.inputs import Block, NotSemiDefiniteError, Quantity
 from metrocli.words import suggestion
 
@@ -54,20 +55,22 @@ class Together:
 
 
 def simultaneous(readings: Iterable[tuple[str, Table, str]], given: Collection[frozenset[str]]) -> list[Together]:
-    """Return the correlations of quantities read in the same rows of a file (JCGM 100, 5.2.3).
+    """Return the correlations of quantities read in the same rows of a file (JCGM 100, 5.2.3) or in a copy of it.
 
     Pairs with a declared correlation (`given`) are left out.
     """
-    files: dict[str, list[tuple[str, Table, str]]] = {}
-    for reading in readings:
-        files.setdefault(reading[1].file, []).append(reading)
     found = []
-    for file, held in files.items():
-        for (a, first, one), (b, second, other) in combinations(held, 2):
-            if frozenset((a, b)) not in given:
-                r = float(np.corrcoef(first.numbers(one), second.numbers(other))[0, 1])
-                said = f"{a} and {b} are columns of one file, {file}: the correlation of its rows, {r:+.3f}, is used"
-                found.append(Together((a, b), r, f"{said}; declare 0 if they were not read together"))
+    for (a, first, one), (b, second, other) in combinations(readings, 2):
+        if frozenset((a, b)) in given:
+            continue
+        x, y = first.numbers(one), second.numbers(other)
+        if first.file == second.file:
+            r = float(np.corrcoef(x, y)[0, 1])
+            said = f"{a} and {b} are columns of one file, {first.file}: the correlation of its rows, {r:+.3f}, is used"
+            found.append(Together((a, b), r, f"{said}; declare 0 if they were not read together"))
+        elif same(x, y):
+            said = f"{a} and {b} have the same readings, value for value ({first.file}, {second.file})"
+            found.append(Together((a, b), 1.0, f"{said}: correlation +1 is used; declare 0 if neither is a copy"))
     return found
 
 

@@ -21,6 +21,7 @@ from metrocli.settings import Placed
 from metrocli.table import Table
 from metrocli.tasks.report_uncertainty import correlations
 from metrocli.tasks.report_uncertainty import decisions as uncertainty_decisions
+from metrocli.tasks.report_uncertainty.copied_readings import repeated
 from metrocli.tasks.report_uncertainty.quantity import column_of, quantity, unit_of
 from metrocli.tasks.report_uncertainty.sources import identity, shared
 from metrocli.uncertainty.distributions import Normal, Sampled
@@ -237,7 +238,11 @@ class _Gathering:
         self.faults += correlations.refused(self.settings.correlations, self.quantities, blocks)
         if self.faults:
             return
-        together = correlations.simultaneous(self._readings(), {frozenset(pair.between) for pair in declared})
+        readings = list(self._readings())
+        found = [repeated(*one) for one in readings if not isinstance(self.quantities[one[0]].distribution, Sampled)]
+        self.faults += [fault for fault in found if isinstance(fault, Fault)]
+        self.noted += [said for said in found if isinstance(said, str)]
+        together = correlations.simultaneous(readings, {frozenset(pair.between) for pair in declared})
         self.noted += [pair.said for pair in together]
         pairs = [(*pair.between, pair.value) for pair in (*declared, *together)]
         # quantities in the order of the job, then estimates of results in the order of the models
