@@ -1,9 +1,11 @@
-"""The size at which an effect is found with a given probability, on average over its directions and its forms.
+"""The sizes at which an effect is found, and is distinguished from another, on average over its directions and forms.
 
 Method: docs/algorithms/selection-and-levels.md (smallest detectable size).
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 
@@ -18,6 +20,7 @@ _ALL = 0.99999
 _SMALLEST = 1e-3
 """The size over that at which every test is certain, at least"""
 _HALVINGS = 25
+_NOTHING = 1e-12
 
 
 def size_found(grams: Array, ranks: Array, level: float, dof: int, wanted: float) -> float:
@@ -34,7 +37,28 @@ def size_found(grams: Array, ranks: Array, level: float, dof: int, wanted: float
         found: float = sum(float(np.interp(size * strengths[ranks == r], *curve).sum()) for r, curve in curves.items())
         return found / float(strengths.size)
 
-    high = max(float(roots[-1]) for roots, _ in curves.values()) / float(strengths.max())
+    return _size(mean_power, wanted, max(float(roots[-1]) for roots, _ in curves.values()) / float(strengths.max()))
+
+
+def size_separated(visible: Array, other: Array, wanted: float) -> float:
+    """Return the size `a` at which an effect is taken for itself and not for another with a mean probability.
+
+    The probability is the mean of `Phi(a |Gd| sqrt((1 - rho) / 2))` over directions d: the larger of two correlated
+    projections is that of the right one. `visible` G (n, q) is the whitened change of the readings, and rho the cosine
+    of Gd with the span of the orthonormal `other` (n, p). A direction that the other imitates counts as half a case.
+    """
+    from scipy.special import ndtr
+
+    changes = visible @ directions(visible.shape[1]).T
+    squares = (changes**2).sum(axis=0)
+    imitated = ((other.T @ changes) ** 2).sum(axis=0)
+    cosine = np.sqrt(np.minimum(imitated / np.maximum(squares, _NOTHING), 1.0))
+    strengths = np.sqrt(squares * np.maximum(1 - cosine, _NOTHING) / 2)
+    return _size(lambda size: float(ndtr(size * strengths).mean()), wanted, 1 / float(strengths.max()))
+
+
+def _size(mean_power: Callable[[float], float], wanted: float, high: float) -> float:
+    """Return the size with a mean power, which grows with the size; `high` is where the search begins."""
     while mean_power(high) < wanted:
         high *= 2
     low = high * _SMALLEST

@@ -12,7 +12,7 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.diagnosis.average_power import size_found
+from metrocli.diagnosis.average_power import size_found, size_separated
 from metrocli.diagnosis.hidden_change import POWER, HiddenChange, hidden_by_readings, hidden_change
 from metrocli.diagnosis.linear.candidates import Alternative, NotTested, thinned
 from metrocli.diagnosis.linear.distributions import noncentrality, single_level
@@ -36,8 +36,8 @@ _HELPS = 0.98
 _NAMED_ABSORBERS = 3
 _PART = 0.1
 """Fraction of the largest absorbed change below which an unknown is not named among those that absorb"""
-_SEPARATED = 1.645
-"""One-sided 5 % quantile of the normal distribution: risk of choosing the wrong one of two names"""
+_SEPARATED = 0.95
+"""Probability with which the right one of two names is chosen, over all directions of its parameters"""
 
 
 @dataclass(frozen=True)
@@ -239,11 +239,10 @@ def _pairs(test_set: ScoreTests, candidates: Sequence[Candidate], noise: float) 
             # the largest singular value cannot exceed the root of the sum of squares, so most pairs need no SVD
             rho = float(np.linalg.norm(product, 2)) if (product**2).sum() > _ALIKE**2 else 0.0
             if rho > _ALIKE:
-                least = _SEPARATED * noise * np.sqrt(2 / max(1 - rho, 1e-12))
-                size = least / np.sqrt(
-                    np.trace(test_set.grams[one.family][one.number]) / len(one.alternative.parameters)
+                size = noise * size_separated(
+                    test_set.families[one.family].columns[:, one.number], bases[j], _SEPARATED
                 )
-                yield Pair(one.name, testable[j].name, min(rho, 1.0), float(size), one.unit, one.dimension)
+                yield Pair(one.name, testable[j].name, min(rho, 1.0), size, one.unit, one.dimension)
 
 
 def _unit(columns: Array) -> Array:

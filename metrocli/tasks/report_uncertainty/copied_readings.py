@@ -1,8 +1,8 @@
 """Readings of a type A evaluation that stand twice: in one column, or under two quantities.
 
 A series is short and its readings are rounded, so equal ones are common. With the resolution r and the standard
-deviation s of a series, two readings are equal by chance with `p = r / (2 sqrt(pi) s)` (difference of two normal
-variables), and a run of L of n readings repeats by chance in `n^2 / 2 p^L` places.
+deviation s of a series, two readings are equal by chance with `p = r / (2 sqrt(pi) s)`: the density of the difference
+of two normal variables at 0. A run of L of n readings repeats by chance in `n^2 / 2 p^L` places.
 """
 
 from __future__ import annotations
