@@ -93,8 +93,9 @@ def outcome(kind: str, number: int) -> Outcome:
     least = candidate.detectable if candidate.testable else candidate.plausible
     if candidate.testable and rank:
         seen = np.linalg.norm(linearised(read(planted(least * _SMALL), None).model).residual) / _SMALL
-        just = least * float(np.sqrt(needed(tests, candidate.family, rank, 0.95))) / seen
-        just = min(just, candidate.plausible * max(1.0, least / candidate.plausible) * np.sqrt(count))
+        strength = float(np.sqrt(needed(tests, candidate.family, rank, 0.95)))
+        farthest = max(candidate.plausible, least * strength / float(np.sqrt(needed(tests, candidate.family, rank))))
+        just = min(least * strength / seen, farthest * np.sqrt(count))
     else:
         just = least
     found = noticed(least) if candidate.testable else None

@@ -179,8 +179,10 @@ def _candidate(job: AdjustedJob, test_set: ScoreTests, family: int, chosen: Sequ
     raw = test_set.scales[family][at]
     visible = float(np.sqrt(np.mean(np.diag(gram[at]) / np.where(raw > 0, raw, 1.0) ** 2)))
     size = _size_found(test_set, family, chosen, ranks, alternative) * noise if rank else float("inf")
-    farthest = np.sqrt(columns.shape[2]) * max(1.0, size / alternative.effect.plausible if rank else 1.0)
     power = {int(q): needed(test_set, family, int(q), POWER) * noise**2 if q else 0.0 for q in np.unique(ranks)}
+    # where even usual sizes stay unseen, the change is that of the size found with 95 % power
+    unseen = size * np.sqrt(power[rank] / needed(test_set, family, rank)) / noise if rank else 0.0
+    farthest = np.sqrt(columns.shape[2]) * max(1.0, unseen / alternative.effect.plausible)
     reach = np.array([(power[q], farthest) for q in ranks.tolist()])
     hides = hidden_change(job, test_set.system, test_set.families[family], chosen, gram, reach)
     absorbers = () if rank else _absorbers(test_set.system, _full(job, test_set.system, alternative))

@@ -50,10 +50,16 @@ def test_what_is_not_found_moves_no_point_farther_than_stated(name: str, paramet
     assert missed <= MISSED
 
 
-def test_the_change_that_is_stated_is_that_of_its_size() -> None:
-    """An effect of one parameter: the size at 95 % power is the one at 80 % times the ratio of the quantiles."""
+@pytest.mark.parametrize("noise", [1.0, 300.0])
+def test_the_change_that_is_stated_is_that_of_its_size(noise: float) -> None:
+    """An effect of one parameter: the size at 95 % power is the one at 80 % times the ratio of the quantiles.
+
+    So it is with much noise, where even usual sizes stay unseen.
+    """
     m = lengths.measurement(np.random.default_rng(22), 16)
+    m = replace(m, noise=1 / noise)
     found = candidate(m, "dead-path-drift", "T1")
+    assert (found.detectable > found.plausible) == (noise > 1)
     change = signature("dead-path-drift", 1, {"rate": found.detectable})(m)
     # normal quantiles: (z + 1.645) / (z + 0.842) lies between these for every level below 1 %
     assert 1.05 < found.hides.size / moved(m, change) < 1.25
