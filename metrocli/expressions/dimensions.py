@@ -16,6 +16,8 @@ from metrocli.expressions.expression import NEGATIVE, NUMBER, Expression, Expres
 
 Powers = tuple[tuple[str, Fraction], ...]
 _ATOM = re.compile(r"\s*(1(?![0-9])|[A-Za-zµμΩΩ°%]+)\s*(?:(?:\^|\*\*)?\s*(-?[0-9]+)|([²³]))?\s*([/*·]?)")
+_STATED = re.compile(r"[0-9.]\s*([A-Za-zµμΩΩ°%1][^,{}\[\]'\"]*)")
+"""What follows a number up to the next sign of YAML"""
 _SUPERSCRIPTS = {"²": 2, "³": 3}
 _TEMPERATURE: Powers = (("K", Fraction(1)),)
 
@@ -98,6 +100,20 @@ def converted(value: float, unit: str, into: str) -> float:
     if from_.powers != to.powers or from_.point != to.point:
         raise units.QuantityError(f"'{unit}' is {described(from_)}, '{into}' {described(to)}", f"write it in {into}")
     return value * from_.factor / to.factor
+
+
+def written(text: str, unit: str, word: str) -> Compound | None:
+    """Return the unit of the kind of `unit` in which the lines of a text with a word state quantities, or None."""
+    wanted = compound(unit).powers
+    for line in (line.partition("#")[0] for line in text.splitlines()):
+        for symbol in _STATED.findall(line) if re.search(rf"\b{re.escape(word)}\b", line) else ():
+            try:
+                found = compound(symbol)
+            except units.QuantityError:
+                continue
+            if found.powers == wanted:
+                return found
+    return None
 
 
 def described(unit: Compound) -> str:

@@ -116,6 +116,16 @@ def test_rates_are_in_the_unit_of_the_job_or_in_one_that_suits_them() -> None:
     ]
 
 
+def test_a_unit_of_ones_own_is_shown_as_it_was_written() -> None:
+    """1 arcsec/m is 4.848137e-9 1/mm; without the words of the user the number has nine zeros."""
+    turn = Estimate("turn-of-beam.LT2.a", 4.848137e-8, 2.424068e-9, "mm-1")
+    text = "define:\n  - {name: turn-of-beam, parameters: {a: {unit: arcsec/m, plausible: 5 arcsec/m}}}"
+    assert terminal.estimates_text([turn], text) == "turn-of-beam.LT2.a  10.00  ± 0.50  arcsec/m"
+    assert terminal.estimates_text([turn]).endswith("mm-1")
+    density = Estimate("rho", 7850.0, 1.0, "kg/m^3")
+    assert terminal.estimates_text([density], "rho: {value: 7.85 g/cm^3}").endswith("kg/m^3")
+
+
 def test_a_humidity_in_percent_is_no_unit_of_a_ratio() -> None:
     scale = Estimate("tracer-scale.LT2.scale", 4e-7, 1e-8, "1", "ratio")
     shown = {
