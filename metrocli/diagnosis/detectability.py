@@ -110,6 +110,8 @@ class WrongReading:
     effect: Effect
     detectable: float
     """Median over all readings of the smallest error that is found, in their unit; inf if none shows its own error"""
+    between: tuple[float, float]
+    """The smallest and the largest of these errors over the readings that are checked"""
     hides: HiddenChange
     """Largest change of the delivered result by an error of one reading that is not found with 95 % power"""
     unchecked: int
@@ -149,9 +151,10 @@ def _wrong_reading(job: AdjustedJob, test_set: ScoreTests, effect: Effect, noise
     unit = noise / np.sqrt(np.maximum(redundancy, 1e-12))
     least = np.sqrt(noncentrality(level, 1, rest, _POWER)) * unit
     hidden = np.sqrt(noncentrality(level, 1, rest, POWER)) * unit
-    detectable = float(np.median(least * system.scale[rows])) if len(rows) else float("inf")
+    sizes = least * system.scale[rows] if len(rows) else np.array([np.inf])
+    between = float(sizes.min()), float(sizes.max())
     hides = hidden_by_readings(job, system, rows, hidden)
-    return WrongReading(effect, detectable, hides, int(test_set.excluded.sum()))
+    return WrongReading(effect, float(np.median(sizes)), between, hides, int(test_set.excluded.sum()))
 
 
 def _spots(test_set: ScoreTests) -> Iterable[tuple[int, Sequence[int]]]:

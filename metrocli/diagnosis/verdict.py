@@ -190,8 +190,10 @@ def _wrong_reading(job: AdjustedJob, one: WrongReading) -> dict[str, Any]:
         "where": {},
         "status": Status.EXCLUDED,
         "minimal_detectable": {"value": one.detectable, "unit": one.effect.parameters[0].unit},
+        "above": {"value": one.between[1], "unit": one.effect.parameters[0].unit},
         "hides": _hides(job, one.hides),
-        "reason": f"wrong readings are listed as outliers; the size is that of the median reading{unchecked}",
+        "reason": "wrong readings are listed as outliers; minimal_detectable is that of the median reading, above that "
+        f"of the one that is checked least{unchecked}",
     }
 
 

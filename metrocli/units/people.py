@@ -35,7 +35,7 @@ def rounded(value: float, std: float) -> tuple[str, str]:
         return f"{value:.{max(1, _significant(value, std))}e}", f"{std:.1e}"
     if digits < 0:
         return f"{round(value, digits):.0f}", f"{round(std, digits):.0f}"
-    return f"{value:.{digits}f}", f"{std:.{digits}f}"
+    return f"{value:z.{digits}f}", f"{std:.{digits}f}"
 
 
 def _significant(value: float, std: float) -> int:

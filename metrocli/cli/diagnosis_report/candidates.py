@@ -63,9 +63,12 @@ def _of_readings(adjusted: AdjustedJob, wrong: WrongReading, open_yet: bool) -> 
     name = wrong.effect.name
     if not wrong.testable:
         return name, "one reading", str(status.Status.NOT_TESTABLE), "", "", status.UNCHECKED
-    size = units.sized(wrong.detectable, wrong.effect.parameters[0].dimension)
-    word = f"detectable from {size}" if open_yet else f"{status.Status.EXCLUDED} above {size}"
-    return name, "one reading", word, "", _hidden(adjusted, wrong.hides), "larger ones are listed as wrong readings"
+    word = _status(
+        "detectable" if open_yet else status.Status.EXCLUDED, wrong.between, wrong.effect.parameters[0].dimension
+    )
+    why = "larger ones are listed as wrong readings"
+    why += f"; {wrong.unchecked} readings are checked by no other" if wrong.unchecked else ""
+    return name, "one reading", word, "", _hidden(adjusted, wrong.hides), why
 
 
 def _hidden(adjusted: AdjustedJob, hidden: HiddenChange) -> str:
