@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -80,3 +81,12 @@ class Result:
         if "U" in details:
             return float(details["U"]), float(details.get("k", K))
         return K * estimate.std, K
+
+    def degrees_of_freedom(self, name: str = "") -> float:
+        """Return those of an estimate or, without a name, the fewest; inf where the noise is declared."""
+        stated = [details.get("dof") for key, details in self.details.items() if name in ("", key)]
+        known = [float(dof) for dof in stated if isinstance(dof, int | float) and math.isfinite(dof)]
+        dof = self.statistics.get("dof")
+        if not known and self.statistics.get("noise_estimated") and isinstance(dof, int | float) and dof > 0:
+            return float(dof)
+        return min(known, default=math.inf)

@@ -20,6 +20,8 @@ from metrocli.units.ranges import Range, range_of
 Array = npt.NDArray[np.float64]
 COVERAGE = (2.0, 2.4860, 2.8329)
 """k of one, two and three components of a deviation: the probability of k = 2, 95.45 % (JCGM 102, 6.5.3)"""
+_CERTAIN = 1e7
+"""Degrees of freedom that count as infinitely many"""
 _ROUNDING = 1e-9
 """Share of the largest eigenvalue of a covariance below which others are rounding, and rounding of coordinates [mm]"""
 _FLAT = 1e-6
@@ -96,6 +98,19 @@ class Verification:
     @property
     def _values(self) -> Array:
         return np.array([one.value for one in self.deviations])
+
+
+def covered(result: Result, components: int) -> tuple[float, float]:
+    """Return the degrees of freedom of a result's uncertainties, and the probability of U that they leave.
+
+    U contains a deviation of q components with `F(q, dof)` at `k^2 / q`: 95.45 % for inf, which is that of a declared
+    noise. What the check contributes has no such doubt, so with it the probability is larger.
+    """
+    from scipy.special import fdtr
+
+    dof = result.degrees_of_freedom()
+    k = COVERAGE[components - 1]
+    return dof, float(fdtr(components, min(dof, _CERTAIN), k**2 / components))
 
 
 def columns_for(result: Result, header: Collection[str]) -> Columns:

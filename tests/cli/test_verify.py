@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +58,16 @@ def test_json_of_lengths(folder: Path, metrocli: Metrocli) -> None:
     assert found["largest"] == pytest.approx(0.04)
     assert found["inside"] == 0.5
     assert found["max_en"] == pytest.approx(0.04 / second)
+
+
+def test_few_degrees_of_freedom_limit_what_u_covers(folder: Path, metrocli: Metrocli) -> None:
+    """2 T5(2) - 1 = 89.8 %."""
+    result, record = hdf5.read(folder / "r.h5")
+    few = replace(result, statistics={"noise_estimated": True, "dof": 5})
+    hdf5.write(folder / "few.h5", few, record)
+    ran = metrocli("verify", folder / "few.h5", folder / "lengths.csv")
+    assert "5 degrees of freedom: U covers 89.8 % of the deviations or somewhat more, not 95.45 %" in ran.err
+    assert "degrees of freedom" not in metrocli("verify", folder / "r.h5", folder / "lengths.csv").err
 
 
 def test_a_requirement_that_is_not_met_ends_with_6(folder: Path, metrocli: Metrocli) -> None:

@@ -17,7 +17,7 @@ from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
 from metrocli.tasks.multilaterate import task as multilaterate
 from metrocli.tasks.multilaterate.distance import distance
-from metrocli.uncertainty.verification import COVERAGE, columns_for, verify
+from metrocli.uncertainty.verification import COVERAGE, columns_for, covered, verify
 
 SIGMA = 1.5e-3
 HERE, TURN = np.array([400.0, -900.0, 250.0]), sim.rotation(np.array([0.3, -0.5, 1.1]))
@@ -122,6 +122,19 @@ def test_figures_of_a_machine_are_those_of_plain_numpy(result: Result, machine: 
 
 def test_k_has_the_probability_of_two_standard_uncertainties() -> None:
     assert np.array(COVERAGE) == pytest.approx([np.sqrt(chdtri(dof, 0.04550026)) for dof in (1, 2, 3)], abs=1e-4)
+
+
+@pytest.mark.parametrize(("dof", "components"), [(5, 1), (5, 3), (12, 1), (12, 3)])
+def test_few_degrees_of_freedom_leave_a_smaller_probability(dof: int, components: int) -> None:
+    """Drawn: normal deviations over a standard deviation from `dof` residuals."""
+    result = Result("multilaterate", "", (), np.zeros((0, 0)), {"noise_estimated": True, "dof": dof})
+    rng = np.random.default_rng([dof, components])
+    found = np.linalg.norm(rng.normal(size=(200_000, components)), axis=1)
+    found /= np.sqrt(rng.chisquare(dof, len(found)) / dof)
+    share = float(np.mean(found <= COVERAGE[components - 1]))
+    assert covered(result, components) == (dof, pytest.approx(share, abs=0.003))
+    declared = Result("multilaterate", "", (), np.zeros((0, 0)), {"dof": dof})
+    assert covered(declared, components) == (np.inf, pytest.approx(0.9545, abs=1e-4))
 
 
 def test_a_true_machine_is_inside_and_a_planted_wrong_point_is_found(machine: sim.Machine) -> None:

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from metrocli.table import Table
     from metrocli.uncertainty.verification import Verification
 
+_LEAST = 0.95
+"""Probability of U below which the reader has to know it"""
 FIGURES = ("max_en", "inside")
 """What --require can take"""
 
@@ -50,9 +52,17 @@ def command(result: Path, check: Path, aligned: bool, require: str | None, as_js
 
 def _remarks(result: Result, record: Record, check: Table) -> list[str]:
     """Return what the reader has to know of the file, the result and the uncertainties."""
+    from metrocli.uncertainty.verification import covered
+
     remarks = [*check.warnings, *(f"the result is not fit for use: {reason}" for reason in record.reasons)]
     if "sigma" not in check:
         remarks.append("no column 'sigma_mm': U does not contain the uncertainty of the check")
+    dof, probability = covered(result, 1 if "length" in check else 3)
+    if probability < _LEAST:
+        remarks.append(
+            f"the uncertainties of the result have {dof:.3g} degrees of freedom: U covers {100 * probability:.3g} % of "
+            "the deviations or somewhat more, not 95.45 %"
+        )
     names = sorted({name.split("/")[1] for name in result.tables if name.startswith("effects/")})
     if names and "mx" in check:
         remarks.append(f"the prediction does not contain the effects in the result: {', '.join(names)}")

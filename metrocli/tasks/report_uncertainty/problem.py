@@ -172,7 +172,7 @@ class _Gathering:
             node = self.settings.measurands[next(iter(self.settings.measurands))].node
             self.faults.append(node.fault(f"the result of {held[0][0]} has no valid covariance", "run its job again"))
             return None
-        dofs = [degrees_of_freedom(result, index) for index in at]
+        dofs = [result.degrees_of_freedom(result.estimates[index].name) for index in at]
         for (name, _, index), unit, dof, variance in zip(held, found, dofs, np.diag(covariance), strict=True):
             shape = Normal(math.sqrt(max(float(variance), 0.0)))
             value = result.estimates[index].value * unit.factor
@@ -283,14 +283,3 @@ def _example(unit: Compound) -> str:
         return "'degC'" if unit.point else "1"
     found = next((d for d in units.DIMENSIONS.values() if described(unit) == d.phrase), None)
     return f"'{found.unit if found is not None else dimensions.base_unit(unit.powers)}'"
-
-
-def degrees_of_freedom(result: Result, index: int) -> float:
-    """Return the degrees of freedom of an estimate: its own, those of the estimated noise, or inf."""
-    stated = result.details.get(result.estimates[index].name, {}).get("dof")
-    if isinstance(stated, int | float) and math.isfinite(stated):
-        return float(stated)
-    dof = result.statistics.get("dof")
-    if result.statistics.get("noise_estimated") and isinstance(dof, int | float) and dof > 0:
-        return float(dof)
-    return math.inf

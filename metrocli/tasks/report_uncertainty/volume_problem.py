@@ -18,7 +18,6 @@ from metrocli.expressions.written import Measure
 from metrocli.geometry.poses import EULER
 from metrocli.result import Result
 from metrocli.settings import Placed
-from metrocli.tasks.report_uncertainty.problem import degrees_of_freedom
 from metrocli.tasks.report_uncertainty.sources import contributors, identity, shared
 from metrocli.uncertainty.volume import AXES, Contribution, grid, of_models, of_pose
 from metrocli.words import suggestion
@@ -151,7 +150,7 @@ def _along_axes(value: float | tuple[float, float, float]) -> Array:
 
 
 def _dof(result: Result) -> float:
-    return min(degrees_of_freedom(result, index) for index in range(len(result.estimates)))
+    return min(result.degrees_of_freedom(one.name) for one in result.estimates)
 
 
 def _of_result(placed: Placed, result: Result, points: Array) -> Array:
