@@ -33,6 +33,7 @@ SIZE, SMALL = (6, 220), (3, 80)
 """Knots of each axis and points; in a small case fewer"""
 PARAMETERS = {
     "backlash": ("width",),
+    "backlash-growth": ("growth",),
     "screw-pitch-error": ("amplitude", "phase"),
     "thermal-growth": ("rate",),
     "machine-drift": ("vx", "vy", "vz"),
@@ -47,6 +48,7 @@ PARAMETERS = {
     "tracker-azimuth-harmonic": ("c2", "s2"),
     "tracker-vertical-eccentricity": ("c1", "s1"),
     "tracker-vertical-harmonic": ("c2", "s2"),
+    "tracker-air-gradient": ("gradient",),
     "tracker-drift": ("vx", "vy", "vz"),
 }
 OUTSIDE = ("_swing", "_warm-up", "_fourfold")
@@ -193,7 +195,7 @@ def _about_z(angle: float) -> Array:
 
 def places(name: str) -> list[dict[str, str]]:
     """Return where an effect can be."""
-    if name in ("backlash", "screw-pitch-error", "thermal-growth"):
+    if name in ("backlash", "backlash-growth", "screw-pitch-error", "thermal-growth"):
         return [{"axis": axis} for axis in "xyz"]
     return [{"pair": pair} for pair in ("xy", "xz", "yz")] if name == "load-sag" else [{}]
 
@@ -207,6 +209,8 @@ def change(m: Measurement, name: str, where: Mapping[str, str], v: Mapping[str, 
         i = "xyz".index(where["axis"])
         if name == "backlash":
             moved[:, i] = v["width"] / 2 * m.came[:, i]
+        elif name == "backlash-growth":
+            moved[:, i] = v["growth"] * m.at[:, i] / 2 * m.came[:, i]
         elif name == "thermal-growth":
             moved[:, i] = v["rate"] * elapsed * m.at[:, i]
         else:
@@ -247,6 +251,8 @@ def _misread(seen: Array, name: str, v: Mapping[str, float]) -> Array:
         turn = v["angle"] * z / level
     elif name == "tracker-mirror-tilt":
         turn = v["angle"] * r / level
+    elif name == "tracker-air-gradient":
+        longer, lift = v["gradient"] * r * z / 2, -v["gradient"] * level / 2
     elif name == "tracker-vertical-index":
         lift = lift + v["angle"]
     elif name == "tracker-azimuth-harmonic":

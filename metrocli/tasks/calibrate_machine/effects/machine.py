@@ -8,7 +8,15 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array, Space
 from metrocli.effects.effect import Effect, Parameter
-from metrocli.effects.links.motions import AXES, Backlash, LoadSag, MachineDrift, ScrewPitchError, ThermalGrowth
+from metrocli.effects.links.motions import (
+    AXES,
+    Backlash,
+    BacklashGrowth,
+    LoadSag,
+    MachineDrift,
+    ScrewPitchError,
+    ThermalGrowth,
+)
 from metrocli.units import parse_quantity
 
 SCHWENKE = "Schwenke et al. 2008, Geometric error measurement and compensation of machines, CIRP Annals 57"
@@ -48,6 +56,18 @@ OF_THE_MACHINE: tuple[Effect, ...] = (
         usual="1 to 20 um",
         reveal="the same points approached from both sides; lines run in both directions",
         source="ISO 230-2:2014, reversal value B; left out by Sanders et al. 2023, section 1.1",
+    ),
+    Effect(
+        "backlash-growth",
+        "the play of an axis is not the same along its travel: its screw or rack is worn, or winds up",
+        (size("growth", "ratio", "50 ppm"),),
+        lambda block, where: BacklashGrowth(block, where["axis"]),
+        where=("axis",),
+        needs=("from_{axis}",),
+        confused_with=("backlash",),
+        usual="1 to 50 ppm",
+        reveal="points along the whole axis, each approached from both sides",
+        source="ISO 230-2:2014, reversal value B at each target position",
     ),
     Effect(
         "screw-pitch-error",

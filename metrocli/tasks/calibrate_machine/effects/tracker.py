@@ -134,6 +134,16 @@ OF_THE_TRACKER: tuple[Effect, ...] = (
         "the same points with the tracker at another height, so that their elevations differ",
         ("tracker-vertical-eccentricity",),
     ),
+    _readings(
+        "tracker-air-gradient",
+        "the refractive index of the air changes with height: the beam is bent, and its distance off",
+        (size("gradient", "curvature", "5e-9 1/mm"),),
+        {"distance": "gradient*distance**2*sin(elevation)/2", "elevation": "-gradient*distance*cos(elevation)/2"},
+        "2e-10 to 5e-9 1/mm",
+        "the temperature of the air at two heights; the same points with the tracker nearer",
+        ("tracker-vertical-index", "tracker-scale"),
+        "Birch and Downs 1994: -0.955 ppm/K, so 1 K/m is -9.55e-10 1/mm; Torge, Geodesy (refraction of a beam)",
+    ),
     Effect(
         "tracker-drift",
         "the tracker moves on its stand while the machine is measured",
