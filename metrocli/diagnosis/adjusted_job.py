@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
 from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index, Mask
+from metrocli.adjust.model.observations import Index, Mask, Observations
 from metrocli.adjust.solution import Solution
 from metrocli.effects.acting import Acting
 from metrocli.effects.effect import Effect
@@ -125,5 +125,11 @@ class AdjustedJob:
     """Names of effects that cannot be searched for in these readings, each with the reason"""
     budget: Budget = field(default_factory=Budget)
     """CPU time for the search of effects"""
+    made_together: tuple[str, ...] = ()
+    """Keys that all readings of one exposure or pose share; empty if each reading is made on its own"""
+    variations: Callable[[Model, Observations], Iterable[tuple[str, Observations]]] = field(
+        default=lambda model, readings: ()
+    )
+    """How readings could be made again otherwise than before: in words, with their changed conditions"""
     offers: Callable[[Model], Iterable[tuple[str, Model]]] = field(default=lambda model: ())
     """Further measurements that the kind of job proposes: in words, with the model of that measurement"""

@@ -29,7 +29,9 @@ def predicted(model: Model) -> Array:
 
 def angles(model: Model) -> Array:
     """phi1 to phi4 of a launch unit, (4, n)."""
-    return np.concatenate([g.chain.predict(model.blocks, g.observations) for g in model.readings if "dist" not in g.name])
+    return np.concatenate(
+        [g.chain.predict(model.blocks, g.observations) for g in model.readings if "dist" not in g.name]
+    )
 
 
 def test_an_oval_disc_changes_its_own_encoder_by_two_waves() -> None:
