@@ -46,6 +46,7 @@ def command(
     from metrocli.cli import summary
     from metrocli.cli.diagnosis_report import findings
     from metrocli.cli.diagnosis_report.next_readings import next_lines
+    from metrocli.cli.shell.signals import first_interrupt
     from metrocli.diagnosis import verdict
     from metrocli.diagnosis.next_readings.choice import as_data, next_readings
     from metrocli.errors import InputError, UsageError
@@ -71,7 +72,7 @@ def command(
     loaded = load(job, asked)
     if wanted["until_clean"]:
         return _loop(loaded, wanted, force, as_json)
-    diagnosis = diagnosed.carry_out(loaded, console.waiting, _seconds(wanted["limit"]))
+    diagnosis = diagnosed.carry_out(loaded, console.waiting, _seconds(wanted["limit"]), first_interrupt)
     extended = None
     try:
         extended = diagnosed.write_extended(loaded, diagnosis, output, force)

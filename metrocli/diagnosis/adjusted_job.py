@@ -73,10 +73,18 @@ class Budget:
         self.seconds = seconds
         self.ended = False
         """Whether a search ended because of it"""
+        self.interrupted = False
+        """Whether somebody ended the search"""
         self._start = time.process_time()
 
+    def interrupt(self) -> None:
+        """End the search with what it has found."""
+        self.interrupted = True
+
     def spent(self) -> bool:
-        """Return whether the time is spent, and remember that it was asked in vain."""
+        """Return whether the time is spent or the search interrupted, and remember that time was asked in vain."""
+        if self.interrupted:
+            return True
         self.ended = self.ended or time.process_time() - self._start > self.seconds
         return self.ended
 

@@ -39,6 +39,7 @@ def as_data(diagnosis: Diagnosis) -> dict[str, Any]:
             "repeats": None if repeats is None else {"ratio": repeats.ratio, "lack_of_fit": repeats.lack_of_fit},
         },
         "limited": diagnosis.limited,
+        "interrupted": diagnosis.interrupted,
         "mistake": None if diagnosis.mistaken is None else _correction(diagnosis.mistaken),
         "outliers": [_outlier(one) for one in diagnosis.outliers],
         "effects": [
