@@ -71,6 +71,7 @@ def _law(job: AdjustedJob, law: Law) -> dict[str, Any]:
         "p_value": law.p_value,
         "gain": _gain(law.gain, job),
         "part_of_structure": law.part_of_structure,
+        "near": [{"name": one.effect.name, "where": _where(one), "correlation": cosine} for one, cosine in law.near],
         "chosen": law.chosen,
     }
 

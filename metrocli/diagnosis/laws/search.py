@@ -15,8 +15,9 @@ from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.cross_validation import Gain, Held, folds_of, gain_of, held_out_errors, without
 from metrocli.diagnosis.laws.library import Library, Term
+from metrocli.diagnosis.laws.near import near_effects
 from metrocli.diagnosis.laws.steps import LEVEL, Search, Step, forward, plain_tests, start_of, tests_of_terms
-from metrocli.diagnosis.linear.candidates import Family
+from metrocli.diagnosis.linear.candidates import Alternative, Family
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns, nothing_fitted
 from metrocli.diagnosis.linear.projection import System
 from metrocli.diagnosis.selection.selection_state import Selection
@@ -46,6 +47,8 @@ class Law:
     """Root mean square of what it explains over the readings on which it acts, in their unit"""
     columns: Array
     """Its visible columns in the linearised system, (rows, factors)"""
+    near: tuple[tuple[Alternative, float], ...] = ()
+    """Effects of the catalogue that change the readings nearly as it does, each with the cosine, the nearest first"""
     chosen: bool = False
 
 
@@ -74,7 +77,14 @@ def laws_in(job: AdjustedJob, selection: Selection, structured: bool) -> tuple[L
     best = max(found, key=lambda one: one.gain.log_score)
     if not structured and not best.gain.shown:
         return ()
-    return tuple(replace(one, chosen=one is best and one.gain.log_score > 0) for one in found)
+    return tuple(
+        replace(
+            one,
+            near=near_effects(selection.test_set, one.columns @ np.concatenate(one.sizes)),
+            chosen=one is best and one.gain.log_score > 0,
+        )
+        for one in found
+    )
 
 
 def fits(system: System) -> bool:

@@ -13,8 +13,10 @@ from simulated import lengths as simulated_lengths
 
 from metrocli.cli.diagnosis_report.findings import of_diagnosis
 from metrocli.diagnosis.diagnose import Attended, diagnose, no_interrupt
+from metrocli.diagnosis.extended_fit import score_tests_of_job
 from metrocli.diagnosis.findings import Diagnosis, Verdict
 from metrocli.diagnosis.laws.definition import as_define, as_wanted, written
+from metrocli.diagnosis.laws.near import near_effects
 from metrocli.diagnosis.laws.terms import forms_of
 from metrocli.diagnosis.verdict import as_data
 from metrocli.effects.own.define import read
@@ -110,6 +112,21 @@ def test_an_interrupted_search_has_the_best_that_it_had_found(found: Diagnosis) 
     assert "The search for laws was interrupted" in of_diagnosis(ended, None)
 
 
+def test_effects_that_nearly_contain_a_law_are_named_with_their_cosine(found: Diagnosis) -> None:
+    rng = np.random.default_rng(3)
+    tests, _ = score_tests_of_job(found.job, {}, rng)
+    family = next(one for one in tests.families if one.name == "dead-path-drift")
+    at = next(i for i, one in enumerate(family.alternatives) if one.instance == ("T3",))
+    column = family.columns[:, at, 0]
+    other = tests.system.seen(rng.normal(size=len(column)))
+    other -= column * (column @ other) / (column @ column)
+    other *= np.linalg.norm(column) / np.linalg.norm(other)
+    (best, cosine), *_ = near_effects(tests, column + 0.25 * other)
+    assert best.spot == ("dead-path-drift", ("T3",))
+    assert cosine == pytest.approx(1 / np.sqrt(1 + 0.25**2))
+    assert near_effects(tests, column + 3 * other) == ()
+
+
 def test_the_law_is_a_definition_without_fault(found: Diagnosis) -> None:
     assert found.law is not None
     define, wanted = as_define(found.law, "law-1"), as_wanted(found.law, "law-1")
@@ -123,8 +140,9 @@ def test_the_law_is_a_definition_without_fault(found: Diagnosis) -> None:
 def test_the_data_of_a_law_have_the_keys_of_the_contract(found: Diagnosis) -> None:
     (law,) = as_data(found)["laws"]
     assert set(law) == {
-        "acts_on", "where", "adds", "parameters", "terms", "p_value", "gain", "part_of_structure", "chosen",
+        "acts_on", "where", "adds", "parameters", "terms", "p_value", "gain", "part_of_structure", "near", "chosen",
     }  # fmt: skip
+    assert law["near"] == []
     assert law["chosen"] and law["acts_on"] == "length" and law["parameters"]["a1"]["unit"] == "mm"
 
 
