@@ -22,7 +22,7 @@ from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.next_readings.pool import Pool, Signature, pool_of
 from metrocli.diagnosis.next_readings.proposals import Proposal, proposals
 from metrocli.effects.model import Model
-from metrocli.errors import InputError
+from metrocli.errors import UsageError
 from metrocli.words import suggestion
 
 LEVEL = 0.01
@@ -92,14 +92,14 @@ def _can_rise(aim: Aim, pool: Pool, count: int) -> bool:
 def revealing(job: AdjustedJob, design: Design, wanted: str, count: int) -> Next:
     """Return the readings that best show an effect, written as `NAME` or `NAME:PLACE`, before anything is measured.
 
-    Raises InputError if the job has no such candidate.
+    Raises UsageError if the job has no such candidate.
     """
     name, _, place = wanted.partition(":")
     known = {_label(one.alternative): one.alternative for one in design.candidates}
     found = next((one for label, one in known.items() if label in (wanted, f"{name}:{place.partition('=')[2]}")), None)
     if found is None:
         hint = suggestion(wanted, list(known)) if known else "this job has no candidates"
-        raise InputError(f"--reveal: there is no effect '{wanted}' that this measurement could have\n{hint}")
+        raise UsageError(f"--reveal: there is no effect '{wanted}' that this measurement could have; {hint}")
     proposed = proposals(job)
     return _chosen([_of_candidate(job.model, found, proposed, 1.0)] if proposed else [], proposed, count)
 

@@ -24,7 +24,7 @@ from metrocli.diagnosis.next_readings.choice import Next, next_readings, reveali
 from metrocli.diagnosis.next_readings.pool import pool_of
 from metrocli.diagnosis.next_readings.proposals import Proposal, proposals, with_proposals
 from metrocli.effects.effect import ELAPSED
-from metrocli.errors import InputError
+from metrocli.errors import UsageError
 
 Array = npt.NDArray[np.float64]
 Metrocli = Callable[..., object]
@@ -154,7 +154,7 @@ def test_readings_that_reveal_an_effect_raise_the_power_to_find_it() -> None:
     assert (aim.why, len(following.readings)) == ("shows reseated-reflector", 5)
     assert aim.before < 0.02
     assert aim.after > 0.99
-    with pytest.raises(InputError, match="there is no effect 'tracer-drift:T9'"):
+    with pytest.raises(UsageError, match="there is no effect 'tracer-drift:T9'"):
         revealing(diagnosis.job, diagnosis.design, "tracer-drift:T9", 5)
 
 
@@ -168,3 +168,8 @@ def test_json_of_next(tmp_path: Path, metrocli: Metrocli, monkeypatch: pytest.Mo
         assert set(one) == {"do", "where", "why", "power"}
     assert all(0 <= aim["before"] <= aim["after"] <= 1 for aim in data["next_aims"])
     assert metrocli("diagnose", "hall/jobs/hall.yaml", "--next", "3", "--design").code == 2  # type: ignore[attr-defined]
+    ran = metrocli("plan", "hall/jobs/hall.yaml", "--reveal", "sphere-form:LT5", "--json")
+    data = json.loads(ran.out)  # type: ignore[attr-defined]
+    assert [aim["why"] for aim in data["next_aims"]] == ["shows sphere-form LT5"]
+    ran = metrocli("plan", "hall/jobs/hall.yaml", "--reveal", "sphere-from:LT5", "--force")
+    assert ran.code == 2 and "sphere-form:LT5" in ran.err  # type: ignore[attr-defined]
