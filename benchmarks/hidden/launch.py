@@ -22,18 +22,20 @@ ENCODER, DISTANCE = 2.4240684e-5, 1e-3
 READINGS = ("phi1", "phi2", "phi3", "phi4", "distance")
 PARAMETERS = {
     "encoder-eccentricity": ("c1", "s1"),
+    "encoder-harmonic": ("c2", "s2"),
     "encoder-offset": ("offset",),
     "base-tilt": ("tx", "ty"),
     "axis-nonorthogonality": ("angle",),
     "beam-offset": ("h",),
+    "beam-height": ("v",),
     "distance-offset": ("offset",),
     "distance-scale": ("scale",),
     "machine-scale": ("scale",),
     "machine-squareness": ("angle",),
     "bad-pose": ("dx", "dy", "dz"),
 }
-OUTSIDE = ("_launch-creep", "_encoder-sine", "_second-harmonic", "_warm-up")
-_SIZES = {"angle": 1e-5, "tx": 1e-5, "ty": 1e-5, "c1": 1e-5, "s1": 1e-5, "scale": 1e-6}
+OUTSIDE = ("_launch-creep", "_encoder-sine", "_third-harmonic", "_warm-up")
+_SIZES = {"angle": 1e-5, "tx": 1e-5, "ty": 1e-5, "c1": 1e-5, "s1": 1e-5, "c2": 1e-5, "s2": 1e-5, "scale": 1e-6}
 _ONE = 0.9
 """Cosine above which a change is that of a single reading"""
 
@@ -115,7 +117,7 @@ def measurement(rng: np.random.Generator, distances: bool) -> Measurement:
 
 def places(m: Measurement, name: str) -> list[dict[str, str]]:
     """Return where an effect can be."""
-    if name == "encoder-eccentricity":
+    if name in ("encoder-eccentricity", "encoder-harmonic"):
         return [{"encoder": f"phi{i}"} for i in (1, 2, 3, 4)]
     if name == "encoder-offset":
         return [{"encoder": f"phi{i}"} for i in (2, 3, 4)]
@@ -139,6 +141,7 @@ def change(m: Measurement, name: str, where: Mapping[str, str], values: Mapping[
         phi = ideal[row]
         moved[row] += values.get("offset", 0.0)
         moved[row] += values.get("c1", 0.0) * np.cos(phi) + values.get("s1", 0.0) * np.sin(phi)
+        moved[row] += values.get("c2", 0.0) * np.cos(2 * phi) + values.get("s2", 0.0) * np.sin(2 * phi)
     elif name == "base-tilt":
         tilt = np.array([values["tx"], values["ty"]])
         still = np.zeros(2)
@@ -149,6 +152,9 @@ def change(m: Measurement, name: str, where: Mapping[str, str], values: Mapping[
     elif name == "beam-offset":
         level = np.linalg.norm((m.receivers - m.unit[:3])[:, :2], axis=1)
         moved[[0, 3]] -= np.arcsin(values["h"] / level)
+    elif name == "beam-height":
+        turn = np.arcsin(values["v"] / np.linalg.norm(m.receivers - m.unit[:3], axis=1))
+        moved[1], moved[2] = moved[1] - turn, moved[2] + turn
     elif name == "distance-offset":
         moved[4] += values["offset"]
     elif name == "distance-scale":
@@ -182,8 +188,8 @@ def _outside(m: Measurement, name: str, values: Mapping[str, float], ideal: Arra
             moved[:, i] = m.predicted(unit=m.unit + np.array([*(velocity * t), 0.0]))[:, i]
     elif name == "_encoder-sine":
         moved[row] += c * np.sin(2 * np.pi * m.t / values["period"] + values["phase"])
-    elif name == "_second-harmonic":
-        moved[row] += c * np.cos(2 * ideal[row] + values["phase"])
+    elif name == "_third-harmonic":
+        moved[row] += c * np.cos(3 * ideal[row] + values["phase"])
     else:
         moved[row] += c * np.exp(-(m.t - m.t.min()) / (values["period"] / 4))
     return moved

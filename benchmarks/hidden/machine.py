@@ -33,12 +33,22 @@ SIZE, SMALL = (6, 220), (3, 80)
 """Knots of each axis and points; in a small case fewer"""
 PARAMETERS = {
     "backlash": ("width",),
+    "backlash-growth": ("growth",),
     "screw-pitch-error": ("amplitude", "phase"),
     "thermal-growth": ("rate",),
     "machine-drift": ("vx", "vy", "vz"),
     "load-sag": ("c",),
     "tracker-eccentricity": ("c1", "s1"),
     "tracker-scale": ("scale",),
+    "tracker-range-zero": ("r0",),
+    "tracker-beam-offset": ("h", "v"),
+    "tracker-transit-tilt": ("angle",),
+    "tracker-mirror-tilt": ("angle",),
+    "tracker-vertical-index": ("angle",),
+    "tracker-azimuth-harmonic": ("c2", "s2"),
+    "tracker-vertical-eccentricity": ("c1", "s1"),
+    "tracker-vertical-harmonic": ("c2", "s2"),
+    "tracker-air-gradient": ("gradient",),
     "tracker-drift": ("vx", "vy", "vz"),
 }
 OUTSIDE = ("_swing", "_warm-up", "_fourfold")
@@ -185,7 +195,7 @@ def _about_z(angle: float) -> Array:
 
 def places(name: str) -> list[dict[str, str]]:
     """Return where an effect can be."""
-    if name in ("backlash", "screw-pitch-error", "thermal-growth"):
+    if name in ("backlash", "backlash-growth", "screw-pitch-error", "thermal-growth"):
         return [{"axis": axis} for axis in "xyz"]
     return [{"pair": pair} for pair in ("xy", "xz", "yz")] if name == "load-sag" else [{}]
 
@@ -199,6 +209,8 @@ def change(m: Measurement, name: str, where: Mapping[str, str], v: Mapping[str, 
         i = "xyz".index(where["axis"])
         if name == "backlash":
             moved[:, i] = v["width"] / 2 * m.came[:, i]
+        elif name == "backlash-growth":
+            moved[:, i] = v["growth"] * m.at[:, i] / 2 * m.came[:, i]
         elif name == "thermal-growth":
             moved[:, i] = v["rate"] * elapsed * m.at[:, i]
         else:
@@ -220,7 +232,38 @@ def change(m: Measurement, name: str, where: Mapping[str, str], v: Mapping[str, 
         four = v.get("c", 0.0) * np.cos(4 * azimuth + v.get("phase", 0.0))
         by = four if name == "_fourfold" else v["c1"] * np.cos(azimuth) + v["s1"] * np.sin(azimuth)
         return np.stack([-y * by, x * by, 0 * by], axis=1)
+    if name.startswith("tracker-") and name != "tracker-drift":
+        return _misread(m.seen, name, v)
     return moved @ m.turn
+
+
+def _misread(seen: Array, name: str, v: Mapping[str, float]) -> Array:
+    """Return the change of points (n, 3) by an error in distance, azimuth or elevation, by the pages of the effects."""
+    x, y, z = seen.T
+    r, azimuth, elevation = np.sqrt(x * x + y * y + z * z), np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))
+    level = np.hypot(x, y)
+    longer, turn, lift = np.zeros((3, len(r)))
+    if name == "tracker-range-zero":
+        longer = longer + v["r0"]
+    elif name == "tracker-beam-offset":
+        turn, lift = v["h"] / level, v["v"] / r
+    elif name == "tracker-transit-tilt":
+        turn = v["angle"] * z / level
+    elif name == "tracker-mirror-tilt":
+        turn = v["angle"] * r / level
+    elif name == "tracker-air-gradient":
+        longer, lift = v["gradient"] * r * z / 2, -v["gradient"] * level / 2
+    elif name == "tracker-vertical-index":
+        lift = lift + v["angle"]
+    elif name == "tracker-azimuth-harmonic":
+        turn = v["c2"] * np.cos(2 * azimuth) + v["s2"] * np.sin(2 * azimuth)
+    elif name == "tracker-vertical-eccentricity":
+        lift = (v["c1"] * level + v["s1"] * z) / r
+    else:
+        lift = v["c2"] * np.cos(2 * elevation) + v["s2"] * np.sin(2 * elevation)
+    r, azimuth, elevation = r + longer, azimuth + turn, elevation + lift
+    new = np.stack([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
+    return np.asarray((r * new).T - seen)
 
 
 def nearest(m: Measurement, seen: Array, name: str, where: Mapping[str, str]) -> float:

@@ -27,27 +27,37 @@ CLEAN = "clean"
 @click.option("--limit", default="120 s", metavar="TIME", help="CPU time of the searches, e.g. '60 s'; default 120 s.")
 @click.option("--until-clean", is_flag=True, help="Extend, run and diagnose again until clean or nothing is gained.")
 @click.option("--most", default=5, show_default=True, type=click.IntRange(1), help="Most extensions of --until-clean.")
+@click.option(
+    "--next", "following", type=click.IntRange(1), metavar="N", help="Propose the N readings that help most, such as 5."
+)
 @options.FORCE
 @options.SET
 @options.ACCEPT
 @options.JSON
 @options.QUIET
 @options.VERBOSE
-def command(job: Path, design: bool, output: Path | None, force: bool, as_json: bool, **wanted: Any) -> int:
+def command(
+    job: Path, design: bool, output: Path | None, following: int | None, force: bool, as_json: bool, **wanted: Any
+) -> int:
     """Diagnose, write the extended job where effects were named, and print the report.
 
     Where the extended job cannot be written, the report is printed with a warning; with `--output` it is an error.
     """
     from metrocli.cli import summary
     from metrocli.cli.diagnosis_report import findings
+    from metrocli.cli.diagnosis_report.next_readings import next_lines
+    from metrocli.cli.shell.signals import first_interrupt
     from metrocli.diagnosis import verdict
-    from metrocli.errors import InputError
+    from metrocli.diagnosis.next_readings.choice import as_data, next_readings
+    from metrocli.errors import InputError, UsageError
     from metrocli.project import diagnosed
     from metrocli.project.inputs import input_files
     from metrocli.project.job import Wishes, kind_of_job, load
     from metrocli.record import NOT_MET
     from metrocli.tasks import KINDS
 
+    if following is not None and (design or wanted["until_clean"]):
+        raise UsageError("--next needs a diagnosis of its own: leave --design and --until-clean out")
     console = Console(wanted["quiet"] or as_json, wanted["verbose"])
     asked = Wishes(wanted["overrides"], accept_doubtful=wanted["accept_doubtful"])
     if design:
@@ -62,7 +72,7 @@ def command(job: Path, design: bool, output: Path | None, force: bool, as_json: 
     loaded = load(job, asked)
     if wanted["until_clean"]:
         return _loop(loaded, wanted, force, as_json)
-    diagnosis = diagnosed.carry_out(loaded, console.waiting, _seconds(wanted["limit"]))
+    diagnosis = diagnosed.carry_out(loaded, console.waiting, _seconds(wanted["limit"]), first_interrupt)
     extended = None
     try:
         extended = diagnosed.write_extended(loaded, diagnosis, output, force)
@@ -70,11 +80,14 @@ def command(job: Path, design: bool, output: Path | None, force: bool, as_json: 
         if output is not None:
             raise
         echo(f"warning: no extended job was written: {error}", err=True)
+    proposed = None if following is None else next_readings(diagnosis, following)
     if as_json:
         of = diagnosed.identity(loaded.text, input_files(loaded))
         more = {"extended_job": extended and str(extended), "of": of}
-        echo(summary.as_json(verdict.as_data(diagnosis) | more))
+        echo(summary.as_json(verdict.as_data(diagnosis) | more | (as_data(proposed) if proposed else {})))
     console.print(findings.of_diagnosis(diagnosis, extended))
+    if proposed is not None:
+        console.print("\n".join(["", *next_lines(proposed)]))
     return NOT_MET if wanted["require"] not in (None, diagnosis.verdict) else 0
 
 

@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from metrocli.cli import options
 from metrocli.cli.console import Console, echo
+
+if TYPE_CHECKING:
+    from metrocli.diagnosis.next_readings.choice import Next
+
+_READINGS = 5
+"""Number of readings that `--reveal` proposes"""
 
 
 @click.command("plan", help="Show what a planned measurement will determine and how well, and propose a better one.")
@@ -19,14 +25,21 @@ from metrocli.cli.console import Console, echo
     metavar="DIR",
     help="Folder to write to (default: NAME.plan beside the job).",
 )
+@click.option(
+    "--reveal", metavar="EFFECT[:PLACE]", help="Also propose five further readings that best show this effect."
+)
 @options.SET
 @options.ACCEPT
 @options.FORCE
 @options.JSON
 @options.QUIET
-def command(job: Path, out: Path | None, force: bool, as_json: bool, quiet: bool, **wishes: Any) -> int:
+def command(
+    job: Path, out: Path | None, reveal: str | None, force: bool, as_json: bool, quiet: bool, **wishes: Any
+) -> int:
     """Plan; write tables and files; print the expected uncertainties and the paths."""
     from metrocli.cli import summary, terminal
+    from metrocli.cli.diagnosis_report.next_readings import next_lines
+    from metrocli.diagnosis.next_readings.choice import as_data
     from metrocli.project import planned, runner
     from metrocli.project.job import Wishes, kind_of_job, load
     from metrocli.tasks import KINDS
@@ -38,13 +51,30 @@ def command(job: Path, out: Path | None, force: bool, as_json: bool, quiet: bool
     not_needed, accept = KINDS[kind].planned if kind else (), wishes["accept_doubtful"]
     loaded = load(job, Wishes(wishes["overrides"], not_needed=not_needed, accept_doubtful=accept))
     plan = runner.plan(loaded)
-    text = summary.json_of_plan(plan, folder)
+    revealed = None if reveal is None else _revealing(job, reveal, wishes)
+    text = summary.json_of_plan(plan, folder, {} if revealed is None else as_data(revealed))
     written = list(planned.write(planned.files_of(plan), text, folder))
     if not as_json:
         for line in (terminal.plan_text(plan, loaded.text), *map(str, written)):
             console.print(line)
+        if revealed is not None:
+            console.print("\n".join(["", *next_lines(revealed)]))
     if as_json:
         echo(text)
     for line in plan.warnings:
         console.warning(line)
     return 0
+
+
+def _revealing(job: Path, effect: str, wishes: dict[str, Any]) -> Next:
+    """Return the further readings that best show an effect; readings that do not exist yet are simulated."""
+    from metrocli.diagnosis.next_readings.choice import revealing
+    from metrocli.project import diagnosed
+    from metrocli.project.job import Wishes, kind_of_job, load
+    from metrocli.tasks import KINDS
+
+    kind = kind_of_job(job)
+    not_needed, accept = KINDS[kind].measured if kind else (), wishes["accept_doubtful"]
+    loaded = load(job, Wishes(wishes["overrides"], not_needed=not_needed, accept_doubtful=accept))
+    adjusted, design = diagnosed.design_of(loaded)
+    return revealing(adjusted, design, effect, _READINGS)

@@ -42,8 +42,8 @@ def json_of(result: Result, record: Record, path: Path) -> str:
     return as_json(summary(result, record, path))
 
 
-def json_of_plan(plan: Plan, folder: Path) -> str:
-    """Return the summary of a plan as JSON text, with the paths of its files."""
+def json_of_plan(plan: Plan, folder: Path, more: Mapping[str, Any]) -> str:
+    """Return the summary of a plan as JSON text, with the paths of its files, and more keys."""
     return as_json(
         {
             "kind": plan.kind,
@@ -53,6 +53,7 @@ def json_of_plan(plan: Plan, folder: Path) -> str:
             "tables": {name: _listed(table) for name, table in plan.tables.items()},
             "warnings": list(plan.warnings),
             "files": [str(folder / name) for name in (*files_of(plan), SUMMARY)],
+            **more,
         }
     )
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
 from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index, Mask
+from metrocli.adjust.model.observations import Index, Mask, Observations
 from metrocli.adjust.solution import Solution
 from metrocli.effects.acting import Acting
 from metrocli.effects.effect import Effect
@@ -73,10 +73,18 @@ class Budget:
         self.seconds = seconds
         self.ended = False
         """Whether a search ended because of it"""
+        self.interrupted = False
+        """Whether somebody ended the search"""
         self._start = time.process_time()
 
+    def interrupt(self) -> None:
+        """End the search with what it has found."""
+        self.interrupted = True
+
     def spent(self) -> bool:
-        """Return whether the time is spent, and remember that it was asked in vain."""
+        """Return whether the time is spent or the search interrupted, and remember that time was asked in vain."""
+        if self.interrupted:
+            return True
         self.ended = self.ended or time.process_time() - self._start > self.seconds
         return self.ended
 
@@ -125,5 +133,11 @@ class AdjustedJob:
     """Names of effects that cannot be searched for in these readings, each with the reason"""
     budget: Budget = field(default_factory=Budget)
     """CPU time for the search of effects"""
+    made_together: tuple[str, ...] = ()
+    """Keys that all readings of one exposure or pose share; empty if each reading is made on its own"""
+    variations: Callable[[Model, Observations], Iterable[tuple[str, Observations]]] = field(
+        default=lambda model, readings: ()
+    )
+    """How readings could be made again otherwise than before: in words, with their changed conditions"""
     offers: Callable[[Model], Iterable[tuple[str, Model]]] = field(default=lambda model: ())
     """Further measurements that the kind of job proposes: in words, with the model of that measurement"""

@@ -6,6 +6,7 @@ Method: docs/algorithms/selection-and-levels.md.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -53,6 +54,8 @@ from metrocli.diagnosis.wrong_readings import wrong_readings
 from metrocli.errors import UndeterminedError
 
 Say = Callable[[str], None]
+Attended = Callable[[Callable[[], None]], AbstractContextManager[object]]
+"""Takes what interrupts a search, and calls it if the user wants that within the context"""
 _LACK_OF_FIT = 0.005
 """Level of the lack-of-fit test of repeated readings below which structure is reported"""
 _ROUNDS = 3
@@ -66,10 +69,18 @@ LIMIT = 120.0
 _SEED = 20
 
 
-def diagnose(job: AdjustedJob, say: Say = lambda line: None, limit: float = LIMIT) -> Diagnosis:
+def no_interrupt(heeded: Callable[[], None]) -> AbstractContextManager[object]:
+    """Return a context in which nobody interrupts."""
+    return nullcontext()
+
+
+def diagnose(
+    job: AdjustedJob, say: Say = lambda line: None, limit: float = LIMIT, attended: Attended = no_interrupt
+) -> Diagnosis:
     """Return the diagnosis of an adjusted job, with at most half of `limit` [s of CPU time] for the search of effects.
 
-    The other half is for the searches of cross-validation. A search whose time is spent ends with what it has found.
+    The other half is for the searches of cross-validation. A search whose time is spent ends with what it has found;
+    so does the search for laws when its budget is interrupted within `attended`.
     Raises UndeterminedError if the unknowns use up all readings.
     """
     job = replace(job, budget=Budget(limit / 2))
@@ -92,7 +103,8 @@ def diagnose(job: AdjustedJob, say: Say = lambda line: None, limit: float = LIMI
     laws: tuple[Law, ...] = ()
     if job.places:
         say("looking for a law in what no effect explains")
-        laws = laws_in(searched.job, searched.selection, structure is not None)
+        with attended(job.budget.interrupt):
+            laws = laws_in(searched.job, searched.selection, structure is not None)
         structure = _structure_of(laws) if structure is None else structure
     # without an extended fit the law is about the same linearised system, and what it explains is no noise
     law = next((one for one in laws if one.chosen and fit is None), None)
@@ -124,6 +136,7 @@ def diagnose(job: AdjustedJob, say: Say = lambda line: None, limit: float = LIMI
         scatters=scatters,
         laws=laws,
         limited=limit if job.budget.ended else None,
+        interrupted=job.budget.interrupted,
     )
 
 

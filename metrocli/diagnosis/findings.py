@@ -89,6 +89,8 @@ class Diagnosis:
     """The simplest sums of terms that explain what no effect does, one for each number of terms"""
     limited: float | None = None
     """The limit of CPU time [s], if the search ended there"""
+    interrupted: bool = False
+    """Whether the user interrupted the search for laws, which ended with what it had found"""
     mistaken: Mistaken | None = None
     """A mistake in the files; all other findings are those of the job without it"""
 

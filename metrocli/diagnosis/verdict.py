@@ -39,6 +39,7 @@ def as_data(diagnosis: Diagnosis) -> dict[str, Any]:
             "repeats": None if repeats is None else {"ratio": repeats.ratio, "lack_of_fit": repeats.lack_of_fit},
         },
         "limited": diagnosis.limited,
+        "interrupted": diagnosis.interrupted,
         "mistake": None if diagnosis.mistaken is None else _correction(diagnosis.mistaken),
         "outliers": [_outlier(one) for one in diagnosis.outliers],
         "effects": [
@@ -70,6 +71,7 @@ def _law(job: AdjustedJob, law: Law) -> dict[str, Any]:
         "p_value": law.p_value,
         "gain": _gain(law.gain, job),
         "part_of_structure": law.part_of_structure,
+        "near": [{"name": one.effect.name, "where": _where(one), "correlation": cosine} for one, cosine in law.near],
         "chosen": law.chosen,
     }
 

@@ -14,7 +14,7 @@ from metrocli import tasks
 from metrocli.adjust.cluster_robust import FROM_RESIDUALS
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.detectability import Design
-from metrocli.diagnosis.diagnose import LIMIT, diagnose, what_can_be_seen
+from metrocli.diagnosis.diagnose import LIMIT, Attended, diagnose, no_interrupt, what_can_be_seen
 from metrocli.diagnosis.findings import Diagnosis
 from metrocli.diagnosis.laws.definition import as_define, as_wanted
 from metrocli.diagnosis.laws.search import Law
@@ -44,12 +44,17 @@ def adjusted_job_of(job: JobFile) -> AdjustedJob:
     return _adjuster(job)(read_inputs(job))
 
 
-def carry_out(job: JobFile, progress: Progress = lambda line: None, limit: float = LIMIT) -> Diagnosis:
+def carry_out(
+    job: JobFile,
+    progress: Progress = lambda line: None,
+    limit: float = LIMIT,
+    attended: Attended = no_interrupt,
+) -> Diagnosis:
     """Adjust a job, correct a mistake in its files if one is found, and diagnose it within a limit of CPU time [s]."""
     adjust = _adjuster(job)
     progress(f"{job.file}: adjusting")
     adjusted, mistaken = without_mistakes(read_inputs(job), adjust)
-    diagnosis = diagnose(adjusted, lambda line: progress(f"{job.file}: {line}"), limit)
+    diagnosis = diagnose(adjusted, lambda line: progress(f"{job.file}: {line}"), limit, attended)
     return replace(diagnosis, mistaken=mistaken)
 
 

@@ -44,7 +44,7 @@ INSIDE = {
     "adjust": [{"coupled_fields", "iterated_weights", "robust", "dense_jacobian"}, {"adjustment"}, {"*"}, {"model"}],
     "effects": [{"own"}, {"links"}, {"*"}],
     "diagnosis": [
-        {"verdict"},
+        {"verdict", "next_readings"},
         {"diagnose"},
         {"findings"},
         {"laws"},

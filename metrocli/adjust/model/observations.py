@@ -133,9 +133,11 @@ class Observations:
         return replace(self, readings=readings)
 
     def followed_by(self, others: Observations) -> Observations:
-        """Return these readings followed by others of the same kind; neither may have a covariance."""
+        """Return these readings followed by others of the same kind."""
+        covariances = [one.covariance for one in (self, others) if one.covariance is not None]
         return replace(
             self,
+            covariance=np.concatenate(covariances, axis=2) if covariances else None,
             readings=np.concatenate([self.readings, others.readings], axis=1),
             sigma=np.concatenate([self.sigma, others.sigma], axis=1),
             index={name: np.concatenate([index, others.index[name]], axis=-1) for name, index in self.index.items()},

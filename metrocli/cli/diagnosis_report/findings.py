@@ -53,6 +53,8 @@ def of_diagnosis(diagnosis: Diagnosis, extended: Path | None) -> str:
         parts.append(["to distinguish them, measure:", *(f"  {words}" for words in diagnosis.separate_by)])
     if diagnosis.limited is not None:
         parts.append([f"The search ended at the limit of {diagnosis.limited:g} s; `--limit` gives it more time."])
+    if diagnosis.interrupted:
+        parts.append(["The search for laws was interrupted; the report has the best that it had found."])
     if not diagnosis.adjusts:
         parts.append(
             ["The job cannot be adjusted with the named effects; their sizes are one-step (linear) estimates."]

@@ -6,7 +6,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
@@ -15,6 +15,10 @@ INTERRUPTED, TERMINATED = 130, 143
 _ENDS = {signal.SIGINT: ("interrupted", INTERRUPTED), signal.SIGTERM: ("terminated", TERMINATED)}
 _PATIENCE_S = 0.7
 """Time that a command has to end by itself. Python passes a signal on only between two calls of a library."""
+
+
+_FIRST: list[bool] = []
+"""Holds one element while the next SIGINT does not end the command"""
 
 
 class Terminated(BaseException):
@@ -50,6 +54,29 @@ def ending() -> Iterator[None]:
         os.close(heard)
 
 
+@contextmanager
+def first_interrupt(heeded: Callable[[], None]) -> Iterator[None]:
+    """Let the first SIGINT call a function, such as one that ends a search early; a second one ends the command.
+
+    Does nothing outside the main thread, where no signal arrives.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def once(number: int, frame: FrameType | None) -> None:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        heeded()
+
+    _FIRST.append(True)
+    before = signal.signal(signal.SIGINT, once)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+        _FIRST.clear()
+
+
 def _terminate(number: int, frame: FrameType | None) -> None:
     raise Terminated
 
@@ -57,7 +84,9 @@ def _terminate(number: int, frame: FrameType | None) -> None:
 def _watch(heard: int, done: threading.Event) -> None:
     """Wait for a signal, then for the end of the command; end the process if that does not come."""
     while number := os.read(heard, 1):
-        if number[0] in _ENDS and not done.wait(_PATIENCE_S):
+        if number[0] == signal.SIGINT and _FIRST:
+            _FIRST.pop()
+        elif number[0] in _ENDS and not done.wait(_PATIENCE_S):
             word, code = _ENDS[signal.Signals(number[0])]
             _take_back()
             os.write(2, f"{word}\n".encode())

@@ -11,7 +11,8 @@ import numpy as np
 
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.laws.library import Library
-from metrocli.diagnosis.laws.search import LEVEL, Search, fits, forward, plain_tests, tests_of_terms
+from metrocli.diagnosis.laws.search import fits
+from metrocli.diagnosis.laws.steps import LEVEL, Search, forward, plain_tests, tests_of_terms
 from metrocli.diagnosis.linear.candidates import Family
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns
 from metrocli.diagnosis.linear.score_tests import ScoreTests

@@ -1,4 +1,4 @@
-"""The search for laws: terms enter one by one while each adds evidence, and the same is repeated in each fold.
+"""The search for laws: one for each number of terms, with the gain that the same search has in each fold.
 
 Method: docs/algorithms/laws.md.
 """
@@ -14,29 +14,20 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.cross_validation import Gain, Held, folds_of, gain_of, held_out_errors, without
-from metrocli.diagnosis.laws.library import Library, Term, Where
-from metrocli.diagnosis.laws.terms import STEPS
+from metrocli.diagnosis.laws.library import Library, Term
+from metrocli.diagnosis.laws.near import near_effects
+from metrocli.diagnosis.laws.steps import LEVEL, Search, Step, forward, plain_tests, start_of, tests_of_terms
 from metrocli.diagnosis.linear.candidates import Alternative, Family
-from metrocli.diagnosis.linear.distributions import log_tail
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns, nothing_fitted
 from metrocli.diagnosis.linear.projection import System
-from metrocli.diagnosis.linear.score_tests import ScoreTests, grams_of, quadratic, score_tests_of
 from metrocli.diagnosis.selection.selection_state import Selection
-from metrocli.effects.effect import Effect, Parameter
 
-MOST_TERMS = 3
-LEVEL, _ALONE = 0.01, 0.001
-"""Levels at which a term enters, counted over all that were tried: where structure is left, and where none was found"""
-_SEED = 17
-_LEAST_DOF = 5
+_ALONE = 0.001
+"""Level at which a term enters where no structure was found"""
 _MOST_ROWS = 25_000
 """Largest number of components of readings for which laws are sought: the columns of all terms are held at once"""
 _FEW = 50
 """Fewest independent tests that any library amounts to"""
-_NEAR, _MOST_REFINED = 6.0, 6
-"""Terms are compared with refined scans if their levels (ln) in the scan are this near to the best, at most so many"""
-_FINE, _ROUNDS = 25, 3
-"""Values tried in each round between the neighbours of the best scanned value"""
 
 
 @dataclass(frozen=True)
@@ -56,17 +47,9 @@ class Law:
     """Root mean square of what it explains over the readings on which it acts, in their unit"""
     columns: Array
     """Its visible columns in the linearised system, (rows, factors)"""
+    near: tuple[tuple[Alternative, float], ...] = ()
+    """Effects of the catalogue that change the readings nearly as it does, each with the cosine, the nearest first"""
     chosen: bool = False
-
-
-@dataclass(frozen=True)
-class _Step:
-    """A term that entered, with its visible columns where it was found."""
-
-    family: int
-    term: Term
-    columns: Array
-    log_level: float
 
 
 def laws_in(job: AdjustedJob, selection: Selection, structured: bool) -> tuple[Law, ...]:
@@ -75,7 +58,7 @@ def laws_in(job: AdjustedJob, selection: Selection, structured: bool) -> tuple[L
     The list is empty if no term is significant, if the measurement is too large or the time of the search is spent. The
     law with the largest held-out log score is chosen. `structured` is whether smooth functions show structure. If they
     do not, a law must be more significant, and its gain shown: it then is structure of its own, such as a wave that no
-    smooth function has.
+    smooth function has. A search that is interrupted ends with the terms that it has found.
     """
     if selection.test_set.budget.ended or not fits(selection.test_set.system):
         return ()
@@ -88,47 +71,25 @@ def laws_in(job: AdjustedJob, selection: Selection, structured: bool) -> tuple[L
     steps = forward(Search(tests, start, library), level)
     if not steps:
         return ()
-    gains = _gains(job, tests, library, len(steps))
+    gains = _gains(job, Search(tests, start, library), steps)
     smooth = _smooth(selection, start)
     found = [_law(library, start, steps[:count], gain, smooth) for count, gain in enumerate(gains, 1)]
     best = max(found, key=lambda one: one.gain.log_score)
     if not structured and not best.gain.shown:
         return ()
-    return tuple(replace(one, chosen=one is best and one.gain.log_score > 0) for one in found)
+    return tuple(
+        replace(
+            one,
+            near=near_effects(selection.test_set, one.columns @ np.concatenate(one.sizes)),
+            chosen=one is best and one.gain.log_score > 0,
+        )
+        for one in found
+    )
 
 
 def fits(system: System) -> bool:
     """Return whether a system is small enough for the columns of all terms."""
     return system.rows <= _MOST_ROWS
-
-
-def tests_of_terms(selection: Selection, families: Sequence[Family]) -> tuple[ScoreTests, FittedColumns]:
-    """Return the tests of the terms, and the fit of what was named, whose columns are the first family."""
-    system = selection.test_set.system
-    unknown = {id(one) for one in selection.unknown}
-    named = [one.columns for one in selection.chosen if id(one) not in unknown]
-    columns = np.concatenate([*named, np.zeros((system.rows, 0))], axis=1)
-    effect = Effect("named", "", (Parameter("size"),))
-    raw = np.ones((1, columns.shape[1]))
-    kept = Family("named", (Alternative(effect, ()),), columns[:, None], raw, columns[:0, None])
-    tests = score_tests_of(system, families, np.random.default_rng(_SEED))
-    tests = replace(
-        tests,
-        families=(kept, *tests.families),
-        scales=(kept.raw, *tests.scales),
-        grams=(grams_of(kept.columns), *tests.grams),
-        tests=(1.0, *tests.tests),
-        budget=selection.test_set.budget,
-    )
-    return tests, _start(tests, nothing_fitted(system))
-
-
-def plain_tests(selection: Selection, families: Sequence[Family]) -> tuple[FittedColumns, ScoreTests]:
-    """Return the fit of what was named, and tests of the terms without the exact count of them."""
-    fitted = replace(selection.fitted(without=selection.unknown), larger=None, freed=None, remembered={})
-    scales, grams = tuple(family.raw for family in families), tuple(grams_of(family.columns) for family in families)
-    tests = replace(selection.test_set, families=tuple(families), scales=scales, grams=grams, remembered={})
-    return fitted, tests
 
 
 def _worth_counting(selection: Selection, families: Sequence[Family], level: float) -> bool:
@@ -141,122 +102,31 @@ def _worth_counting(selection: Selection, families: Sequence[Family], level: flo
     return bool(least + np.log(_FEW) < np.log(level))
 
 
-def _start(tests: ScoreTests, fitted: FittedColumns) -> FittedColumns:
-    columns = tests.families[0].columns[:, 0]
-    return fitted.with_columns(columns) if columns.shape[1] else fitted
+def _gains(job: AdjustedJob, search: Search, found: Sequence[Step]) -> list[Gain]:
+    """Return the held-out gain of the laws of 1, 2, ... terms; each fold has the laws found without it.
 
-
-@dataclass(frozen=True)
-class Search:
-    """Where terms are sought: their tests, what is fitted already, and which rows are held out."""
-
-    tests: ScoreTests
-    start: FittedColumns
-    library: Library
-    out: Index | None = None
-
-    def visible(self, term: Term) -> Array:
-        """Return the visible columns of a term in the rows that are not held out, (rows, factors)."""
-        columns = self.library.columns(term)
-        if self.out is not None:
-            columns[self.out] = 0.0
-        return self.tests.system.seen(columns)
-
-
-def forward(search: Search, level: float = LEVEL, most: int = MOST_TERMS) -> list[_Step]:
-    """Return the terms that enter: the most significant first, then those on the same quantity at the same place.
-
-    A scanned value is refined before the next term is sought, so that no term corrects the scan of another. The search
-    ends with what it has found where its time is spent.
+    After an interruption folds have the laws found with them: their sizes are still estimated without the fold.
     """
-    tests, fitted, steps = search.tests, search.start, list[_Step]()
-    while len(steps) < most and fitted.dof > _LEAST_DOF and not tests.budget.spent():
-        found = _best_at_each_spot(search, fitted, steps[0].term.place if steps else None)
-        if not found or found[0][0] > np.log(level):
-            break
-        near = [one for one in found if one[0] < min(found[0][0] + _NEAR, float(np.log(level)))][:_MOST_REFINED]
-        refined = [_refined_step(search, fitted, *one) for one in near]
-        squares = [fitted.with_columns(step.columns).squares for step in refined]
-        levels = [_level(tests, fitted, step, left) for step, left in zip(refined, squares, strict=True)]
-        best = refined[int(np.argmin(levels))]
-        steps.append(best)
-        fitted = fitted.with_columns(best.columns)
-    return steps
-
-
-def _best_at_each_spot(
-    search: Search, fitted: FittedColumns, place: tuple[str, Where] | None
-) -> list[tuple[float, int, Term]]:
-    """Return level, family and term of the best term of each form on each quantity at each place, the best first."""
-    found: dict[tuple[int, str, Where, str], tuple[float, int, Term]] = {}
-    for number, terms in enumerate(search.library.terms, 1):
-        chosen = [i for i, term in enumerate(terms) if place is None or term.place == place]
-        if not chosen:
-            continue
-        score = search.tests.score(number, fitted, None if place is None else chosen)
-        for at in np.argsort(score.log_p, kind="stable").tolist():
-            term = terms[chosen[at]]
-            spot = number, *term.place, term.spot.component
-            if spot not in found:
-                found[spot] = search.tests.overall(search.tests.level(number, float(score.log_p[at]))), number, term
-    return sorted(found.values(), key=lambda one: one[0])
-
-
-def _refined_step(search: Search, fitted: FittedColumns, level: float, family: int, term: Term) -> _Step:
-    """Return a term with its scanned value refined; its level stays that of the scan, which counts what was tried."""
-    refined = _refined(search, fitted, family, term)
-    return _Step(family, refined, search.visible(refined), level)
-
-
-def _level(tests: ScoreTests, fitted: FittedColumns, step: _Step, squares: float) -> float:
-    """Return ln of the level of a refined term, by which terms on different quantities are compared."""
-    q = float(step.columns.shape[1])
-    share = np.array(np.clip(1 - squares / max(fitted.squares, 1e-300), 0.0, 1.0))
-    return tests.overall(tests.level(step.family, float(log_tail(share, q, max(fitted.dof - q, 1.0)))))
-
-
-def _refined(search: Search, fitted: FittedColumns, family: int, term: Term) -> Term:
-    """Return a term with its scanned value refined between the neighbours of the best one in the scan."""
-    if term.form.scanned is None or term.form.kind == STEPS:
-        return term
-    alike = (
-        one.form.scanned
-        for one in search.library.terms[family - 1]
-        if one.spot == term.spot and one.form.variables == term.form.variables
-    )
-    values = np.array(sorted(value for value in alike if value is not None))
-    here = int(np.argmin(np.abs(values - term.form.scanned)))
-    low, high = values[max(here - 1, 0)], values[min(here + 1, len(values) - 1)]
-    for _ in range(_ROUNDS):
-        tried = [term.at(float(value)) for value in 1 / np.linspace(1 / low, 1 / high, _FINE)]
-        columns = np.stack([search.visible(one) for one in tried], axis=1)
-        n, k, q = columns.shape
-        left = fitted.beside(columns.reshape(n, k * q)).reshape(n, k, q)
-        right = (left.reshape(n, k * q).T @ fitted.residual).reshape(k, q)
-        gain, _ = quadratic(grams_of(left), right, np.maximum(np.linalg.norm(left, axis=0), 1e-300))
-        best = int(np.argmax(gain))
-        term = tried[best]
-        low, high = (float(tried[at].form.scanned or 0.0) for at in (max(best - 1, 0), min(best + 1, _FINE - 1)))
-    return term
-
-
-def _gains(job: AdjustedJob, tests: ScoreTests, library: Library, most: int) -> list[Gain]:
-    """Return the held-out gain of the laws of 1, 2, ... terms; each fold has the laws found without it."""
+    tests, library = search.tests, search.library
     rows = folds_of(job, tests)
-    pairs: list[list[tuple[Held, Held]]] = [[] for _ in range(most)]
-    before = _start(tests, nothing_fitted(tests.system))
+    pairs: list[list[tuple[Held, Held]]] = [[] for _ in found]
+    before = start_of(tests, nothing_fitted(tests.system))
     for fold in range(int(rows.max()) + 1):
         out = np.flatnonzero(rows == fold)
         if not out.size:
             continue
-        trained, start = without(tests, out)
-        steps = forward(Search(trained, _start(trained, start), library, out), LEVEL, most)
+        steps = list(found) if tests.budget.interrupted else _found_without(search, out, len(found))
         base = held_out_errors(tests, before, out)
-        for count in range(1, most + 1):
+        for count in range(1, len(found) + 1):
             columns = [library.system.seen(library.columns(one.term)) for one in steps[:count]]
             after = before.with_columns(np.concatenate(columns, axis=1)) if columns else before
             pairs[count - 1].append((base, held_out_errors(tests, after, out)))
     return [gain_of(one) for one in pairs]
+
+
+def _found_without(search: Search, out: Index, most: int) -> list[Step]:
+    trained, start = without(search.tests, out)
+    return forward(Search(trained, start_of(trained, start), search.library, out), LEVEL, most)
 
 
 def _smooth(selection: Selection, start: FittedColumns) -> FittedColumns:
@@ -268,7 +138,7 @@ def _smooth(selection: Selection, start: FittedColumns) -> FittedColumns:
 def _law(
     library: Library,
     start: FittedColumns,
-    steps: Sequence[_Step],
+    steps: Sequence[Step],
     gain: Gain,
     smooth: FittedColumns,
 ) -> Law:

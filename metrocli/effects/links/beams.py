@@ -42,6 +42,34 @@ class BeamScale(OfBlock):
 
 
 @dataclass(frozen=True)
+class AirGradient(OfBlock):
+    """The index of the air changes with height: `b (1 + gradient (z - z0)/2)`; column gradient [1/mm].
+
+    z - z0 is the height of the point above the tracer, along z of the points' frame. The mean index along the beam is
+    that of half the height. The bend of the beam changes its length only to the second order of the gradient.
+    """
+
+    tracer: str = TRACER
+    takes = gives = Quantity.POINT_IN_MACHINE
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """The block of tracers, where the beams begin, and its own block."""
+        return (self.tracer, self.block)
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the point (3, n), displaced along its beam, with derivatives by point, tracer and its own block."""
+        beam = value - local.rows(self.tracer)[:3]
+        gradient, half = local.rows(self.block)[0], beam[2] / 2
+        by_beam = _EYE * (gradient * half)
+        by_beam[:, 2] += gradient / 2 * beam
+        by_tracer = np.zeros((3, local.members(self.tracer).shape[1], len(half)))
+        by_tracer[:, :3] = -by_beam
+        by_block = {self.tracer: by_tracer, self.block: (beam * half)[:, None]}
+        return Step(value + gradient * half * beam, _EYE + by_beam, by_block)
+
+
+@dataclass(frozen=True)
 class TracerDrift(OfBlock):
     """A tracer moves: `x0 += v t`, which from the tracer looks like `x -= v t`; columns vx, vy, vz [mm/s]."""
 
@@ -54,15 +82,18 @@ class TracerDrift(OfBlock):
 
 
 @dataclass(frozen=True)
-class BeamOffset(OfBlock):
-    """The beam passes a control point at a horizontal distance h, to the left of the outgoing beam; column h [mm].
+class _BesideBeam(OfBlock):
+    """The beam passes a control point at a distance h along a unit vector l across it; column h [mm].
 
-    The beam then runs along `b - h l`, l the horizontal unit vector to the left of b. This turns the base angles of
-    both ends.
+    The beam then runs along `b - h l`.
     """
 
     unit: str = UNIT
     takes = gives = Quantity.POINT_IN_MACHINE
+
+    def across(self, beam: Array) -> tuple[Array, Array]:
+        """Return the unit vector l of beams (3, n), and its derivatives by them (3, 3, n)."""
+        raise NotImplementedError
 
     @property
     def blocks(self) -> tuple[str, ...]:
@@ -71,12 +102,38 @@ class BeamOffset(OfBlock):
 
     def step(self, value: Array, local: Local) -> Step:
         """Return the point (3, n) to which a beam without offset would run in this direction, with derivatives."""
-        beam = value - local.rows(self.unit)[:3]
-        h, level = local.rows(self.block)[0], np.hypot(beam[0], beam[1])
-        zero = np.zeros_like(level)
-        ahead = np.stack([beam[0], beam[1], zero]) / level
-        left = np.stack([-beam[1], beam[0], zero]) / level
-        by_beam = h / level * ahead[:, None] * left[None]
-        by_unit = np.zeros((3, local.members(self.unit).shape[1], len(level)))
+        h = local.rows(self.block)[0]
+        across, turns = self.across(value - local.rows(self.unit)[:3])
+        by_beam = -h * turns
+        by_unit = np.zeros((3, local.members(self.unit).shape[1], value.shape[1]))
         by_unit[:, :3] = -by_beam
-        return Step(value - h * left, _EYE + by_beam, {self.unit: by_unit, self.block: -left[:, None]})
+        return Step(value - h * across, _EYE + by_beam, {self.unit: by_unit, self.block: -across[:, None]})
+
+
+class BeamOffset(_BesideBeam):
+    """The offset is horizontal, to the left of the outgoing beam: it turns the base angles of both ends."""
+
+    def across(self, beam: Array) -> tuple[Array, Array]:
+        """Return the horizontal unit vector to the left of beams."""
+        ahead, left, level = _level(beam)
+        return left, -ahead[:, None] * left[None] / level
+
+
+class BeamHeight(_BesideBeam):
+    """The offset is in the vertical plane of the beam, upwards: it turns the tilt angles of both ends."""
+
+    def across(self, beam: Array) -> tuple[Array, Array]:
+        """Return the unit vector up, square to beams in their vertical plane."""
+        ahead, left, level = _level(beam)
+        length = np.hypot(level, beam[2])
+        sine, cosine = beam[2] / length, level / length
+        vertical = np.array([0.0, 0.0, 1.0])[:, None]
+        up, along = cosine * vertical - sine * ahead, cosine * ahead + sine * vertical
+        turn = sine / level * left
+        return up, -along[:, None] * up[None] / length - turn[:, None] * left[None]
+
+
+def _level(beam: Array) -> tuple[Array, Array, Array]:
+    """Return the horizontal unit vectors ahead and to the left of beams (3, n), and their horizontal lengths (n,)."""
+    level, zero = np.hypot(beam[0], beam[1]), np.zeros(beam.shape[1])
+    return np.stack([beam[0], beam[1], zero]) / level, np.stack([-beam[1], beam[0], zero]) / level, level

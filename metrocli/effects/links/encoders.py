@@ -25,20 +25,24 @@ class EncoderOffset(AtQuantity):
 
 
 @dataclass(frozen=True)
-class Eccentricity(AtQuantity):
-    """Eccentric disc of one encoder: `phi += c1 cos phi + s1 sin phi` for one of two angles; columns c1, s1 [rad]."""
+class Harmonic(AtQuantity):
+    """A harmonic of one encoder: `phi += c cos k phi + s sin k phi` for one of two angles; columns c, s [rad].
+
+    k = 1 is an eccentric disc, k = 2 an oval or bent one.
+    """
 
     component: int
+    order: int = 1
 
     def step(self, value: Array, local: Local) -> Step:
         """Return the angles (2, n)."""
-        c1, s1 = local.rows(self.block)
-        angle, n = value[self.component], value.shape[1]
+        c, s = local.rows(self.block)
+        angle, n = self.order * value[self.component], value.shape[1]
         cos, sin = np.cos(angle), np.sin(angle)
         moved = value.copy()
-        moved[self.component] += c1 * cos + s1 * sin
+        moved[self.component] += c * cos + s * sin
         by_angles = np.tile(np.eye(2)[:, :, None], n)
-        by_angles[self.component, self.component] += s1 * cos - c1 * sin
+        by_angles[self.component, self.component] += self.order * (s * cos - c * sin)
         by_block = np.zeros((2, 2, n))
         by_block[self.component] = cos, sin
         return Step(moved, by_angles, {self.block: by_block})

@@ -49,6 +49,18 @@ class Backlash(_Motion):
 
 
 @dataclass(frozen=True)
+class BacklashGrowth(_Motion):
+    """Backlash that grows along the axis: `+-growth pos/2`, pos the commanded position; column growth [1]."""
+
+    axis: str
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the motion (6, n)."""
+        given = local.observations.conditions
+        return self.along(self.axis, np.sign(given[f"from_{self.axis}"]) * given[self.axis] / 2, value, local)
+
+
+@dataclass(frozen=True)
 class ThermalGrowth(_Motion):
     """Growth of a scale: `rate t pos` along an axis, pos its commanded position; column rate [1/s]."""
 

@@ -37,6 +37,35 @@ class Shift(AtQuantity):
 
 
 @dataclass(frozen=True)
+class MachineBow(OfBlock):
+    """The machine stands at `d + (b1 e_j + b2 e_k) d_i^2` instead of d: axis i is bent towards the two others.
+
+    Columns b1, b2 [1/mm]; j and k follow i in the order x, y, z, x. Relative to the machine, points are displaced by
+    the opposite.
+    """
+
+    axis: int
+    poses: str = "spindle"
+    """Block of the commanded poses (x, y, z, ...)"""
+    takes = gives = Quantity.POINT_IN_MACHINE
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """The block of commanded poses, and its own block."""
+        return (self.poses, self.block)
+
+    def step(self, value: Array, local: Local) -> Step:
+        """Return the point (3, n) relative to the true position of the machine."""
+        commanded, bends = local.rows(self.poses), local.rows(self.block)
+        position, n = commanded[self.axis], value.shape[1]
+        by_bend, by_pose = np.zeros((3, 2, n)), np.zeros((3, len(commanded), n))
+        for column, across in enumerate([(self.axis + 1) % 3, (self.axis + 2) % 3]):
+            by_bend[across, column] = -(position**2)
+            by_pose[across, self.axis] = -2 * position * bends[column]
+        return Step(value + (by_bend * bends).sum(axis=1), _EYE, {self.poses: by_pose, self.block: by_bend})
+
+
+@dataclass(frozen=True)
 class MachineError(OfBlock):
     """The machine stands at `d + e_i a d_j` instead of d; column a [1 or rad].
 

@@ -1,52 +1,83 @@
-"""Effects on the readings of a laser tracker: of its scale, its azimuth encoder, and its stand."""
+"""Effects on the readings of a laser tracker, distance, azimuth and elevation, and on its stand."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.chain import Local, Step
+from metrocli.adjust.model.chain import Local, Step, through
 from metrocli.adjust.model.quantities import Quantity
+from metrocli.effects.acting import components
 from metrocli.effects.effect import ELAPSED
 from metrocli.effects.links.of_block import OfBlock
+from metrocli.effects.links.own import OwnTerms
+from metrocli.expressions.expression import parse
+
+POLAR = ("distance", "azimuth", "elevation")
+"""What a tracker reads, in its own frame; the azimuth is `atan2(y, x)`, the elevation `atan2(z, sqrt(x^2 + y^2))`"""
+_VARIABLES = components(POLAR, ("mm", "rad", "rad"))
 
 
 @dataclass(frozen=True)
-class TrackerScale(OfBlock):
-    """The tracker's distances are multiplied by `1 + scale`; column scale [1]."""
+class TrackerReadings(OfBlock):
+    """A tracker's distance, azimuth and elevation (mm, rad) are off by sums of terms in parameters and these three.
 
+    The point seen in them moves by as much. Derivatives are exact: those of the terms, between those of the change to
+    distance and angles and back. Points on the tracker's vertical axis have no azimuth.
+    """
+
+    name: str
+    """Name of the effect, for messages"""
+    adds: tuple[tuple[str, str], ...]
+    """Which of the three, and what is added to it, such as `angle*tan(elevation)`"""
+    parameters: tuple[str, ...]
     takes = gives = Quantity.POINT_IN_TRACKER
 
     def step(self, value: Array, local: Local) -> Step:
         """Return the point (3, n)."""
-        factor = 1 + local.rows(self.block)
-        return Step(value * factor, np.eye(3)[:, :, None] * factor, {self.block: value[:, None]})
+        polar, to_polar = _polar(value)
+        moved = _terms(self).step(polar, local)
+        before, _ = _cartesian(polar)
+        after, back = _cartesian(moved.value)
+        by_input = through(through(back, np.asarray(moved.by_input)), to_polar)
+        # as a difference the effect adds exactly nothing where its parameters are 0
+        return Step(value + (after - before), by_input, {self.block: through(back, moved.by_block[self.block])})
 
 
-@dataclass(frozen=True)
-class TrackerEccentricity(OfBlock):
-    """Eccentric azimuth circle: `azimuth += c1 cos azimuth + s1 sin azimuth`; columns c1, s1 [rad]."""
+@lru_cache(maxsize=64)
+def _terms(link: TrackerReadings) -> OwnTerms:
+    """Return the terms of a link, parsed once."""
+    adds = tuple((POLAR.index(which), parse(text)) for which, text in link.adds)
+    return OwnTerms(link.block, link.gives, link.name, adds, link.parameters, (), _VARIABLES)
 
-    takes = gives = Quantity.POINT_IN_TRACKER
 
-    def step(self, value: Array, local: Local) -> Step:
-        """Return the point (3, n), turned about the tracker's vertical axis."""
-        x, y, z = value
-        radius = np.hypot(x, y)
-        cosine, sine = x / radius, y / radius
-        c1, s1 = local.rows(self.block)
-        turn = c1 * cosine + s1 * sine
-        c, s = np.cos(turn), np.sin(turn)
-        turned = np.stack([c * x - s * y, s * x + c * y, z])
-        by_turn = np.stack([-turned[1], turned[0], np.zeros_like(z)])
-        growth = (s1 * cosine - c1 * sine) / radius
-        by_point = np.zeros((3, 3, len(x)))
-        by_point[0, 0] = by_point[1, 1] = c
-        by_point[1, 0], by_point[0, 1], by_point[2, 2] = s, -s, 1.0
-        by_point += by_turn[:, None] * np.stack([-sine, cosine, np.zeros_like(z)]) * growth
-        return Step(turned, by_point, {self.block: by_turn[:, None] * np.stack([cosine, sine])})
+def tracker_readings(block: str, name: str, parameters: tuple[str, ...], adds: Mapping[str, str]) -> TrackerReadings:
+    """Return the link of an effect that adds terms to some of distance, azimuth and elevation."""
+    return TrackerReadings(block, name, tuple(adds.items()), parameters)
+
+
+def _polar(point: Array) -> tuple[Array, Array]:
+    """Return distance, azimuth and elevation (3, n) of points (3, n), and their derivatives (3, 3, n)."""
+    x, y, z = point
+    level, distance = np.hypot(x, y), np.linalg.norm(point, axis=0)
+    by_point = np.zeros((3, 3, len(x)))
+    by_point[0] = point / distance
+    by_point[1, 0], by_point[1, 1] = -y / level**2, x / level**2
+    by_point[2] = np.stack([-x * z / level, -y * z / level, level]) / distance**2
+    return np.stack([distance, np.arctan2(y, x), np.arctan2(z, level)]), by_point
+
+
+def _cartesian(polar: Array) -> tuple[Array, Array]:
+    """Return points (3, n) of distance, azimuth and elevation (3, n), and their derivatives (3, 3, n)."""
+    distance, azimuth, elevation = polar
+    ca, sa, ce, se = np.cos(azimuth), np.sin(azimuth), np.cos(elevation), np.sin(elevation)
+    zero = np.zeros_like(distance)
+    beam, left, up = np.stack([ce * ca, ce * sa, se]), np.stack([-sa, ca, zero]), np.stack([-se * ca, -se * sa, ce])
+    return distance * beam, np.stack([beam, distance * ce * left, distance * up], axis=1)
 
 
 @dataclass(frozen=True)

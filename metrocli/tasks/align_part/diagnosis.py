@@ -45,4 +45,5 @@ def adjusted_job(problem: Problem, adjusted: Adjusted) -> AdjustedJob:
         fewest=2,
         single_components=True,
         sharing=len(np.unique(index["view"])),
+        made_together=("image",),
     )

@@ -9,7 +9,7 @@ from metrocli.effects.links.coupling_tilt import CouplingTilt
 from metrocli.effects.links.eccentricity import TargetEccentricity
 from metrocli.effects.links.growth import Growth
 from metrocli.effects.links.lens_changes import LensChange
-from metrocli.effects.links.shifts import MachineError, Shift
+from metrocli.effects.links.shifts import MachineBow, MachineError, Shift
 from metrocli.tasks.shared.images.places import IMAGE, image_point
 from metrocli.units import parse_quantity
 
@@ -150,6 +150,17 @@ EFFECTS: tuple[Effect, ...] = (
         usual="5 urad to 1 mrad",
         reveal="targets in a plane seen from poses far apart along both axes",
         source="ISO 230-1",
+    ),
+    Effect(
+        "machine-straightness",
+        "an axis of the machine is bent: it runs on an arc instead of a straight line",
+        _sizes(("b1", "b2"), "curvature", "1e-7 1/mm"),
+        lambda block, where: MachineBow(block, "xyz".index(where["axis"])),
+        where=("axis",),
+        confused_with=("machine-squareness", "machine-scale"),
+        usual="1e-9 to 1e-7 1/mm",
+        reveal="targets seen from poses in the middle and at both ends of this axis",
+        source="ISO 230-1:2012 (EYX, EZX and the like)",
     ),
     Effect(
         "part-drift",

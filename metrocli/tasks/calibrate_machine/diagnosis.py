@@ -10,14 +10,14 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array, Space
 from metrocli.adjust.model.chain import Chain
 from metrocli.adjust.model.groups import Group
-from metrocli.adjust.model.observations import Index, Mask
+from metrocli.adjust.model.observations import Index, Mask, Observations
 from metrocli.adjust.solution import Solution
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate, Delivered
 from metrocli.effects.effect import ELAPSED, WARMING
 from metrocli.effects.extension import with_conditions
 from metrocli.effects.model import Model
 from metrocli.geometry import poses
-from metrocli.instruments.machine import POSITION
+from metrocli.instruments.machine import POSITION, TOOL
 from metrocli.instruments.tracer import TRACER, beams
 from metrocli.instruments.tracker import TRACKER
 from metrocli.tasks.calibrate_machine import KIND
@@ -50,6 +50,8 @@ def adjusted_job(solved: Solved) -> AdjustedJob:
         {group.name: _parts(group)},
         Delivered("error tables", first, (0, 1, 2), "um", "length", tuple(others)),
         refit,
+        made_together=("leg",) if _condensed(group) else (),
+        variations=lambda model, readings: () if _condensed(group) else _variations(model, readings),
         sharing=count(clusters_of(solved).of[group.name]),
         not_sought={one.name: _PIECES for one in OF_MACHINES if one.space is Space.WAVE and _condensed(group)},
     )
@@ -58,6 +60,23 @@ def adjusted_job(solved: Solved) -> AdjustedJob:
 def _condensed(group: Group) -> bool:
     """Whether the readings are condensed pieces of a path: they average out waves shorter than a piece."""
     return "leg" in group.observations.keys
+
+
+def _variations(model: Model, readings: Observations) -> Iterator[tuple[str, Observations]]:
+    """Yield readings as they would be from the other side in each axis, and with each other tool."""
+    for axis in POSITION:
+        came = readings.conditions.get(f"from_{axis}")
+        if came is not None:
+            yield (
+                f"from the other side in {axis}",
+                replace(readings, conditions={**readings.conditions, f"from_{axis}": -came}),
+            )
+    for number, name in enumerate(model.blocks[TOOL].members):
+        if (readings.index[TOOL] != number).all():
+            yield (
+                f"with tool {name}",
+                replace(readings, index={**readings.index, TOOL: np.full(readings.count, number)}),
+            )
 
 
 def _covariates(model: Model, group: Group) -> Iterator[Covariate]:

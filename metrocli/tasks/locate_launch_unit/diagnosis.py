@@ -55,6 +55,7 @@ def adjusted_job(located: Located) -> AdjustedJob:
         refit,
         reading=("urad", "angle"),
         sharing=poses,
+        made_together=("pose",),
     )
 
 

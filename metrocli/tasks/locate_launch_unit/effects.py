@@ -9,8 +9,8 @@ from metrocli.adjust.model.chain import Link
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.effects.acting import PLACE, TIMED, Acting, beam_from, components, point, scalar, seen_from
 from metrocli.effects.effect import Effect, Parameter
-from metrocli.effects.links.beams import BeamOffset
-from metrocli.effects.links.encoders import BaseTilt, Eccentricity, EncoderOffset, NonOrthogonality
+from metrocli.effects.links.beams import BeamHeight, BeamOffset
+from metrocli.effects.links.encoders import BaseTilt, EncoderOffset, Harmonic, NonOrthogonality
 from metrocli.effects.links.lengths import LengthOffset, LengthScale
 from metrocli.effects.links.points import AxisError
 from metrocli.effects.links.shifts import Shift
@@ -28,7 +28,11 @@ def _size(name: str, dimension: str, plausible: str) -> Parameter:
 
 
 def _eccentricity(block: str, where: Mapping[str, str]) -> Link:
-    return Eccentricity(block, *ENCODERS[where["encoder"]])
+    return Harmonic(block, *ENCODERS[where["encoder"]])
+
+
+def _harmonic(block: str, where: Mapping[str, str]) -> Link:
+    return Harmonic(block, *ENCODERS[where["encoder"]], order=2)
 
 
 def _offset(block: str, where: Mapping[str, str]) -> Link:
@@ -94,6 +98,17 @@ EFFECTS: tuple[Effect, ...] = (
         source=_MURALIKRISHNAN,
     ),
     Effect(
+        "encoder-harmonic",
+        "the disc of one encoder is oval or bent: its error has two waves in a turn",
+        (_size("c2", "angle", "20 arcsec"), _size("s2", "angle", "20 arcsec")),
+        _harmonic,
+        where=("encoder",),
+        confused_with=("encoder-eccentricity", "axis-nonorthogonality"),
+        usual="1 to 20 arcsec",
+        reveal="poses all around the unit and over the whole range of tilt",
+        source=_MURALIKRISHNAN,
+    ),
+    Effect(
         "encoder-offset",
         "the zero of one encoder is not aligned with the axes of its unit",
         (_size("offset", "angle", "1 deg"),),
@@ -135,6 +150,16 @@ EFFECTS: tuple[Effect, ...] = (
         confused_with=("axis-nonorthogonality", "encoder-offset", "encoder-eccentricity"),
         usual="10 um to 2 mm",
         reveal="poses near to the unit and far from it",
+        source=_MURALIKRISHNAN,
+    ),
+    Effect(
+        "beam-height",
+        "the beam passes above or below the intersection of a unit's axes, in launch unit or receiver (not separable)",
+        (_size("v", "length", "2 mm"),),
+        lambda block, where: BeamHeight(block),
+        confused_with=("encoder-offset", "encoder-eccentricity"),
+        usual="10 um to 2 mm",
+        reveal="poses near to the unit and far from it, above it and below it",
         source=_MURALIKRISHNAN,
     ),
     Effect(

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from metrocli.adjust.model.chain import Link
 from metrocli.effects.effect import ELAPSED, WARMING, Effect, Parameter, change_points
-from metrocli.effects.links.beams import BeamScale, TracerDrift
+from metrocli.effects.links.beams import AirGradient, BeamScale, TracerDrift
 from metrocli.effects.links.lengths import LengthJump, LengthOffset, LengthTerms
 from metrocli.effects.links.points import PointStep
 from metrocli.instruments.tracer import COS_2A, INCIDENCE, SIN_2A
@@ -72,6 +72,16 @@ LENGTH_EFFECTS: tuple[Effect, ...] = (
     ),
     _refraction("T", WARMING, "temp", _size("rate", "expansion", "2e-6 1/K"), "5e-7 to 2e-6 1/K"),
     _refraction("t", ELAPSED, "t", _size("rate", "rate", "10 ppm/h"), "0.1 to 10 ppm/h"),
+    Effect(
+        "air-gradient",
+        "the refractive index of the air changes with height: the room is warmer under its roof",
+        (_size("gradient", "curvature", "5e-9 1/mm"),),
+        lambda block, where: AirGradient(block),
+        confused_with=("length-scale", "tracer-scale"),
+        usual="2e-10 to 5e-9 1/mm",
+        reveal="the temperature of the air at two heights",
+        source="Birch and Downs 1994: -0.955 ppm/K, so 1 K/m is -9.55e-10 1/mm",
+    ),
     Effect(
         "dead-path-drift",
         "the dead path of one tracer grows: its stand, its optics or the air in it warm up",

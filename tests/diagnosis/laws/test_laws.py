@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,9 +11,12 @@ import numpy as np
 import pytest
 from simulated import lengths as simulated_lengths
 
-from metrocli.diagnosis.diagnose import diagnose
+from metrocli.cli.diagnosis_report.findings import of_diagnosis
+from metrocli.diagnosis.diagnose import Attended, diagnose, no_interrupt
+from metrocli.diagnosis.extended_fit import score_tests_of_job
 from metrocli.diagnosis.findings import Diagnosis, Verdict
 from metrocli.diagnosis.laws.definition import as_define, as_wanted, written
+from metrocli.diagnosis.laws.near import near_effects
 from metrocli.diagnosis.laws.terms import forms_of
 from metrocli.diagnosis.verdict import as_data
 from metrocli.effects.own.define import read
@@ -48,7 +53,7 @@ def test_the_columns_of_every_form_are_those_of_its_text() -> None:
     }  # fmt: skip
 
 
-def diagnosed(size: float, seed: int) -> Diagnosis:
+def diagnosed(size: float, seed: int, attended: Attended = no_interrupt) -> Diagnosis:
     """A network whose tracer T2 reads lengths with a wave in X of its points; plain formulas."""
     rng = np.random.default_rng(seed)
     net = simulated_lengths.network(40, 5).read(rng)
@@ -58,7 +63,7 @@ def diagnosed(size: float, seed: int) -> Diagnosis:
     table = net.lengths()
     table = replace(table, columns={**table.columns, "t": np.arange(len(table)) * 20.0})
     job = TASK.job(simulated_lengths.settings(), lengths=table, points=net.point_table(), tracers=net.tracer_table())
-    return diagnose(replace(TASK.diagnosed(job), places=TASK.places))
+    return diagnose(replace(TASK.diagnosed(job), places=TASK.places), attended=attended)
 
 
 @pytest.fixture(scope="module")
@@ -81,6 +86,47 @@ def test_a_wave_of_one_tracer_is_found_with_its_period_and_size(found: Diagnosis
     assert law.gain.shown and law.part_of_structure > 0.9 and law.p_value < 1e-3
 
 
+def test_an_interrupted_search_has_the_best_that_it_had_found(found: Diagnosis) -> None:
+    asked = []
+
+    def attended(heeded: Callable[[], None]) -> AbstractContextManager[object]:
+        """Interrupt when the search asks for the second time, after its first term, whether it may go on."""
+        budget = heeded.__self__  # type: ignore[attr-defined]
+        spent = budget.spent
+
+        def counted() -> bool:
+            asked.append(True)
+            if len(asked) == 2:
+                heeded()
+            return bool(spent())
+
+        budget.spent = counted
+        return nullcontext()
+
+    ended = diagnosed(SIZE, 4, attended)
+    assert ended.interrupted and not found.interrupted
+    assert as_data(ended)["interrupted"] is True and ended.limited is None
+    assert ended.law is not None and found.law is not None
+    assert written(ended.law) == written(found.law)
+    assert len(asked) == 2 and ended.law.gain.shown
+    assert "The search for laws was interrupted" in of_diagnosis(ended, None)
+
+
+def test_effects_that_nearly_contain_a_law_are_named_with_their_cosine(found: Diagnosis) -> None:
+    rng = np.random.default_rng(3)
+    tests, _ = score_tests_of_job(found.job, {}, rng)
+    family = next(one for one in tests.families if one.name == "dead-path-drift")
+    at = next(i for i, one in enumerate(family.alternatives) if one.instance == ("T3",))
+    column = family.columns[:, at, 0]
+    other = tests.system.seen(rng.normal(size=len(column)))
+    other -= column * (column @ other) / (column @ column)
+    other *= np.linalg.norm(column) / np.linalg.norm(other)
+    (best, cosine), *_ = near_effects(tests, column + 0.25 * other)
+    assert best.spot == ("dead-path-drift", ("T3",))
+    assert cosine == pytest.approx(1 / np.sqrt(1 + 0.25**2))
+    assert near_effects(tests, column + 3 * other) == ()
+
+
 def test_the_law_is_a_definition_without_fault(found: Diagnosis) -> None:
     assert found.law is not None
     define, wanted = as_define(found.law, "law-1"), as_wanted(found.law, "law-1")
@@ -94,8 +140,9 @@ def test_the_law_is_a_definition_without_fault(found: Diagnosis) -> None:
 def test_the_data_of_a_law_have_the_keys_of_the_contract(found: Diagnosis) -> None:
     (law,) = as_data(found)["laws"]
     assert set(law) == {
-        "acts_on", "where", "adds", "parameters", "terms", "p_value", "gain", "part_of_structure", "chosen",
+        "acts_on", "where", "adds", "parameters", "terms", "p_value", "gain", "part_of_structure", "near", "chosen",
     }  # fmt: skip
+    assert law["near"] == []
     assert law["chosen"] and law["acts_on"] == "length" and law["parameters"]["a1"]["unit"] == "mm"
 
 

@@ -1,0 +1,139 @@
+"""Next readings: do the proposed ones separate two causes as often as predicted, and more often than random ones?
+
+Networks of tracers with one hidden effect, simulated by plain formulas (benchmarks/hidden/lengths.py), until so many
+diagnoses are indistinct. The five readings that `diagnose --next 5` proposes are simulated with noise of their own and
+added, and the job is diagnosed again; likewise five proposals at random. The causes are separated if the first rival is
+no longer in the confidence set of what is named, and the hidden effect still is.
+
+    python -m benchmarks next_readings [COUNT]
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from benchmarks.hidden import lengths
+from metrocli.diagnosis.diagnose import diagnose
+from metrocli.diagnosis.findings import Diagnosis, Verdict
+from metrocli.diagnosis.next_readings.choice import next_readings
+from metrocli.diagnosis.next_readings.proposals import Proposal, proposals
+from metrocli.effects.effect import ELAPSED, WARMING
+
+COUNT, READINGS = 20, 5
+_NAMES = ("dead-path-drift", "tracer-drift", "tracer-scale", "refraction-drift")
+_POINTS, _MOST = 40, 400
+
+
+@dataclass(frozen=True)
+class Case:
+    """An indistinct measurement: what is hidden, what was found, and what is proposed."""
+
+    measurement: lengths.Measurement
+    change: lengths.Signature
+    """Change of the readings by the hidden effect"""
+    name: str
+    diagnosis: Diagnosis
+
+
+def cases(count: int) -> Iterator[Case]:
+    """Yield so many measurements with one finding and a rival, of which one is the hidden effect."""
+    found = 0
+    for number in range(_MOST):
+        if found == count:
+            return
+        rng = np.random.default_rng([79, number])
+        m = lengths.measurement(rng, _POINTS)
+        name = _NAMES[number % len(_NAMES)]
+        at = int(rng.integers(len(m.tracers)))
+        values = {"rate": 1e-6, "scale": 1e-6, "by": 0.0} | dict.fromkeys(("vx", "vy", "vz"), 1e-6)
+        taken = lengths.absorbed_by(m)
+        shape = lengths.signature(name, at, values)(m)
+        factor = rng.uniform(4, 7) / float(np.linalg.norm(lengths.visible(m, taken, shape[:, None])))
+        change = lengths.signature(
+            name, at, {key: value * factor if key != "by" else value for key, value in values.items()}
+        )
+        m = replace(m, length=m.length + change(m))
+        diagnosis = diagnose(m.adjusted())
+        if (
+            diagnosis.verdict is Verdict.INDISTINCT
+            and len(diagnosis.findings) == 1
+            and _is_one_of_two(diagnosis, name, at)
+        ):
+            found += 1
+            yield Case(m, change, name, diagnosis)
+
+
+def _is_one_of_two(diagnosis: Diagnosis, name: str, at: int) -> bool:
+    """Return whether the hidden effect is what is named, or its first rival."""
+    effect = diagnosis.findings[0].effect
+    spots = {effect.alternative.spot, effect.rivals[0].alternative.spot}
+    return bool(spots & {(name, (f"T{at}",)), (name, ())})
+
+
+def separated(case: Case, made: Sequence[Proposal], rng: np.random.Generator) -> bool:
+    """Return whether one of the two likeliest causes is left after readings are made and the job is diagnosed again."""
+    found = diagnose(measured(case, made, rng).adjusted())
+    before = case.diagnosis.findings[0].effect
+    rival = before.rivals[0].alternative.spot
+    spots = {before.alternative.spot, rival}
+    left = set()
+    for finding in found.findings:
+        one = finding.effect
+        left |= {one.alternative.spot, *(other.alternative.spot for other in one.rivals)} & spots
+    return len(left) == 1 and next(iter(left))[0] == case.name
+
+
+def measured(case: Case, made: Sequence[Proposal], rng: np.random.Generator) -> lengths.Measurement:
+    """Return the measurement with the readings of proposals, with the hidden effect and noise of their own."""
+    m = case.measurement
+    added = [(one, observations) for one in made for observations in one.added.values()]
+    point = np.array([int(one.where["point"][1:]) for one, _ in added])
+    tracer = np.array([int(one.where["tracer"][1:]) for one, _ in added])
+    t = m.t.min() + np.array([float(o.conditions[ELAPSED][0]) for _, o in added])
+    temp = m.temp[np.argmin(m.t)] + np.array([float(o.conditions[WARMING][0]) for _, o in added])
+    whole = replace(
+        m,
+        point=np.concatenate([m.point, point]),
+        tracer=np.concatenate([m.tracer, tracer]),
+        t=np.concatenate([m.t, t]),
+        temp=np.concatenate([m.temp, temp]),
+        length=np.concatenate([m.length, np.zeros(len(point))]),
+    )
+    change = case.change(whole)
+    # the mean over so many readings is the dead path to a fraction of their noise
+    dead = np.array([np.mean((m.distance + case.change(m) - m.length)[m.tracer == j]) for j in range(len(m.tracers))])
+    new = (whole.distance - dead[whole.tracer] + change + rng.normal(size=len(change)) * whole.sigma)[-len(point) :]
+    return replace(whole, length=np.concatenate([m.length, new]))
+
+
+def main(arguments: list[str]) -> int:
+    """Print predicted and achieved shares; return 1 where the proposed readings achieve 0.1 less than predicted."""
+    count = next((int(word) for word in arguments if word.isdigit()), COUNT)
+    predicted, proposed, random = [], [], []
+    before = time.process_time()
+    for number, case in enumerate(cases(count)):
+        rng = np.random.default_rng([80, number])
+        found = next_readings(case.diagnosis, READINGS)
+        all_of_them = proposals(case.diagnosis.job)
+        some = [all_of_them[i] for i in rng.choice(len(all_of_them), READINGS, replace=False)]
+        predicted.append(found.aims[0].after)
+        proposed.append(separated(case, [one.proposal for one in found.readings], rng))
+        random.append(separated(case, some, rng))
+        print(
+            f"{case.name:18} {found.aims[0].why}: power {found.aims[0].before:.2f} to {found.aims[0].after:.2f}; "
+            f"separated: proposed {proposed[-1]}, random {random[-1]}",
+            flush=True,
+        )
+    print(f"{len(predicted)} indistinct cases, {(time.process_time() - before):.0f} s of CPU time")
+    print(f"predicted power {np.mean(predicted):.2f} in the mean")
+    print(f"separated by the proposed readings {np.mean(proposed):.2f}, by as many at random {np.mean(random):.2f}")
+    return int(np.mean(proposed) < np.mean(predicted) - 0.1)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,28 @@
+"""The next readings as lines of a report: what to do, what for, and the power before and after."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from metrocli.cli.diagnosis_report.text_table import text_table
+from metrocli.diagnosis.next_readings.choice import LEVEL, Next
+
+_ENOUGH = 0.95
+"""Power above which no further reading is needed"""
+_HEAD = ("next reading", "why", "power so far")
+
+
+def next_lines(found: Next) -> Iterator[str]:
+    """Yield the table of readings and, for each test, its power without them and with them."""
+    if not found.aims:
+        yield "what to measure next: nothing is indistinct, and no reading made once more would show anything unseen"
+        return
+    if found.readings:
+        yield from text_table(_HEAD, [(one.proposal.do, one.why, f"{one.power:.2f}") for one in found.readings])
+    elif all(aim.before > _ENOUGH for aim in found.aims):
+        yield "what to measure next: nothing, the readings decide this already"
+    else:
+        yield "what to measure next: readings made once more do not help; the pages of the effects state what does"
+    for aim in found.aims:
+        after = f", {aim.after:.2f} with these readings" if found.readings else ""
+        yield f"  {aim.why}: power {aim.before:.2f} now{after} (test at {100 * LEVEL:g} %)"

@@ -1,0 +1,34 @@
+"""Effects of the catalogue that change the readings nearly as a law does: perhaps its cause, at another place.
+
+Method: docs/algorithms/laws.md.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.diagnosis.linear.candidates import Alternative
+from metrocli.diagnosis.linear.score_tests import ScoreTests, quadratic
+
+_LEAST, _MOST = 0.9, 2
+"""Smallest cosine of an effect that is reported as nearly the law, and the largest number of them"""
+
+
+def near_effects(tests: ScoreTests, shown: Array) -> tuple[tuple[Alternative, float], ...]:
+    """Return the effects whose visible columns nearly contain what a law explains, (rows,), with the cosine.
+
+    Each is at its best place and with its best scanned values; the nearest comes first.
+    """
+    size, found = float(shown @ shown), dict[str, tuple[Alternative, float]]()
+    for family, gram, scale in zip(tests.families, tests.grams, tests.scales, strict=True):
+        if family.unknown:
+            continue
+        n, k, q = family.columns.shape
+        inside, _ = quadratic(gram, (family.columns.reshape(n, k * q).T @ shown).reshape(k, q), scale)
+        best = int(np.argmax(inside))
+        cosine = float(np.sqrt(min(inside[best] / max(size, 1e-300), 1.0)))
+        before = found[family.name][1] if family.name in found else _LEAST
+        if cosine > before:
+            found[family.name] = family.alternatives[best], cosine
+    return tuple(sorted(found.values(), key=lambda one: -one[1])[:_MOST])

@@ -1,0 +1,119 @@
+"""Effects on the machine that is calibrated; docs/effects describes each of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array, Space
+from metrocli.effects.effect import Effect, Parameter
+from metrocli.effects.links.motions import (
+    AXES,
+    Backlash,
+    BacklashGrowth,
+    LoadSag,
+    MachineDrift,
+    ScrewPitchError,
+    ThermalGrowth,
+)
+from metrocli.units import parse_quantity
+
+SCHWENKE = "Schwenke et al. 2008, Geometric error measurement and compensation of machines, CIRP Annals 57"
+
+
+def size(name: str, dimension: str, plausible: str) -> Parameter:
+    """Return a parameter with its plausible size as a text."""
+    return Parameter(name, dimension, parse_quantity(plausible, dimension))
+
+
+def velocity() -> tuple[Parameter, ...]:
+    """Return the parameters of a drift."""
+    return tuple(size(name, "speed", "1 um/min") for name in ("vx", "vy", "vz"))
+
+
+_SHORTEST, _LONGEST = 2.0, 50.0
+"""Range of periods that are searched [mm]"""
+_TRIED = 1000
+"""Number of periods tried, enough for axes up to 1 m: two neighbours then differ by less than a quarter of a turn"""
+
+
+def _periods(conditions: Mapping[str, Array]) -> Array:
+    """Return periods so close that the phase at the ends of an axis is off by at most a sixteenth of a turn."""
+    longest = max(float(np.ptp(conditions[axis])) for axis in AXES)
+    count = int(np.ceil(8 * longest * (1 / _SHORTEST - 1 / _LONGEST))) + 1
+    return np.asarray(1 / np.linspace(1 / _LONGEST, 1 / _SHORTEST, count))
+
+
+OF_THE_MACHINE: tuple[Effect, ...] = (
+    Effect(
+        "backlash",
+        "the axis stops at another place when it arrives from the other side: play, friction and wind-up of its drive",
+        (size("width", "length", "20 um"),),
+        lambda block, where: Backlash(block, where["axis"]),
+        where=("axis",),
+        needs=("from_{axis}",),
+        usual="1 to 20 um",
+        reveal="the same points approached from both sides; lines run in both directions",
+        source="ISO 230-2:2014, reversal value B; left out by Sanders et al. 2023, section 1.1",
+    ),
+    Effect(
+        "backlash-growth",
+        "the play of an axis is not the same along its travel: its screw or rack is worn, or winds up",
+        (size("growth", "ratio", "50 ppm"),),
+        lambda block, where: BacklashGrowth(block, where["axis"]),
+        where=("axis",),
+        needs=("from_{axis}",),
+        confused_with=("backlash",),
+        usual="1 to 50 ppm",
+        reveal="points along the whole axis, each approached from both sides",
+        source="ISO 230-2:2014, reversal value B at each target position",
+    ),
+    Effect(
+        "screw-pitch-error",
+        "the screw or the scale has an error that repeats with every turn and is too short-waved for the knots",
+        (size("amplitude", "length", "10 um"), size("phase", "angle", "6.3 rad")),
+        lambda block, where: ScrewPitchError(block, where["axis"]),
+        where=("axis",),
+        scanned=(Parameter("period", "length", grid=_periods, tried=_TRIED),),
+        space=Space.WAVE,
+        usual="0.5 to 10 um",
+        reveal="a line of points closer than a quarter of the pitch, not at multiples of the pitch",
+        source="ISO 230-2:2014 (targets not at multiples of the pitch, for this error)",
+    ),
+    Effect(
+        "thermal-growth",
+        "the scale of an axis grows while the machine is measured",
+        (size("rate", "rate", "60 ppm/h"),),
+        lambda block, where: ThermalGrowth(block, where["axis"]),
+        where=("axis",),
+        needs=("t",),
+        confused_with=("machine-drift", "tracker-drift"),
+        usual="1 to 60 ppm/h",
+        reveal="the far points of the axis measured again at the end; the temperature of its scale",
+        source="ISO 230-3:2020; 11.5 um/m/K for steel",
+    ),
+    Effect(
+        "machine-drift",
+        "the tool moves against the workpiece while the machine is measured: spindle and column warm up",
+        velocity(),
+        lambda block, where: MachineDrift(block),
+        needs=("t",),
+        confused_with=("tracker-drift", "thermal-growth"),
+        usual="1 to 60 um/h",
+        reveal="a second reflector, fixed on the table: its readings change with the tracker, not with the machine",
+        source="ISO 230-3:2020, environmental temperature variation error",
+    ),
+    Effect(
+        "load-sag",
+        "a carriage bends the structure that carries it: the tool sinks with the product of two positions; "
+        "no error of a rigid body does this",
+        (size("c", "curvature", "1e-6 1/mm"),),
+        lambda block, where: LoadSag(block, where["pair"]),
+        where=("pair",),
+        usual="1e-8 to 1e-6 1/mm",
+        reveal="points over the whole plane of the two axes, also in its corners",
+        source=SCHWENKE,
+    ),
+)
+"""Effects on the machine"""
