@@ -16,9 +16,9 @@ from metrocli.errors import Fault, InputError, MetrocliError, UsageError
 from metrocli.formats.hdf5 import refuse_foreign
 from metrocli.plan import Plan
 from metrocli.project import meaning
-from metrocli.project.chunks import ChunkFolder
 from metrocli.project.inputs import read_inputs, read_with_files, unfit_inputs
 from metrocli.project.job import JobFile
+from metrocli.project.running.chunks import ChunkFolder
 from metrocli.record import Record, Verdict
 from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions

@@ -52,12 +52,13 @@ def _own(kind: str, source: Path | None) -> list[Effect]:
     """Return the own effects of a kind: those of a file, else of the project of the working folder, and of packages."""
     from metrocli.errors import Fault, InputError
     from metrocli.project.own_effects import of_file, of_packages, of_project
+    from metrocli.project.yaml_text import YamlFiles
     from metrocli.settings import path_beside
     from metrocli.tasks import KINDS
 
     taken = {effect.name for effect in KINDS[kind].task().effects}
     found = list(of_packages(kind))
-    node = None if source is not None else of_project(Path())
+    node = None if source is not None else of_project(Path(), YamlFiles())
     path = source if node is None else path_beside(node)
     faults: list[Fault] = []
     if path is not None:

@@ -6,7 +6,7 @@ import traceback
 from collections.abc import Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from multiprocessing import get_context
 from typing import Any, Protocol
 
@@ -80,9 +80,8 @@ class Processes:
         self._running: dict[Future[Outcome], str] = {}
 
     def begin(self, name: str, job: JobFile, strict: bool) -> None:
-        # the inputs exist by now, so that nothing depends on the list of results that are still to be made
-        wishes = replace(job.wishes, made=())
-        self._running[self._pool.submit(_loaded_and_attempted, job.file, wishes, strict)] = name
+        submitted = self._pool.submit(_loaded_and_attempted, job.file, job.wishes.elsewhere(), strict)
+        self._running[submitted] = name
 
     def finished(self) -> Iterator[tuple[str, Outcome]]:
         for one in wait(self._running, return_when=FIRST_COMPLETED).done:
