@@ -62,7 +62,7 @@ def command(project: Path, dry_run: bool, as_json: bool, quiet: bool, verbose: b
     with nullcontext() if dry_run else locked(file, how["wait"]):
         steps = selected(load_project(project, how["accept_doubtful"]), how["only"], how["start"])
         if how["depfile"] is not None:
-            depfile.write(how["depfile"], file, steps)
+            depfile.write(how["depfile"], file, steps, how["force"])
         order = pipeline.Order(how["force"], how["strict"])
         if dry_run:
             return _dry_run(list(states(steps, order.force, order.strict)), console, as_json)

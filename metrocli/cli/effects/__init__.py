@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from metrocli.cli import options
+from metrocli.cli.console import echo
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -39,12 +40,12 @@ def command(kind: str | None, source: Path | None, check: bool, as_json: bool) -
             raise InputError(faults)
     if as_json:
         data = {name: _data(one, own) for name, (one, own) in found.items()}
-        click.echo(summary.as_json(data[kind] if kind else {"kinds": data}))
+        echo(summary.as_json(data[kind] if kind else {"kinds": data}))
         return 0
     if check:
-        click.echo(f"{count} effects of one's own obey the laws")
+        echo(f"{count} effects of one's own obey the laws")
         return 0
-    click.echo("\n\n".join(_text(one, own) for one, own in found.values()))
+    echo("\n\n".join(_text(one, own) for one, own in found.values()))
     return 0
 
 
