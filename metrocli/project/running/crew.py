@@ -11,7 +11,7 @@ from multiprocessing import get_context
 from typing import Any, Protocol
 
 from metrocli import tasks
-from metrocli.errors import MetrocliError
+from metrocli.errors import InputError, MetrocliError
 from metrocli.project.job import JobFile, Wishes, load
 from metrocli.project.runner import HERE, Progress, compute
 from metrocli.record import Record
@@ -48,8 +48,10 @@ def attempt(job: JobFile, strict: bool, progress: Progress = lambda line: None, 
     """Compute a job and return what became of it; nothing is written but finished chunks."""
     try:
         return Outcome(*compute(job, progress, workers, strict))
-    except MetrocliError as error:
+    except InputError as error:
         return Outcome(exit_code=error.exit_code, error=str(error))
+    except MetrocliError as error:
+        return Outcome(exit_code=error.exit_code, error=f"{job.file}: error: {error}")
     except Exception:
         return Outcome(exit_code=MetrocliError.exit_code, error=f"{traceback.format_exc()}\n{_DEFECT}")
 
