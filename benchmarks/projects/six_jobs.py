@@ -198,7 +198,7 @@ CHANGES = (
 
 def set_version(version: str) -> None:
     """Make this process a metrocli of another version."""
-    for module in (meaning, runner):
+    for module in (meaning, runner, memo):
         module.__version__ = version  # type: ignore[attr-defined]
 
 
