@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,7 +31,7 @@ def command(place: Path, overrides: tuple[str, ...], accept_doubtful: bool, as_j
     from metrocli.errors import Fault, InputError, UsageError
     from metrocli.formats.hdf5 import refuse_foreign
     from metrocli.project.job import Wishes, load_parts
-    from metrocli.project.runner import content, verify
+    from metrocli.project.runner import verify
     from metrocli.project.steps import FILE, load_project
 
     if place.is_dir() or place.name == FILE:
@@ -41,14 +42,11 @@ def command(place: Path, overrides: tuple[str, ...], accept_doubtful: bool, as_j
         jobs = load_parts(place, Wishes(overrides, accept_doubtful=accept_doubtful))
     faults: list[Fault] = []
     for job in jobs:
-        missing = [item.key for item in job.inputs if not all(path.exists() for path in item.paths)]
-        try:
-            held = content(job, missing)
-            if not missing:
-                verify(job, held)
-            refuse_foreign(job.output, job.kind)
-        except InputError as error:
-            faults.extend(error.faults)
+        for look in (partial(verify, job), partial(refuse_foreign, job.output, job.kind)):
+            try:
+                look()
+            except InputError as error:
+                faults.extend(error.faults)
     if faults:
         raise InputError(faults)
     root = place if place.is_dir() else place.parent

@@ -50,7 +50,7 @@ def _carry_out(kind: str, path: Path, console: Console, wanted: dict[str, Any]) 
     if wanted["dry_run"]:
         if not wanted["force"]:
             refuse_foreign(job.output, kind)
-        runner.verify(job, runner.content(job))
+        runner.verify(job)
         if wanted["as_json"]:
             from metrocli.cli.summary import as_json
 

@@ -6,6 +6,7 @@ import os
 import sys
 
 from metrocli.cli.help import help_text, version_text
+from metrocli.cli.shell.idle import nothing_to_do
 
 COMPLETE = "_METROCLI_COMPLETE"
 """Set by the completion of the shell, which then calls without arguments"""
@@ -18,7 +19,7 @@ def main() -> None:
         sys.stdout.write(help_text())
     elif arguments == ["--version"]:
         sys.stdout.write(version_text() + "\n")
-    else:
+    elif not nothing_to_do(arguments):
         # Threads within one matrix product wait for each other where other programs run. numpy reads this on import.
         os.environ.setdefault("OMP_NUM_THREADS", "1")
         import signal

@@ -10,6 +10,7 @@ import click
 
 from metrocli.cli import options
 from metrocli.cli.console import Console, echo
+from metrocli.cli.shell.idle import up_to_date_lines
 from metrocli.record import DOUBTFUL, NOT_MET, UNMET
 
 if TYPE_CHECKING:
@@ -48,7 +49,7 @@ def command(project: Path, dry_run: bool, as_json: bool, quiet: bool, verbose: b
     place = project / "metrocli.yaml" if project.is_dir() else project
     plain = not any(how[option] for option in ("only", "start", "force", "depfile", "strict", "accept_doubtful"))
     begun = memo.now_ns()
-    unmoved = memo.unmoved_jobs(place) if plain else None
+    unmoved = memo.unmoved_jobs(str(place)) if plain else None
     if unmoved is not None:
         return _nothing_to_do(unmoved, place.parent, console, as_json, dry_run)
     from metrocli.project import pipeline
@@ -61,7 +62,7 @@ def command(project: Path, dry_run: bool, as_json: bool, quiet: bool, verbose: b
     with nullcontext() if dry_run else locked(file, how["wait"]):
         steps = selected(load_project(project, how["accept_doubtful"]), how["only"], how["start"])
         if how["depfile"] is not None:
-            depfile.write(how["depfile"], file, steps)
+            depfile.write(how["depfile"], file, steps, how["force"])
         order = pipeline.Order(how["force"], how["strict"])
         if dry_run:
             return _dry_run(list(states(steps, order.force, order.strict)), console, as_json)
@@ -91,7 +92,7 @@ def _nothing_to_do(jobs: Sequence[Sequence[str]], folder: Path, console: Console
         ]  # fmt: skip
         echo(json.dumps({"jobs": listed} if dry else {"jobs": listed, "exit_code": 0}, indent=2, ensure_ascii=False))
     if not console.quiet and jobs:
-        echo("\n".join(f"{name}: up to date" for name, _ in jobs))
+        echo(up_to_date_lines(jobs), nl=False)
     return 0
 
 
@@ -185,5 +186,6 @@ def _summary(report: Report) -> dict[str, Any]:
     done = report.done
     facts = {"job": report.step.name, "action": report.action, "reason": report.reason, "exit_code": report.exit_code}
     facts |= {"result": str(report.step.job.output)}
-    more = summary.summary(done.result, done.record, done.path) if done else {"error": report.error}
-    return facts | {"summary" if done else "error": more if done else report.error}
+    if done is None:
+        return facts | {"error": report.error}
+    return facts | {"summary": summary.summary(done.result, done.record, done.path)}

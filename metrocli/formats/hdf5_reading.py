@@ -134,6 +134,8 @@ def _sort_in(name: str, item: Any, tables: dict[str, Table], arrays: dict[str, A
     if item.dtype.names:
         tables[name] = _read_table(item)
     else:
+        if item.ndim == 0 or item.dtype.kind not in "biuf":
+            raise ValueError(f"{name} is no array of numbers")
         arrays[name] = item[()]
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from hashlib import sha256
 from pathlib import Path
 
@@ -27,11 +29,16 @@ def write_all(contents: Mapping[Path, bytes], force: bool = False) -> Iterator[P
     Raises InputError, before anything is written, if one of them exists that metrocli did not write, or that was
     changed since then, unless forced.
     """
+    with _alone_in(path.parent for path in contents):
+        yield from _write_all(contents, force)
+
+
+def _write_all(contents: Mapping[Path, bytes], force: bool) -> Iterator[Path]:
     lists = {path.parent: _listed(path.parent) for path in contents}
     faults = []
     for path, data in contents.items():
         if not force and path.exists() and not _may_replace(path, data, lists[path.parent]):
-            hint = "choose another folder with --out, or use --force"
+            hint = "choose another name or folder, or use --force"
             faults.append(Fault("the file exists, and metrocli did not write it so", str(path), hint=hint))
     if faults:
         raise InputError(faults)
@@ -43,6 +50,31 @@ def write_all(contents: Mapping[Path, bytes], force: bool = False) -> Iterator[P
     for path, data in contents.items():
         write_bytes(path, data)
         yield path
+
+
+@contextmanager
+def _alone_in(folders: Iterable[Path]) -> Iterator[None]:
+    """Hold folders, which are made if need be: others that write there at the same time wait, so no entry is lost.
+
+    Where the system has no such locks, nothing is held. Raises InputError if a folder cannot be made.
+    """
+    handles: list[int] = []
+    try:
+        import fcntl
+
+        for folder in sorted(set(folders)):
+            folder.mkdir(parents=True, exist_ok=True)
+            handles.append(os.open(folder, os.O_RDONLY))
+            fcntl.flock(handles[-1], fcntl.LOCK_EX)
+    except ImportError:
+        pass
+    except OSError as error:
+        raise InputError([Fault(f"cannot be written: {error.strerror}", str(error.filename))]) from error
+    try:
+        yield
+    finally:
+        for handle in handles:
+            os.close(handle)
 
 
 def _may_replace(path: Path, data: bytes, listed: Mapping[str, str]) -> bool:

@@ -11,7 +11,8 @@ from typing import Any
 from metrocli.errors import Fault, InputError
 from metrocli.formats.file_bytes import FileBytes, read_bytes
 from metrocli.project import meaning
-from metrocli.project.job import Input, JobFile
+from metrocli.project.job import JobFile
+from metrocli.project.named_files import Input
 from metrocli.record import DONE, InputFile
 from metrocli.settings import ANY_KIND, FileOf, ImageFiles, MeshFile, TableFile
 

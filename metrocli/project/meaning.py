@@ -10,6 +10,7 @@ import os
 from collections.abc import Callable, Iterable, Mapping, Set
 from dataclasses import fields, is_dataclass
 from enum import Enum
+from functools import cache
 from numbers import Number
 from pathlib import Path
 from typing import Any
@@ -113,28 +114,33 @@ def digest(value: Any, folder: Path = Path()) -> str:
     return found.hexdigest()
 
 
+_PLAIN = (str, float, int, bool, type(None))
+
+
 def _add(value: Any, add: Callable[[bytes], object], folder: Path) -> None:
     """Feed a value to a digest, each part with its type and length, so that no two values give the same bytes."""
-    if value is None or isinstance(value, Enum | Number | str | bytes):
+    kind = type(value)
+    # the first two are nearly all values of a job, and quick to tell apart
+    if kind in _PLAIN or isinstance(value, Enum | Number | bytes):
         text = value if isinstance(value, bytes) else repr(value).encode()
-        add(f"{type(value).__name__}{len(text)}:".encode() + text)
-    elif isinstance(value, Path):
-        _add(Path(os.path.relpath(value, folder)).as_posix(), add, folder)
-    elif isinstance(value, Node):
-        _add([value.kind, value.text, value.items, {key.text: below for key, below in value.entries}], add, folder)
-    elif is_dataclass(value) and not isinstance(value, type):
-        kept = {name: held for name, held in _named(value) if name not in _FOR_MESSAGES and name[0] != "_"}
-        _add([type(value).__qualname__, kept], add, folder)
-    elif isinstance(value, Mapping):
-        _add([(str(key), value[key]) for key in sorted(value, key=str)], add, folder)
-    elif isinstance(value, Set):
-        _add(sorted(value, key=str), add, folder)
+        add(f"{kind.__name__}{len(text)}:".encode() + text)
     elif isinstance(value, list | tuple):
         if value and all(isinstance(item, Path) for item in value):
             value = ()  # the images that a pattern matches, which are inputs with a digest of their own
         add(f"list{len(value)}:".encode())
         for item in value:
             _add(item, add, folder)
+    elif isinstance(value, Path):
+        _add(Path(os.path.relpath(value, folder)).as_posix(), add, folder)
+    elif isinstance(value, Node):
+        _add([value.kind, value.text, value.items, {key.text: below for key, below in value.entries}], add, folder)
+    elif is_dataclass(kind):
+        kept = {name: getattr(value, name) for name in _meant(kind)}
+        _add([kind.__qualname__, kept], add, folder)
+    elif isinstance(value, Mapping):
+        _add([(str(key), value[key]) for key in sorted(value, key=str)], add, folder)
+    elif isinstance(value, Set):
+        _add(sorted(value, key=str), add, folder)
     elif hasattr(value, "tobytes"):
         words = value.dtype.kind == "U"  # whose bytes depend on the longest of them
         data = "\0".join(value.tolist()).encode() if words else value.tobytes()
@@ -142,4 +148,10 @@ def _add(value: Any, add: Callable[[bytes], object], folder: Path) -> None:
     elif callable(value):
         _add(f"{value.__module__}.{value.__qualname__}", add, folder)
     else:
-        raise TypeError(f"a {type(value).__name__} has no digest")
+        raise TypeError(f"a {kind.__name__} has no digest")
+
+
+@cache
+def _meant(kind: type) -> tuple[str, ...]:
+    """Return the fields of a dataclass that count."""
+    return tuple(field.name for field in fields(kind) if field.name not in _FOR_MESSAGES and field.name[0] != "_")

@@ -13,6 +13,8 @@ from metrocli.effects.own.define import read
 from metrocli.errors import Fault, InputError
 from metrocli.nodes import Node
 from metrocli.project import yaml_text
+from metrocli.project.heading import Heading
+from metrocli.project.yaml_text import YamlFiles
 from metrocli.settings import path_beside
 from metrocli.words import suggestion
 
@@ -32,7 +34,7 @@ class Own:
     """The project file, if it names one of the files"""
 
 
-def own_effects(kind: str, define: Iterable[Node], named: Node | None, job: Path, faults: list[Fault]) -> Own:
+def own_effects(kind: str, heading: Heading, job: Path, read_before: YamlFiles, faults: list[Fault]) -> Own:
     """Return the effects for a job of a kind: its definitions, those of its file and its project, and of packages.
 
     Appends a fault for each mistake, with its place.
@@ -46,8 +48,8 @@ def own_effects(kind: str, define: Iterable[Node], named: Node | None, job: Path
             faults.append(Fault(f"a package offers an effect '{effect.name}', which exists already"))
         taken.add(effect.name)
         found.append(effect)
-    by_project = of_project(job.parent)
-    for node in filter(None, (named, by_project)):
+    by_project = of_project(job.parent, read_before)
+    for node in filter(None, (heading.effects_from, by_project)):
         path = path_beside(node)
         if path in files:
             continue
@@ -55,19 +57,19 @@ def own_effects(kind: str, define: Iterable[Node], named: Node | None, job: Path
         effects = of_file(kind, path, taken, faults, node)
         taken |= {effect.name for effect in effects}
         found += effects
-    found += read(define, task.places, taken, faults)
+    found += read(heading.define, task.places, taken, faults)
     project = None if by_project is None else by_project.source.folder / PROJECT
     return Own(tuple(found), tuple(files), project)
 
 
-def of_project(folder: Path) -> Node | None:
+def of_project(folder: Path, read_before: YamlFiles) -> Node | None:
     """Return the node of `effects_from` in the nearest metrocli.yaml above a folder, or None."""
     here = folder.absolute()
     place = next((one / PROJECT for one in (here, *here.parents) if (one / PROJECT).is_file()), None)
     if place is None:
         return None
     try:
-        root = yaml_text.parse(yaml_text.read_text(place, str(place)), str(place), place.parent)
+        root = read_before.root(place)
     except InputError:
         # the faults of a project are reported where it is used
         return None

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -12,13 +13,13 @@ from typing import Any
 from metrocli import __version__, tasks
 from metrocli.doubt import doubts_of
 from metrocli.effects.wanted import planted
-from metrocli.errors import Fault, InputError, MetrocliError, UsageError
+from metrocli.errors import Fault, InputError, MetrocliError, NotConvergedError, UndeterminedError, UsageError
 from metrocli.formats.hdf5 import refuse_foreign
 from metrocli.plan import Plan
 from metrocli.project import meaning
-from metrocli.project.chunks import ChunkFolder
 from metrocli.project.inputs import read_inputs, read_with_files, unfit_inputs
 from metrocli.project.job import JobFile
+from metrocli.project.running.chunks import ChunkFolder
 from metrocli.record import Record, Verdict
 from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions
@@ -83,7 +84,8 @@ def compute(
     progress(f"{file.file}: {file.kind}")
     if kind.chunked:
         job = replace(job, workers=replace(workers, finished=ChunkFolder(file.output.with_suffix(".chunks"))))
-    result = _sound(file, job)
+    with _placed(file):
+        result = _sound(file, job)
     result = replace(
         result,
         title=result.title or file.heading.title,
@@ -134,11 +136,30 @@ def _job(file: JobFile, held: Mapping[str, Any]) -> Job[Any, Any]:
     return tasks.KINDS[file.kind].task().job(file.settings, effects=file.effects, **held)
 
 
-def verify(file: JobFile, job: Job[Any, Any]) -> None:
-    """Raise InputError if settings and inputs of a job do not fit together; nothing is computed."""
-    check = tasks.KINDS[file.kind].task().check
-    if check is not None:
-        check(job)
+def verify(file: JobFile) -> None:
+    """Raise InputError for faults of a job's inputs, and if settings and inputs do not fit together.
+
+    Nothing is adjusted, and what only the adjustment can judge is left to it, such as whether the data determine the
+    unknowns. While results that other jobs will write are missing, the other inputs are read only.
+    """
+    missing = [item.key for item in file.inputs if not all(path.exists() for path in item.paths)]
+    with _placed(file):
+        held = read_inputs(file, missing)
+        check = tasks.KINDS[file.kind].task().check
+        if check is not None and not missing:
+            with suppress(UndeterminedError, NotConvergedError):
+                check(_job(file, held))
+
+
+@contextmanager
+def _placed(file: JobFile) -> Iterator[None]:
+    """Name the job file in faults that have no place of their own."""
+    try:
+        yield
+    except InputError as error:
+        if all(fault.file for fault in error.faults):
+            raise
+        raise InputError([replace(one, file=one.file or str(file.file)) for one in error.faults]) from error
 
 
 def answer(file: JobFile, question: str) -> Table:

@@ -13,7 +13,8 @@ from metrocli.formats import hdf5
 from metrocli.formats.seal import Label
 from metrocli.project import meaning, yaml_text
 from metrocli.project.inputs import content_now, input_files
-from metrocli.project.job import JobFile, absolute
+from metrocli.project.job import JobFile
+from metrocli.project.named_files import absolute
 from metrocli.project.steps import Step
 from metrocli.record import DONE, DOUBTFUL, Record
 

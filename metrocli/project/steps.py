@@ -10,10 +10,11 @@ from pathlib import Path
 
 from metrocli.errors import Fault, InputError, UsageError
 from metrocli.nodes import Node
-from metrocli.project import yaml_text
 from metrocli.project.campaign import Part, bound, parts_of
 from metrocli.project.heading import FileBeside
-from metrocli.project.job import JobFile, Wishes, absolute, load
+from metrocli.project.job import JobFile, Wishes, load
+from metrocli.project.named_files import absolute
+from metrocli.project.yaml_text import YamlFiles
 from metrocli.settings import BAD, ListOf, Section, Text, path_beside, setting
 from metrocli.table import MOST_FAULTS
 from metrocli.words import suggestion
@@ -54,8 +55,8 @@ def load_project(place: Path, accept_doubtful: bool = False) -> tuple[Step, ...]
 
     With `accept_doubtful` they use results that are not fit for use. Raises InputError with the faults of all files.
     """
-    path = project_file(place)
-    root = yaml_text.parse(yaml_text.read_text(path, str(path)), str(path), path.parent)
+    path, files = project_file(place), YamlFiles()
+    root = files.root(path)
     kind = root.get("job")
     if kind is not None and root.get("jobs") is None:
         hint = f"run a single job with the command of its kind: metrocli {kind.text} {path}"
@@ -64,11 +65,12 @@ def load_project(place: Path, accept_doubtful: bool = False) -> tuple[Step, ...]
     project = Section(ProjectFile).read(root, faults)
     if project is BAD:
         raise InputError(faults)
-    listed = [one for node in root.at("jobs").items for one in _one_or_many(node)]
+    listed = [one for node in root.at("jobs").items for one in _one_or_many(node, files, faults)]
     made = {absolute(output) for one in listed if (output := _peek_output(one)) is not None}
     jobs: dict[str, JobFile] = {}
     for one in listed:
-        _load_one(one, Wishes(made=made, accept_doubtful=accept_doubtful, part=one.part), jobs, faults)
+        wishes = Wishes(made=made, accept_doubtful=accept_doubtful, part=one.part, files=files)
+        _load_one(one, wishes, jobs, faults)
     makers = _makers(listed, jobs, faults)
     if faults:
         raise InputError(faults)
@@ -78,8 +80,7 @@ def load_project(place: Path, accept_doubtful: bool = False) -> tuple[Step, ...]
 
 def name_of_project(place: Path) -> str:
     """Return the name that the project file states; empty without one."""
-    path = project_file(place)
-    node = yaml_text.parse(yaml_text.read_text(path, str(path)), str(path), path.parent).get("project")
+    node = YamlFiles().root(project_file(place)).get("project")
     return node.text if node is not None else ""
 
 
@@ -101,14 +102,20 @@ class _Listed:
         return path_beside(self.node)
 
 
-def _one_or_many(node: Node) -> list[_Listed]:
-    """Return the job that a line of the project names, or one for each part if the job has `for:`."""
-    path = path_beside(node)
+def _one_or_many(node: Node, files: YamlFiles, faults: list[Fault]) -> list[_Listed]:
+    """Return the job that a line of the project names, or one for each part if the job has `for:`.
+
+    If its list of parts has faults, they are added and there is none.
+    """
     try:
-        root = yaml_text.parse(yaml_text.read_text(path, str(path)), str(path), path.parent)
+        root = files.root(path_beside(node))
     except InputError:
         return [_Listed(node, None)]
-    parts = parts_of(root)
+    try:
+        parts = parts_of(root)
+    except InputError as error:
+        faults.extend(error.faults)
+        return []
     return [_Listed(node, root, part) for part in parts] or [_Listed(node, root)]
 
 

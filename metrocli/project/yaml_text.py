@@ -226,3 +226,37 @@ def _word(node: Node) -> str:
     if node.kind != "scalar":
         return "{}" if node.kind == "mapping" else "[]"
     return json.dumps(node.text, ensure_ascii=False) if node.quoted or "\n" in node.text else node.text
+
+
+@dataclass(frozen=True)
+class YamlFile:
+    """The content of a YAML file."""
+
+    text: str
+    root: Node
+    repeated: tuple[Fault, ...]
+    """A fault for each repeated key; the first value is in the tree"""
+
+
+@dataclass(frozen=True)
+class YamlFiles:
+    """The files that were read so far, as they were then."""
+
+    held: dict[Path, YamlFile] = field(default_factory=dict)
+
+    def read(self, path: Path) -> YamlFile:
+        """Return the content of a file; raises InputError with all faults of its syntax."""
+        place = path.absolute()
+        if place not in self.held:
+            repeated: list[Fault] = []
+            text = read_text(path, str(path))
+            root = parse(text, str(path), path.parent, repeated)
+            self.held[place] = YamlFile(text, root, tuple(repeated))
+        return self.held[place]
+
+    def root(self, path: Path) -> Node:
+        """Return the root of a file; raises InputError also for repeated keys."""
+        found = self.read(path)
+        if found.repeated:
+            raise InputError(found.repeated)
+        return found.root

@@ -6,6 +6,7 @@ import dataclasses
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any
 
 from metrocli.errors import Fault
@@ -35,8 +36,13 @@ def setting(spec: Spec, description: str, default: Any = dataclasses.MISSING, ke
     return field(default=default, metadata=metadata)
 
 
-def settings_of(section: type) -> dict[str, tuple[Setting, bool]]:
+def settings_of(section: type) -> Mapping[str, tuple[Setting, bool]]:
     """Return for each field name of a dataclass its setting, and whether it is required."""
+    return _settings_of(section)
+
+
+@cache
+def _settings_of(section: type) -> Mapping[str, tuple[Setting, bool]]:
     found = {}
     for item in dataclasses.fields(section):
         spec, description, key = item.metadata["setting"]

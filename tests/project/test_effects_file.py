@@ -50,10 +50,10 @@ def test_a_run_with_nothing_to_do_looks_at_the_file(shop: Path, metrocli: Metroc
     lab, result = shop / "lab-effects.yaml", shop / "results" / "hall.h5"
     begun = time.time_ns() + 10**10
     remember(shop / "metrocli.yaml", load_project(shop), begun)
-    assert unmoved_jobs(shop / "metrocli.yaml") is not None
+    assert unmoved_jobs(str(shop / "metrocli.yaml")) is not None
     before = result.read_bytes()
     lab.write_text(lab.read_text().replace("adds: pull*azimuth", "adds: 3*pull*azimuth"))
-    assert unmoved_jobs(shop / "metrocli.yaml") is None
+    assert unmoved_jobs(str(shop / "metrocli.yaml")) is None
     assert metrocli("run").code == 0 and result.read_bytes() != before
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from metrocli.cli import options
+from metrocli.cli.console import echo
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -39,12 +40,12 @@ def command(kind: str | None, source: Path | None, check: bool, as_json: bool) -
             raise InputError(faults)
     if as_json:
         data = {name: _data(one, own) for name, (one, own) in found.items()}
-        click.echo(summary.as_json(data[kind] if kind else {"kinds": data}))
+        echo(summary.as_json(data[kind] if kind else {"kinds": data}))
         return 0
     if check:
-        click.echo(f"{count} effects of one's own obey the laws")
+        echo(f"{count} effects of one's own obey the laws")
         return 0
-    click.echo("\n\n".join(_text(one, own) for one, own in found.values()))
+    echo("\n\n".join(_text(one, own) for one, own in found.values()))
     return 0
 
 
@@ -52,12 +53,13 @@ def _own(kind: str, source: Path | None) -> list[Effect]:
     """Return the own effects of a kind: those of a file, else of the project of the working folder, and of packages."""
     from metrocli.errors import Fault, InputError
     from metrocli.project.own_effects import of_file, of_packages, of_project
+    from metrocli.project.yaml_text import YamlFiles
     from metrocli.settings import path_beside
     from metrocli.tasks import KINDS
 
     taken = {effect.name for effect in KINDS[kind].task().effects}
     found = list(of_packages(kind))
-    node = None if source is not None else of_project(Path())
+    node = None if source is not None else of_project(Path(), YamlFiles())
     path = source if node is None else path_beside(node)
     faults: list[Fault] = []
     if path is not None:

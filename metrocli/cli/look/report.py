@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from metrocli.cli import options
+from metrocli.cli.console import Console
 
 if TYPE_CHECKING:
     from metrocli.project.steps import Step
@@ -26,22 +27,25 @@ if TYPE_CHECKING:
 @click.option(
     "--diagnosis", type=click.Path(path_type=Path), metavar="FILE.json", help="Output of `metrocli diagnose --json`."
 )
+@options.FORCE
 @options.QUIET
-def command(place: Path, out: Path | None, diagnosis: Path | None, quiet: bool) -> int:
-    """Write NAME.html beside a result, or report/index.html and the page of each result for a project."""
+def command(place: Path, out: Path | None, diagnosis: Path | None, force: bool, quiet: bool) -> int:
+    """Write NAME.html beside a result, or report/index.html and the page of each result for a project.
+
+    A file that metrocli did not write is replaced with `force` only.
+    """
     from metrocli.errors import UsageError
+    from metrocli.formats.own_files import write_all
     from metrocli.project.steps import FILE
 
     if place.is_dir() or place.name == FILE:
         if diagnosis is not None:
             raise UsageError("--diagnosis is for the page of one result; beside NAME.h5, NAME.diagnosis.json is found")
-        written = _project(place, out)
+        pages = _project(place, out)
     else:
-        path = out or place.with_suffix(".html")
-        _write(path, _page(place, diagnosis, "JOB.yaml"))
-        written = [path]
-    for path in () if quiet else written:
-        click.echo(path)
+        pages = {out or place.with_suffix(".html"): _page(place, diagnosis, "JOB.yaml")}
+    for path in write_all({path: text.encode() for path, text in pages.items()}, force):
+        Console(quiet).print(str(path))
     return 0
 
 
@@ -89,8 +93,8 @@ def _diagnosis(result: Path, given: Path | None, record: Record) -> Diagnosis | 
 _DIAGNOSE = "write it by: metrocli diagnose JOB.yaml --json > FILE.json"
 
 
-def _project(place: Path, out: Path | None) -> list[Path]:
-    """Write the pages of all results that exist, and the page that leads to them."""
+def _project(place: Path, out: Path | None) -> dict[Path, str]:
+    """Return the page that leads to those of all results that exist, and these."""
     from metrocli.errors import InputError
     from metrocli.project.staleness import states
     from metrocli.project.steps import load_project, name_of_project, project_file
@@ -98,7 +102,7 @@ def _project(place: Path, out: Path | None) -> list[Path]:
 
     file = project_file(place)
     index = out or file.parent / "report" / "index.html"
-    found, written = list(states(load_project(place))), []
+    found, pages = list(states(load_project(place))), dict[Path, str]()
     outputs = [state.step.job.output for state in found]
     made = {output.resolve() for output in outputs}
     entries = []
@@ -107,14 +111,12 @@ def _project(place: Path, out: Path | None) -> list[Path]:
         with suppress(InputError):  # a result that is absent or damaged has no page; its state names the reason
             text = _page(step.job.output, None, step.name)
             page = _page_name(step.job.output, outputs, file.parent)
-            _write(index.parent / page, text)
-            written.append(index.parent / page)
+            pages[index.parent / page] = text
         status = state.record.status if state.record is not None else ""
         own = tuple(_files(step, made, file.parent))
         entry = Entry(step.name, step.job.kind, step.job.heading.title, status, state.reason, step.needs, own, page)
         entries.append(entry)
-    _write(index, project_page(name_of_project(place) or file.parent.resolve().name, entries))
-    return [index, *written]
+    return {index: project_page(name_of_project(place) or file.parent.resolve().name, entries), **pages}
 
 
 def _page_name(output: Path, outputs: Sequence[Path], home: Path) -> str:
@@ -139,10 +141,3 @@ def _files(step: Step, made: set[Path], home: Path) -> list[str]:
 
 def _from(home: Path, path: Path) -> str:
     return Path(os.path.relpath(path, home)).as_posix()
-
-
-def _write(path: Path, text: str) -> None:
-    from metrocli.formats import aside
-
-    with aside.written_aside(path) as temporary:
-        temporary.write_text(text, encoding="utf-8", newline="\n")

@@ -13,8 +13,9 @@ from metrocli.formats.file_bytes import read_bytes
 from metrocli.formats.seal import Label
 from metrocli.record import InputFile
 
-_FEWEST_ALIKE = 4
 AS_READ, CHANGED, MISSING = "as read", "changed since", "missing"
+_FEWEST_ALIKE = 4
+"""Files of a kind in one folder from which on one line stands for all"""
 
 
 @dataclass(frozen=True)
@@ -25,8 +26,7 @@ class Origin:
     digest: str
     """Of the result, or of the bytes of a file"""
     state: str
-    """Whether the file still has the content that was read: _FEWEST_ALIKE = 4
-AS_READ, CHANGED or MISSING"""
+    """Whether the file still has the content that was read: AS_READ, CHANGED or MISSING"""
     label: Label | None = None
     """Of a result as it was read; None for all other files"""
     job: Path | None = None

@@ -43,7 +43,7 @@ def pack(name: str, job: JobFile, strict: bool) -> Packed:
     root = os.path.commonpath([file.parent, os.path.abspath(job.output.parent), *(path.parent for path in paths)])
     files = {os.path.relpath(path, root): read_bytes(path).data for path in (file, *paths)}
     part = job.wishes.part and replace(job.wishes.part, file=None)
-    wishes = replace(job.wishes, made=(), part=part)
+    wishes = replace(job.wishes.elsewhere(), part=part)
     shown = "" if os.path.samefile(root, ".") else os.path.relpath(root) + os.sep
     return Packed(name, shown, os.path.relpath(file, root), wishes, strict, files)
 

@@ -6,12 +6,12 @@ import traceback
 from collections.abc import Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from multiprocessing import get_context
 from typing import Any, Protocol
 
 from metrocli import tasks
-from metrocli.errors import MetrocliError
+from metrocli.errors import InputError, MetrocliError
 from metrocli.project.job import JobFile, Wishes, load
 from metrocli.project.runner import HERE, Progress, compute
 from metrocli.record import Record
@@ -48,8 +48,10 @@ def attempt(job: JobFile, strict: bool, progress: Progress = lambda line: None, 
     """Compute a job and return what became of it; nothing is written but finished chunks."""
     try:
         return Outcome(*compute(job, progress, workers, strict))
-    except MetrocliError as error:
+    except InputError as error:
         return Outcome(exit_code=error.exit_code, error=str(error))
+    except MetrocliError as error:
+        return Outcome(exit_code=error.exit_code, error=f"{job.file}: error: {error}")
     except Exception:
         return Outcome(exit_code=MetrocliError.exit_code, error=f"{traceback.format_exc()}\n{_DEFECT}")
 
@@ -80,9 +82,8 @@ class Processes:
         self._running: dict[Future[Outcome], str] = {}
 
     def begin(self, name: str, job: JobFile, strict: bool) -> None:
-        # the inputs exist by now, so that nothing depends on the list of results that are still to be made
-        wishes = replace(job.wishes, made=())
-        self._running[self._pool.submit(_loaded_and_attempted, job.file, wishes, strict)] = name
+        submitted = self._pool.submit(_loaded_and_attempted, job.file, job.wishes.elsewhere(), strict)
+        self._running[submitted] = name
 
     def finished(self) -> Iterator[tuple[str, Outcome]]:
         for one in wait(self._running, return_when=FIRST_COMPLETED).done:

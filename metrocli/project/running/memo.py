@@ -5,17 +5,14 @@ docs/decisions/082-memo-of-a-run.md has what it rests on. Loads fast: neither YA
 
 from __future__ import annotations
 
-import json
 import os
-import time
-from contextlib import suppress
-from pathlib import Path
 
 from metrocli import __version__
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
+    from pathlib import Path
 
     from metrocli.project.steps import Step
 
@@ -24,22 +21,28 @@ _SETTLED_NS = 2_500_000_000
 """Age that a file must have [ns]: within it, a second change may leave size and times as they are"""
 
 
-def unmoved_jobs(project_file: Path) -> list[list[str]] | None:
+def unmoved_jobs(project_file: str) -> list[list[str]] | None:
     """Return the names and results of all jobs, if all files of the project are as when all results were up to date.
 
     Returns None if anything moved, or nothing is remembered.
     """
-    folder = project_file.parent
+    folder, name_of_project = os.path.split(project_file)
     try:
-        with open(folder / NAME, encoding="utf-8") as file:
-            held = json.load(file)
-        if held["version"] != __version__ or held["project"] != project_file.name:
+        with open(os.path.join(folder, NAME), encoding="utf-8") as file:
+            text = file.read()
+    except (OSError, ValueError):
+        return None
+    import json
+
+    try:
+        held = json.loads(text)
+        if held["version"] != __version__ or held["project"] != name_of_project:
             return None
         for name, seen in held["files"].items():
             if _signature(os.path.join(folder, name)) != seen:
                 return None
         jobs: list[list[str]] = held["jobs"]
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return None
     return jobs
 
@@ -50,9 +53,15 @@ def remember(project_file: Path, steps: Sequence[Step], begun_ns: int) -> None:
     Nothing is remembered if any file is too young, or if a pattern of images has wildcards in the name of a folder. A
     folder that cannot be written is no fault: the next run looks again.
     """
+    import json
+    from contextlib import suppress
+
+    from metrocli.errors import InputError
+    from metrocli.formats.aside import write_bytes
+
     folder = project_file.parent
     files: dict[str, list[int]] = {}
-    with suppress(OSError):
+    with suppress(OSError, InputError):
         for path in _looked_at(project_file, steps):
             found = _signature(os.fspath(path))
             if max(found[1:3]) > begun_ns - _SETTLED_NS:
@@ -60,13 +69,13 @@ def remember(project_file: Path, steps: Sequence[Step], begun_ns: int) -> None:
             files[os.path.relpath(path, folder)] = found
         jobs = [[step.name, os.path.relpath(step.job.output, folder)] for step in steps]
         held = {"version": __version__, "project": project_file.name, "jobs": jobs, "files": files}
-        aside = folder / f"{NAME}.{os.getpid()}"
-        aside.write_text(json.dumps(held), encoding="utf-8")
-        aside.replace(folder / NAME)
+        write_bytes(folder / NAME, json.dumps(held).encode())
 
 
 def now_ns() -> int:
     """Return the time [ns] for `remember`."""
+    import time
+
     return time.time_ns()
 
 
@@ -85,6 +94,8 @@ def _looked_at(project_file: Path, steps: Iterable[Step]) -> Iterable[Path]:
             yield step.job.wishes.part.file
         yield step.job.output
         yield from step.job.own.files
+        if step.job.own.project is not None:
+            yield step.job.own.project
         for item in step.job.inputs:
             yield from item.paths
             for pattern in item.node.items or (item.node,):

@@ -10,7 +10,7 @@ import numpy as np
 from metrocli.adjust.cluster_robust import FROM_RESIDUALS, STRUCTURED, must_suffice
 from metrocli.adjust.outcome import Outcome
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.errors import InputError, UndeterminedError
+from metrocli.errors import InputError, UndeterminedError, together
 from metrocli.geometry.poses import EULER, pose_from_euler
 from metrocli.instruments.spindle_camera import part_in_camera
 from metrocli.result import Result
@@ -39,8 +39,6 @@ def run(job: Job[Settings, Files]) -> Result:
     Raises InputError if the files do not fit together, UndeterminedError if the readings do not determine the
     unknowns, and NotConvergedError if the adjustment does not converge.
     """
-    if job.files.supports is not None:
-        must_level(job.files.supports)
     problem = prepared(job)
     prediction = predicted(problem)
     adjusted = solved(job.settings, problem)
@@ -58,6 +56,8 @@ def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
 def prepared(job: Job[Settings, Files]) -> Problem:
     """Return the adjustment with its starting values and the effects of the job."""
     settings, files = job.settings, job.files
+    if files.supports is not None:
+        must_level(files.supports)
     model = camera_of(files.camera)
     if files.images is not None:
         model.must_fit(files.images)
@@ -65,6 +65,19 @@ def prepared(job: Job[Settings, Files]) -> Problem:
     sighted = sightings(settings, files.observations, listed.table, files.images, Needs(fewest=1))
     problem = build(model, sighted, files.poses, free_angle="clamping-angle" in settings.estimate)
     return replace(problem, common=listed.common).with_effects(job.effects)
+
+
+def check(job: Job[Settings, Files]) -> None:
+    """Raise InputError for what shows without a look into the images, and without images for all that shows."""
+    files, images = job.files, job.files.images
+    if images is None:
+        prepared(job)
+        return
+    together(
+        lambda: None if files.supports is None else must_level(files.supports),
+        lambda: camera_of(files.camera).must_fit(images),
+        lambda: target_list(files.targets),
+    )
 
 
 def solved(settings: Settings, problem: Problem) -> Adjusted:
@@ -111,4 +124,4 @@ def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulatio
     return Simulation({"observations.csv": table}, true | values, drawn)
 
 
-TASK = Task(Files, run, simulate=simulate, diagnosed=diagnosed, effects=EFFECTS, places=PLACES)
+TASK = Task(Files, run, check, simulate=simulate, diagnosed=diagnosed, effects=EFFECTS, places=PLACES)

@@ -12,6 +12,7 @@ from metrocli.adjust.outcome import Outcome
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.geometry import poses
+from metrocli.imageset import ImageSet
 from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.table import Table
@@ -65,16 +66,28 @@ def prepared(job: Job[Settings, Files]) -> tuple[Settings, Problem]:
     settings, files = job.settings, job.files
     images = files.images
     if images is not None:
-        declared, size = settings.camera.image_size or images.size, images.size
-        if tuple(declared) != tuple(size):
-            raise InputError(
-                f"the images are {size[0]} x {size[1]} px, but camera: image_size is {declared[0]} x {declared[1]} px"
-            )
-        settings = replace(settings, camera=replace(settings.camera, image_size=size))
+        _must_have_size(images, settings)
+        settings = replace(settings, camera=replace(settings.camera, image_size=images.size))
     needs = Needs(_FEWEST[settings.rig], float("nan") if settings.rig == "network" else 0.0)
     sighted = sightings(settings, files.observations, files.targets, images, needs)
     problem = build(settings.rig, settings.camera, sighted, files.scale_bars)
     return settings, problem.with_effects(job.effects)
+
+
+def _must_have_size(images: ImageSet, settings: Settings) -> None:
+    declared, size = settings.camera.image_size or images.size, images.size
+    if tuple(declared) != tuple(size):
+        raise InputError(
+            f"the images are {size[0]} x {size[1]} px, but camera: image_size is {declared[0]} x {declared[1]} px"
+        )
+
+
+def check(job: Job[Settings, Files]) -> None:
+    """Raise InputError for what shows without a look into the images, and without images for all that shows."""
+    if job.files.images is None:
+        prepared(job)
+    else:
+        _must_have_size(job.files.images, job.settings)
 
 
 def solved(settings: Settings, problem: Problem) -> Adjusted:
@@ -123,5 +136,12 @@ def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulatio
 
 
 TASK = Task(
-    Files, run, simulate=simulate, diagnosed=diagnosed, effects=EFFECTS, places=PLACES, answers={"compare": compare}
+    Files,
+    run,
+    check,
+    simulate=simulate,
+    diagnosed=diagnosed,
+    effects=EFFECTS,
+    places=PLACES,
+    answers={"compare": compare},
 )

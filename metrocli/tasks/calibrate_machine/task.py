@@ -66,6 +66,12 @@ def problem_of(job: Job[Settings, Files]) -> Problem:
     raise InputError(f"method {job.settings.method} has no readings")
 
 
+def check(job: Job[Settings, Files]) -> None:
+    """Raise InputError for what shows before the adjustment; a track is aligned with its path by computing."""
+    if job.settings.method != ON_THE_FLY:
+        problem_of(job).with_effects(job.effects)
+
+
 def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulation:
     """Return a simulated measurement of a machine with the random errors of `simulation:` and the job's effects."""
     return simulated(job, options.seed)
@@ -83,4 +89,4 @@ def plan(job: Job[Settings, Files]) -> Plan:
     return replace(planned, warnings=(*planned.warnings, _WITHOUT)) if job.effects else planned
 
 
-TASK = Task(Files, run, plan=plan, simulate=simulate, diagnosed=diagnosed, effects=EFFECTS, places=PLACES)
+TASK = Task(Files, run, check, plan=plan, simulate=simulate, diagnosed=diagnosed, effects=EFFECTS, places=PLACES)

@@ -67,6 +67,11 @@ def compare(job: Job[Settings, Files]) -> Table:
     return Table({"method": np.array(METHODS), **columns, "refused": np.array(outcome)}, units)
 
 
+def check(job: Job[Settings, Files]) -> None:
+    """Raise InputError for what shows in the poses before the unit is located."""
+    read(job.files.poses)
+
+
 def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulation:
     """Return simulated poses of a unit at the place of `simulation:`, with effects.
 
@@ -112,6 +117,7 @@ def plan(job: Job[Settings, Files]) -> Plan:
 TASK = Task(
     Files,
     run,
+    check,
     plan=plan,
     simulate=simulate,
     diagnosed=diagnosed,

@@ -99,6 +99,11 @@ def _problem(job: Job[Settings, Files]) -> Problem:
     return problem.with_effects(job.effects)
 
 
+def check(job: Job[Settings, Files]) -> None:
+    """Raise InputError for what shows before the adjustment."""
+    _problem(job)
+
+
 def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulation:
     """Return simulated views with the errors that `simulation:` describes, and with effects.
 
@@ -123,6 +128,7 @@ def plan(job: Job[Settings, Files]) -> Plan:
 TASK = Task(
     Files,
     run,
+    check,
     plan=plan,
     simulate=simulate,
     diagnosed=diagnosed,

@@ -1,0 +1,162 @@
+"""Runs that end in the middle: killed, out of disk, without the right to write, and two at once."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import random
+import resource
+import shutil
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import h5py
+
+from benchmarks.projects.many_jobs import RUN, environment, write
+from metrocli.errors import InputError
+from metrocli.formats import hdf5
+
+JOBS = 8
+
+
+def kills(count: int, seed: int = 0) -> tuple[int, int, int, int]:
+    """Return after how many SIGKILLs a result was unreadable, a finished one lost, and anything left or to be done.
+
+    The last figure is the number of kills in the middle of a run. Every other run has four workers.
+    """
+    chance = random.Random(seed)
+    write(JOBS, trials=400_000)  # so that most of a run lies between its first and its last result
+    commands = [[*RUN, "--jobs", str(jobs)] for jobs in (1, 4)]
+    lasts = [_seconds(command) for command in commands]
+    unreadable = lost = left = within = 0
+    for number in range(count):
+        shutil.rmtree("results", ignore_errors=True)
+        Path(".metrocli-seen").unlink(missing_ok=True)
+        command = commands[number % 2]
+        process = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, start_new_session=True, env=environment()
+        )
+        time.sleep(chance.uniform(0.3, 1.05) * lasts[number % 2])
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        finished = [line.rpartition(" -> ")[2] for line in process.communicate()[0].decode().splitlines()]
+        within += 0 < len(list(Path().glob("results/*.h5"))) < JOBS
+        unreadable += any(not _sound(path) for path in Path().glob("results/*.h5"))
+        lost += any(not Path(path).exists() for path in finished)
+        after = subprocess.run(command, capture_output=True, check=False, env=environment())
+        left += after.returncode != 0 or bool(_unexpected()) or not all(_sound(path) for path in _results())
+    return unreadable, lost, left, within
+
+
+def _seconds(command: list[str]) -> float:
+    shutil.rmtree("results", ignore_errors=True)
+    begun = time.monotonic()
+    subprocess.run(command, check=True, capture_output=True, env=environment())
+    return time.monotonic() - begun
+
+
+def _results() -> list[Path]:
+    return [Path(f"results/j{n}.h5") for n in range(JOBS)]
+
+
+def _unexpected() -> list[str]:
+    """Return all files below the working folder that neither the user nor a finished run leaves."""
+    named = {*map(str, _results()), "metrocli.yaml", ".metrocli-seen", *(f"jobs/j{n}.yaml" for n in range(JOBS))}
+    found = {str(path) for path in Path().rglob("*") if not path.is_dir()}
+    return sorted(found - named)
+
+
+def _sound(path: Path) -> bool:
+    try:
+        hdf5.read(path)
+    except InputError:
+        return False
+    return True
+
+
+def edges() -> Iterator[tuple[str, str]]:
+    """Yield each hard edge with what went wrong there, empty for nothing."""
+    for kilobytes in (1, 4, 16):
+        yield f"files of at most {kilobytes} kB", _fresh(lambda kb=kilobytes: _limited(kb))
+    for name, full in (("a full disk", True), ("a read-only disk", False)):
+        yield name, _fresh(lambda full=full: _on_a_disk(full))
+    yield "two runs at once", _fresh(_two_at_once)
+    yield "a result open elsewhere", _fresh(_open_elsewhere)
+
+
+def _fresh(work: Callable[[], str]) -> str:
+    """Return what work finds in a new project whose jobs have changed since its results were made."""
+    for path in Path().iterdir():
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
+    write(JOBS)
+    subprocess.run(RUN, check=True, capture_output=True, env=environment())
+    for path in Path("jobs").iterdir():
+        path.write_text(path.read_text().replace("std: 1 um", "std: 2 um"))
+    return work()
+
+
+def _fails_clearly(ran: subprocess.CompletedProcess[bytes], before: dict[Path, bytes]) -> str:
+    """Return what is wrong with a run that could not write; results may be old or new, but not damaged or gone."""
+    text = ran.stderr.decode()
+    if ran.returncode != 3 or "Traceback" in text or "cannot be written" not in text:
+        return f"exit code {ran.returncode}: {text[-300:]}"
+    if any(path.read_bytes() != data and not _sound(path) for path, data in before.items()):
+        return "a result is damaged"
+    return f"left over: {left}" if (left := _unexpected()) else ""
+
+
+def _limited(kilobytes: int) -> str:
+    before = {path: path.read_bytes() for path in _results()}
+
+    def limit() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1024 * kilobytes, 1024 * kilobytes))
+
+    ran = subprocess.run(RUN, capture_output=True, check=False, env=environment(), preexec_fn=limit)
+    return _fails_clearly(ran, before)
+
+
+def _on_a_disk(full: bool) -> str:
+    """Run with three results on a disk in memory, full or read-only, which only root can mount."""
+    kept = sorted(Path("results").rename("kept").iterdir())[:3]
+    room = sum(path.stat().st_size for path in kept) + (16_000 if full else 10_000_000)
+    Path("results").mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", f"size={room}", "tmpfs", "results"]
+    if subprocess.run(mount, capture_output=True, check=False).returncode:
+        return "not tried: no right to mount a disk"
+    try:
+        for path in kept:
+            shutil.copy(path, "results")
+        shutil.rmtree("kept")
+        if not full:
+            subprocess.run(["mount", "-o", "remount,ro", "results"], check=True)
+        before = {path: path.read_bytes() for path in Path("results").iterdir()}
+        ran = subprocess.run(RUN, capture_output=True, check=False, env=environment())
+        return _fails_clearly(ran, before)
+    finally:
+        subprocess.run(["umount", "results"], check=True)
+
+
+def _two_at_once() -> str:
+    begun = [subprocess.Popen(RUN, stdout=-1, stderr=-1, env=environment()) for _ in range(2)]
+    begun.append(subprocess.Popen([*RUN, "--wait"], stdout=-1, stderr=-1, env=environment()))
+    texts = [process.communicate()[1].decode() for process in begun]
+    for process, text in zip(begun, texts, strict=True):
+        refused = process.returncode == 3 and "another run works on this project" in text
+        if process.returncode and not refused:
+            return f"exit code {process.returncode}: {text[-300:]}"
+    if begun[-1].returncode or not all(_sound(path) for path in _results()) or _unexpected():
+        return "the run that waits did not end well"
+    return ""
+
+
+def _open_elsewhere() -> str:
+    path = _results()[0]
+    with h5py.File(path) as file:
+        before = file["parameters"][0]["std"]
+        ran = subprocess.run(RUN, capture_output=True, check=False, env=environment())
+        if ran.returncode or file["parameters"][0]["std"] != before:
+            return f"exit code {ran.returncode}, or the open file changed: {ran.stderr.decode()[-300:]}"
+    return "" if hdf5.read(path)[0].estimates[0].std != before else "the result was not replaced"

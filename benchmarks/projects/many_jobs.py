@@ -1,0 +1,101 @@
+"""A project of many independent jobs: what it costs to have nothing to do, here and with other programs."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+from metrocli.formats import hdf5
+from metrocli.project import meaning, runner
+from metrocli.project.job import load
+
+ROOT = Path(__file__).parents[2]
+RUN = [sys.executable, "-m", "metrocli", "run"]
+
+
+def write(count: int, trials: int = 1000) -> None:
+    """Write the project into the working folder."""
+    Path("jobs").mkdir()
+    for n in range(count):
+        Path(f"jobs/j{n}.yaml").write_text(
+            f"metrocli: 1\njob: report-uncertainty\nquantities: {{a: {{value: {n} mm, std: 1 um}}}}\n"
+            f"measurands: {{l: {{model: 2*a, unit: mm}}}}\nmonte_carlo: {{trials: {trials}}}\n"
+            f"output: ../results/j{n}.h5\n"
+        )
+    Path("metrocli.yaml").write_text("jobs:\n" + "".join(f"- jobs/j{n}.yaml\n" for n in range(count)))
+
+
+def idle(count: int) -> dict[str, float]:
+    """Return the CPU time [ms] of the first and of a later run with nothing to do, and of the other programs."""
+    write(count)
+    result, record = runner.compute(load(Path("jobs/j0.yaml")))
+    for n in range(count):
+        job = load(Path(f"jobs/j{n}.yaml"))
+        hdf5.write(job.output, result, replace(record, job_text=job.text, meaning=meaning.of_job(job)))
+    time.sleep(3)  # younger files are not remembered
+    found = {name: cpu_of([*RUN, "--quiet"]) for name in ("looked at", "remembered")}
+    return found | {name: _by_another(name, count) for name in OTHERS if _program(name)}
+
+
+OTHERS = ("make", "doit", "snakemake", "dvc")
+"""Programs that are measured too if they are in the path, or in the folder that PEERS names"""
+
+
+def _program(name: str) -> str | None:
+    return shutil.which(name, path=os.pathsep.join([os.environ.get("PEERS", ""), os.environ["PATH"]]))
+
+
+def _by_another(name: str, count: int) -> float:
+    """Return the CPU time [ms] of another program that copies each job to a file, when all are copied."""
+    program = _program(name)
+    assert program is not None
+    Path(f"{name}-out").mkdir()
+    pairs = [(f"jobs/j{n}.yaml", f"{name}-out/j{n}") for n in range(count)]
+    command = _prepared(name, program, pairs)
+    subprocess.run(command, check=True, capture_output=True)
+    return cpu_of(command)
+
+
+def _prepared(name: str, program: str, pairs: list[tuple[str, str]]) -> list[str]:
+    """Write what another program reads and return its command."""
+    if name == "make":
+        rules = "".join(f"{made}: {job}\n\tcp $< $@\n" for job, made in pairs)
+        Path("Makefile").write_text(f"all: {' '.join(made for _, made in pairs)}\n{rules}")
+        return [program, "--silent"]
+    if name == "doit":
+        Path("dodo.py").write_text(
+            f"def task_copy():\n    for job, made in {pairs!r}:\n"
+            "        yield {'name': made, 'actions': [['cp', job, made]], 'file_dep': [job], 'targets': [made]}\n"
+        )
+        return [program, "-v0"]
+    if name == "snakemake":
+        wanted = ", ".join(repr(made) for _, made in pairs)
+        Path("Snakefile").write_text(
+            f"rule all:\n    input: {wanted}\nrule copy:\n    input: 'jobs/{{name}}.yaml'\n"
+            "    output: 'snakemake-out/{name}'\n    shell: 'cp {input} {output}'\n"
+        )
+        return [program, "--cores", "1", "--quiet", "all"]
+    subprocess.run([program, "init", "--no-scm", "--quiet"], check=True)
+    stages = "".join(
+        f"  s{n}:\n    cmd: cp {j} {m}\n    deps: [{j}]\n    outs: [{m}]\n" for n, (j, m) in enumerate(pairs)
+    )
+    Path("dvc.yaml").write_text(f"stages:\n{stages}")
+    return [program, "repro", "--quiet"]
+
+
+def cpu_of(command: list[str]) -> float:
+    """Return the CPU time of a command in ms; raises if it fails."""
+    before = os.times()
+    subprocess.run(command, check=True, env=environment(), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    after = os.times()
+    return 1e3 * (after.children_user + after.children_system - before.children_user - before.children_system)
+
+
+def environment() -> dict[str, str]:
+    """Return the environment of programs that run this source."""
+    return {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}

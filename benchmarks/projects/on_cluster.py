@@ -1,0 +1,100 @@
+"""200 jobs on a Dask cluster of two worker processes: the results of one computer, whatever dies on the way."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from benchmarks.projects.many_jobs import RUN, environment, write
+from metrocli.formats import hdf5
+
+TRIALS = 100_000
+SCHEDULER = ["-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard"]
+WORKER = ["-m", "distributed.cli.dask_worker", "--nthreads", "1", "--no-dashboard", "--no-nanny"]
+
+
+@contextlib.contextmanager
+def cluster() -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
+    """Yield the scheduler file of a cluster in a folder of its own, and its processes: scheduler, worker, worker."""
+    with tempfile.TemporaryDirectory() as elsewhere, open(os.devnull, "wb") as log:
+        file = Path(elsewhere) / "scheduler.json"
+
+        def start(words: list[str]) -> subprocess.Popen[bytes]:
+            command = [sys.executable, *words, "--scheduler-file", str(file)]
+            return subprocess.Popen(command, cwd=elsewhere, env=environment(), stdout=log, stderr=log)
+
+        begun = [start(SCHEDULER)]
+        while not file.is_file():
+            time.sleep(0.1)
+        begun += [start([*WORKER, "--local-directory", elsewhere]) for _ in range(2)]
+        try:
+            yield str(file), begun
+        finally:
+            for process in begun:
+                process.kill()
+                process.wait(20)
+
+
+def cluster_runs(count: int) -> Iterator[tuple[str, str]]:
+    """Yield each run of the project on a cluster with what went wrong, empty for nothing."""
+    write(count, TRIALS)
+    begun = time.monotonic()
+    subprocess.run([*RUN, "--jobs", "2"], check=True, capture_output=True, env=environment())
+    local = time.monotonic() - begun
+    wanted = _contents()
+    with cluster() as (file, _):
+        seconds, wrong = _run(file, wanted)
+        yield f"{count} jobs on two workers, {seconds:.1f} s (here with --jobs 2: {local:.1f} s)", wrong
+    with cluster() as (file, processes):
+        seconds, wrong = _run(file, wanted, processes[1])
+        yield f"one worker killed in the middle, {seconds:.1f} s", wrong
+    with cluster() as (file, processes):
+        yield "the scheduler killed in the middle", _without_scheduler(file, wanted, processes[0])
+
+
+def _contents() -> dict[str, str]:
+    return {path.stem: hdf5.read_label(path).content for path in Path("results").glob("*.h5")}
+
+
+def _begin(file: str) -> subprocess.Popen[bytes]:
+    shutil.rmtree("results", ignore_errors=True)
+    return subprocess.Popen([*RUN, "--scheduler", file], stdout=-1, stderr=-1, env=environment())
+
+
+def _kill_in_the_middle(victim: subprocess.Popen[bytes], running: subprocess.Popen[bytes]) -> None:
+    while running.poll() is None and len(list(Path().glob("results/*.h5"))) < 20:
+        time.sleep(0.02)
+    victim.send_signal(signal.SIGKILL)
+
+
+def _run(file: str, wanted: dict[str, str], victim: subprocess.Popen[bytes] | None = None) -> tuple[float, str]:
+    begun = time.monotonic()
+    process = _begin(file)
+    if victim is not None:
+        _kill_in_the_middle(victim, process)
+    error = process.communicate()[1].decode()
+    wrong = f"exit code {process.returncode}: {error[-300:]}" if process.returncode else ""
+    return time.monotonic() - begun, wrong or ("" if _contents() == wanted else "other results than here")
+
+
+def _without_scheduler(file: str, wanted: dict[str, str], scheduler: subprocess.Popen[bytes]) -> str:
+    process = _begin(file)
+    _kill_in_the_middle(scheduler, process)
+    error = process.communicate()[1].decode()
+    kept = _contents()
+    if process.returncode != 3 or "the cluster has ended" not in error or "Traceback" in error:
+        return f"exit code {process.returncode}: {error[-300:]}"
+    if not 0 < len(kept) < len(wanted) or not kept.items() <= wanted.items():
+        return f"{len(kept)} results were kept"
+    times = {path: path.stat().st_mtime_ns for path in Path("results").glob("*.h5")}
+    subprocess.run([*RUN, "--jobs", "2"], check=True, capture_output=True, env=environment())
+    again = [path.name for path, before in times.items() if path.stat().st_mtime_ns != before]
+    return f"made again: {again}" if again else "" if _contents() == wanted else "other results than here"

@@ -1,0 +1,50 @@
+"""Files that metrocli writes for people: it replaces its own, and keeps those of others."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from metrocli.formats.own_files import LIST, write_all
+
+
+@pytest.mark.parametrize(
+    ("words", "file"),
+    [
+        (("run", "--depfile", "victim.txt"), "victim.txt"),
+        (("plot", "results/line.h5", "residuals", "--save", "victim.svg"), "victim.svg"),
+        (("plot", "results/line.h5", "residuals"), "results/line.residuals.svg"),
+        (("report", "results/line.h5"), "results/line.html"),
+        (("report", ".", "--out", "index.html"), "index.html"),
+        (("gather", "--out", "readings.csv"), "readings.csv"),
+    ],
+)
+def test_a_file_of_others_is_kept(words: tuple[str, ...], file: str, job: Path, metrocli: Callable[..., Any]) -> None:
+    Path("metrocli.yaml").write_text(f"jobs: [{job.name}]\n")
+    job.write_text(job.read_text() + "output: results/line.h5\n")
+    assert metrocli("run").code == 0
+    kept = Path("readings.csv").read_bytes()
+    Path(file).write_bytes(kept)
+    refused = metrocli(*words)
+    assert (refused.code, Path(file).read_bytes()) == (3, kept), refused.err
+    assert f"{file}: error: the file exists, and metrocli did not write it so" in refused.err
+    if file != "readings.csv":
+        assert metrocli(*words, "--force").code == 0
+        written = Path(file).read_bytes()
+        assert written != kept
+        assert metrocli(*words).code == 0  # its own file is replaced
+
+
+def test_writers_at_the_same_time_lose_no_entry(tmp_path: Path) -> None:
+    def write(number: int) -> None:
+        list(write_all({tmp_path / f"{number}.txt": b"%d" % number}))
+
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(write, range(24)))
+    listed = dict(line.split("  ")[::-1] for line in (tmp_path / LIST).read_text().splitlines())
+    assert listed == {f"{n}.txt": sha256(b"%d" % n).hexdigest() for n in range(24)}

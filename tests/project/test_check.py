@@ -1,0 +1,45 @@
+"""`check` finds before computing what `run` would find."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from places import ROOT
+
+SAMPLES = sorted(path.parent.name for path in (ROOT / "sample_projects").glob("*/metrocli.yaml"))
+
+
+@pytest.mark.parametrize("name", SAMPLES)
+def test_a_project_is_checked_before_its_first_run(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, metrocli: Callable[..., Any]
+) -> None:
+    assert metrocli("init", tmp_path / "new", "--sample", name).code == 0
+    monkeypatch.chdir(tmp_path / "new")
+    done = metrocli("check", ".")
+    assert done.code == 0, done.err
+    assert not Path("results").exists()
+
+
+FAULTS: dict[str, tuple[str, str, str, str, str]] = {
+    "size of the images": ("board-camera", "jobs/calibrate.yaml", "[640, 480]", "[640, 400]",
+                           "jobs/calibrate.yaml: error: the images are 640 x 480 px"),
+    "a view without its ball": ("ball-cube", "data/views.csv", "\n1,-2,-2,-2,", "\n1,-3,-2,-2,", "data/views.csv:"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_fault_of_files_is_found_without_computing(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, metrocli: Callable[..., Any]
+) -> None:
+    sample, file, old, new, words = FAULTS[name]
+    metrocli("init", tmp_path / "new", "--sample", sample)
+    monkeypatch.chdir(tmp_path / "new")
+    text = Path(file).read_text()
+    assert old in text
+    Path(file).write_text(text.replace(old, new, 1))
+    found, ran = metrocli("check", "."), metrocli("run", ".")
+    assert (found.code, ran.code) == (3, 3), (found.err, ran.err)
+    assert words in found.err and words in ran.err, (found.err, ran.err)
