@@ -167,10 +167,8 @@ def _spots(test_set: ScoreTests) -> Iterable[tuple[int, Sequence[int]]]:
 
 
 def _candidate(job: AdjustedJob, test_set: ScoreTests, family: int, chosen: Sequence[int], noise: float) -> Candidate:
-    columns, gram = test_set.families[family].columns, test_set.grams[family]
-    _, ranks = quadratic(
-        gram[list(chosen)], np.zeros((len(chosen), columns.shape[2])), test_set.scales[family][list(chosen)]
-    )
+    parameters, gram = test_set.families[family].columns.parameters, test_set.grams[family]
+    _, ranks = quadratic(gram[list(chosen)], np.zeros((len(chosen), parameters)), test_set.scales[family][list(chosen)])
     traces = np.where(ranks > 0, np.einsum("kqq->k", gram[list(chosen)]), 0.0)
     order = np.argsort(traces, kind="stable")
     at = chosen[int(order[len(order) // 2])]
@@ -179,7 +177,7 @@ def _candidate(job: AdjustedJob, test_set: ScoreTests, family: int, chosen: Sequ
     raw = test_set.scales[family][at]
     visible = float(np.sqrt(np.mean(np.diag(gram[at]) / np.where(raw > 0, raw, 1.0) ** 2)))
     size = _size_found(test_set, family, chosen, ranks, alternative) * noise if rank else float("inf")
-    farthest = np.sqrt(columns.shape[2]) * max(1.0, size / alternative.effect.plausible if rank else 1.0)
+    farthest = np.sqrt(parameters) * max(1.0, size / alternative.effect.plausible if rank else 1.0)
     power = {int(q): needed(test_set, family, int(q), POWER) * noise**2 if q else 0.0 for q in np.unique(ranks)}
     reach = np.array([(power[q], farthest) for q in ranks.tolist()])
     hides = hidden_change(job, test_set.system, test_set.families[family], chosen, gram, reach)
@@ -229,7 +227,7 @@ def _absorbers(system: System, full: Array) -> tuple[str, ...]:
 def _pairs(test_set: ScoreTests, candidates: Sequence[Candidate], noise: float) -> Iterable[Pair]:
     """Yield the pairs of testable candidates of different causes or places that correlate by more than 0.9."""
     testable = [one for one in candidates if one.testable]
-    bases = [_unit(test_set.families[one.family].columns[:, one.number]) for one in testable]
+    bases = [_unit(test_set.visible(one.family, one.number)) for one in testable]
     ends = np.cumsum([basis.shape[1] for basis in bases])
     whole = np.concatenate(bases, axis=1) if bases else np.zeros((0, 0))
     products = whole.T @ whole

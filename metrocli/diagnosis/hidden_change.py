@@ -124,7 +124,8 @@ def _largest(moved: Array) -> tuple[Array, Index]:
     # the spectral norm is at least the Frobenius norm over the root of the rank, so few matrices need it
     kept = squares >= squares.max(axis=1, keepdims=True, initial=0.0) / min(moved.shape[2:])
     norms = np.zeros(squares.shape)
-    norms[kept] = np.linalg.norm(moved[kept], 2, axis=(1, 2))
+    few = moved[kept] if moved.shape[2] <= moved.shape[3] else np.swapaxes(moved[kept], 1, 2)
+    norms[kept] = np.sqrt(np.maximum(np.linalg.eigvalsh(few @ np.swapaxes(few, 1, 2))[:, -1], 0.0))
     best = np.argmax(norms, axis=1)
     return norms[np.arange(len(norms)), best], best
 
