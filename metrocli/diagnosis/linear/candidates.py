@@ -24,6 +24,11 @@ from metrocli.effects.model import Model
 _MOST_PLACES = 3000
 _SMALL = 1e-6
 """Visible share of the squares of a signature below which its visible part is computed, not a difference"""
+_MOST_SCANNED, _FEWEST_SCANNED = 20_000_000, 8
+"""Largest number of elements of a scan's columns, and the number of values that are tried in any case
+
+The best value is refined between its neighbours, so a coarse scan finds the same value.
+"""
 _AT_ONCE = 64
 """Columns that are projected at once"""
 
@@ -196,7 +201,7 @@ def _absent(model: Model, effect: Effect) -> list[tuple[str, ...]]:
     return places if effect.scanned else [place for place in places if place not in there]
 
 
-def _scans(model: Model, effect: Effect) -> list[tuple[tuple[str, float], ...]]:
+def _scans(model: Model, effect: Effect, rows: int) -> list[tuple[tuple[str, float], ...]]:
     """Return all combinations of scanned values to try; one empty combination without scanned parameters."""
     grids: list[list[tuple[str, float]]] = []
     for parameter in effect.scanned:
@@ -204,7 +209,8 @@ def _scans(model: Model, effect: Effect) -> list[tuple[tuple[str, float], ...]]:
         if parameter.place:
             values = np.arange(1.0, len(model.places[parameter.place].names))
         elif parameter.grid is not None:
-            values = thinned(parameter.grid(model.readings[0].observations.conditions), parameter.tried)
+            most = int(np.clip(_MOST_SCANNED / (rows * len(effect.parameters)), _FEWEST_SCANNED, parameter.tried))
+            values = thinned(parameter.grid(model.readings[0].observations.conditions), most)
         grids.append([(parameter.name, float(value)) for value in values])
     return list(product(*grids))
 
@@ -218,7 +224,7 @@ def thinned(values: Array, most: int) -> Array:
 
 def _columns(job: AdjustedJob, system: System, effect: Effect, places: Sequence[tuple[str, ...]]) -> Iterator[_Columns]:
     """Yield for each place and scan the columns of its parameters."""
-    scans = [dict(one) for one in _scans(job.model, effect)]
+    scans = [dict(one) for one in _scans(job.model, effect, system.rows)]
     found = zip(scans, scan(job.model, system, effect, places, scans) if scans else (), strict=True)
     for scanned, full, block, chosen, inside in _split(system, found):
         member, column = np.nonzero(chosen)

@@ -8,7 +8,7 @@ and only those that enter a model are projected. Method: docs/algorithms/selecti
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -46,6 +46,8 @@ class Columns:
     parameters: int
     """Number of columns of each"""
     parts: tuple[Part, ...]
+    kept: Mask | None = None
+    """The rows at which they are not zero (rows,), None for all; shared by the folds without a copy of the values"""
 
     @classmethod
     def of(cls, values: Array) -> Columns:
@@ -83,7 +85,7 @@ class Columns:
         """Return the whole columns of some alternatives, (rows, alternatives, parameters)."""
         full = np.zeros((rows, len(numbers), self.parameters))
         for part, own, at in self._among(numbers):
-            full[np.ix_(part.rows, np.flatnonzero(own))] = part.values[:, at]
+            full[np.ix_(part.rows, np.flatnonzero(own))] = self._at(part, at)
         return full
 
     def grams(self, basis: Basis) -> Array:
@@ -93,9 +95,9 @@ class Columns:
         for part in self.parts:
             absorbs = basis.at(part.rows)
             for start in range(0, len(part.numbers), step):
-                values = np.ascontiguousarray(np.moveaxis(part.values[:, start : start + step], 1, 0))
-                gram = np.matmul(np.swapaxes(values, 1, 2), values)
-                gram -= absorbs.grams(part.values[:, start : start + step])
+                values = self._at(part, slice(start, start + step))
+                turned = np.ascontiguousarray(np.moveaxis(values, 1, 0))
+                gram = np.matmul(np.swapaxes(turned, 1, 2), turned) - absorbs.grams(values)
                 found[part.numbers[start : start + step]] = gram
         return found
 
@@ -103,23 +105,23 @@ class Columns:
         """Return the norm of each whole column, (alternatives, parameters)."""
         found = np.zeros((self.count, self.parameters))
         for part in self.parts:
-            found[part.numbers] = np.linalg.norm(part.values, axis=0)
+            found[part.numbers] = np.linalg.norm(self._at(part, slice(None)), axis=0)
         return found
 
     def only(self, kept: Mask) -> Columns:
-        """Return the columns with zeros at the rows that are not kept."""
-        parts = []
-        for part in self.parts:
-            there = kept[part.rows]
-            if there.any():
-                parts.append(part if there.all() else Part(part.rows[there], part.values[there], part.numbers))
-        return Columns(self.count, self.parameters, tuple(parts))
+        """Return the columns with zeros at the rows that are not kept; visible vectors are zero there as well."""
+        return replace(self, kept=kept if self.kept is None else self.kept & kept)
+
+    def _at(self, part: Part, chosen: slice | Index) -> Array:
+        """Return the columns of some alternatives of a part, (r, alternatives, parameters)."""
+        values = part.values[:, chosen]
+        return values if self.kept is None else values * self.kept[part.rows, None, None]
 
     def followed_by(self, values: Array) -> Columns:
         """Return the columns with one alternative more, of columns (rows, parameters)."""
         rows = np.flatnonzero(values.any(axis=1))
         part = Part(rows, values[rows][:, None], np.array([self.count]))
-        return Columns(self.count + 1, self.parameters, (*self.parts, part))
+        return replace(self, count=self.count + 1, parts=(*self.parts, part))
 
 
 def gathered(items: Iterable[tuple[object, Index, Array]]) -> Columns:
@@ -145,7 +147,7 @@ def gathered(items: Iterable[tuple[object, Index, Array]]) -> Columns:
 
 
 def joined(several: Sequence[Columns]) -> Columns:
-    """Return the columns of several families of equal numbers of parameters, one after the other."""
+    """Return the columns of several families of equal numbers of parameters, with all their rows, one after the other."""
     parts, count = [], 0
     for one in several:
         parts += [Part(part.rows, part.values, part.numbers + count) for part in one.parts]

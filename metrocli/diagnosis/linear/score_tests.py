@@ -32,6 +32,8 @@ _INSIDE = 0.5
 """An effect lies in smooth terms if they contain at least this share of its sum of squares"""
 _DRAWS = 1000
 _MOST_WORK = 4e9
+_MOST_AT_ONCE = 20_000_000
+"""Largest number of elements of the noise that is drawn at once"""
 
 
 @dataclass(frozen=True)
@@ -295,22 +297,30 @@ def _places(system: System) -> Index:
     return np.concatenate(parts)
 
 
-def _calibrated(test_set: ScoreTests, rng: np.random.Generator) -> ScoreTests:
+def _smallest(test_set: ScoreTests, rng: np.random.Generator, draws: int) -> list[Array]:
+    """Return ln of the smallest p-value in draws of white noise, (draws,), of each family, then of the outliers."""
     system = test_set.system
-    columns = sum(f.columns.count * f.columns.parameters for f in test_set.families)
-    draws = int(np.clip(_MOST_WORK / (system.rows * max(columns, 1)), 300, _DRAWS))
     noise = system.seen(rng.normal(size=(system.rows, draws)))
     # the declared noise counts as PRIOR degrees of freedom, in the draws as in the residuals
     squares = (noise**2).sum(axis=0) + rng.chisquare(PRIOR, draws)
     dof = system.dof + PRIOR
-    least, tests = [], []
-    for number, family in enumerate(test_set.families):
-        least.append(
-            smallest_of_family(family.columns, test_set.grams[number], test_set.scales[number], noise, squares, dof)
-        )
+    least = [
+        smallest_of_family(family.columns, gram, scale, noise, squares, dof)
+        for family, gram, scale in zip(test_set.families, test_set.grams, test_set.scales, strict=True)
+    ]
     rows = test_set.places
-    gram, right = test_set.blocks, np.where((rows >= 0)[:, :, None], noise[rows], 0.0)
-    least.append(smallest_in_noise(gram, right, np.ones(rows.shape), squares, dof, ~test_set.excluded))
+    right = np.where((rows >= 0)[:, :, None], noise[rows], 0.0)
+    least.append(smallest_in_noise(test_set.blocks, right, np.ones(rows.shape), squares, dof, ~test_set.excluded))
+    return least
+
+
+def _calibrated(test_set: ScoreTests, rng: np.random.Generator) -> ScoreTests:
+    system = test_set.system
+    columns = sum(f.columns.count * f.columns.parameters for f in test_set.families)
+    draws = int(np.clip(_MOST_WORK / (system.rows * max(columns, 1)), 300, _DRAWS))
+    together = int(np.clip(_MOST_AT_ONCE // system.rows, 1, draws))
+    parts = [_smallest(test_set, rng, min(together, draws - start)) for start in range(0, draws, together)]
+    least = [np.concatenate(one) for one in zip(*parts, strict=True)]
     tests = [effective_number_of_tests(one) for one in least]
     levels = [log_family(one, count) for one, count in zip(least, tests, strict=True)]
     smooth = [level for level, family in zip(levels, test_set.families, strict=False) if family.unknown]

@@ -60,5 +60,5 @@ def test_rows_left_out_and_alternatives_added_are_those_of_the_dense_array() -> 
     assert np.allclose(left.norms(), np.linalg.norm(np.where(kept[:, None, None], dense, 0.0), axis=0))
     more = rng.normal(size=(ROWS, 2))
     assert np.allclose(columns.followed_by(more).whole([5, 2], ROWS), np.stack([more, dense[:, 2]], axis=1))
-    both = joined([columns, left])
+    both = joined([columns, columns]).only(kept)
     assert np.allclose(both.whole([1, 6], ROWS)[:, 1], np.where(kept[:, None], dense[:, 1], 0.0))
