@@ -214,7 +214,9 @@ def score_tests_after(
     if changed is None:
         return selection.test_set, selection.fitted()
     system = linearised(changed.model, weights_of(changed, units))
-    test_set = score_tests_of(system, smooth_families(changed, system), rng, changed.single_components)
+    test_set = score_tests_of(
+        system, smooth_families(changed, system), rng, changed.single_components, selection.test_set
+    )
     wrong = [test_set.of_reading(one.number) for one in selection.outliers]
     fitted = nothing_fitted(system)
     return test_set, fitted.with_columns(np.concatenate(wrong, axis=1)) if wrong else fitted

@@ -91,7 +91,7 @@ class Columns:
     def grams(self, basis: Basis) -> Array:
         """Return `g' M g` of each alternative, (alternatives, parameters, parameters), M without a basis."""
         found = np.zeros((self.count, self.parameters, self.parameters))
-        step = max(_AT_ONCE // self.parameters, 1)
+        step = max(_AT_ONCE // max(self.parameters, 1), 1)
         for part in self.parts:
             absorbs = basis.at(part.rows)
             for start in range(0, len(part.numbers), step):
@@ -147,7 +147,7 @@ def gathered(items: Iterable[tuple[object, Index, Array]]) -> Columns:
 
 
 def joined(several: Sequence[Columns]) -> Columns:
-    """Return the columns of several families of equal numbers of parameters, with all their rows, one after the other."""
+    """Return the columns of several families of as many parameters, none of them cut, one after the other."""
     parts, count = [], 0
     for one in several:
         parts += [Part(part.rows, part.values, part.numbers + count) for part in one.parts]

@@ -97,10 +97,19 @@ class ScoreTests:
         ]
         return min(found)[1:] if found else None
 
-    def same_candidates(self, other: ScoreTests) -> bool:
-        """Return whether other tests are of the same families with as many alternatives."""
-        sizes = [[(f.name, f.columns.count, f.columns.parameters) for f in one.families] for one in (self, other)]
-        return sizes[0] == sizes[1] and len(self.places) == len(other.places)
+    def counted_as(self, other: ScoreTests) -> ScoreTests | None:
+        """Return these tests with the effective numbers of others of the same families; None if some are missing there.
+
+        If only the smooth functions are the same, the outliers are one family more beside them.
+        """
+        known = {_form(family): count for family, count in zip(other.families, other.tests, strict=False)}
+        forms = [_form(family) for family in self.families]
+        if not set(forms) <= set(known) or len(self.places) != len(other.places):
+            return None
+        causes = other.causes if len(forms) == len(known) else other.unknowns + 1
+        return replace(
+            self, tests=(*(known[form] for form in forms), other.tests[-1]), causes=causes, unknowns=other.unknowns
+        )
 
     def scores(self, fitted: FittedColumns) -> list[Score]:
         """Return the tests of all families beside the fitted columns."""
@@ -212,6 +221,10 @@ class ScoreTests:
         return self.system.seen(unit)
 
 
+def _form(family: Family) -> tuple[str, int, int]:
+    return family.name, family.columns.count, family.columns.parameters
+
+
 _REDUNDANT = 1e-3
 """Smallest redundancy of a reading that can be named an outlier"""
 
@@ -269,8 +282,8 @@ def score_tests_of(
 ) -> ScoreTests:
     """Return the tests of families and outliers, with effective numbers of tests from simulated white noise.
 
-    With `apart` each component of a reading is tested on its own. Tests `like` these, of the same candidates about
-    other values of the unknowns or with other weights, give the effective numbers without a simulation.
+    With `apart` each component of a reading is tested on its own. Tests `like` these, of the same families about other
+    values of the unknowns or with other weights, give the effective numbers without a simulation.
     """
     grams = tuple(f.columns.grams(system.basis) for f in families)
     places = _places(system)
@@ -279,9 +292,8 @@ def score_tests_of(
     blocks = np.eye(places.shape[1]) * there[:, :, None] - system.basis.products(places, places)
     weak = np.einsum("iaa->ia", blocks).sum(axis=1) < _REDUNDANT
     test_set = ScoreTests(system, tuple(families), tuple(f.raw for f in families), grams, blocks, places, excluded=weak)
-    if like is not None and test_set.same_candidates(like):
-        return replace(test_set, tests=like.tests, causes=like.causes, unknowns=like.unknowns)
-    return _calibrated(test_set, rng)
+    counted = None if like is None else test_set.counted_as(like)
+    return _calibrated(test_set, rng) if counted is None else counted
 
 
 def _places(system: System) -> Index:
