@@ -156,8 +156,7 @@ def _compared(
 def _with_all(test_set: ScoreTests, fitted: FittedColumns, chosen: Sequence[Chosen]) -> FittedColumns:
     """Return a fit with the columns that chosen members have in the whole measurement."""
     columns = [
-        test_set.of_reading(one.number) if one.outlier else test_set.families[one.family].columns[:, one.number]
-        for one in chosen
+        test_set.of_reading(one.number) if one.outlier else test_set.visible(one.family, one.number) for one in chosen
     ]
     return fitted.with_columns(np.concatenate(columns, axis=1)) if columns else fitted
 

@@ -170,10 +170,8 @@ def _spots(test_set: ScoreTests) -> Iterable[tuple[int, Sequence[int]]]:
 
 
 def _candidate(job: AdjustedJob, test_set: ScoreTests, family: int, chosen: Sequence[int], noise: float) -> Candidate:
-    columns, gram = test_set.families[family].columns, test_set.grams[family]
-    _, ranks = quadratic(
-        gram[list(chosen)], np.zeros((len(chosen), columns.shape[2])), test_set.scales[family][list(chosen)]
-    )
+    parameters, gram = test_set.families[family].columns.parameters, test_set.grams[family]
+    _, ranks = quadratic(gram[list(chosen)], np.zeros((len(chosen), parameters)), test_set.scales[family][list(chosen)])
     traces = np.where(ranks > 0, np.einsum("kqq->k", gram[list(chosen)]), 0.0)
     order = np.argsort(traces, kind="stable")
     at = chosen[int(order[len(order) // 2])]
@@ -185,7 +183,7 @@ def _candidate(job: AdjustedJob, test_set: ScoreTests, family: int, chosen: Sequ
     power = {int(q): needed(test_set, family, int(q), POWER) * noise**2 if q else 0.0 for q in np.unique(ranks)}
     # where even usual sizes stay unseen, the change is that of the size found with 95 % power
     unseen = size * np.sqrt(power[rank] / needed(test_set, family, rank)) / noise if rank else 0.0
-    farthest = np.sqrt(columns.shape[2]) * max(1.0, unseen / alternative.effect.plausible)
+    farthest = np.sqrt(parameters) * max(1.0, unseen / alternative.effect.plausible)
     reach = np.array([(power[q], farthest) for q in ranks.tolist()])
     hides = hidden_change(job, test_set.system, test_set.families[family], chosen, gram, reach)
     absorbers = () if rank else _absorbers(test_set.system, _full(job, test_set.system, alternative))
@@ -234,7 +232,8 @@ def _absorbers(system: System, full: Array) -> tuple[str, ...]:
 def _pairs(test_set: ScoreTests, candidates: Sequence[Candidate], noise: float) -> Iterable[Pair]:
     """Yield the pairs of testable candidates of different causes or places that correlate by more than 0.9."""
     testable = [one for one in candidates if one.testable]
-    bases = [_unit(test_set.families[one.family].columns[:, one.number]) for one in testable]
+    columns = [test_set.visible(one.family, one.number) for one in testable]
+    bases = [_unit(one) for one in columns]
     ends = np.cumsum([basis.shape[1] for basis in bases])
     whole = np.concatenate(bases, axis=1) if bases else np.zeros((0, 0))
     products = whole.T @ whole
@@ -244,9 +243,7 @@ def _pairs(test_set: ScoreTests, candidates: Sequence[Candidate], noise: float) 
             # the largest singular value cannot exceed the root of the sum of squares, so most pairs need no SVD
             rho = float(np.linalg.norm(product, 2)) if (product**2).sum() > _ALIKE**2 else 0.0
             if rho > _ALIKE:
-                size = noise * size_separated(
-                    test_set.families[one.family].columns[:, one.number], bases[j], _SEPARATED
-                )
+                size = noise * size_separated(columns[i], bases[j], _SEPARATED)
                 yield Pair(one.name, testable[j].name, min(rho, 1.0), size, one.unit, one.dimension)
 
 

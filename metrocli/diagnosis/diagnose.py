@@ -193,9 +193,11 @@ def _search_about_solution(job: AdjustedJob, say: Say) -> _Searched:
     all other candidates. At the end the search continues about the job adjusted with all effects that were named.
     """
     point = job
+    earlier: ScoreTests | None = None
     for left in reversed(range(_SEARCHES)):
         point = point if left else replace(point, patient=True)
-        found = _search_with_weights(point, np.random.default_rng(_SEED))
+        found = _search_with_weights(point, np.random.default_rng(_SEED), earlier)
+        earlier = found.tests
         selection = refined_scans(point, found.selection)
         if not has_dominant_effect(selection):
             break
@@ -208,7 +210,8 @@ def _search_about_solution(job: AdjustedJob, say: Say) -> _Searched:
     if fit is None:
         return replace(found, job=point, selection=selection)
     point = replace(relinearised(job, names, fit), patient=True)
-    tests, not_tested = score_tests_of_job(point, weights_of(job, found.units), np.random.default_rng(_SEED))
+    weights = weights_of(job, found.units)
+    tests, not_tested = score_tests_of_job(point, weights, np.random.default_rng(_SEED), earlier)
     selection = refined_scans(point, continued(transferred(selection, tests)))
     return _Searched(point, tests, not_tested, found.units, selection)
 
@@ -219,12 +222,16 @@ def what_can_be_seen(job: AdjustedJob) -> Design:
     return design(job, test_set, not_tested)
 
 
-def _search_with_weights(job: AdjustedJob, rng: np.random.Generator) -> _Searched:
-    """Return the selection after the readings of each noisier unit were weighted by the noise found in it."""
+def _search_with_weights(job: AdjustedJob, rng: np.random.Generator, earlier: ScoreTests | None) -> _Searched:
+    """Return the selection after the readings of each noisier unit were weighted by the noise found in it.
+
+    `earlier` are tests of the same candidates, if there are any.
+    """
     weights: Mapping[str, Array] = {}
     units: tuple[Unit, ...] = ()
     for _ in range(_ROUNDS + 1):
-        tests, not_tested = score_tests_of_job(job, weights, rng)
+        tests, not_tested = score_tests_of_job(job, weights, rng, earlier)
+        earlier = tests
         if tests.system.dof < 1:
             raise UndeterminedError(
                 "the job has no redundant reading, so no reading can contradict its model\n"

@@ -33,13 +33,16 @@ _MOST_ADJUSTED = 6
 
 
 def score_tests_of_job(
-    job: AdjustedJob, weights: Mapping[str, Array], rng: np.random.Generator
+    job: AdjustedJob, weights: Mapping[str, Array], rng: np.random.Generator, like: ScoreTests | None = None
 ) -> tuple[ScoreTests, list[NotTested]]:
-    """Return the score tests of all candidates of a job, and the effects that its data do not allow to test."""
+    """Return the score tests of all candidates of a job, and the effects that its data do not allow to test.
+
+    `like` are earlier tests of the job, whose effective numbers of tests hold for these as well.
+    """
     system = _with_standing(job, linearised(job.model, weights))
     families, not_tested = families_of(job, system)
     everything = [*families, *smooth_families(job, system)]
-    test_set = score_tests_of(system, everything, rng, job.single_components)
+    test_set = score_tests_of(system, everything, rng, job.single_components, like)
     spots = {one.spot for family in families for one in family.alternatives} if job.patient else set()
     return replace(test_set, adjusted=job.adjusted | spots, budget=job.budget), not_tested
 
@@ -211,7 +214,9 @@ def score_tests_after(
     if changed is None:
         return selection.test_set, selection.fitted()
     system = linearised(changed.model, weights_of(changed, units))
-    test_set = score_tests_of(system, smooth_families(changed, system), rng, changed.single_components)
+    test_set = score_tests_of(
+        system, smooth_families(changed, system), rng, changed.single_components, selection.test_set
+    )
     wrong = [test_set.of_reading(one.number) for one in selection.outliers]
     fitted = nothing_fitted(system)
     return test_set, fitted.with_columns(np.concatenate(wrong, axis=1)) if wrong else fitted

@@ -58,22 +58,18 @@ def hidden_change(
     usual = np.eye(farthest.shape[1]) / farthest[:, :, None] ** 2
     shift = _shifts(job, system, family.absorbed[:, at])
     shift = np.where(_is_rounding(system, shift, scale), 0.0, shift) / scale
+    turned = np.ascontiguousarray(np.moveaxis(shift, 2, 0))
+    squares = np.swapaxes(turned, 2, 3) @ turned
     narrow = seen.all(axis=1) & (np.linalg.eigvalsh(shown - usual) >= 0).all(axis=1)
     changes, members = np.zeros(len(at)), np.zeros(len(at), dtype=np.intp)
-    changes[narrow], members[narrow] = _largest(_changes(shift[:, :, narrow], shown[narrow]))
+    changes[narrow], members[narrow] = _largest(squares[narrow], shown[narrow])
     if not narrow.all():
         wide = [(w * shown + (1 - w) * usual)[~narrow] for w in _WEIGHTS]
-        bounds = [_largest(_changes(shift[:, :, ~narrow], bound)) for bound in wide]
+        bounds = [_largest(squares[~narrow], bound) for bound in wide]
         found = np.argmin([change for change, _ in bounds], axis=0), np.arange(int((~narrow).sum()))
         changes[~narrow] = np.stack([change for change, _ in bounds])[found]
         members[~narrow] = np.stack([member for _, member in bounds])[found]
     return _at_member(job, changes, members)
-
-
-def _changes(shift: Array, bound: Array) -> Array:
-    """Return `S_m B^(-1/2)` of all alternatives and members, (alternatives, members, columns, directions)."""
-    values, vectors = np.linalg.eigh(bound)
-    return np.asarray(np.einsum("mckq,kqp->kmcp", shift, vectors / np.sqrt(values)[:, None, :]))
 
 
 def hidden_by_readings(job: AdjustedJob, system: System, rows: Index, errors: Array) -> HiddenChange:
@@ -81,7 +77,8 @@ def hidden_by_readings(job: AdjustedJob, system: System, rows: Index, errors: Ar
     if len(rows) * system.layout.width > _MOST_NUMBERS and system.is_local(job.delivered.block):
         return _of_own_members(job, system, rows, errors)
     moved = _shifts(job, system, system.basis.rows(rows).T[:, :, None] * errors[:, None])
-    return _at_member(job, *_largest(np.moveaxis(moved, 2, 0)))
+    squares = np.moveaxis((moved**2).sum(axis=1), 1, 0)[:, :, :, None]
+    return _at_member(job, *_largest(squares, np.ones((len(rows), 1, 1))))
 
 
 def _of_own_members(job: AdjustedJob, system: System, rows: Index, errors: Array) -> HiddenChange:
@@ -118,15 +115,29 @@ def _is_rounding(system: System, shift: Array, scale: Array) -> Array:
     return np.asarray(np.linalg.norm(shift, axis=(0, 1)) < _NOTHING * typical * scale)
 
 
-def _largest(moved: Array) -> tuple[Array, Index]:
-    """Return the largest spectral norm over the members of each alternative, and the member."""
-    squares = (moved**2).sum(axis=(2, 3))
-    # the spectral norm is at least the Frobenius norm over the root of the rank, so few matrices need it
-    kept = squares >= squares.max(axis=1, keepdims=True, initial=0.0) / min(moved.shape[2:])
-    norms = np.zeros(squares.shape)
-    norms[kept] = np.linalg.norm(moved[kept], 2, axis=(1, 2))
-    best = np.argmax(norms, axis=1)
-    return norms[np.arange(len(norms)), best], best
+def _largest(squares: Array, bound: Array) -> tuple[Array, Index]:
+    """Return the largest length of `S_m theta` over `theta' B theta < 1` of each alternative, and its member m.
+
+    It is the root of the largest eigenvalue of `S_m'S_m B^-1`, for `squares` S'S (alternatives, members, q, q) and B
+    (alternatives, q, q). The trace is no less, so only members whose trace exceeds the best eigenvalue need theirs.
+    """
+    k, m, q, _ = squares.shape
+    values, vectors = np.linalg.eigh(bound)
+    root = vectors / np.sqrt(values)[:, None, :]
+    inverse = root @ np.swapaxes(root, 1, 2)
+    traces = (squares.reshape(k, m, q * q) @ inverse.reshape(k, q * q, 1))[:, :, 0]
+    at, best = np.arange(k), np.argmax(traces, axis=1)
+    eigenvalues = np.zeros((k, m))
+    eigenvalues[at, best] = _eigenvalues(squares[at, best], root)
+    more, members = np.nonzero(traces > eigenvalues[at, best][:, None])
+    eigenvalues[more, members] = _eigenvalues(squares[more, members], root[more])
+    best = np.argmax(eigenvalues, axis=1)
+    return np.sqrt(np.maximum(eigenvalues[at, best], 0.0)), best
+
+
+def _eigenvalues(squares: Array, root: Array) -> Array:
+    """Return the largest eigenvalue of `root' squares root` of each, (n,)."""
+    return np.asarray(np.linalg.eigvalsh(np.swapaxes(root, 1, 2) @ squares @ root)[:, -1])
 
 
 def _at_member(job: AdjustedJob, changes: Array, members: Index) -> HiddenChange:

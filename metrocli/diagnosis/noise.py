@@ -5,7 +5,7 @@ Method: docs/algorithms/selection-and-levels.md (noise).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +19,8 @@ from metrocli.diagnosis.linear.projection import System
 
 _LEVEL = 1e-3
 """Level at which a unit counts as noisier or quieter, divided by the number of units"""
+_MOST_AT_ONCE = 20_000_000
+"""Largest number of elements of the noise that is drawn at once"""
 _DRAWS = 400
 """Draws of white noise for the null distribution of a unit's share of the squares"""
 _APART = 1.4
@@ -78,14 +80,11 @@ def noisiest_unit(job: AdjustedJob, system: System, fitted: FittedColumns, rng: 
     if len(units) < 2:
         return None
     # residuals of different units are correlated by the unknowns, so no table of the F distribution applies
-    noise = system.seen(rng.normal(size=(system.rows, _DRAWS)))
-    noise -= fitted.basis @ (fitted.basis.T @ noise)
-    whole = (noise**2).sum(axis=0)
+    drawn = _shares(system, fitted, [rows for _, _, rows in units], rng)
     found = []
-    for key, name, rows in units:
+    for (key, name, rows), shares in zip(units, drawn, strict=True):
         if rows.sum() - system.basis.squares(rows).sum() - (fitted.basis[rows] ** 2).sum() < 1:
             continue
-        shares = (noise[rows] ** 2).sum(axis=0) / whole
         share = float((fitted.residual[rows] ** 2).sum() / max(fitted.residual @ fitted.residual, 1e-300))
         log_p = _log_tail(share, shares)
         if key == DECLARED_SIGMA:
@@ -98,6 +97,17 @@ def noisiest_unit(job: AdjustedJob, system: System, fitted: FittedColumns, rng: 
         return None
     ratio = max(_ratio(system, fitted, rows), _LEAST if key == DECLARED_SIGMA else 0.0)
     return None if 1 / _APART < ratio < _APART else Unit(key, name, ratio, log_p + float(np.log(len(units))))
+
+
+def _shares(system: System, fitted: FittedColumns, units: Sequence[Mask], rng: np.random.Generator) -> Array:
+    """Return the share of each unit in the squares of projected white noise, (units, draws)."""
+    found = []
+    together = int(np.clip(_MOST_AT_ONCE // system.rows, 1, _DRAWS))
+    for start in range(0, _DRAWS, together):
+        noise = system.seen(rng.normal(size=(system.rows, min(together, _DRAWS - start))))
+        squares = (noise - fitted.basis @ (fitted.basis.T @ noise)) ** 2
+        found.append(np.stack([squares[rows].sum(axis=0) for rows in units]) / squares.sum(axis=0))
+    return np.concatenate(found, axis=1)
 
 
 def _units(job: AdjustedJob, system: System) -> Iterator[tuple[str, str, Mask]]:

@@ -125,7 +125,7 @@ def remaining_structure(
     if not after:
         return None, level
     family = test_set.families[number]
-    size = _size(test_set, fitted, fitted.with_columns(family.columns[:, best]))
+    size = _size(test_set, fitted, fitted.with_columns(test_set.visible(number, best)))
     return RemainingStructure(level, tuple(after), _units(test_set, family.alternatives[best].instance), size), level
 
 

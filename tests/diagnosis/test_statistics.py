@@ -107,9 +107,9 @@ def test_a_score_is_the_fall_of_the_sum_of_squares() -> None:
     for number, family in enumerate(chosen.families):
         score = chosen.score(number, start)
         for at in {0, len(family.alternatives) - 1, score.best}:
-            if score.rank[at] < family.columns.shape[2]:
+            if score.rank[at] < family.columns.parameters:
                 continue  # dependent columns: their rank depends on where the line is drawn
-            columns = family.columns[:, at]
+            columns = chosen.visible(number, at)
             size = np.linalg.norm(columns, axis=0)
             fit = (columns / size) @ np.linalg.lstsq(columns / size, system.residual, rcond=1e-5)[0]
             gain = float(fit @ system.residual)
@@ -119,7 +119,7 @@ def test_a_score_is_the_fall_of_the_sum_of_squares() -> None:
 def test_scores_given_a_column_are_those_of_both_together() -> None:
     chosen = field()
     number = next(i for i, f in enumerate(chosen.families) if f.name == "dead-path-drift")
-    columns = chosen.families[number].columns
+    columns = chosen.all_visible(number, range(2))
     start = nothing_fitted(chosen.system)
     given = start.with_columns(columns[:, 0])
     both = start.with_columns(np.concatenate([columns[:, 0], columns[:, 1]], axis=1))
@@ -133,8 +133,8 @@ def test_what_the_unknowns_absorb_but_for_rounding_takes_no_freedom() -> None:
     for number, family in enumerate(chosen.families):
         score = chosen.score(number, start)
         for at in {0, len(family.alternatives) - 1}:
-            absorbed += int(score.rank[at] < family.columns.shape[2])
-            assert start.dof - start.with_columns(family.columns[:, at]).dof == score.rank[at], family.name
+            absorbed += int(score.rank[at] < family.columns.parameters)
+            assert start.dof - start.with_columns(chosen.visible(number, at)).dof == score.rank[at], family.name
     assert absorbed > 3
 
 
@@ -262,13 +262,13 @@ def test_in_noise_the_levels_are_what_they_say() -> None:
 def test_a_smooth_function_of_three_values_has_two_directions() -> None:
     system = field().system
     values = np.repeat([0.0, 1.0, 2.0], -(-system.rows // 3))[: system.rows]
-    shown = visible_directions(system, polynomials(values[None], 5))
+    (shown,) = visible_directions(system, np.arange(system.rows), [polynomials(values[None], 5)])
     assert int((np.linalg.norm(shown, axis=0) > 0).sum()) <= 2
 
 
 def test_where_a_step_leads_back_the_next_one_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     chosen = field()
-    columns = [family.columns[:, 0] for family in chosen.families[:2]]
+    columns = [chosen.visible(number, 0) for number in range(2)]
 
     def steps(selection: Selection) -> Iterator[Selection]:
         for family in (0, 1):
@@ -290,7 +290,8 @@ def test_a_signature_is_the_difference_of_predictions() -> None:
         alternative = family.alternatives[-1]
         full = signature(model, system, alternative.effect, alternative.instance, dict(alternative.scanned))
         assert np.allclose(np.linalg.norm(full, axis=0), family.raw[-1])
-        assert np.allclose(system.seen(full), family.columns[:, -1], atol=1e-9 * family.raw[-1].max())
+        whole = family.columns.whole([len(family.alternatives) - 1], system.rows)[:, 0]
+        assert np.allclose(system.seen(full), system.seen(whole), atol=1e-9 * family.raw[-1].max())
 
 
 @pytest.mark.parametrize("noisier", [False, True])

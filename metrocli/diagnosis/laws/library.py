@@ -12,9 +12,11 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.chain import Local
+from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.laws.terms import Form, forms_of
 from metrocli.diagnosis.linear.candidates import Alternative, Family
+from metrocli.diagnosis.linear.columns import gathered
 from metrocli.diagnosis.linear.projection import System
 from metrocli.effects.acting import Acting
 from metrocli.effects.effect import Effect, Parameter
@@ -92,13 +94,11 @@ class Library:
                 by_kind.setdefault((form.kind, len(form.factors)), []).append((term, carrier))
         families = []
         for (kind, _), items in by_kind.items():
-            whole = np.stack([_columns(carrier, term.form) for term, carrier in items], axis=1)
-            n, k, q = whole.shape
-            seen = self.system.seen(whole.reshape(n, k * q)).reshape(n, k, q)
-            raw = np.linalg.norm(whole, axis=0)
+            columns = gathered((id(carrier), *_at_rows(carrier, term.form)) for term, carrier in items)
             self.terms.append(tuple(term for term, _ in items))
-            alternatives = tuple(Alternative(_EFFECT, (str(number),)) for number in range(k))
-            families.append(Family(kind, alternatives, seen, raw, np.zeros((0, k, q))))
+            alternatives = tuple(Alternative(_EFFECT, (str(number),)) for number in range(columns.count))
+            absorbed = np.zeros((0, columns.count, columns.parameters))
+            families.append(Family(kind, alternatives, columns, columns.norms(), absorbed))
         return families
 
     def columns(self, term: Term) -> Array:
@@ -112,6 +112,13 @@ def _forms(carrier: _Carrier, periods: int) -> Iterator[Form]:
     values = {name: one[here] for name, one in carrier.values.items() if np.ptp(one[here]) > 0}
     elapsed = {name: values[name] for name in _ELAPSED if name in values}
     return forms_of(values, {name: one for name, one in elapsed.items() if name == "t"}, periods)
+
+
+def _at_rows(carrier: _Carrier, form: Form) -> tuple[Index, Array]:
+    """Return the rows that the carrier changes, and the columns of a form there."""
+    rows = np.flatnonzero(carrier.change)
+    values = {name: one[rows] for name, one in carrier.values.items()}
+    return rows, form.columns(values) * carrier.change[rows, None]
 
 
 def _columns(carrier: _Carrier, form: Form) -> Array:

@@ -24,8 +24,7 @@ def near_effects(tests: ScoreTests, shown: Array) -> tuple[tuple[Alternative, fl
     for family, gram, scale in zip(tests.families, tests.grams, tests.scales, strict=True):
         if family.unknown:
             continue
-        n, k, q = family.columns.shape
-        inside, _ = quadratic(gram, (family.columns.reshape(n, k * q).T @ shown).reshape(k, q), scale)
+        inside, _ = quadratic(gram, family.columns.products(shown[:, None])[:, :, 0], scale)
         best = int(np.argmax(inside))
         cosine = float(np.sqrt(min(inside[best] / max(size, 1e-300), 1.0)))
         before = found[family.name][1] if family.name in found else _LEAST

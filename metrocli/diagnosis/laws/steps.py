@@ -15,6 +15,7 @@ from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.laws.library import Library, Term, Where
 from metrocli.diagnosis.laws.terms import STEPS
 from metrocli.diagnosis.linear.candidates import Alternative, Family
+from metrocli.diagnosis.linear.columns import Columns
 from metrocli.diagnosis.linear.distributions import log_tail
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns, nothing_fitted
 from metrocli.diagnosis.linear.score_tests import ScoreTests, grams_of, quadratic, score_tests_of
@@ -50,13 +51,13 @@ def tests_of_terms(selection: Selection, families: Sequence[Family]) -> tuple[Sc
     columns = np.concatenate([*named, np.zeros((system.rows, 0))], axis=1)
     effect = Effect("named", "", (Parameter("size"),))
     raw = np.ones((1, columns.shape[1]))
-    kept = Family("named", (Alternative(effect, ()),), columns[:, None], raw, columns[:0, None])
+    kept = Family("named", (Alternative(effect, ()),), Columns.of(columns[:, None]), raw, columns[:0, None])
     tests = score_tests_of(system, families, np.random.default_rng(_SEED))
     tests = replace(
         tests,
         families=(kept, *tests.families),
         scales=(kept.raw, *tests.scales),
-        grams=(grams_of(kept.columns), *tests.grams),
+        grams=(kept.columns.grams(system.basis), *tests.grams),
         tests=(1.0, *tests.tests),
         budget=selection.test_set.budget,
     )
@@ -66,13 +67,15 @@ def tests_of_terms(selection: Selection, families: Sequence[Family]) -> tuple[Sc
 def plain_tests(selection: Selection, families: Sequence[Family]) -> tuple[FittedColumns, ScoreTests]:
     """Return the fit of what was named, and tests of the terms without the exact count of them."""
     fitted = replace(selection.fitted(without=selection.unknown), larger=None, freed=None, remembered={})
-    scales, grams = tuple(family.raw for family in families), tuple(grams_of(family.columns) for family in families)
+    system = selection.test_set.system
+    scales = tuple(family.raw for family in families)
+    grams = tuple(family.columns.grams(system.basis) for family in families)
     tests = replace(selection.test_set, families=tuple(families), scales=scales, grams=grams, remembered={})
     return fitted, tests
 
 
 def start_of(tests: ScoreTests, fitted: FittedColumns) -> FittedColumns:
-    columns = tests.families[0].columns[:, 0]
+    columns = tests.visible(0, 0)
     return fitted.with_columns(columns) if columns.shape[1] else fitted
 
 

@@ -73,6 +73,26 @@ class Basis:
         """Return the sum of squares of each row, the share of a reading that the unknowns absorb."""
         return np.asarray((self.local[rows] ** 2).sum(axis=1) + (self.shared[rows] ** 2).sum(axis=1))
 
+    def grams(self, values: Array) -> Array:
+        """Return `g' b b' g` of columns (rows, k, q), k at a time, (k, q, q): the squares that the unknowns absorb."""
+        used = self.member[self.member >= 0]
+        if len(used) == self.members:
+            # one row for each member: its column has the length of its row
+            inside = np.linalg.norm(self.local, axis=1)[:, None, None] * values
+            parts = [inside, np.tensordot(self.shared.T, values, 1)]
+        else:
+            parts = [self.coordinates(values)]
+        turned = [np.moveaxis(one, 1, 0) for one in parts]
+        return np.asarray(sum(np.matmul(np.swapaxes(one, 1, 2), one) for one in turned))
+
+    def at(self, rows: Index) -> Basis:
+        """Return some rows of the basis, with the columns of the members that they use."""
+        if len(rows) == len(self.local):
+            return self
+        names, member = np.unique(self.member[rows], return_inverse=True)
+        none = int(names[0] < 0) if len(names) else 0
+        return Basis(self.local[rows], member - none, len(names) - none, self.shared[rows])
+
     def products(self, rows: Index, others: Index) -> Array:
         """Return the products of rows (..., a) with other rows (..., b), (..., a, b); a row of number -1 is zero."""
         same = (self.member[rows][..., :, None] == self.member[others][..., None, :]) & (

@@ -12,15 +12,23 @@ from itertools import chain, product
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array, Block
-from metrocli.adjust.model.observations import Mask
+from metrocli.adjust.model.observations import Index, Mask
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.diagnosis.linear.projection import System
+from metrocli.diagnosis.linear.columns import Columns, gathered, joined
+from metrocli.diagnosis.linear.projection import VISIBLE, System
 from metrocli.diagnosis.linear.signatures import scan
 from metrocli.effects.effect import Effect
 from metrocli.effects.extension import can_act, lacking, names_for, places_of
 from metrocli.effects.model import Model
 
 _MOST_PLACES = 3000
+_SMALL = 1e-6
+"""Visible share of the squares of a signature below which its visible part is computed, not a difference"""
+_MOST_SCANNED, _FEWEST_SCANNED = 20_000_000, 8
+"""Largest number of elements of a scan's columns, and the number of values that are tried in any case
+
+The best value is refined between its neighbours, so a coarse scan finds the same value.
+"""
 _AT_ONCE = 64
 """Columns that are projected at once"""
 
@@ -73,8 +81,8 @@ class Family:
 
     name: str
     alternatives: tuple[Alternative, ...]
-    columns: Array
-    """Visible part of the whitened signatures, without what the unknowns absorb, (rows, alternatives, parameters)"""
+    columns: Columns
+    """The whitened signatures"""
     raw: Array
     """Norm of each whole whitened signature, (alternatives, parameters)"""
     absorbed: Array
@@ -104,7 +112,7 @@ def families_of(job: AdjustedJob, system: System) -> tuple[list[Family], list[No
             continue
         missing += _untestable(job.model, effect)
         for family in _of_effect(job, system, effect):
-            families.setdefault((family.name, family.columns.shape[2]), []).append(family)
+            families.setdefault((family.name, family.columns.parameters), []).append(family)
     tested = {name for name, _ in families}
     seen = [one for one in missing if one.where or one.effect.name not in tested]
     return [_joined(parts) for parts in families.values()], seen
@@ -116,7 +124,7 @@ def _joined(parts: Sequence[Family]) -> Family:
     return Family(
         parts[0].name,
         tuple(one for part in parts for one in part.alternatives),
-        np.concatenate([part.columns for part in parts], axis=1),
+        joined([part.columns for part in parts]),
         np.concatenate([part.raw for part in parts], axis=0),
         np.concatenate([part.absorbed for part in parts], axis=1),
     )
@@ -149,22 +157,24 @@ def _of_effect(job: AdjustedJob, system: System, effect: Effect) -> Iterator[Fam
         kept = _informative(list(_columns(job, system, effect, chosen)))
         by_size: dict[int, list[_Columns]] = {}
         for item in kept:
-            by_size.setdefault(item.visible.shape[1], []).append(item)
+            by_size.setdefault(item.raw.shape[0], []).append(item)
         for items in by_size.values():
-            visible = np.stack([item.visible for item in items], axis=1)
+            columns = gathered((item.alternative.instance, item.rows, item.values) for item in items)
             absorbed = np.stack([item.absorbed for item in items], axis=1)
             raw = np.stack([item.raw for item in items])
-            yield Family(effect.name, tuple(item.alternative for item in items), visible, raw, absorbed)
+            yield Family(effect.name, tuple(item.alternative for item in items), columns, raw, absorbed)
 
 
 @dataclass(frozen=True)
 class _Columns:
-    """One alternative with its columns: visible part, norms of the whole, and coordinates of what is absorbed."""
+    """One alternative: its columns at the rows that they change, their norms, and coordinates of what is absorbed."""
 
     alternative: Alternative
-    visible: Array
+    rows: Index
+    values: Array
     raw: Array
     absorbed: Array
+    visible: bool
 
 
 def _informative(items: Sequence[_Columns]) -> list[_Columns]:
@@ -172,7 +182,7 @@ def _informative(items: Sequence[_Columns]) -> list[_Columns]:
 
     Such a value is the time of a step that lies before all affected readings.
     """
-    seen = [bool(item.visible.any()) for item in items]
+    seen = [item.visible for item in items]
     somewhere = {item.alternative.instance for item, visible in zip(items, seen, strict=True) if visible}
     return [
         item for item, visible in zip(items, seen, strict=True) if visible or item.alternative.instance not in somewhere
@@ -191,7 +201,7 @@ def _absent(model: Model, effect: Effect) -> list[tuple[str, ...]]:
     return places if effect.scanned else [place for place in places if place not in there]
 
 
-def _scans(model: Model, effect: Effect) -> list[tuple[tuple[str, float], ...]]:
+def _scans(model: Model, effect: Effect, rows: int) -> list[tuple[tuple[str, float], ...]]:
     """Return all combinations of scanned values to try; one empty combination without scanned parameters."""
     grids: list[list[tuple[str, float]]] = []
     for parameter in effect.scanned:
@@ -199,7 +209,8 @@ def _scans(model: Model, effect: Effect) -> list[tuple[tuple[str, float], ...]]:
         if parameter.place:
             values = np.arange(1.0, len(model.places[parameter.place].names))
         elif parameter.grid is not None:
-            values = thinned(parameter.grid(model.readings[0].observations.conditions), parameter.tried)
+            most = int(np.clip(_MOST_SCANNED / (rows * len(effect.parameters)), _FEWEST_SCANNED, parameter.tried))
+            values = thinned(parameter.grid(model.readings[0].observations.conditions), most)
         grids.append([(parameter.name, float(value)) for value in values])
     return list(product(*grids))
 
@@ -213,38 +224,54 @@ def thinned(values: Array, most: int) -> Array:
 
 def _columns(job: AdjustedJob, system: System, effect: Effect, places: Sequence[tuple[str, ...]]) -> Iterator[_Columns]:
     """Yield for each place and scan the columns of its parameters."""
-    scans = [dict(one) for one in _scans(job.model, effect)]
+    scans = [dict(one) for one in _scans(job.model, effect, system.rows)]
     found = zip(scans, scan(job.model, system, effect, places, scans) if scans else (), strict=True)
-    for scanned, full, block, chosen, seen, inside in _split(system, found):
+    for scanned, full, block, chosen, inside in _split(system, found):
         member, column = np.nonzero(chosen)
         before = job.model.blocks.get(block.name)
         for number, place in enumerate(places):
             own = member == (number + 1 if len(block.members) > 1 and before is None else _row(block.members, place))
             if not own.any():
                 own = np.ones(len(member), dtype=bool) if len(places) == 1 else own
-            touched = np.flatnonzero(np.abs(full[:, own]).max(axis=1) > 0) if own.any() else np.zeros(0)
+            touched = np.flatnonzero(full[:, own].any(axis=1)) if own.any() else np.zeros(0, dtype=np.intp)
             if len(touched) >= job.fewest:
                 names = tuple(block.columns[i] for i in column[own])
                 named = _scanned_places(job.model, effect, scanned)
                 alternative = Alternative(effect, place, tuple(scanned.items()), names, named)
-                yield _Columns(alternative, seen[:, own], np.linalg.norm(full[:, own], axis=0), inside[:, own])
+                yield _visible(system, alternative, touched, full[:, own], inside[:, own])
+
+
+def _visible(system: System, alternative: Alternative, touched: Index, full: Array, inside: Array) -> _Columns:
+    """Return an alternative with its whole columns, or with their visible parts where these are small.
+
+    `|g|^2 - |b'g|^2` keeps few digits of a small difference, so such a part is projected. Columns that are not visible
+    are left out.
+    """
+    raw = np.linalg.norm(full[touched], axis=0)
+    shown = raw**2 - (inside**2).sum(axis=0)
+    if (shown < VISIBLE**2 * raw**2).all():
+        touched = touched[:0]
+    elif (shown < _SMALL * raw**2).any():
+        full = system.seen(full)
+        touched = np.flatnonzero(full.any(axis=1))
+    return _Columns(alternative, touched, full[touched], raw, inside, bool(len(touched)))
 
 
 def _split(
     system: System, found: Iterable[tuple[dict[str, float], tuple[Array, Block, Mask]]]
-) -> Iterator[tuple[dict[str, float], Array, Block, Mask, Array, Array]]:
-    """Yield columns with their visible part and the coordinates of the rest, projected many at a time."""
+) -> Iterator[tuple[dict[str, float], Array, Block, Mask, Array]]:
+    """Yield columns with the coordinates of what the unknowns absorb of them, computed many at a time."""
     held: list[tuple[dict[str, float], tuple[Array, Block, Mask]]] = []
     for one in chain(found, [None]):
         if one is not None and one[1][2].any():
             held.append(one)
         if held and (one is None or sum(full.shape[1] for _, (full, _, _) in held) >= _AT_ONCE):
-            seen, inside = system.split(np.concatenate([full for _, (full, _, _) in held], axis=1))
+            inside = system.basis.coordinates(np.concatenate([full for _, (full, _, _) in held], axis=1))
             place = 0
             for scanned, (full, block, chosen) in held:
                 own = slice(place, place + full.shape[1])
                 place = own.stop
-                yield scanned, full, block, chosen, seen[:, own], inside[:, own]
+                yield scanned, full, block, chosen, inside[:, own]
             held = []
 
 

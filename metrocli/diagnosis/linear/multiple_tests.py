@@ -9,15 +9,14 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Mask
+from metrocli.diagnosis.linear.columns import Columns
 from metrocli.diagnosis.linear.distributions import log_tail
 from metrocli.diagnosis.linear.projection import FLAT, VISIBLE
 
 
-def smallest_of_family(columns: Array, gram: Array, scale: Array, noise: Array, squares: Array, dof: float) -> Array:
+def smallest_of_family(columns: Columns, gram: Array, scale: Array, noise: Array, squares: Array, dof: float) -> Array:
     """Return ln of the smallest p-value of a family's alternatives for each draw of noise, (draws,)."""
-    n, k, q = columns.shape
-    right = (columns.reshape(n, k * q).T @ noise).reshape(k, q, -1)
-    return smallest_in_noise(gram, right, scale, squares, dof, np.ones(k, dtype=bool))
+    return smallest_in_noise(gram, columns.products(noise), scale, squares, dof, np.ones(columns.count, dtype=bool))
 
 
 def smallest_in_noise(gram: Array, right: Array, scale: Array, squares: Array, dof: float, chosen: Mask) -> Array:

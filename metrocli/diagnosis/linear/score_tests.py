@@ -18,6 +18,7 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask
 from metrocli.diagnosis.adjusted_job import Budget
 from metrocli.diagnosis.linear.candidates import Alternative, Family
+from metrocli.diagnosis.linear.columns import Columns
 from metrocli.diagnosis.linear.distributions import log_family, log_tail
 from metrocli.diagnosis.linear.fitted_columns import PRIOR, FittedColumns, orthonormal
 from metrocli.diagnosis.linear.multiple_tests import (
@@ -31,6 +32,8 @@ _INSIDE = 0.5
 """An effect lies in smooth terms if they contain at least this share of its sum of squares"""
 _DRAWS = 1000
 _MOST_WORK = 4e9
+_MOST_AT_ONCE = 20_000_000
+"""Largest number of elements of the noise that is drawn at once"""
 
 
 @dataclass(frozen=True)
@@ -88,11 +91,25 @@ class ScoreTests:
         found = [
             (one.far_from(other), i, at)
             for i, family in enumerate(self.families)
-            if family.columns.shape[2] == parameters
+            if family.columns.parameters == parameters
             for at, one in enumerate(family.alternatives)
             if one.like(other)
         ]
         return min(found)[1:] if found else None
+
+    def counted_as(self, other: ScoreTests) -> ScoreTests | None:
+        """Return these tests with the effective numbers of others of the same families; None if some are missing there.
+
+        If only the smooth functions are the same, the outliers are one family more beside them.
+        """
+        known = {_form(family): count for family, count in zip(other.families, other.tests, strict=False)}
+        forms = [_form(family) for family in self.families]
+        if not set(forms) <= set(known) or len(self.places) != len(other.places):
+            return None
+        causes = other.causes if len(forms) == len(known) else other.unknowns + 1
+        return replace(
+            self, tests=(*(known[form] for form in forms), other.tests[-1]), causes=causes, unknowns=other.unknowns
+        )
 
     def scores(self, fitted: FittedColumns) -> list[Score]:
         """Return the tests of all families beside the fitted columns."""
@@ -104,22 +121,21 @@ class ScoreTests:
         if chosen is None:
             gram = self._left(number, fitted)
         else:
-            columns, scale = columns[:, chosen], scale[list(chosen)]
-            gram = self.grams[number][list(chosen)] - _products(fitted.basis, columns)
-        n, k, q = columns.shape
-        right = (columns.reshape(n, k * q).T @ fitted.residual).reshape(k, q)
+            scale = scale[list(chosen)]
+            gram = self.grams[number][list(chosen)] - _inside(columns, fitted.basis, chosen)
+        right = columns.products(fitted.residual[:, None], chosen)[:, :, 0]
         gain, rank = quadratic(gram, right, scale)
         return self._scored(gain, rank, fitted)
 
     def _left(self, number: int, fitted: FittedColumns) -> Array:
         """Return the Gram matrices of a family without the fitted columns, (alternatives, q, q)."""
         columns = self.families[number].columns
-        key = number, columns.shape[1]
+        key = number, columns.count
         if key not in fitted.remembered:
             if fitted.larger is None or fitted.freed is None:
-                left = self.grams[number] - _products(fitted.basis, columns)
+                left = self.grams[number] - _inside(columns, fitted.basis)
             else:
-                left = self._left(number, fitted.larger) + _products(fitted.freed, columns)
+                left = self._left(number, fitted.larger) + _inside(columns, fitted.freed)
             fitted.remembered[key] = left
         return fitted.remembered[key]
 
@@ -150,8 +166,7 @@ class ScoreTests:
         """Return for each family which of its alternatives lie in smooth terms; False for smooth functions."""
         key = family, number
         if key not in self.remembered:
-            terms = self.families[family].columns[:, number]
-            basis = orthonormal(terms / np.maximum(np.linalg.norm(terms, axis=0), 1e-300), VISIBLE)
+            basis = _unit(self.visible(family, number))
             self.remembered[key] = tuple(
                 np.zeros(len(f.alternatives), dtype=bool) if f.unknown else lies_in(f.columns, gram, basis)
                 for f, gram in zip(self.families, self.grams, strict=True)
@@ -160,8 +175,16 @@ class ScoreTests:
 
     def around(self, family: int, number: int) -> list[tuple[int, int]]:
         """Return the smooth terms in which an effect lies, each by its family and number."""
-        smooth = ((i, at) for i, f in enumerate(self.families) if f.unknown for at in range(len(f.alternatives)))
-        return [one for one in smooth if self.lying_in(*one)[family][number]]
+        if self.families[family].unknown:
+            return []
+        effect = self.visible(family, number)
+        least = _INSIDE * float((effect**2).sum())
+        found = []
+        for i, smooth in enumerate(self.families):
+            if smooth.unknown:
+                inside, _ = quadratic_of(self.grams[i], smooth.columns.products(effect), self.scales[i])
+                found += [(i, int(at)) for at in np.flatnonzero(inside > least)]
+        return found
 
     def causes_in(self, smooth: Sequence[tuple[int, int]]) -> float:
         """Return the effective number of independent effects that lie in smooth terms, `n^2 / sum c_ij`.
@@ -169,10 +192,17 @@ class ScoreTests:
         c_ij is the squared correlation of two effects, 1 for aliases (effective number of tests, Nyholt 2004).
         """
         lying = {i: int(np.argmax(m)) for one in smooth for i, m in enumerate(self.lying_in(*one)) if m.any()}
-        columns = [self.families[i].columns[:, at] for i, at in lying.items()]
-        bases = [orthonormal(c / np.maximum(np.linalg.norm(c, axis=0), 1e-300), VISIBLE) for c in columns]
+        bases = [_unit(self.visible(i, at)) for i, at in lying.items()]
         alike = [[((a.T @ b) ** 2).sum() / min(a.shape[1], b.shape[1]) for b in bases] for a in bases]
         return len(bases) ** 2 / float(np.sum(alike)) if bases else 1.0
+
+    def visible(self, family: int, number: int) -> Array:
+        """Return the visible columns of an alternative, (rows, parameters)."""
+        return self.all_visible(family, [number])[:, 0]
+
+    def all_visible(self, family: int, numbers: Sequence[int]) -> Array:
+        """Return the visible columns of some alternatives of a family, (rows, alternatives, parameters)."""
+        return self.system.seen(self.families[family].columns.whole(numbers, self.system.rows))
 
     def level(self, number: int, log_p: float) -> float:
         """Return ln of the p-value of a family's best alternative, corrected for the tests of the family."""
@@ -191,27 +221,41 @@ class ScoreTests:
         return self.system.seen(unit)
 
 
+def _form(family: Family) -> tuple[str, int, int]:
+    return family.name, family.columns.count, family.columns.parameters
+
+
 _REDUNDANT = 1e-3
 """Smallest redundancy of a reading that can be named an outlier"""
 
 
-def lies_in(columns: Array, gram: Array, basis: Array) -> Mask:
-    """Return for columns (rows, k, q) and their Gram matrices whether they lie mostly inside a basis, (k,)."""
-    inside = np.einsum("kqq->k", _products(basis, columns))
+def lies_in(columns: Columns, gram: Array, basis: Array) -> Mask:
+    """Return for columns and their Gram matrices whether they lie mostly inside a visible basis, (alternatives,)."""
+    inside = np.einsum("kqq->k", _inside(columns, basis))
     return np.asarray(inside > _INSIDE * np.einsum("kqq->k", gram))
 
 
-def _products(basis: Array, columns: Array) -> Array:
-    """Return the part of the Gram matrices of columns (rows, k, q) inside a basis, (k, q, q)."""
-    n, k, q = columns.shape
-    inside = np.moveaxis((basis.T @ columns.reshape(n, k * q)).reshape(-1, k, q), 0, 1)
-    return np.asarray(np.swapaxes(inside, 1, 2) @ inside)
+def _unit(columns: Array) -> Array:
+    """Return an orthonormal basis of columns (rows, q)."""
+    return orthonormal(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300), VISIBLE)
+
+
+def _inside(columns: Columns, basis: Array, chosen: Sequence[int] | None = None) -> Array:
+    """Return the part of the Gram matrices of columns inside a visible basis (rows, m), (alternatives, q, q)."""
+    along = columns.products(basis, chosen)
+    return np.asarray(along @ np.swapaxes(along, 1, 2))
 
 
 def grams_of(columns: Array) -> Array:
     """Return the Gram matrix of each alternative, (k, q, q), of columns (rows, k, q)."""
     by_alternative = columns.transpose(1, 0, 2)
     return np.asarray(np.matmul(by_alternative.transpose(0, 2, 1), by_alternative))
+
+
+def quadratic_of(gram: Array, right: Array, scale: Array) -> tuple[Array, Array]:
+    """Return the sum of `quadratic` over several right sides (k, q, m), and the rank of A."""
+    found = [quadratic(gram, right[:, :, at], scale) for at in range(right.shape[2])]
+    return np.sum([gain for gain, _ in found], axis=0), found[0][1]
 
 
 def quadratic(gram: Array, right: Array, scale: Array) -> tuple[Array, Array]:
@@ -230,20 +274,26 @@ def quadratic(gram: Array, right: Array, scale: Array) -> tuple[Array, Array]:
 
 
 def score_tests_of(
-    system: System, families: Sequence[Family], rng: np.random.Generator, apart: bool = False
+    system: System,
+    families: Sequence[Family],
+    rng: np.random.Generator,
+    apart: bool = False,
+    like: ScoreTests | None = None,
 ) -> ScoreTests:
     """Return the tests of families and outliers, with effective numbers of tests from simulated white noise.
 
-    With `apart` each component of a reading is tested on its own.
+    With `apart` each component of a reading is tested on its own. Tests `like` these, of the same families about other
+    values of the unknowns or with other weights, give the effective numbers without a simulation.
     """
-    grams = tuple(grams_of(f.columns) for f in families)
+    grams = tuple(f.columns.grams(system.basis) for f in families)
     places = _places(system)
     places = places[places >= 0][:, None] if apart else places
     there = (places >= 0).astype(float)
     blocks = np.eye(places.shape[1]) * there[:, :, None] - system.basis.products(places, places)
     weak = np.einsum("iaa->ia", blocks).sum(axis=1) < _REDUNDANT
     test_set = ScoreTests(system, tuple(families), tuple(f.raw for f in families), grams, blocks, places, excluded=weak)
-    return _calibrated(test_set, rng)
+    counted = None if like is None else test_set.counted_as(like)
+    return _calibrated(test_set, rng) if counted is None else counted
 
 
 def _places(system: System) -> Index:
@@ -259,22 +309,30 @@ def _places(system: System) -> Index:
     return np.concatenate(parts)
 
 
-def _calibrated(test_set: ScoreTests, rng: np.random.Generator) -> ScoreTests:
+def _smallest(test_set: ScoreTests, rng: np.random.Generator, draws: int) -> list[Array]:
+    """Return ln of the smallest p-value in draws of white noise, (draws,), of each family, then of the outliers."""
     system = test_set.system
-    columns = sum(f.columns.shape[1] * f.columns.shape[2] for f in test_set.families)
-    draws = int(np.clip(_MOST_WORK / (system.rows * max(columns, 1)), 300, _DRAWS))
     noise = system.seen(rng.normal(size=(system.rows, draws)))
     # the declared noise counts as PRIOR degrees of freedom, in the draws as in the residuals
     squares = (noise**2).sum(axis=0) + rng.chisquare(PRIOR, draws)
     dof = system.dof + PRIOR
-    least, tests = [], []
-    for number, family in enumerate(test_set.families):
-        least.append(
-            smallest_of_family(family.columns, test_set.grams[number], test_set.scales[number], noise, squares, dof)
-        )
+    least = [
+        smallest_of_family(family.columns, gram, scale, noise, squares, dof)
+        for family, gram, scale in zip(test_set.families, test_set.grams, test_set.scales, strict=True)
+    ]
     rows = test_set.places
-    gram, right = test_set.blocks, np.where((rows >= 0)[:, :, None], noise[rows], 0.0)
-    least.append(smallest_in_noise(gram, right, np.ones(rows.shape), squares, dof, ~test_set.excluded))
+    right = np.where((rows >= 0)[:, :, None], noise[rows], 0.0)
+    least.append(smallest_in_noise(test_set.blocks, right, np.ones(rows.shape), squares, dof, ~test_set.excluded))
+    return least
+
+
+def _calibrated(test_set: ScoreTests, rng: np.random.Generator) -> ScoreTests:
+    system = test_set.system
+    columns = sum(f.columns.count * f.columns.parameters for f in test_set.families)
+    draws = int(np.clip(_MOST_WORK / (system.rows * max(columns, 1)), 300, _DRAWS))
+    together = int(np.clip(_MOST_AT_ONCE // system.rows, 1, draws))
+    parts = [_smallest(test_set, rng, min(together, draws - start)) for start in range(0, draws, together)]
+    least = [np.concatenate(one) for one in zip(*parts, strict=True)]
     tests = [effective_number_of_tests(one) for one in least]
     levels = [log_family(one, count) for one, count in zip(least, tests, strict=True)]
     smooth = [level for level, family in zip(levels, test_set.families, strict=False) if family.unknown]

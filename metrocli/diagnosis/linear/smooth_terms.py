@@ -5,7 +5,7 @@ Method: docs/algorithms/selection-and-levels.md.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import product
 from math import comb
 
@@ -13,8 +13,10 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.groups import Group
+from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate
 from metrocli.diagnosis.linear.candidates import Alternative, Family
+from metrocli.diagnosis.linear.columns import gathered
 from metrocli.diagnosis.linear.projection import System
 from metrocli.effects.effect import Effect, Parameter
 
@@ -31,6 +33,8 @@ _MOST_OF_UNITS, _LEAST_DEGREE = 2000, 2
 """Most terms of one covariate for all units together, and the degree that is kept in any case"""
 _FEWEST_FOR = 4
 """Least number of readings per term for which a unit gets its own terms"""
+_Terms = tuple[Alternative, Index, Array]
+"""An alternative, the rows that it changes (r,) and its terms there (r, k)"""
 
 
 def smooth_families(job: AdjustedJob, system: System) -> list[Family]:
@@ -47,7 +51,7 @@ def smooth_families(job: AdjustedJob, system: System) -> list[Family]:
 
 
 def _of(job: AdjustedJob, system: System, covariate: Covariate) -> Iterator[Family]:
-    found: list[tuple[Alternative, Array]] = []
+    found: list[_Terms] = []
     for group in job.model.readings:
         values = covariate.values.get(group.name)
         if values is None:
@@ -59,16 +63,24 @@ def _of(job: AdjustedJob, system: System, covariate: Covariate) -> Iterator[Fami
             terms = (harmonics if covariate.angle else polynomials)(np.atleast_2d(values)[:, mask], degree)
             if mask.sum() < _FEWEST_FOR * terms.shape[1]:
                 continue
-            full = np.zeros((group.observations.count, terms.shape[1]))
-            full[mask] = terms
-            found.append((_alternative(covariate, where), _components(system, group, full)))
-    by_size: dict[int, list[tuple[Alternative, Array]]] = {}
+            found.append((_alternative(covariate, where), *_components(system, group, np.flatnonzero(mask), terms)))
+    by_size: dict[int, list[_Terms]] = {}
     for item in found:
-        by_size.setdefault(item[1].shape[1], []).append(item)
+        by_size.setdefault(item[2].shape[1], []).append(item)
     for items in by_size.values():
-        seen = np.stack([visible_directions(system, columns) for _, columns in items], axis=1)
-        raw = np.ones(seen.shape[1:])
-        yield Family(f"smooth in {covariate.name}", tuple(a for a, _ in items), seen, raw, _NONE, covariate.name)
+        yield _family(system, f"smooth in {covariate.name}", items, covariate)
+
+
+def _family(system: System, name: str, items: Sequence[_Terms], covariate: Covariate) -> Family:
+    """Return the family of some terms, by the directions that are visible."""
+    labels = [rows.tobytes() for _, rows, _ in items]
+    shown: dict[int, Array] = {}
+    for label in dict.fromkeys(labels):
+        own = [number for number, one in enumerate(labels) if one == label]
+        shown |= zip(own, visible_directions(system, items[own[0]][1], [items[i][2] for i in own]), strict=True)
+    columns = gathered((label, items[i][1], shown[i]) for i, label in enumerate(labels))
+    raw = np.ones((columns.count, columns.parameters))
+    return Family(name, tuple(alternative for alternative, _, _ in items), columns, raw, _NONE, covariate.name)
 
 
 def _degree(job: AdjustedJob, group: Group, covariate: Covariate) -> int:
@@ -85,15 +97,23 @@ def _terms(coordinates: int, degree: int, angle: bool) -> int:
     return 2 * degree if angle else comb(coordinates + degree, degree) - 1
 
 
-def visible_directions(system: System, columns: Array) -> Array:
-    """Return the visible part of the space of some terms (rows, k), by directions; 0 if it is too small.
+def visible_directions(system: System, rows: Index, several: Sequence[Array]) -> list[Array]:
+    """Return the spaces of some terms (r, k) at the same rows by unit directions; those that hardly show are 0.
 
     A visible part of a thousandth of a function would fit any pattern, and mean an error a thousand times its size.
+    The visible squares of unit columns b are the eigenvalues of `b' M b`.
     """
-    basis, sizes, _ = np.linalg.svd(columns, full_matrices=False)
-    basis = basis * (sizes > _RANK * max(float(sizes[0]), 1e-300))
-    u, s, _ = np.linalg.svd(system.seen(basis), full_matrices=False)
-    return np.asarray(u * np.where(s > _SHOWS, s, 0.0))
+    bases = []
+    for columns in several:
+        basis, sizes, _ = np.linalg.svd(columns, full_matrices=False)
+        bases.append(basis * (sizes > _RANK * max(float(sizes[0]), 1e-300)))
+    stacked = np.stack(bases, axis=1)
+    visible = np.swapaxes(bases, 1, 2) @ np.stack(bases) - system.basis.at(rows).grams(stacked)
+    values, vectors = np.linalg.eigh(visible)
+    return [
+        np.asarray((basis @ turn[:, ::-1]) * (squares[::-1] > _SHOWS**2))
+        for basis, turn, squares in zip(bases, vectors, values, strict=True)
+    ]
 
 
 def _together(job: AdjustedJob, system: System, covariate: Covariate) -> Family:
@@ -102,9 +122,8 @@ def _together(job: AdjustedJob, system: System, covariate: Covariate) -> Family:
     for group in job.model.readings:
         rows = system.first[group.name] + np.arange(group.observations.count)
         full[rows] = np.atleast_2d(covariate.values[group.name]).T / system.scale[rows, None]
-    seen = visible_directions(system, full)[:, None]
-    alternatives, raw = (_alternative(covariate, ()),), np.ones(seen.shape[1:])
-    return Family(f"moving with {covariate.name}", alternatives, seen, raw, _NONE, covariate.name)
+    items = [(_alternative(covariate, ()), np.arange(system.rows), full)]
+    return _family(system, f"moving with {covariate.name}", items, covariate)
 
 
 def _waves(job: AdjustedJob, system: System, covariate: Covariate) -> Iterator[Family]:
@@ -119,17 +138,15 @@ def _waves(job: AdjustedJob, system: System, covariate: Covariate) -> Iterator[F
         if values is None or len(steps) < _FEWEST_STEPS:
             continue
         turns = 2 * np.pi * (values - steps[0]) / np.ptp(steps)
-        columns: list[Array] = []
-        names: list[Alternative] = []
+        items: list[_Terms] = []
+        every = np.arange(len(values))
         for periods in np.arange(1.0, min((len(steps) - 1) / 2, _MOST_PERIODS) + 0.1, 0.5):
             terms = np.stack([np.cos(periods * turns), np.sin(periods * turns)], axis=1)
-            full = _components(system, group, terms)
+            rows, full = _components(system, group, every, terms)
             for i, component in enumerate(group.observations.components):
-                columns.append(full[:, 2 * i : 2 * i + 2])
-                names.append(_alternative(covariate, (component, f"{periods:g} periods")))
-        seen = np.stack([visible_directions(system, one) for one in columns], axis=1)
-        raw = np.ones(seen.shape[1:])
-        yield Family(f"waves in {covariate.name}", tuple(names), seen, raw, _NONE, covariate.name)
+                name = _alternative(covariate, (component, f"{periods:g} periods"))
+                items.append((name, rows, full[:, 2 * i : 2 * i + 2]))
+        yield _family(system, f"waves in {covariate.name}", items, covariate)
 
 
 def _parts(job: AdjustedJob, group: Group) -> Iterator[tuple[tuple[str, ...], Array]]:
@@ -144,21 +161,22 @@ def _parts(job: AdjustedJob, group: Group) -> Iterator[tuple[tuple[str, ...], Ar
                 yield (name,), index == number
 
 
-def _components(system: System, group: Group, terms: Array) -> Array:
-    """Return whitened terms (n, k) for each component of the readings separately, (rows, k components)."""
-    observations = group.observations
-    d, n = observations.readings.shape
-    k = terms.shape[1]
-    full = np.zeros((system.rows, k * d))
-    start = system.first[group.name]
-    rows = slice(start, start + d * n)
+def _components(system: System, group: Group, chosen: Index, terms: Array) -> tuple[Index, Array]:
+    """Return whitened terms (n, k) of some readings for each component of these separately, (r, k components).
+
+    The rows (r,) come first.
+    """
+    d, k = len(group.observations.readings), terms.shape[1]
+    observations = group.observations.without_keys(chosen)
+    rows = (system.first[group.name] + d * chosen[:, None] + np.arange(d)).ravel()
     factor = observations.deviations.T.ravel() / system.scale[rows]
+    full = np.zeros((len(rows), k * d))
     for i in range(d):
-        change = np.zeros((d, k, n))
+        change = np.zeros((d, k, len(chosen)))
         change[i] = terms.T
-        whitened = np.moveaxis(observations.whitened(change), -1, 0).reshape(n * d, k)
-        full[rows, i * k : (i + 1) * k] = whitened * factor[:, None]
-    return full
+        whitened = np.moveaxis(observations.whitened(change), -1, 0).reshape(len(rows), k)
+        full[:, i * k : (i + 1) * k] = whitened * factor[:, None]
+    return rows, full
 
 
 def polynomials(values: Array, degree: int) -> Array:

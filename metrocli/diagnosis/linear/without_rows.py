@@ -13,7 +13,7 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.linear.fitted_columns import orthonormal
 from metrocli.diagnosis.linear.projection import VISIBLE
-from metrocli.diagnosis.linear.score_tests import ScoreTests, grams_of
+from metrocli.diagnosis.linear.score_tests import ScoreTests
 
 
 def without_rows(test_set: ScoreTests, out: Index) -> ScoreTests:
@@ -33,7 +33,7 @@ def without_rows(test_set: ScoreTests, out: Index) -> ScoreTests:
         inside = np.where(kept.reshape(-1, *[1] * (values.ndim - 1)), values, 0.0)
         return np.asarray(inside - np.tensordot(shared, np.tensordot(shared.T, inside, 1), 1))
 
-    families = tuple(replace(family, columns=rest(family.columns)) for family in test_set.families)
+    families = tuple(replace(family, columns=family.columns.only(kept)) for family in test_set.families)
     basis = replace(system.basis, local=np.where(kept[:, None], system.basis.local, 0.0), shared=shared)
     there = np.where(test_set.places >= 0, kept[test_set.places], False)
     unit = np.eye(test_set.places.shape[1]) * there[:, :, None]
@@ -41,7 +41,7 @@ def without_rows(test_set: ScoreTests, out: Index) -> ScoreTests:
         test_set,
         system=replace(system, basis=basis, residual=rest(system.residual), idle=system.idle + len(out)),
         families=families,
-        grams=tuple(grams_of(family.columns) for family in families),
+        grams=tuple(family.columns.grams(basis) for family in families),
         blocks=unit - basis.products(test_set.places, test_set.places),
         excluded=test_set.excluded | ~there.any(axis=1),
         remembered={},

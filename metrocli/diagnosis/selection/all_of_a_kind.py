@@ -80,9 +80,10 @@ def _compared(selection: Selection, own: list[Chosen], effect: Effect) -> AllOfA
 
 def _columns(test_set: ScoreTests, effect: Effect) -> tuple[Array, int]:
     """Return the visible columns of an effect at all places, (rows, columns), and the number of places."""
-    families = [family for family in test_set.families if family.name == effect.name and not family.unknown]
-    columns = [family.columns.reshape(len(family.columns), -1) for family in families]
-    return np.concatenate(columns, axis=1), sum(len(family.alternatives) for family in families)
+    own = [i for i, family in enumerate(test_set.families) if family.name == effect.name and not family.unknown]
+    counts = [len(test_set.families[i].alternatives) for i in own]
+    columns = [test_set.all_visible(i, range(count)) for i, count in zip(own, counts, strict=True)]
+    return np.concatenate([one.reshape(len(one), -1) for one in columns], axis=1), sum(counts)
 
 
 @dataclass(frozen=True)

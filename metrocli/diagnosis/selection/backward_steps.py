@@ -84,7 +84,7 @@ def _better(selection: Selection, one: Chosen) -> Chosen | None:
     old, its = scores[one.family].log_p[one.number], scores[family].log_p[number]
     if family > one.family and test_set.level(family, its) > test_set.level(one.family, old):
         return None
-    new = Chosen(family, number, test_set.families[family].columns[:, number])
+    new = Chosen(family, number, test_set.visible(family, number))
     left = test_set.score(one.family, fitted.with_columns(new.columns), [one.number]).log_p[0]
     needed = test_set.overall(test_set.level(one.family, float(left))) < np.log(exit_level(selection, one))
     return None if differs and needed else new

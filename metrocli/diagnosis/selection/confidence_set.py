@@ -145,7 +145,7 @@ def _rivals(selection: Selection, one: Chosen, fitted: FittedColumns, explained:
                 continue
             if test_set.overall(test_set.level(number, scores.log_p[at])) > np.log(_SIGNIFICANT):
                 continue
-            cosine = _cosine(fitted, family.columns[:, at], explained)
+            cosine = _cosine(fitted, test_set.visible(number, int(at)), explained)
             if odds > _ODDS or (
                 cosine > _DISTANT and _explains(selection, one, fitted, number, int(at), cosine, my_rank)
             ):
@@ -163,7 +163,7 @@ def _explains(
     noise = full.squares / max(full.dof, 1)
     if (1 - cosine**2) * gain < _DISTINGUISHED * noise:
         return True
-    columns = test_set.families[family].columns[:, at]
+    columns = test_set.visible(family, at)
     beside = fitted.with_columns(columns)
     score = test_set.score(one.family, beside, [one.number])
     fewer = beside.basis.shape[1] - fitted.basis.shape[1] <= rank

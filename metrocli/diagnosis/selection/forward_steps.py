@@ -76,7 +76,7 @@ def _with_smooth(selection: Selection, scores: Sequence[Score], family: int) -> 
 
 
 def _with_best(selection: Selection, family: int, score: Score) -> Selection:
-    columns = selection.test_set.families[family].columns[:, score.best]
+    columns = selection.test_set.visible(family, score.best)
     return selection.with_one(Chosen(family, score.best, columns))
 
 
@@ -147,7 +147,7 @@ def _beside_smooth(selection: Selection) -> Iterator[Selection]:
             if test_set.overall(test_set.level(number, score.log_p[score.best])) > np.log(LATER):
                 continue
             place = int(places[score.best])
-            grown = selection.with_one(Chosen(number, place, family.columns[:, place]))
+            grown = selection.with_one(Chosen(number, place, test_set.visible(number, place)))
             level = levels_of(grown)[-1]
             if level <= np.log(STANDING_OUT):
                 found.append((level, grown))
@@ -171,7 +171,7 @@ def carried_by_few(test_set: ScoreTests, fitted: FittedColumns, family: int, num
 
     A polynomial of many terms follows two or three wrong readings; true structure stays significant without them.
     """
-    columns = test_set.families[family].columns[:, number]
+    columns = test_set.visible(family, number)
     left = columns - fitted.basis @ (fitted.basis.T @ columns)
     size = np.maximum(np.linalg.norm(left, axis=0), 1e-300)
     curve = (left / size) @ np.linalg.lstsq(left / size, fitted.residual, rcond=1e-6)[0]

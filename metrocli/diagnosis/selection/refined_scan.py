@@ -95,7 +95,7 @@ def _with_alternative(
     grown = replace(
         family,
         alternatives=(*family.alternatives, alternative),
-        columns=np.concatenate([family.columns, columns[:, None]], axis=1),
+        columns=family.columns.followed_by(columns),
         raw=np.concatenate([family.raw, np.linalg.norm(columns, axis=0)[None]]),
         absorbed=np.concatenate([family.absorbed, inside[:, None]], axis=1),
     )

@@ -59,5 +59,5 @@ def transferred(selection: Selection, test_set: ScoreTests) -> Selection:
             continue
         place = test_set.place_of(selection.test_set.alternative(one.family, one.number), one.columns.shape[1])
         if place is not None:
-            new = new.with_one(Chosen(*place, test_set.families[place[0]].columns[:, place[1]]))
+            new = new.with_one(Chosen(*place, test_set.visible(*place)))
     return new

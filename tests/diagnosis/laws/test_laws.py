@@ -115,9 +115,9 @@ def test_an_interrupted_search_has_the_best_that_it_had_found(found: Diagnosis) 
 def test_effects_that_nearly_contain_a_law_are_named_with_their_cosine(found: Diagnosis) -> None:
     rng = np.random.default_rng(3)
     tests, _ = score_tests_of_job(found.job, {}, rng)
-    family = next(one for one in tests.families if one.name == "dead-path-drift")
-    at = next(i for i, one in enumerate(family.alternatives) if one.instance == ("T3",))
-    column = family.columns[:, at, 0]
+    number = next(i for i, one in enumerate(tests.families) if one.name == "dead-path-drift")
+    at = next(i for i, one in enumerate(tests.families[number].alternatives) if one.instance == ("T3",))
+    column = tests.visible(number, at)[:, 0]
     other = tests.system.seen(rng.normal(size=len(column)))
     other -= column * (column @ other) / (column @ column)
     other *= np.linalg.norm(column) / np.linalg.norm(other)

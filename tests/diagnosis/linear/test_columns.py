@@ -1,0 +1,64 @@
+"""Columns stored at the rows that they change give the products of dense projected ones."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from metrocli.diagnosis.linear.basis import Basis
+from metrocli.diagnosis.linear.columns import Columns, gathered, joined
+
+ROWS, MEMBERS = 60, 12
+
+
+def basis(rng: np.random.Generator, repeats: bool) -> Basis:
+    """Return an orthonormal basis of one local column a member, and three shared columns."""
+    member = np.arange(ROWS) % MEMBERS if repeats else np.where(np.arange(ROWS) < MEMBERS, np.arange(ROWS), -1)
+    local = rng.normal(size=(ROWS, 1)) * (member >= 0)[:, None]
+    for one in range(MEMBERS):
+        local[member == one] /= np.linalg.norm(local[member == one])
+    whole = np.zeros((ROWS, MEMBERS))
+    whole[np.arange(ROWS)[member >= 0], member[member >= 0]] = local[member >= 0, 0]
+    shared = rng.normal(size=(ROWS, 3))
+    shared -= whole @ (whole.T @ shared)
+    return Basis(local, member, MEMBERS, np.linalg.qr(shared)[0])
+
+
+def some(rng: np.random.Generator) -> tuple[Columns, np.ndarray]:
+    """Return five alternatives of two parameters that change different rows, and the same as a dense array."""
+    dense = np.zeros((ROWS, 5, 2))
+    items = []
+    for number, (first, last) in enumerate([(0, 20), (10, 20), (20, 55), (0, 60), (30, 31)]):
+        rows = np.arange(first, last)
+        dense[rows, number] = rng.normal(size=(len(rows), 2))
+        items.append((number // 2, rows, dense[rows, number]))
+    return gathered(items), dense
+
+
+@pytest.mark.parametrize("repeats", [True, False], ids=["members read five times", "members read once"])
+def test_products_and_squares_are_those_of_the_projected_columns(repeats: bool) -> None:
+    rng = np.random.default_rng(3)
+    columns, dense = some(rng)
+    own = basis(rng, repeats)
+    b = own.rows(np.arange(ROWS))
+    project = np.eye(ROWS) - b @ b.T
+    shown = np.einsum("rs,skq->rkq", project, dense)
+    seen = project @ rng.normal(size=(ROWS, 4))
+    assert np.allclose(columns.products(seen), np.einsum("rkq,rm->kqm", shown, seen), atol=1e-12)
+    assert np.allclose(columns.products(seen, [3, 0]), np.einsum("rkq,rm->kqm", shown[:, [3, 0]], seen), atol=1e-12)
+    assert np.allclose(columns.grams(own), np.einsum("rkp,rkq->kpq", shown, shown), atol=1e-12)
+    assert np.allclose(columns.whole([4, 1], ROWS), dense[:, [4, 1]])
+
+
+def test_rows_left_out_and_alternatives_added_are_those_of_the_dense_array() -> None:
+    rng = np.random.default_rng(4)
+    columns, dense = some(rng)
+    kept = rng.uniform(size=ROWS) < 0.5
+    kept[30] = False
+    left = columns.only(kept)
+    assert np.allclose(left.whole(range(5), ROWS), np.where(kept[:, None, None], dense, 0.0))
+    assert np.allclose(left.norms(), np.linalg.norm(np.where(kept[:, None, None], dense, 0.0), axis=0))
+    more = rng.normal(size=(ROWS, 2))
+    assert np.allclose(columns.followed_by(more).whole([5, 2], ROWS), np.stack([more, dense[:, 2]], axis=1))
+    both = joined([columns, columns]).only(kept)
+    assert np.allclose(both.whole([1, 6], ROWS)[:, 1], np.where(kept[:, None], dense[:, 1], 0.0))
