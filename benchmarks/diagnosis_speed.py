@@ -56,9 +56,8 @@ def network() -> bool:
     found = diagnose(adjusted)
     seconds = time.process_time() - start
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
-    print(
-        f"19,944 image coordinates of a network: {seconds:.1f} s  allowed {NETWORK:.0f} s  {memory} MB so far  {found.verdict}"
-    )
+    spent = f"{seconds:.1f} s  allowed {NETWORK:.0f} s  {memory} MB so far"
+    print(f"19,944 image coordinates of a network: {spent}  {found.verdict}")
     return seconds <= NETWORK
 
 
