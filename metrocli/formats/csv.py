@@ -43,6 +43,7 @@ def read(path: Path, columns: Columns, shown: str = "", held: FileBytes | None =
         if column.name in places:
             index, unit = places[column.name]
             values[column.name] = _convert(raw, index, column, unit, faults)
+    raw = replace(raw, cells=())  # which take many times the memory of the values
     if not faults:
         faults = _repeated(raw, columns, values)
     if faults:
@@ -232,7 +233,7 @@ def _repeated(raw: Raw, columns: Columns, values: dict[str, Values]) -> list[Fau
     names = [name for name in columns.key if name in values]
     if not names:
         return []
-    if _all_different([values[name].tolist() for name in names]):
+    if _all_different([values[name] for name in names]):
         return []
     keys = list(zip(*(values[name].tolist() for name in names), strict=True))
     first: dict[tuple[object, ...], int] = {}
@@ -246,13 +247,22 @@ def _repeated(raw: Raw, columns: Columns, values: dict[str, Values]) -> list[Fau
     return faults
 
 
-def _all_different(keys: list[list[object]]) -> bool:
+_BLOCK = 100_000
+"""Rows that are taken from an array at once as values of Python, which need much memory"""
+
+
+def _all_different(keys: list[Values]) -> bool:
     """Return whether no two rows have the same values in all columns; False also if there are too many values."""
     code, kinds = np.zeros(len(keys[0]), dtype=np.int64), 1
     for column in keys:
-        numbers = {value: i for i, value in enumerate(dict.fromkeys(column))}
-        code *= len(numbers)
-        code += np.fromiter(map(numbers.__getitem__, column), dtype=np.int64, count=len(code))
+        numbers: dict[object, int] = {}
+        number = np.empty(len(code), dtype=np.int64)
+        for at in range(0, len(code), _BLOCK):
+            block = column[at : at + _BLOCK].tolist()
+            for value in dict.fromkeys(block):
+                numbers.setdefault(value, len(numbers))
+            number[at : at + _BLOCK] = np.fromiter(map(numbers.__getitem__, block), dtype=np.int64, count=len(block))
+        code = code * len(numbers) + number
         kinds *= len(numbers)
     return kinds < 1 << 62 and bool((np.diff(np.sort(code)) > 0).all())
 

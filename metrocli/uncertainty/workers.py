@@ -156,6 +156,16 @@ def _must_listen(address: str) -> None:
         raise InputError(f"--scheduler {address}: no Dask scheduler answers there ({error})") from error
 
 
+def _silence() -> None:
+    """Keep the tracebacks by which the library reports a lost cluster from the terminal; errors state it in words."""
+    import logging
+
+    # its configuration gives some of its loggers levels of their own
+    for name in ("distributed", *logging.root.manager.loggerDict):
+        if name.partition(".")[0] == "distributed":
+            logging.getLogger(name).setLevel(logging.CRITICAL)
+
+
 def _client(address: str) -> Any:
     """Return a client of a running cluster, or raise InputError in a few seconds."""
     if address.startswith(("tcp://", "tls://")):
@@ -164,10 +174,8 @@ def _client(address: str) -> Any:
         import distributed
     except ImportError as error:
         raise InputError("--scheduler needs the library 'distributed': pip install 'metrocli[cluster]'") from error
-    import logging
-
     library: Any = distributed
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    _silence()
     file = not address.startswith(("tcp://", "tls://", "ucx://", "ws://", "wss://"))
     if file and not os.path.isfile(address):
         raise InputError(f"--scheduler {address}: no such scheduler file; write tcp://HOST:PORT or the path of one")

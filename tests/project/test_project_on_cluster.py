@@ -121,4 +121,5 @@ def test_a_scheduler_that_dies_in_a_run_keeps_what_is_finished(
     processes[0].kill()
     out, err = run.communicate()
     assert (run.returncode, "finished results are kept" in err.decode()) == (3, True), err
+    assert b"Traceback" not in err, err
     assert len(contents()) >= out.decode().count(": ran") > 0
