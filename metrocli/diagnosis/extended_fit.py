@@ -14,10 +14,11 @@ from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Standing
 from metrocli.diagnosis.linear.candidates import NotTested, families_of
+from metrocli.diagnosis.linear.counted_tests import score_tests_of
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns, nothing_fitted
 from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.linear.projection import System
-from metrocli.diagnosis.linear.score_tests import ScoreTests, score_tests_of
+from metrocli.diagnosis.linear.score_tests import ScoreTests
 from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.linear.smooth_terms import smooth_families
 from metrocli.diagnosis.noise import Unit, reweighted

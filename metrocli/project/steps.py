@@ -105,7 +105,7 @@ class _Listed:
 def _one_or_many(node: Node, files: YamlFiles, faults: list[Fault]) -> list[_Listed]:
     """Return the job that a line of the project names, or one for each part if the job has `for:`.
 
-    If its list of parts has faults, they are added and there is none.
+    If its list of parts has faults, they are added and no job is returned.
     """
     try:
         root = files.root(path_beside(node))

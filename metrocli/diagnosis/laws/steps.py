@@ -16,9 +16,10 @@ from metrocli.diagnosis.laws.library import Library, Term, Where
 from metrocli.diagnosis.laws.terms import STEPS
 from metrocli.diagnosis.linear.candidates import Alternative, Family
 from metrocli.diagnosis.linear.columns import Columns
+from metrocli.diagnosis.linear.counted_tests import score_tests_of
 from metrocli.diagnosis.linear.distributions import log_tail
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns, nothing_fitted
-from metrocli.diagnosis.linear.score_tests import ScoreTests, grams_of, quadratic, score_tests_of
+from metrocli.diagnosis.linear.score_tests import ScoreTests, grams_of, quadratic
 from metrocli.diagnosis.selection.selection_state import Selection
 from metrocli.effects.effect import Effect, Parameter
 

@@ -1,0 +1,96 @@
+"""Score tests of a job's candidates, with the effective numbers of tests from simulated white noise.
+
+Method: docs/algorithms/selection-and-levels.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.observations import Index
+from metrocli.diagnosis.linear.candidates import Family
+from metrocli.diagnosis.linear.distributions import log_family
+from metrocli.diagnosis.linear.fitted_columns import PRIOR
+from metrocli.diagnosis.linear.multiple_tests import effective_number_of_tests, smallest_in_noise, smallest_of_family
+from metrocli.diagnosis.linear.projection import System
+from metrocli.diagnosis.linear.score_tests import ScoreTests
+
+_DRAWS = 1000
+_MOST_WORK = 4e9
+_MOST_AT_ONCE = 20_000_000
+"""Largest number of elements of the noise that is drawn at once"""
+_REDUNDANT = 1e-3
+"""Smallest redundancy of a reading that can be named an outlier"""
+
+
+def score_tests_of(
+    system: System,
+    families: Sequence[Family],
+    rng: np.random.Generator,
+    apart: bool = False,
+    like: ScoreTests | None = None,
+) -> ScoreTests:
+    """Return the tests of families and outliers, with effective numbers of tests from simulated white noise.
+
+    With `apart` each component of a reading is tested on its own. Tests `like` these, of the same families about other
+    values of the unknowns or with other weights, give the effective numbers without a simulation.
+    """
+    grams = tuple(f.columns.grams(system.basis) for f in families)
+    places = _places(system)
+    places = places[places >= 0][:, None] if apart else places
+    there = (places >= 0).astype(float)
+    blocks = np.eye(places.shape[1]) * there[:, :, None] - system.basis.products(places, places)
+    weak = np.einsum("iaa->ia", blocks).sum(axis=1) < _REDUNDANT
+    test_set = ScoreTests(system, tuple(families), tuple(f.raw for f in families), grams, blocks, places, excluded=weak)
+    counted = None if like is None else test_set.counted_as(like)
+    return _calibrated(test_set, rng) if counted is None else counted
+
+
+def _places(system: System) -> Index:
+    """Return the rows of each reading of the measured groups, (readings, d), -1 if it has fewer components."""
+    groups = system.model.readings
+    most = max(len(group.observations.readings) for group in groups)
+    parts = []
+    for group in groups:
+        d, n = group.observations.readings.shape
+        rows = np.full((n, most), -1, dtype=np.intp)
+        rows[:, :d] = system.first[group.name] + d * np.arange(n)[:, None] + np.arange(d)
+        parts.append(rows)
+    return np.concatenate(parts)
+
+
+def _smallest(test_set: ScoreTests, rng: np.random.Generator, draws: int) -> list[Array]:
+    """Return ln of the smallest p-value in draws of white noise, (draws,), of each family, then of the outliers."""
+    system = test_set.system
+    noise = system.seen(rng.normal(size=(system.rows, draws)))
+    # the declared noise counts as PRIOR degrees of freedom, in the draws as in the residuals
+    squares = (noise**2).sum(axis=0) + rng.chisquare(PRIOR, draws)
+    dof = system.dof + PRIOR
+    least = [
+        smallest_of_family(family.columns, gram, scale, noise, squares, dof)
+        for family, gram, scale in zip(test_set.families, test_set.grams, test_set.scales, strict=True)
+    ]
+    rows = test_set.places
+    right = np.where((rows >= 0)[:, :, None], noise[rows], 0.0)
+    least.append(smallest_in_noise(test_set.blocks, right, np.ones(rows.shape), squares, dof, ~test_set.excluded))
+    return least
+
+
+def _calibrated(test_set: ScoreTests, rng: np.random.Generator) -> ScoreTests:
+    system = test_set.system
+    columns = sum(f.columns.count * f.columns.parameters for f in test_set.families)
+    draws = int(np.clip(_MOST_WORK / (system.rows * max(columns, 1)), 300, _DRAWS))
+    together = int(np.clip(_MOST_AT_ONCE // system.rows, 1, draws))
+    parts = [_smallest(test_set, rng, min(together, draws - start)) for start in range(0, draws, together)]
+    least = [np.concatenate(one) for one in zip(*parts, strict=True)]
+    tests = [effective_number_of_tests(one) for one in least]
+    levels = [log_family(one, count) for one, count in zip(least, tests, strict=True)]
+    smooth = [level for level, family in zip(levels, test_set.families, strict=False) if family.unknown]
+    unknowns = effective_number_of_tests(np.min(smooth, axis=0)) if smooth else 1.0
+    return replace(
+        test_set, tests=tuple(tests), causes=effective_number_of_tests(np.min(levels, axis=0)), unknowns=unknowns
+    )
