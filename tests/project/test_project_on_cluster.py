@@ -97,7 +97,8 @@ def test_the_results_are_those_of_this_computer(
     os.kill(processes[1].pid, signal.SIGKILL)
     for path in Path("results").glob("*.h5"):
         path.unlink()
-    assert metrocli("run", "--scheduler", file).code == 0, "a worker that dies costs no result"
+    again = metrocli("run", "--scheduler", file)
+    assert again.code == 0, f"a worker that dies costs no result: {again.err}"
     assert contents() == local
 
     Path("results/p1.h5").unlink()
