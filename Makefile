@@ -13,7 +13,7 @@ demo: .venv/installed
 	$(BIN)/metrocli show demo/results/part.h5
 
 test: lint
-	$(BIN)/python -m pytest -n 2 --dist loadfile
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 lint: .venv/installed
 	$(BIN)/ruff check

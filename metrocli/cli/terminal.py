@@ -97,7 +97,7 @@ def _unit(group: Sequence[Estimate], job_text: str) -> tuple[float, str]:
 def _compound_unit(estimate: Estimate, job_text: str) -> tuple[float, str]:
     """Return the size and symbol of the unit of an effect of one's own that no dimension has, such as arcsec/m."""
     known = {units.internal_unit(name) for name in units.DIMENSIONS}
-    if estimate.unit in known or "/" in estimate.unit:
+    if estimate.unit in known or "/" in estimate.unit or units.is_inch(estimate.unit):
         return 1.0, estimate.unit
     from metrocli.expressions.dimensions import written
 
