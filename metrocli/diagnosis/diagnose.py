@@ -29,6 +29,7 @@ from metrocli.diagnosis.extended_fit import (
 )
 from metrocli.diagnosis.findings import Diagnosis, Finding, Scatter
 from metrocli.diagnosis.laws.imitations import without_imitations
+from metrocli.diagnosis.laws.library import Library
 from metrocli.diagnosis.laws.search import Law, laws_in
 from metrocli.diagnosis.linear.candidates import NotTested
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns, nothing_fitted
@@ -87,8 +88,9 @@ def diagnose(
     say("looking for structure")
     searched = first = _search_about_solution(job, say)
     job, searched, scatters = _with_scatters(job, searched, say)
+    library = Library(searched.job, searched.selection.test_set.system)
     if job.places:
-        searched = replace(searched, selection=without_imitations(searched.job, searched.selection))
+        searched = replace(searched, selection=without_imitations(library, searched.selection))
     names = confidence_sets(searched.selection)
     say("cross-validating: predicting parts of the readings from the others")
     gains = cross_validated(searched.job, searched.selection, names) if names else []
@@ -104,7 +106,7 @@ def diagnose(
     if job.places:
         say("looking for a law in what no effect explains")
         with attended(job.budget.interrupt):
-            laws = laws_in(searched.job, searched.selection, structure is not None)
+            laws = laws_in(library, searched.selection, structure is not None)
         structure = _structure_of(laws) if structure is None else structure
     # without an extended fit the law is about the same linearised system, and what it explains is no noise
     law = next((one for one in laws if one.chosen and fit is None), None)

@@ -9,11 +9,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.laws.library import Library
 from metrocli.diagnosis.laws.search import fits
 from metrocli.diagnosis.laws.steps import LEVEL, Search, forward, plain_tests, tests_of_terms
-from metrocli.diagnosis.linear.candidates import Family
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns
 from metrocli.diagnosis.linear.score_tests import ScoreTests
 from metrocli.diagnosis.selection.selection_state import Chosen, Selection
@@ -22,7 +20,7 @@ _FAR_MORE = 5.0
 """A law replaces effects if ln of its evidence exceeds theirs by this"""
 
 
-def without_imitations(job: AdjustedJob, selection: Selection) -> Selection:
+def without_imitations(library: Library, selection: Selection) -> Selection:
     """Return the selection without those of its effects that only imitate a law.
 
     Effects can imitate a cause that is not among them, as three jumps do a saturation. They are left out if they are
@@ -31,15 +29,13 @@ def without_imitations(job: AdjustedJob, selection: Selection) -> Selection:
     """
     tests = selection.test_set
     sought = selection.named and not tests.budget.ended and fits(tests.system)
-    library = Library(job, tests.system) if sought else None
-    families = library.families() if library is not None else []
-    if library is None or not families:
+    if not sought or not library.families:
         return selection
     bare = _reduced(selection, selection.named)
     names = _of_names(selection, selection.named)
-    if not _could_exceed(bare, families, names):
+    if not _could_exceed(bare, library, names):
         return selection
-    of_terms, start = tests_of_terms(bare, families)
+    of_terms, start = tests_of_terms(bare, library)
     steps = forward(Search(of_terms, start, library), LEVEL)
     if not steps:
         return selection
@@ -80,10 +76,10 @@ def _scans(selection: Selection, names: Sequence[Chosen]) -> int:
     return sum(len(selection.test_set.alternative(one.family, one.number).scanned) for one in names)
 
 
-def _could_exceed(bare: Selection, families: Sequence[Family], names: float) -> bool:
+def _could_exceed(bare: Selection, library: Library, names: float) -> bool:
     """Return whether the best single term could have far more evidence than the names if it were the only one tried."""
-    start, plain = plain_tests(bare, families)
-    scores = [plain.score(number, start) for number in range(len(families))]
+    start, plain = plain_tests(bare, library)
+    scores = [plain.score(number, start) for number in range(len(plain.families))]
     best = max(
         -start.dof / 2 * np.log(max(start.squares - float(gain), 1e-300)) - float(rank) / 2 * np.log(start.dof)
         for score in scores

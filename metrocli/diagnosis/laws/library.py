@@ -5,8 +5,10 @@ Method: docs/algorithms/laws.md.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import groupby
 
 import numpy as np
 
@@ -14,9 +16,9 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.chain import Local
 from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.adjusted_job import AdjustedJob
-from metrocli.diagnosis.laws.terms import Form, forms_of
+from metrocli.diagnosis.laws.terms import Form, columns_of, forms_of
 from metrocli.diagnosis.linear.candidates import Alternative, Family
-from metrocli.diagnosis.linear.columns import gathered
+from metrocli.diagnosis.linear.columns import Columns, Part
 from metrocli.diagnosis.linear.projection import System
 from metrocli.effects.acting import Acting
 from metrocli.effects.effect import Effect, Parameter
@@ -62,67 +64,85 @@ class Term:
 
 @dataclass(frozen=True)
 class _Carrier:
-    """Whitened change of the readings by a unit change at a spot, (rows,), and the variables there by name."""
+    """Whitened change of the readings by a unit change at a spot, and the variables there by name, at the rows (r,)."""
 
     spot: Spot
+    rows: Index
     change: Array
     values: dict[str, Array]
+
+    @classmethod
+    def of(cls, spot: Spot, change: Array, values: Mapping[str, Array]) -> _Carrier:
+        """Return what a change of all rows (rows,) is where it is not zero."""
+        rows = np.flatnonzero(change)
+        return cls(spot, rows, change[rows], {name: one[rows] for name, one in values.items()})
+
+    def forms(self, periods: int) -> list[Form]:
+        """Return the forms of the variables that vary here."""
+        values = {name: one for name, one in self.values.items() if np.ptp(one) > 0}
+        elapsed = {name: values[name] for name in _ELAPSED if name in values}
+        return list(forms_of(values, {name: one for name, one in elapsed.items() if name == "t"}, periods))
+
+    def columns(self, forms: Sequence[Form]) -> Array:
+        """Return the whitened columns of forms of one kind, (r, forms, factors)."""
+        return columns_of(forms, self.values) * self.change[:, None, None]
 
 
 class Library:
     """All terms for a job about a linearised system."""
 
     def __init__(self, job: AdjustedJob, system: System) -> None:
-        self.system = system
-        self._carriers = list(_carriers(job, system))
+        self.job, self.system = job, system
         self.terms: list[tuple[Term, ...]] = []
         """The terms of each family, in the order of its alternatives"""
 
-    def families(self) -> list[Family]:
-        """Return one family for each form and number of columns, with as many periods as the memory allows."""
+    @cached_property
+    def _carriers(self) -> list[_Carrier]:
+        return list(_carriers(self.job, self.system))
+
+    @cached_property
+    def families(self) -> tuple[Family, ...]:
+        """One family for each form and number of columns, with as many periods as the memory allows."""
+        by_kind: dict[tuple[str, int], list[tuple[_Carrier, list[Form]]]] = {}
+        for carrier, forms in self._forms():
+            for kind, alike in groupby(sorted(forms, key=_kind_of), key=_kind_of):
+                by_kind.setdefault(kind, []).append((carrier, list(alike)))
+        return tuple(self._family(*kind, items) for kind, items in by_kind.items())
+
+    def _forms(self) -> list[tuple[_Carrier, list[Form]]]:
         for periods in (59, 29, 15, 7):
-            forms = [(carrier, list(_forms(carrier, periods))) for carrier in self._carriers]
-            count = sum(len(form.factors) for _, found in forms for form in found)
+            found = [(carrier, carrier.forms(periods)) for carrier in self._carriers]
+            count = sum(len(form.factors) for _, forms in found for form in forms)
             if count * self.system.rows <= MOST_NUMBERS:
-                break
-        else:
-            forms = [(carrier, found) for carrier, found in forms if not carrier.spot.where]
-        by_kind: dict[tuple[str, int], list[tuple[Term, _Carrier]]] = {}
-        for carrier, found in forms:
-            for form in found:
-                term = Term(carrier.spot, form)
-                by_kind.setdefault((form.kind, len(form.factors)), []).append((term, carrier))
-        families = []
-        for (kind, _), items in by_kind.items():
-            columns = gathered((id(carrier), *_at_rows(carrier, term.form)) for term, carrier in items)
-            self.terms.append(tuple(term for term, _ in items))
-            alternatives = tuple(Alternative(_EFFECT, (str(number),)) for number in range(columns.count))
-            absorbed = np.zeros((0, columns.count, columns.parameters))
-            families.append(Family(kind, alternatives, columns, columns.norms(), absorbed))
-        return families
+                return found
+        return [(carrier, forms) for carrier, forms in found if not carrier.spot.where]
+
+    def _family(self, kind: str, factors: int, items: Sequence[tuple[_Carrier, list[Form]]]) -> Family:
+        parts, terms = list[Part](), list[Term]()
+        for carrier, forms in items:
+            numbers = np.arange(len(terms), len(terms) + len(forms))
+            parts.append(Part(carrier.rows, carrier.columns(forms), numbers))
+            terms += [Term(carrier.spot, form) for form in forms]
+        self.terms.append(tuple(terms))
+        columns = Columns(len(terms), factors, tuple(parts))
+        alternatives = tuple(Alternative(_EFFECT, (str(number),)) for number in range(len(terms)))
+        return Family(kind, alternatives, columns, columns.norms(), np.zeros((0, len(terms), factors)))
+
+    @cached_property
+    def grams(self) -> tuple[Array, ...]:
+        """The products of the visible columns of each alternative with one another, for each family."""
+        return tuple(family.columns.grams(self.system.basis) for family in self.families)
 
     def columns(self, term: Term) -> Array:
         """Return the whitened columns of a term, (rows, factors)."""
         carrier = next(one for one in self._carriers if one.spot == term.spot)
-        return _columns(carrier, term.form)
+        full = np.zeros((self.system.rows, len(term.form.factors)))
+        full[carrier.rows] = carrier.columns([term.form])[:, 0]
+        return full
 
 
-def _forms(carrier: _Carrier, periods: int) -> Iterator[Form]:
-    here = carrier.change != 0
-    values = {name: one[here] for name, one in carrier.values.items() if np.ptp(one[here]) > 0}
-    elapsed = {name: values[name] for name in _ELAPSED if name in values}
-    return forms_of(values, {name: one for name, one in elapsed.items() if name == "t"}, periods)
-
-
-def _at_rows(carrier: _Carrier, form: Form) -> tuple[Index, Array]:
-    """Return the rows that the carrier changes, and the columns of a form there."""
-    rows = np.flatnonzero(carrier.change)
-    values = {name: one[rows] for name, one in carrier.values.items()}
-    return rows, form.columns(values) * carrier.change[rows, None]
-
-
-def _columns(carrier: _Carrier, form: Form) -> Array:
-    return form.columns(carrier.values) * carrier.change[:, None]
+def _kind_of(form: Form) -> tuple[str, int]:
+    return form.kind, len(form.factors)
 
 
 def _carriers(job: AdjustedJob, system: System) -> Iterator[_Carrier]:
@@ -134,7 +154,7 @@ def _carriers(job: AdjustedJob, system: System) -> Iterator[_Carrier]:
             if not np.abs(change).max(initial=0.0) > 0 or _alike(change, found):
                 continue
             found.append(change)
-            yield _Carrier(Spot(acting, name, ()), change, values)
+            yield _Carrier.of(Spot(acting, name, ()), change, values)
             for key in acting.where:
                 if key in job.units:
                     yield from _at_places(job, system, Spot(acting, name, ()), key, change, values)
@@ -153,7 +173,7 @@ def _at_places(
             if index is not None:
                 mask += system.spread(group, (index == number).astype(float))
         if (mask * change).any():
-            yield _Carrier(replace(spot, where=((key, name),)), change * mask, values)
+            yield _Carrier.of(replace(spot, where=((key, name),)), change * mask, values)
 
 
 def _alike(change: Array, found: Sequence[Array]) -> bool:

@@ -17,7 +17,7 @@ from metrocli.diagnosis.cross_validation import Gain, Held, folds_of, gain_of, h
 from metrocli.diagnosis.laws.library import Library, Term
 from metrocli.diagnosis.laws.near import near_effects
 from metrocli.diagnosis.laws.steps import LEVEL, Search, Step, forward, plain_tests, start_of, tests_of_terms
-from metrocli.diagnosis.linear.candidates import Alternative, Family
+from metrocli.diagnosis.linear.candidates import Alternative
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns, nothing_fitted
 from metrocli.diagnosis.linear.projection import System
 from metrocli.diagnosis.selection.selection_state import Selection
@@ -52,7 +52,7 @@ class Law:
     chosen: bool = False
 
 
-def laws_in(job: AdjustedJob, selection: Selection, structured: bool) -> tuple[Law, ...]:
+def laws_in(library: Library, selection: Selection, structured: bool) -> tuple[Law, ...]:
     """Return the laws in what the named effects and outliers of a selection leave: one for each number of terms.
 
     The list is empty if no term is significant, if the measurement is too large or the time of the search is spent. The
@@ -62,16 +62,14 @@ def laws_in(job: AdjustedJob, selection: Selection, structured: bool) -> tuple[L
     """
     if selection.test_set.budget.ended or not fits(selection.test_set.system):
         return ()
-    library = Library(job, selection.test_set.system)
-    families = library.families()
     level = LEVEL if structured else _ALONE
-    if not families or not _worth_counting(selection, families, level):
+    if not library.families or not _worth_counting(selection, library, level):
         return ()
-    tests, start = tests_of_terms(selection, families)
+    tests, start = tests_of_terms(selection, library)
     steps = forward(Search(tests, start, library), level)
     if not steps:
         return ()
-    gains = _gains(job, Search(tests, start, library), steps)
+    gains = _gains(library.job, Search(tests, start, library), steps)
     smooth = _smooth(selection, start)
     found = [_law(library, start, steps[:count], gain, smooth) for count, gain in enumerate(gains, 1)]
     best = max(found, key=lambda one: one.gain.log_score)
@@ -92,13 +90,13 @@ def fits(system: System) -> bool:
     return system.rows <= _MOST_ROWS
 
 
-def _worth_counting(selection: Selection, families: Sequence[Family], level: float) -> bool:
+def _worth_counting(selection: Selection, library: Library, level: float) -> bool:
     """Return whether a term could be significant if the terms of its kind were few independent ones.
 
     That spares the simulated noise of the exact count where nothing is near significance.
     """
-    fitted, tests = plain_tests(selection, families)
-    least = min(float(tests.score(number, fitted).log_p.min()) for number in range(len(families)))
+    fitted, tests = plain_tests(selection, library)
+    least = min(float(tests.score(number, fitted).log_p.min()) for number in range(len(tests.families)))
     return bool(least + np.log(_FEW) < np.log(level))
 
 

@@ -5,7 +5,6 @@ Method: docs/algorithms/laws.md.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -44,7 +43,7 @@ class Step:
     log_level: float
 
 
-def tests_of_terms(selection: Selection, families: Sequence[Family]) -> tuple[ScoreTests, FittedColumns]:
+def tests_of_terms(selection: Selection, library: Library) -> tuple[ScoreTests, FittedColumns]:
     """Return the tests of the terms, and the fit of what was named, whose columns are the first family."""
     system = selection.test_set.system
     unknown = {id(one) for one in selection.unknown}
@@ -53,7 +52,7 @@ def tests_of_terms(selection: Selection, families: Sequence[Family]) -> tuple[Sc
     effect = Effect("named", "", (Parameter("size"),))
     raw = np.ones((1, columns.shape[1]))
     kept = Family("named", (Alternative(effect, ()),), Columns.of(columns[:, None]), raw, columns[:0, None])
-    tests = score_tests_of(system, families, np.random.default_rng(_SEED))
+    tests = score_tests_of(system, library.families, np.random.default_rng(_SEED))
     tests = replace(
         tests,
         families=(kept, *tests.families),
@@ -65,13 +64,11 @@ def tests_of_terms(selection: Selection, families: Sequence[Family]) -> tuple[Sc
     return tests, start_of(tests, nothing_fitted(system))
 
 
-def plain_tests(selection: Selection, families: Sequence[Family]) -> tuple[FittedColumns, ScoreTests]:
+def plain_tests(selection: Selection, library: Library) -> tuple[FittedColumns, ScoreTests]:
     """Return the fit of what was named, and tests of the terms without the exact count of them."""
     fitted = replace(selection.fitted(without=selection.unknown), larger=None, freed=None, remembered={})
-    system = selection.test_set.system
-    scales = tuple(family.raw for family in families)
-    grams = tuple(family.columns.grams(system.basis) for family in families)
-    tests = replace(selection.test_set, families=tuple(families), scales=scales, grams=grams, remembered={})
+    families, scales = library.families, tuple(family.raw for family in library.families)
+    tests = replace(selection.test_set, families=families, scales=scales, grams=library.grams, remembered={})
     return fitted, tests
 
 

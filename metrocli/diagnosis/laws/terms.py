@@ -5,7 +5,7 @@ Method: docs/algorithms/laws.md.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -31,24 +31,6 @@ class Form:
     variables: tuple[str, ...]
     scanned: float | None = None
 
-    def columns(self, values: Mapping[str, Array]) -> Array:
-        """Return the factors as columns, (rows, factors), from the variables (rows,)."""
-        v = [values[name] for name in self.variables]
-        s = self.scanned
-        if self.kind == WAVES and s is not None:
-            turn = 2 * np.pi * v[0] / s
-            return np.stack([np.sin(turn), np.cos(turn)], axis=1)
-        if self.kind == SATURATIONS and s is not None:
-            return np.asarray(1 - np.exp(-v[0] / s))[:, None]
-        if self.kind == STEPS and s is not None:
-            return (v[0] > s).astype(float)[:, None]
-        if self.kind == "harmonics":
-            order = _order(self.factors[0])
-            return np.stack([np.sin(order * v[0]), np.cos(order * v[0])], axis=1)
-        if self.kind == "constant":
-            return np.ones((len(next(iter(values.values()))), 1))
-        return np.asarray(np.prod(v, axis=0))[:, None]
-
     def powers_of(self) -> dict[str, int]:
         """Return how often each variable is a factor with its unit; none in sines, exponentials and steps."""
         if self.kind in ("powers", "direction", "products"):
@@ -59,6 +41,28 @@ class Form:
 def _order(factor: str) -> int:
     head = factor.partition("(")[2].partition("*")
     return int(head[0]) if head[1] else 1
+
+
+def columns_of(forms: Sequence[Form], values: Mapping[str, Array]) -> Array:
+    """Return the factors of forms of one kind as columns, (rows, forms, factors), from the variables (rows,).
+
+    A constant has one row, whatever their number.
+    """
+    kind = forms[0].kind
+    if kind == "constant":
+        return np.ones((1, len(forms), 1))
+    if kind not in (WAVES, SATURATIONS, STEPS, "harmonics"):
+        products = [np.prod([values[name] for name in form.variables], axis=0) for form in forms]
+        return np.stack(products, axis=1)[:, :, None]
+    v = np.stack([values[form.variables[0]] for form in forms], axis=1)
+    if kind == "harmonics":
+        turn = v * [_order(form.factors[0]) for form in forms]
+        return np.stack([np.sin(turn), np.cos(turn)], axis=2)
+    s = np.array([form.scanned for form in forms], dtype=float)
+    if kind == WAVES:
+        turn = 2 * np.pi * v / s
+        return np.stack([np.sin(turn), np.cos(turn)], axis=2)
+    return np.asarray(1 - np.exp(-v / s) if kind == SATURATIONS else (v > s).astype(float))[:, :, None]
 
 
 def forms_of(values: Mapping[str, Array], elapsed: Mapping[str, Array], periods: int) -> Iterator[Form]:

@@ -17,7 +17,7 @@ from metrocli.diagnosis.extended_fit import score_tests_of_job
 from metrocli.diagnosis.findings import Diagnosis, Verdict
 from metrocli.diagnosis.laws.definition import as_define, as_wanted, written
 from metrocli.diagnosis.laws.near import near_effects
-from metrocli.diagnosis.laws.terms import forms_of
+from metrocli.diagnosis.laws.terms import columns_of, forms_of
 from metrocli.diagnosis.verdict import as_data
 from metrocli.effects.own.define import read
 from metrocli.errors import Fault
@@ -42,7 +42,7 @@ def test_the_columns_of_every_form_are_those_of_its_text() -> None:
     kinds = set()
     for form in forms_of(values, {"t": values["t"]}, 9):
         kinds.add(form.kind)
-        found = form.columns(values)
+        found = columns_of([form], values)[:, 0]
         for column, text in enumerate(form.factors):
             expression = parse(text.replace("{s}", "s"))
             known = values | {"s": np.array(form.scanned or 0.0)}
