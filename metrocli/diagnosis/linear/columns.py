@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -72,14 +73,21 @@ class Columns:
             found[own] = (values.T @ visible[part.rows]).reshape(len(at), self.parameters, m)
         return found
 
+    @cached_property
+    def _held(self) -> tuple[Index, Index]:
+        """For each alternative, which part holds it (-1 for none) and its place there."""
+        part_of, place = np.full(self.count, -1), np.zeros(self.count, dtype=np.intp)
+        for number, part in enumerate(self.parts):
+            part_of[part.numbers], place[part.numbers] = number, np.arange(len(part.numbers))
+        return part_of, place
+
     def _among(self, chosen: Sequence[int]) -> Iterator[tuple[Part, Mask, Index]]:
         """Yield the parts that hold some of the alternatives: which of `chosen` these are, and their place in it."""
         numbers = np.asarray(chosen, dtype=np.intp)
-        for part in self.parts:
-            own = np.isin(numbers, part.numbers)
-            if own.any():
-                order = np.argsort(part.numbers)
-                yield part, own, order[np.searchsorted(part.numbers, numbers[own], sorter=order)]
+        part_of, place = (held[numbers] for held in self._held)
+        for number in np.unique(part_of[part_of >= 0]).tolist():
+            own = part_of == number
+            yield self.parts[number], own, place[own]
 
     def whole(self, numbers: Sequence[int], rows: int) -> Array:
         """Return the whole columns of some alternatives, (rows, alternatives, parameters)."""

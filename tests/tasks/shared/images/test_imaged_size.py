@@ -78,12 +78,11 @@ def part(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "jobs" / "align.yaml"
 
 
-@pytest.mark.parametrize("diameter", ["60 mm", "3 mm", "6.3 mm"])
-def test_a_wrong_diameter_of_the_sample_is_refused(diameter: str, part: Path, metrocli: Metrocli) -> None:
-    ran = metrocli("align-part", part, "--set", CAMERA, "--set", f"pattern.diameter={diameter}")
+def test_a_wrong_diameter_of_the_sample_is_refused(part: Path, metrocli: Metrocli) -> None:
+    ran = metrocli("align-part", part, "--set", CAMERA, "--set", "pattern.diameter=6.3 mm")
     assert ran.code == 3
     assert "the images show targets of 5.9" in ran.err
-    assert f"where {diameter} is declared" in ran.err
+    assert "where 6.3 mm is declared" in ran.err
     assert not (part.parent.parent / "results" / "part.h5").exists()
 
 
