@@ -8,6 +8,7 @@ Method: docs/algorithms/monte-carlo-chunks.md.
 from __future__ import annotations
 
 import os
+import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -111,10 +112,14 @@ def cluster(address: str) -> Iterator[Any]:
 
 
 def first_finished(client: Any, futures: set[Any]) -> set[Any]:
-    """Return the futures that are finished, at least one; raises ConnectionError if the scheduler does not answer."""
+    """Return the futures that are finished, at least one.
+
+    Raises ConnectionError if the scheduler does not answer, or has had no worker for PATIENCE_WITH_WORKERS_S.
+    """
     import distributed
 
     library: Any = distributed
+    with_workers = time.monotonic()
     while True:
         try:
             done: set[Any] = library.wait(futures, timeout=PATIENCE_S, return_when="FIRST_COMPLETED").done
@@ -122,6 +127,10 @@ def first_finished(client: Any, futures: set[Any]) -> set[Any]:
         except (TimeoutError, library.TimeoutError):
             if client.status != "running":
                 raise ConnectionError("the scheduler does not answer") from None
+            if client.nthreads():
+                with_workers = time.monotonic()
+            elif time.monotonic() - with_workers > PATIENCE_WITH_WORKERS_S:
+                raise ConnectionError("the scheduler has lost all workers") from None
 
 
 def _on_cluster(address: str, work: Callable[[int], T], numbers: Iterable[int]) -> Iterator[T]:

@@ -45,6 +45,7 @@ def cluster(tmp_path: Path) -> Iterator[tuple[Path, list[subprocess.Popen[bytes]
 
         begun = [start(*SCHEDULER, "--scheduler-file", str(file))]
         while not file.is_file():
+            assert begun[0].poll() is None, (elsewhere / "log.txt").read_text()
             time.sleep(0.1)
         begun += [start(*WORKER, "--scheduler-file", str(file), "--local-directory", str(elsewhere)) for _ in range(2)]
         try:

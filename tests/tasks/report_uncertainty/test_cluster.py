@@ -46,6 +46,27 @@ def test_no_scheduler_file_is_told(tmp_path: Path, capsys: pytest.CaptureFixture
     assert "--scheduler" in capsys.readouterr().err
 
 
+class Deserted:
+    """A client whose scheduler answers and has no workers."""
+
+    status = "running"
+
+    def nthreads(self) -> dict[str, int]:
+        return {}
+
+
+def test_a_cluster_that_loses_all_workers_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    distributed = pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
+
+    def never(*arguments: object, **options: object) -> None:
+        raise TimeoutError
+
+    monkeypatch.setattr(distributed, "wait", never)
+    monkeypatch.setattr(workers, "PATIENCE_WITH_WORKERS_S", 0.05)
+    with pytest.raises(ConnectionError, match="lost all workers"):
+        workers.first_finished(Deserted(), {"a future"})
+
+
 SCHEDULER = ["-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard"]
 
 
