@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: demo test lint bench fuzz lock clean
+.PHONY: demo test lint docs bench fuzz lock clean
 
 demo: .venv/installed
 	rm -rf demo
@@ -18,6 +18,10 @@ test: lint
 lint: .venv/installed
 	$(BIN)/ruff check
 	$(BIN)/mypy
+
+# The documentation as a site in build/site, with a gallery of all samples.
+docs: .venv/installed
+	$(BIN)/mkdocs build --strict --config-file docs/site/mkdocs.yml
 
 bench: .venv/installed
 	$(BIN)/python -m benchmarks
