@@ -27,9 +27,10 @@ if TYPE_CHECKING:
 @click.option(
     "--diagnosis", type=click.Path(path_type=Path), metavar="FILE.json", help="Output of `metrocli diagnose --json`."
 )
+@click.option("--pdf", is_flag=True, help="Write each page as PDF, too; needs Chromium or Chrome.")
 @options.FORCE
 @options.QUIET
-def command(place: Path, out: Path | None, diagnosis: Path | None, force: bool, quiet: bool) -> int:
+def command(place: Path, out: Path | None, diagnosis: Path | None, pdf: bool, force: bool, quiet: bool) -> int:
     """Write NAME.html beside a result, or report/index.html and the page of each result for a project.
 
     A file that metrocli did not write is replaced with `force` only.
@@ -44,7 +45,12 @@ def command(place: Path, out: Path | None, diagnosis: Path | None, force: bool, 
         pages = _project(place, out)
     else:
         pages = {out or place.with_suffix(".html"): _page(place, diagnosis, "JOB.yaml")}
-    for path in write_all({path: text.encode() for path, text in pages.items()}, force):
+    files = {path: text.encode() for path, text in pages.items()}
+    if pdf:
+        from metrocli.report.pdf import printed
+
+        files |= {path.with_suffix(".pdf"): printed(text) for path, text in pages.items()}
+    for path in write_all(files, force):
         Console(quiet).print(str(path))
     return 0
 
