@@ -12,17 +12,19 @@ from typing import Any
 import numpy as np
 
 from metrocli import plots
-from metrocli.plots import style
+from metrocli.plots import control_chart, style
 from metrocli.plots.scene import TILT, TURN, Scene
 from metrocli.report.html import EMPTY, Html, joined, tag
 from metrocli.report.look import roles, variable
 from metrocli.result import Result
+from metrocli.table import Table
 
 LARGEST = 150_000
 """Characters of an SVG beyond which the figure is an image of pixels"""
 MOST = 1_200_000
 """Characters of all figures of a page; those beyond it are named only"""
 _NAMED = 12
+_PLAIN = re.compile(r"[^A-Za-z0-9]+")
 _ID = re.compile(r'(\bid="|url\(#|href="#)')
 
 
@@ -49,7 +51,8 @@ def _figure(name: str, data: Any) -> Html:
     with plots.drawn(name, data) as (canvas, caption):
         style.arrange(canvas)
         text = style.svg(canvas)
-        picture = inline(text, name, caption) if len(text) <= LARGEST else _image(style.png(canvas), caption)
+        label = f"{plots.title_of(name)}. {caption}"
+        picture = inline(text, name, label) if len(text) <= LARGEST else _image(style.png(canvas), caption)
     turning = _turning(data) if isinstance(data, Scene) else {}
     help_text = tag("p", "Drag, or use the arrow keys, to turn; + and - zoom.", class_="turning hidden muted")
     held = tag("script", _as_json(turning), type="application/json") if turning else EMPTY
@@ -58,16 +61,32 @@ def _figure(name: str, data: Any) -> Html:
     return tag("figure", *parts, id=f"figure-{name}", data_scene=bool(turning))
 
 
-def inline(text: str, name: str, caption: str) -> Html:
+def control_charts(name: str, table: Table) -> Html:
+    """Return the control charts of a job with many parts from their gathered table; nothing for few parts."""
+    found = control_chart.series_of(table)
+    if not found:
+        return EMPTY
+    with style.canvas(name, control_chart.height(found), style.LIGHT) as canvas:
+        caption = control_chart.draw(canvas, found)
+        style.arrange(canvas)
+        text = style.svg(canvas)
+        title = f"Control charts of {name}"
+        picture = (
+            inline(text, name, f"{title}. {caption}") if len(text) <= LARGEST else _image(style.png(canvas), caption)
+        )
+    return tag("figure", tag("h3", title), picture, tag("figcaption", caption))
+
+
+def inline(text: str, name: str, label: str) -> Html:
     """Return an SVG for the inside of a page: names made distinct, colours by their role, as wide as there is room."""
     found = text[text.index("<svg") :]
     found = re.sub(r"<metadata>.*?</metadata>", "", found, flags=re.DOTALL)
-    found = _ID.sub(rf"\g<1>{name}-", found)
+    found = _ID.sub(rf"\g<1>{_PLAIN.sub('-', name)}-", found)
     for role, colour in roles(style.LIGHT).items():
         found = found.replace(colour, variable(role))
     size = re.search(r'viewBox="[^"]*"', found)
-    label = tag("title", f"{plots.title_of(name)}. {caption}")
-    opened = f'<svg {size[0] if size else ""} role="img" xmlns:xlink="http://www.w3.org/1999/xlink">{label}'
+    title = tag("title", label)
+    opened = f'<svg {size[0] if size else ""} role="img" xmlns:xlink="http://www.w3.org/1999/xlink">{title}'
     return Html(re.sub(r"<svg.*?>", lambda _: opened, found, count=1, flags=re.DOTALL))
 
 

@@ -29,8 +29,8 @@ class Entry:
     """Link to the page of the result; empty without one"""
 
 
-def project_page(name: str, entries: Sequence[Entry]) -> str:
-    """Return the page of a project as HTML."""
+def project_page(name: str, entries: Sequence[Entry], charts: Sequence[Html] = ()) -> str:
+    """Return the page of a project as HTML, with control charts of its jobs that have many parts."""
     stale = [one for one in entries if one.stale]
     bad = [one for one in entries if not one.stale and one.status != "done"]
     words = "All results are up to date and done."
@@ -44,6 +44,7 @@ def project_page(name: str, entries: Sequence[Entry]) -> str:
         tag("p", "Bring it up to date by ", tag("code", "metrocli run"), ".") if stale else EMPTY,
         tag("h2", "Jobs"),
         table(("job", "kind", "title", "state", "needs"), rows, "Jobs in the order in which they run"),
+        joined([tag("h2", "Control charts"), *charts]) if charts else EMPTY,
         tag("h2", "Lineage"),
         _lineage(entries),
     ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,9 +14,11 @@ from metrocli.cli import options
 from metrocli.cli.console import Console
 
 if TYPE_CHECKING:
+    from metrocli.project.staleness import State
     from metrocli.project.steps import Step
     from metrocli.record import Record
     from metrocli.report.content import Diagnosis
+    from metrocli.report.html import Html
 
 
 @click.command("report", help="Write a result, or a project with all its results, as self-contained HTML pages.")
@@ -122,7 +124,22 @@ def _project(place: Path, out: Path | None) -> dict[Path, str]:
         own = tuple(_files(step, made, file.parent))
         entry = Entry(step.name, step.job.kind, step.job.heading.title, status, state.reason, step.needs, own, page)
         entries.append(entry)
-    return {index: project_page(name_of_project(place) or file.parent.resolve().name, entries), **pages}
+    name = name_of_project(place) or file.parent.resolve().name
+    return {index: project_page(name, entries, list(_charts(found, file.parent))), **pages}
+
+
+def _charts(found: Sequence[State], home: Path) -> Iterator[Html]:
+    """Yield the control charts of each job with a list of parts."""
+    from itertools import groupby
+
+    from metrocli.project.provenance.gathered import table_of
+    from metrocli.report.pictures import control_charts
+
+    several = [state for state in found if state.step.job.wishes.part is not None and state.label is not None]
+    for file, states in groupby(sorted(several, key=lambda one: str(one.step.job.file)), lambda one: one.step.job.file):
+        drawn = control_charts(_from(home, file), table_of(states))
+        if drawn:
+            yield drawn
 
 
 def _page_name(output: Path, outputs: Sequence[Path], home: Path) -> str:

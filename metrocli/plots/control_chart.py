@@ -1,0 +1,100 @@
+"""Control charts of the estimates of many parts: values, mean, and limits from moving ranges (ISO 7870-2)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrocli.adjust.model.observations import Index
+from metrocli.plots.style import Array, Canvas
+from metrocli.table import Table
+
+LEAST = 8
+"""Fewest parts for which limits mean anything"""
+_MOST = 6
+"""Estimates that are drawn; the caption states how many there are"""
+_NAMED = 5
+"""Parts outside that the caption names for each estimate"""
+_LIMIT = 3 / 1.128
+"""Three standard deviations in mean moving ranges of two values (ISO 7870-2:2013, E2 = 2.660)"""
+
+
+@dataclass(frozen=True)
+class Series:
+    """An estimate of all parts in the order in which they were measured."""
+
+    name: str
+    unit: str
+    values: Array
+    stds: Array
+    parts: tuple[str, ...]
+
+    @property
+    def mean(self) -> float:
+        return float(self.values.mean())
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """The mean plus and minus 2.66 mean moving ranges."""
+        reach = _LIMIT * float(np.abs(np.diff(self.values)).mean())
+        return self.mean - reach, self.mean + reach
+
+    @property
+    def outside(self) -> Index:
+        """Numbers of the parts beyond the limits, (n,)."""
+        low, high = self.limits
+        return np.flatnonzero((self.values < low) | (self.values > high))
+
+
+def series_of(table: Table) -> tuple[Series, ...]:
+    """Return the estimates of a gathered table that at least LEAST parts have."""
+    return tuple(one for one in _series(table) if len(one.values) >= LEAST)
+
+
+def _series(table: Table) -> Iterator[Series]:
+    for name in table:
+        if f"{name}.std" in table:
+            values, stds = table.numbers(name), table.numbers(f"{name}.std")
+            kept = np.isfinite(values)
+            parts = tuple(job.partition("[")[2].rstrip("]") or job for job in table.texts("job"))
+            known = tuple(part for part, is_kept in zip(parts, kept, strict=True) if is_kept)
+            yield Series(name, table.units.get(name, ""), values[kept], stds[kept], known)
+
+
+def height(found: tuple[Series, ...]) -> float:
+    """Return the height of the figure in inches."""
+    return 1.5 * min(len(found), _MOST) + 0.4
+
+
+def draw(canvas: Canvas, found: tuple[Series, ...]) -> str:
+    """Draw the charts and return their caption."""
+    theme = canvas.theme
+    shown = found[:_MOST]
+    all_axes = canvas.axes(len(shown), 1, sharex=True)
+    for axes, one in zip(all_axes, shown, strict=True):
+        number, low, high = np.arange(1, len(one.values) + 1), *one.limits
+        axes.axhspan(low, high, color=theme.band, lw=0)
+        axes.axhline(one.mean, color=theme.ink, lw=0.8)
+        known = np.where(np.isfinite(one.stds), one.stds, 0.0)
+        axes.errorbar(number, one.values, yerr=2 * known, fmt="o", ms=2.5, lw=0.7, color=theme.first)
+        out = one.outside
+        axes.plot(number[out], one.values[out], "D", ms=4.5, color=theme.second)
+        axes.set_title(f"{one.name}" + (f" ({one.unit})" if one.unit not in ("", "1") else ""))
+    all_axes[-1].set_xlabel("part, in the order of the list")
+    left = f" The first {_MOST} of {len(found)} estimates are shown." if len(found) > _MOST else ""
+    return (
+        "Points: estimates with two standard uncertainties. Line: mean. Band: the mean plus and minus 2.66 mean moving "
+        f"ranges (ISO 7870-2); {_count(found)}{left}"
+    )
+
+
+def _count(found: tuple[Series, ...]) -> str:
+    several = [f"{_named([one.parts[i] for i in one.outside])} with {one.name}" for one in found if len(one.outside)]
+    return f"outside are {'; '.join(several)} (diamonds)." if several else "no part is outside."
+
+
+def _named(parts: list[str]) -> str:
+    more = f" and {len(parts) - _NAMED} more" if len(parts) > _NAMED else ""
+    return ", ".join(parts[:_NAMED]) + more
