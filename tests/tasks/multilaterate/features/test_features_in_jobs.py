@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from places import SAMPLES
 from simulated.features import cloud
 from simulated.lengths import Array, Network, network, settings
 
