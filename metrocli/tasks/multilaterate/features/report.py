@@ -80,7 +80,8 @@ def _refuse_vague(each: Sequence[tuple[Wanted, Fit]], values: Array, std: Array)
             raise UndeterminedError(
                 f"feature '{one.name}': the {len(one.rows)} points do not determine a {one.shape}: within their "
                 f"uncertainty its place moves by {1e3 * spread[:3].max():.3g} um and its radius of "
-                f"{number[6]:.4g} mm by {1e3 * spread[6]:.3g} um; points farther apart along and around it would determine it"
+                f"{number[6]:.4g} mm by {1e3 * spread[6]:.3g} um; points farther apart along and around it "
+                "would determine it"
             )
 
 
