@@ -106,11 +106,11 @@ def _drift(name: tuple[str, str], rows: Sequence[Quantity], at: Array) -> Drift:
     doubt = float(sum(part**2 / row.dof for part, row in zip(parts, rows, strict=True)))
     k = float(factor(1, variance**2 / doubt if doubt > 0 else np.inf))
     spread = float(np.sqrt(variance))
-    return Drift(*name, float(gradient @ values), spread, rows[0].unit, k * spread)
+    return Drift(*name, float(gradient @ (values - values[0])), spread, rows[0].unit, k * spread)
 
 
 def _pooled(group: str, unit: str, rows: Sequence[Sequence[Quantity]]) -> Pooled:
-    values = np.array([[one.value for one in row] for row in rows])
+    values = np.array([[one.value - row[0].value for one in row] for row in rows])
     std = np.array([[one.std for one in row] for row in rows])
     dof = values.shape[0] * (values.shape[1] - 1)
     scatter = ((values - values.mean(axis=1, keepdims=True)) ** 2).sum() / dof

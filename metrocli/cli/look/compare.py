@@ -99,7 +99,8 @@ def _text_of(found: Repeated, files: tuple[Path, ...], time: str) -> str:
         rows.append([name, units.format_quantity(one.rate, one.unit, one.std), f"{one.en:.2f}"])
     scatter = [["group", "pooled standard deviation", "stated", "degrees of freedom"]]
     for group in found.pooled:
-        sizes = (units.format_quantity(value, group.unit) for value in (group.std, group.expected))
+        times, symbol = units.column_unit(group.expected, group.unit)
+        sizes = (f"{value / times:.3g} {symbol}".rstrip() for value in (group.std, group.expected))
         scatter.append([group.group, *sizes, f"{group.dof}"])
     against = [["against the first", "largest E_n"]]
     against += [[str(file), f"{en:.2f}"] for file, en in zip(files[1:], found.against_first, strict=True)]

@@ -59,10 +59,15 @@ def fitted(wanted: Sequence[Wanted], corrected: Table, joint: Joint) -> tuple[di
         "points": np.array([len(one.rows) for one, _ in each]),
     }
     for i, name in enumerate(_ALL):
-        columns[name], columns[f"s_{name}"] = values[:, i], std[:, i]
+        columns[name], columns[_std_of(name)] = values[:, i], std[:, i]
     columns["optimality"] = np.array([np.nan if fit.contact is None else fit.contact.optimality for _, fit in each])
-    units = _UNITS | {f"s_{name}": unit for name, unit in _UNITS.items()}
+    units = _UNITS | {_std_of(name): unit for name, unit in _UNITS.items()}
     return {FEATURES: Table(columns, units), POINTS: _points(each, corrected)}, {COVARIANCE: covariance}
+
+
+def _std_of(name: str) -> str:
+    """Return the column of the standard uncertainty of a number: sx, as in /points, and s_radius."""
+    return f"s{name}" if len(name) == 1 else f"s_{name}"
 
 
 def _fit(one: Wanted, criterion: Criterion, points: Array) -> Fit:

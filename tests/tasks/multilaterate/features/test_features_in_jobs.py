@@ -141,7 +141,7 @@ def test_the_command_lists_features(tmp_path: Path, metrocli: Any) -> None:
     done = metrocli("multilaterate", job)
     assert done.code == 0 and "flank 1L" in done.out and "minimum-zone" in done.out
     shown = metrocli("show", folder / "results" / "tip3.h5", "--table", "features")
-    assert shown.out.splitlines()[0].startswith("feature,shape,fit,points,x_mm,sx_mm") or "s_x_mm" in shown.out
+    assert shown.out.splitlines()[0].startswith("feature,shape,fit,points,x_mm,sx_mm,y_mm,sy_mm")
     job.write_text(job.read_text().replace("flank 1L: {", "flank 1X: {"))
     done = metrocli("check", job)
     assert done.code == 3 and "did you mean 'flank 1R'" in done.err and "tip3.yaml:" in done.err
