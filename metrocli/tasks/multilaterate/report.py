@@ -37,12 +37,17 @@ from metrocli.tasks.shared.statistics import (
 )
 from metrocli.tasks.shared.structured_noise import NoiseFound
 from metrocli.tasks.shared.uncontrolled import in_words
+from metrocli.uncertainty.predicted import COMMON
 from metrocli.words import listed
 
 if TYPE_CHECKING:
     from metrocli.table import Values
 
 _UNITS = (("mm",), ("mm",), ("mm",), ("mm",), ("1", SCALE))
+_INDEPENDENT = (
+    "the covariance between so many points is left out: features take their points as independent, and their stated "
+    "uncertainty may be too small; give features a job of their own points"
+)
 _ELSEWHERE = 0.5
 """Warn if a tracer is farther from its listed place than this share of its distance from the points"""
 
@@ -87,7 +92,11 @@ def report(solved: Solved, noise: NoiseFound, probing: Probing | None, features:
         statistics=with_found(statistics, noise),
         tables=tables,
         arrays={**arrays, **effect_arrays},
-        warnings=(*_warnings(solved), *distant(solved.network, probing)),
+        warnings=(
+            *_warnings(solved),
+            *distant(solved.network, probing),
+            *([_INDEPENDENT] if features and COMMON not in arrays else []),
+        ),
         shown=(*_shown(solved), *(ShownTable(FEATURES, SHOWN) for _ in features[:1])),
         notes=(
             *solved.network.noise.notes,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -79,31 +80,38 @@ class _Sum:
 
 def _sums(means: Array, spread: Array) -> dict[str, _Sum]:
     """Return each figure as the sum that it is at the extremes of these values."""
-    gap, m = means[0] - means[1], means.shape[1]
-    either, none = np.eye(2 * m).reshape(2, m, 2, m), np.zeros((2, m))
-    both = np.concatenate([either[0], either[1]]).reshape(2 * m, 2, m)
+    gap, none, m = means[0] - means[1], np.zeros_like(means), means.shape[1]
 
-    def between(values: Array, rows: Array) -> Array:
-        return np.asarray(rows[np.argmax(values)] - rows[np.argmin(values)])
+    def at(sides: Sequence[int], target: int, factor: float = 1.0) -> Array:
+        row = np.zeros_like(means)
+        row[list(sides), target] = factor
+        return row
 
-    def accuracy(sides: slice) -> _Sum:
-        high, low = (means + 2 * spread)[sides].ravel(), (means - 2 * spread)[sides].ravel()
-        rows = both.reshape(2, m, 2, m)[sides].reshape(-1, 2, m)
-        top, bottom = rows[np.argmax(high)], rows[np.argmin(low)]
-        return _Sum(top - bottom, 2 * (top + bottom))
+    def systematic(sides: tuple[int, ...]) -> _Sum:
+        ends = [divmod(int(pick(means[list(sides)])), m) for pick in (np.argmax, np.argmin)]
+        high, low = (at((sides[side],), target) for side, target in ends)
+        return _Sum(high - low, none)
+
+    def accuracy(sides: tuple[int, ...]) -> _Sum:
+        chosen, wide = means[list(sides)], 2 * spread[list(sides)]
+        ends = [divmod(int(end), m) for end in (np.argmax(chosen + wide), np.argmin(chosen - wide))]
+        high, low = (at((sides[side],), target) for side, target in ends)
+        return _Sum(high - low, 2 * (high + low))
 
     def repeatability(side: int) -> _Sum:
-        return _Sum(none, 4 * either[side, np.argmax(spread[side])])
+        return _Sum(none, at((side,), int(np.argmax(spread[side])), 4.0))
 
-    turn = np.sign(gap)[:, None, None] * (either[0] - either[1])
-    together = [_Sum(one, 2 * (either[0, i] + either[1, i])) for i, one in enumerate(turn)]
-    repeats = [together[np.argmax(2 * spread.sum(axis=0) + np.abs(gap))], repeatability(0), repeatability(1)]
+    def reversal(target: int) -> Array:
+        return float(np.sign(gap[target])) * (at((0,), target) - at((1,), target))
+
+    widest, middle = int(np.argmax(2 * spread.sum(axis=0) + np.abs(gap))), means.mean(axis=0)
+    both = _Sum(reversal(widest), at((0, 1), widest, 2.0))
+    repeats = [both, repeatability(0), repeatability(1)]
     return {
-        "A": accuracy(slice(0, 2)), "A_up": accuracy(slice(0, 1)), "A_down": accuracy(slice(1, 2)),
+        "A": accuracy((0, 1)), "A_up": accuracy((0,)), "A_down": accuracy((1,)),
         "R": max(repeats, key=lambda one: one.value(means, spread)), "R_up": repeats[1], "R_down": repeats[2],
-        "B": _Sum(turn[np.argmax(np.abs(gap))], none),
-        "B_mean": _Sum((either[0] - either[1]).mean(axis=0), none),
-        "E": _Sum(between(means.ravel(), both), none),
-        "E_up": _Sum(between(means[0], either[0]), none), "E_down": _Sum(between(means[1], either[1]), none),
-        "M": _Sum(between(means.mean(axis=0), (either[0] + either[1]) / 2), none),
+        "B": _Sum(reversal(int(np.argmax(np.abs(gap)))), none),
+        "B_mean": _Sum(np.repeat([[1.0], [-1.0]], m, axis=1) / m, none),
+        "E": systematic((0, 1)), "E_up": systematic((0,)), "E_down": systematic((1,)),
+        "M": _Sum(at((0, 1), int(np.argmax(middle)), 0.5) - at((0, 1), int(np.argmin(middle)), 0.5), none),
     }  # fmt: skip

@@ -19,7 +19,7 @@ from metrocli.settings import Placed
 from metrocli.table import Table
 from metrocli.tasks.multilaterate import task as multilaterate
 from metrocli.tasks.multilaterate.features.ideal import Shape
-from metrocli.tasks.multilaterate.settings import Correction, Feature
+from metrocli.tasks.multilaterate.settings import SHAPES, Correction, Feature
 
 BALLS = np.array([[150.0, 150.0, 100.0], [800.0, 420.0, 380.0]])
 
@@ -113,6 +113,18 @@ def test_a_job_gives_both_fits_of_each_shape() -> None:
         width = 2 * deviation.max() if name == "line" else np.ptp(deviation)
         assert width == pytest.approx(found.numbers("form")[row], abs=1e-12)
         assert of_points.numbers("contact")[own].sum() == pytest.approx(row % 2)
+
+
+def test_a_job_can_ask_for_every_shape() -> None:
+    assert tuple(Shape) == SHAPES
+
+
+def test_features_without_covariance_between_points_are_warned_of(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("metrocli.tasks.multilaterate.report.factors", lambda covariance, chosen: {})
+    net, names = two_balls(np.random.default_rng(1))
+    result = run(net.read(np.random.default_rng(1)), net.nominal[:28], names, asked(A="sphere"))
+    assert any("features take their points as independent" in line for line in result.warnings)
+    assert result.tables["features"].numbers("s_radius")[0] > 0
 
 
 def test_faults_of_features_are_listed() -> None:
