@@ -11,10 +11,9 @@ import numpy.typing as npt
 from metrocli.adjust.probabilities import chi_square_tail
 from metrocli.errors import InputError
 from metrocli.result import Result
+from metrocli.uncertainty.coverage import factor
 
 Array = npt.NDArray[np.float64]
-_COVERAGE = 2.0
-"""Expanded uncertainty over standard uncertainty in E_n (ISO/IEC 17043)"""
 _ROUNDING = 1e-9
 """Eigenvalues of a correlation matrix below this are rounding: the results do not determine that combination"""
 TABLES, POINTS, ENTRIES, TABLES_COVARIANCE = "tables/", "points", "tables_entries", "tables_covariance"
@@ -32,13 +31,15 @@ class Compared:
     """Second minus first, in the unit of the quantity"""
     std: float
     unit: str
+    expanded: float
+    """`sqrt(U_A^2 + U_B^2)` (ISO/IEC 17043), k of each result 2, or the t factor where its noise is estimated"""
 
     @property
     def en(self) -> float:
-        """`|difference| / U`, U = 2 std; 0 for no difference, inf for one of quantities without uncertainty."""
+        """`|difference| / U`; 0 for no difference, inf for one of quantities without uncertainty."""
         if self.difference == 0.0:
             return 0.0
-        return abs(self.difference) / (_COVERAGE * self.std) if self.std > 0 else float("inf")
+        return abs(self.difference) / self.expanded if self.expanded > 0 else float("inf")
 
 
 @dataclass(frozen=True)
@@ -48,18 +49,37 @@ class Comparison:
     compared: tuple[Compared, ...]
     chi2: float
     dof: int
+    noise_dof: float
+    """Degrees of freedom of the uncertainties; inf where both noises are declared"""
     only_in_one: tuple[str, ...]
     """Names that one result has and the other does not determine"""
 
     @property
     def p_value(self) -> float:
-        """Probability of a chi2 at least as large, if the results differ only by their uncertainty."""
-        return chi_square_tail(self.dof, self.chi2) if self.dof else float("nan")
+        """Probability of a chi2 at least as large, if the results differ only by their uncertainty.
+
+        With estimated noise chi2 / dof has an F distribution (Hotelling), to the degree that one factor scales both.
+        """
+        if not self.dof or np.isinf(self.noise_dof):
+            return chi_square_tail(self.dof, self.chi2) if self.dof else float("nan")
+        from scipy.special import fdtrc
+
+        return float(fdtrc(self.dof, self.noise_dof, self.chi2 / self.dof))
 
     @property
     def max_en(self) -> float:
         """Largest E_n."""
         return max((one.en for one in self.compared), default=float("nan"))
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One quantity of a result."""
+
+    value: float
+    std: float
+    unit: str
+    dof: float
 
 
 @dataclass(frozen=True)
@@ -71,6 +91,20 @@ class _Values:
     values: Array
     covariance: Array
     units: tuple[str, ...]
+    dof: Array
+    """Degrees of freedom of each"""
+
+    @property
+    def std(self) -> Array:
+        """Standard uncertainties."""
+        return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
+
+
+def quantities(result: Result) -> dict[tuple[str, str], Quantity]:
+    """Return all that a result can be compared in, by group and name: table entries, estimates, coordinates."""
+    own = _of(result)
+    rows = zip(own.values.tolist(), own.std.tolist(), own.units, own.dof.tolist(), strict=True)
+    return {**dict(zip(own.names, (Quantity(*row) for row in rows), strict=True)), **_coordinates(result)}
 
 
 def compare(first: Result, second: Result) -> Comparison:
@@ -87,16 +121,32 @@ def compare(first: Result, second: Result) -> Comparison:
     difference = other.values[columns] - one.values[rows]
     covariance = one.covariance[np.ix_(rows, rows)] + other.covariance[np.ix_(columns, columns)]
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    parts = [(one.std[rows], one.dof[rows]), (other.std[columns], other.dof[columns])]
+    each = [factor(1, dof) * spread for spread, dof in parts]
+    expanded = np.hypot(each[0], each[1])
     # entries that the gauge holds at zero have neither a difference nor an uncertainty
     alive = np.flatnonzero((std > 0) | (difference != 0))
-    found = [Compared(*common[i], float(difference[i]), float(std[i]), one.units[rows[i]]) for i in alive.tolist()]
-    found += list(_points(first, second))
+    found = [
+        Compared(*common[i], float(difference[i]), float(std[i]), one.units[rows[i]], float(expanded[i]))
+        for i in alive.tolist()
+    ]
+    found += list(_points(_coordinates(first), _coordinates(second)))
     if not found:
         raise InputError("the results have nothing in common: no estimate, table or point of the same name")
     moving = alive[std[alive] > 0]
     chi2, dof = _tested(difference[moving], covariance[np.ix_(moving, moving)])
     apart = sorted({" ".join(name).strip() for name in set(one.names) ^ set(other.names)})
-    return Comparison(tuple(found), chi2, dof, tuple(apart))
+    return Comparison(tuple(found), chi2, dof, _joint_dof(parts, moving), tuple(apart))
+
+
+def _joint_dof(parts: list[tuple[Array, Array]], rows: npt.NDArray[np.intp]) -> float:
+    """Return the degrees of freedom of the sum of two covariances (Welch-Satterthwaite), by their mean shares."""
+    if not len(rows):
+        return float("inf")
+    variances = [spread[rows] ** 2 for spread, _ in parts]
+    shares = [float(np.mean(own / (variances[0] + variances[1]))) for own in variances]
+    doubt = sum(share**2 / float(dof[rows].min()) for share, (_, dof) in zip(shares, parts, strict=True))
+    return 1 / doubt if doubt > 0 else float("inf")
 
 
 def _rows(values: _Values, names: list[tuple[str, str]]) -> npt.NDArray[np.intp]:
@@ -123,7 +173,9 @@ def _of(result: Result) -> _Values:
     for block in blocks:
         joint[at : at + len(block), at : at + len(block)] = block
         at += len(block)
-    return _Values(tuple(names), np.array(values), joint, tuple(units))
+    stated = {one.name for one in result.estimates}
+    dof = [result.degrees_of_freedom(name if group == "estimates" and name in stated else "") for group, name in names]
+    return _Values(tuple(names), np.array(values), joint, tuple(units), np.array(dof, dtype=float))
 
 
 def _entries(result: Result) -> tuple[list[tuple[str, str]], list[float], list[str], Array]:
@@ -149,19 +201,28 @@ def _entries(result: Result) -> tuple[list[tuple[str, str]], list[float], list[s
     return names, values, units, np.asarray(result.arrays[TABLES_COVARIANCE])[np.ix_(rows, rows)]
 
 
-def _points(first: Result, second: Result) -> Iterator[Compared]:
-    tables = [result.tables.get(POINTS) for result in (first, second)]
-    if any(table is None or not {"point", "x", "y", "z", "sx"} <= set(table) for table in tables):
-        return
-    one, other = (table for table in tables if table is not None)
-    place = {name: i for i, name in enumerate(other.texts("point"))}
-    for i, name in enumerate(one.texts("point")):
-        if name in place:
-            j = place[name]
-            for axis in "xyz":
-                difference = other.numbers(axis)[j] - one.numbers(axis)[i]
-                std = np.hypot(one.numbers(f"s{axis}")[i], other.numbers(f"s{axis}")[j])
-                yield Compared(POINTS, f"{name}.{axis}", float(difference), float(std), "mm")
+def _coordinates(result: Result) -> dict[tuple[str, str], Quantity]:
+    """Return the coordinates of the points of a result, by `points` and point and axis."""
+    table = result.tables.get(POINTS)
+    if table is None or not {"point", "x", "y", "z", "sx"} <= set(table):
+        return {}
+    dof = result.degrees_of_freedom()
+    found: dict[tuple[str, str], Quantity] = {}
+    for axis in "xyz":
+        rows = zip(table.texts("point"), table.numbers(axis).tolist(), table.numbers(f"s{axis}").tolist(), strict=True)
+        found |= {(POINTS, f"{name}.{axis}"): Quantity(value, std, "mm", dof) for name, value, std in rows}
+    return found
+
+
+def _points(first: dict[tuple[str, str], Quantity], second: dict[tuple[str, str], Quantity]) -> Iterator[Compared]:
+    common = [name for name in first if name in second]
+    parts = [[values[name] for name in common] for values in (first, second)]
+    std = [np.array([one.std for one in part]) for part in parts]
+    k = [factor(1, np.array([one.dof for one in part])) for part in parts]
+    expanded = np.hypot(k[0] * std[0], k[1] * std[1])
+    rows = zip(common, *parts, np.hypot(std[0], std[1]).tolist(), expanded.tolist(), strict=True)
+    for (group, name), one, other, spread, large in rows:
+        yield Compared(group, name, other.value - one.value, spread, one.unit, large)
 
 
 def _tested(difference: Array, covariance: Array) -> tuple[float, int]:

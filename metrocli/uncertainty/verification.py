@@ -14,14 +14,11 @@ from metrocli.geometry.rotations import cross_matrix
 from metrocli.result import Result
 from metrocli.table import TEXT, Column, Columns, Table
 from metrocli.uncertainty import predicted
+from metrocli.uncertainty.coverage import COVERAGE, effective, factor
 from metrocli.uncertainty.predicted import Places
 from metrocli.units.ranges import Range, range_of
 
 Array = npt.NDArray[np.float64]
-COVERAGE = (2.0, 2.4860, 2.8329)
-"""k of one, two and three components of a deviation: the probability of k = 2, 95.45 % (JCGM 102, 6.5.3)"""
-_CERTAIN = 1e7
-"""Degrees of freedom that count as infinitely many"""
 _ROUNDING = 1e-9
 """Share of the largest eigenvalue of a covariance below which others are rounding, and rounding of coordinates [mm]"""
 _FLAT = 1e-6
@@ -58,8 +55,10 @@ class Deviation:
     value: float
     """Measured minus predicted length; for a point the length of `vector`"""
     expanded: float
-    """U: how large the deviation in its direction may be, with 95.45 % probability; k = 2 for a length"""
+    """U: how large the deviation in its direction may be, with 95.45 % probability"""
     en: float
+    k: float = COVERAGE[0]
+    """Coverage factor of U"""
     vector: tuple[float, ...] = ()
     """Measured minus predicted coordinates of a point, in the frame of the result"""
 
@@ -96,21 +95,13 @@ class Verification:
         return max(one.en for one in self.deviations)
 
     @property
+    def largest_k(self) -> float:
+        """Largest coverage factor of all U, as a multiple of that for infinitely many degrees of freedom."""
+        return max(one.k / COVERAGE[max(len(one.vector), 1) - 1] for one in self.deviations)
+
+    @property
     def _values(self) -> Array:
         return np.array([one.value for one in self.deviations])
-
-
-def covered(result: Result, components: int) -> tuple[float, float]:
-    """Return the degrees of freedom of a result's uncertainties, and the probability of U that they leave.
-
-    U contains a deviation of q components with `F(q, dof)` at `k^2 / q`: 95.45 % for inf, which is that of a declared
-    noise. What the check contributes has no such doubt, so with it the probability is larger.
-    """
-    from scipy.special import fdtr
-
-    dof = result.degrees_of_freedom()
-    k = COVERAGE[components - 1]
-    return dof, float(fdtr(components, min(dof, _CERTAIN), k**2 / components))
 
 
 def columns_for(result: Result, header: Collection[str]) -> Columns:
@@ -140,19 +131,21 @@ def verify(result: Result, check: Table, aligned: bool = False) -> Verification:
     """
     if not len(check):
         raise InputError([check.fault("the file has no rows", "give at least one measurement")])
+    dof = result.degrees_of_freedom()
     if "length" in check:
-        return Verification(_lengths(check, *predicted.listed(result, check, ("from", "to"))))
+        first, second = predicted.listed(result, check, ("from", "to"))
+        return Verification(_lengths(check, first, second, dof))
     if "mx" in check:
         places, measured = predicted.reached(result, check), check.stacked(("mx", "my", "mz"))
     else:
         (places,), measured = predicted.listed(result, check, ("point",)), check.stacked(("x", "y", "z"))
     own = places.own + (check.numbers("sigma", 0.0) ** 2)[:, None, None] * np.eye(3)
-    if aligned:
-        covariance = places.common @ places.core @ np.swapaxes(places.common, 1, 2) + own
-    else:
+    left = _as_it_is if aligned else _after_fit
+    if not aligned:
         measured = _laid(check, measured, places.values)
-        covariance = _after_fit(places, own)
-    return Verification(_points(check.texts("point"), measured - places.values, covariance))
+    covariance, predicted_part = left(places, own), left(places, places.own)
+    traces = (np.trace(one, axis1=1, axis2=2) for one in (predicted_part, covariance))
+    return Verification(_points(check.texts("point"), measured - places.values, covariance, effective(dof, *traces)))
 
 
 def _laid(check: Table, measured: Array, onto: Array) -> Array:
@@ -164,6 +157,11 @@ def _laid(check: Table, measured: Array, onto: Array) -> Array:
             hint = "expected three points off one line; `--aligned` takes points in the frame of the result"
             raise InputError([check.fault(f"{found} cannot be laid onto the prediction", hint)])
     return poses.apply(poses.fit_pose(measured, onto), measured)
+
+
+def _as_it_is(places: Places, own: Array) -> Array:
+    """Return the covariance of each deviation in the frame of the result, (n, 3, 3)."""
+    return np.asarray(places.common @ places.core @ np.swapaxes(places.common, 1, 2) + own)
 
 
 def _after_fit(places: Places, own: Array) -> Array:
@@ -185,27 +183,27 @@ def _after_fit(places: Places, own: Array) -> Array:
     return np.asarray(common @ places.core @ np.swapaxes(common, 1, 2) + left)
 
 
-def _points(names: list[str], vectors: Array, covariance: Array) -> tuple[Deviation, ...]:
-    """Return the deviations of points: `E_n^2 = v' Q^+ v / k^2` with the k of the rank of Q, and `U = |v| / E_n`.
+def _points(names: list[str], vectors: Array, covariance: Array, dof: Array) -> tuple[Deviation, ...]:
+    """Return the deviations of points: `E_n^2 = v' Q^+ v / k^2` with k by rank and dof of Q, and `U = |v| / E_n`.
 
     A part of v in a direction without uncertainty, beyond rounding, gives an infinite E_n and U = 0.
     """
     values, axes = np.linalg.eigh(covariance)
     kept = values > np.maximum(_ROUNDING * values[:, -1:], 0.0)
     parts = np.einsum("nia,ni->na", axes, vectors)
-    k = np.array([COVERAGE[0], *COVERAGE])[kept.sum(axis=1)]
+    k = factor(kept.sum(axis=1), dof)
     scores = np.where(kept, parts, 0.0) / np.sqrt(np.where(kept, values, 1.0))
     en = np.linalg.norm(scores, axis=1) / k
     en[np.linalg.norm(np.where(kept, 0.0, parts), axis=1) > _ROUNDING] = np.inf
     sizes = np.linalg.norm(vectors, axis=1)
     widest = k * np.sqrt(np.maximum(values[:, -1], 0.0))
     expanded = np.where(en > 0, sizes / np.where(en > 0, en, 1.0), widest)
-    rows = zip(names, sizes.tolist(), expanded.tolist(), en.tolist(), vectors.tolist(), strict=True)
-    return tuple(Deviation(name, size, big, one, tuple(vector)) for name, size, big, one, vector in rows)
+    rows = zip(names, sizes.tolist(), expanded.tolist(), en.tolist(), k.tolist(), vectors.tolist(), strict=True)
+    return tuple(Deviation(name, size, big, one, by, tuple(vector)) for name, size, big, one, by, vector in rows)
 
 
-def _lengths(check: Table, first: Places, second: Places) -> tuple[Deviation, ...]:
-    """Return the deviations of lengths, `U = 2 sqrt(e' (Q_aa + Q_bb - Q_ab - Q_ba) e + sigma^2)`, e the direction."""
+def _lengths(check: Table, first: Places, second: Places, dof: float) -> tuple[Deviation, ...]:
+    """Return the deviations of lengths, `U = k sqrt(e' (Q_aa + Q_bb - Q_ab - Q_ba) e + sigma^2)`, e the direction."""
     ends = list(zip(check.texts("from"), check.texts("to"), strict=True))
     same = [row for row, (one, other) in enumerate(ends) if one == other]
     if same:
@@ -216,9 +214,12 @@ def _lengths(check: Table, first: Places, second: Places) -> tuple[Deviation, ..
     shared = np.einsum("ni,nik->nk", along, second.common - first.common)
     variance = np.einsum("nk,kl,nl->n", shared, first.core, shared)
     variance += np.einsum("ni,nij,nj->n", along, first.own + second.own, along)
-    expanded = COVERAGE[0] * np.sqrt(np.maximum(variance, 0.0) + check.numbers("sigma") ** 2)
+    variance = np.maximum(variance, 0.0)
+    whole = variance + check.numbers("sigma") ** 2
+    k = factor(1, effective(dof, variance, whole))
+    expanded = k * np.sqrt(whole)
     deviation = check.numbers("length") - length
     without = np.where(np.abs(deviation) > _ROUNDING, np.inf, 0.0)
     en = np.where(expanded > 0, np.abs(deviation) / np.where(expanded > 0, expanded, 1.0), without)
-    rows = zip(ends, deviation.tolist(), expanded.tolist(), en.tolist(), strict=True)
+    rows = zip(ends, deviation.tolist(), expanded.tolist(), en.tolist(), k.tolist(), strict=True)
     return tuple(Deviation(f"{one} - {other}", *figures) for (one, other), *figures in rows)

@@ -53,3 +53,20 @@ def test_a_requirement_that_is_not_met_ends_with_6(folder: Path, metrocli: Metro
     assert metrocli("compare", folder / "a.h5", folder / "c.h5", "--require", "p_value > 0.05").code == 0
     assert metrocli("compare", folder / "a.h5", folder / "c.h5", "--require", "en < 1").code == 2
     assert metrocli("compare", folder / "a.h5", folder / "none.h5").code == 3
+
+
+def test_repeated_calibrations(folder: Path, metrocli: Metrocli) -> None:
+    files = [folder / f"{name}.h5" for name in "acb"]
+    found = json.loads(metrocli("compare", *files, "--days", "0,100,200", "--json").out)
+    row = found["drift"]["estimates"]["T1.x"]
+    assert row["rate"] == pytest.approx(0.0025) and row["unit"] == "mm/d"
+    assert row["std"] == pytest.approx(0.1 / np.sqrt(2e4))
+    assert found["pooled"][0] | {"std": 0} == {"group": "estimates", "unit": "mm", "std": 0, "expected": 0.1, "dof": 2}
+    assert found["pooled"][0]["std"] == pytest.approx(np.std([1.0, 1.1, 1.5], ddof=1))
+    assert [one["max_en"] for one in found["calibrations"]] == pytest.approx(
+        [0, 0.1 / 0.2 / 2**0.5, 0.5 / 0.2 / 2**0.5]
+    )
+    ran = metrocli("compare", *files, "--require", "max_drift_en < 1")
+    assert ran.code == 6 and "drift per calibration" in ran.out and "T1.x" in ran.out
+    assert metrocli("compare", *files, "--days", "0,1").code == 2
+    assert metrocli("compare", folder / "a.h5").code == 2

@@ -60,14 +60,37 @@ def test_json_of_lengths(folder: Path, metrocli: Metrocli) -> None:
     assert found["max_en"] == pytest.approx(0.04 / second)
 
 
-def test_few_degrees_of_freedom_limit_what_u_covers(folder: Path, metrocli: Metrocli) -> None:
-    """2 T5(2) - 1 = 89.8 %."""
+def test_length_errors_against_an_mpe(folder: Path, metrocli: Metrocli) -> None:
+    """By hand: errors of -30 and +40 um, U of 20 and 0 um, MPE of 30 um + 60 um/m: 48 and 60 um (to 0.1 um)."""
+    files = (folder / "r.h5", folder / "lengths.csv")
+    found = json.loads(metrocli("verify", *files, "--mpe", "30 um + 60 um/m", "--json").out)
+    first, second = found["length_errors"]
+    assert (first["error"], first["mpe"], first["U"]) == pytest.approx((-0.03, 0.0480018, 0.02))
+    assert (second["error"], second["mpe"], second["U"]) == pytest.approx((0.04, 0.0599976, 0.0))
+    assert [one["conforms"] for one in (first, second)] == ["undecided", "yes"]
+    assert found["mpe_ratio"] == pytest.approx(0.05 / 0.0480018)
+    ran = metrocli("verify", *files, "--mpe", "30 um + 60 um/m", "--require", "mpe_ratio <= 1")
+    assert ran.code == 6 and "required mpe_ratio <= 1: NOT met (1.042)" in ran.err
+    assert "ISO 10360-2:2009, 6.3, has 105" in ran.out
+    assert metrocli("verify", *files, "--mpe", "0.06 mm", "--require", "mpe_ratio <= 1").code == 0
+    tight = json.loads(metrocli("verify", *files, "--mpe", "5 um", "--json").out)["length_errors"]
+    assert [one["conforms"] for one in tight] == ["no", "no"]
+    assert metrocli("verify", *files, "--require", "mpe_ratio <= 1").code == 2
+    for wrong in ("30", "30 um + 2 kg", "0 um", "1 um + 1 um/m + 1 um"):
+        ran = metrocli("verify", *files, "--mpe", wrong)
+        assert ran.code == 2 and "write e.g. '1.5 um + 3 um/m'" in ran.err
+    ran = metrocli("verify", folder / "r.h5", folder / "points.csv", "--mpe", "5 um")
+    assert ran.code == 3 and "points.csv: error: --mpe needs lengths" in ran.err
+
+
+def test_few_degrees_of_freedom_have_the_t_factor(folder: Path, metrocli: Metrocli) -> None:
+    """t(95.45 %) of 5 degrees of freedom is 2.65; the share of the calibrated length counts as certain."""
     result, record = hdf5.read(folder / "r.h5")
     few = replace(result, statistics={"noise_estimated": True, "dof": 5})
     hdf5.write(folder / "few.h5", few, record)
     ran = metrocli("verify", folder / "few.h5", folder / "lengths.csv")
-    assert "5 degrees of freedom: U covers 89.8 % of the deviations or somewhat more, not 95.45 %" in ran.err
-    assert "degrees of freedom" not in metrocli("verify", folder / "r.h5", folder / "lengths.csv").err
+    assert "the result has 5 degrees of freedom: U has the t factor, up to 1.32 times that of many" in ran.out
+    assert "degrees of freedom" not in metrocli("verify", folder / "r.h5", folder / "lengths.csv").out
 
 
 def test_a_requirement_that_is_not_met_ends_with_6(folder: Path, metrocli: Metrocli) -> None:

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.special import chdtrc
 from simulated import machine as sim
 from simulated import machine_lengths as lengths
 
@@ -83,3 +84,36 @@ def test_calibrations_of_one_machine_differ_by_their_uncertainty_and_a_changed_m
     worst = max(changed.compared, key=lambda one: one.en)
     assert (worst.group, worst.name) == ("EXX", "300 mm")
     assert worst.difference == pytest.approx(0.002, abs=4 * worst.std)
+
+
+def test_a_result_is_no_different_from_itself() -> None:
+    one = result({"a": 1.0, "b": 2.0}, [[0.04, 0.01], [0.01, 0.09]])
+    found = compare(one, one)
+    assert [part.difference for part in found.compared] == [0.0, 0.0]
+    assert (found.max_en, found.chi2, found.p_value) == (0.0, 0.0, 1.0)
+
+
+def drawn(rng: np.random.Generator, truth: np.ndarray, root: np.ndarray, dof: int) -> Result:  # type: ignore[type-arg]
+    """A result with three estimates whose noise is estimated from `dof` residuals."""
+    factor = rng.chisquare(dof) / dof
+    values = truth + root @ rng.normal(size=3)
+    found = result(dict(zip("abc", values.tolist(), strict=True)), (factor * root @ root.T).tolist())
+    return replace(found, statistics={"noise_estimated": True, "dof": dof})
+
+
+def test_few_degrees_of_freedom_leave_p_uniform_and_e_n_below_one() -> None:
+    """600 pairs with 8 degrees of freedom each; as chi-square, significantly more than 10 % are below 0.1."""
+    rng = np.random.default_rng(6)
+    root = np.array([[2.0, 0, 0], [1.0, 1.5, 0], [-0.5, 0.7, 1.0]])
+    pairs = [compare(*(drawn(rng, np.array([1.0, 5, 9]), root, 8) for _ in range(2))) for _ in range(600)]
+    p = np.sort([pair.p_value for pair in pairs])
+    steps = np.arange(1, 601) / 600
+    assert max(np.abs(steps - p).max(), np.abs(p - steps + 1 / 600).max()) < 1.63 / np.sqrt(600)
+    assert np.mean([chdtrc(3, pair.chi2) < 0.1 for pair in pairs]) > 0.1 + 3 * np.sqrt(0.09 / 600)
+    # U of both added in squares covers somewhat more than 95.45 %
+    inside = np.mean([one.en <= 1 for pair in pairs for one in pair.compared])
+    assert 0.95 < inside < 0.98
+    # t(95.45 %) of 8 degrees of freedom: 2.37 (GUM table G.2)
+    one = drawn(rng, np.zeros(3), root, 8)
+    found = compare(one, replace(one, estimates=tuple(replace(e, value=e.value + 1) for e in one.estimates)))
+    assert found.compared[0].expanded / found.compared[0].std == pytest.approx(2.37, abs=0.005)

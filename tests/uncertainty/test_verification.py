@@ -17,7 +17,8 @@ from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
 from metrocli.tasks.multilaterate import task as multilaterate
 from metrocli.tasks.multilaterate.distance import distance
-from metrocli.uncertainty.verification import COVERAGE, columns_for, covered, verify
+from metrocli.uncertainty.coverage import COVERAGE, factor
+from metrocli.uncertainty.verification import columns_for, verify
 
 SIGMA = 1.5e-3
 HERE, TURN = np.array([400.0, -900.0, 250.0]), sim.rotation(np.array([0.3, -0.5, 1.1]))
@@ -124,17 +125,29 @@ def test_k_has_the_probability_of_two_standard_uncertainties() -> None:
     assert np.array(COVERAGE) == pytest.approx([np.sqrt(chdtri(dof, 0.04550026)) for dof in (1, 2, 3)], abs=1e-4)
 
 
-@pytest.mark.parametrize(("dof", "components"), [(5, 1), (5, 3), (12, 1), (12, 3)])
-def test_few_degrees_of_freedom_leave_a_smaller_probability(dof: int, components: int) -> None:
+@pytest.mark.parametrize(("dof", "components"), [(5, 1), (5, 3), (12, 2)])
+def test_few_degrees_of_freedom_have_a_larger_k(dof: int, components: int) -> None:
     """Drawn: normal deviations over a standard deviation from `dof` residuals."""
-    result = Result("multilaterate", "", (), np.zeros((0, 0)), {"noise_estimated": True, "dof": dof})
     rng = np.random.default_rng([dof, components])
     found = np.linalg.norm(rng.normal(size=(200_000, components)), axis=1)
     found /= np.sqrt(rng.chisquare(dof, len(found)) / dof)
-    share = float(np.mean(found <= COVERAGE[components - 1]))
-    assert covered(result, components) == (dof, pytest.approx(share, abs=0.003))
-    declared = Result("multilaterate", "", (), np.zeros((0, 0)), {"dof": dof})
-    assert covered(declared, components) == (np.inf, pytest.approx(0.9545, abs=1e-4))
+    assert np.mean(found <= factor(components, dof)) == pytest.approx(0.9545, abs=0.002)
+    assert factor(components, np.inf) == pytest.approx(COVERAGE[components - 1])
+    assert factor(components, 1e9) == pytest.approx(COVERAGE[components - 1], abs=1e-4)
+
+
+def test_u_of_an_estimated_noise_has_the_t_factor(placed: Result) -> None:
+    """t(95.45 %) of GUM table G.2: 2.65 for 5 degrees of freedom, 2.28 for 10; a check of its own counts as certain."""
+    ends = {"from": np.array(["P0", "P1"]), "to": np.array(["P5", "P6"])}
+    pairs = [distance(placed, a, b) for a, b in zip(*ends.values(), strict=True)]
+    sigma = np.array([0.0, pairs[1].std])
+    columns = {**ends, "length": np.array([one.value for one in pairs]), "sigma": sigma}
+    check = Table(columns, {}, "c.csv", (2, 3))
+    few = replace(placed, statistics={"noise_estimated": True, "dof": 5})
+    known, found = verify(placed, check).deviations, verify(few, check).deviations
+    assert found[0].expanded / known[0].expanded == pytest.approx(2.65 / 2, abs=0.003)
+    # half of the variance is that of the result: 5 * 2^2 = 20 degrees of freedom, k 2.13
+    assert found[1].k == pytest.approx(2.13, abs=0.005)
 
 
 def test_a_true_machine_is_inside_and_a_planted_wrong_point_is_found(machine: sim.Machine) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,11 +17,10 @@ if TYPE_CHECKING:
     from metrocli.record import Record
     from metrocli.result import Result
     from metrocli.table import Table
+    from metrocli.uncertainty.length_errors import LengthError
     from metrocli.uncertainty.verification import Verification
 
-_LEAST = 0.95
-"""Probability of U below which the reader has to know it"""
-FIGURES = ("max_en", "inside")
+FIGURES = ("max_en", "inside", "mpe_ratio")
 """What --require can take"""
 
 
@@ -29,40 +30,45 @@ FIGURES = ("max_en", "inside")
 @click.argument("result", type=click.Path(path_type=Path), metavar="RESULT.h5")
 @click.argument("check", type=click.Path(path_type=Path), metavar="CHECK.csv")
 @click.option("--aligned", is_flag=True, help="The points are in the frame of the result: do not lay them onto it.")
+@click.option(
+    "--mpe",
+    metavar="'A + B'",
+    help="Lengths against a maximum permissible error, such as '1.5 um + 3 um/m' (ISO 10360-2).",
+)
 @requirement.option("'max_en < 1' or 'inside >= 0.95'")
 @options.JSON
-def command(result: Path, check: Path, aligned: bool, require: str | None, as_json: bool) -> int:
+def command(result: Path, check: Path, aligned: bool, mpe: str | None, require: str | None, as_json: bool) -> int:
     """Print the deviations, measured minus predicted; raises UsageError for a wrong condition."""
     from metrocli.cli import summary
     from metrocli.formats import csv, hdf5
     from metrocli.formats.csv_text import read_text, taken_apart
+    from metrocli.uncertainty.length_errors import length_errors, permitted
     from metrocli.uncertainty.verification import columns_for, verify
 
-    wanted = requirement.read(require, FIGURES)
+    wanted = requirement.read(require, FIGURES if mpe else FIGURES[:2])
+    limit = None if mpe is None else permitted(mpe)
     held, record = hdf5.read(result)
     header = taken_apart(read_text(check, str(check)), str(check)).header
     table = csv.read(check, columns_for(held, header))
     found = verify(held, table, aligned)
+    tested = () if limit is None else length_errors(found.deviations, table, limit)
     for remark in _remarks(held, record, table):
         echo(f"warning: {remark}", err=True)
     laid = "length" not in table and not aligned
-    echo(summary.as_json(_figures(found)) if as_json else _text(found, laid))
-    return 0 if wanted is None else wanted.exit_code(found)
+    if as_json:
+        echo(summary.as_json(_figures(found) | _length_figures(tested)))
+    else:
+        echo("\n".join([_text(found, laid, held.degrees_of_freedom()), *_length_text(tested)]))
+    if wanted is None:
+        return 0
+    return wanted.exit_code(_Ratio(_largest(tested)) if wanted.figure == "mpe_ratio" else found)
 
 
 def _remarks(result: Result, record: Record, check: Table) -> list[str]:
     """Return what the reader has to know of the file, the result and the uncertainties."""
-    from metrocli.uncertainty.verification import covered
-
     remarks = [*check.warnings, *(f"the result is not fit for use: {reason}" for reason in record.reasons)]
     if "sigma" not in check:
         remarks.append("no column 'sigma_mm': U does not contain the uncertainty of the check")
-    dof, probability = covered(result, 1 if "length" in check else 3)
-    if probability < _LEAST:
-        remarks.append(
-            f"the uncertainties of the result have {dof:.3g} degrees of freedom: U covers {100 * probability:.3g} % of "
-            "the deviations or somewhat more, not 95.45 %"
-        )
     names = sorted({name.split("/")[1] for name in result.tables if name.startswith("effects/")})
     if names and "mx" in check:
         remarks.append(f"the prediction does not contain the effects in the result: {', '.join(names)}")
@@ -78,7 +84,55 @@ def _figures(found: Verification) -> dict[str, Any]:
     return {"points": rows, **{name: getattr(found, name) for name in names}}
 
 
-def _text(found: Verification, laid: bool) -> str:
+@dataclass(frozen=True)
+class _Ratio:
+    """What `--require "mpe_ratio <= 1"` reads."""
+
+    mpe_ratio: float
+
+
+def _largest(tested: Sequence[LengthError]) -> float:
+    from metrocli.uncertainty.length_errors import ratio
+
+    return ratio(tested)
+
+
+def _length_figures(tested: Sequence[LengthError]) -> dict[str, Any]:
+    if not tested:
+        return {}
+    rows = [
+        {
+            "length": one.name,
+            "error": one.error,
+            "unit": "mm",
+            "mpe": one.permitted,
+            "U": one.test,
+            "conforms": one.conforms,
+        }
+        for one in tested
+    ]
+    return {"length_errors": rows, "mpe_ratio": _largest(tested)}
+
+
+def _length_text(tested: Sequence[LengthError]) -> Iterator[str]:
+    from metrocli.cli.columns import worst_rows
+    from metrocli.uncertainty.length_errors import ASKED
+
+    if not tested:
+        return
+    rows = [["length", "error [um]", "MPE [um]", "U [um]", "conforms"]]
+    for one in sorted(tested, key=lambda one: -(abs(one.error) + one.test) / one.permitted):
+        rows.append([one.name, *(f"{1e3 * value:.3f}" for value in (one.error, one.permitted, one.test)), one.conforms])
+    yield ""
+    yield from worst_rows(rows)
+    yield "errors are indicated minus calibrated (ISO 10360-2:2009); U is that of the calibrated length, k = 2"
+    yield f"largest (|error| + U) / MPE: {_largest(tested):.3g}, conforming up to 1 (ISO 14253-1)"
+    if len(tested) < ASKED:
+        complete = f"a test by ISO 10360-2:2009, 6.3, has {ASKED}: five, three times, in seven positions"
+        yield f"{len(tested)} lengths; {complete}"
+
+
+def _text(found: Verification, laid: bool, dof: float) -> str:
     from metrocli.cli.columns import worst_rows
 
     rows = [["point", "deviation [um]", "U [um]", "E_n"]]
@@ -89,5 +143,10 @@ def _text(found: Verification, laid: bool) -> str:
         lines.append("the points are laid onto the prediction by a shift and a turn (--aligned: as they are)")
     mean, rms, largest = (f"{1e3 * value:.4g} um" for value in (found.mean, found.rms, found.largest))
     lines.append(f"{len(found.deviations)} deviations: mean {mean}, rms {rms}, largest {largest}")
+    if found.largest_k > 1.0:
+        lines.append(
+            f"the result has {dof:.3g} degrees of freedom: "
+            f"U has the t factor, up to {found.largest_k:.3g} times that of many"
+        )
     lines.append(f"inside U: {100 * found.inside:.3g} %, largest E_n {found.max_en:.2f}")
     return "\n".join(lines)

@@ -10,6 +10,7 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.table import Table
+from metrocli.tasks.calibrate_machine.acceptance.positioning import FIGURES, Measured, expanded, figures
 from metrocli.words import listed
 
 if TYPE_CHECKING:
@@ -19,50 +20,6 @@ _SAME = 0.01
 """Targets of two runs are the same within this [mm]"""
 _RUNS, _LONG = 5, 2000.0
 """Runs in each direction that ISO 230-2:2014, 5.3.2, asks for, on axes up to this travel [mm]"""
-
-
-@dataclass(frozen=True)
-class Figures:
-    """Figures of ISO 230-2 [mm]; repeatability and accuracy are nan where a direction has only one run."""
-
-    runs: tuple[int, int]
-    """Number of runs in the positive and in the negative direction"""
-    accuracy: float
-    """A, bi-directional accuracy of positioning"""
-    repeatability: float
-    """R, bi-directional repeatability of positioning"""
-    reversal: float
-    """B, reversal value of the axis"""
-    systematic: float
-    """E, bi-directional systematic positioning deviation"""
-    mean_range: float
-    """M, range of the mean bi-directional positioning deviation"""
-
-
-def figures(up: Array, down: Array) -> Figures:
-    """Return the figures from deviations (runs, targets) in the positive and in the negative direction.
-
-    x is the mean and s the standard deviation (n - 1) of the runs at a target; all extremes are over the targets:
-
-    - B = max |B_i| with B_i = x_up - x_down
-    - M = range of (x_up + x_down)/2
-    - E = range of all x
-    - R = max(2 s_up + 2 s_down + |B_i|, 4 s_up, 4 s_down)
-    - A = max(x + 2 s) - min(x - 2 s) over both directions
-    """
-    means = np.stack([up.mean(axis=0), down.mean(axis=0)])
-    gap = means[0] - means[1]
-    several = min(len(up), len(down)) > 1
-    spread = np.stack([run.std(axis=0, ddof=1) for run in (up, down)]) if several else np.full_like(means, np.nan)
-    repeat = np.maximum(2 * spread.sum(axis=0) + np.abs(gap), 4 * spread.max(axis=0))
-    return Figures(
-        (len(up), len(down)),
-        float((means + 2 * spread).max() - (means - 2 * spread).min()),
-        float(repeat.max()),
-        float(np.abs(gap).max()),
-        float(np.ptp(means)),
-        float(np.ptp(means.mean(axis=0))),
-    )
 
 
 @dataclass(frozen=True)
@@ -78,33 +35,48 @@ class Run:
     """Runs of one line have one zero"""
 
 
-def positioning(runs: Sequence[Run]) -> tuple[Table | None, tuple[str, ...]]:
-    """Return the figures of each line along an axis with runs in both directions, and warnings.
+@dataclass(frozen=True)
+class _Line:
+    """The runs of one line in both directions, over the same targets."""
+
+    axis: str
+    at: tuple[float, ...]
+    name: str
+    up: Array
+    """(runs, targets) [mm]"""
+    down: Array
+    targets: Array
+
+
+def positioning(runs: Sequence[Run], known: Measured) -> tuple[Table | None, tuple[str, ...]]:
+    """Return the figures of each line along an axis with runs in both directions, with their U, and warnings.
 
     Without such a line there is no table. Runs of several lines are not pooled, since each line has its own zero. A run
     that lacks a target of the others is left out: the figures need all runs at each target.
     """
     lines = _lines(runs)
-    rows, warnings = [], []
-    for line in lines:
-        own, lacking = _complete([run for run in runs if (run.axis, run.at, run.line) == line])
-        found = _of_runs(own)
-        if found is not None:
-            rows.append((*line, found))
-            warnings += lacking + _too_few(line[0], found, own)
+    whole, warnings = [], []
+    for axis, at, name in lines:
+        own, lacking = _complete([run for run in runs if (run.axis, run.at, run.line) == (axis, at, name)])
+        up, down = _both_ways(own)
+        if len(up) and len(down):
+            whole.append(_Line(axis, at, name, up, down, np.sort(own[0].targets)))
+            warnings += lacking + _too_few(whole[-1])
     warnings += _apart(lines)
-    if not rows:
+    if not whole:
         return None, tuple(warnings)
     columns: dict[str, Values] = {
-        "axis": np.array([axis for axis, *_ in rows]),
-        "at": np.array([_named(axis, at) for axis, at, *_ in rows]),
-        "line": np.array([name for _, _, name, _ in rows]),
-        "runs_up": np.array([one.runs[0] for *_, one in rows]),
-        "runs_down": np.array([one.runs[1] for *_, one in rows]),
+        "axis": np.array([one.axis for one in whole]),
+        "at": np.array([_named(one.axis, one.at) for one in whole]),
+        "line": np.array([one.name for one in whole]),
+        "runs_up": np.array([len(one.up) for one in whole]),
+        "runs_down": np.array([len(one.down) for one in whole]),
     }
-    names = {"A": "accuracy", "R": "repeatability", "B": "reversal", "E": "systematic", "M": "mean_range"}
-    columns |= {letter: np.array([getattr(one, name) for *_, one in rows]) for letter, name in names.items()}
-    return Table(columns, dict.fromkeys(names, "mm")), tuple(warnings)
+    found = [figures(one.up, one.down) for one in whole]
+    spread = [expanded(one.up, one.down, one.targets, known) for one in whole]
+    columns |= {name: np.array([one[name] for one in found]) for name in FIGURES}
+    columns |= {f"U_{name}": np.array([one[name] for one in spread]) for name in FIGURES}
+    return Table(columns, {name: "mm" for name in columns if name.removeprefix("U_") in FIGURES}), tuple(warnings)
 
 
 def _named(axis: str, at: Sequence[float]) -> str:
@@ -126,11 +98,6 @@ def _complete(runs: Sequence[Run]) -> tuple[list[Run], list[str]]:
         why = f"lacks the target {listed(gone)}" if gone else "has other targets than the longest run"
         lacking.append(f"axis {run.axis}, line '{run.line}': run {number} {why}; the figures of ISO 230-2 leave it out")
     return whole, lacking
-
-
-def _of_runs(runs: Sequence[Run]) -> Figures | None:
-    up, down = _both_ways(runs)
-    return figures(up, down) if len(up) and len(down) else None
 
 
 def _both_ways(runs: Sequence[Run]) -> tuple[Array, Array]:
@@ -171,13 +138,12 @@ def _lines(runs: Sequence[Run]) -> list[tuple[str, tuple[float, ...], str]]:
     return list(dict.fromkeys((axis, run.at, run.line) for axis in "XYZ" for run in runs if run.axis == axis))
 
 
-def _too_few(axis: str, found: Figures, runs: Sequence[Run]) -> list[str]:
+def _too_few(line: _Line) -> list[str]:
     """Return a warning if an axis of up to 2 m has fewer than five runs in a direction."""
-    travel = float(np.ptp(runs[0].targets))
-    if min(found.runs) >= _RUNS or travel > _LONG:
+    up, down = len(line.up), len(line.down)
+    if min(up, down) >= _RUNS or float(np.ptp(line.targets)) > _LONG:
         return []
-    up, down = found.runs
-    return [f"axis {axis}: {up} runs up and {down} down; ISO 230-2:2014, 5.3.2, asks for five in each direction"]
+    return [f"axis {line.axis}: {up} runs up and {down} down; ISO 230-2:2014, 5.3.2, asks for five in each direction"]
 
 
 def _apart(lines: Iterable[tuple[str, tuple[float, ...], str]]) -> list[str]:

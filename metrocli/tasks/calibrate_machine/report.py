@@ -42,7 +42,7 @@ def report(solved: Solved, settings: Settings, noise: NoiseFound) -> Result:
     identified = solved.identified
     effect_tables, effect_arrays = effect_results(added, solution)
     hidden = uncontrolled(solved, tables)
-    volume = volume_tables(tables, identified, settings.volume.grid, solved.problem.tools_used)
+    volume = volume_tables(tables, identified, settings.volume, solved.problem.tools_used)
     tools = (TOOL,) if solution.blocks[TOOL].free.any() else ()
     found = (*_estimates(solution), *effect_estimates(added, solution))
     return Result(

@@ -157,6 +157,21 @@ class Volume:
     """The grid on which the error of the tool is predicted over the volume."""
 
     grid: tuple[int, ...] = setting(ListOf(Whole(2, 50), 3), "points along x, y and z", default=(7, 6, 6))
+    circle: float | None = setting(
+        Quantity("length", positive=True), "radius of the circular tests (default: 0.4 of the travel)", default=None
+    )
+
+
+@dataclass(frozen=True)
+class Positioning:
+    """What the figures of ISO 230-2 are uncertain by, besides the noise of the displacement."""
+
+    scale: float = setting(
+        Quantity("ratio", minimum=0.0), "standard uncertainty of all distances in common", default=0.0
+    )
+    environment: float = setting(
+        Quantity("length", minimum=0.0), "range of the readings at rest over the time of a test (E_VE)", default=0.0
+    )
 
 
 @dataclass(frozen=True)
@@ -224,6 +239,9 @@ class Settings:
         Quantity("length", minimum=0.0), "on-the-fly: length cut off at both ends of each leg", default=10.0
     )
     volume: Volume = setting(Section(Volume), "where the volume is predicted", default=Volume())
+    positioning: Positioning = setting(
+        Section(Positioning), "six-dof: uncertainty of the figures of ISO 230-2", default=Positioning()
+    )
     simulation: MachineSimulation | None = setting(
         Section(MachineSimulation), "the true machine and instrument for `metrocli simulate`", default=None
     )
@@ -256,5 +274,7 @@ class Settings:
                 yield "noise", f"method {self.method} needs the noise '{key}'"
         if self.method in (STANDSTILL, ON_THE_FLY) and self.noise.lateral is None and self.noise.radial is None:
             yield "noise", f"method {self.method} needs the noise 'lateral'"
+        if self.positioning != Positioning() and self.method != SIX_DOF:
+            yield "positioning", f"method {self.method} has no figures of ISO 230-2: leave this key out"
         if self.scale is not None and self.method != LENGTHS:
             yield "scale", f"method {self.method} has no scales of tracking interferometers: leave this key out"

@@ -11,7 +11,9 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.instruments.machine import TOOL
 from metrocli.table import Table
+from metrocli.tasks.calibrate_machine.acceptance.contours import circular, diagonals
 from metrocli.tasks.calibrate_machine.identifiability import Identifiability
+from metrocli.tasks.calibrate_machine.settings import Volume
 from metrocli.tasks.calibrate_machine.tables import Tables
 from metrocli.tasks.calibrate_machine.volume import Prediction, grid_of, predict, without_rigid_motion
 
@@ -27,17 +29,20 @@ NOT_CONTAINED = (
 
 
 def volume_tables(
-    tables: Tables, identified: Identifiability, counts: Sequence[int], measured: Sequence[str]
+    tables: Tables, identified: Identifiability, wanted: Volume, measured: Sequence[str]
 ) -> dict[str, Table]:
-    """Return /volume, /volumetric and /diagonals: the error of each tool on a grid and along the body diagonals."""
-    position = grid_of(tables.machine, counts)
+    """Return the error of each tool on a grid, and the diagonal and circular tests of the first tool."""
+    position = grid_of(tables.machine, wanted.grid)
     tools = tables.blocks[TOOL].members
     grids = [_on_grid(tables, position, i, name in identified.open_tools) for i, name in enumerate(tools)]
     first = tools.index(measured[0])
+    along, figures = diagonals(tables, first)
     return {
         "volumetric": _summary(grids, tools, measured),
         "volume": _stacked([grid.table(tools[i]) for i, grid in enumerate(grids)]),
-        "diagonals": _diagonals(tables, first),
+        "diagonals": along,
+        "diagonal_figures": figures,
+        "circular": circular(tables, first, wanted.circle),
     }
 
 
@@ -90,32 +95,3 @@ def _summary(grids: Sequence[_OnGrid], tools: Sequence[str], measured: Sequence[
 def _stacked(parts: Sequence[Table]) -> Table:
     columns = {name: np.concatenate([part.columns[name] for part in parts]) for name in parts[0]}
     return Table(columns, parts[0].units)
-
-
-DIAGONALS = {"PPP": (1, 1, 1), "NPP": (-1, 1, 1), "PNP": (1, -1, 1), "NNP": (-1, -1, 1)}
-"""The body diagonals of ISO 230-6 by the direction of travel along X, Y, Z"""
-_STEPS = 11
-
-
-def _diagonals(tables: Tables, tool: int) -> Table:
-    """Return the deviation along each body diagonal from its start, with standard uncertainty (ISO 230-6)."""
-    low, high = tables.machine.low, tables.machine.high
-    parts = []
-    for name, signs in DIAGONALS.items():
-        start, end = np.where(np.array(signs) > 0, low, high), np.where(np.array(signs) > 0, high, low)
-        share = np.linspace(0, 1, _STEPS)
-        position = start[:, None] + (end - start)[:, None] * share
-        along = (end - start) / np.linalg.norm(end - start)
-        prediction, design = predict(tables.machine, tables.blocks, (tables.unknowns, tables.raw), position, tool)
-        deviation = along @ prediction.error
-        row = np.einsum("a,anp->np", along, design)
-        row = row - row[0]
-        std = np.sqrt(np.maximum(np.einsum("np,pq,nq->n", row, tables.raw, row, optimize=True), 0.0))
-        columns: dict[str, Values] = {
-            "diagonal": np.repeat(np.array([name]), _STEPS),
-            "position": np.linalg.norm(end - start) * share,
-            "deviation": deviation - deviation[0],
-            "std": std,
-        }
-        parts.append(Table(columns, dict.fromkeys(("position", "deviation", "std"), "mm")))
-    return _stacked(parts)

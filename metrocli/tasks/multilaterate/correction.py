@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,8 +14,11 @@ from metrocli.adjust.solution import Solution
 from metrocli.errors import InputError
 from metrocli.instruments import tracer as t
 from metrocli.table import Table
+from metrocli.tasks.multilaterate.probed.covariance import Joint
+from metrocli.tasks.multilaterate.probed.tips import ANY, Tips, tips_of
 from metrocli.tasks.multilaterate.problem import Network
-from metrocli.tasks.multilaterate.settings import Correction
+from metrocli.tasks.multilaterate.settings import Correction, Files, Settings
+from metrocli.uncertainty.predicted import COMMON, CORE
 from metrocli.words import listed
 
 if TYPE_CHECKING:
@@ -24,68 +29,129 @@ _FAR, _PLAIN, _ENOUGH = 12.0, 1e-4, 6
 exceeds this share of the volume and there are at least so many points"""
 
 
-_NOWHERE = "probing point '{}' has no replayed point of its name or within {:g} mm"
+_NOWHERE = "probing point '{}' has no replayed point of its name or within {:g} mm{}"
 _LEFT_OUT = "the replayed point of probing point '{}' was left out: too few of its lengths are correct"
+_EMPTY = {COMMON: (0, 3, 0), CORE: (0, 0)}
+"""Factors of the covariance between points that are too many for them"""
 
 
-def refuse_lost(network: Network, probing: Table, tolerance: float) -> None:
-    """Raise InputError for every probing point with no replayed point of its name or within the tolerance (mm)."""
-    _refuse(probing, _matches(network, probing, tolerance), _NOWHERE, tolerance)
+@dataclass(frozen=True)
+class Probing:
+    """Probing points to correct, their tips, and what they scatter by."""
+
+    table: Table
+    tips: Tips
+    tolerance: float
+    """Largest distance of a probing point from a replayed point of another name [mm]"""
+    scatter: Correction
+
+
+def probing_of(settings: Settings, files: Files) -> Probing | None:
+    """Return the probing points of a job, None without them; raises InputError for tips that do not fit."""
+    if files.probing is None:
+        if files.tips is not None:
+            raise InputError(
+                [files.tips.fault("tips need `inputs: probing`", "expected probing points with these tips")]
+            )
+        return None
+    tips = tips_of(files.tips, files.probing, files.points)
+    return Probing(files.probing, tips, settings.tolerance, settings.correction)
+
+
+def refuse_lost(network: Network, probing: Probing) -> None:
+    """Raise InputError for every probing point with no replayed point of its name or within the tolerance."""
+    _refuse(probing, _matches(network, probing), _NOWHERE)
 
 
 def corrected(
-    network: Network, solution: Solution, probing: Table, tolerance: float, scatter: Correction
-) -> tuple[Table, Array]:
-    """Return the probing points, corrected by the mover's error at their replayed points, and their covariances.
+    network: Network, solution: Solution, probing: Probing, shared: Mapping[str, Array]
+) -> tuple[Table, Joint]:
+    """Return the probing points, corrected by the mover's error at their replayed points, and their joint covariance.
 
-    A probing point belongs to the replayed point of its name, else to the nearest nominal point within the tolerance.
-    Its covariance (3, 3) is `C + (2 r² + p² + g² |d|²) I`. C is that of the reflector's place, r the mover's
-    repeatability, which acts at the probing and at the replay, p the standard deviation of the probed point. d leads
-    from the replayed point to the probed one; g is the change
-    of the mover's error per length from a point to its nearest one (root mean square, each coordinate). Raises
-    InputError that lists every probing point whose replayed point the adjustment left out.
+    A probing point belongs to the replayed point of its name, else to the nearest nominal point of its tip within the
+    tolerance. Its covariance (3, 3) is `C + T + (2 r² + p² + g² |d|²) I`. C is that of the reflector's place, T that
+    of the reflector against the tip, r the mover's repeatability, which acts at the probing and at the replay, p the
+    standard deviation of the probed point. d leads from the replayed point to the probed one; g is the change
+    of the mover's error per length from a point to its nearest one of the same tip (root mean square, each
+    coordinate). `shared` are the factors of the covariance between the points that are read. Raises InputError that
+    lists every probing point whose replayed point the adjustment left out.
     """
-    match = _matches(network, probing, tolerance)
-    _refuse(probing, match, _LEFT_OUT, tolerance)
-    places, at = solution.blocks[t.POINT].values, probing.stacked("xyz")
+    match = _matches(network, probing)
+    _refuse(probing, match, _LEFT_OUT)
+    table, scatter = probing.table, probing.scatter
+    places, at = solution.blocks[t.POINT].values, table.stacked("xyz")
     moved = at - (network.nominal[match] - places[match])
-    of_place = solution.covariance_or_raise().members(t.POINT)[match]
-    gap = np.linalg.norm(at - network.nominal[match], axis=1) * _gradient(network, places)
-    own = 2 * scatter.repeatability**2 + scatter.tip**2 + gap**2
-    covariance = of_place + own[:, None, None] * np.eye(3)
-    columns: dict[str, Values] = {name: probing.columns[name] for name in ("feature", "point")}
+    gap = np.linalg.norm(at - network.nominal[match], axis=1) * _gradient(network, places, probing.tips.replayed)
+    own = scatter.repeatability**2 + scatter.tip**2 + gap**2
+    joint = _joint(network, solution, probing.tips, match, shared, own, scatter.repeatability)
+    covariance = joint.each()
+    columns: dict[str, Values] = {name: table.columns[name] for name in ("feature", "point", "tip") if name in table}
     columns |= {name: moved[:, i] for i, name in enumerate("xyz")}
     columns |= {f"s{name}": np.sqrt(covariance[:, i, i]) for i, name in enumerate("xyz")}
-    return Table(columns, dict.fromkeys(("x", "y", "z", "sx", "sy", "sz"), "mm")), covariance
+    return Table(columns, dict.fromkeys(("x", "y", "z", "sx", "sy", "sz"), "mm")), joint
 
 
-def _gradient(network: Network, places: Array) -> float:
+def _joint(
+    network: Network,
+    solution: Solution,
+    tips: Tips,
+    match: Index,
+    shared: Mapping[str, Array],
+    own: Array,
+    repeatability: float,
+) -> Joint:
+    """Return the joint covariance; points of one replay share the error of its place and of the return to it."""
+    replays, replay = np.unique(match, return_inverse=True)
+    whole = solution.covariance_or_raise().members(t.POINT)[replays]
+    row = np.cumsum(network.seen > 0) - 1
+    common, core = (shared[name] if COMMON in shared else np.zeros(shape) for name, shape in _EMPTY.items())
+    of_point = common[row[replays]] if COMMON in shared else np.zeros((len(replays), 3, 0))
+    left = whole - of_point @ core @ np.swapaxes(of_point, 1, 2) + repeatability**2 * np.eye(3)
+    by_tip = np.eye(3 * len(tips.names)).reshape(len(tips.names), 3, -1)[tips.probed]
+    size = len(core)
+    both = np.zeros((size + by_tip.shape[2],) * 2)
+    both[:size, :size], both[size:, size:] = core, np.diag(tips.sigma.ravel() ** 2)
+    return Joint(np.concatenate([of_point[replay], by_tip], axis=2), both, replay, left, own)
+
+
+def _gradient(network: Network, places: Array, tip: Index) -> float:
     """Return the change of the mover's error per length between nearest points, root mean square of a coordinate."""
+    changes = [
+        _changes(network.nominal[rows], network.nominal[rows] - places[rows])
+        for one in np.unique(tip)
+        if len(rows := np.flatnonzero((network.seen > 0) & network.unknown & (tip == one))) > 1
+    ]
+    every = np.concatenate(changes) if changes else np.zeros((0, 3))
+    return float(np.sqrt((every**2).mean())) if len(every) else 0.0
+
+
+def _changes(at: Array, error: Array) -> Array:
+    """Return the change of an error per length from each place (n, 3) to its nearest one, where these differ."""
     from scipy.spatial import cKDTree
 
-    rows = np.flatnonzero((network.seen > 0) & network.unknown)
-    if len(rows) < 2:
-        return 0.0
-    at = network.nominal[rows]
     distance, nearest = (found[:, 1] for found in cKDTree(at).query(at, k=2))
     apart = distance > 0
-    error = at - places[rows]
-    change = (error - error[nearest])[apart] / distance[apart, None]
-    return float(np.sqrt((change**2).mean())) if apart.any() else 0.0
+    return np.asarray((error - error[nearest])[apart] / distance[apart, None])
 
 
-def _refuse(probing: Table, match: Index, text: str, tolerance: float) -> None:
-    lost, names = np.flatnonzero(match < 0).tolist(), probing.texts("point")
+def _refuse(probing: Probing, match: Index, text: str) -> None:
+    lost, names = np.flatnonzero(match < 0).tolist(), probing.table.texts("point")
+    tips = [
+        f" that replays tip '{probing.tips.names[one]}'" if probing.tips.names[one] else ""
+        for one in probing.tips.probed
+    ]
     if lost:
-        raise InputError([probing.fault_at(row, text.format(names[row], tolerance)) for row in lost])
+        raise InputError(
+            [probing.table.fault_at(row, text.format(names[row], probing.tolerance, tips[row])) for row in lost]
+        )
 
 
-def distant(network: Network, probing: Table | None, tolerance: float) -> tuple[str, ...]:
+def distant(network: Network, probing: Probing | None) -> tuple[str, ...]:
     """Return a warning if points were replayed farther than the tolerance from where they were probed."""
     if probing is None:
         return ()
-    gap = np.linalg.norm(probing.stacked("xyz") - network.nominal[_matches(network, probing, tolerance)], axis=1)
-    far = int((gap > tolerance).sum())
+    gap = np.linalg.norm(probing.table.stacked("xyz") - network.nominal[_matches(network, probing)], axis=1)
+    far = int((gap > probing.tolerance).sum())
     if not far:
         return ()
     return (
@@ -112,15 +178,21 @@ def wrong_entries(network: Network, solution: Solution) -> tuple[str, ...]:
     )
 
 
-def _matches(network: Network, probing: Table, tolerance: float) -> Index:
-    """Return the row of the replayed point of each probing point, (n,), or -1 without one."""
+def _matches(network: Network, probing: Probing) -> Index:
+    """Return the row of the replayed point of each probing point, (n,), or -1 without one of its tip."""
     from scipy.spatial import cKDTree
 
-    replayed = np.flatnonzero(network.seen > 0)
-    names = network.blocks[t.POINT].members
-    place = {names[i]: i for i in replayed.tolist()}
-    match = np.array([place.get(name, -1) for name in probing.texts("point")], dtype=np.intp)
-    rest = np.flatnonzero(match < 0)
-    gap, nearest = cKDTree(network.nominal[replayed]).query(probing.stacked("xyz")[rest])
-    match[rest] = np.where(gap <= tolerance, replayed[nearest], -1)
+    tips, names = probing.tips, network.blocks[t.POINT].members
+    replayed = network.seen > 0
+    place = {names[i]: i for i in np.flatnonzero(replayed).tolist()}
+    match = np.array([place.get(name, -1) for name in probing.table.texts("point")], dtype=np.intp)
+    of_other = (tips.replayed[match] != tips.probed) & (tips.replayed[match] != ANY)
+    match[of_other] = -1
+    at = probing.table.stacked("xyz")
+    for tip in range(len(tips.names)):
+        rest = np.flatnonzero((match < 0) & (tips.probed == tip))
+        offered = np.flatnonzero(replayed & np.isin(tips.replayed, (tip, ANY)))
+        if rest.size and offered.size:
+            gap, nearest = cKDTree(network.nominal[offered]).query(at[rest])
+            match[rest] = np.where(gap <= probing.tolerance, offered[nearest], -1)
     return match

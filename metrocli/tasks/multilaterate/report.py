@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,11 +16,12 @@ from metrocli.result import SCALE, Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.multilaterate import KIND, layout_faults
 from metrocli.tasks.multilaterate.blunders import Reason
-from metrocli.tasks.multilaterate.correction import corrected, distant, wrong_entries
+from metrocli.tasks.multilaterate.correction import Probing, corrected, distant, wrong_entries
 from metrocli.tasks.multilaterate.distance import factors
+from metrocli.tasks.multilaterate.features.report import FEATURES, SHOWN, fitted
+from metrocli.tasks.multilaterate.features.wanted import Wanted
 from metrocli.tasks.multilaterate.reliability import UNITS as RELIABILITY_UNITS
 from metrocli.tasks.multilaterate.reliability import reliability
-from metrocli.tasks.multilaterate.settings import Correction
 from metrocli.tasks.multilaterate.solve import Solved
 from metrocli.tasks.multilaterate.uncontrolled import scale_warnings, uncontrolled
 from metrocli.tasks.shared.statistics import (
@@ -37,27 +37,26 @@ from metrocli.tasks.shared.statistics import (
 )
 from metrocli.tasks.shared.structured_noise import NoiseFound
 from metrocli.tasks.shared.uncontrolled import in_words
+from metrocli.uncertainty.predicted import COMMON
 from metrocli.words import listed
 
 if TYPE_CHECKING:
     from metrocli.table import Values
 
 _UNITS = (("mm",), ("mm",), ("mm",), ("mm",), ("1", SCALE))
+_INDEPENDENT = (
+    "the covariance between so many points is left out: features take their points as independent, and their stated "
+    "uncertainty may be too small; give features a job of their own points"
+)
 _ELSEWHERE = 0.5
 """Warn if a tracer is farther from its listed place than this share of its distance from the points"""
 
 
-@dataclass(frozen=True)
-class Probing:
-    """Probing points to correct, and what they scatter by."""
+def report(solved: Solved, noise: NoiseFound, probing: Probing | None, features: Sequence[Wanted]) -> Result:
+    """Return the result of a solved network.
 
-    table: Table | None
-    tolerance: float
-    scatter: Correction
-
-
-def report(solved: Solved, noise: NoiseFound, probing: Probing) -> Result:
-    """Return the result of a solved network; raises InputError if a probing point cannot be corrected."""
+    Raises InputError if a probing point cannot be corrected, UndeterminedError if points do not determine a feature.
+    """
     solution = noise.solution
     added = solved.network.effects
     found = (*_tracer_estimates(solution), *estimates(added, solution))
@@ -73,10 +72,11 @@ def report(solved: Solved, noise: NoiseFound, probing: Probing) -> Result:
         "not_controlled": hidden,
         **effect_tables,
     }
-    if probing.table is not None:
-        tables["corrected"], arrays["corrected_covariance"] = corrected(
-            solved.network, solution, probing.table, probing.tolerance, probing.scatter
-        )
+    if probing is not None:
+        tables["corrected"], joint = corrected(solved.network, solution, probing, arrays)
+        arrays["corrected_covariance"] = joint.each()
+        feature_tables, feature_arrays = fitted(features, tables["corrected"], joint)
+        tables, arrays = tables | feature_tables, arrays | feature_arrays
     rms = float(np.sqrt((solved.residuals.values**2).mean()))
     statistics = basic_statistics(solution, {"mm": rms}) | {
         "rejected": len(solved.rejected),
@@ -92,8 +92,12 @@ def report(solved: Solved, noise: NoiseFound, probing: Probing) -> Result:
         statistics=with_found(statistics, noise),
         tables=tables,
         arrays={**arrays, **effect_arrays},
-        warnings=(*_warnings(solved), *distant(solved.network, probing.table, probing.tolerance)),
-        shown=tuple(_shown(solved)),
+        warnings=(
+            *_warnings(solved),
+            *distant(solved.network, probing),
+            *([_INDEPENDENT] if features and COMMON not in arrays else []),
+        ),
+        shown=(*_shown(solved), *(ShownTable(FEATURES, SHOWN) for _ in features[:1])),
         notes=(
             *solved.network.noise.notes,
             *found_notes(noise),

@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from metrocli.settings import Choice, Quantity, Section, TableFile, setting
+from metrocli.settings import At, Choice, Either, MapOf, Placed, Quantity, Section, TableFile, setting
 from metrocli.table import ABSENT, TEXT, Column, Columns, Table
 from metrocli.tasks.shared.known_places import SIGMAS
 from metrocli.tasks.shared.lengths import LengthNoise, Scale
 
+SHAPES = ("line", "plane", "circle", "sphere", "cylinder", "cone")
 _PLACE = tuple(Column(axis, "length") for axis in "xyz")
 LENGTHS = Columns(
     (
@@ -24,7 +25,11 @@ LENGTHS = Columns(
     measured=("length",),
     alike=("tracer",),
 )
-POINTS = Columns((Column("point", TEXT), *_PLACE, *SIGMAS), ("point",), "approximate points: the mover's readings")
+POINTS = Columns(
+    (Column("point", TEXT), *_PLACE, *SIGMAS, Column("tip", TEXT, required=False)),
+    ("point",),
+    "approximate points: the mover's readings",
+)
 TRACERS = Columns(
     (Column("tracer", TEXT), *_PLACE, Column("dead_path", "length", required=False, may_be_empty=True), *SIGMAS),
     ("tracer",),
@@ -34,10 +39,16 @@ CANDIDATES = Columns(
     (Column("candidate", TEXT), *_PLACE), ("candidate",), "places where one more tracer could stand, for `plan`"
 )
 PROBING = Columns(
-    (Column("feature", TEXT), Column("point", TEXT, may_be_empty=True), *_PLACE),
+    (
+        Column("feature", TEXT),
+        Column("point", TEXT, may_be_empty=True),
+        Column("tip", TEXT, required=False),
+        *_PLACE,
+    ),
     (),
     "the mover's readings on the workpiece",
 )
+TIPS = Columns((Column("tip", TEXT), *_PLACE, *SIGMAS), ("tip",), "probe tips, from the mover's reference point")
 DISTANCES = Columns(
     (Column("from", TEXT), Column("to", TEXT), Column("length", "length"), Column("sigma", "length")),
     ("from", "to"),
@@ -53,6 +64,7 @@ class Inputs:
     points: Path = setting(TableFile(POINTS), "approximate points: the mover's readings")
     tracers: Path | None = setting(TableFile(TRACERS), "approximate places of the tracers", default=None)
     probing: Path | None = setting(TableFile(PROBING), "the mover's readings on the workpiece", default=None)
+    tips: Path | None = setting(TableFile(TIPS), "probe tips, from the mover's reference point", default=None)
     distances: Path | None = setting(TableFile(DISTANCES), "calibrated distances between points", default=None)
     candidates: Path | None = setting(
         TableFile(CANDIDATES), "places where one more tracer could stand, for `plan`", default=None
@@ -67,6 +79,7 @@ class Files:
     points: Table = ABSENT
     tracers: Table | None = None
     probing: Table | None = None
+    tips: Table | None = None
     distances: Table | None = None
     candidates: Table | None = None
 
@@ -103,6 +116,16 @@ class Correction:
 
 
 @dataclass(frozen=True)
+class Feature:
+    """An ideal feature to lay through the corrected points of a feature."""
+
+    shape: str = setting(Choice(*SHAPES), "the ideal shape")
+    fit: str = setting(
+        Choice("least-squares", "minimum-zone", "both"), "how it is laid through the points", default="least-squares"
+    )
+
+
+@dataclass(frozen=True)
 class Settings:
     """Find reflector positions from lengths, with the tracers' places, dead paths and scales (multilateration)."""
 
@@ -127,6 +150,11 @@ class Settings:
         Section(Correction),
         "standard deviations of probed points, for the uncertainty of /corrected",
         default=Correction(),
+    )
+    features: dict[str, Placed] = setting(
+        MapOf(At(Either(Choice(*SHAPES), Section(Feature)))),
+        "ideal features through the corrected points, by the names in column `feature`",
+        default={},
     )
     simulation: LengthSimulation | None = setting(
         Section(LengthSimulation), "the truth for `metrocli simulate`", default=None

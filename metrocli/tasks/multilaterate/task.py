@@ -12,15 +12,16 @@ from metrocli.plan import Plan
 from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.tasks.job import Job, Task
-from metrocli.tasks.multilaterate.correction import refuse_lost
+from metrocli.tasks.multilaterate.correction import probing_of, refuse_lost
 from metrocli.tasks.multilaterate.diagnosis import adjusted_job
 from metrocli.tasks.multilaterate.distance import distance
 from metrocli.tasks.multilaterate.effects import EFFECTS, PLACES
+from metrocli.tasks.multilaterate.features.wanted import wanted_features
 from metrocli.tasks.multilaterate.layout import Layout, Planned
 from metrocli.tasks.multilaterate.plan import planned
 from metrocli.tasks.multilaterate.problem import Network, build, network_of
 from metrocli.tasks.multilaterate.readings import join
-from metrocli.tasks.multilaterate.report import Probing, report
+from metrocli.tasks.multilaterate.report import report
 from metrocli.tasks.multilaterate.settings import Files, Settings
 from metrocli.tasks.multilaterate.simulation import simulated
 from metrocli.tasks.multilaterate.solve import Solved, solve
@@ -30,17 +31,20 @@ from metrocli.tasks.shared.structured_noise import settled
 
 def run(job: Job[Settings, Files]) -> Result:
     """Return the points; raises InputError, UndeterminedError or NotConvergedError."""
-    settings, probing, tolerance = job.settings, job.files.probing, job.settings.tolerance
+    settings = job.settings
+    probing, features = together(
+        lambda: probing_of(settings, job.files), lambda: wanted_features(settings.features, job.files.probing)
+    )
 
     def solved(factor: float) -> Solved:
         network = _network(job, factor)
         if probing is not None:
-            refuse_lost(network, probing, tolerance)
+            refuse_lost(network, probing)
         return solve(network, settings.outliers == "remove")
 
     found, factor = settled(settings.noise, solved, lambda one: [one.residuals])
     noise = noise_of(found, settings.noise.model, factor)
-    return report(found, noise, Probing(probing, tolerance, settings.correction))
+    return report(found, noise, probing, features)
 
 
 def _network(job: Job[Settings, Files], factor: float = 1.0) -> Network:
@@ -58,8 +62,15 @@ def check(job: Job[Settings, Files]) -> None:
     together(
         lambda: network_of(settings, readings, places, files.lengths, files.distances),
         lambda: bare.with_effects(job.effects),
-        lambda: None if files.probing is None else refuse_lost(bare, files.probing, settings.tolerance),
+        lambda: _check_probing(bare, job),
+        lambda: wanted_features(settings.features, files.probing),
     )
+
+
+def _check_probing(network: Network, job: Job[Settings, Files]) -> None:
+    probing = probing_of(job.settings, job.files)
+    if probing is not None:
+        refuse_lost(network, probing)
 
 
 def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:

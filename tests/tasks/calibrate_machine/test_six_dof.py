@@ -10,11 +10,18 @@ from simulated.machine import line, line_table
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine import task as calibrate_machine
-from metrocli.tasks.calibrate_machine.iso230 import Run, at_targets, figures, positioning
+from metrocli.tasks.calibrate_machine.acceptance.positioning import Measured
+from metrocli.tasks.calibrate_machine.iso230 import Run, at_targets
+from metrocli.tasks.calibrate_machine.iso230 import positioning as positioning_of
 from metrocli.tasks.calibrate_machine.settings import Noise, Settings
 
 KNOTS = (5, 6, 5)
+KNOWN = Measured(0.0005)
 SPAN = sim.HIGH - sim.LOW
+
+
+def positioning(runs: list[Run]) -> tuple[Table | None, tuple[str, ...]]:
+    return positioning_of(runs, KNOWN)
 
 
 def job(**more: object) -> Settings:
@@ -152,20 +159,6 @@ def test_wrong_rows_are_told(machine: sim.Machine, change, said: str) -> None:  
     with pytest.raises(InputError) as told:
         calibrate_machine.run(calibrate_machine.TASK.job(job(), lines=bad))
     assert said in str(told.value)
-
-
-def test_figures_of_iso_230_2_by_hand() -> None:
-    """Two targets, three runs each way, worked out with pencil and paper [um]."""
-    up = np.array([[0.0, 4.0], [2.0, 5.0], [1.0, 6.0]])
-    down = np.array([[3.0, 9.0], [5.0, 9.0], [4.0, 9.0]])
-    found = figures(up, down)
-    # means up 1, 5 with s = 1, 1; down 4, 9 with s = 1, 0; reversal -3, -4
-    assert found.reversal == 4
-    assert found.mean_range == 7.0 - 2.5
-    assert found.systematic == 9 - 1
-    assert found.repeatability == max(2 * 1 + 2 * 1 + 3, 2 * 1 + 0 + 4, 4)
-    assert found.accuracy == 9 - (1 - 2)
-    assert found.runs == (3, 3)
 
 
 def test_one_run_each_way_has_no_repeatability() -> None:

@@ -18,6 +18,7 @@ from metrocli.errors import Fault, InputError
 from metrocli.instruments.machine import TOOL, Machine
 from metrocli.instruments.six_dof import ACROSS, CHANNELS, LINE, POSITION, LineNoise, line_block, line_chain
 from metrocli.table import Table
+from metrocli.tasks.calibrate_machine.acceptance.positioning import Measured
 from metrocli.tasks.calibrate_machine.iso230 import Run, at_targets, positioning
 from metrocli.tasks.calibrate_machine.problem import (
     Problem,
@@ -156,7 +157,9 @@ def six_dof(settings: Settings, table: Table) -> Problem:
     laser = laser_noise(settings)
     along = lines.along
     runs = runs_of(lines, table)
-    figures, warnings = positioning(runs)
+    # readings scatter evenly over the range at rest (ISO 230-2:2014, annex A: E_VE)
+    reading = float(np.hypot(settings.noise.displacement or 0.0, settings.positioning.environment / np.sqrt(12)))
+    figures, warnings = positioning(runs, Measured(reading, settings.positioning.scale))
     found = {"positioning": figures, "positioning_targets": at_targets(runs)}
     observations = Observations(
         table.stacked(CHANNELS).T,

@@ -147,7 +147,7 @@ def worth_of(settings: Settings, problem: Problem) -> Worth:
     if not solution.outcome.good:
         raise UndeterminedError(f"the planned readings do not determine the machine: {solution.outcome.value}")
     tables = tables_of(problem.machine, solution)
-    volume = volume_tables(tables, identified, settings.volume.grid, problem.tools_used)["volumetric"]
+    volume = volume_tables(tables, identified, settings.volume, problem.tools_used)["volumetric"]
     return Worth(identified, predicted_errors(tables, identified), volume)
 
 

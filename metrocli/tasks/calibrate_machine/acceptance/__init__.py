@@ -1,0 +1,1 @@
+"""Acceptance figures of machine tools, by standard."""

@@ -1,0 +1,115 @@
+"""Circular and diagonal tests that the error tables predict (ISO 230-4, ISO 230-6).
+
+The tables are quasi-static: what the drives do at a feed, and the reversal between the two senses, is not in them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.table import Table
+from metrocli.tasks.calibrate_machine.acceptance.positioning import COVERAGE
+from metrocli.tasks.calibrate_machine.tables import Tables
+from metrocli.tasks.calibrate_machine.volume import predict
+
+if TYPE_CHECKING:
+    from metrocli.table import Values
+
+DIAGONALS = {"PPP": (1, 1, 1), "NPP": (-1, 1, 1), "PNP": (1, -1, 1), "NNP": (-1, -1, 1)}
+"""The body diagonals of ISO 230-6 by the direction of travel along X, Y, Z"""
+PLANES = {"XY": (0, 1), "YZ": (1, 2), "ZX": (2, 0)}
+_STEPS = 11
+_AROUND = 360
+"""Points of a circle"""
+_SHARE = 0.4
+"""Radius of a circle as a share of the shorter travel in its plane, unless the job gives one"""
+
+
+@dataclass(frozen=True)
+class _Profile:
+    """Deviations along a path with their derivatives by the unknowns of the tables."""
+
+    values: Array
+    """(n,)"""
+    rows: Array
+    """(n, unknowns)"""
+    covariance: Array
+
+    def range_with_u(self) -> tuple[float, float]:
+        """Return the range of the deviations, and its U (k = 2)."""
+        row = self.rows[np.argmax(self.values)] - self.rows[np.argmin(self.values)]
+        return float(np.ptp(self.values)), float(COVERAGE * np.sqrt(max(row @ self.covariance @ row, 0.0)))
+
+
+def _profile(tables: Tables, tool: int, position: Array, towards: Array) -> _Profile:
+    """Return the error of a tool at positions (3, n) along directions (3, n)."""
+    prediction, design = predict(tables.machine, tables.blocks, (tables.unknowns, tables.raw), position, tool)
+    values = np.einsum("an,an->n", towards, prediction.error)
+    return _Profile(values, np.einsum("an,anp->np", towards, design), tables.raw)
+
+
+def diagonals(tables: Tables, tool: int) -> tuple[Table, Table]:
+    """Return the deviation along each body diagonal from its start with its standard uncertainty, and E of each with U.
+
+    E is the systematic deviation of a diagonal, the range of its deviations (ISO 230-6:2002, which takes the figures of
+    ISO 230-2 along the diagonals).
+    """
+    low, high = tables.machine.low, tables.machine.high
+    parts, figures = [], []
+    for name, signs in DIAGONALS.items():
+        start, end = np.where(np.array(signs) > 0, low, high), np.where(np.array(signs) > 0, high, low)
+        share, length = np.linspace(0, 1, _STEPS), float(np.linalg.norm(end - start))
+        position = start[:, None] + (end - start)[:, None] * share
+        towards = np.repeat((end - start)[:, None] / length, _STEPS, axis=1)
+        found = _profile(tables, tool, position, towards)
+        row = found.rows - found.rows[0]
+        columns: dict[str, Values] = {
+            "diagonal": np.repeat(np.array([name]), _STEPS),
+            "position": length * share,
+            "deviation": found.values - found.values[0],
+            "std": np.sqrt(np.maximum(np.einsum("np,pq,nq->n", row, tables.raw, row, optimize=True), 0.0)),
+        }
+        parts.append(columns)
+        figures.append((name, length, *found.range_with_u()))
+    together = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    return (
+        Table(together, dict.fromkeys(("position", "deviation", "std"), "mm")),
+        _rows(("diagonal", "length", "E", "U_E"), figures),
+    )
+
+
+def circular(tables: Tables, tool: int, radius: float | None) -> Table:
+    """Return the circular test in each plane through the middle of the volume (ISO 230-4:2005, clause 3).
+
+    G is the circular deviation: the range of the radial deviations about the least-squares circle. F_max and F_min are
+    the extremes of the radial deviation from the nominal circle about the least-squares centre. A plane whose travel
+    is too short for the radius is left out.
+    """
+    low, high = tables.machine.low, tables.machine.high
+    turn = np.linspace(0, 2 * np.pi, _AROUND, endpoint=False)
+    figures = []
+    for name, axes in PLANES.items():
+        most = float((high - low)[list(axes)].min()) / 2
+        own = 2 * _SHARE * most if radius is None else radius
+        if own > most:
+            continue
+        towards = np.zeros((3, _AROUND))
+        towards[axes[0]], towards[axes[1]] = np.cos(turn), np.sin(turn)
+        found = _profile(tables, tool, (low + high)[:, None] / 2 + own * towards, towards)
+        # the centre of the least-squares circle of a small deviation is its first harmonic (ISO 12181-1)
+        centre = np.column_stack([np.cos(turn), np.sin(turn)]) * np.sqrt(2 / _AROUND)
+        left = _Profile(
+            found.values - centre @ (centre.T @ found.values), found.rows - centre @ (centre.T @ found.rows), tables.raw
+        )
+        figures.append((name, own, *left.range_with_u(), float(left.values.max()), float(left.values.min())))
+    return _rows(("plane", "radius", "G", "U_G", "F_max", "F_min"), figures)
+
+
+def _rows(names: tuple[str, ...], rows: Sequence[tuple[str | float, ...]]) -> Table:
+    columns: dict[str, Values] = {name: np.array([row[i] for row in rows]) for i, name in enumerate(names)}
+    return Table(columns, dict.fromkeys(names[1:], "mm"))

@@ -1,0 +1,117 @@
+"""Figures of positioning of one line, with their uncertainty (ISO 230-2:2014, clause 3; ISO/TR 230-9)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+
+FIGURES = ("A", "A_up", "A_down", "R", "R_up", "R_down", "B", "B_mean", "E", "E_up", "E_down", "M")
+"""Accuracy, repeatability, reversal value and its mean, systematic deviation, range of the mean deviation"""
+COVERAGE = 2.0
+"""k of the stated U (ISO/TR 230-9)"""
+
+
+def figures(up: Array, down: Array) -> dict[str, float]:
+    """Return the figures from deviations (runs, targets) in the positive and in the negative direction [mm].
+
+    x is the mean and s the standard deviation (n - 1) of the runs at a target; extremes are over the targets:
+
+    - B = max |x_up - x_down|, B_mean the mean of `x_up - x_down` with its sign
+    - M = range of (x_up + x_down)/2
+    - E_up = range of x_up; E the range of all x
+    - R_up = max 4 s_up; R = max(2 s_up + 2 s_down + |x_up - x_down|, 4 s_up, 4 s_down)
+    - A_up = max(x_up + 2 s_up) - min(x_up - 2 s_up); A the same over both directions
+
+    R and A are nan where a direction that they need has one run.
+    """
+    means, spread = _at_targets(up, down)
+    return {name: one.value(means, spread) for name, one in _sums(means, spread).items()}
+
+
+@dataclass(frozen=True)
+class Measured:
+    """How well the readings of a line are known."""
+
+    reading: float
+    """Standard uncertainty of a reading, independent of all others [mm]"""
+    scale: float = 0.0
+    """Standard uncertainty of all distances of the line in common (device, temperature, misalignment)"""
+
+
+def expanded(up: Array, down: Array, targets: Array, known: Measured) -> dict[str, float]:
+    """Return U (k = 2) of each figure: `2 sqrt(u_r^2 sum g_i^2 + u_s^2 (sum g_i p_i)^2)`.
+
+    g is the derivative of the figure by each reading, p its position, u_r and u_s the uncertainties of a reading and
+    of the scale. The contributions are those of ISO 230-2:2014, annex A; they are propagated by the GUM, as
+    ISO/TR 230-9 asks, and not taken from the annex's formulas for five runs.
+    """
+    means, spread = _at_targets(up, down)
+    runs = np.array([[len(up)], [len(down)]])
+    found = {}
+    for name, one in _sums(means, spread).items():
+        # the derivatives of mean and standard deviation are square to each other, and those of the latter add up to 0
+        squares = (one.mean**2 / runs + one.spread**2 / np.maximum(runs - 1, 1)).sum()
+        u = COVERAGE * np.hypot(known.reading * np.sqrt(squares), known.scale * (one.mean * targets).sum())
+        found[name] = float(u) if np.isfinite(one.value(means, spread)) else float("nan")
+    return found
+
+
+def _at_targets(up: Array, down: Array) -> tuple[Array, Array]:
+    """Return means and standard deviations (nan of one run) at the targets, (2, targets) each."""
+    spread = [runs.std(axis=0, ddof=1) if len(runs) > 1 else np.full(runs.shape[1], np.nan) for runs in (up, down)]
+    return np.stack([up.mean(axis=0), down.mean(axis=0)]), np.stack(spread)
+
+
+@dataclass(frozen=True)
+class _Sum:
+    """A figure as a sum of means and standard deviations at targets: the factors of each, (2, targets)."""
+
+    mean: Array
+    spread: Array
+
+    def value(self, means: Array, spread: Array) -> float:
+        """Return the figure; nan if it has a standard deviation of one run."""
+        return float((self.mean * means).sum() + (self.spread * spread)[self.spread != 0].sum())
+
+
+def _sums(means: Array, spread: Array) -> dict[str, _Sum]:
+    """Return each figure as the sum that it is at the extremes of these values."""
+    gap, none, m = means[0] - means[1], np.zeros_like(means), means.shape[1]
+
+    def at(sides: Sequence[int], target: int, factor: float = 1.0) -> Array:
+        row = np.zeros_like(means)
+        row[list(sides), target] = factor
+        return row
+
+    def systematic(sides: tuple[int, ...]) -> _Sum:
+        ends = [divmod(int(pick(means[list(sides)])), m) for pick in (np.argmax, np.argmin)]
+        high, low = (at((sides[side],), target) for side, target in ends)
+        return _Sum(high - low, none)
+
+    def accuracy(sides: tuple[int, ...]) -> _Sum:
+        chosen, wide = means[list(sides)], 2 * spread[list(sides)]
+        ends = [divmod(int(end), m) for end in (np.argmax(chosen + wide), np.argmin(chosen - wide))]
+        high, low = (at((sides[side],), target) for side, target in ends)
+        return _Sum(high - low, 2 * (high + low))
+
+    def repeatability(side: int) -> _Sum:
+        return _Sum(none, at((side,), int(np.argmax(spread[side])), 4.0))
+
+    def reversal(target: int) -> Array:
+        return float(np.sign(gap[target])) * (at((0,), target) - at((1,), target))
+
+    widest, middle = int(np.argmax(2 * spread.sum(axis=0) + np.abs(gap))), means.mean(axis=0)
+    both = _Sum(reversal(widest), at((0, 1), widest, 2.0))
+    repeats = [both, repeatability(0), repeatability(1)]
+    return {
+        "A": accuracy((0, 1)), "A_up": accuracy((0,)), "A_down": accuracy((1,)),
+        "R": max(repeats, key=lambda one: one.value(means, spread)), "R_up": repeats[1], "R_down": repeats[2],
+        "B": _Sum(reversal(int(np.argmax(np.abs(gap)))), none),
+        "B_mean": _Sum(np.repeat([[1.0], [-1.0]], m, axis=1) / m, none),
+        "E": systematic((0, 1)), "E_up": systematic((0,)), "E_down": systematic((1,)),
+        "M": _Sum(at((0, 1), int(np.argmax(middle)), 0.5) - at((0, 1), int(np.argmin(middle)), 0.5), none),
+    }  # fmt: skip

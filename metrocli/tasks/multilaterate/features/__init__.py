@@ -1,0 +1,1 @@
+"""Ideal features through corrected points: least squares and minimum zone, with uncertainty."""

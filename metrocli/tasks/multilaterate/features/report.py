@@ -1,0 +1,129 @@
+"""Tables of the features through corrected points, with uncertainty from the joint covariance of the points."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from metrocli.errors import NotConvergedError, UndeterminedError
+from metrocli.table import Table
+from metrocli.tasks.multilaterate.features.fit import Criterion, Fit
+from metrocli.tasks.multilaterate.features.ideal import NUMBERS, Array, Shape
+from metrocli.tasks.multilaterate.features.least_squares import least_squares
+from metrocli.tasks.multilaterate.features.minimum_zone import minimum_zone
+from metrocli.tasks.multilaterate.features.wanted import Wanted
+from metrocli.tasks.multilaterate.probed.covariance import Joint
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+    from metrocli.table import Values
+
+FEATURES, POINTS, COVARIANCE = "features", "features_points", "features_covariance"
+_ALL = (*NUMBERS, "form")
+_UNITS = {"x": "mm", "y": "mm", "z": "mm", "radius": "mm", "half_angle": "rad", "form": "mm"}
+SHOWN = ("feature", "fit", "x", "y", "z", "radius", "s_radius", "form", "s_form")
+_WITHOUT = {
+    Shape.LINE: ("radius", "half_angle"),
+    Shape.PLANE: ("radius", "half_angle"),
+    Shape.CIRCLE: ("half_angle",),
+    Shape.SPHERE: ("i", "j", "k", "half_angle"),
+    Shape.CYLINDER: ("half_angle",),
+    Shape.CONE: (),
+}
+"""Numbers that a shape does not have: nan in the table"""
+
+
+def fitted(wanted: Sequence[Wanted], corrected: Table, joint: Joint) -> tuple[dict[str, Table], dict[str, Array]]:
+    """Return the tables of features and of their points, and the covariance of all numbers of all features.
+
+    The covariance (9F, 9F) is in the order of the rows and of x, y, z, i, j, k, radius, half_angle, form. Raises
+    UndeterminedError or NotConvergedError with the name of the feature.
+    """
+    if not wanted:
+        return {}, {}
+    points = corrected.stacked("xyz")
+    each = [(one, _fit(one, criterion, points[one.rows])) for one in wanted for criterion in one.criteria]
+    covariance = joint.propagated(_derivatives(each, points))
+    values = np.array([_numbers(fit, points[one.rows]) for one, fit in each])
+    std = np.sqrt(np.maximum(np.diag(covariance), 0.0)).reshape(values.shape)
+    _refuse_vague(each, values, std)
+    absent = np.array([[name in _WITHOUT[one.shape] for name in _ALL] for one, _ in each])
+    values[absent], std[absent] = np.nan, np.nan
+    columns: dict[str, Values] = {
+        "feature": np.array([one.name for one, _ in each]),
+        "shape": np.array([str(one.shape) for one, _ in each]),
+        "fit": np.array([str(fit.criterion) for _, fit in each]),
+        "points": np.array([len(one.rows) for one, _ in each]),
+    }
+    for i, name in enumerate(_ALL):
+        columns[name], columns[_std_of(name)] = values[:, i], std[:, i]
+    columns["optimality"] = np.array([np.nan if fit.contact is None else fit.contact.optimality for _, fit in each])
+    units = _UNITS | {_std_of(name): unit for name, unit in _UNITS.items()}
+    return {FEATURES: Table(columns, units), POINTS: _points(each, corrected)}, {COVARIANCE: covariance}
+
+
+def _std_of(name: str) -> str:
+    """Return the column of the standard uncertainty of a number: sx, as in /points, and s_radius."""
+    return f"s{name}" if len(name) == 1 else f"s_{name}"
+
+
+def _fit(one: Wanted, criterion: Criterion, points: Array) -> Fit:
+    try:
+        return (least_squares if criterion is Criterion.LEAST_SQUARES else minimum_zone)(one.shape, points)
+    except (UndeterminedError, NotConvergedError) as error:
+        raise type(error)(f"feature '{one.name}': {error}") from error
+
+
+def _refuse_vague(each: Sequence[tuple[Wanted, Fit]], values: Array, std: Array) -> None:
+    """Raise UndeterminedError for a feature that the errors of its points could move by its own size or turn around."""
+    for (one, fit), number, spread in zip(each, values, std, strict=True):
+        reach = np.append(spread[[0, 1, 2, 6]] / fit.ideal.size, spread[[3, 4, 5, 7]])
+        if not reach.max() < 1.0:
+            raise UndeterminedError(
+                f"feature '{one.name}': the {len(one.rows)} points do not determine a {one.shape}: within their "
+                f"uncertainty its place moves by {1e3 * spread[:3].max():.3g} um and its radius of "
+                f"{number[6]:.4g} mm by {1e3 * spread[6]:.3g} um; points farther apart along and around it "
+                "would determine it"
+            )
+
+
+def _numbers(fit: Fit, points: Array) -> Array:
+    return np.append(np.real(fit.ideal.numbers(points.mean(axis=0))), fit.form)
+
+
+def _derivatives(each: Sequence[tuple[Wanted, Fit]], points: Array) -> csr_array:
+    """Return the derivative of all numbers by all coordinates, sparse (9F, 3n)."""
+    from scipy.sparse import csr_array
+
+    rows, columns, values = [], [], []
+    for number, (one, fit) in enumerate(each):
+        derivative = fit.by_points(points[one.rows]).reshape(len(_ALL), -1)
+        at = (3 * one.rows[:, None] + np.arange(3)).ravel()
+        rows.append(np.repeat(len(_ALL) * number + np.arange(len(_ALL)), len(at)))
+        columns.append(np.tile(at, len(_ALL)))
+        values.append(derivative.ravel())
+    shape = (len(_ALL) * len(each), points.size)
+    return csr_array((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=shape)
+
+
+def _points(each: Sequence[tuple[Wanted, Fit]], corrected: Table) -> Table:
+    """Return the deviation of each point from its feature, and its weight where it is in contact."""
+    weights = []
+    for one, fit in each:
+        weight = np.zeros(len(one.rows))
+        if fit.contact is not None:
+            weight[fit.contact.rows] = fit.contact.weights
+        weights.append(weight)
+    sizes = [len(one.rows) for one, _ in each]
+    rows = np.concatenate([one.rows for one, _ in each])
+    columns: dict[str, Values] = {
+        "feature": np.repeat([one.name for one, _ in each], sizes),
+        "fit": np.repeat([str(fit.criterion) for _, fit in each], sizes),
+        "point": corrected.columns["point"][rows],
+        "deviation": np.concatenate([fit.deviations for _, fit in each]),
+        "contact": np.concatenate(weights),
+    }
+    return Table(columns, {"deviation": "mm"})

@@ -1,0 +1,60 @@
+"""The features that a job asks for, and their probing points."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from metrocli.errors import Fault, InputError
+from metrocli.settings import Placed
+from metrocli.table import Table
+from metrocli.tasks.multilaterate.features.fit import Criterion
+from metrocli.tasks.multilaterate.features.ideal import Shape
+from metrocli.tasks.multilaterate.features.least_squares import fewest
+from metrocli.words import suggestion
+
+Index = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """A feature to lay through some of the probing points."""
+
+    name: str
+    shape: Shape
+    criteria: tuple[Criterion, ...]
+    rows: Index
+
+
+def wanted_features(features: Mapping[str, Placed], probing: Table | None) -> tuple[Wanted, ...]:
+    """Return the features of a job; raises InputError for those without points or with too few."""
+    names = np.array([] if probing is None else probing.texts("feature"), dtype=str)
+    known = sorted(set(names.tolist()))
+    found, faults = [], []
+    for name, placed in features.items():
+        shape = Shape(placed.value if isinstance(placed.value, str) else placed.value.shape)
+        fit = "least-squares" if isinstance(placed.value, str) else placed.value.fit
+        rows = np.flatnonzero(names == name)
+        if fault := _fault(name, shape, len(rows), known, placed):
+            faults.append(fault)
+        found.append(Wanted(name, shape, tuple(Criterion) if fit == "both" else (Criterion(fit),), rows))
+    if faults:
+        raise InputError(faults)
+    return tuple(found)
+
+
+def _fault(name: str, shape: Shape, points: int, known: list[str], placed: Placed) -> Fault | None:
+    at = placed.node.path
+    if not known:
+        return placed.node.fault(f"{at}: features need `inputs: probing`", "expected probing points on the feature")
+    if not points:
+        return placed.node.fault(f"{at}: no probing point is of feature '{name}'", suggestion(name, known))
+    least = fewest(shape)
+    if points < least:
+        return placed.node.fault(
+            f"{at}: feature '{name}' has {points} points", f"expected {least} or more for a {shape}"
+        )
+    return None

@@ -1,0 +1,117 @@
+"""Repeated calibrations of one thing: drift, pooled standard deviation, and E_n against the first."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from metrocli.errors import InputError
+from metrocli.result import Result
+from metrocli.uncertainty.comparison import Quantity, compare, quantities
+from metrocli.uncertainty.coverage import factor
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Drift:
+    """The drift of one quantity over the calibrations."""
+
+    group: str
+    name: str
+    rate: float
+    """Slope of a straight line by least squares, weighted by the stated uncertainties; unit of the quantity per time"""
+    std: float
+    """Standard uncertainty of the rate, from the stated uncertainties"""
+    unit: str
+    expanded: float
+    """U of the rate, with the t factor of the calibrations"""
+
+    @property
+    def en(self) -> float:
+        """`|rate| / U`; 0 for no drift, inf for one of quantities without uncertainty."""
+        if self.rate == 0.0:
+            return 0.0
+        return abs(self.rate) / self.expanded if self.expanded > 0 else float("inf")
+
+
+@dataclass(frozen=True)
+class Pooled:
+    """The scatter of all quantities of one group and unit about their means."""
+
+    group: str
+    unit: str
+    std: float
+    """`sqrt(sum (x_ij - mean_i)^2 / (q (n - 1)))` over q quantities in n calibrations"""
+    expected: float
+    """Root mean square of the stated standard uncertainties: what the scatter is if nothing but them is there"""
+    dof: int
+    """q (n - 1); entries of tables are correlated, so it is an upper bound of the degrees of freedom"""
+
+
+@dataclass(frozen=True)
+class Repeated:
+    """What repeated calibrations show."""
+
+    drifts: tuple[Drift, ...]
+    pooled: tuple[Pooled, ...]
+    against_first: tuple[float, ...]
+    """Largest E_n of each later calibration against the first"""
+
+    @property
+    def max_en(self) -> float:
+        """Largest E_n of all calibrations against the first."""
+        return max(self.against_first)
+
+    @property
+    def max_drift_en(self) -> float:
+        """Largest E_n of a drift."""
+        return max(one.en for one in self.drifts)
+
+
+def repeated(results: Sequence[Result], times: Sequence[float]) -> Repeated:
+    """Return drift and scatter of what all results determine; times are in any unit, or numbers of the calibrations.
+
+    Raises InputError for results of two kinds or without a common quantity, and for times that do not differ.
+    """
+    at = np.asarray(times, dtype=float)
+    if not np.ptp(at) > 0:
+        raise InputError("the calibrations have one time: a drift needs two times at least")
+    against_first = tuple(compare(results[0], other).max_en for other in results[1:])
+    each = [quantities(result) for result in results]
+    names = [name for name in each[0] if all(name in one for one in each)]
+    drifts: list[Drift] = []
+    groups: dict[tuple[str, str], list[list[Quantity]]] = {}
+    for name in names:
+        rows = [one[name] for one in each]
+        if any(row.std > 0 for row in rows) or np.ptp([row.value for row in rows]) > 0:
+            drifts.append(_drift(name, rows, at))
+            groups.setdefault((name[0], rows[0].unit), []).append(rows)
+    return Repeated(
+        tuple(drifts), tuple(_pooled(group, unit, rows) for (group, unit), rows in groups.items()), against_first
+    )
+
+
+def _drift(name: tuple[str, str], rows: Sequence[Quantity], at: Array) -> Drift:
+    values, std = np.array([row.value for row in rows]), np.array([row.std for row in rows])
+    weights = 1 / std**2 if (std > 0).all() else np.ones(len(std))
+    moved = at - np.average(at, weights=weights)
+    gradient = weights * moved / (weights * moved**2).sum()
+    parts = gradient**2 * std**2
+    variance = float(parts.sum())
+    # Welch-Satterthwaite over the calibrations (GUM G.4.1)
+    doubt = float(sum(part**2 / row.dof for part, row in zip(parts, rows, strict=True)))
+    k = float(factor(1, variance**2 / doubt if doubt > 0 else np.inf))
+    spread = float(np.sqrt(variance))
+    return Drift(*name, float(gradient @ (values - values[0])), spread, rows[0].unit, k * spread)
+
+
+def _pooled(group: str, unit: str, rows: Sequence[Sequence[Quantity]]) -> Pooled:
+    values = np.array([[one.value - row[0].value for one in row] for row in rows])
+    std = np.array([[one.std for one in row] for row in rows])
+    dof = values.shape[0] * (values.shape[1] - 1)
+    scatter = ((values - values.mean(axis=1, keepdims=True)) ** 2).sum() / dof
+    return Pooled(group, unit, float(np.sqrt(scatter)), float(np.sqrt((std**2).mean())), dof)

@@ -1,0 +1,104 @@
+"""Circular and diagonal tests predicted from tables, against the textbook formulas of single errors."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simulated import machine as sim
+
+from metrocli.result import Result
+from metrocli.tasks.calibrate_machine import task as calibrate_machine
+from metrocli.tasks.calibrate_machine.settings import Volume
+
+KNOTS = (5, 5, 5)
+SPAN = sim.HIGH - sim.LOW
+MIDDLE = (sim.HIGH + sim.LOW) / 2
+PLANES = {"XY": (0, 1), "YZ": (1, 2), "ZX": (2, 0)}
+SIGNS = {"PPP": (1, 1, 1), "NPP": (-1, 1, 1), "PNP": (1, -1, 1), "NNP": (-1, -1, 1)}
+
+
+def calibrated(machine: sim.Machine, rng: np.random.Generator, noise: float, radius: float = 150.0) -> Result:
+    job = replace(sim.settings(tools=sim.THREE, knots=KNOTS), volume=Volume((3, 3, 3), radius))
+    points = sim.points(machine, rng, 150, sim.THREE, noise=noise)
+    return calibrate_machine.run(calibrate_machine.TASK.job(job, points=points))
+
+
+def round_trip(machine: sim.Machine, tool: np.ndarray, plane: str, radius: float) -> np.ndarray:  # type: ignore[type-arg]
+    """Radial deviations about the least-squares circle of the points that the machine reaches."""
+    a, b = PLANES[plane]
+    turn = np.linspace(0, 2 * np.pi, 360, endpoint=False)
+    path = np.tile(MIDDLE, (360, 1))
+    path[:, a] += radius * np.cos(turn)
+    path[:, b] += radius * np.sin(turn)
+    moved = path + np.array([machine.first_order(p, tool) for p in path])
+    u, v = moved[:, a] - MIDDLE[a], moved[:, b] - MIDDLE[b]
+    solved = np.linalg.lstsq(np.column_stack([2 * u, 2 * v, np.ones(360)]), u**2 + v**2, rcond=None)[0]
+    return np.asarray(np.hypot(u - solved[0], v - solved[1]) - radius)
+
+
+def test_squareness_alone() -> None:
+    """A circle becomes an ellipse of G = c R; a diagonal changes by c Lx Ly / D (ISO 230-6), shorter or longer."""
+    machine = sim.random_machine(np.random.default_rng(3), knots=KNOTS)
+    c = 4e-5
+    bare = replace(
+        machine,
+        tables={name: np.zeros_like(values) for name, values in machine.tables.items()},
+        squareness=np.array([0.0, 0.0, c]),
+    )
+    result = calibrated(bare, np.random.default_rng(4), 0.0)
+    found = result.tables["circular"]
+    assert found.texts("plane") == ["XY", "YZ", "ZX"]
+    assert found.numbers("G") == pytest.approx([c * 150, 0, 0], abs=1e-8)
+    assert found.numbers("F_max") == pytest.approx([c * 75, 0, 0], abs=1e-8)
+    assert found.numbers("F_min") == pytest.approx([-c * 75, 0, 0], abs=1e-8)
+    figures = result.tables["diagonal_figures"]
+    assert figures.texts("diagonal") == list(SIGNS)
+    length = np.linalg.norm(SPAN)
+    assert figures.numbers("length") == pytest.approx([length] * 4)
+    profile = result.tables["diagonals"].numbers("deviation").reshape(4, -1)
+    assert figures.numbers("E") == pytest.approx(np.ptp(profile, axis=1))
+    ends = [-sx * sy * c * SPAN[0] * SPAN[1] / length for sx, sy, _ in SIGNS.values()]
+    # the profile is that of a shear about machine zero: its end is the change of the diagonal's length
+    start = np.array([np.where(np.array(one) > 0, sim.LOW, sim.HIGH) for one in SIGNS.values()])
+    end = np.array([np.where(np.array(one) > 0, sim.HIGH, sim.LOW) for one in SIGNS.values()])
+    shear = np.array([-c, 0, 0])
+    exact = [np.linalg.norm(b + shear * b[1] - a - shear * a[1]) - length for a, b in zip(start, end, strict=True)]
+    assert exact == pytest.approx(ends, abs=1e-6)
+    assert profile[:, -1] == pytest.approx(ends, abs=1e-8)
+
+
+def test_the_circle_of_any_machine() -> None:
+    machine = sim.random_machine(np.random.default_rng(8), knots=KNOTS)
+    result = calibrated(machine, np.random.default_rng(9), 0.0)
+    tool = np.array(next(iter(sim.THREE.values())))
+    for row, plane in enumerate(PLANES):
+        left = round_trip(machine, tool, plane, 150.0)
+        found = {name: float(result.tables["circular"].numbers(name)[row]) for name in ("G", "F_max", "F_min")}
+        # the nominal radius and the first harmonic leave the second order, the square of the centre's shift over 2 R
+        assert found["G"] == pytest.approx(np.ptp(left), abs=1e-4)
+        assert found["F_max"] == pytest.approx(left.max(), abs=1e-4)
+
+
+def test_a_circle_larger_than_its_plane_is_left_out() -> None:
+    machine = sim.random_machine(np.random.default_rng(8), knots=KNOTS)
+    result = calibrated(machine, np.random.default_rng(9), 0.0, radius=float(np.sort(SPAN)[1] / 2 - 1))
+    assert len(result.tables["circular"]) == 1
+    assert np.isfinite(result.tables["circular"].numbers("G")).all()
+
+
+def test_uncertainty_covers_the_truth() -> None:
+    """8 calibrations of one machine: deviations of G and E from the truth in their standard uncertainties."""
+    machine = sim.random_machine(np.random.default_rng(8), knots=KNOTS)
+    rng = np.random.default_rng(10)
+    true = calibrated(machine, rng, 0.0)
+    scores = []
+    for _ in range(8):
+        result = calibrated(machine, rng, 1.0)
+        for table, name in (("circular", "G"), ("diagonal_figures", "E")):
+            off = result.tables[table].numbers(name) - true.tables[table].numbers(name)
+            scores.append(off / (result.tables[table].numbers(f"U_{name}") / 2))
+    squares = np.square(np.concatenate(scores))
+    # seven figures that are partly correlated, 8 times: 99.9 % of chi-square with about 25 degrees of freedom
+    assert 0.33 < squares.mean() < 2.15

@@ -1,0 +1,159 @@
+"""Features of corrected points in a job: their uncertainty, faults, and what a result holds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from simulated.features import cloud
+from simulated.lengths import Array, Network, network, settings
+
+from metrocli.errors import InputError, UndeterminedError
+from metrocli.nodes import Node, Source
+from metrocli.result import Result
+from metrocli.settings import Placed
+from metrocli.table import Table
+from metrocli.tasks.multilaterate import task as multilaterate
+from metrocli.tasks.multilaterate.features.ideal import Shape
+from metrocli.tasks.multilaterate.settings import SHAPES, Correction, Feature
+
+BALLS = np.array([[150.0, 150.0, 100.0], [800.0, 420.0, 380.0]])
+
+
+def asked(**features: str | Feature) -> Mapping[str, Placed]:
+    return {
+        name: Placed(value, Node("scalar", Source("job.yaml", (), Path()), f"features.{name}"))
+        for name, value in features.items()
+    }
+
+
+def run(net: Network, probed: Array, names: list[str], features: Mapping[str, Placed], **more: Any) -> Result:
+    """The job with the first points of a network probed at `probed`."""
+    columns = {"feature": np.array(names), "point": np.array(net.names[: len(names)])}
+    table = Table(columns | dict(zip("xyz", probed.T, strict=True)), dict.fromkeys("xyz", "mm"), "probing.csv")
+    job = replace(settings(), features=dict(features), **more)
+    # a loose prior of the tracers' places spares the search for them
+    files = (net.lengths(), net.point_table(), net.tracer_table(0.0, sigma=np.full(len(net.tracers), 1000.0)))
+    return multilaterate.run(multilaterate.TASK.job(job, *files, probing=table))
+
+
+def two_balls(rng: np.random.Generator) -> tuple[Network, list[str]]:
+    """14 points on each of two balls of 15 mm and 12 elsewhere, read by six tracers."""
+    unit = rng.normal(size=(2, 14, 3))
+    unit /= np.linalg.norm(unit, axis=2)[:, :, None]
+    points = np.concatenate([(BALLS[:, None] + 15 * unit).reshape(-1, 3), rng.uniform(0, 1, (12, 3)) * [900, 600, 500]])
+    net = replace(network(40, 6, seed=5), points=points, nominal=points + 0.01 * np.sin(points / 200))
+    return net, ["A"] * 14 + ["B"] * 14
+
+
+def test_the_uncertainty_of_features_is_what_they_scatter_by() -> None:
+    """24 measurements with 1 um at each probing: radii, and the distance of two centres with their covariance."""
+    rng = np.random.default_rng(8)
+    net, names = two_balls(rng)
+    scores = []
+    features = asked(A="sphere", B=Feature("sphere"))
+    for _ in range(24):
+        probed = net.nominal[:28] + 0.001 * rng.normal(size=(28, 3))
+        result = run(net.read(rng), probed, names, features, correction=Correction(0.0, 0.001))
+        found = result.tables["features"]
+        centres, covariance = found.stacked("xyz"), result.arrays["features_covariance"]
+        away = centres[1] - centres[0]
+        along = away / np.linalg.norm(away)
+        gradient = np.concatenate([-along, np.zeros(6), along, np.zeros(6)])
+        off = np.linalg.norm(away) - np.linalg.norm(BALLS[1] - BALLS[0])
+        scores.append(
+            [
+                off / np.sqrt(gradient @ covariance @ gradient),
+                *(found.numbers("radius") - 15) / found.numbers("s_radius"),
+            ]
+        )
+    # 24 distances and 48 radii: chi-square bounds of 99.9 %, both sides
+    squares = np.square(scores)
+    assert 0.32 < squares[:, 0].mean() < 2.20
+    assert 0.46 < squares[:, 1:].mean() < 1.79
+
+
+def test_points_of_one_replay_share_its_error() -> None:
+    """28 probings at two replays: the mean of 14 is no better known than the replay."""
+    rng = np.random.default_rng(2)
+    net, _ = two_balls(rng)
+    probed = np.repeat(net.nominal[:2], 14, axis=0) + 0.3 * rng.uniform(-1, 1, (28, 3))
+    columns = {"feature": np.repeat(["A", "B"], 14), "point": np.full(28, "")}
+    table = Table(columns | dict(zip("xyz", probed.T, strict=True)), dict.fromkeys("xyz", "mm"), "probing.csv")
+    job = replace(settings(), features=dict(asked(A="sphere")), correction=Correction(0.002, 0.0))
+    result = multilaterate.run(multilaterate.TASK.job(job, net.read(rng).lengths(), net.point_table(), probing=table))
+    centre, replay = result.arrays["features_covariance"][:3, :3], result.arrays["points_covariance"][0]
+    # the returns at the probing are 14, that of the replay is one
+    assert np.linalg.eigvalsh(centre - replay - 0.002**2 * np.eye(3)).min() > 0
+
+
+def test_a_job_gives_both_fits_of_each_shape() -> None:
+    rng = np.random.default_rng(4)
+    kinds = list(Shape)
+    parts = [cloud(shape, 20, 0.01, rng) / 3 + [500, 300, 250] for shape in kinds]
+    points = np.concatenate([*parts, rng.uniform(0, 1, (12, 3)) * [900, 600, 500]])
+    net = replace(network(132, 5, seed=6), points=points, nominal=points.copy()).read(rng)
+    names = [str(shape) for shape in kinds for _ in range(20)]
+    result = run(net, points[:120], names, asked(**{str(one): Feature(str(one), "both") for one in kinds}))
+    found, of_points = result.tables["features"], result.tables["features_points"]
+    assert found.texts("feature") == [str(one) for one in kinds for _ in range(2)]
+    assert found.texts("fit") == ["least-squares", "minimum-zone"] * 6
+    form = found.numbers("form").reshape(6, 2)
+    assert (form[:, 1] < form[:, 0]).all()
+    assert np.isnan(found.numbers("radius").reshape(6, 2)[:2]).all()
+    assert (found.numbers("s_form") > 0).all()
+    assert result.arrays["features_covariance"].shape == (108, 108)
+    for row, name in enumerate(found.texts("feature")):
+        own = (of_points.columns["feature"] == name) & (of_points.columns["fit"] == found.texts("fit")[row])
+        deviation = of_points.numbers("deviation")[own]
+        width = 2 * deviation.max() if name == "line" else np.ptp(deviation)
+        assert width == pytest.approx(found.numbers("form")[row], abs=1e-12)
+        assert of_points.numbers("contact")[own].sum() == pytest.approx(row % 2)
+
+
+def test_a_job_can_ask_for_every_shape() -> None:
+    assert tuple(Shape) == SHAPES
+
+
+def test_features_without_covariance_between_points_are_warned_of(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("metrocli.tasks.multilaterate.report.factors", lambda covariance, chosen: {})
+    net, names = two_balls(np.random.default_rng(1))
+    result = run(net.read(np.random.default_rng(1)), net.nominal[:28], names, asked(A="sphere"))
+    assert any("features take their points as independent" in line for line in result.warnings)
+    assert result.tables["features"].numbers("s_radius")[0] > 0
+
+
+def test_faults_of_features_are_listed() -> None:
+    net, names = two_balls(np.random.default_rng(1))
+    net = net.read(np.random.default_rng(1))
+    with pytest.raises(InputError) as found:
+        run(net, net.nominal[:28], [*names[:27], "C"], asked(a="sphere", C="plane"))
+    assert [fault.message for fault in found.value.faults] == [
+        "features.a: no probing point is of feature 'a'",
+        "features.C: feature 'C' has 1 points",
+    ]
+    assert [fault.hint for fault in found.value.faults] == ["did you mean 'A'?", "expected 3 or more for a plane"]
+    turn = np.linspace(0, 6, 14)
+    ring = np.column_stack([30 * np.cos(turn), 30 * np.sin(turn), 0 * turn]) + [100, 100, 100]
+    with pytest.raises(UndeterminedError, match="feature 'A': the 14 points do not determine a cylinder"):
+        run(net, np.concatenate([ring, net.nominal[14:28]]), names, asked(A="cylinder"), tolerance=1e3)
+
+
+def test_the_command_lists_features(tmp_path: Path, metrocli: Any) -> None:
+    """The sample with a feature: the terminal, --json and check."""
+    folder = tmp_path / "gear"
+    assert metrocli("init", folder, "--sample", "gear-m3d3").code == 0
+    job = folder / "jobs" / "tip3.yaml"
+    job.write_text(job.read_text() + "\nfeatures: {flank 1L: {shape: plane, fit: both}}\n")
+    assert metrocli("check", job).code == 0
+    done = metrocli("multilaterate", job)
+    assert done.code == 0 and "flank 1L" in done.out and "minimum-zone" in done.out
+    shown = metrocli("show", folder / "results" / "tip3.h5", "--table", "features")
+    assert shown.out.splitlines()[0].startswith("feature,shape,fit,points,x_mm,sx_mm,y_mm,sy_mm")
+    job.write_text(job.read_text().replace("flank 1L: {", "flank 1X: {"))
+    done = metrocli("check", job)
+    assert done.code == 3 and "did you mean 'flank 1R'" in done.err and "tip3.yaml:" in done.err
