@@ -62,7 +62,8 @@ def test_the_case_that_is_meant_to_be_infeasible(tmp_path: Path, metrocli: Metro
     for name in ("left", "right"):
         assert one.overstock_at(one.pose)[one.surface == name].mean() == pytest.approx(stock[name], abs=0.1)
     outward = turn(one.pose[3:]) @ [1.0, 0.0, 0.0]
-    too_much = stock["left"] + stock["right"] - stock["left-right"]
-    points = one.points - np.where(one.surface == "right", too_much, 0.0)[:, None] * outward
+    points = one.points.copy()
+    for name, sign in (("left", -1), ("right", 1)):
+        points[one.surface == name] -= sign * (stock[name] - stock["left-right"] / 2) * outward
     ran = metrocli("fit-part", replace(one, points=points).write(tmp_path))
     assert ran.code == 4 and "surfaces that contradict each other: left and right" in ran.err
