@@ -45,8 +45,7 @@ def command(result: Path, check: Path, aligned: bool, require: str | None, as_js
     found = verify(held, table, aligned)
     for remark in _remarks(held, record, table):
         echo(f"warning: {remark}", err=True)
-    laid = "length" not in table and not aligned
-    echo(summary.as_json(_figures(found)) if as_json else _text(found, laid))
+    echo(summary.as_json(_figures(found)) if as_json else _text(found))
     return 0 if wanted is None else wanted.exit_code(found)
 
 
@@ -78,14 +77,14 @@ def _figures(found: Verification) -> dict[str, Any]:
     return {"points": rows, **{name: getattr(found, name) for name in names}}
 
 
-def _text(found: Verification, laid: bool) -> str:
+def _text(found: Verification) -> str:
     from metrocli.cli.columns import worst_rows
 
     rows = [["point", "deviation [um]", "U [um]", "E_n"]]
     for one in sorted(found.deviations, key=lambda one: -one.en):
         rows.append([one.name, f"{1e3 * one.value:.3f}", f"{1e3 * one.expanded:.3f}", f"{one.en:.2f}"])
     lines = worst_rows(rows)
-    if laid:
+    if found.laid:
         lines.append("the points are laid onto the prediction by a shift and a turn (--aligned: as they are)")
     mean, rms, largest = (f"{1e3 * value:.4g} um" for value in (found.mean, found.rms, found.largest))
     lines.append(f"{len(found.deviations)} deviations: mean {mean}, rms {rms}, largest {largest}")
