@@ -11,6 +11,7 @@ import pytest
 from geometry.test_triangles import SIZE, block
 from simulated.castings import casting
 
+from metrocli.formats import hdf5
 from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.tasks.fit_part.readings import read
@@ -97,6 +98,16 @@ def test_points_of_a_result_come_with_their_covariance() -> None:
     assert np.array_equal(found.targets.points, places[3:])
 
 
+def test_points_that_are_neither_on_a_surface_nor_named_as_targets_are_left_out(
+    tmp_path: Path, metrocli: Metrocli
+) -> None:
+    """Such as the ends of scale bars; without `targets` they would be coded targets."""
+    job = casting(1).write(tmp_path, "targets: [T1, T2, T3, T4]")
+    ran = metrocli("fit-part", job)
+    assert ran.code == 0 and "2 points are neither on a surface nor among `targets`" in ran.err and "T0, T5" in ran.err
+    assert hdf5.read(tmp_path / "part.h5")[0].tables["targets"].texts("target") == ["T1", "T2", "T3", "T4"]
+
+
 def stl(path: Path, corners: np.typing.NDArray[np.float64]) -> None:
     lines = ["solid part"]
     for face in corners:
@@ -125,8 +136,6 @@ def points_on_block(folder: Path) -> Path:
 
 
 def test_a_mesh_gives_what_its_planes_give(tmp_path: Path, metrocli: Metrocli) -> None:
-    from metrocli.formats import hdf5
-
     job = points_on_block(tmp_path)
     stl(tmp_path / "part.stl", block(4).corners)
     assert metrocli("fit-part", job).code == 0
