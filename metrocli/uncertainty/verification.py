@@ -123,8 +123,8 @@ def columns_for(result: Result, header: Collection[str]) -> Columns:
     if not predicted.has_machine(result):
         raise InputError(
             f"this result of {result.kind} predicts neither points nor a machine's errors, so nothing can be held "
-            "against it: verify takes results of calibrate-machine, and those with a table of points and its "
-            "covariance (multilaterate, calibrate-camera with `rig: network`, align-part with `inputs: points`)"
+            "against it. Verify takes results of calibrate-machine, and those with a table of points and its "
+            "covariance: multilaterate, calibrate-camera with `rig: network`, align-part with `inputs: points`"
         )
     if lengths:
         raise InputError(
