@@ -14,7 +14,7 @@ from metrocli.geometry.triangles import Triangles
 
 
 def read(path: Path, held: FileBytes | None = None) -> Triangles:
-    """Return the mesh of a file, with equal vertices merged and triangles without area left out.
+    """Return the mesh of a file; vertices equal but for rounding are merged, triangles without area are left out.
 
     `held` are the bytes of the file where they were read before. Raises InputError if the file cannot be read or has no
     triangles. Coordinates are as in the file.
@@ -36,14 +36,18 @@ def read(path: Path, held: FileBytes | None = None) -> Triangles:
     return _merged(corners)
 
 
+_ALIKE = 1e-9
+"""Grid on which vertices are one, relative to the largest coordinate: what rounding of a calculation leaves"""
 _HINT = "expected a mesh of triangles in STL, PLY or OBJ"
 
 
 def _merged(corners: np.typing.NDArray[np.float64]) -> Triangles:
-    points = np.ascontiguousarray(corners.reshape(-1, 3)) + 0.0
-    order = np.argsort(_mixed(points), kind="stable")
-    ordered = points[order]
-    new = np.concatenate([[True], (ordered[1:] != ordered[:-1]).any(axis=1)])
+    points = np.ascontiguousarray(corners.reshape(-1, 3))
+    grid = _ALIKE * max(float(np.abs(points).max()), 1e-300)
+    cells = np.rint(points / grid) + 0.0
+    order = np.argsort(_mixed(cells), kind="stable")
+    ordered, cells = points[order], cells[order]
+    new = np.concatenate([[True], (cells[1:] != cells[:-1]).any(axis=1)])
     index = np.empty(len(points), dtype=np.intp)
     index[order] = np.cumsum(new) - 1
     faces = index.reshape(-1, 3)

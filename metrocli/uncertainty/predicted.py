@@ -25,6 +25,8 @@ from metrocli.words import suggestion
 
 Array = npt.NDArray[np.float64]
 COMMON, CORE, POINTS_COVARIANCE = "points_common", "points_core", "points_covariance"
+_IN_MACHINE = ("align-part",)
+"""Kinds of job whose points are in the frame of a machine, where they are measured too"""
 _SLACK = 1e-6
 """A commanded position beyond the range of an axis by less than this is rounding [mm]"""
 
@@ -51,6 +53,11 @@ def has_machine(result: Result) -> bool:
 def has_points(result: Result) -> bool:
     """Return whether a result has points with their covariance."""
     return POINTS in result.tables and POINTS_COVARIANCE in result.arrays
+
+
+def in_machine(result: Result) -> bool:
+    """Return whether the points of a result are in the frame of a machine, which no fit of a check may move."""
+    return result.kind in _IN_MACHINE
 
 
 def reached(result: Result, commanded: Table) -> Places:

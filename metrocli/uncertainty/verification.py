@@ -68,6 +68,8 @@ class Verification:
     """All deviations of a result from independent measurements."""
 
     deviations: tuple[Deviation, ...]
+    laid: bool = False
+    """Whether points were laid onto the prediction"""
 
     @property
     def mean(self) -> float:
@@ -112,8 +114,8 @@ def columns_for(result: Result, header: Collection[str]) -> Columns:
     if not predicted.has_machine(result):
         raise InputError(
             f"this result of {result.kind} predicts neither points nor a machine's errors, so nothing can be held "
-            "against it: verify takes results of calibrate-machine, and those with a table of points and its "
-            "covariance (multilaterate, calibrate-camera with `rig: network`)"
+            "against it. Verify takes results of calibrate-machine, and those with a table of points and its "
+            "covariance: multilaterate, calibrate-camera with `rig: network`, align-part with `inputs: points`"
         )
     if lengths:
         raise InputError(
@@ -126,7 +128,8 @@ def columns_for(result: Result, header: Collection[str]) -> Columns:
 def verify(result: Result, check: Table, aligned: bool = False) -> Verification:
     """Return the deviations of measurements, read by `columns_for`, from what a result predicts.
 
-    Points are laid onto the prediction by the shift and turn of least squares, unless they are `aligned` with it.
+    Points are laid onto the prediction by the shift and turn of least squares, unless they are `aligned` with it or the
+    result is in the frame of a machine.
     Raises InputError for rows without a prediction, and for points that are too few to be laid.
     """
     if not len(check):
@@ -140,12 +143,14 @@ def verify(result: Result, check: Table, aligned: bool = False) -> Verification:
     else:
         (places,), measured = predicted.listed(result, check, ("point",)), check.stacked(("x", "y", "z"))
     own = places.own + (check.numbers("sigma", 0.0) ** 2)[:, None, None] * np.eye(3)
-    left = _as_it_is if aligned else _after_fit
-    if not aligned:
+    laid = not (aligned or predicted.in_machine(result))
+    left = _after_fit if laid else _as_it_is
+    if laid:
         measured = _laid(check, measured, places.values)
     covariance, predicted_part = left(places, own), left(places, places.own)
     traces = (np.trace(one, axis1=1, axis2=2) for one in (predicted_part, covariance))
-    return Verification(_points(check.texts("point"), measured - places.values, covariance, effective(dof, *traces)))
+    deviations = _points(check.texts("point"), measured - places.values, covariance, effective(dof, *traces))
+    return Verification(deviations, laid)
 
 
 def _laid(check: Table, measured: Array, onto: Array) -> Array:

@@ -103,6 +103,18 @@ def test_pairs_are_taken_from_the_whole(make: str) -> None:
 
 
 @MAKES
+def test_members_of_one_block_apart_are_taken_from_the_whole(make: str) -> None:
+    problem, solution, _ = both(make)
+    covariance = solution.covariance_or_raise()
+    for name, block in problem.blocks.items():
+        m, s = block.values.shape
+        one = np.arange(m - 1)
+        full = covariance.of(name).reshape(m, s, m, s)
+        found = covariance.apart(name, one, one + 1)
+        assert np.allclose(found, full[one, :, one + 1, :], rtol=1e-9, atol=1e-9 * np.abs(full).max(initial=0))
+
+
+@MAKES
 def test_covariance_scales(make: str) -> None:
     problem, solution, _ = both(make)
     blocks = list(problem.blocks)

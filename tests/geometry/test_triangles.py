@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
+from metrocli.formats import meshes
+from metrocli.geometry.nearest_triangles import Search
 from metrocli.geometry.triangles import Array, Triangles
 
 SIZE = np.array([60.0, 40.0, 20.0])
@@ -40,7 +44,7 @@ def places(n: int = 3000) -> Array:
 
 def test_distance_of_coarse_and_fine_blocks() -> None:
     for cells in (1, 9):
-        found = block(cells).nearest(places())
+        found = Search(block(cells)).nearest(places())
         assert np.allclose(found.distance, distance(places()), atol=1e-9)
         inside = places() - found.distance[:, None] * found.normal
         assert np.allclose(distance(inside), 0, atol=1e-9)
@@ -48,13 +52,38 @@ def test_distance_of_coarse_and_fine_blocks() -> None:
 
 
 def test_an_answer_nearby_gives_the_same_as_a_new_search() -> None:
-    mesh, points = block(9), places()
-    before = mesh.nearest(points)
+    search, points = Search(block(9)), places()
+    before = search.nearest(points)
     for step in (1e-3, 0.3, 5.0):
         moved = points + np.array([step, -step, step])
-        again = mesh.nearest(moved, before)
+        again = search.nearest(moved, before)
         assert np.allclose(again.distance, distance(moved), atol=1e-9)
     assert (before.margin > 1e-3).mean() > 0.3
+
+
+def test_answers_stay_right_along_a_path_of_small_steps() -> None:
+    """Triangles near a point are remembered for a way; beyond it they are sought anew, for some points or for all."""
+    search, points = Search(block(9)), places(500)
+    rng = np.random.default_rng(7)
+    found = search.nearest(points)
+    for size in (0.01, 0.02, 0.2, 0.2, 0.5, 0.05, 3.0, 0.1):
+        points = points + rng.normal(size=points.shape) * size * rng.uniform(0, 1, (len(points), 1))
+        found = search.nearest(points, found)
+        assert np.allclose(found.distance, distance(points), atol=1e-9)
+        others = search.nearest(points)
+        assert (found.margin <= others.margin + 1e-9).all()
+
+
+def test_a_vertex_is_one_though_rounding_differs(tmp_path: Path) -> None:
+    mesh = block(2)
+    noise = np.random.default_rng(1).normal(size=mesh.corners.shape) * 1e-12
+    lines = ["solid part"]
+    for face in (mesh.corners + noise).tolist():
+        lines += ["facet normal 0 0 0", "outer loop", *(f"vertex {x!r} {y!r} {z!r}" for x, y, z in face)]
+        lines += ["endloop", "endfacet"]
+    (tmp_path / "part.stl").write_text("\n".join([*lines, "endsolid part", ""]))
+    read = meshes.read(tmp_path / "part.stl")
+    assert len(read.vertices) == len(mesh.vertices) and not read.open_edges.size
 
 
 def test_patches_are_the_faces_of_the_block() -> None:

@@ -95,6 +95,22 @@ class Covariance:
         covariance: Array = self.factor * np.moveaxis(picked, 0, -1)
         return covariance
 
+    def apart(self, name: str, index: Index, other: Index) -> Array:
+        """Return the covariance of members `index` (n,) with members `other` (n,) of one block, (n, size, size).
+
+        The members of a pair differ.
+        """
+        if name != self.layout.eliminated:
+            return np.moveaxis(self.pairs(name, index, name, other), -1, 0)
+        members = self.eliminated
+        found = members.weights[index] @ self.reduced @ np.swapaxes(members.weights[other], 1, 2)
+        if members.gauge is not None:
+            moves, share = members.gauge.moves, members.share
+            found = (
+                found - moves[index] @ np.swapaxes(share[other], 1, 2) - share[index] @ np.swapaxes(moves[other], 1, 2)
+            )
+        return self.factor * found
+
     @cached_property
     def _cross(self) -> Array:
         """Minus the covariance of the eliminated members with the reduced unknowns, (members, s, width)."""

@@ -14,10 +14,9 @@ from metrocli.cli.look import requirement
 if TYPE_CHECKING:
     from metrocli.record import Record
     from metrocli.uncertainty.comparison import Comparison
-    from metrocli.uncertainty.repeated import Repeated
 
-FIGURES, OF_SEVERAL = ("max_en", "p_value", "chi2"), ("max_en", "max_drift_en")
-"""What --require can take, for two results and for more"""
+FIGURES = ("max_en", "p_value", "chi2")
+"""What --require can take for two results"""
 
 
 @click.command(
@@ -27,12 +26,18 @@ FIGURES, OF_SEVERAL = ("max_en", "p_value", "chi2"), ("max_en", "max_drift_en")
 @click.argument("first", type=click.Path(path_type=Path), metavar="A.h5")
 @click.argument("others", type=click.Path(path_type=Path), metavar="B.h5 [C.h5 ...]", nargs=-1, required=True)
 @click.option("--days", metavar="0,90,...", help="Days at which three or more results were measured; else numbered.")
-@requirement.option("'max_en < 1' or 'p_value > 0.05'")
+@click.option("--sets", is_flag=True, help="Three or more results are repeated sets without an order: their scatter.")
+@requirement.option("'max_en < 1' or 'p_value > 0.05'; of more results 'max_drift_en < 1', of sets 'max_ratio < 2'")
 @options.JSON
-def command(first: Path, others: tuple[Path, ...], days: str | None, require: str | None, as_json: bool) -> int:
-    """Print B minus A, or what repeated calibrations show; raises UsageError for a wrong condition or wrong days."""
-    if len(others) > 1 or days is not None:
-        return _several((first, *others), days, require, as_json)
+def command(
+    first: Path, others: tuple[Path, ...], days: str | None, sets: bool, require: str | None, as_json: bool
+) -> int:
+    """Print B minus A, or what repeated measurements show; raises UsageError for a wrong condition or wrong days."""
+    if sets or len(others) > 1 or days is not None:
+        from metrocli.cli.look import repeated
+
+        files = (first, *others)
+        return repeated.sets(files, days, require, as_json) if sets else repeated.series(files, days, require, as_json)
     (second,) = others
     from metrocli.cli import summary
     from metrocli.formats import hdf5
@@ -43,68 +48,6 @@ def command(first: Path, others: tuple[Path, ...], days: str | None, require: st
     found, shared = compare(one, other), _shared(of_one, of_other)
     echo(summary.as_json(_figures(found, shared)) if as_json else _text(found, shared))
     return 0 if wanted is None else wanted.exit_code(found)
-
-
-def _several(files: tuple[Path, ...], days: str | None, require: str | None, as_json: bool) -> int:
-    from metrocli.cli import summary
-    from metrocli.formats import hdf5
-    from metrocli.uncertainty.repeated import repeated
-
-    wanted = requirement.read(require, OF_SEVERAL)
-    times, time = _times(days, len(files))
-    found = repeated([hdf5.read(file)[0] for file in files], times)
-    echo(summary.as_json(_figures_of(found, files, times, time)) if as_json else _text_of(found, files, time))
-    return 0 if wanted is None else wanted.exit_code(found)
-
-
-def _times(days: str | None, number: int) -> tuple[list[float], str]:
-    """Return the times and their unit; without days the numbers of the calibrations."""
-    from metrocli.errors import UsageError
-
-    if days is None:
-        return [float(i) for i in range(number)], "calibration"
-    try:
-        times = [float(part) for part in days.split(",")]
-    except ValueError:
-        times = []
-    if len(times) != number:
-        raise UsageError(f"--days '{days}': expected {number} numbers, one a result, such as '0,90,181'")
-    return times, "d"
-
-
-def _figures_of(found: Repeated, files: tuple[Path, ...], times: list[float], time: str) -> dict[str, Any]:
-    drift: dict[str, dict[str, Any]] = {}
-    for one in found.drifts:
-        row = {"rate": one.rate, "std": one.std, "unit": f"{one.unit}/{time}", "U": one.expanded, "en": one.en}
-        drift.setdefault(one.group, {})[one.name] = row
-    pooled = [
-        {"group": one.group, "unit": one.unit, "std": one.std, "expected": one.expected, "dof": one.dof}
-        for one in found.pooled
-    ]
-    calibrations = [
-        {"file": str(file), "time": at, "max_en": en}
-        for file, at, en in zip(files, times, (0.0, *found.against_first), strict=True)
-    ]
-    figures = {"max_en": found.max_en, "max_drift_en": found.max_drift_en}
-    return {"calibrations": calibrations, "drift": drift, "pooled": pooled, **figures}
-
-
-def _text_of(found: Repeated, files: tuple[Path, ...], time: str) -> str:
-    from metrocli import units
-    from metrocli.cli.columns import columns_text, worst_rows
-
-    rows = [["quantity", f"drift per {time}", "E_n"]]
-    for one in sorted(found.drifts, key=lambda one: -one.en):
-        name = one.name if one.group == "estimates" else f"{one.group} {one.name}"
-        rows.append([name, units.format_quantity(one.rate, one.unit, one.std), f"{one.en:.2f}"])
-    scatter = [["group", "pooled standard deviation", "stated", "degrees of freedom"]]
-    for group in found.pooled:
-        times, symbol = units.column_unit(group.expected, group.unit)
-        sizes = (f"{value / times:.3g} {symbol}".rstrip() for value in (group.std, group.expected))
-        scatter.append([group.group, *sizes, f"{group.dof}"])
-    against = [["against the first", "largest E_n"]]
-    against += [[str(file), f"{en:.2f}"] for file, en in zip(files[1:], found.against_first, strict=True)]
-    return "\n".join([*worst_rows(rows), "", columns_text(scatter), "", columns_text(against)])
 
 
 def _shared(first: Record, second: Record) -> list[str]:

@@ -54,11 +54,10 @@ def command(result: Path, check: Path, aligned: bool, mpe: str | None, require: 
     tested = () if limit is None else length_errors(found.deviations, table, limit)
     for remark in _remarks(held, record, table):
         echo(f"warning: {remark}", err=True)
-    laid = "length" not in table and not aligned
     if as_json:
         echo(summary.as_json(_figures(found) | _length_figures(tested)))
     else:
-        echo("\n".join([_text(found, laid, held.degrees_of_freedom()), *_length_text(tested)]))
+        echo("\n".join([_text(found, held.degrees_of_freedom()), *_length_text(tested)]))
     if wanted is None:
         return 0
     return wanted.exit_code(_Ratio(_largest(tested)) if wanted.figure == "mpe_ratio" else found)
@@ -132,14 +131,14 @@ def _length_text(tested: Sequence[LengthError]) -> Iterator[str]:
         yield f"{len(tested)} lengths; {complete}"
 
 
-def _text(found: Verification, laid: bool, dof: float) -> str:
+def _text(found: Verification, dof: float) -> str:
     from metrocli.cli.columns import worst_rows
 
     rows = [["point", "deviation [um]", "U [um]", "E_n"]]
     for one in sorted(found.deviations, key=lambda one: -one.en):
         rows.append([one.name, f"{1e3 * one.value:.3f}", f"{1e3 * one.expanded:.3f}", f"{one.en:.2f}"])
     lines = worst_rows(rows)
-    if laid:
+    if found.laid:
         lines.append("the points are laid onto the prediction by a shift and a turn (--aligned: as they are)")
     mean, rms, largest = (f"{1e3 * value:.4g} um" for value in (found.mean, found.rms, found.largest))
     lines.append(f"{len(found.deviations)} deviations: mean {mean}, rms {rms}, largest {largest}")

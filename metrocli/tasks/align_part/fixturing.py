@@ -1,66 +1,152 @@
-"""Corrections of the fixture: how far each support of the part is raised until the part is level in the machine."""
+"""Corrections of the fixture: the zero point for the machine, and how far screws raise the part until it is level."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.errors import InputError
-from metrocli.geometry.rotations import rotation_from_euler
+from metrocli.geometry import poses
+from metrocli.geometry.rotations import rotation_from_euler, rotation_from_vector
 from metrocli.table import TEXT, Column, Columns, Table
 from metrocli.units import format_quantity
 
+if TYPE_CHECKING:
+    from metrocli.table import Values
+
 SUPPORTS = Columns(
-    (Column("support", TEXT), Column("x", "length"), Column("y", "length")),
+    (Column("support", TEXT), Column("x", "length"), Column("y", "length"), Column("z", "length", required=False)),
     key=("support",),
     description="supports of the part, in the machine, that raise it along z",
 )
 FEWEST = 3
-_STEP = 1e-6
-"""Turn of a difference [rad]"""
+STEEPEST = np.radians(10.0)
+"""Tilt of the part up to which screws level it"""
+_STEPS = np.array([1e-3, 1e-3, 1e-3, 1e-6, 1e-6, 1e-6])
+"""Steps of a difference [mm, rad]"""
+_ORDER = (("shift x", 0), ("shift y", 1), ("shift z", 2), ("turn about z", 5), ("turn about y", 4), ("turn about x", 3))
+"""Moves of the zero point in the order in which a machine makes them, `R = Rz(gamma) Ry(beta) Rx(alpha)`"""
+
+
+@dataclass(frozen=True)
+class Corrections:
+    """What the operator sets or turns."""
+
+    tables: dict[str, Table]
+    notes: tuple[str, ...]
+    warnings: tuple[str, ...] = ()
+
+
+def corrections(values: Array, covariance: Array, supports: Table | None) -> Corrections:
+    """Return the moves of the zero point, and with supports how far to raise each and the zero point afterwards.
+
+    `values` (6,) and `covariance` (6, 6) are those of x, y, z, alpha, beta, gamma; the supports pass `must_level`.
+    """
+    std = np.sqrt(np.diag(covariance))
+    if supports is None:
+        return Corrections({"zero_point": _zero_point(values, std)}, tuple(_zero_in_words(values, std)))
+    tilt = float(np.arccos(min(abs(rotation_from_euler(*values[3:6])[2, 2]), 1.0)))
+    if tilt > STEEPEST:
+        steep = (
+            f"the part's z axis is {np.degrees(tilt):.0f} deg off that of the machine: screws level a tilt of up to "
+            f"{np.degrees(STEEPEST):.0f} deg, so the supports are not used",
+        )
+        return Corrections({"zero_point": _zero_point(values, std)}, tuple(_zero_in_words(values, std)), steep)
+    found = _screws(values, covariance, supports)
+    stays = supports.texts("support").index(found.texts("support")[-1])
+    level = _propagated(levelling(values, supports, stays), values, covariance)
+    tables = {"zero_point": _zero_point(values, std, level), "supports": found}
+    return Corrections(tables, (*_zero_in_words(values, std), *_in_words(found, level)))
+
+
+def _propagated(function: Callable[[Array], Array], values: Array, covariance: Array) -> tuple[Array, Array]:
+    """Return the values of a function of the pose, and their standard uncertainties."""
+    by = np.stack(
+        [(function(values + h) - function(values - h)) / (2 * h.sum()) for h in np.diag(_STEPS)],
+        axis=1,
+    )
+    return function(values), np.sqrt(np.einsum("na,ab,nb->n", by, covariance, by))
+
+
+def _zero_point(values: Array, std: Array, level: tuple[Array, Array] | None = None) -> Table:
+    """Return the table `zero_point`; `level` are the values after the screws, with their uncertainties."""
+    rows = [number for _, number in _ORDER]
+    columns: dict[str, Values] = {
+        "move": np.array([name for name, _ in _ORDER]),
+        "value": values[rows],
+        "std": std[rows],
+    }
+    if level is not None:
+        columns |= {"levelled": level[0][rows], "levelled_std": level[1][rows]}
+    return Table({**columns, "unit": np.array(["mm"] * 3 + ["rad"] * 3)})
 
 
 def must_level(supports: Table) -> None:
     """Raise InputError if supports cannot turn a part about x and y: fewer than three, or all on one line."""
     places = supports.stacked(("x", "y"))
     if len(places) < FEWEST:
-        raise InputError([supports.fault(f"{len(places)} supports; a part is levelled by {FEWEST} or more")])
+        hint = "list the screws below the part, e.g. one at each corner"
+        raise InputError([supports.fault(f"{len(places)} supports; a part is levelled by {FEWEST} or more", hint)])
     sizes = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
     if sizes[1] < 1e-3 * sizes[0]:
         raise InputError([supports.fault("all supports lie on one line", "add one beside it")])
 
 
 def raises(angles: Array, places: Array) -> Array:
-    """Return how far each support (n, 2) is raised so that the part's z axis is that of the machine (n,), least 0.
+    """Return how far each support (n, 2) is raised so that the part is level in the machine (n,).
 
-    With k = R e_z the part's plane falls by (kx, ky)/kz; what is raised by as much is level.
+    The least is 0. With k = R e_z the part's plane falls by (kx, ky)/kz; what is raised by as much is level.
     """
     k = rotation_from_euler(*angles)[:, 2]
     heights = places @ (k[:2] / k[2])
     return np.asarray(heights - heights.min())
 
 
-def corrections(values: Array, covariance: Array, supports: Table) -> Table:
+def levelling(values: Array, supports: Table, stays: int) -> Callable[[Array], Array]:
+    """Return the function from a pose (6,) before the screws are turned to that afterwards.
+
+    The screws are set by `values`. The part turns about its contact with the support that stays, by the smallest
+    rotation that makes `values` level, and does not slip. Without the column z the contact is on its plane z = 0.
+    """
+    k, shift = rotation_from_euler(*values[3:6])[:, 2], values[:3]
+    at = supports.stacked(("x", "y"))[stays]
+    height = float(supports.numbers("z")[stays]) if "z" in supports else float("nan")
+    if np.isnan(height):
+        height = float(shift[2] - (at - shift[:2]) @ k[:2] / k[2])
+    contact = np.append(at, height)
+    axis = np.cross(k, [0.0, 0.0, np.sign(k[2])])
+    size = float(np.linalg.norm(axis))
+    by = rotation_from_vector(axis * (np.arctan2(size, abs(k[2])) / size if size > 0 else 1.0))
+
+    def after(pose: Array) -> Array:
+        turned = by @ rotation_from_euler(*pose[3:6])
+        return poses.euler_form(poses.pose(turned, by @ (pose[:3] - contact) + contact))
+
+    return after
+
+
+def _screws(values: Array, covariance: Array, supports: Table) -> Table:
     """Return the table `supports`: what to raise, by how much, in the order to turn the screws, the largest first.
 
-    `values` (6,) and `covariance` (6, 6) are those of x, y, z, alpha, beta, gamma. Raises InputError as `must_level`.
+    `tilt_left` is the slope of the plane of least squares through all supports after this screw and those before it.
     """
-    must_level(supports)
     places = supports.stacked(("x", "y"))
     size = raises(values[3:6], places)
     lowest = int(size.argmin())
 
-    def relative(angles: Array) -> Array:
-        found = raises(angles, places)
+    def relative(at: Array) -> Array:
+        found = raises(at[3:6], places)
         return np.asarray(found - found[lowest])
 
-    by_angle = np.stack(
-        [(relative(values[3:6] + h) - relative(values[3:6] - h)) / (2 * _STEP) for h in _STEP * np.eye(3)], axis=1
-    )
-    std = np.sqrt(np.einsum("na,ab,nb->n", by_angle, covariance[3:6, 3:6], by_angle))
+    _, std = _propagated(relative, values, covariance)
     order = np.argsort(-size, kind="stable")
+    # column j: what is left to raise after the screws up to j
+    left = np.tril(size[order][:, None] * np.ones(len(size)), -1)
+    slopes = np.linalg.lstsq(np.column_stack([places[order], np.ones(len(size))]), left, rcond=None)[0][:2]
     return Table(
         {
             "support": np.array(supports.texts("support"), dtype=str)[order],
@@ -68,16 +154,32 @@ def corrections(values: Array, covariance: Array, supports: Table) -> Table:
             "y": places[order, 1],
             "raise": size[order],
             "raise_std": std[order],
+            "tilt_left": np.hypot(*slopes),
         },
-        dict.fromkeys(("x", "y", "raise", "raise_std"), "mm"),
+        {**dict.fromkeys(("x", "y", "raise", "raise_std"), "mm"), "tilt_left": "rad"},
     )
 
 
-def in_words(values: Array, covariance: Array, found: Table) -> Iterator[str]:
+def _zero_in_words(values: Array, std: Array) -> Iterator[str]:
+    yield f"zero point of the part in the machine: {_moves(values, std, _ORDER)}"
+
+
+def _moves(values: Array, std: Array, moves: tuple[tuple[str, int], ...]) -> str:
+    units = ("mm",) * 3 + ("rad",) * 3
+    return ", ".join(f"{name} {format_quantity(float(values[k]), units[k], float(std[k]))}" for name, k in moves)
+
+
+def _in_words(found: Table, level: tuple[Array, Array]) -> Iterator[str]:
     """Yield what the operator does, and what is left for the zero point of the machine."""
-    steps = zip(found.texts("support"), found.numbers("raise"), found.numbers("raise_std"), strict=True)
+    steps = zip(*(found.columns[name] for name in ("support", "raise", "raise_std", "tilt_left")), strict=True)
     yield "to level the part, raise the supports in this order:"
-    for name, size, std in steps:
-        yield f"    {name}: {format_quantity(size, 'mm', std)}" if std > 0 else f"    {name}: stays"
-    turn = format_quantity(float(values[5]), "rad", float(np.sqrt(covariance[5, 5])))
-    yield f"left for the machine: turn about z by gamma = {turn}; measure again for the zero point"
+    for name, size, std, left in steps:
+        if std > 0:
+            tilt = "" if left < 1e-9 else f" (tilt left {1e3 * left:.3f} mm/m)"
+            yield f"    {name}: {format_quantity(float(size), 'mm', float(std))}{tilt}"
+        else:
+            yield f"    {name}: stays"
+    left_over = (*_ORDER[:4],)
+    yield f"then, if the part does not slip, its zero point is: {_moves(*level, left_over)}"
+    worst = float(level[1][3:5].max())
+    yield f"tilt that may be left: {2e3 * worst:.3f} mm/m (k = 2); measure again if it matters that nothing slips"

@@ -23,8 +23,9 @@ from metrocli.table import Table
 from metrocli.tasks.align_part import KIND
 from metrocli.tasks.align_part.fitted_targets import added_by_fit
 from metrocli.tasks.align_part.fixturing import corrections
-from metrocli.tasks.align_part.fixturing import in_words as in_words_of_supports
+from metrocli.tasks.align_part.gauging import predicted_points
 from metrocli.tasks.align_part.problem import Problem
+from metrocli.tasks.align_part.settings import Files
 from metrocli.tasks.align_part.uncontrolled import uncontrolled
 from metrocli.tasks.shared.images.adjustment import Adjusted
 from metrocli.tasks.shared.images.camera_parameters import HIGH
@@ -94,10 +95,8 @@ def _estimates(
     return names, values, (covariance + covariance.T) / 2, units
 
 
-def report(
-    problem: Problem, adjusted: Adjusted, prediction: Prediction | None, supports: Table | None = None
-) -> Result:
-    """Return the result of a solved alignment, with the corrections of its supports if they are given."""
+def report(problem: Problem, adjusted: Adjusted, prediction: Prediction | None, files: Files) -> Result:
+    """Return the result of a solved alignment, with the corrections of its fixture and the points to gauge."""
     solution = adjusted.solution
     found = adjusted.known_residuals()
     names, values, covariance, units = _estimates(solution, problem.effects)
@@ -134,10 +133,12 @@ def report(
         TABLE: hidden,
         **effect_tables,
     }
-    levelling: tuple[str, ...] = ()
-    if supports is not None:
-        tables["supports"] = corrections(values[:6], covariance[:6, :6], supports)
-        levelling = tuple(in_words_of_supports(values[:6], covariance[:6, :6], tables["supports"]))
+    fixture = corrections(values[:6], covariance[:6, :6], files.supports)
+    tables |= fixture.tables
+    if files.points is not None:
+        pose = solution.blocks[spindle.PART].values[0]
+        tables["points"], of_points = predicted_points(files.points, pose, covariance[:6, :6])
+        arrays |= of_points
     return Result(
         kind=KIND.name,
         title="",
@@ -146,9 +147,9 @@ def report(
         statistics=statistics,
         tables=tables,
         arrays=arrays,
-        warnings=tuple(_warnings(problem, adjusted, views, prediction)),
+        warnings=(*_warnings(problem, adjusted, views, prediction), *fixture.warnings),
         shown=(ShownTable("views", ("image", "readings", "rms", "largest", "largest_target")),),
-        notes=(*_notes(solution, adjusted, prediction), *levelling, *in_words(hidden)),
+        notes=(*_notes(solution, adjusted, prediction), *fixture.notes, *in_words(hidden)),
         details=adjusted.structured.details(names) if adjusted.structured is not None else {},
         plain=("dof",),
     )

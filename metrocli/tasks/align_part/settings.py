@@ -18,6 +18,7 @@ from metrocli.tasks.shared.images.settings import eccentricity_setting, image_fa
 from metrocli.tasks.shared.images.sightings import OBSERVATIONS
 from metrocli.tasks.shared.images.target_list import TARGETS
 from metrocli.tasks.shared.structured_noise import NOISE_HELP
+from metrocli.units.ranges import Range, range_of
 
 POSES = Columns(
     (
@@ -31,6 +32,13 @@ POSES = Columns(
     ),
     ("image",),
     "commanded poses of the spindle",
+)
+
+_SIGMA = Column("sigma", "length", required=False, allowed=Range(0.0, range_of("length").high))
+POINTS = Columns(
+    (Column("point", TEXT), *(Column(axis, "length") for axis in "xyz"), _SIGMA),
+    ("point",),
+    "points of the part, in its frame",
 )
 
 
@@ -50,6 +58,9 @@ class Inputs:
     supports: Path | None = setting(
         TableFile(SUPPORTS), "supports that raise the part along z of the machine", default=None
     )
+    points: Path | None = setting(
+        TableFile(POINTS), "points of the part whose places in the machine are predicted, to gauge them", default=None
+    )
     observations: Path | None = setting(TableFile(OBSERVATIONS), "image coordinates of targets", default=None)
     images: tuple[Path, ...] | None = setting(
         ImageFiles(), "images, such as img/*.png, instead of observations", default=None
@@ -64,6 +75,7 @@ class Files:
     poses: Table
     targets: Table | Result
     supports: Table | None = None
+    points: Table | None = None
     observations: Table | None = None
     images: ImageSet | None = None
 

@@ -44,7 +44,7 @@ def run(job: Job[Settings, Files]) -> Result:
     adjusted = solved(job.settings, problem)
     if job.settings.noise == STRUCTURED:
         adjusted = adjusted.with_structure(delivered(problem.effects))
-    return report(problem, adjusted, prediction, job.files.supports)
+    return report(problem, adjusted, prediction, job.files)
 
 
 def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:

@@ -28,11 +28,6 @@ from metrocli.tasks.shared.images.eccentricity import corrected
 from metrocli.tasks.shared.images.sightings import Sighted, check_inside
 from metrocli.words import listed
 
-_STRANGE = "not in the list of targets"
-_FEWEST_READINGS = 4
-"""Fewest readings that determine the pose of one camera"""
-_ON_A_LINE = 1e-9
-"""Extent across a line of targets that is rounding, as a share of the extent along it"""
 _GUESSES = (1.0, 0.5, 2.0, 4.0, 8.0)
 """Focal lengths to try, in units of the longer side of the image, if the start from the views fails"""
 _LOST = 0.02

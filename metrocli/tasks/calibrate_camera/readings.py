@@ -21,10 +21,6 @@ _FEWEST_READINGS = 4
 """Fewest readings that determine the pose of one camera"""
 _ON_A_LINE = 1e-9
 """Extent across a line of targets that is rounding, as a share of the extent along it"""
-_GUESSES = (1.0, 0.5, 2.0, 4.0, 8.0)
-"""Focal lengths to try, in units of the longer side of the image, if the start from the views fails"""
-_LOST = 0.02
-"""A median residual above this share of the longer side of the image means that the start failed"""
 
 
 def check_targets(rig: str, sighted: Sighted) -> None:
@@ -70,29 +66,42 @@ def scale_bars(bars: Table | None, names: tuple[str, ...], seen: Index) -> list[
     """
     if bars is None:
         return []
-    place = {name: i for i, name in enumerate(names)}
-    ends = [bars.texts("from"), bars.texts("to")]
-    wrong = [
-        (row, f"scale bar end '{name}' is {'seen in fewer than two images' if name in place else _STRANGE}")
-        for column in ends
-        for row, name in enumerate(column)
-        if name not in place or seen[place[name]] < 2
-    ]
-    for name in ("length", "sigma"):
-        wrong += [
-            (int(row), f"the {name} of the scale bar is not above zero")
-            for row in np.flatnonzero(bars.numbers(name) <= 0)
-        ]
-    faults = [bars.fault_at(row, text) for row, text in wrong]
-    if faults:
-        raise InputError(faults)
-    index = np.array([[place[name] for name in column] for column in ends], dtype=np.intp)
+    index = ends_of(bars, names, seen, "scale bar")
     observations = Observations(
         bars.numbers("length")[None],
         bars.numbers("sigma")[None],
         {camera.TARGET: index},
-        keys={"from": tuple(ends[0]), "to": tuple(ends[1])},
+        keys={"from": tuple(bars.texts("from")), "to": tuple(bars.texts("to"))},
         components=("length",),
         unit="mm",
     )
     return [Group("scale bars", Chain((DistanceBetween(camera.TARGET),)), observations)]
+
+
+def ends_of(lengths: Table, names: tuple[str, ...], seen: Index, what: str) -> Index:
+    """Return the targets at both ends of calibrated lengths, (2, n).
+
+    Raises InputError as `scale_bars`; `what` names a length in its messages.
+    """
+    place = {name: i for i, name in enumerate(names)}
+    ends = [lengths.texts("from"), lengths.texts("to")]
+    wrong = [
+        (row, f"{what} end '{name}' is {'seen in fewer than two images' if name in place else _STRANGE}")
+        for column in ends
+        for row, name in enumerate(column)
+        if name not in place or seen[place[name]] < 2
+    ]
+    wrong += [
+        (row, f"the {what} is from '{one}' to itself")
+        for row, (one, other) in enumerate(zip(*ends, strict=True))
+        if one == other
+    ]
+    for name in ("length", "sigma"):
+        wrong += [
+            (int(row), f"the {name} of the {what} is not above zero")
+            for row in np.flatnonzero(lengths.numbers(name) <= 0)
+        ]
+    faults = [lengths.fault_at(row, text) for row, text in wrong]
+    if faults:
+        raise InputError(faults)
+    return np.array([[place[name] for name in column] for column in ends], dtype=np.intp)

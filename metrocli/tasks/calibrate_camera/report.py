@@ -20,10 +20,11 @@ from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.calibrate_camera import KIND
 from metrocli.tasks.calibrate_camera.coverage import coverage
+from metrocli.tasks.calibrate_camera.length_errors import LengthErrors, length_errors
 from metrocli.tasks.calibrate_camera.lens_conventions import conventions_table, form_covariance, photogrammetric_form
 from metrocli.tasks.calibrate_camera.principal_point import PrincipalPoint, principal_point
 from metrocli.tasks.calibrate_camera.problem import Problem
-from metrocli.tasks.calibrate_camera.settings import Camera
+from metrocli.tasks.calibrate_camera.settings import Camera, Settings
 from metrocli.tasks.calibrate_camera.uncontrolled import uncontrolled
 from metrocli.tasks.shared.images.adjustment import Adjusted
 from metrocli.tasks.shared.images.camera_parameters import HIGH, POSE_UNITS, Parameters, parameters, unit_of
@@ -76,8 +77,9 @@ class _Calibration:
         return rms_table(self.residuals.values, self.adjusted.group, label, index, names)
 
 
-def report(problem: Problem, settings: Camera, adjusted: Adjusted) -> Result:
-    """Return the result of a solved calibration."""
+def report(problem: Problem, job: Settings, adjusted: Adjusted, tests: Table | None = None) -> Result:
+    """Return the result of a solved calibration; `tests` are lengths that test a network."""
+    settings = job.camera
     solution = adjusted.solution
     covariance = solution.covariance_or_raise()
     p = parameters(problem.rig, solution, problem.effects)
@@ -106,6 +108,9 @@ def report(problem: Problem, settings: Camera, adjusted: Adjusted) -> Result:
         arrays |= _view_covariances(solved)
     if problem.rig == "network":
         tables["points"], arrays["points_covariance"] = _points(solved)
+    tested = _tested(solved, tests, job) if tests is not None else None
+    if tested is not None:
+        tables["length_errors"] = tested.table
     return Result(
         kind=KIND.name,
         title="",
@@ -113,7 +118,7 @@ def report(problem: Problem, settings: Camera, adjusted: Adjusted) -> Result:
             Estimate(*row) for row in zip(p.names, p.values.tolist(), p.std.tolist(), p.units, strict=True)
         ),
         covariance=p.covariance,
-        statistics=_statistics(solved),
+        statistics={**_statistics(solved), **(tested.statistics if tested is not None else {})},
         tables=tables,
         arrays=arrays,
         warnings=tuple(_warnings(solved, views)),
@@ -122,6 +127,7 @@ def report(problem: Problem, settings: Camera, adjusted: Adjusted) -> Result:
         if problem.rig == "board"
         else (),
         notes=(
+            *(tested.notes if tested is not None else ()),
             *adjustment_notes(adjusted),
             *(noise_notes(solution) if adjusted.noise is None else ()),
             *in_words(hidden),
@@ -129,6 +135,11 @@ def report(problem: Problem, settings: Camera, adjusted: Adjusted) -> Result:
         details=adjusted.structured.details(p.names) if adjusted.structured is not None else {},
         plain=("dof",),
     )
+
+
+def _tested(solved: _Calibration, tests: Table, job: Settings) -> LengthErrors:
+    seen = np.bincount(solved.index(camera.TARGET), minlength=len(solved.problem.sighted.targets.names))
+    return length_errors(tests, solved.solution, seen, job.length_limit)
 
 
 def _statistics(solved: _Calibration) -> Statistics:

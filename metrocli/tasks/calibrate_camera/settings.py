@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from metrocli.adjust.cluster_robust import FROM_RESIDUALS
 from metrocli.imageset import ImageSet
@@ -23,6 +24,30 @@ SCALE_BARS = Columns(
     ("from", "to"),
     "calibrated distances",
 )
+TEST_LENGTHS = Columns(
+    (*SCALE_BARS.columns, Column("line", TEXT, required=False)),
+    ("from", "to"),
+    "calibrated lengths that test the network",
+)
+
+
+@dataclass(frozen=True)
+class LengthLimit:
+    """The limit of the length measuring error, `A + K L`, at most B (VDI/VDE 2634 part 1)."""
+
+    constant: float = setting(Quantity("length", minimum=0.0), "A: the constant part")
+    proportional: float = setting(Quantity("ratio", minimum=0.0), "K: the part proportional to the length", default=0.0)
+    at_most: float | None = setting(Quantity("length", positive=True), "B: the limit of long lengths", default=None)
+
+    def of(self, lengths: Any) -> Any:
+        """Return the limit for lengths (n,) [mm]."""
+        limit = self.constant + self.proportional * lengths
+        return limit if self.at_most is None else limit.clip(max=self.at_most)
+
+    def faults(self) -> Iterable[tuple[str, str]]:
+        """Yield (key, message) for a limit of zero."""
+        if self.constant == 0.0 and self.proportional == 0.0:
+            yield "constant", "the limit is zero for every length: give constant or proportional"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,6 +134,11 @@ class Inputs:
     scale_bars: Path | None = setting(
         TableFile(SCALE_BARS), "calibrated distances between targets (rig network)", default=None
     )
+    test_lengths: Path | None = setting(
+        TableFile(TEST_LENGTHS),
+        "calibrated distances between targets that take no part in the adjustment and test it (rig network)",
+        default=None,
+    )
 
 
 @dataclass(frozen=True)
@@ -119,6 +149,7 @@ class Files:
     targets: Table | None = None
     images: ImageSet | None = None
     scale_bars: Table | None = None
+    test_lengths: Table | None = None
 
 
 @dataclass(frozen=True)
@@ -141,6 +172,9 @@ class Settings:
     )
 
     eccentricity: str = eccentricity_setting()
+    length_limit: LengthLimit | None = setting(
+        Section(LengthLimit), "largest length measuring error that is allowed, for the test lengths", default=None
+    )
     simulation: CameraSimulation | None = setting(
         Section(CameraSimulation), "the truth for `metrocli simulate`", default=None
     )
@@ -156,3 +190,7 @@ class Settings:
             )
         if self.inputs.scale_bars is not None and self.rig != "network":
             yield "inputs.scale_bars", "scale bars belong to rig: network"
+        if self.inputs.test_lengths is not None and self.rig != "network":
+            yield "inputs.test_lengths", "test lengths belong to rig: network"
+        if self.length_limit is not None and self.inputs.test_lengths is None:
+            yield "length_limit", "a limit needs the lengths it is for: give `inputs: test_lengths`"

@@ -20,6 +20,7 @@ from metrocli.tasks.calibrate_camera.advice import explained, ran_out
 from metrocli.tasks.calibrate_camera.compare import compare_models
 from metrocli.tasks.calibrate_camera.diagnosis import adjusted_job
 from metrocli.tasks.calibrate_camera.effects import EFFECTS, PLACES
+from metrocli.tasks.calibrate_camera.length_errors import must_not_be_used
 from metrocli.tasks.calibrate_camera.problem import Problem, build, robustly_started
 from metrocli.tasks.calibrate_camera.report import report
 from metrocli.tasks.calibrate_camera.settings import Files, Settings
@@ -47,7 +48,7 @@ def run(job: Job[Settings, Files]) -> Result:
     adjusted = solved(settings, problem)
     if settings.noise == STRUCTURED:
         adjusted = adjusted.with_structure(delivered(problem.rig, problem.effects))
-    return report(problem, settings.camera, adjusted)
+    return report(problem, settings, adjusted, job.files.test_lengths)
 
 
 def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
@@ -70,6 +71,7 @@ def prepared(job: Job[Settings, Files]) -> tuple[Settings, Problem]:
         settings = replace(settings, camera=replace(settings.camera, image_size=images.size))
     needs = Needs(_FEWEST[settings.rig], float("nan") if settings.rig == "network" else 0.0)
     sighted = sightings(settings, files.observations, files.targets, images, needs)
+    must_not_be_used(files.test_lengths, files.scale_bars)
     problem = build(settings.rig, settings.camera, sighted, files.scale_bars)
     return settings, problem.with_effects(job.effects)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
@@ -36,19 +37,23 @@ def feasible(least: float, minimum: float) -> bool:
 
 
 def contradiction(stock: Stock, duals: Array, minimum: float, into: Array) -> Contradiction:
-    """Return an irreducible set of contradicting surfaces; without any one of them the others have the minimum.
+    """Return the smallest set of contradicting surfaces; without any one of them the others have the minimum.
 
     The surfaces that hold the largest least overstock contradict each other. Each is left out in turn, and stays out if
-    the rest still does (deletion filter of Chinneck and Dravnieks 1991).
+    the rest still does (deletion filter of Chinneck and Dravnieks 1991). Then smaller sets of them are tried.
     """
-    chosen = np.unique(stock.surface[duals > 0]).tolist()
-    least, held = _least(stock, chosen, into)
-    for one in list(chosen):
+    holding = np.unique(stock.surface[duals > 0]).tolist()
+    chosen = holding
+    for one in holding:
         rest = [other for other in chosen if other != one]
-        if rest:
-            reached, holding = _least(stock, rest, into, minimum)
-            if not feasible(reached, minimum):
-                chosen, least, held = rest, reached, holding
+        if rest and not feasible(_least(stock, rest, into, minimum)[0], minimum):
+            chosen = rest
+    smaller = (some for size in range(1, len(chosen)) for some in combinations(holding, size))
+    for some in smaller:
+        if not feasible(_least(stock, some, into, minimum)[0], minimum):
+            chosen = list(some)
+            break
+    least, held = _least(stock, chosen, into)
     return Contradiction(tuple(stock.nominal.names[one] for one in chosen), least, held)
 
 

@@ -68,18 +68,27 @@ def _edge_in_words(mesh: Triangles, edge: int) -> str:
 
 
 def must_be_of_one_size(mesh: Triangles, points: Array, unit: str) -> None:
-    """Raise InputError if points and mesh differ in size by the ratio of two units of length."""
+    """Raise InputError if points and mesh differ in size by the ratio of two units of length.
+
+    Points may lie on a small part of the mesh, so those in another unit are refused only if all three extents agree.
+    """
     middle = mesh.corners.mean(axis=1)
     weight = mesh.areas / mesh.areas.sum()
     centre = weight @ middle
     of_mesh = float(np.sqrt(weight @ ((middle - centre) ** 2).sum(axis=1)))
     of_points = float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    span, reach = np.ptp(mesh.vertices, axis=0), np.ptp(points, axis=0)
+    extents = np.sort(reach) / np.sort(span)
     for name, size in _SIZES.items():
+        spans = [" x ".join(f"{value:.4g}" for value in one) for one in (span / _SIZES[unit], reach)]
+        found = f"the mesh of the ideal part spans {spans[0]}, the measured points {spans[1]} mm: "
         ratio = of_points / of_mesh / (size / _SIZES[unit])
         if name != unit and 1 / _NEAR < ratio < _NEAR:
-            span, reach = (np.ptp(one, axis=0) for one in (mesh.vertices / _SIZES[unit], points))
-            in_words = [" x ".join(f"{value:.4g}" for value in one) for one in (span, reach)]
             raise InputError(
-                f"the mesh of the ideal part spans {in_words[0]}, the measured points {in_words[1]} mm: "
-                f"the coordinates of the mesh are in {name}, not in {unit}; write `nominal_unit: {name}`"
+                f"{found}the coordinates of the mesh are in {name}, not in {unit}; write `nominal_unit: {name}`"
+            )
+        if name != "mm" and (np.abs(np.log(extents * size)) < np.log(_NEAR)).all():
+            raise InputError(
+                f"{found}the coordinates of the points are in {name}, though their columns are in mm; "
+                f"multiply them by {size:g}"
             )

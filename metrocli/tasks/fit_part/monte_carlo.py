@@ -16,8 +16,11 @@ from metrocli.tasks.fit_part.fit import MOST, most_of_many
 from metrocli.tasks.fit_part.solve import Solved, fitted_part
 from metrocli.tasks.fit_part.uncertainty import of_result
 
-_ALIKE = 0.2
-"""Difference of a standard uncertainty from that of the simulated fits from which a note warns"""
+_ALIKE, _BY_CHANCE = 0.2, 3.0
+"""Relative difference of a standard uncertainty from that of the simulated fits from which a note warns
+
+It is more where few fits leave more to chance: a standard deviation of n values is known to `1/sqrt(2(n - 1))`.
+"""
 
 
 @dataclass(frozen=True)
@@ -64,7 +67,8 @@ def checked(solved: Solved, minimum: float, trials: int, seed: int) -> Check:
             "unit": np.array(["mm"] * 3 + ["rad"] * 3),
         }
     )
-    agree = bool((np.abs(ratio - 1) < _ALIKE).all())
+    by_chance = _BY_CHANCE / np.sqrt(2 * max(len(steps) - 1, 1))
+    agree = bool((np.abs(ratio - 1) < max(_ALIKE, by_chance)).all())
     verdict = "agree with" if agree else "differ from"
     note = (
         f"Monte Carlo: {len(steps)} of {trials} fits to points with simulated errors; their scatter is "

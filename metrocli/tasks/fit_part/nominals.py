@@ -7,8 +7,9 @@ from functools import cached_property
 
 import numpy as np
 
+from metrocli.geometry.nearest_triangles import Nearest, Search
 from metrocli.geometry.surfaces import Array, Index, Shape, Surfaces
-from metrocli.geometry.triangles import Nearest, Triangles
+from metrocli.geometry.triangles import Triangles
 
 
 @dataclass(frozen=True)
@@ -75,6 +76,10 @@ class OfMesh:
         """`face-1`, `face-2`, ...: the smooth patches of the mesh, the largest first."""
         return tuple(f"face-{n + 1}" for n in range(self.triangles.patches))
 
+    @cached_property
+    def _search(self) -> Search:
+        return Search(self.triangles)
+
     @property
     def middle(self) -> Array:
         """Middle of the mesh (3,)."""
@@ -92,13 +97,13 @@ class OfMesh:
 
     def _nearest(self, points: Array) -> Nearest:
         """Return the nearest triangles; a fit asks for the same points again and again, a little moved."""
-        found = self.triangles.nearest(points, self.before.get(len(points)))
+        found = self._search.nearest(points, self.before.get(len(points)))
         self.before[len(points)] = found
         return found
 
     def quick(self, points: Array, surface: Index | None) -> tuple[Array, Array]:
         """Return distances and normals at points (B, n, 3) from a triangle nearby."""
-        distance, normal = self.triangles.quick(points.reshape(-1, 3))
+        distance, normal = self._search.quick(points.reshape(-1, 3))
         return distance.reshape(points.shape[:-1]), normal.reshape(points.shape)
 
     def off_centre(self, points: Array, surface: Index | None) -> float:

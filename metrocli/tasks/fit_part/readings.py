@@ -14,7 +14,7 @@ from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.tasks.fit_part.settings import Settings
 from metrocli.tasks.shared.known_places import sigmas
-from metrocli.words import suggestion
+from metrocli.words import listed, suggestion
 
 TARGET_WORD = "target"
 """Word in the column `surface` that marks a coded target"""
@@ -55,8 +55,9 @@ class Readings:
 def read(settings: Settings, points: Table | Result, names: tuple[str, ...], of_mesh: bool) -> Readings:
     """Return the points of a job; `names` are those of the ideal surfaces.
 
-    Coded targets are the points that `targets:` names, those with the surface `target`, and where the column names the
-    surfaces of others, those without one. Raises InputError with every fault.
+    Coded targets are the points that `targets:` names and those with the surface `target`. Where others name their
+    surface, a point without one is a target if the job names no targets; else it is left out. Raises InputError with
+    every fault.
     """
     table = points.tables.get("points") if isinstance(points, Result) else points
     if table is None:
@@ -68,22 +69,29 @@ def read(settings: Settings, points: Table | Result, names: tuple[str, ...], of_
     )
     named = np.array([bool(one) and one != TARGET_WORD for one in said])
     target = chosen | np.array([one == TARGET_WORD for one in said])
-    if named.any():
+    warnings, apart = [], np.zeros(len(said), dtype=bool)
+    if named.any() and settings.targets:
+        apart = ~named & ~target
+    elif named.any():
         target |= ~named
-    warnings = []
+    if apart.any():
+        left = [name for name, one in zip(places.names, apart, strict=True) if one]
+        warnings.append(
+            f"{len(left)} points are neither on a surface nor among `targets` and are left out: {listed(left, 5)}"
+        )
     if of_mesh and named.any():
         warnings.append("the surfaces named for the points are not used: the triangles of a mesh have no names")
     surface = None
     if named.any() and not of_mesh:
         number = {name: n for n, name in enumerate(names)}
-        surface = np.array([number.get(one, 0) for one in said], dtype=np.intp)[~target]
-    if target.all():
+        surface = np.array([number.get(one, 0) for one in said], dtype=np.intp)[~target & ~apart]
+    if (target | apart).all():
         raise InputError([table.fault("there is no point of a surface", "name surfaces in the column `surface`")])
     if not any(map(np.any, places.covariance)):
         warnings.append(
             "the points are taken as exact: give a column sigma_mm, or `noise: 0.05 mm`, to get uncertainties"
         )
-    return Readings(places.of(~target), surface, places.of(target), tuple(warnings))
+    return Readings(places.of(~target & ~apart), surface, places.of(target), tuple(warnings))
 
 
 def _places(settings: Settings, points: Table | Result, table: Table) -> Places:

@@ -20,7 +20,10 @@ _NEAR = np.radians(8.0)
 """Spacing of the rotations about a given start"""
 _USED = 150
 """Points used to refine the rotations, at most"""
-_ITERATIONS = 30
+_FIRST, _ITERATIONS = 10, 30
+"""Iterations of all rotations, and of those that fit best by then"""
+_KEPT = 3
+"""One rotation of so many is iterated to the end"""
 _TURN = 0.3
 """Largest turn of one iteration [rad]"""
 _ALIKE = 2.0
@@ -104,9 +107,13 @@ def _refined(
 ) -> tuple[Array, Array]:
     """Return the rotations and shifts after damped Gauss-Newton steps; distant points count less and less."""
     damping = np.eye(6) * 1e-3
-    for _ in range(_ITERATIONS):
+    for iteration in range(_ITERATIONS):
         placed = _placed(points, rotations, shifts)
         distance, normal = nominal.quick(placed, labels)
+        if iteration == _FIRST:
+            best = np.argsort(np.median(np.abs(distance), axis=1))[: max(len(rotations) // _KEPT, 1)]
+            rotations, shifts, placed = rotations[best], shifts[best], placed[best]
+            distance, normal = distance[best], normal[best]
         centre = placed.mean(axis=1, keepdims=True)
         arms = placed - centre
         lever = np.sqrt((arms**2).sum(axis=2).mean(axis=1))[:, None, None]

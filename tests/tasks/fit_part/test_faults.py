@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 from geometry.test_triangles import SIZE, block
 from simulated.castings import casting
 
+from metrocli.formats import hdf5
 from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.tasks.fit_part.readings import read
@@ -97,6 +99,16 @@ def test_points_of_a_result_come_with_their_covariance() -> None:
     assert np.array_equal(found.targets.points, places[3:])
 
 
+def test_points_that_are_neither_on_a_surface_nor_named_as_targets_are_left_out(
+    tmp_path: Path, metrocli: Metrocli
+) -> None:
+    """Such as the ends of scale bars; without `targets` they would be coded targets."""
+    job = casting(1).write(tmp_path, "targets: [T1, T2, T3, T4]")
+    ran = metrocli("fit-part", job)
+    assert ran.code == 0 and "2 points are neither on a surface nor among `targets`" in ran.err and "T0, T5" in ran.err
+    assert hdf5.read(tmp_path / "part.h5")[0].tables["targets"].texts("target") == ["T1", "T2", "T3", "T4"]
+
+
 def stl(path: Path, corners: np.typing.NDArray[np.float64]) -> None:
     lines = ["solid part"]
     for face in corners:
@@ -125,8 +137,6 @@ def points_on_block(folder: Path) -> Path:
 
 
 def test_a_mesh_gives_what_its_planes_give(tmp_path: Path, metrocli: Metrocli) -> None:
-    from metrocli.formats import hdf5
-
     job = points_on_block(tmp_path)
     stl(tmp_path / "part.stl", block(4).corners)
     assert metrocli("fit-part", job).code == 0
@@ -161,6 +171,31 @@ def test_meshes_that_cannot_be_used(tmp_path: Path, metrocli: Metrocli) -> None:
         assert ran.code == 3 and message in ran.err, ran.err
     stl(tmp_path / "part.stl", corners / 25.4)
     assert metrocli("fit-part", job, "--set", "nominal_unit=inch").code == 0
+
+
+def test_points_in_inches_are_found_against_the_mesh(tmp_path: Path, metrocli: Metrocli) -> None:
+    job = points_on_block(tmp_path)
+    stl(tmp_path / "part.stl", block(2).corners)
+    lines = [line.split(",") for line in (tmp_path / "points.csv").read_text().splitlines()]
+    rows = [[row[0], *(f"{float(value) / 25.4:.6f}" for value in row[1:4]), row[4]] for row in lines[1:]]
+    (tmp_path / "points.csv").write_text("\n".join(",".join(row) for row in [lines[0], *rows]) + "\n")
+    ran = metrocli("check", job)
+    assert ran.code == 3 and "the points are in inch, though their columns are in mm; multiply them by 25.4" in ran.err
+
+
+def test_fewer_than_six_constraints(tmp_path: Path, metrocli: Metrocli) -> None:
+    one = casting(1)
+    some = [0, 1, 14, 28, 56]
+    few = replace(one, surface=one.surface[some], points=one.points[some], exact=one.exact[some])
+    ran = metrocli("fit-part", few.write(tmp_path))
+    assert ran.code == 4 and "independent constraints of the 6 that a pose needs" in ran.err
+
+
+def test_targets_need_names(tmp_path: Path, metrocli: Metrocli) -> None:
+    job = casting(1).write(tmp_path)
+    changed(tmp_path / "points.csv", "\nT3,", "\n,")
+    ran = metrocli("fit-part", job)
+    assert ran.code == 3 and "column 'point': an empty cell" in ran.err
 
 
 def test_commands_that_the_kind_does_not_have(tmp_path: Path, metrocli: Metrocli) -> None:

@@ -63,7 +63,7 @@ def test_the_monte_carlo_check_repeats_the_standard_uncertainties(tmp_path: Path
     result = fitted(one.write(tmp_path, "monte_carlo: {trials: 60, seed: 3}"), metrocli)
     ratio = result.tables["monte_carlo"].numbers("ratio")
     assert (np.abs(ratio - 1) < 0.3).all() and result.statistics["monte_carlo_trials"] == 60
-    assert any("Monte Carlo: 60 of 60 fits" in note for note in result.notes)
+    assert any("Monte Carlo: 60 of 60 fits" in note and "agree with it" in note for note in result.notes)
 
 
 def test_exact_points_have_no_uncertainty_and_a_warning(tmp_path: Path, metrocli: Metrocli) -> None:

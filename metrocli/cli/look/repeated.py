@@ -1,0 +1,123 @@
+"""What three or more results show: a series of calibrations in time, or repeated sets without an order."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from metrocli.cli.console import echo
+from metrocli.cli.look import requirement
+
+if TYPE_CHECKING:
+    from metrocli.uncertainty.repeated import Repeated
+    from metrocli.uncertainty.repeated_sets import Repetition
+
+OF_SERIES, OF_SETS = ("max_en", "max_drift_en"), ("max_ratio",)
+"""What --require can take for them"""
+FEWEST = 3
+
+
+def series(files: tuple[Path, ...], days: str | None, require: str | None, as_json: bool) -> int:
+    """Print drift, pooled scatter and E_n against the first of several calibrations; return the exit code."""
+    from metrocli.cli import summary
+    from metrocli.formats import hdf5
+    from metrocli.uncertainty.repeated import repeated
+
+    wanted = requirement.read(require, OF_SERIES)
+    times, time = _times(days, len(files))
+    found = repeated([hdf5.read(file)[0] for file in files], times)
+    echo(
+        summary.as_json(_figures_of_series(found, files, times, time))
+        if as_json
+        else _text_of_series(found, files, time)
+    )
+    return 0 if wanted is None else wanted.exit_code(found)
+
+
+def _times(days: str | None, number: int) -> tuple[list[float], str]:
+    """Return the times and their unit; without days the numbers of the calibrations."""
+    from metrocli.errors import UsageError
+
+    if days is None:
+        return [float(i) for i in range(number)], "calibration"
+    try:
+        times = [float(part) for part in days.split(",")]
+    except ValueError:
+        times = []
+    if len(times) != number:
+        raise UsageError(f"--days '{days}': expected {number} numbers, one a result, such as '0,90,181'")
+    return times, "d"
+
+
+def _figures_of_series(found: Repeated, files: tuple[Path, ...], times: list[float], time: str) -> dict[str, Any]:
+    drift: dict[str, dict[str, Any]] = {}
+    for one in found.drifts:
+        row = {"rate": one.rate, "std": one.std, "unit": f"{one.unit}/{time}", "U": one.expanded, "en": one.en}
+        drift.setdefault(one.group, {})[one.name] = row
+    pooled = [
+        {"group": one.group, "unit": one.unit, "std": one.std, "expected": one.expected, "dof": one.dof}
+        for one in found.pooled
+    ]
+    calibrations = [
+        {"file": str(file), "time": at, "max_en": en}
+        for file, at, en in zip(files, times, (0.0, *found.against_first), strict=True)
+    ]
+    figures = {"max_en": found.max_en, "max_drift_en": found.max_drift_en}
+    return {"calibrations": calibrations, "drift": drift, "pooled": pooled, **figures}
+
+
+def _text_of_series(found: Repeated, files: tuple[Path, ...], time: str) -> str:
+    from metrocli import units
+    from metrocli.cli.columns import columns_text, worst_rows
+
+    rows = [["quantity", f"drift per {time}", "E_n"]]
+    for one in sorted(found.drifts, key=lambda one: -one.en):
+        name = one.name if one.group == "estimates" else f"{one.group} {one.name}"
+        rows.append([name, units.format_quantity(one.rate, one.unit, one.std), f"{one.en:.2f}"])
+    scatter = [["group", "pooled standard deviation", "stated", "degrees of freedom"]]
+    for group in found.pooled:
+        times, symbol = units.column_unit(group.expected, group.unit)
+        sizes = (f"{value / times:.3g} {symbol}".rstrip() for value in (group.std, group.expected))
+        scatter.append([group.group, *sizes, f"{group.dof}"])
+    against = [["against the first", "largest E_n"]]
+    against += [[str(file), f"{en:.2f}"] for file, en in zip(files[1:], found.against_first, strict=True)]
+    return "\n".join([*worst_rows(rows), "", columns_text(scatter), "", columns_text(against)])
+
+
+def sets(files: tuple[Path, ...], days: str | None, require: str | None, as_json: bool) -> int:
+    """Print how far repeated sets scatter; return the exit code."""
+    from metrocli.errors import UsageError
+
+    if days is not None or len(files) < FEWEST:
+        raise UsageError("--sets takes three or more results, and no --days")
+    from metrocli.cli import summary
+    from metrocli.formats import hdf5
+    from metrocli.uncertainty.repeated_sets import repetition
+
+    wanted = requirement.read(require, OF_SETS)
+    found = repetition([hdf5.read(file)[0] for file in files])
+    echo(summary.as_json(_figures_of_sets(found)) if as_json else _text_of_sets(found))
+    return 0 if wanted is None else wanted.exit_code(found)
+
+
+def _figures_of_sets(found: Repetition) -> dict[str, Any]:
+    groups: dict[str, Any] = {"sets": found.sets}
+    for one in found.quantities:
+        row = {"mean": one.mean, "sigma": one.sigma, "std": one.std, "unit": one.unit, "ratio": one.ratio}
+        groups.setdefault(one.group, {})[one.name] = row
+    return {**groups, "max_ratio": found.max_ratio}
+
+
+def _text_of_sets(found: Repetition) -> str:
+    from metrocli import units
+    from metrocli.cli.columns import worst_rows
+
+    rows = [["quantity", "mean", "sigma", "stated", "sigma/stated"]]
+    for one in sorted(found.quantities, key=lambda one: -one.ratio):
+        name = one.name if one.group == "estimates" else f"{one.group} {one.name}"
+        mean = "" if math.isnan(one.mean) else units.format_quantity(one.mean, one.unit, one.sigma)
+        rows.append([name, mean, f"{one.sigma:.3g} {one.unit}", f"{one.std:.3g} {one.unit}", f"{one.ratio:.2f}"])
+    lines = worst_rows(rows)
+    lines.append(f"{found.sets} sets, {len(found.quantities)} quantities, largest sigma/stated {found.max_ratio:.2f}")
+    return "\n".join(lines)

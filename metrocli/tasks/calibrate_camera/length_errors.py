@@ -1,0 +1,126 @@
+"""Length measuring error of a network: calibrated lengths between its targets that take no part in the adjustment.
+
+VDI/VDE 2634 part 1: error = measured minus calibrated length, within `A + K L`, at most B. Its test is seven lines of
+at least five lengths each, whose longest is at least two thirds of the diagonal of the volume.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrocli.adjust.model.observations import Index
+from metrocli.adjust.solution import Solution
+from metrocli.errors import InputError
+from metrocli.instruments.camera import TARGET
+from metrocli.result import Scalar
+from metrocli.table import Table
+from metrocli.tasks.calibrate_camera.readings import ends_of
+from metrocli.tasks.calibrate_camera.settings import LengthLimit
+from metrocli.uncertainty.coverage import COVERAGE
+from metrocli.units import format_quantity
+
+LINES, ON_A_LINE, LONGEST = 7, 5, 2 / 3
+"""What the guideline asks for: lines, lengths on each, and the longest one in diagonals of the volume"""
+_WITH_SCALE = 6
+"""Inner constraints of a network whose scale is known"""
+
+
+@dataclass(frozen=True)
+class LengthErrors:
+    """The table `length_errors`, its statistics and notes."""
+
+    table: Table
+    statistics: dict[str, Scalar]
+    notes: tuple[str, ...]
+
+
+def must_not_be_used(tests: Table | None, bars: Table | None) -> None:
+    """Raise InputError if a test length is a scale bar too: a length of the adjustment proves nothing about it."""
+    if tests is None or bars is None:
+        return
+    used = {frozenset(pair) for pair in zip(bars.texts("from"), bars.texts("to"), strict=True)}
+    pairs = [frozenset(pair) for pair in zip(tests.texts("from"), tests.texts("to"), strict=True)]
+    both = [row for row, pair in enumerate(pairs) if pair in used]
+    if both:
+        raise InputError(
+            tests.faults_at(
+                both,
+                lambda row: f"the length {' - '.join(sorted(pairs[row]))} is a scale bar of this adjustment too",
+                lambda row: "a length either gives the scale or tests it: take it out of one of the two files",
+            )
+        )
+
+
+def length_errors(tests: Table, solution: Solution, seen: Index, limit: LengthLimit | None) -> LengthErrors:
+    """Return the errors of test lengths; `seen` (targets,) is the number of images of each target.
+
+    `u^2 = e' (Q_aa + Q_bb - Q_ab - Q_ba) e + sigma^2`, e the direction of the length. Raises InputError for ends that
+    the network does not place, and for a network without a scale of its own.
+    """
+    if solution.conditions > _WITH_SCALE:
+        hint = "give `inputs: scale_bars`, or targets with known places"
+        raise InputError([tests.fault("the network has no scale that lengths could test", hint)])
+    block = solution.blocks[TARGET]
+    ends = ends_of(tests, block.members, seen, "test length")
+    away = block.values[ends[1]] - block.values[ends[0]]
+    measured = np.linalg.norm(away, axis=1)
+    along = away / measured[:, None]
+    covariance = solution.covariance_or_raise()
+    each = covariance.members(TARGET)
+    between = covariance.apart(TARGET, *ends)
+    whole = each[ends[0]] + each[ends[1]] - between - np.swapaxes(between, 1, 2)
+    of_network = np.einsum("na,nab,nb->n", along, whole, along)
+    calibrated = tests.numbers("length")
+    error, std = measured - calibrated, np.sqrt(np.maximum(of_network, 0.0) + tests.numbers("sigma") ** 2)
+    columns = {
+        "from": np.array(tests.texts("from")),
+        "to": np.array(tests.texts("to")),
+        "line": np.array(_lines(tests)),
+        "calibrated": calibrated,
+        "measured": measured,
+        "error": error,
+        "std": std,
+        "en": np.abs(error) / (COVERAGE[0] * std),
+    }
+    largest = int(np.abs(error).argmax())
+    statistics: dict[str, Scalar] = {
+        "test_lengths": len(error),
+        "length_measuring_error": float(np.abs(error).max()),
+        "length_max_en": float(columns["en"].max()),
+    }
+    notes = [
+        f"length measuring error (VDI/VDE 2634-1) of {len(error)} test lengths: "
+        f"{format_quantity(float(error[largest]), 'mm', float(std[largest]))} at most, "
+        f"{columns['from'][largest]} - {columns['to'][largest]}; largest E_n {columns['en'].max():.2f}"
+    ]
+    if limit is not None:
+        allowed = limit.of(calibrated)
+        columns["limit"] = allowed
+        share = np.abs(error) / allowed
+        statistics["length_error_over_limit"] = float(share.max())
+        verdict = "kept" if share.max() <= 1 else "NOT kept"
+        notes.append(f"the limit is {verdict}: at most {100 * share.max():.0f} % of it is used")
+    units = dict.fromkeys(("calibrated", "measured", "error", "std", "limit"), "mm")
+    table = Table(columns, {name: unit for name, unit in units.items() if name in columns})
+    placed = block.values[seen > 1]
+    notes += list(_short_of_the_guideline(table, float(np.linalg.norm(np.ptp(placed, axis=0)))))
+    return LengthErrors(table, statistics, tuple(notes))
+
+
+def _lines(tests: Table) -> list[str]:
+    """Return the line of each length; without the column each is a line of its own."""
+    return tests.texts("line") if "line" in tests else [str(row + 1) for row in range(len(tests))]
+
+
+def _short_of_the_guideline(table: Table, diagonal: float) -> Iterator[str]:
+    """Yield what the test lacks of the guideline."""
+    lines, counts = np.unique(table.texts("line"), return_counts=True)
+    longest = float(table.numbers("calibrated").max()) / diagonal
+    if len(lines) < LINES or counts.min() < ON_A_LINE or longest < LONGEST:
+        yield (
+            f"less than the guideline asks for: {len(lines)} lines (of {LINES}), {counts.min()} lengths on the "
+            f"line with fewest (of {ON_A_LINE}), longest {100 * longest:.0f} % of the diagonal ({100 * LONGEST:.0f} %)"
+        )

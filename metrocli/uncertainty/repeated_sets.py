@@ -1,0 +1,127 @@
+"""Repeated sets: how far the results of one measurement, made several times, scatter, against what each states."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from metrocli.errors import InputError
+from metrocli.geometry import poses
+from metrocli.result import Result
+from metrocli.uncertainty.comparison import POINTS
+from metrocli.uncertainty.predicted import in_machine
+
+Array = npt.NDArray[np.float64]
+FEWEST = 3
+LENGTHS = "length_errors"
+
+
+@dataclass(frozen=True)
+class Repeated:
+    """One quantity over several sets."""
+
+    group: str
+    """`estimates`, `points` for a coordinate of all points together, or `length_errors`"""
+    name: str
+    mean: float
+    """nan for points"""
+    sigma: float
+    """Standard deviation over the sets"""
+    std: float
+    """Standard uncertainty as stated, root mean square over the sets"""
+    unit: str
+
+    @property
+    def ratio(self) -> float:
+        """`sigma / std`; near 1 if the stated uncertainty is that of a repeated set."""
+        if self.std > 0:
+            return self.sigma / self.std
+        return float("inf") if self.sigma > 0 else 0.0
+
+
+@dataclass(frozen=True)
+class Repetition:
+    """All quantities that several sets have in common."""
+
+    sets: int
+    quantities: tuple[Repeated, ...]
+
+    @property
+    def max_ratio(self) -> float:
+        """Largest ratio of scatter and stated uncertainty."""
+        return max(one.ratio for one in self.quantities)
+
+
+def repetition(results: Sequence[Result]) -> Repetition:
+    """Return the scatter of three or more results of one kind.
+
+    `sigma^2 = sum (x_k - mean)^2 / (sets - 1)`. Points in a frame of their own are laid onto those of the first set by
+    shift and turn; those in a machine are taken as they are. Raises InputError for two kinds, or nothing in common.
+    """
+    kinds = sorted({one.kind for one in results})
+    if len(kinds) > 1:
+        raise InputError(f"results of different kinds are no repeated sets: {', '.join(kinds)}")
+    found = (*_estimates(results), *_lengths(results), *_points(results))
+    if not found:
+        raise InputError("the results have nothing in common: no estimate, test length or point of the same name")
+    return Repetition(len(results), found)
+
+
+def _quantity(group: str, name: str, values: Array, std: Array, unit: str) -> Repeated:
+    root_mean_square = float(np.sqrt((std**2).mean()))
+    return Repeated(group, name, float(values.mean()), float(values.std(ddof=1)), root_mean_square, unit)
+
+
+def _estimates(results: Sequence[Result]) -> Iterator[Repeated]:
+    every = [{one.name: one for one in result.estimates} for result in results]
+    for name, first in every[0].items():
+        if all(name in one for one in every):
+            values, std = (np.array([getattr(one[name], what) for one in every]) for what in ("value", "std"))
+            yield _quantity("estimates", name, values, std, first.unit)
+
+
+def _lengths(results: Sequence[Result]) -> Iterator[Repeated]:
+    """Yield the measured lengths between the ends of test lengths."""
+    if not all(LENGTHS in one.tables for one in results):
+        return
+    tables = [one.tables[LENGTHS] for one in results]
+    every = [
+        {
+            f"{a} - {b}": (size, std)
+            for a, b, size, std in zip(
+                *(table.columns[name] for name in ("from", "to", "measured", "std")), strict=True
+            )
+        }
+        for table in tables
+    ]
+    for name in every[0]:
+        if all(name in one for one in every):
+            values, std = np.array([one[name] for one in every], dtype=float).T
+            yield _quantity(LENGTHS, name, values, std, "mm")
+
+
+def _points(results: Sequence[Result]) -> Iterator[Repeated]:
+    """Yield each coordinate, pooled over the points that all sets have."""
+    tables = [one.tables.get(POINTS) for one in results]
+    if any(table is None or not {"point", "x", "y", "z", "sx"} <= set(table) for table in tables):
+        return
+    places = [
+        dict(zip(one.texts("point"), np.c_[one.stacked("xyz"), one.stacked(("sx", "sy", "sz"))], strict=True))
+        for one in tables
+        if one is not None
+    ]
+    common = [name for name in places[0] if all(name in one for one in places)]
+    if len(common) < FEWEST:
+        return
+    every = np.array([[one[name] for name in common] for one in places])
+    at = every[:, :, :3]
+    if not in_machine(results[0]):
+        at = np.array([poses.apply(poses.fit_pose(one, at[0]), one) for one in at])
+    sigma = np.sqrt((at.std(axis=0, ddof=1) ** 2).mean(axis=0))
+    std = np.sqrt((every[:, :, 3:] ** 2).mean(axis=(0, 1)))
+    for k, axis in enumerate("xyz"):
+        name = f"{axis} of {len(common)} points"
+        yield Repeated(POINTS, name, float("nan"), float(sigma[k]), float(std[k]), "mm")
