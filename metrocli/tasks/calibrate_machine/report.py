@@ -79,6 +79,7 @@ def report(solved: Solved, settings: Settings, noise: NoiseFound) -> Result:
         ),
         notes=(
             *identifiability_notes(identified),
+            *solved.problem.notes,
             *(solved.problem.noise.notes if solved.problem.noise else ()),
             NOT_CONTAINED,
             *found_notes(noise),

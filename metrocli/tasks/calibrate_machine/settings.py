@@ -22,6 +22,7 @@ from metrocli.settings import (
     setting,
 )
 from metrocli.tasks.calibrate_machine.files import Inputs
+from metrocli.tasks.shared.environment import Environment
 from metrocli.tasks.shared.lengths import REPEATABILITY, REPEATABILITY_WORDS, LengthNoise, Scale
 from metrocli.tasks.shared.structured_noise import model_setting
 
@@ -217,6 +218,9 @@ class Settings:
     scale: Scale | None = setting(
         Section(Scale), "lengths: estimate the scales of the stations; fixed at 1 without it", default=None
     )
+    environment: Environment | None = setting(
+        Section(Environment), "lengths: the air, and the one that the interferometers assume", default=None
+    )
     outliers: str = setting(
         Choice("report", "remove"), "all but on-the-fly: report outliers, or leave them out", default="report"
     )
@@ -256,5 +260,6 @@ class Settings:
                 yield "noise", f"method {self.method} needs the noise '{key}'"
         if self.method in (STANDSTILL, ON_THE_FLY) and self.noise.lateral is None and self.noise.radial is None:
             yield "noise", f"method {self.method} needs the noise 'lateral'"
-        if self.scale is not None and self.method != LENGTHS:
-            yield "scale", f"method {self.method} has no scales of tracking interferometers: leave this key out"
+        for key, what in (("scale", "scales of tracking interferometers"), ("environment", "lengths to correct")):
+            if getattr(self, key) is not None and self.method != LENGTHS:
+                yield key, f"method {self.method} has no {what}: leave this key out"

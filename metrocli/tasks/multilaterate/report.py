@@ -24,6 +24,7 @@ from metrocli.tasks.multilaterate.reliability import reliability
 from metrocli.tasks.multilaterate.settings import Correction
 from metrocli.tasks.multilaterate.solve import Solved
 from metrocli.tasks.multilaterate.uncontrolled import scale_warnings, uncontrolled
+from metrocli.tasks.shared.environment import blocks_of, estimates_of
 from metrocli.tasks.shared.statistics import (
     REMOVE,
     REPEATS,
@@ -60,7 +61,7 @@ def report(solved: Solved, noise: NoiseFound, probing: Probing) -> Result:
     """Return the result of a solved network; raises InputError if a probing point cannot be corrected."""
     solution = noise.solution
     added = solved.network.effects
-    found = (*_tracer_estimates(solution), *estimates(added, solution))
+    found = (*_tracer_estimates(solution), *estimates_of(solution), *estimates(added, solution))
     points, arrays = _points(solved, solution)
     effect_tables, effect_arrays = effect_results(added, solution)
     hidden = uncontrolled(solved.network)
@@ -88,13 +89,14 @@ def report(solved: Solved, noise: NoiseFound, probing: Probing) -> Result:
         kind=KIND.name,
         title="",
         estimates=found,
-        covariance=solution.joint((t.TRACER, *free_blocks(added))),
+        covariance=solution.joint((t.TRACER, *blocks_of(solution), *free_blocks(added))),
         statistics=with_found(statistics, noise),
         tables=tables,
         arrays={**arrays, **effect_arrays},
         warnings=(*_warnings(solved), *distant(solved.network, probing.table, probing.tolerance)),
         shown=tuple(_shown(solved)),
         notes=(
+            *(() if solved.network.air is None else (solved.network.air.note,)),
             *solved.network.noise.notes,
             *found_notes(noise),
             *noise_notes(solution, cures=(REMOVE,)),

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from metrocli.settings import Choice, Quantity, Section, TableFile, setting
 from metrocli.table import ABSENT, TEXT, Column, Columns, Table
+from metrocli.tasks.shared.environment import WEATHER, Environment
 from metrocli.tasks.shared.known_places import SIGMAS
 from metrocli.tasks.shared.lengths import LengthNoise, Scale
 
@@ -18,6 +19,7 @@ LENGTHS = Columns(
         Column("length", "length"),
         Column("t", "time", required=False),
         Column("temp", "temperature", required=False),
+        *WEATHER,
     ),
     ("point", "tracer"),
     "lengths read by the tracers",
@@ -112,6 +114,11 @@ class Settings:
         Choice("changes", "absolute"), "interferometer (dead paths unknown) or absolute distance", default="changes"
     )
     scale: Scale | None = setting(Section(Scale), "estimate the tracers' scales; fixed at 1 without it", default=None)
+    environment: Environment | None = setting(
+        Section(Environment),
+        "the air, and the one that the tracers assume; readings stay as they are without it",
+        default=None,
+    )
     datum: str | None = setting(
         Choice("inner-constraints", "points"),
         "what fixes the frame; chosen by the points' sigma unless given",
