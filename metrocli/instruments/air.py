@@ -77,7 +77,8 @@ def ciddor(
 
     Temperature in degC, pressure in hPa, partial pressure of the vapour in Pa, vacuum wavelength in mm, content of
     carbon dioxide in ppm. `n - 1 = (rho_a / rho_as) (n_as - 1) + (rho_v / rho_vs) (n_vs - 1)`, rho the densities of
-    dry air (a) and vapour (v). The standards (s) are dry air at 15 degC and 1013.25 hPa, vapour at 20 degC and 13.33 hPa.
+    dry air (a) and vapour (v). The standards (s) are dry air at 15 degC and 1013.25 hPa and
+    vapour at 20 degC and 13.33 hPa.
     """
     t, p = np.asarray(temperature, dtype=float), np.asarray(pressure, dtype=float) * _PA_OF_HPA
     s = (_UM_OF_MM * wavelength) ** -2
