@@ -49,7 +49,7 @@ from metrocli.tasks.calibrate_machine.settings import (
     MachineSimulation,
     Settings,
 )
-from metrocli.tasks.calibrate_machine.truth import Flow, Truth, truth_of
+from metrocli.tasks.calibrate_machine.truth import Flow, Truth, truth_of, warmed
 from metrocli.tasks.calibrate_machine.volume import grid_of
 from metrocli.tasks.job import Job
 from metrocli.tasks.shared.environment import air_of
@@ -87,7 +87,8 @@ def simulated(job: Job[Settings, Files], seed: int) -> Simulation:
         SIX_DOF: ("lines.csv", _lines),
         LENGTHS: ("lengths.csv", _lengths),
     }[settings.method]
-    table, model = make(_Measurement(settings, settings.simulation, job.files, tuple(job.effects)), truth, rng)
+    measurement = _Measurement(settings, settings.simulation, job.files, tuple(job.effects))
+    table, model = make(measurement, warmed(truth, settings.scales, rng), rng)
     square = dict(zip(SQUARENESS_NAMES, truth.blocks[SQUARENESS].values[0].tolist(), strict=True))
     return Simulation({file: table, "true_errors.csv": true_errors(settings, truth)}, square | true_values(model))
 

@@ -14,6 +14,7 @@ from metrocli.instruments import tracer as t
 from metrocli.table import Table
 from metrocli.tasks.multilaterate.problem import Network
 from metrocli.tasks.multilaterate.settings import Correction
+from metrocli.tasks.shared.part import Part
 from metrocli.words import listed
 
 if TYPE_CHECKING:
@@ -34,7 +35,12 @@ def refuse_lost(network: Network, probing: Table, tolerance: float) -> None:
 
 
 def corrected(
-    network: Network, solution: Solution, probing: Table, tolerance: float, scatter: Correction
+    network: Network,
+    solution: Solution,
+    probing: Table,
+    tolerance: float,
+    scatter: Correction,
+    part: Part | None = None,
 ) -> tuple[Table, Array]:
     """Return the probing points, corrected by the mover's error at their replayed points, and their covariances.
 
@@ -42,8 +48,8 @@ def corrected(
     Its covariance (3, 3) is `C + (2 r² + p² + g² |d|²) I`. C is that of the reflector's place, r the mover's
     repeatability, which acts at the probing and at the replay, p the standard deviation of the probed point. d leads
     from the replayed point to the probed one; g is the change
-    of the mover's error per length from a point to its nearest one (root mean square, each coordinate). Raises
-    InputError that lists every probing point whose replayed point the adjustment left out.
+    of the mover's error per length from a point to its nearest one (root mean square, each coordinate). Points of a
+    part are at 20 degC. Raises InputError that lists every probing point whose replayed point the adjustment left out.
     """
     match = _matches(network, probing, tolerance)
     _refuse(probing, match, _LEFT_OUT, tolerance)
@@ -53,6 +59,8 @@ def corrected(
     gap = np.linalg.norm(at - network.nominal[match], axis=1) * _gradient(network, places)
     own = 2 * scatter.repeatability**2 + scatter.tip**2 + gap**2
     covariance = of_place + own[:, None, None] * np.eye(3)
+    if part is not None:
+        moved, covariance = part.of_points(moved, covariance)
     columns: dict[str, Values] = {name: probing.columns[name] for name in ("feature", "point")}
     columns |= {name: moved[:, i] for i, name in enumerate("xyz")}
     columns |= {f"s{name}": np.sqrt(covariance[:, i, i]) for i, name in enumerate("xyz")}

@@ -25,6 +25,7 @@ from metrocli.tasks.multilaterate.settings import Correction
 from metrocli.tasks.multilaterate.solve import Solved
 from metrocli.tasks.multilaterate.uncontrolled import scale_warnings, uncontrolled
 from metrocli.tasks.shared.environment import blocks_of, estimates_of
+from metrocli.tasks.shared.part import Part
 from metrocli.tasks.shared.statistics import (
     REMOVE,
     REPEATS,
@@ -38,6 +39,7 @@ from metrocli.tasks.shared.statistics import (
 )
 from metrocli.tasks.shared.structured_noise import NoiseFound
 from metrocli.tasks.shared.uncontrolled import in_words
+from metrocli.uncertainty.predicted import COMMON, CORE
 from metrocli.words import listed
 
 if TYPE_CHECKING:
@@ -55,6 +57,8 @@ class Probing:
     table: Table | None
     tolerance: float
     scatter: Correction
+    part: Part | None = None
+    """The part to which the probing points belong; without probing points those of the network"""
 
 
 def report(solved: Solved, noise: NoiseFound, probing: Probing) -> Result:
@@ -62,7 +66,7 @@ def report(solved: Solved, noise: NoiseFound, probing: Probing) -> Result:
     solution = noise.solution
     added = solved.network.effects
     found = (*_tracer_estimates(solution), *estimates_of(solution), *estimates(added, solution))
-    points, arrays = _points(solved, solution)
+    points, arrays = _points(solved, solution, None if probing.table is not None else probing.part)
     effect_tables, effect_arrays = effect_results(added, solution)
     hidden = uncontrolled(solved.network)
     tables = {
@@ -76,7 +80,7 @@ def report(solved: Solved, noise: NoiseFound, probing: Probing) -> Result:
     }
     if probing.table is not None:
         tables["corrected"], arrays["corrected_covariance"] = corrected(
-            solved.network, solution, probing.table, probing.tolerance, probing.scatter
+            solved.network, solution, probing.table, probing.tolerance, probing.scatter, probing.part
         )
     rms = float(np.sqrt((solved.residuals.values**2).mean()))
     statistics = basic_statistics(solution, {"mm": rms}) | {
@@ -97,6 +101,7 @@ def report(solved: Solved, noise: NoiseFound, probing: Probing) -> Result:
         shown=tuple(_shown(solved)),
         notes=(
             *(() if solved.network.air is None else (solved.network.air.note,)),
+            *(() if probing.part is None else (probing.part.note,)),
             *solved.network.noise.notes,
             *found_notes(noise),
             *noise_notes(solution, cures=(REMOVE,)),
@@ -123,18 +128,26 @@ def _tracer_estimates(solution: Solution) -> tuple[Estimate, ...]:
     )
 
 
-def _points(solved: Solved, solution: Solution) -> tuple[Table, dict[str, Array]]:
-    """Return /points, with the mover's error at each point (its reading minus the point), and their covariances."""
+def _points(solved: Solved, solution: Solution, part: Part | None) -> tuple[Table, dict[str, Array]]:
+    """Return /points, with the mover's error at each point (its reading minus the point), and their covariances.
+
+    With a part the points are at 20 degC; the mover's error is that at the measurement.
+    """
     network = solved.network
     block, seen = solution.blocks[t.POINT], network.seen > 0
     each = solution.covariance_or_raise().members(t.POINT)[seen]
+    places, pairs = block.values[seen], factors(solution.covariance_or_raise(), seen)
+    error = network.nominal[seen] - places
+    if part is not None:
+        places, each = part.of_points(places, each)
+        if pairs:
+            pairs[COMMON], pairs[CORE] = part.of_factors(places, pairs[COMMON], pairs[CORE])
     std = np.sqrt(np.maximum(np.einsum("mii->mi", each), 0.0))
-    error = network.nominal[seen] - block.values[seen]
     columns: dict[str, Values] = {"point": np.array(block.members)[seen]}
-    columns |= {name: block.values[seen, i] for i, name in enumerate("xyz")}
+    columns |= {name: places[:, i] for i, name in enumerate("xyz")}
     columns |= {f"s{name}": std[:, i] for i, name in enumerate("xyz")}
     columns |= {f"error_{name}": error[:, i] for i, name in enumerate("xyz")}
-    arrays = {"points_covariance": each, **factors(solution.covariance_or_raise(), seen)}
+    arrays = {"points_covariance": each, **pairs}
     return Table(columns, {name: "mm" for name in columns if name != "point"}), arrays
 
 

@@ -10,6 +10,7 @@ from metrocli.table import ABSENT, TEXT, Column, Columns, Table
 from metrocli.tasks.shared.environment import WEATHER, Environment
 from metrocli.tasks.shared.known_places import SIGMAS
 from metrocli.tasks.shared.lengths import LengthNoise, Scale
+from metrocli.tasks.shared.part import Part
 
 _PLACE = tuple(Column(axis, "length") for axis in "xyz")
 LENGTHS = Columns(
@@ -118,6 +119,9 @@ class Settings:
         Section(Environment),
         "the air, and the one that the tracers assume; readings stay as they are without it",
         default=None,
+    )
+    part: Part | None = setting(
+        Section(Part), "temperature and expansion of the part; its points are given at 20 degC", default=None
     )
     datum: str | None = setting(
         Choice("inner-constraints", "points"),

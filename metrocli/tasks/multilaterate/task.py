@@ -40,7 +40,7 @@ def run(job: Job[Settings, Files]) -> Result:
 
     found, factor = settled(settings.noise, solved, lambda one: [one.residuals])
     noise = noise_of(found, settings.noise.model, factor)
-    return report(found, noise, Probing(probing, tolerance, settings.correction))
+    return report(found, noise, Probing(probing, tolerance, settings.correction, settings.part))
 
 
 def _network(job: Job[Settings, Files], factor: float = 1.0) -> Network:
