@@ -52,8 +52,8 @@ class Tables:
 def tables_of(machine: Machine, solution: Solution, scales: Mapping[str, Warm] = NO_SCALES) -> Tables:
     """Return the tables of a solution, and propagate the covariance of the unknowns to their entries.
 
-    An axis in `scales` has the positioning of its scale at 20 degC: `E - g (x - x_r)` with the growth g of the scale
-    and the reference x_r of the table, which adds `u(g)^2 (x - x_r)(x - x_r)'` to its covariance.
+    An axis in `scales` has the positioning of its scale at 20 degC: `E - g (x - x_r)`, g the growth of the scale and
+    x_r the reference of the table. This adds `u(g)^2 (x - x_r)(x - x_r)'` to the covariance.
     """
     blocks = dict(solution.blocks)
     unknowns = unknowns_of(blocks, ERROR_BLOCKS)
