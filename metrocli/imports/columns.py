@@ -6,6 +6,7 @@ import csv
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from metrocli import units
 from metrocli.errors import Fault, InputError, UsageError
@@ -65,6 +66,11 @@ class Mapping:
     header: int | str = setting(
         Either(Whole(1), Choice("none")), "line with the names of the columns, or none (default: the first)", default=0
     )
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield a fault if the CSV would not be in the folder of --out."""
+        if self.file is not None and Path(self.file).name != self.file:
+            yield "file", "a name without folders is expected: --out names the folder"
 
 
 def files(lines: Lines, wishes: Wishes) -> Imported:

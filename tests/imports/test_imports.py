@@ -138,6 +138,7 @@ FAULTS: dict[str, tuple[str, str, str, int, list[str]]] = {
     "no unit": ("map.yaml", "unit: um, ", "", 3, ["map.yaml:8", "has no unit"]),
     "sign": ("map.yaml", "sign: -1", "sign: minus", 3, ["map.yaml:8"]),
     "input": ("map.yaml", "input: lengths", "input: length", 3, ["map.yaml:2", "did you mean 'lengths'?"]),
+    "folder": ("map.yaml", "header: 2", "file: ../a.csv", 3, ["map.yaml:3", "a name without folders"]),
     "key": ("map.yaml", "decimal", "decimals", 3, ["map.yaml:4", "did you mean 'decimal'?"]),
     "value": ("map.yaml", "t: {column: 2", "t: {value: noon", 3, ["map.yaml:9", "'noon' is not a number"]),
     "coordinate": ("points.txt", "-2.5E+00", "nan", 3, ["points.txt:3", "'nan' is not a number"]),

@@ -122,7 +122,7 @@ class Air:
     def note(self) -> str:
         """What was corrected, in a sentence."""
         change = units.sized(self.assumed / self.mean - 1, "ratio")
-        return f"lengths are corrected for the air: index {self.mean:.9f}, {self.assumed:.9f} assumed, so {change}"
+        return f"lengths are corrected for the air by {change}: index {self.mean:.9f}, assumed {self.assumed:.9f}"
 
 
 def priors_of(air: Air | None) -> list[Group]:
@@ -133,11 +133,11 @@ def priors_of(air: Air | None) -> list[Group]:
 
 
 def estimates_of(solution: Solution) -> tuple[Estimate, ...]:
-    """Return the relative error of the index as an estimate; empty if it is no unknown."""
+    """Return the factor of all lengths that the error of the index is, about 1; empty if it is no unknown."""
     block = solution.blocks.get(AIR)
     if block is None or not block.free.any():
         return ()
-    return (Estimate("air.scale", float(block.values[0, 0]), float(solution.std(AIR)[0, 0]), "1", SCALE),)
+    return (Estimate("air.scale", 1 + float(block.values[0, 0]), float(solution.std(AIR)[0, 0]), "1", SCALE),)
 
 
 def blocks_of(solution: Solution) -> tuple[str, ...]:

@@ -121,7 +121,7 @@ def test_a_calibrated_distance_finds_the_error_of_the_air() -> None:
     bars = Table(columns, dict.fromkeys(("length", "sigma"), "mm"), "bars.csv", (2,))
     result = run(net, off.lengths(), environment(std=5 * ONE_PPM), distances=bars)
     scale = next(one for one in result.estimates if one.name == "air.scale")
-    assert scale.value == pytest.approx(2 * PPM, abs=2 * scale.std)
+    assert scale.value - 1 == pytest.approx(2 * PPM, abs=2 * scale.std)
     assert scale.std < 0.5 * PPM
 
 
@@ -135,7 +135,10 @@ def test_lengths_to_a_machine_are_corrected_and_their_scale_is_uncertain() -> No
 
     def positioning(lengths: Table, air: Environment | None) -> tuple[np.ndarray, np.ndarray]:
         task = calibrate_machine.TASK.job(replace(job, environment=air), lengths=lengths)
-        found = calibrate_machine.run(task).tables["tables/EXX"]
+        result = calibrate_machine.run(task)
+        # the air is known to its uncertainty, so it makes no combination of errors undetermined
+        assert float(str(result.statistics["ratio"])) < 20
+        found = result.tables["tables/EXX"]
         return found.numbers("value"), found.numbers("std")
 
     expected, _ = positioning(table, None)
