@@ -63,6 +63,10 @@ def test_positioning_is_that_of_a_scale_at_20_degc() -> None:
         expected = np.hypot(before.numbers("std"), STD * np.abs(way))
         assert after.numbers("std") == pytest.approx(expected, abs=1e-12)
     assert [note for note in cold.notes if "EXX is given for a scale of 20 degC" in note]
+    hidden = "temperature of the machine (positioning errors)"
+    assert hidden in cold.tables["not_controlled"].texts("effect")
+    whole = run(with_scale(job, x=GLASS, y=GLASS, z=GLASS))
+    assert hidden not in whole.tables["not_controlled"].texts("effect")
     # the predicted error of the tool follows
     before, after = (result.tables["volume"] for result in (warm, cold))
     for axis, grown in (("x", GROWN), ("y", GROWN), ("z", 0.0)):
