@@ -10,7 +10,7 @@ import click
 
 from metrocli import __version__
 from metrocli.cli.console import echo
-from metrocli.cli.help import COMMANDS, ROOMS, example_of, help_text, version_text
+from metrocli.cli.help import COMMANDS, MODULES, ROOMS, example_of, help_text, version_text
 from metrocli.cli.shell.signals import INTERRUPTED, TERMINATED, Terminated, ending
 from metrocli.errors import InputError, MetrocliError
 from metrocli.tasks import KINDS
@@ -34,7 +34,7 @@ class Commands(click.Group):
             return made
         if cmd_name not in COMMANDS:
             return None
-        command: click.Command = import_module(f"metrocli.cli.{ROOMS.get(cmd_name, '')}{cmd_name}").command
+        command: click.Command = import_module(module_of(cmd_name)).command
         command.epilog = example_of(cmd_name)
         return command
 
@@ -49,6 +49,11 @@ class Commands(click.Group):
 
     def format_help(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         formatter.write(help_text())
+
+
+def module_of(command: str) -> str:
+    """Return the module of a command that is no kind of job."""
+    return f"metrocli.cli.{ROOMS.get(command, '')}{MODULES.get(command, command)}"
 
 
 _CANNOT_WRITE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO)

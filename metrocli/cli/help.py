@@ -24,10 +24,11 @@ COMMANDS = {
     "compare": "two results: differences, E_n, one test of all",
     "verify": "a result against independent measurements",
     "export": "a result in another format: CSV, compensation tables",
+    "import": "a file of an instrument as CSV that jobs read",
     "schema": "JSON schema of a job, for editors",
     "completion": "completion of commands and options in bash, zsh or fish",
 }
-"""The commands that are not kinds of job; each is the module of its name in this package or in one of ROOMS."""
+"""The commands that are not kinds of job"""
 ROOMS = {
     "gather": "provenance.",
     "lineage": "provenance.",
@@ -38,7 +39,11 @@ ROOMS = {
     "compare": "look.",
     "verify": "look.",
     "completion": "shell.",
+    "import": "exchange.",
 }
+"""The package in this one that has a command; the others are modules of this package"""
+MODULES = {"import": "imports"}
+"""The module of a command whose name is a word of Python; the others have the name of their command"""
 
 EXAMPLES = {
     "init": "metrocli init gear --sample gear-m3d3",
@@ -59,6 +64,7 @@ EXAMPLES = {
     "plot": "metrocli plot results/tip4.h5 residuals --save residuals.svg",
     "report": "metrocli report results/tip4.h5",
     "export": "metrocli export results/tip4.h5 --to csv",
+    "import": "metrocli import LT1.txt --from columns --map map.yaml --out data",
     "schema": "metrocli schema multilaterate",
     "completion": 'eval "$(metrocli completion bash)"',
 }

@@ -16,6 +16,7 @@ from metrocli.adjust.model.blocks import Array, Block, Mask
 from metrocli.adjust.model.chain import Chain, Link, Local, Step
 from metrocli.adjust.model.quantities import Quantity
 from metrocli.instruments.frames import PointOf
+from metrocli.instruments.tracer import AIR
 
 UNIT, RECEIVER, SPINDLE = "launch unit", "receiver", "spindle"
 """Blocks: x, y, z, gamma of the launch unit; control point of the receiver and spindle angle psi in each pose"""
@@ -153,16 +154,24 @@ class Reading:
 
 @dataclass(frozen=True)
 class BeamLength:
-    """Link to the distance of the control points, `|b|`."""
+    """Link to the distance of the control points, `|b|`; in air `|b| (1 + e)`, e the relative error of its index."""
 
+    in_air: bool = False
     takes = Quantity.BEAM_OUT
     gives = Quantity.LENGTH
-    blocks = ()
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """Name of the block of the air, if there is one."""
+        return (AIR,) if self.in_air else ()
 
     def step(self, value: Array, local: Local) -> Step:
-        """Return the distance, (1, n), with its derivative by the beam."""
+        """Return the distance, (1, n), with its derivatives by the beam and by the air."""
         distance = np.sqrt(np.einsum("an,an->n", value, value))
-        return Step(distance[None], (value / distance)[None])
+        if not self.in_air:
+            return Step(distance[None], (value / distance)[None])
+        scale = 1 + local.rows(AIR)[0]
+        return Step((scale * distance)[None], (scale * value / distance)[None], {AIR: distance[None, None]})
 
 
 def encoder_chain(name: str) -> Chain:
@@ -176,9 +185,9 @@ def encoder_chain(name: str) -> Chain:
     return Chain((_receiver(), beam, base, Encoders(base.gives, angles), Reading(angles, component)))
 
 
-def distance_chain() -> Chain:
-    """Return the forward model of a distance."""
-    return Chain((_receiver(), BeamOut(), BeamLength()))
+def distance_chain(in_air: bool = False) -> Chain:
+    """Return the forward model of a distance, `in_air` with an error of its refractive index."""
+    return Chain((_receiver(), BeamOut(), BeamLength(in_air)))
 
 
 def _receiver() -> PointOf:

@@ -17,8 +17,10 @@ from metrocli.adjust.movements import of_members, of_points
 from metrocli.instruments.frames import PointOf
 from metrocli.instruments.machine import ErrorMotion, Machine, ReachedPoint
 
-POINT, TRACER, STOP = "point", "tracer", "stop"
-"""Blocks: reflector positions; x0, y0, z0, dead path and scale of each tracer; deviations of the carrier's stops"""
+POINT, TRACER, STOP, AIR = "point", "tracer", "stop", "air"
+"""Blocks: reflector positions; x0, y0, z0, dead path and scale of each tracer; deviations of the carrier's stops; the
+relative error of the refractive index, which all lengths share. The condition `air` is the index at a reading over that
+where its tracer was set to zero."""
 ALONE = "alone"
 """Condition: 1 for a length that is the only one of its stop, 0 for others"""
 COLUMNS = ("x", "y", "z", "dead_path", "scale")
@@ -38,23 +40,30 @@ COS_2A, SIN_2A, INCIDENCE, COS_A, SIN_A = "cos 2a", "sin 2a", "1 - cos i", "cos 
 
 @dataclass(frozen=True)
 class LengthFrom:
-    """Link to the length change read by a tracer: `l = s |x - x0| - l0`, after Härtig et al. eq. 1."""
+    """Link to the length change read by a tracer: `l = s |x - x0| - l0`, after Härtig et al. eq. 1.
+
+    In air of a given index s is times `a (1 + e)`, a the condition `air` and e the column of the block of this name.
+    """
 
     block: str = TRACER
+    in_air: bool = False
     takes = Quantity.POINT_IN_MACHINE
     gives = Quantity.LENGTH
 
     @property
     def blocks(self) -> tuple[str, ...]:
-        """Name of the block of tracers."""
-        return (self.block,)
+        """Names of the block of tracers and of that of the air."""
+        return (self.block, AIR) if self.in_air else (self.block,)
 
     def step(self, value: Array, local: Local) -> Step:
         """Return the length, (1, n), with its derivatives by the point, (1, 3, n), and by the tracer, (1, 5, n)."""
         tracer = local.rows(self.block)
         from_tracer = value - tracer[:3]
         distance = np.sqrt(np.einsum("an,an->n", from_tracer, from_tracer))
-        scale = tracer[4]
+        air = (
+            local.observations.conditions.get(AIR, np.ones(1)) * (1 + local.rows(AIR)[0]) if self.in_air else np.ones(1)
+        )
+        scale = tracer[4] * air
         length = (scale * distance - tracer[3])[None]
         if not local.wanted:
             return Step(length)
@@ -62,8 +71,11 @@ class LengthFrom:
         by_tracer = np.empty((1, 5, len(distance)))
         np.negative(towards, out=by_tracer[0, :3])
         by_tracer[0, 3] = -1.0
-        by_tracer[0, 4] = distance
-        return Step(length, towards[None], {self.block: by_tracer})
+        by_tracer[0, 4] = distance * air
+        by_block = {self.block: by_tracer}
+        if self.in_air:
+            by_block[AIR] = (scale * distance / (1 + local.rows(AIR)[0]))[None, None]
+        return Step(length, towards[None], by_block)
 
 
 @dataclass(frozen=True)
@@ -92,9 +104,12 @@ def reach_of_machine(machine: Machine) -> Chain:
     return Chain((ErrorMotion(machine), ReachedPoint()))
 
 
-def chain(to: Chain | None = None, stops: bool = False) -> Chain:
-    """Return the forward model of a length to the end of a chain, default `reach()`; with the deviations of stops."""
-    return Chain((*(to or reach()).links, *([Returned()] if stops else []), LengthFrom(TRACER)))
+def chain(to: Chain | None = None, stops: bool = False, in_air: bool = False) -> Chain:
+    """Return the forward model of a length to the end of a chain, default `reach()`.
+
+    `stops` is with the deviations of stops, `in_air` with the refractive index of the air.
+    """
+    return Chain((*(to or reach()).links, *([Returned()] if stops else []), LengthFrom(TRACER, in_air)))
 
 
 def beams(to: Chain, blocks: Mapping[str, Block], observations: Observations) -> Array:

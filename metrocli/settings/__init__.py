@@ -3,17 +3,20 @@
 from metrocli.settings.composites import At, Either, ListOf, MapOf, Placed
 from metrocli.settings.files import ANY_KIND, FileOf, ImageFiles, MeshFile, TableFile, path_beside
 from metrocli.settings.sections import Section, Setting, read_sections, sections_schema, setting, settings_of
+from metrocli.settings.uncertain import UNKNOWN, Known, Uncertain
 from metrocli.settings.values import BAD, Choice, Flag, Number, Quantity, Schema, Spec, Text, Whole
 
 __all__ = [
     "ANY_KIND",
     "BAD",
+    "UNKNOWN",
     "At",
     "Choice",
     "Either",
     "FileOf",
     "Flag",
     "ImageFiles",
+    "Known",
     "ListOf",
     "MapOf",
     "MeshFile",
@@ -26,6 +29,7 @@ __all__ = [
     "Spec",
     "TableFile",
     "Text",
+    "Uncertain",
     "Whole",
     "path_beside",
     "read_sections",

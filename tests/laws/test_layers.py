@@ -14,7 +14,7 @@ ROOT = Path(metrocli.__file__).parent
 LAYERS = [
     {"cli", "__main__"},
     {"project"},
-    {"exports", "report"},
+    {"exports", "imports", "report"},
     {"plots"},
     {"tasks"},
     {"diagnosis", "uncertainty"},

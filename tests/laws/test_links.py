@@ -82,6 +82,9 @@ def lens_blocks(**values: float) -> Block:
     return Block("lens", rows, tuple(values), ("a", "b", "c"))
 
 
+AIR_BLOCK = Block("air", np.array([[0.01]]), ("scale",))
+
+
 def unit_block() -> Block:
     return Block("launch unit", np.array([[-300.0, 400.0, 100.0, 2.5]]), launch_unit.COLUMNS)
 
@@ -140,6 +143,9 @@ CASES: dict[str, Case] = {
     "DistanceBetween": Case(DistanceBetween("points"), (point_block(5),), touched=2),
     "Returned": Case(Returned(), (Block("stop", POINTS, tuple("xyz"), tuple("abcde")),)),
     "LengthFrom": Case(LengthFrom(), (Block("tracer", TRACERS, tracer.COLUMNS, tuple("abc")),)),
+    "LengthFrom, in air": Case(
+        LengthFrom(in_air=True), (Block("tracer", TRACERS, tracer.COLUMNS, tuple("abc")), AIR_BLOCK)
+    ),
     "BeamOut": Case(BeamOut(), (unit_block(),)),
     "BeamBack": Case(BeamBack(), (unit_block(),)),
     "AboutBase, one": Case(AboutBase("launch unit", 3, Quantity.BEAM_OUT, Quantity.BEAM_AT_LAUNCH), (unit_block(),)),
@@ -150,6 +156,7 @@ CASES: dict[str, Case] = {
     "Encoders": Case(Encoders(Quantity.BEAM_AT_LAUNCH, Quantity.LAUNCH_ANGLES), ()),
     "Reading": Case(Reading(Quantity.LAUNCH_ANGLES, 0), (), value_size=2, largest=8.0),
     "BeamLength": Case(BeamLength(), ()),
+    "BeamLength, in air": Case(BeamLength(in_air=True), (AIR_BLOCK,)),
     "Coupling": Case(Coupling("coupling"), (Block("coupling", np.array([[0.4]]), ("gamma_s",)),)),
     "Coupling, several": Case(
         Coupling("coupling"), (Block("coupling", np.array([[0.4], [-0.2]]), ("gamma_s",), ("a", "b")),)

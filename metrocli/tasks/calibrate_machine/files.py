@@ -7,6 +7,7 @@ from pathlib import Path
 
 from metrocli.settings import TableFile, setting
 from metrocli.table import TEXT, Column, Columns, Table
+from metrocli.tasks.shared.environment import WEATHER
 from metrocli.tasks.shared.known_places import SIGMAS
 
 _PLACE = tuple(Column(name, "length") for name in ("x", "y", "z"))
@@ -61,6 +62,7 @@ LENGTHS = Columns(
         _TOOL,
         _TIME,
         Column("temp", "temperature", required=False),
+        *WEATHER,
         *_SIDES,
     ),
     (),

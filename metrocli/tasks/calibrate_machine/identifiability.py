@@ -17,7 +17,7 @@ from metrocli.adjust.dense_jacobian import Unknowns, normal_matrix, rows, unit_n
 from metrocli.adjust.model.blocks import Array, Block
 from metrocli.errors import UndeterminedError
 from metrocli.instruments.machine import ALL_NAMES, ANGLES, AXES, TOOL, Machine, errors_of
-from metrocli.instruments.tracer import STOP, TRACER
+from metrocli.instruments.tracer import AIR, STOP, TRACER
 from metrocli.tasks.calibrate_machine.determination import Determination
 from metrocli.tasks.calibrate_machine.layout import cure_of
 from metrocli.tasks.calibrate_machine.problem import Problem
@@ -247,12 +247,13 @@ def worst_ratio(problem: Problem) -> float:
     """Return the largest ratio of the error in the volume to the misfit of the readings, both root mean square.
 
     `max |G v| / |J v|` over all errors v that the tables can describe. G maps v to the error in the volume after the
-    best rigid motion, J to the readings after the fit of the tracker's frame. Returns inf if J is rank deficient.
+    best rigid motion, J to the readings after the fit of the tracker's frame. What only a prior
+    holds, such as the index of the air, stays as it is. Returns inf if J is rank deficient.
     """
     from scipy.linalg import eigh
 
     blocks = problem.blocks
-    names = [name for name, block in blocks.items() if block.free.any() and name not in (TOOL, STOP)]
+    names = [name for name, block in blocks.items() if block.free.any() and name not in (TOOL, STOP, AIR)]
     unknowns = unknowns_of(blocks, names)
     if unknowns.size == 0:
         return 0.0

@@ -32,7 +32,7 @@ from metrocli.instruments.machine import (
     tool_block,
 )
 from metrocli.instruments.six_dof import LINE
-from metrocli.instruments.tracer import POINT, STOP, TRACER
+from metrocli.instruments.tracer import AIR, POINT, STOP, TRACER
 from metrocli.instruments.tracer import aspects as beam_aspects
 from metrocli.instruments.tracker import LEG, TRACKER
 from metrocli.table import Table
@@ -65,6 +65,8 @@ class Problem(Modelled):
     """Results that come from the readings alone, without the model, such as the figures of ISO 230-2"""
     noise: PathNoise | None = None
     """Standard deviations of lengths, which follow from the solution; None for other readings"""
+    notes: tuple[str, ...] = ()
+    """What was done with the readings, in sentences"""
 
     @property
     def readings(self) -> Group:
@@ -248,6 +250,6 @@ def _refuse_sides(table: Table) -> None:
 
 ERROR_BLOCKS = ("axis X", "axis Y", "axis Z", SQUARENESS, TOOL)
 """Names of the blocks on which the predicted error of a point depends"""
-BLOCKS = (*ERROR_BLOCKS, TRACKER, LEG, LINE, TRACER, STOP)
+BLOCKS = (*ERROR_BLOCKS, TRACKER, LEG, LINE, TRACER, STOP, AIR)
 """Names of the blocks of machine and instruments; all other blocks are effects"""
 PAIRS = ("xy", "xz", "yz")

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from metrocli import units
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.solution import Solution
 from metrocli.effects.estimates import estimates as effect_estimates
@@ -38,10 +40,10 @@ SIGN = "actual minus commanded"
 def report(solved: Solved, settings: Settings, noise: NoiseFound) -> Result:
     """Return the result of a solved calibration."""
     solution, added = noise.solution, solved.problem.effects
-    tables = tables_of(solved.problem.machine, solution)
+    tables = tables_of(solved.problem.machine, solution, settings.scales)
     identified = solved.identified
     effect_tables, effect_arrays = effect_results(added, solution)
-    hidden = uncontrolled(solved, tables)
+    hidden = uncontrolled(solved, tables, settings.scales)
     volume = volume_tables(tables, identified, settings.volume, solved.problem.tools_used)
     tools = (TOOL,) if solution.blocks[TOOL].free.any() else ()
     found = (*_estimates(solution), *effect_estimates(added, solution))
@@ -79,6 +81,8 @@ def report(solved: Solved, settings: Settings, noise: NoiseFound) -> Result:
         ),
         notes=(
             *identifiability_notes(identified),
+            *solved.problem.notes,
+            *_at_20_degrees(settings),
             *(solved.problem.noise.notes if solved.problem.noise else ()),
             NOT_CONTAINED,
             *found_notes(noise),
@@ -88,6 +92,13 @@ def report(solved: Solved, settings: Settings, noise: NoiseFound) -> Result:
         details=noise.details([one.name for one in found]),
         plain=("dof",),
     )
+
+
+def _at_20_degrees(settings: Settings) -> Iterator[str]:
+    """Yield what was done with the scales of the axes, in a sentence for each."""
+    for letter, scale in settings.scales.items():
+        size = f"{units.sized(scale.growth, 'ratio')} ± {units.sized(scale.std, 'ratio')}"
+        yield f"E{letter}{letter} is given for a scale of 20 degC: at the measurement it had grown by {size}"
 
 
 def _wanted(name: str, identified: Identifiability) -> bool:

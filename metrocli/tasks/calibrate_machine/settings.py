@@ -22,7 +22,9 @@ from metrocli.settings import (
     setting,
 )
 from metrocli.tasks.calibrate_machine.files import Inputs
+from metrocli.tasks.shared.environment import Environment
 from metrocli.tasks.shared.lengths import REPEATABILITY, REPEATABILITY_WORDS, LengthNoise, Scale
+from metrocli.tasks.shared.part import Warm
 from metrocli.tasks.shared.structured_noise import model_setting
 
 ON_THE_FLY, STANDSTILL, SIX_DOF, LENGTHS = "on-the-fly", "standstill", "six-dof", "lengths"
@@ -44,6 +46,9 @@ class AxisSettings:
 
     range: tuple[float, float] = setting(ListOf(Quantity("length"), 2), "lowest and highest position")
     knots: int = setting(Whole(2, 2000), "knots of each error table, ends included")
+    scale: Warm | None = setting(
+        Section(Warm), "temperature and expansion of its scale; its positioning is given at 20 degC", default=None
+    )
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield a fault if the range does not ascend."""
@@ -232,6 +237,9 @@ class Settings:
     scale: Scale | None = setting(
         Section(Scale), "lengths: estimate the scales of the stations; fixed at 1 without it", default=None
     )
+    environment: Environment | None = setting(
+        Section(Environment), "lengths: the air, and the one that the interferometers assume", default=None
+    )
     outliers: str = setting(
         Choice("report", "remove"), "all but on-the-fly: report outliers, or leave them out", default="report"
     )
@@ -253,6 +261,12 @@ class Settings:
         return ALL_NAMES if isinstance(self.estimate, str) else tuple(canonical(name) for name in self.estimate)
 
     @property
+    def scales(self) -> dict[str, Warm]:
+        """The scales whose temperature is given, by the letter of their axis."""
+        axes = {"X": self.machine.axes.x, "Y": self.machine.axes.y, "Z": self.machine.axes.z}
+        return {letter: axis.scale for letter, axis in axes.items() if axis.scale is not None}
+
+    @property
     def tools(self) -> dict[str, tuple[float, ...]]:
         """Tool vectors by name; a single vector given by `tool` has the empty name."""
         return self.machine.tools or {"": self.machine.tool or (0.0, 0.0, 0.0)}
@@ -267,6 +281,12 @@ class Settings:
                 yield "inputs" + (f".{key}" if given else ""), f"method {self.method} {verb} the input '{key}'"
         if not self.estimated:
             yield "estimate", "the list is empty: leave the key out to estimate all errors, or name some, such as EXX"
+        for letter in self.scales:
+            if f"E{letter}{letter}" not in self.estimated:
+                yield (
+                    f"machine.axes.{letter.lower()}.scale",
+                    f"the scale changes E{letter}{letter}, which is not estimated: add it, or leave this key out",
+                )
         if self.method == ON_THE_FLY and self.outliers == "remove":
             yield "outliers", "method on-the-fly always removes wild points of the track: leave this key out"
         for key in _NOISE[self.method]:
@@ -276,5 +296,6 @@ class Settings:
             yield "noise", f"method {self.method} needs the noise 'lateral'"
         if self.positioning != Positioning() and self.method != SIX_DOF:
             yield "positioning", f"method {self.method} has no figures of ISO 230-2: leave this key out"
-        if self.scale is not None and self.method != LENGTHS:
-            yield "scale", f"method {self.method} has no scales of tracking interferometers: leave this key out"
+        for key, what in (("scale", "scales of tracking interferometers"), ("environment", "lengths to correct")):
+            if getattr(self, key) is not None and self.method != LENGTHS:
+                yield key, f"method {self.method} has no {what}: leave this key out"

@@ -26,7 +26,7 @@ from metrocli.instruments.machine import (
 )
 from metrocli.instruments.machine_path import Path
 from metrocli.instruments.six_dof import CHANNELS, LINE, line_block, line_chain
-from metrocli.instruments.tracer import POINT, TRACER, beams, reach_of_machine, tracer_block
+from metrocli.instruments.tracer import AIR, POINT, TRACER, beams, reach_of_machine, tracer_block
 from metrocli.instruments.tracer import chain as length_chain
 from metrocli.instruments.tracker import TRACKER, point_chain, tracker_block
 from metrocli.simulation import Simulation
@@ -49,9 +49,10 @@ from metrocli.tasks.calibrate_machine.settings import (
     MachineSimulation,
     Settings,
 )
-from metrocli.tasks.calibrate_machine.truth import Flow, Truth, truth_of
+from metrocli.tasks.calibrate_machine.truth import Flow, Truth, truth_of, warmed
 from metrocli.tasks.calibrate_machine.volume import grid_of
 from metrocli.tasks.job import Job
+from metrocli.tasks.shared.environment import air_of
 from metrocli.tasks.shared.lengths import PathNoise
 
 if TYPE_CHECKING:
@@ -63,6 +64,8 @@ _REST = 0.5
 """Rest of the machine at each vertex [s]"""
 _MISALIGNED = np.array([0.01] * 3 + [1e-4] * 5)
 """Standard deviations of the simulated misalignment of a line: three offsets [mm], five angles [rad]"""
+_CONDITIONS = {"t": "s", "temp": "degC", "pressure": "hPa", "humidity": "percent"}
+"""Conditions of lengths that a simulation takes over from the job's file, with their units"""
 _STATIONS = 4
 _AROUND = np.array([[-0.4, -0.4, 0.1], [1.4, -0.3, 0.8], [1.3, 1.4, 0.0], [-0.4, 1.3, 1.0], [0.5, -0.9, 1.2]])
 """Places of simulated stations, as shares of the travel"""
@@ -84,7 +87,8 @@ def simulated(job: Job[Settings, Files], seed: int) -> Simulation:
         SIX_DOF: ("lines.csv", _lines),
         LENGTHS: ("lengths.csv", _lengths),
     }[settings.method]
-    table, model = make(_Measurement(settings, settings.simulation, job.files, tuple(job.effects)), truth, rng)
+    measurement = _Measurement(settings, settings.simulation, job.files, tuple(job.effects))
+    table, model = make(measurement, warmed(truth, settings.scales, rng), rng)
     square = dict(zip(SQUARENESS_NAMES, truth.blocks[SQUARENESS].values[0].tolist(), strict=True))
     return Simulation({file: table, "true_errors.csv": true_errors(settings, truth)}, square | true_values(model))
 
@@ -175,22 +179,27 @@ def _lengths(job: _Measurement, truth: Truth, rng: np.random.Generator) -> tuple
     )
     noise = PathNoise.of(job.settings.noise.of_lengths)
     returns = 0.0 if noise.std is not None else noise.repeatability
-    chain = length_chain(reach_of_machine(truth.machine))
+    columns: dict[str, Values] = {"point": points, "station": np.array(names)[station], **flow.conditions}
+    air, blocks = air_of(job.settings.environment, Table(columns), "station"), {TRACER: block}
     members, point = np.unique(points, return_inverse=True)
     flow = replace(flow, index={TRACER: station, POINT: point}, points=tuple(members.tolist()))
-    read, model = job.read(truth.model(chain, {TRACER: block}, flow))
+    if air is not None:
+        flow = replace(flow, conditions={**flow.conditions, AIR: air.ratio})
+        blocks[AIR] = air.block.with_values(rng.normal(size=(1, 1)) * air.std)
+    chain = length_chain(reach_of_machine(truth.machine), in_air=air is not None)
+    read, model = job.read(truth.model(chain, blocks, flow))
     path = read[0]
     beam = beams(reach_of_machine(truth.machine), model.blocks, model.groups[0].observations) / path
     deviation = (beam * rng.normal(size=beam.shape)).sum(axis=0) * returns
     sigma = np.sqrt(noise.constant**2 + (noise.proportional * path) ** 2)
     first = np.array([int(np.argmax(station == i)) for i in range(len(names))])
-    length = path + deviation + rng.normal(size=len(path)) * sigma
-    columns: dict[str, Values] = {"point": points, "station": np.array(names)[station]}
-    columns |= dict(zip(POSITION, flow.position, strict=True)) | {"length": length - path[first][station]}
-    columns |= dict(flow.conditions)
+    length = path + deviation + rng.normal(size=len(path)) * sigma - path[first][station]
+    columns |= dict(zip(POSITION, flow.position, strict=True))
+    columns["length"] = length if air is None else length / air.towards
     if list(job.settings.tools) != [""]:
         columns["tool"] = np.array(list(job.settings.tools))[flow.tool]
-    return Table(columns, {**dict.fromkeys((*POSITION, "length"), "mm"), "t": "s"}), model
+    units = dict.fromkeys((*POSITION, "length"), "mm") | _CONDITIONS
+    return Table(columns, {name: unit for name, unit in units.items() if name in columns}), model
 
 
 def _readings_of_stations(
@@ -203,8 +212,8 @@ def _readings_of_stations(
         station = np.array([names.index(name) for name in table.texts("station")])
         points = np.array(table.texts("point"), dtype=str)
         flow = Flow(commanded(machine_of(job.settings), table), tools_of(table, job.settings), {})
-        timed = {"t": table.numbers("t")} if "t" in table else {}
-        return names, station, replace(flow, conditions=timed), points
+        given = {name: table.numbers(name) for name in _CONDITIONS if name in table}
+        return names, station, replace(flow, conditions=given), points
     once, n = _stops(job, machine, rng), job.simulation.points
     names = [f"S{i + 1}" for i in range(_STATIONS)] if listed is None else listed.texts("station")
     order = np.tile(np.arange(n), len(names))

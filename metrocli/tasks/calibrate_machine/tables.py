@@ -15,7 +15,11 @@ from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.solution import Solution
 from metrocli.instruments.machine import SQUARENESS, SQUARENESS_NAMES, TOOL, Axis, Machine, errors_of, is_angle
 from metrocli.tasks.calibrate_machine.problem import ERROR_BLOCKS
+from metrocli.tasks.shared.part import Warm
 from metrocli.units import internal_unit
+
+NO_SCALES: Mapping[str, Warm] = {}
+"""Axes whose scales have 20 degC, or a temperature that the job does not give"""
 
 
 def unit_of(name: str) -> str:
@@ -45,17 +49,38 @@ class Tables:
         return position, self.values[at], np.sqrt(np.maximum(np.diag(self.covariance)[at], 0.0))
 
 
-def tables_of(machine: Machine, solution: Solution) -> Tables:
-    """Return the tables of a solution, and propagate the covariance of the unknowns to their entries."""
-    blocks = solution.blocks
+def tables_of(machine: Machine, solution: Solution, scales: Mapping[str, Warm] = NO_SCALES) -> Tables:
+    """Return the tables of a solution, and propagate the covariance of the unknowns to their entries.
+
+    An axis in `scales` has the positioning of its scale at 20 degC: `E - g (x - x_r)`, g the growth of the scale and
+    x_r the reference of the table. This adds `u(g)^2 (x - x_r)(x - x_r)'` to the covariance.
+    """
+    blocks = dict(solution.blocks)
     unknowns = unknowns_of(blocks, ERROR_BLOCKS)
     raw = covariance_of(solution, unknowns)
+    for axis in machine.axes:
+        if axis.letter in scales:
+            scale = scales[axis.letter]
+            blocks[axis.block], away = grown(axis, blocks[axis.block], -scale.growth)
+            by_growth = unknowns.spread(axis.block, np.eye(unknowns.size))[:, axis.number].T @ away
+            raw = raw + scale.std**2 * np.outer(by_growth, by_growth)
     parts = [_axis_entries(axis, blocks[axis.block], unknowns) for axis in machine.axes]
     square = unknowns.spread(SQUARENESS, np.eye(unknowns.size))[0]
     entries = [entry for part in parts for entry in part[0]] + [(name, float("nan")) for name in SQUARENESS_NAMES]
     maps = np.concatenate([*(part[2] for part in parts), square])
     values = np.concatenate([*(part[1] for part in parts), blocks[SQUARENESS].values[0]])
     return Tables(machine, blocks, unknowns, raw, tuple(entries), values, maps @ raw @ maps.T)
+
+
+def grown(axis: Axis, block: Block, growth: float) -> tuple[Block, Array]:
+    """Return the raw values of an axis whose scale has grown, and their derivative by the growth, (knots,).
+
+    The raw positioning is held at 0 at the knot nearest to the reference.
+    """
+    away = axis.knots - axis.knots[np.argmin(np.abs(axis.knots - axis.reference))]
+    values = block.values.copy()
+    values[:, axis.number] += growth * away
+    return block.with_values(values), away
 
 
 def _axis_entries(axis: Axis, block: Block, unknowns: Unknowns) -> tuple[list[tuple[str, float]], Array, Array]:

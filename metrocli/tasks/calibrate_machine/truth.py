@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -32,7 +32,9 @@ from metrocli.tasks.calibrate_machine.settings import (
     MachineSimulation,
     Settings,
 )
+from metrocli.tasks.calibrate_machine.tables import grown
 from metrocli.tasks.calibrate_machine.volume import grid_group, grid_of, without_rigid_motion
+from metrocli.tasks.shared.part import Warm
 
 _COMPONENTS = {Quantity.ERROR_MOTION: 6, Quantity.LENGTH: 1}
 """Components of a reading by what it reads; all others have three"""
@@ -98,6 +100,16 @@ def truth_of(settings: Settings, simulation: MachineSimulation, rng: np.random.G
     size = simulation.error / float(np.linalg.norm(error, axis=0).mean())
     scaled = {name: table * size for name, table in tables.items()}
     return Truth(machine, blocks_of(settings, machine, scaled, {name: value * size for name, value in square.items()}))
+
+
+def warmed(truth: Truth, scales: Mapping[str, Warm], rng: np.random.Generator) -> Truth:
+    """Return a machine whose scales have their temperature at the measurement, drawn within its uncertainty."""
+    blocks = dict(truth.blocks)
+    for axis in truth.machine.axes:
+        if axis.letter in scales:
+            growth = scales[axis.letter].growth + rng.normal() * scales[axis.letter].std
+            blocks[axis.block] = grown(axis, blocks[axis.block], growth)[0]
+    return replace(truth, blocks=blocks)
 
 
 def blocks_of(

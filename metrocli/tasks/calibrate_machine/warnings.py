@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from metrocli.tasks.calibrate_machine.layout import line_of, stations_lie
 from metrocli.tasks.calibrate_machine.settings import LENGTHS, ON_THE_FLY, Settings
 from metrocli.tasks.calibrate_machine.solve import Solved
 from metrocli.tasks.calibrate_machine.tables import Tables
+from metrocli.tasks.shared.environment import blocks_of
 from metrocli.tasks.shared.statistics import REMOVE, REPEATS, beyond_bound, noise_warnings
 from metrocli.tasks.shared.uncontrolled import AIR, AIR_WORDS, Hidden, table_of
 from metrocli.words import listed
@@ -106,26 +107,31 @@ def _ratio(identified: Identifiability) -> str:
     return f"{identified.ratio:.1f}" if math.isfinite(identified.ratio) else units.NOT_DETERMINED
 
 
-def uncontrolled(solved: Solved, tables: Tables) -> Table:
-    """Return the settings and causes that the tables absorb, and the error in the volume from a plausible size."""
-    return table_of(_hidden(solved, tables))
+def uncontrolled(solved: Solved, tables: Tables, scales: Collection[str] = ()) -> Table:
+    """Return the settings and causes that the tables absorb, and the error in the volume from a plausible size.
+
+    The uncertainty of a stated air, and that of the scales of axes whose temperature is stated, is in the tables.
+    """
+    return table_of(_hidden(solved, tables, scales))
 
 
-def _hidden(solved: Solved, tables: Tables) -> Iterator[Hidden]:
+def _hidden(solved: Solved, tables: Tables, scales: Collection[str]) -> Iterator[Hidden]:
     machine = tables.machine
     diagonal = float(np.linalg.norm(np.asarray(machine.high) - np.asarray(machine.low)))
-    yield Hidden(
-        "scale of the instrument: wavelength of the laser, refractive index (positioning errors)",
-        AIR_WORDS,
-        AIR * diagonal,
-        "temperature and pressure of the air; a calibrated length",
-    )
-    yield Hidden(
-        "temperature of the machine (positioning errors)",
-        "1 K of steel (11.5 um/m)",
-        _STEEL * diagonal,
-        "temperature of the scales; the tables hold at the temperature of the measurement",
-    )
+    if not blocks_of(solved.solution):
+        yield Hidden(
+            "scale of the instrument: wavelength of the laser, refractive index (positioning errors)",
+            AIR_WORDS,
+            AIR * diagonal,
+            "temperature and pressure of the air; a calibrated length",
+        )
+    if len(scales) < len(machine.axes):
+        yield Hidden(
+            "temperature of the machine (positioning errors)",
+            "1 K of steel (11.5 um/m)",
+            _STEEL * diagonal,
+            "temperature of the scales (`scale:` at each axis); the tables hold at the temperature of the measurement",
+        )
     tool = solved.solution.blocks[TOOL]
     if len(tool.members) < 2 and not tool.free.any():
         angles = [np.abs(tables.of(name)[1]).max(initial=0.0) for name in ERRORS if name[1] in "ABC"]

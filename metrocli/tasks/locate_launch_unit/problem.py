@@ -17,6 +17,7 @@ from metrocli.instruments.launch_start import nearest, set_up_angle, spread
 from metrocli.tasks.locate_launch_unit.effects import AXES, PAIRS, UNITS
 from metrocli.tasks.locate_launch_unit.readings import ANGLES, Readings
 from metrocli.tasks.locate_launch_unit.settings import Noise
+from metrocli.tasks.shared.environment import priors_of
 from metrocli.words import listed
 
 WEAK = 0.01
@@ -47,11 +48,13 @@ def build(readings: Readings, noise: Noise) -> Problem:
     away = float(np.linalg.norm(place - readings.receiver, axis=1).mean())
     free = readings.sigma != 0
     receiver = lu.receiver_block(readings.receiver, readings.names, free, away)
-    blocks = (
+    blocks = [
         lu.unit_block(place, set_up_angle(beams), away),
         receiver,
         lu.spindle_block(readings.spindle, readings.names),
-    )
+    ]
+    if readings.air is not None:
+        blocks.append(readings.air.block)
     level, measured = np.flatnonzero(readings.level), np.flatnonzero(beams.measured)
     groups = [_angles(readings, name, level, noise.encoder) for name in lu.ENCODERS]
     if noise.distance is not None:
@@ -68,12 +71,12 @@ def build(readings: Readings, noise: Noise) -> Problem:
     }
     model = Model(
         {block.name: block for block in blocks},
-        (*read, *priors(receiver, readings.sigma, free)),
+        (*read, *priors(receiver, readings.sigma, free), *priors_of(readings.air)),
         measured=tuple(group.name for group in read),
         places=places,
         nominal={lu.RECEIVER: readings.receiver},
     )
-    return Problem(model, readings, (text + listed(steep),) if steep else ())
+    return Problem(model, readings, (*readings.warnings, *((text + listed(steep),) if steep else ())))
 
 
 def uncertainty_along(readings: Readings, noise: Noise) -> float:
@@ -94,7 +97,11 @@ def _distances(readings: Readings, rows: Index, sigma: float) -> Group:
     values = readings.distance[rows]
     observations = _observations(readings, lu.DISTANCE, rows, values, sigma)
     conditions = {**observations.conditions, "distance": values}
-    return Group(lu.DISTANCE, lu.distance_chain(), replace(observations, conditions=conditions, unit="mm"))
+    return Group(
+        lu.DISTANCE,
+        lu.distance_chain(readings.air is not None),
+        replace(observations, conditions=conditions, unit="mm"),
+    )
 
 
 def _observations(readings: Readings, name: str, rows: Index, values: Array, sigma: float) -> Observations:

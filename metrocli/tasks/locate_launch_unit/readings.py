@@ -11,6 +11,7 @@ from metrocli.adjust.model.blocks import Array, Mask
 from metrocli.errors import Fault, InputError
 from metrocli.instruments.launch_start import Beams
 from metrocli.table import TEXT, Column, Columns, Table
+from metrocli.tasks.shared.environment import WEATHER, Air, Environment, air_of, unused
 from metrocli.tasks.shared.known_places import SIGMAS, sigmas
 
 ANGLES = ("phi1", "phi2", "phi3", "phi4")
@@ -19,7 +20,7 @@ _PLACE = (
     *(Column(axis, "length") for axis in "xyz"),
     Column("spindle", "angle"),
 )
-_CONDITIONS = (Column("t", "time", required=False), Column("temp", "temperature", required=False))
+_CONDITIONS = (Column("t", "time", required=False), Column("temp", "temperature", required=False), *WEATHER)
 POSES = Columns(
     (
         *_PLACE,
@@ -54,6 +55,9 @@ class Readings:
     """Distance of the control points, (n,), nan if not measured"""
     conditions: dict[str, Array]
     file: str = ""
+    air: Air | None = None
+    """The air at the distances, for which they are corrected, if the job gives it"""
+    warnings: tuple[str, ...] = ()
 
     @property
     def level(self) -> Mask:
@@ -68,22 +72,25 @@ class Readings:
         return Beams(self.receiver, self.spindle + phi4, phi3, launch_base, self.distance)
 
 
-def read(table: Table) -> Readings:
-    """Return the poses of a table; raises InputError that lists all its faults."""
+def read(table: Table, environment: Environment | None = None) -> Readings:
+    """Return the poses of a table, corrected for the air of the job; raises InputError that lists all its faults."""
     faults = list(_faults(table))
     if faults:
         raise InputError(faults)
     known = any(name.startswith("sigma") for name in table)
-    receiver = table.stacked("xyz")
+    receiver, distance = table.stacked("xyz"), table.numbers("distance", float("nan"))
+    air = air_of(environment, table) if np.isfinite(distance).any() else None
     return Readings(
         tuple(table.texts("pose")),
         receiver,
         sigmas(table) if known else np.zeros_like(receiver),
         table.numbers("spindle"),
         np.stack([table.numbers(angle) for angle in ANGLES]),
-        table.numbers("distance", float("nan")),
+        distance if air is None else distance * air.towards,
         {name: table.numbers(name) for name in ("t", "temp") if name in table},
         table.file,
+        air,
+        unused(environment, table),
     )
 
 

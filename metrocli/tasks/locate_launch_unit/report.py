@@ -19,6 +19,7 @@ from metrocli.tasks.locate_launch_unit import KIND
 from metrocli.tasks.locate_launch_unit.readings import Readings
 from metrocli.tasks.locate_launch_unit.solve import Located
 from metrocli.tasks.locate_launch_unit.uncontrolled import uncontrolled
+from metrocli.tasks.shared.environment import blocks_of, estimates_of
 from metrocli.tasks.shared.statistics import (
     REMOVE,
     basic_statistics,
@@ -58,7 +59,7 @@ def report(located: Located, method: str, noise: NoiseFound | None) -> Result:
             covariance=covariance,
             statistics=_statistics_as_printed(located, method, beams),
             tables={"beams": beams, TABLE: hidden},
-            notes=in_words(hidden),
+            notes=(*_of_air(located), *in_words(hidden)),
             shown=(ShownTable("beams"),),
             warnings=_warning_as_printed(method),
         )
@@ -82,17 +83,17 @@ def report(located: Located, method: str, noise: NoiseFound | None) -> Result:
         "rejected": sum(group.observations.count for group in problem.all_groups)
         - sum(group.observations.count for group in solution.groups),
     }
-    found = (*unit, *estimates(problem.effects, noise.solution))
+    found = (*unit, *estimates_of(noise.solution), *estimates(problem.effects, noise.solution))
     return Result(
         kind=KIND.name,
         title="",
         estimates=found,
-        covariance=noise.solution.joint((lu.UNIT, *free_blocks(problem.effects))),
+        covariance=noise.solution.joint((lu.UNIT, *blocks_of(noise.solution), *free_blocks(problem.effects))),
         statistics=with_found(statistics, noise),
         tables={"beams": beams, **residuals, "outliers": outliers, TABLE: hidden, **effects},
         arrays=arrays,
         shown=(ShownTable("beams"), *((ShownTable("outliers"),) if len(outliers) else ())),
-        notes=(*found_notes(noise), *noise_notes(solution, cures=(REMOVE,)), *in_words(hidden)),
+        notes=(*_of_air(located), *found_notes(noise), *noise_notes(solution, cures=(REMOVE,)), *in_words(hidden)),
         details=noise.details([one.name for one in found]),
         plain=("dof",),
         warnings=(
@@ -102,6 +103,10 @@ def report(located: Located, method: str, noise: NoiseFound | None) -> Result:
             *_repeated(problem.readings),
         ),
     )
+
+
+def _of_air(located: Located) -> tuple[str, ...]:
+    return () if located.readings.air is None else (located.readings.air.note,)
 
 
 def _statistics_as_printed(located: Located, method: str, beams: Table) -> dict[str, Scalar | dict[str, float]]:

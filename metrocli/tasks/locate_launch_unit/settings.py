@@ -10,6 +10,7 @@ from metrocli.settings import Choice, Flag, ListOf, Quantity, Section, TableFile
 from metrocli.table import ABSENT, Table
 from metrocli.tasks.locate_launch_unit.plan_settings import Planned
 from metrocli.tasks.locate_launch_unit.readings import PLACES, POSES
+from metrocli.tasks.shared.environment import Environment
 from metrocli.tasks.shared.structured_noise import DECLARED, model_setting
 
 METHODS = ("adjustment", "lines", "closed-loop")
@@ -65,6 +66,9 @@ class Settings:
     inputs: Inputs = setting(Section(Inputs), "the files of the job")
     noise: Noise = setting(Section(Noise), "standard deviations of the readings")
     method: str = setting(Choice(*METHODS), "adjustment, or one of the paper's two", default="adjustment")
+    environment: Environment | None = setting(
+        Section(Environment), "the air, and the one that the interferometer assumes for distances", default=None
+    )
     plan: Planned | None = setting(Section(Planned), "the lines to measure from the located unit", default=None)
     outliers: str = setting(
         Choice("report", "remove"), "report outliers only, or also leave them out", default="report"

@@ -18,12 +18,13 @@ from metrocli.table import Table
 from metrocli.tasks.locate_launch_unit.problem import build
 from metrocli.tasks.locate_launch_unit.readings import ANGLES, Readings
 from metrocli.tasks.locate_launch_unit.settings import Noise, Truth
+from metrocli.tasks.shared.environment import Environment, air_of
 
 if TYPE_CHECKING:
     from metrocli.table import Values
 
 
-_UNITS = {"distance": "mm", "t": "s", "temp": "degC"}
+_UNITS = {"distance": "mm", "t": "s", "temp": "degC", "pressure": "hPa", "humidity": "percent"}
 
 
 def simulated(
@@ -32,8 +33,12 @@ def simulated(
     places: Table,
     rng: np.random.Generator,
     effects: Sequence[Wanted] = (),
+    environment: Environment | None = None,
 ) -> Simulation:
-    """Return simulated encoder readings (and distances) at the listed places, with effects and noise, and the truth."""
+    """Return simulated encoder readings (and distances) at the listed places, with effects and noise, and the truth.
+
+    Distances are as an instrument displays them with the air that it assumes.
+    """
     readings, added = _exact(truth, noise, places, effects)
     angles = wrapped(readings.angles + rng.normal(size=readings.angles.shape) * noise.encoder)
     columns: dict[str, Values] = {"pose": np.array(readings.names)}
@@ -41,8 +46,10 @@ def simulated(
     columns |= {"spindle": readings.spindle} | dict(zip(ANGLES, angles, strict=True))
     units = dict.fromkeys("xyz", "mm") | dict.fromkeys(("spindle", *ANGLES), "rad")
     if truth.distances:
-        columns["distance"] = readings.distance + rng.normal(size=len(readings.names)) * (noise.distance or 0.0)
-    columns |= readings.conditions
+        distance = readings.distance + rng.normal(size=len(readings.names)) * (noise.distance or 0.0)
+        air = air_of(environment, places)
+        columns["distance"] = distance if air is None else distance * (1 + rng.normal() * air.std) / air.towards
+    columns |= {name: places.numbers(name) for name in _UNITS if name in places and name != "distance"}
     units |= {name: unit for name, unit in _UNITS.items() if name in columns}
     true = dict(zip("xyz", truth.place, strict=True)) | {"gamma": float(wrapped(truth.gamma))}
     return Simulation({"poses.csv": Table(columns, units)}, true | added)

@@ -17,7 +17,7 @@ from metrocli.effects.wanted import Wanted
 from metrocli.errors import Fault, InputError, MetrocliError, NotConvergedError, UndeterminedError
 from metrocli.geometry.angles import wrapped
 from metrocli.instruments import launch_unit as lu
-from metrocli.instruments.launch_start import Beams, Meeting, closed_loop, lines, set_up_angle, spread
+from metrocli.instruments.launch_start import Meeting, closed_loop, lines, set_up_angle, spread
 from metrocli.tasks.locate_launch_unit.misread import misread
 from metrocli.tasks.locate_launch_unit.outliers import Outlier, screened
 from metrocli.tasks.locate_launch_unit.problem import WEAK, Problem, build, uncertainty_along
@@ -191,15 +191,16 @@ def _as_printed(readings: Readings, noise: Noise, method: str) -> Located:
     beams = readings.beams
     meeting = lines(beams) if method == "lines" else closed_loop(beams)
     values = np.array([*meeting.place, set_up_angle(beams)])
-    return Located(values, _propagated(beams, meeting, noise), readings)
+    return Located(values, _propagated(readings, meeting, noise), readings)
 
 
-def _propagated(beams: Beams, meeting: Meeting, noise: Noise) -> Array:
+def _propagated(readings: Readings, meeting: Meeting, noise: Noise) -> Array:
     """Return the covariance (4, 4) of x y z gamma.
 
-    gamma depends on phi4 - phi1 of each pose, the place on phi4, phi3 and the distance.
+    gamma depends on phi4 - phi1 of each pose, the place on phi4, phi3 and the distance. All distances share the
+    relative error of the air.
     """
-    n = len(beams.base)
+    n = len(readings.names)
     share = np.full((n, 1), 1 / n)
     nothing = np.zeros((n, 3))
     encoders = np.concatenate(
@@ -209,5 +210,8 @@ def _propagated(beams: Beams, meeting: Meeting, noise: Noise) -> Array:
             np.hstack([nothing, -share]),
         ]
     )
-    distances = np.hstack([meeting.by_distance, 0 * share]) * (noise.distance or 0.0)
+    by_distance = np.hstack([meeting.by_distance, 0 * share])
+    shared = 0.0 if readings.air is None else readings.air.std
+    common = shared * np.nan_to_num(readings.distance) @ by_distance
+    distances = np.vstack([by_distance * (noise.distance or 0.0), common])
     return np.asarray(noise.encoder**2 * encoders.T @ encoders + distances.T @ distances)

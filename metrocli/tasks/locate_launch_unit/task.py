@@ -34,7 +34,7 @@ def run(job: Job[Settings, Files]) -> Result:
 
 def _located(job: Job[Settings, Files], how: How) -> tuple[Located, float]:
     """Return the located unit, and how many times the declared noise its readings have."""
-    readings, noise = read(job.files.poses), job.settings.noise
+    readings, noise = read(job.files.poses, job.settings.environment), job.settings.noise
     return settled(noise, lambda factor: locate(readings, noise.times(factor), how), lambda one: one.residuals)
 
 
@@ -49,7 +49,7 @@ def _how(job: Job[Settings, Files]) -> How:
 
 def compare(job: Job[Settings, Files]) -> Table:
     """Return the result of each method for the poses, or the reason why it was refused."""
-    readings, noise = read(job.files.poses), job.settings.noise
+    readings, noise = read(job.files.poses, job.settings.environment), job.settings.noise
     rows: list[list[float]] = []
     outcome = []
     for method in METHODS:
@@ -69,7 +69,7 @@ def compare(job: Job[Settings, Files]) -> Table:
 
 def check(job: Job[Settings, Files]) -> None:
     """Raise InputError for what shows in the poses before the unit is located."""
-    read(job.files.poses)
+    read(job.files.poses, job.settings.environment)
 
 
 def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulation:
@@ -85,7 +85,7 @@ def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulatio
             "positions, from `inputs: {places: places.csv}` or from the poses"
         )
     rng = np.random.default_rng(options.seed)
-    return simulated(settings.simulation, settings.noise, where, rng, job.effects)
+    return simulated(settings.simulation, settings.noise, where, rng, job.effects, settings.environment)
 
 
 def plan(job: Job[Settings, Files]) -> Plan:
@@ -96,12 +96,14 @@ def plan(job: Job[Settings, Files]) -> Plan:
     """
     settings, poses, places = job.settings, job.files.poses, job.files.places
     if poses:
-        located = locate(read(poses), settings.noise, _how(job))
+        located = locate(read(poses, settings.environment), settings.noise, _how(job))
         first = f"located from {len(poses)} measured poses"
     elif places is not None and settings.simulation is not None:
         exact = replace(settings.noise, encoder=0.0, distance=0.0)
-        expected = simulated(settings.simulation, exact, places, np.random.default_rng(0)).files["poses.csv"]
-        located = locate(read(expected), settings.noise, _how(job))
+        expected = simulated(
+            settings.simulation, exact, places, np.random.default_rng(0), (), settings.environment
+        ).files["poses.csv"]
+        located = locate(read(expected, settings.environment), settings.noise, _how(job))
         first = f"expected from {len(places)} poses that are still to be measured"
     else:
         raise InputError(

@@ -19,6 +19,7 @@ from metrocli.tasks.multilaterate.probed.tips import ANY, Tips, tips_of
 from metrocli.tasks.multilaterate.problem import Network
 from metrocli.tasks.multilaterate.settings import Correction, Files, Settings
 from metrocli.uncertainty.predicted import COMMON, CORE
+from metrocli.tasks.shared.part import Part
 from metrocli.words import listed
 
 if TYPE_CHECKING:
@@ -64,7 +65,7 @@ def refuse_lost(network: Network, probing: Probing) -> None:
 
 
 def corrected(
-    network: Network, solution: Solution, probing: Probing, shared: Mapping[str, Array]
+    network: Network, solution: Solution, probing: Probing, shared: Mapping[str, Array], part: Part | None = None
 ) -> tuple[Table, Joint]:
     """Return the probing points, corrected by the mover's error at their replayed points, and their joint covariance.
 
@@ -73,8 +74,8 @@ def corrected(
     of the reflector against the tip, r the mover's repeatability, which acts at the probing and at the replay, p the
     standard deviation of the probed point. d leads from the replayed point to the probed one; g is the change
     of the mover's error per length from a point to its nearest one of the same tip (root mean square, each
-    coordinate). `shared` are the factors of the covariance between the points that are read. Raises InputError that
-    lists every probing point whose replayed point the adjustment left out.
+    coordinate). `shared` are the factors of the covariance between the points that are read. Points of a part are at
+    20 degC. Raises InputError that lists every probing point whose replayed point the adjustment left out.
     """
     match = _matches(network, probing)
     _refuse(probing, match, _LEFT_OUT)
@@ -84,6 +85,8 @@ def corrected(
     gap = np.linalg.norm(at - network.nominal[match], axis=1) * _gradient(network, places, probing.tips.replayed)
     own = scatter.repeatability**2 + scatter.tip**2 + gap**2
     joint = _joint(network, solution, probing.tips, match, shared, own, scatter.repeatability)
+    if part is not None:
+        moved, joint = moved * part.shrinkage, joint.at_reference(part, moved * part.shrinkage)
     covariance = joint.each()
     columns: dict[str, Values] = {name: table.columns[name] for name in ("feature", "point", "tip") if name in table}
     columns |= {name: moved[:, i] for i, name in enumerate("xyz")}

@@ -20,13 +20,14 @@ from metrocli.table import Table
 from metrocli.tasks.multilaterate.problem import Network, network_of
 from metrocli.tasks.multilaterate.readings import join, matched
 from metrocli.tasks.multilaterate.settings import LengthSimulation, Settings
+from metrocli.tasks.shared.environment import air_of
 
 if TYPE_CHECKING:
     from metrocli.table import Values
 
 _REFERENCE_DEGC = 20.0
 """Temperature at the first point (ISO 1)"""
-_KEPT = ("point", "tracer", "t", "temp")
+_KEPT = ("point", "tracer", "t", "temp", "pressure", "humidity")
 
 
 @dataclass(frozen=True)
@@ -96,7 +97,9 @@ class Layout:
         distance = np.linalg.norm(points.stacked("xyz")[ends] - tracers.stacked("xyz")[starts], axis=1)
         for i in np.flatnonzero(distance == 0)[:1]:
             raise InputError(f"tracer {design.texts('tracer')[i]} stands where point {design.texts('point')[i]} is")
-        lengths = replace(design, columns={**design.columns, "length": distance})
+        air = air_of(self.settings.environment, design, "tracer")
+        read = distance if air is None else distance / air.towards
+        lengths = replace(design, columns={**design.columns, "length": read})
         bare = replace(tracers, columns={k: v for k, v in tracers.columns.items() if k != "dead_path"})
         readings = join(lengths, points, bare, self.settings.measures == "absolute")
         places = np.column_stack([readings.said, np.zeros(len(readings.said)), np.ones(len(readings.said))])

@@ -21,6 +21,7 @@ from metrocli.instruments.frames import DistanceBetween
 from metrocli.table import Table
 from metrocli.tasks.multilaterate.readings import Readings, join, matched
 from metrocli.tasks.multilaterate.settings import Settings
+from metrocli.tasks.shared.environment import Air, air_of, priors_of, unused
 from metrocli.tasks.shared.lengths import PathNoise, Scale, scale_priors, stop_priors, stops_of, with_noise
 from metrocli.tasks.shared.tracer_places import places_of
 from metrocli.words import listed
@@ -44,6 +45,8 @@ class Network(Modelled):
     warnings: tuple[str, ...] = ()
     scale: Scale | None = None
     """Prior knowledge of the tracers' scales, if they are estimated"""
+    air: Air | None = None
+    """The air at the lengths, if the job gives it"""
 
     @property
     def lengths(self) -> Group:
@@ -107,8 +110,9 @@ def network_of(
     free = (sigma != 0) & (readings.seen > 0)[:, None]
     point_block = t.point_block(readings.nominal, names, free, readings.extent)
     tracer_block = _tracers(settings, readings, places)
+    air = air_of(settings.environment, lengths, "tracer")
     observations = Observations(
-        readings.length[None],
+        readings.length[None] if air is None else (readings.length * air.towards)[None],
         np.array(settings.noise.constant),
         {t.POINT: readings.point, t.TRACER: readings.station},
         keys={"point": tuple(lengths.texts("point")), "tracer": tuple(lengths.texts("tracer"))},
@@ -125,12 +129,17 @@ def network_of(
         observations = replace(observations, index={**observations.index, t.STOP: stops})
     if noise.repeatability:
         observations = replace(observations, conditions={**observations.conditions, t.ALONE: alone})
-    group = noise.at(Group(LENGTHS, t.chain(stops=stop_block is not None), observations), blocks)
+    if air is not None:
+        blocks[t.AIR] = air.block
+        observations = replace(observations, conditions={**observations.conditions, t.AIR: air.ratio})
+    forward = t.chain(stops=stop_block is not None, in_air=air is not None)
+    group = noise.at(Group(LENGTHS, forward, observations), blocks)
     tracer_sigma = np.column_stack([readings.tracer_sigma, np.full((len(readings.stations), 2), np.nan)])
     others = (
         *priors(point_block, sigma, free),
         *priors(tracer_block, tracer_sigma, tracer_block.free),
         *scale_priors(settings.scale, tracer_block),
+        *priors_of(air),
         *stop_priors(stop_block, noise.repeatability),
         *_distances(distances, names, readings.seen),
     )
@@ -143,7 +152,8 @@ def network_of(
     }
     nominal = {t.POINT: readings.nominal}
     model = Model(blocks, (group, *others), datum, (LENGTHS,), acting, t.aspects(t.reach()), nominal=nominal)
-    return Network(model, noise, readings.nominal, absolute, readings.said, _unused(readings), settings.scale)
+    warnings = (*_unused(readings), *unused(settings.environment, lengths))
+    return Network(model, noise, readings.nominal, absolute, readings.said, warnings, settings.scale, air)
 
 
 def _stops(readings: Readings, time: Array | None) -> tuple[Index, Array]:

@@ -24,6 +24,8 @@ from metrocli.tasks.multilaterate.reliability import UNITS as RELIABILITY_UNITS
 from metrocli.tasks.multilaterate.reliability import reliability
 from metrocli.tasks.multilaterate.solve import Solved
 from metrocli.tasks.multilaterate.uncontrolled import scale_warnings, uncontrolled
+from metrocli.tasks.shared.environment import blocks_of, estimates_of
+from metrocli.tasks.shared.part import Part
 from metrocli.tasks.shared.statistics import (
     REMOVE,
     REPEATS,
@@ -37,7 +39,7 @@ from metrocli.tasks.shared.statistics import (
 )
 from metrocli.tasks.shared.structured_noise import NoiseFound
 from metrocli.tasks.shared.uncontrolled import in_words
-from metrocli.uncertainty.predicted import COMMON
+from metrocli.uncertainty.predicted import COMMON, CORE
 from metrocli.words import listed
 
 if TYPE_CHECKING:
@@ -52,15 +54,22 @@ _ELSEWHERE = 0.5
 """Warn if a tracer is farther from its listed place than this share of its distance from the points"""
 
 
-def report(solved: Solved, noise: NoiseFound, probing: Probing | None, features: Sequence[Wanted]) -> Result:
+def report(
+    solved: Solved,
+    noise: NoiseFound,
+    probing: Probing | None,
+    features: Sequence[Wanted],
+    part: Part | None = None,
+) -> Result:
     """Return the result of a solved network.
 
     Raises InputError if a probing point cannot be corrected, UndeterminedError if points do not determine a feature.
+    With a part the points are at 20 degC: the corrected ones, or without them those of the network.
     """
     solution = noise.solution
     added = solved.network.effects
-    found = (*_tracer_estimates(solution), *estimates(added, solution))
-    points, arrays = _points(solved, solution)
+    found = (*_tracer_estimates(solution), *estimates_of(solution), *estimates(added, solution))
+    points, arrays = _points(solved, solution, None if probing is not None else part)
     effect_tables, effect_arrays = effect_results(added, solution)
     hidden = uncontrolled(solved.network)
     tables = {
@@ -73,7 +82,7 @@ def report(solved: Solved, noise: NoiseFound, probing: Probing | None, features:
         **effect_tables,
     }
     if probing is not None:
-        tables["corrected"], joint = corrected(solved.network, solution, probing, arrays)
+        tables["corrected"], joint = corrected(solved.network, solution, probing, arrays, part)
         arrays["corrected_covariance"] = joint.each()
         feature_tables, feature_arrays = fitted(features, tables["corrected"], joint)
         tables, arrays = tables | feature_tables, arrays | feature_arrays
@@ -88,7 +97,7 @@ def report(solved: Solved, noise: NoiseFound, probing: Probing | None, features:
         kind=KIND.name,
         title="",
         estimates=found,
-        covariance=solution.joint((t.TRACER, *free_blocks(added))),
+        covariance=solution.joint((t.TRACER, *blocks_of(solution), *free_blocks(added))),
         statistics=with_found(statistics, noise),
         tables=tables,
         arrays={**arrays, **effect_arrays},
@@ -99,6 +108,8 @@ def report(solved: Solved, noise: NoiseFound, probing: Probing | None, features:
         ),
         shown=(*_shown(solved), *(ShownTable(FEATURES, SHOWN) for _ in features[:1])),
         notes=(
+            *(() if solved.network.air is None else (solved.network.air.note,)),
+            *(() if part is None else (part.note,)),
             *solved.network.noise.notes,
             *found_notes(noise),
             *noise_notes(solution, cures=(REMOVE,)),
@@ -125,18 +136,26 @@ def _tracer_estimates(solution: Solution) -> tuple[Estimate, ...]:
     )
 
 
-def _points(solved: Solved, solution: Solution) -> tuple[Table, dict[str, Array]]:
-    """Return /points, with the mover's error at each point (its reading minus the point), and their covariances."""
+def _points(solved: Solved, solution: Solution, part: Part | None) -> tuple[Table, dict[str, Array]]:
+    """Return /points, with the mover's error at each point (its reading minus the point), and their covariances.
+
+    With a part the points are at 20 degC; the mover's error is that at the measurement.
+    """
     network = solved.network
     block, seen = solution.blocks[t.POINT], network.seen > 0
     each = solution.covariance_or_raise().members(t.POINT)[seen]
+    places, pairs = block.values[seen], factors(solution.covariance_or_raise(), seen)
+    error = network.nominal[seen] - places
+    if part is not None:
+        places, each = part.of_points(places, each)
+        if pairs:
+            pairs[COMMON], pairs[CORE] = part.of_factors(places, pairs[COMMON], pairs[CORE])
     std = np.sqrt(np.maximum(np.einsum("mii->mi", each), 0.0))
-    error = network.nominal[seen] - block.values[seen]
     columns: dict[str, Values] = {"point": np.array(block.members)[seen]}
-    columns |= {name: block.values[seen, i] for i, name in enumerate("xyz")}
+    columns |= {name: places[:, i] for i, name in enumerate("xyz")}
     columns |= {f"s{name}": std[:, i] for i, name in enumerate("xyz")}
     columns |= {f"error_{name}": error[:, i] for i, name in enumerate("xyz")}
-    arrays = {"points_covariance": each, **factors(solution.covariance_or_raise(), seen)}
+    arrays = {"points_covariance": each, **pairs}
     return Table(columns, {name: "mm" for name in columns if name != "point"}), arrays
 
 

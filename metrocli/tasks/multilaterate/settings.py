@@ -7,8 +7,10 @@ from pathlib import Path
 
 from metrocli.settings import At, Choice, Either, MapOf, Placed, Quantity, Section, TableFile, setting
 from metrocli.table import ABSENT, TEXT, Column, Columns, Table
+from metrocli.tasks.shared.environment import WEATHER, Environment
 from metrocli.tasks.shared.known_places import SIGMAS
 from metrocli.tasks.shared.lengths import LengthNoise, Scale
+from metrocli.tasks.shared.part import Part
 
 SHAPES = ("line", "plane", "circle", "sphere", "cylinder", "cone")
 _PLACE = tuple(Column(axis, "length") for axis in "xyz")
@@ -19,6 +21,7 @@ LENGTHS = Columns(
         Column("length", "length"),
         Column("t", "time", required=False),
         Column("temp", "temperature", required=False),
+        *WEATHER,
     ),
     ("point", "tracer"),
     "lengths read by the tracers",
@@ -135,6 +138,14 @@ class Settings:
         Choice("changes", "absolute"), "interferometer (dead paths unknown) or absolute distance", default="changes"
     )
     scale: Scale | None = setting(Section(Scale), "estimate the tracers' scales; fixed at 1 without it", default=None)
+    environment: Environment | None = setting(
+        Section(Environment),
+        "the air, and the one that the tracers assume; readings stay as they are without it",
+        default=None,
+    )
+    part: Part | None = setting(
+        Section(Part), "temperature and expansion of the part; its points are given at 20 degC", default=None
+    )
     datum: str | None = setting(
         Choice("inner-constraints", "points"),
         "what fixes the frame; chosen by the points' sigma unless given",

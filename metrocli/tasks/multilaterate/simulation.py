@@ -22,10 +22,14 @@ from metrocli.tasks.multilaterate.layout import Planned
 from metrocli.tasks.multilaterate.problem import LENGTHS
 from metrocli.tasks.multilaterate.readings import matched
 from metrocli.tasks.multilaterate.settings import LengthSimulation, Settings
+from metrocli.tasks.shared.environment import Air, air_of
 from metrocli.tasks.shared.lengths import LengthNoise, PathNoise, stops_of
 
 if TYPE_CHECKING:
     from metrocli.table import Values
+
+
+_UNITS = {"length": "mm", "t": "s", "temp": "degC", "pressure": "hPa", "humidity": "percent"}
 
 
 def simulated(
@@ -35,7 +39,7 @@ def simulated(
 
     The list of points holds the mover's readings; the true points differ from them by the mover's error.
     Interferometers are set to zero at the first point. The errors of the scales are drawn from their uncertainty,
-    and so is the error that they share.
+    and so are the error that they share and that of the air.
     """
     nominal, places = planned.points.stacked("xyz"), planned.tracers.stacked("xyz")
     if len(nominal) == 0 or len(places) == 0:
@@ -51,20 +55,21 @@ def simulated(
     dead = np.zeros(len(places)) if settings.measures == "absolute" else scale * distance[0]
     stations = np.column_stack([places, dead, scale])
     design = planned.design(truth)
-    model = _model(design, planned, actual, stations)
+    air = air_of(settings.environment, design, "tracer")
+    model = _model(design, planned, actual, stations, air, 0.0 if air is None else rng.normal() * air.std)
     model = extended(model, effects)
     observations = model.groups[0].observations
     path = distance[observations.index[t.POINT], observations.index[t.TRACER]]
     sigma = np.sqrt(settings.noise.constant**2 + (settings.noise.proportional * path) ** 2)
     reading = model.groups[0].chain.predict(model.blocks, observations)[0] + rng.normal(0.0, 1.0, path.shape) * sigma
     reading = reading + _returns(settings.noise, observations, actual, places, rng)
+    reading = reading if air is None else reading / air.towards
     said = places + rng.normal(0.0, 1.0, places.shape) * truth.tracer_error
-    units = {"length": "mm", "t": "s", "temp": "degC"}
     columns: dict[str, Values] = {"point": design.columns["point"], "tracer": design.columns["tracer"]}
-    columns |= {"length": reading} | {name: design.columns[name] for name in ("t", "temp") if name in design}
+    columns |= {"length": reading} | {name: design.columns[name] for name in _UNITS if name in design}
     names = planned.tracers.texts("tracer")
     files = {
-        "lengths.csv": Table(columns, {name: unit for name, unit in units.items() if name in columns}),
+        "lengths.csv": Table(columns, {name: unit for name, unit in _UNITS.items() if name in columns}),
         "tracers.csv": _listed("tracer", names, said),
         "true_points.csv": _listed("point", planned.points.texts("point"), actual),
     }
@@ -93,19 +98,23 @@ def _named(names: Sequence[str], stations: Array) -> dict[str, float]:
     }
 
 
-def _model(design: Table, planned: Planned, points: Array, stations: Array) -> Model:
-    """Return the forward model of the design at the truth; its readings are zero."""
+def _model(design: Table, planned: Planned, points: Array, stations: Array, air: Air | None, error: float) -> Model:
+    """Return the forward model of the design at the truth, `error` that of the air; its readings are zero."""
     names, tracers = planned.points.texts("point"), planned.tracers.texts("tracer")
     index = {t.POINT: matched(design, "point", names, "the points")}
     index[t.TRACER] = matched(design, "tracer", tracers, "the tracers")
     conditions = {name: design.numbers(name) for name in ("t", "temp") if name in design}
+    if air is not None:
+        conditions[t.AIR] = air.ratio
     observations = Observations(np.zeros((1, len(design))), np.ones(1), index, conditions=conditions)
     point = t.point_block(points, names, False, 1.0)
     tracer = t.tracer_block(stations, tracers, np.zeros(stations.shape, dtype=bool), 1.0)
     places = {"point": Place(tuple(names), t.POINT), "tracer": Place(tuple(tracers), t.TRACER)}
-    group = Group(LENGTHS, t.chain(), observations)
+    group = Group(LENGTHS, t.chain(in_air=air is not None), observations)
     nominal = {t.POINT: planned.points.stacked("xyz")}
     blocks = {t.POINT: point, t.TRACER: tracer}
+    if air is not None:
+        blocks[t.AIR] = air.block.with_values(np.array([[error]]))
     return Model(blocks, (group,), None, (LENGTHS,), places, t.aspects(t.reach()), nominal=nominal)
 
 

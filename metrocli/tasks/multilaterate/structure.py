@@ -10,6 +10,7 @@ from metrocli.adjust.model.observations import Index
 from metrocli.effects.estimates import free_blocks
 from metrocli.instruments import tracer as t
 from metrocli.tasks.multilaterate.solve import Solved
+from metrocli.tasks.shared.environment import blocks_of
 from metrocli.tasks.shared.structured_noise import POINTS_IN_TIME, NoiseFound, in_blocks, structured
 
 
@@ -20,7 +21,9 @@ def noise_of(solved: Solved, model: str, factor: float) -> NoiseFound:
     # the lengths of a point are from several tracers, whose errors are independent of each other
     free = solved.network.datum is not None
     clusters = Clusters({solved.group.name: clusters_of(solved)}, POINTS_IN_TIME, grows=False, free=free)
-    found, solution = structured(solved.solution, clusters, (t.TRACER, *free_blocks(solved.network.effects)))
+    found, solution = structured(
+        solved.solution, clusters, (t.TRACER, *blocks_of(solved.solution), *free_blocks(solved.network.effects))
+    )
     return NoiseFound(solution, model, factor, found)
 
 

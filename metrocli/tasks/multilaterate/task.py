@@ -44,7 +44,7 @@ def run(job: Job[Settings, Files]) -> Result:
 
     found, factor = settled(settings.noise, solved, lambda one: [one.residuals])
     noise = noise_of(found, settings.noise.model, factor)
-    return report(found, noise, probing, features)
+    return report(found, noise, probing, features, settings.part)
 
 
 def _network(job: Job[Settings, Files], factor: float = 1.0) -> Network:

@@ -46,7 +46,8 @@ def _rows(network: Network) -> Iterator[Hidden]:
     seen = network.nominal[network.seen > 0]
     extent = float(np.linalg.norm(np.ptp(seen, axis=0)))
     growth, moved = units.parse_quantity("1.15 ppm", "ratio"), units.parse_quantity("2 um", "length")
-    if not _scaled(network):
+    counted = network.air is not None and network.air.std > 0
+    if not _scaled(network) and not counted:
         control = (
             "a known length (inputs: distances), or two points known by sigma_mm; temperature and pressure of the air"
         )

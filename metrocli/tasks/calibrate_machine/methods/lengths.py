@@ -27,6 +27,7 @@ from metrocli.tasks.calibrate_machine.problem import (
     tools_of,
 )
 from metrocli.tasks.calibrate_machine.settings import Settings
+from metrocli.tasks.shared.environment import air_of, priors_of, unused
 from metrocli.tasks.shared.known_places import sigmas
 from metrocli.tasks.shared.lengths import PathNoise, scale_priors, stop_priors, stops_of
 from metrocli.tasks.shared.tracer_places import Seen, places_of
@@ -60,8 +61,11 @@ def lengths(settings: Settings, table: Table, stations: Table | None = None) -> 
     index = machine.index(position) | {TOOL: tool, t.TRACER: seen.tracer, t.POINT: np.asarray(point, dtype=np.intp)}
     if stop_block is not None:
         unknowns[t.STOP], index[t.STOP] = stop_block, stops
+    air = air_of(settings.environment, table, "station")
+    if air is not None:
+        unknowns[t.AIR], given[t.AIR] = air.block, air.ratio
     observations = Observations(
-        seen.length[None],
+        seen.length[None] if air is None else (seen.length * air.towards)[None],
         np.array(noise.constant),
         index,
         keys={"point": tuple(names.tolist()), "station": tuple(table.texts("station"))},
@@ -70,12 +74,13 @@ def lengths(settings: Settings, table: Table, stations: Table | None = None) -> 
         unit="mm",
     )
     to = t.reach_of_machine(machine)
-    readings = noise.at(Group(READINGS, t.chain(to, stop_block is not None), observations), unknowns)
+    readings = noise.at(Group(READINGS, t.chain(to, stop_block is not None, air is not None), observations), unknowns)
     sigma = np.column_stack([seen.sigma, np.full((len(seen.tracers), 2), np.nan)])
     others = (
         *tool_prior(blocks, settings),
         *priors(station_block, sigma, station_block.free),
         *scale_priors(settings.scale, station_block),
+        *priors_of(air),
         *stop_priors(stop_block, noise.repeatability),
     )
     tools = list(settings.tools)
@@ -84,6 +89,8 @@ def lengths(settings: Settings, table: Table, stations: Table | None = None) -> 
         machine,
         np.ones(len(table)),
         tuple(tools[i] for i in np.unique(tool)),
+        unused(settings.environment, table),
+        notes=() if air is None else (air.note,),
         noise=noise,
     )
 

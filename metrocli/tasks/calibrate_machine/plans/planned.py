@@ -146,7 +146,7 @@ def worth_of(settings: Settings, problem: Problem) -> Worth:
     solution = covariance_at(identified.blocks.values(), problem.groups)
     if not solution.outcome.good:
         raise UndeterminedError(f"the planned readings do not determine the machine: {solution.outcome.value}")
-    tables = tables_of(problem.machine, solution)
+    tables = tables_of(problem.machine, solution, settings.scales)
     volume = volume_tables(tables, identified, settings.volume, problem.tools_used)["volumetric"]
     return Worth(identified, predicted_errors(tables, identified), volume)
 

@@ -13,6 +13,8 @@ from metrocli.adjust.model.observations import Index
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
+    from metrocli.tasks.shared.part import Part
+
 
 @dataclass(frozen=True)
 class Joint:
@@ -36,6 +38,12 @@ class Joint:
         """Return the covariance of each point, (n, 3, 3)."""
         shared = self.common @ self.core @ np.swapaxes(self.common, 1, 2)
         return np.asarray(shared + self.of_replay[self.replay] + self.own[:, None, None] * np.eye(3))
+
+    def at_reference(self, part: Part, at: Array) -> Joint:
+        """Return the covariance of the points of a part at 20 degC, at (n, 3); they share the error of its growth."""
+        common, core = part.of_factors(at, self.common, self.core)
+        squared = part.shrinkage**2
+        return Joint(common, core, self.replay, self.of_replay * squared, self.own * squared)
 
     def propagated(self, derivative: csr_array) -> Array:
         """Return `D Q D'` for a derivative D (m, 3n) by the coordinates of all points."""

@@ -1,0 +1,60 @@
+"""metrocli import: files of instruments and other programs, as the CSV that jobs read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from metrocli.cli import options
+from metrocli.cli.console import Console, echo
+from metrocli.imports import FORMATS
+
+SUMMARIES = "; ".join(f"{name}, {form.summary}" for name, form in FORMATS.items())
+
+
+@click.command("import", help="Write a file of an instrument as CSV that jobs read, and print the paths of the files.")
+@click.argument("file", type=click.Path(path_type=Path), metavar="FILE")
+@click.option("--from", "form", required=True, type=click.Choice(list(FORMATS)), help=f"Its format: {SUMMARIES}.")
+@click.option(
+    "--out", type=click.Path(path_type=Path), metavar="DIR", help="Folder to write to (default: beside the file)."
+)
+@click.option(
+    "--map",
+    "mapping",
+    type=click.Path(path_type=Path),
+    metavar="MAP.yaml",
+    help="Column, unit and sign of each quantity.",
+)
+@click.option("--unit", default="", metavar="UNIT", help="Unit of lengths, where the file does not state it.")
+@options.FORCE
+@options.JSON
+@options.QUIET
+def command(
+    file: Path, form: str, out: Path | None, mapping: Path | None, unit: str, force: bool, as_json: bool, quiet: bool
+) -> int:
+    """Write the CSV files of a file into a folder.
+
+    Raises InputError that lists all faults of the file with their rows, and for files there that metrocli did not write
+    unless forced.
+    """
+    from metrocli.cli.summary import as_json as json_text
+    from metrocli.formats.csv_text import read_text
+    from metrocli.formats.own_files import inside, write_all
+    from metrocli.imports import Wishes, imported
+    from metrocli.imports.lines import Lines
+    from metrocli.project import yaml_text
+
+    root = None
+    if mapping is not None:
+        root = yaml_text.parse(yaml_text.read_text(mapping, str(mapping)), str(mapping), mapping.parent)
+    lines = Lines(str(file), read_text(file, str(file)).split("\n"))
+    found = imported(form, lines, Wishes(root, unit))
+    folder = file.parent if out is None else out
+    written = list(write_all({inside(folder, name): text.encode() for name, text in found.items()}, force))
+    if as_json:
+        echo(json_text({"status": "ok", "files": list(map(str, written))}))
+        return 0
+    for path in written:
+        Console(quiet).print(str(path))
+    return 0

@@ -1,0 +1,58 @@
+"""Import files of instruments as CSV that jobs read. Each format is one module here and one entry in FORMATS."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from metrocli.imports.lines import Lines
+    from metrocli.nodes import Node
+
+Imported = Mapping[str, str]
+"""Texts of CSV files by name"""
+
+
+@dataclass(frozen=True)
+class Format:
+    """A format that can be read; its module is imported only when it is used."""
+
+    module: str
+    summary: str
+    source: str
+    """Where its layout is published"""
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """What a format may need besides the file."""
+
+    mapping: Node | None = None
+    """Root of the mapping file"""
+    unit: str = ""
+    """Unit of lengths in a file that does not state it"""
+
+
+FORMATS: dict[str, Format] = {
+    "columns": Format(
+        "metrocli.imports.columns", "any table, with a file that names column, unit and sign (--map)", "docs/imports.md"
+    ),
+    "sa-ascii": Format(
+        "metrocli.imports.sa_ascii",
+        "points of SpatialAnalyzer (--unit)",
+        "SpatialAnalyzer User Manual, Exporting ASCII Formatted Points",
+    ),
+    "vnl": Format(
+        "metrocli.imports.vnl",
+        "corners found by mrgingham for mrcal",
+        "manual page mrgingham(1); github.com/dkogan/vnlog",
+    ),
+}
+
+
+def imported(name: str, lines: Lines, wishes: Wishes) -> Imported:
+    """Return the CSV files of a file in a format; raises InputError that lists all faults with their rows."""
+    files: Callable[[Lines, Wishes], Imported] = import_module(FORMATS[name].module).files
+    return files(lines, wishes)

@@ -1,0 +1,223 @@
+"""Any table, with a mapping file that names column, unit and sign of each quantity of an input of a job."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from metrocli import units
+from metrocli.errors import Fault, InputError, UsageError
+from metrocli.formats.csv_text import shortened
+from metrocli.imports import Imported, Wishes
+from metrocli.imports.lines import Lines, is_number, to_csv, with_sign
+from metrocli.nodes import Node
+from metrocli.settings import (
+    BAD,
+    At,
+    Choice,
+    Either,
+    MapOf,
+    Placed,
+    Section,
+    TableFile,
+    Text,
+    Whole,
+    setting,
+    settings_of,
+)
+from metrocli.table import NUMBER, TEXT, WHOLE, Column, Columns
+from metrocli.tasks import KINDS
+from metrocli.words import suggestion
+
+_SEPARATORS = {"comma": ",", "semicolon": ";", "tab": "\t", "space": " "}
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where a quantity comes from."""
+
+    column: str | None = setting(Text(), "name of the column in the file, or its number from 1", default=None)
+    unit: str | None = setting(Text(), "unit in which the file has it", default=None)
+    sign: str = setting(Choice("1", "+1", "-1"), "-1 turns the sign", default="1")
+    value: str | None = setting(Text(), "the same text or number in each row, in place of a column", default=None)
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield a fault unless there is a column or a value."""
+        if (self.column is None) == (self.value is None):
+            yield "", "give either `column`, its name or number in the file, or `value`"
+
+
+@dataclass(frozen=True)
+class Mapping:
+    """How the columns of a file become an input of a job."""
+
+    job: str = setting(Choice(*KINDS), "kind of job that reads the CSV")
+    input: Placed = setting(At(Text()), "key of the input in that job, such as lengths")
+    columns: dict[str, Placed] = setting(
+        MapOf(At(Either(Text(), Section(Source)))), "quantities of the input, each with its column"
+    )
+    file: str | None = setting(Text(), "name of the CSV (default: that of the input)", default=None)
+    separator: str | None = setting(Choice(*_SEPARATORS), "between cells (default: as the first row has)", default=None)
+    decimal: str = setting(Choice("point", "comma"), "decimal sign of the numbers", default="point")
+    comment: str = setting(Text(), "text with which comment lines begin", default="#")
+    header: int | str = setting(
+        Either(Whole(1), Choice("none")), "line with the names of the columns, or none (default: the first)", default=0
+    )
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield a fault if the CSV would not be in the folder of --out."""
+        if self.file is not None and Path(self.file).name != self.file:
+            yield "file", "a name without folders is expected: --out names the folder"
+
+
+def files(lines: Lines, wishes: Wishes) -> Imported:
+    """Return the CSV that the mapping describes.
+
+    Raises UsageError without a mapping file, InputError that lists all faults of it, or all faults of the rows.
+    """
+    if wishes.mapping is None:
+        raise UsageError("--from columns needs a mapping file: --map map.yaml (docs/imports.md)")
+    faults: list[Fault] = []
+    mapping = Section(Mapping).read(wishes.mapping, faults)
+    if mapping is BAD:
+        raise InputError(faults)
+    columns = {column.name: column for column in _input(mapping).columns}
+    rows, names = _rows(lines, mapping)
+    faults += _misfits(mapping, columns, names, wishes.mapping.at("columns"))
+    if faults:
+        raise InputError(faults)
+    header, cells = [], []
+    for name, placed in mapping.columns.items():
+        source = _source(placed)
+        header.append(_heading(columns[name], source))
+        place = _place(source, names)
+        if place is None:
+            cells.append([with_sign(str(source.value), int(source.sign))] * len(rows))
+        else:
+            found = [(number, row[place]) for number, row in rows]
+            texts, wrong = _read(lines, found, columns[name], mapping.decimal == "comma")
+            cells.append([with_sign(text, int(source.sign)) for text in texts])
+            faults += wrong
+    if faults:
+        raise InputError(shortened(faults))
+    name = mapping.file or f"{mapping.input.value}.csv"
+    return {name: to_csv(header, list(zip(*cells, strict=True)), f"from {lines.file} (columns)")}
+
+
+def _input(mapping: Mapping) -> Columns:
+    """Return the columns of the input; raises InputError if the kind of job has no such table."""
+    inputs = settings_of(KINDS[mapping.job].settings()).get("inputs")
+    below = settings_of(inputs[0].spec.section) if inputs and isinstance(inputs[0].spec, Section) else {}
+    tables = {one.key: found for one, _ in below.values() if (found := _table(one.spec)) is not None}
+    if mapping.input.value not in tables:
+        text = f"a job {mapping.job} has no table '{mapping.input.value}'"
+        raise InputError([mapping.input.node.fault(text, suggestion(mapping.input.value, list(tables)))])
+    return tables[mapping.input.value]
+
+
+def _table(spec: object) -> Columns | None:
+    """Return the columns that a specification of a file has; None if it is no table."""
+    if isinstance(spec, TableFile):
+        columns: Columns = spec.columns
+        return columns
+    parts = spec.specs if isinstance(spec, Either) else ()
+    return next((found for part in parts if (found := _table(part)) is not None), None)
+
+
+def _source(placed: Placed) -> Source:
+    return placed.value if isinstance(placed.value, Source) else Source(column=placed.value)
+
+
+def _rows(lines: Lines, mapping: Mapping) -> tuple[list[tuple[int, Sequence[str]]], Sequence[str]]:
+    """Return the rows with their line numbers, and the names of the columns, which are numbers without a header.
+
+    Raises InputError for rows with another number of cells than the first.
+    """
+    start = mapping.header if isinstance(mapping.header, int) and mapping.header else 1
+    found = list(lines.without(mapping.comment, start))
+    if not found:
+        raise InputError([lines.fault("the file has no rows")])
+    separator = _SEPARATORS.get(mapping.separator or "") or max(",;\t", key=found[0][1].count)
+    if separator == " ":
+        rows: list[tuple[int, Sequence[str]]] = [(n, line.split()) for n, line in found]
+    else:
+        split = csv.reader([line for _, line in found], delimiter=separator)
+        rows = [(n, [cell.strip() for cell in cells]) for (n, _), cells in zip(found, split, strict=True)]
+    width = len(rows[0][1])
+    wrong = [lines.fault(f"{len(cells)} cells instead of {width}", n) for n, cells in rows if len(cells) != width]
+    if wrong:
+        raise InputError(shortened(wrong))
+    if mapping.header == "none":
+        return rows, [str(k + 1) for k in range(width)]
+    if len(rows) == 1:
+        raise InputError(
+            [lines.fault("there is a header and no row", rows[0][0], "without a header write `header: none`")]
+        )
+    return rows[1:], rows[0][1]
+
+
+def _place(source: Source, names: Sequence[str]) -> int | None:
+    """Return the number of the column from 0, None for a fixed value; a name comes before a number."""
+    if source.column is None:
+        return None
+    return names.index(source.column) if source.column in names else int(source.column) - 1
+
+
+def _misfits(mapping: Mapping, columns: dict[str, Column], names: Sequence[str], node: Node) -> Iterator[Fault]:
+    """Yield what the mapping has that the input or the file has not, and what the input needs besides."""
+    for (key, _), (name, placed) in zip(node.entries, mapping.columns.items(), strict=True):
+        if name in columns:
+            yield from _faults_of(columns[name], _source(placed), placed.node, names)
+        else:
+            yield key.fault(f"the input has no quantity '{name}'", suggestion(name, list(columns)))
+    absent = [column.name for column in columns.values() if column.required and column.name not in mapping.columns]
+    if absent:
+        yield node.fault(f"the input also needs {', '.join(absent)}")
+
+
+def _faults_of(column: Column, source: Source, node: Node, names: Sequence[str]) -> Iterator[Fault]:
+    """Yield what is wrong with a source: a column that is not there, or a unit that does not fit."""
+    if source.column is not None and source.column not in names:
+        number = re.fullmatch(r"[0-9]{1,6}", source.column)
+        if not number or not 1 <= int(source.column) <= len(names):
+            text = f"the file has no column '{source.column}'"
+            yield node.fault(text, suggestion(source.column, list(names)))
+    elif source.column is not None and list(names).count(source.column) > 1:
+        yield node.fault(f"the file has two columns '{source.column}'", "give the number of the column, from 1")
+    if source.value is not None and column.dimension != TEXT and not is_number(source.value):
+        yield node.fault(f"{column.name}: '{source.value}' is not a number")
+    if column.dimension == TEXT and int(source.sign) < 0:
+        yield node.fault(f"{column.name} is text and has no sign: leave `sign` out")
+    if column.dimension in (TEXT, WHOLE, NUMBER):
+        if source.unit is not None:
+            yield node.fault(f"{column.name} has no unit: leave `unit` out")
+        return
+    known = {unit.symbol for unit in units.DIMENSIONS[column.dimension].units}
+    if source.unit not in known:
+        phrase = units.DIMENSIONS[column.dimension].phrase
+        found = "has no unit" if source.unit is None else f"has the unit '{source.unit}'"
+        yield node.fault(f"{column.name} is {phrase} and {found}", f"one of {', '.join(sorted(known))}")
+
+
+def _heading(column: Column, source: Source) -> str:
+    if source.unit is None:
+        return column.name
+    ending = next(ending for ending, unit in units.suffixes(column.dimension).items() if unit.symbol == source.unit)
+    return f"{column.name}_{ending}"
+
+
+def _read(lines: Lines, cells: Sequence[tuple[int, str]], column: Column, comma: bool) -> tuple[list[str], list[Fault]]:
+    """Return the cells of a column, each with its line number, with the digits of the file, and what is wrong there."""
+    found, faults = [], []
+    for number, text in cells:
+        plain = text.replace(",", ".") if comma and column.dimension != TEXT else text
+        if not text and not column.may_be_empty:
+            faults.append(lines.fault(f"{column.name}: the cell is empty", number))
+        elif text and column.dimension != TEXT and not is_number(plain):
+            hint = "write `decimal: comma` in the mapping" if "," in plain else "expected a number"
+            faults.append(lines.fault(f"{column.name}: '{text}' is not a number", number, hint))
+        found.append(plain)
+    return found, faults

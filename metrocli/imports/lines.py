@@ -1,0 +1,54 @@
+"""The lines of an imported file, numbers as they are written there, and the CSV text that comes of them."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+from metrocli.errors import Fault
+
+_NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
+
+
+@dataclass(frozen=True)
+class Lines:
+    """A text file by lines."""
+
+    file: str
+    lines: Sequence[str]
+
+    def fault(self, message: str, line: int | None = None, hint: str | None = None) -> Fault:
+        """Return a fault of the file, or of one of its lines, counted from 1."""
+        shown = self.lines[line - 1] if line is not None else None
+        return Fault(message, self.file, line, None if line is None else 1, shown, hint)
+
+    def without(self, comment: str, start: int = 1) -> Iterator[tuple[int, str]]:
+        """Yield number and text of each line from `start` on that is neither empty nor a comment."""
+        for number, line in enumerate(self.lines[start - 1 :], start):
+            if line.strip() and not (comment and line.lstrip().startswith(comment)):
+                yield number, line
+
+
+def is_number(text: str) -> bool:
+    """Return whether text is a plain finite number with a decimal point."""
+    return _NUMBER.fullmatch(text) is not None
+
+
+def with_sign(number: str, sign: int) -> str:
+    """Return a number times 1 or -1, with the same digits; an empty cell stays empty."""
+    if sign > 0 or not number:
+        return number
+    return number[1:] if number.startswith("-") else f"-{number.removeprefix('+')}"
+
+
+def to_csv(header: Sequence[str], rows: Iterable[Sequence[str]], origin: str) -> str:
+    """Return the text of a CSV file; its first line names where it comes from."""
+    text = io.StringIO()
+    text.write(f"# {origin}\n")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(rows)
+    return text.getvalue()

@@ -1,0 +1,205 @@
+"""The air of lengths: their correction to its refractive index, and the uncertainty that all of them share.
+
+An interferometer counts wavelengths of the light in the air. It reads `n d / n_a` for the path d, with the index n of
+the air and the index n_a that it assumes. A reading is the change of this since the station was set to zero. So
+`l n_a / n_0 + l0 = (n / n_0) d`, n_0 the index at the first reading of the station and l0 its dead path.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from metrocli import units
+from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.groups import Group, prior
+from metrocli.adjust.solution import Solution
+from metrocli.errors import InputError, together
+from metrocli.instruments.air import CIDDOR, EDLEN, Weather, index
+from metrocli.instruments.tracer import AIR
+from metrocli.result import SCALE, Estimate
+from metrocli.settings import UNKNOWN, Choice, Known, Quantity, Section, Uncertain, setting
+from metrocli.table import Column, Table
+
+WEATHER = (Column("pressure", "pressure", required=False), Column("humidity", "humidity", required=False))
+"""Columns of a reading's own weather, besides its temperature"""
+_COLUMNS = {"temperature": "temp", "pressure": "pressure", "humidity": "humidity"}
+_HEADINGS = {"temperature": "temp_degC", "pressure": "pressure_hPa", "humidity": "humidity_percent"}
+_RANGES = {"temperature": (-40.0, 100.0), "pressure": (100.0, 1400.0), "humidity": (0.0, 100.0)}
+"""Where the equations hold (Ciddor 1996; NIST, Index of Refraction of Air, VI)"""
+_LIGHT = (300e-6, 1700e-6)
+"""Wavelengths [mm] for which the equations hold"""
+_STEPS = {"temperature": 0.01, "pressure": 0.1, "humidity": 0.1}
+"""Steps of the derivatives of the index"""
+_REACH = 1e-2
+"""Plausible relative error of the index, as of a scale"""
+
+
+def _within(name: str, value: float) -> str:
+    """Return what is wrong with a value of the weather; empty if the equations hold for it or it is absent."""
+    low, high = _RANGES[name]
+    if not value < low and not value > high:
+        return ""
+    return f"{value:g} is outside {low:g} to {high:g} {_unit(name)}, where the equations of the air hold"
+
+
+def _unit(name: str) -> str:
+    return _HEADINGS[name].rpartition("_")[2]
+
+
+@dataclass(frozen=True)
+class Assumed:
+    """The air that the instrument assumes."""
+
+    temperature: float = setting(Quantity("temperature"), "temperature of the air", default=20.0)
+    pressure: float = setting(Quantity("pressure"), "pressure of the air", default=1013.25)
+    humidity: float = setting(Quantity("humidity"), "relative humidity of the air", default=50.0)
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield a fault for each value for which the equations do not hold."""
+        for name in _RANGES:
+            wrong = _within(name, getattr(self, name))
+            if wrong:
+                yield name, wrong
+
+
+@dataclass(frozen=True)
+class Environment:
+    """The air through which lengths were read, and the air that the instrument assumed."""
+
+    temperature: Known = setting(Uncertain("temperature"), "temperature of the air", default=UNKNOWN)
+    pressure: Known = setting(Uncertain("pressure"), "pressure of the air", default=UNKNOWN)
+    humidity: Known = setting(Uncertain("humidity"), "relative humidity of the air", default=UNKNOWN)
+    wavelength: Known = setting(Uncertain("wavelength"), "vacuum wavelength of the laser", default=Known(632.99e-6))
+    assumed: Assumed = setting(Section(Assumed), "the air that the instrument assumes", default=Assumed())
+    correction: str = setting(Choice(CIDDOR, EDLEN), "equation of the refractive index", default=CIDDOR)
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield a fault for each value for which the equations do not hold."""
+        for name in _RANGES:
+            wrong = _within(name, getattr(self, name).value)
+            if wrong:
+                yield name, wrong
+        if np.isnan(self.wavelength.value):
+            yield "wavelength", "the wavelength has no value: write e.g. {value: 632.99 nm, std: 0.1 pm}"
+        elif not _LIGHT[0] <= self.wavelength.value <= _LIGHT[1]:
+            yield "wavelength", "the equations of the air hold for 300 nm to 1700 nm"
+
+    def index(self, weather: Weather) -> Array:
+        """Return the refractive index of the air."""
+        return index(self.correction, weather, self.wavelength.value)
+
+    @property
+    def assumes(self) -> float:
+        """The index that the instrument assumes."""
+        air = self.assumed
+        return float(self.index(Weather(air.temperature, air.pressure, air.humidity)))
+
+
+@dataclass(frozen=True)
+class Air:
+    """The air at n lengths."""
+
+    ratio: Array
+    """Index at each reading over that at the first reading of its station, (n,)"""
+    towards: Array
+    """Factor of each reading: assumed index over that at the first reading of its station, (n,)"""
+    std: float
+    """Relative standard uncertainty that all lengths share"""
+    mean: float
+    """Mean index"""
+    assumed: float
+
+    @property
+    def block(self) -> Block:
+        """The block of the relative error of the index, which all lengths share."""
+        free = np.array([[self.std > 0]])
+        return Block(AIR, np.zeros((1, 1)), ("scale",), free=free, reach=np.array(_REACH), noun="air")
+
+    @property
+    def note(self) -> str:
+        """What was corrected, in a sentence."""
+        change = units.sized(self.assumed / self.mean - 1, "ratio")
+        return f"lengths are corrected for the air by {change}: index {self.mean:.9f}, assumed {self.assumed:.9f}"
+
+
+def priors_of(air: Air | None) -> list[Group]:
+    """Return the prior of the error of the index; empty if the air is exact or not given."""
+    if air is None or not air.std:
+        return []
+    return [prior(air.block, np.zeros(1, dtype=np.intp), np.array([[air.std]]))]
+
+
+def estimates_of(solution: Solution) -> tuple[Estimate, ...]:
+    """Return the factor of all lengths that the error of the index is, about 1; empty if it is no unknown."""
+    block = solution.blocks.get(AIR)
+    if block is None or not block.free.any():
+        return ()
+    return (Estimate("air.scale", 1 + float(block.values[0, 0]), float(solution.std(AIR)[0, 0]), "1", SCALE),)
+
+
+def blocks_of(solution: Solution) -> tuple[str, ...]:
+    """Return the name of the block of these estimates."""
+    return (AIR,) if estimates_of(solution) else ()
+
+
+def air_of(environment: Environment | None, table: Table, by: str = "") -> Air | None:
+    """Return the air at the rows of a table, a column before an entry of the job; None without `environment:`.
+
+    `by` is the column of the stations; without it each reading is a distance, which has no dead path. Raises InputError
+    for an entry that is given nowhere, and for each row for which the equations do not hold.
+    """
+    if environment is None:
+        return None
+    found = together(*(lambda name=name: _values(environment, table, name) for name in _COLUMNS))
+    weather = dict(zip(_COLUMNS, found, strict=True))
+    refractive = np.broadcast_to(environment.index(Weather(**weather)), (len(table),))
+    first = _first(table, by) if by else np.arange(len(table))
+    zero = refractive[first]
+    std = _relative(environment, {name: float(values.mean()) for name, values in weather.items()})
+    assumed = environment.assumes
+    return Air(refractive / zero, assumed / zero, std, float(refractive.mean()), assumed)
+
+
+def unused(environment: Environment | None, table: Table) -> tuple[str, ...]:
+    """Return a warning of columns of the weather that a job without `environment:` does not use."""
+    columns = [_HEADINGS[name] for name in ("pressure", "humidity") if name in table]
+    if environment is not None or not columns:
+        return ()
+    return (f"{table.file}: {' and '.join(columns)}: only used with `environment:`",)
+
+
+def _values(environment: Environment, table: Table, name: str) -> Array:
+    column, given = _COLUMNS[name], getattr(environment, name).value
+    if column in table:
+        values = table.numbers(column)
+        low, high = _RANGES[name]
+        wrong = np.flatnonzero((values < low) | (values > high))
+        if wrong.size:
+            raise InputError(table.faults_at(wrong, lambda row: f"{name}: {_within(name, values[row])}"))
+        return values
+    if np.isnan(given):
+        text = f"environment: the {name} of the air is missing"
+        hint = f"give `environment: {{{name}: ...}}` in the job, or a column {_HEADINGS[name]} here"
+        raise InputError([table.fault(text, hint)])
+    return np.full(max(len(table), 1), given)
+
+
+def _first(table: Table, by: str) -> Array:
+    """Return for each row the first reading of its station: the earliest, or the first in a file without times."""
+    _, station = np.unique(np.asarray(table.columns[by]), return_inverse=True)
+    order = np.argsort(table.numbers("t"), kind="stable") if "t" in table else np.arange(len(table))
+    _, first = np.unique(station[order], return_index=True)
+    return np.asarray(order[first][station])
+
+
+def _relative(environment: Environment, weather: dict[str, float]) -> float:
+    """Return the relative standard uncertainty of lengths from that of the weather and of the wavelength."""
+    light = environment.wavelength
+    parts = [light.std / light.value]
+    for name, step in _STEPS.items():
+        low, high = (float(environment.index(Weather(**{**weather, name: weather[name] + s}))) for s in (-step, step))
+        parts.append((high - low) / (2 * step) * getattr(environment, name).std)
+    return float(np.linalg.norm(parts))
