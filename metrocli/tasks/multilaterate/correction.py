@@ -18,8 +18,8 @@ from metrocli.tasks.multilaterate.probed.covariance import Joint
 from metrocli.tasks.multilaterate.probed.tips import ANY, Tips, tips_of
 from metrocli.tasks.multilaterate.problem import Network
 from metrocli.tasks.multilaterate.settings import Correction, Files, Settings
-from metrocli.uncertainty.predicted import COMMON, CORE
 from metrocli.tasks.shared.part import Part
+from metrocli.uncertainty.predicted import COMMON, CORE
 from metrocli.words import listed
 
 if TYPE_CHECKING:
