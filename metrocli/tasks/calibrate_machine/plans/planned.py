@@ -28,8 +28,9 @@ from metrocli.tasks.calibrate_machine.identifiability import Identifiability, id
 from metrocli.tasks.calibrate_machine.methods.on_the_fly import READINGS, path_of
 from metrocli.tasks.calibrate_machine.methods.standstill import tracker_noise
 from metrocli.tasks.calibrate_machine.plans.path_search import Found, Wanted, edges_and_diagonals, search
+from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
 from metrocli.tasks.calibrate_machine.problem import Problem, conditions, error_blocks, machine_of, model_of, tool_prior
-from metrocli.tasks.calibrate_machine.settings import PathPlan, Settings
+from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.calibrate_machine.tables import Tables, tables_of, unit_of
 from metrocli.tasks.calibrate_machine.volume_report import volume_tables
 from metrocli.tasks.calibrate_machine.warnings import identifiability_notes

@@ -26,8 +26,9 @@ from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.methods.lengths import lengths
 from metrocli.tasks.calibrate_machine.plans.planned import PLACES, REST, planned, worth_of
 from metrocli.tasks.calibrate_machine.plans.stops import all_over, judged, visits
+from metrocli.tasks.calibrate_machine.plans.wanted import PathPlan
 from metrocli.tasks.calibrate_machine.problem import ERROR_BLOCKS, Problem, machine_of, tools_of
-from metrocli.tasks.calibrate_machine.settings import PathPlan, Settings
+from metrocli.tasks.calibrate_machine.settings import Settings
 from metrocli.tasks.calibrate_machine.volume import grid_group, grid_of, without_rigid_motion
 from metrocli.tasks.calibrate_machine.warnings import identifiability_notes
 
