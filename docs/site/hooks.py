@@ -12,7 +12,19 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).parents[2]
-FIRST = ("README", "tour", "diagnosis", "conventions", "targets", "files", "figures", "exports", "automation", "adding")
+FIRST = (
+    "README",
+    "tour",
+    "diagnosis",
+    "conventions",
+    "targets",
+    "files",
+    "figures",
+    "exports",
+    "imports",
+    "automation",
+    "adding",
+)
 """Pages of the first section, in the order in which a newcomer needs them"""
 SECTIONS = {
     "Jobs": "tasks", "Instruments": "instruments", "Effects": "effects", "Algorithms": "algorithms",
