@@ -22,11 +22,12 @@ def of_loop(loop: Loop) -> str:
 
 def _row(number: int, one: Extension, first: Diagnosis) -> tuple[str, ...]:
     job, statistics = first.job, one.done.result.statistics
-    unit = units.find_unit(*job.reading)
-    error = f"{unit.outside(one.before):.2g} to {unit.outside(one.after):.2g} {unit.symbol}"
+    error = " to ".join(units.sized(size, job.reading[1]) for size in (one.before, one.after))
     shift = "" if one.shift is None else units.sized(one.shift, job.delivered.dimension)
     chance = "p < 1e-12" if one.p_value < 1e-12 else f"p = {one.p_value:.2g}"
     chi2, dof = (f"{statistics[name]:.4g}" if name in statistics else "" for name in ("chi2", "dof"))
+    if statistics.get("noise_estimated") and "noise_factor" not in statistics:
+        chi2 = "noise found"  # it is that of unit weights, and not to be compared
     return str(number), ", ".join(one.added), chance, chi2, dof, error, shift
 
 
