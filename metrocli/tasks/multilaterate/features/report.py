@@ -82,11 +82,14 @@ def _refuse_vague(each: Sequence[tuple[Wanted, Fit]], values: Array, std: Array)
     for (one, fit), number, spread in zip(each, values, std, strict=True):
         reach = np.append(spread[[0, 1, 2, 6]] / fit.ideal.size, spread[[3, 4, 5, 7]])
         if not reach.max() < 1.0:
+            moves = [f"its place moves by {1e3 * spread[:3].max():.3g} um"]
+            if "i" not in _WITHOUT[one.shape]:
+                moves.append(f"its direction turns by {spread[3:6].max():.3g} rad")
+            if "radius" not in _WITHOUT[one.shape]:
+                moves.append(f"its radius of {number[6]:.4g} mm changes by {1e3 * spread[6]:.3g} um")
             raise UndeterminedError(
                 f"feature '{one.name}': the {len(one.rows)} points do not determine a {one.shape}: within their "
-                f"uncertainty its place moves by {1e3 * spread[:3].max():.3g} um and its radius of "
-                f"{number[6]:.4g} mm by {1e3 * spread[6]:.3g} um; points farther apart along and around it "
-                "would determine it"
+                f"uncertainty {', '.join(moves)}; points farther apart along and around it would determine it"
             )
 
 
