@@ -153,6 +153,8 @@ def test_a_plane_through_points_near_a_line_is_refused_by_its_direction() -> Non
     with pytest.raises(UndeterminedError, match="do not determine a plane: .* its direction turns by") as found:
         run(net.read(rng), probed, names, asked(A="plane"), tolerance=1e3, correction=Correction(0.0, 0.02))
     assert "radius" not in str(found.value)
+    # the lengths fit, so that no file is taken to be in another unit
+    assert found.value.misfit == 0.0
 
 
 def test_a_job_gives_both_fits_of_each_shape() -> None:
@@ -203,8 +205,9 @@ def test_faults_of_features_are_listed() -> None:
     assert [fault.hint for fault in found.value.faults] == ["did you mean 'A'?", "expected 3 or more for a plane"]
     turn = np.linspace(0, 6, 14)
     ring = np.column_stack([30 * np.cos(turn), 30 * np.sin(turn), 0 * turn]) + [100, 100, 100]
-    with pytest.raises(UndeterminedError, match="feature 'A': the 14 points do not determine a cylinder"):
+    with pytest.raises(UndeterminedError, match="feature 'A': the 14 points do not determine a cylinder") as open_one:
         run(net, np.concatenate([ring, net.nominal[14:28]]), names, asked(A="cylinder"), tolerance=1e3)
+    assert open_one.value.misfit == 0.0
 
 
 def test_the_command_lists_features(tmp_path: Path, metrocli: Any) -> None:
