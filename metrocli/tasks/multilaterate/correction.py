@@ -71,10 +71,11 @@ def corrected(
 
     A probing point belongs to the replayed point of its name, else to the nearest nominal point of its tip within the
     tolerance. Its covariance (3, 3) is `C + T + (2 r² + p² + g² |d|²) I`. C is that of the reflector's place, T that
-    of the reflector against the tip, r the mover's repeatability, which acts at the probing and at the replay (once
-    where C has that of the stops), p the standard deviation of the probed point. d leads from the replayed point to
-    the probed one; g is the change of the mover's error per length from a point to its nearest one of the same tip
-    (root mean square, each coordinate). `shared` are the factors of the covariance between the points that are read.
+    of the reflector against the tip, p the standard deviation of the probed point. r is the mover's repeatability; it
+    acts at the probing and at the replay, but r² counts once where C has that of several stops. d leads from the
+    replayed point to the probed one; g is the change of the mover's error per length from a point to its nearest one
+    of the same tip (root mean square, each coordinate). `shared` are the factors of the covariance between the points
+    that are read.
     Points of a part are at 20 degC. Raises InputError that lists every probing point whose replayed point the
     adjustment left out.
     """
