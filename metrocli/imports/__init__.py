@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING
 
+from metrocli.errors import UsageError
+
 if TYPE_CHECKING:
     from metrocli.imports.lines import Lines
     from metrocli.nodes import Node
@@ -23,6 +25,8 @@ class Format:
     summary: str
     source: str
     """Where its layout is published"""
+    takes: str = ""
+    """The one of the wishes that it uses: mapping or unit"""
 
 
 @dataclass(frozen=True)
@@ -37,12 +41,16 @@ class Wishes:
 
 FORMATS: dict[str, Format] = {
     "columns": Format(
-        "metrocli.imports.columns", "any table, with a file that names column, unit and sign (--map)", "docs/imports.md"
+        "metrocli.imports.columns",
+        "any table, with a file that names column, unit and sign (--map)",
+        "docs/imports.md",
+        "mapping",
     ),
     "sa-ascii": Format(
         "metrocli.imports.sa_ascii",
         "points of SpatialAnalyzer (--unit)",
         "SpatialAnalyzer User Manual, Exporting ASCII Formatted Points",
+        "unit",
     ),
     "vnl": Format(
         "metrocli.imports.vnl",
@@ -53,6 +61,12 @@ FORMATS: dict[str, Format] = {
 
 
 def imported(name: str, lines: Lines, wishes: Wishes) -> Imported:
-    """Return the CSV files of a file in a format; raises InputError that lists all faults with their rows."""
+    """Return the CSV files of a file in a format.
+
+    Raises UsageError for a wish that the format does not use, InputError that lists all faults with their rows.
+    """
+    for wish, option in (("mapping", "--map"), ("unit", "--unit")):
+        if getattr(wishes, wish) and wish != FORMATS[name].takes:
+            raise UsageError(f"--from {name} takes no {option}: leave it out")
     files: Callable[[Lines, Wishes], Imported] = import_module(FORMATS[name].module).files
     return files(lines, wishes)

@@ -140,12 +140,8 @@ def _rows(lines: Lines, mapping: Mapping) -> tuple[list[tuple[int, Sequence[str]
     found = list(lines.without(mapping.comment, start))
     if not found:
         raise InputError([lines.fault("the file has no rows")])
-    separator = _SEPARATORS.get(mapping.separator or "") or max(",;\t", key=found[0][1].count)
-    if separator == " ":
-        rows: list[tuple[int, Sequence[str]]] = [(n, line.split()) for n, line in found]
-    else:
-        split = csv.reader([line for _, line in found], delimiter=separator)
-        rows = [(n, [cell.strip() for cell in cells]) for (n, _), cells in zip(found, split, strict=True)]
+    separator = _SEPARATORS.get(mapping.separator or "") or _separator(found[0][1], mapping.decimal == "comma")
+    rows = [(n, _cells(line, separator)) for n, line in found]
     width = len(rows[0][1])
     wrong = [lines.fault(f"{len(cells)} cells instead of {width}", n) for n, cells in rows if len(cells) != width]
     if wrong:
@@ -157,6 +153,19 @@ def _rows(lines: Lines, mapping: Mapping) -> tuple[list[tuple[int, Sequence[str]
             [lines.fault("there is a header and no row", rows[0][0], "without a header write `header: none`")]
         )
     return rows[1:], rows[0][1]
+
+
+def _separator(line: str, comma: bool) -> str:
+    """Return the most frequent separator of a line; a decimal comma is one only where there is no other."""
+    others = ";\t" if comma and re.search("[;\t]", line) else ",;\t"
+    return max(others, key=line.count)
+
+
+def _cells(line: str, separator: str) -> Sequence[str]:
+    """Return the cells of a line; a quotation mark that is left open ends with its line."""
+    if separator == " ":
+        return line.split()
+    return [cell.strip() for cell in next(csv.reader([line], delimiter=separator))]
 
 
 def _place(source: Source, names: Sequence[str]) -> int | None:
@@ -216,6 +225,11 @@ def _read(lines: Lines, cells: Sequence[tuple[int, str]], column: Column, comma:
         plain = text.replace(",", ".") if comma and column.dimension != TEXT else text
         if not text and not column.may_be_empty:
             faults.append(lines.fault(f"{column.name}: the cell is empty", number))
+        elif comma and column.dimension != TEXT and "." in text:
+            hint = "expected numbers such as 1234,5; with points write `decimal: point`"
+            faults.append(
+                lines.fault(f"{column.name}: '{text}' has a point, and the decimal sign is a comma", number, hint)
+            )
         elif text and column.dimension != TEXT and not is_number(plain):
             hint = "write `decimal: comma` in the mapping" if "," in plain else "expected a number"
             faults.append(lines.fault(f"{column.name}: '{text}' is not a number", number, hint))

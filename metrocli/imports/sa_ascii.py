@@ -52,6 +52,9 @@ def _wrong(cells: list[str]) -> str:
         return f"the line has {len(cells)} fields instead of 4 to 6"
     if all(map(is_number, cells)) and len(cells) == 6:
         return "six numbers without a name"
+    for cell in cells[:-3]:
+        if is_number(cell) and not cell.isdigit():
+            return f"the name '{cell}' is a number with a sign or decimals, so more than x y z follows the name"
     for cell in cells[-3:]:
         if not is_number(cell):
             return f"the coordinate '{cell}' is not a number"

@@ -69,7 +69,7 @@ class Comparison:
     @property
     def max_en(self) -> float:
         """Largest E_n."""
-        return max((one.en for one in self.compared), default=float("nan"))
+        return max((one.en for one in self.compared), default=0.0)
 
 
 @dataclass(frozen=True)
@@ -130,13 +130,15 @@ def compare(first: Result, second: Result) -> Comparison:
         Compared(*common[i], float(difference[i]), float(std[i]), one.units[rows[i]], float(expanded[i]))
         for i in alive.tolist()
     ]
-    found += list(_points(_coordinates(first), _coordinates(second)))
-    if not found:
+    points = _coordinates(first), _coordinates(second)
+    found += list(_points(*points))
+    if not common and not found:
         raise InputError("the results have nothing in common: no estimate, table or point of the same name")
     moving = alive[std[alive] > 0]
     chi2, dof = _tested(difference[moving], covariance[np.ix_(moving, moving)])
-    apart = sorted({" ".join(name).strip() for name in set(one.names) ^ set(other.names)})
-    return Comparison(tuple(found), chi2, dof, _joint_dof(parts, moving), tuple(apart))
+    apart = {" ".join(name).strip() for name in set(one.names) ^ set(other.names)}
+    apart |= {f"{group} {name.rpartition('.')[0]}" for group, name in set(points[0]) ^ set(points[1])}
+    return Comparison(tuple(found), chi2, dof, _joint_dof(parts, moving), tuple(sorted(apart)))
 
 
 def _joint_dof(parts: list[tuple[Array, Array]], rows: npt.NDArray[np.intp]) -> float:

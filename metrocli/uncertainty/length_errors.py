@@ -41,6 +41,11 @@ class LengthError:
     """U of the calibrated length, k = 2 [mm]: what the decision is uncertain by (ISO/TS 23165)"""
 
     @property
+    def share(self) -> float:
+        """The part of the MPE that is used, `(|E| + U) / MPE`."""
+        return (abs(self.error) + self.test) / self.permitted
+
+    @property
     def conforms(self) -> str:
         """Whether the error conforms: `|E| <= MPE - U` yes, `|E| > MPE + U` no, else undecided (ISO 14253-1)."""
         if abs(self.error) + self.test <= self.permitted:
@@ -62,10 +67,14 @@ def permitted(text: str) -> Permitted:
 
 
 def length_errors(deviations: Sequence[Deviation], check: Table, limit: Permitted) -> tuple[LengthError, ...]:
-    """Return the error of each length of the check; raises InputError for a check of points."""
+    """Return the error of each length of the check; raises InputError for points, and for lengths whose MPE is zero."""
     if "length" not in check:
         raise InputError([check.fault("--mpe needs lengths", "expected the columns from, to, length_mm, sigma_mm")])
     lengths, sigma = check.numbers("length").tolist(), check.numbers("sigma").tolist()
+    without = [row for row, length in enumerate(lengths) if not limit.at(length) > 0]
+    if without:
+        hint = "expected a length above zero, or an MPE with a constant part, such as '1.5 um + 3 um/m'"
+        raise InputError(check.faults_at(without, lambda _: "the MPE of this length is zero", lambda _: hint))
     return tuple(
         LengthError(one.name, -one.value, limit.at(length), COVERAGE[0] * spread)
         for one, length, spread in zip(deviations, lengths, sigma, strict=True)
@@ -74,4 +83,4 @@ def length_errors(deviations: Sequence[Deviation], check: Table, limit: Permitte
 
 def ratio(errors: Sequence[LengthError]) -> float:
     """Return the largest `(|E| + U) / MPE`: the lengths conform if it is at most 1."""
-    return max((abs(one.error) + one.test) / one.permitted for one in errors)
+    return max(one.share for one in errors)

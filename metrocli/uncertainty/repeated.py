@@ -69,7 +69,7 @@ class Repeated:
     @property
     def max_drift_en(self) -> float:
         """Largest E_n of a drift."""
-        return max(one.en for one in self.drifts)
+        return max((one.en for one in self.drifts), default=0.0)
 
 
 def repeated(results: Sequence[Result], times: Sequence[float]) -> Repeated:
@@ -83,6 +83,8 @@ def repeated(results: Sequence[Result], times: Sequence[float]) -> Repeated:
     against_first = tuple(compare(results[0], other).max_en for other in results[1:])
     each = [quantities(result) for result in results]
     names = [name for name in each[0] if all(name in one for one in each)]
+    if not names:
+        raise InputError("no estimate, table or point is in all of the results: a drift needs the same name in each")
     drifts: list[Drift] = []
     groups: dict[tuple[str, str], list[list[Quantity]]] = {}
     for name in names:

@@ -92,7 +92,7 @@ def two_digits(value: float) -> str:
 def sized(value: float, dimension: str) -> str:
     """Return a quantity to two digits in the unit that suits its size, for sentences: "0.21 um"."""
     size, symbol = readable(value, dimension)
-    return f"{two_digits(size)} {symbol}".strip() if math.isfinite(size) else NOT_DETERMINED
+    return f"{two_digits(size)} {'' if symbol == '1' else symbol}".strip() if math.isfinite(size) else NOT_DETERMINED
 
 
 def roughly(value: float, unit: str) -> str:

@@ -79,6 +79,9 @@ def test_length_errors_against_an_mpe(folder: Path, metrocli: Metrocli) -> None:
     for wrong in ("30", "30 um + 2 kg", "0 um", "1 um + 1 um/m + 1 um"):
         ran = metrocli("verify", *files, "--mpe", wrong)
         assert ran.code == 2 and "write e.g. '1.5 um + 3 um/m'" in ran.err
+    (folder / "none.csv").write_text("from,to,length_mm,sigma_mm\nA,B,300,0.01\nB,C,0,0\n")
+    ran = metrocli("verify", folder / "r.h5", folder / "none.csv", "--mpe", "0 um + 3 um/m")
+    assert ran.code == 3 and "none.csv:3" in ran.err and "the MPE of this length is zero" in ran.err
     ran = metrocli("verify", folder / "r.h5", folder / "points.csv", "--mpe", "5 um")
     assert ran.code == 3 and "points.csv: error: --mpe needs lengths" in ran.err
 

@@ -91,6 +91,17 @@ def test_a_table_without_names_is_read_by_numbers(folder: Path, metrocli: Metroc
     assert rows_of(folder / "stops.csv") == ["point,x_m,y_m,z_m", "A,1.5,2,-3", "B,-4,5,-6.25"]
 
 
+def test_a_decimal_comma_does_not_separate(folder: Path, metrocli: Metrocli) -> None:
+    """The first row has more commas than semicolons."""
+    (folder / "plain.txt").write_text("A;0,5;1,25;3,75\nB;4,5;5,5;6,5\n")
+    (folder / "plain.yaml").write_text(
+        "job: multilaterate\ninput: points\nheader: none\ndecimal: comma\n"
+        "columns: {point: 1, x: {column: 2, unit: mm}, y: {column: 3, unit: mm}, z: {column: 4, unit: mm}}\n"
+    )
+    assert metrocli("import", "plain.txt", "--from", "columns", "--map", "plain.yaml").code == 0
+    assert rows_of(folder / "points.csv") == ["point,x_mm,y_mm,z_mm", "A,0.5,1.25,3.75", "B,4.5,5.5,6.5"]
+
+
 def test_points_of_spatial_analyzer(folder: Path, metrocli: Metrocli) -> None:
     ran = metrocli("import", "points.txt", "--from", "sa-ascii", "--unit", "mm", "--out", "data", "--json")
     assert ran.code == 0
@@ -132,6 +143,8 @@ FAULTS: dict[str, tuple[str, str, str, int, list[str]]] = {
     "empty": ("LT1.txt", "3;25;7", "3;25;", 3, ["LT1.txt:5", "the cell is empty"]),
     "short row": ("LT1.txt", "3;25;7;20,2", "3;25;7", 3, ["LT1.txt:5", "3 cells instead of 4"]),
     "decimal": ("map.yaml", "decimal: comma", "decimal: point", 3, ["LT1.txt:3", "write `decimal: comma`"]),
+    "open quote": ("LT1.txt", "2;12,5", '"2;12,5', 3, ["LT1.txt:4", "1 cells instead of 4"]),
+    "thousands": ("LT1.txt", "-1000,25", "-1.000", 3, ["LT1.txt:3", "'-1.000' has a point", "decimal: point"]),
     "column": ("map.yaml", "column: Dist", "column: Dst", 3, ["map.yaml:8", "did you mean 'Dist'?"]),
     "quantity": ("map.yaml", "  length:", "  lenght:", 3, ["map.yaml:8", "'length'", "the input also needs length"]),
     "unit": ("map.yaml", "unit: um", "unit: kg", 3, ["map.yaml:8", "length is a length and has the unit 'kg'", "mm"]),
@@ -143,6 +156,7 @@ FAULTS: dict[str, tuple[str, str, str, int, list[str]]] = {
     "value": ("map.yaml", "t: {column: 2", "t: {value: noon", 3, ["map.yaml:9", "'noon' is not a number"]),
     "coordinate": ("points.txt", "-2.5E+00", "nan", 3, ["points.txt:3", "'nan' is not a number"]),
     "uncertainties": ("points.txt", "7, 8, 9", "7, 8, 9, .1, .1, .1", 3, ["points.txt:6", "9 fields"]),
+    "one more": ("points.txt", "A, Roof, P1, 7, 8, 9", "P1, 7.5, 8, 9, .1", 3, ["points.txt:6", "the name '7.5'"]),
     "twice": ("points.txt", "Roof, P1", "Floor, P1", 3, ["the point 'A::Floor::P1' is there 2 times"]),
     "legend": ("corners.vnl", "# filename x y level", "# file x y", 3, ["corners.vnl:2", "the legend lacks filename"]),
     "pixel": ("corners.vnl", "20.25", "20,25", 3, ["corners.vnl:6", "'20,25' is not a number"]),
@@ -175,6 +189,8 @@ def test_faults_have_file_and_row(folder: Path, metrocli: Metrocli, case: str) -
         (("points.txt", "--from", "sa-ascii"), 2, "--unit"),
         (("points.txt", "--from", "sa-ascii", "--unit", "inch"), 2, "--unit"),
         (("LT1.txt", "--from", "columns"), 2, "--map"),
+        (("corners.vnl", "--from", "vnl", "--unit", "mm"), 2, "--from vnl takes no --unit"),
+        (("points.txt", "--from", "sa-ascii", "--unit", "mm", "--map", "map.yaml"), 2, "takes no --map"),
         (("absent.txt", "--from", "vnl"), 3, "absent.txt"),
         (("LT1.txt", "--from", "xlsx"), 2, "xlsx"),
         (("LT1.txt", "--from", "columns", "--map", "absent.yaml"), 3, "absent.yaml"),

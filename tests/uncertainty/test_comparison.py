@@ -50,7 +50,7 @@ def test_points_are_compared_by_name_and_what_only_one_has_is_listed() -> None:
     x = next(one for one in found.compared if one.name == "P2.x")
     assert (x.difference, x.std) == (pytest.approx(1e-3), pytest.approx(3e-4 * 2**0.5))
     assert "P1.x" not in {one.name for one in found.compared}
-    assert found.only_in_one == ("estimates c",)
+    assert found.only_in_one == ("estimates c", "points P1", "points P3")
 
 
 def test_results_that_have_nothing_in_common_are_refused() -> None:

@@ -62,3 +62,16 @@ def test_the_same_calibration_again_has_no_drift() -> None:
 def test_one_time_has_no_drift() -> None:
     with pytest.raises(InputError, match="the calibrations have one time"):
         repeated([result({"a": 1.0})] * 3, [5.0, 5.0, 5.0])
+
+
+def test_results_without_a_quantity_in_all_of_them_are_refused() -> None:
+    one, other = result({"a": 1.0}), result({"b": 1.0})
+    with pytest.raises(InputError, match="no estimate, table or point is in all of the results"):
+        repeated([result({"a": 1.0, "b": 1.0}), one, other], [0.0, 1.0, 2.0])
+
+
+def test_quantities_without_uncertainty_that_stay_have_no_drift() -> None:
+    one = result({"a": 1.0}, 0.0)
+    wide = result({"a": 1.0, "b": 2.0}, 0.0)
+    found = repeated([one, wide, one], [0.0, 1.0, 2.0])
+    assert (found.drifts, found.max_drift_en) == ((), 0.0)

@@ -71,6 +71,7 @@ def _figures(found: Comparison, shared: list[str]) -> dict[str, Any]:
 def _text(found: Comparison, shared: list[str]) -> str:
     from metrocli import units
     from metrocli.cli.columns import worst_rows
+    from metrocli.words import listed
 
     rows = [["quantity", "B - A", "E_n"]]
     for one in sorted(found.compared, key=lambda one: -one.en):
@@ -79,8 +80,11 @@ def _text(found: Comparison, shared: list[str]) -> str:
     lines = worst_rows(rows)
     lines.append(f"{len(found.compared)} quantities, largest E_n {found.max_en:.2f}")
     lines.append(f"all together: chi2 {found.chi2:.4g} of {found.dof} degrees of freedom, p {found.p_value:.3g}")
+    independent = "the uncertainties count as independent"
     if shared:
-        lines.append(f"both are made from {', '.join(shared)}; the uncertainties count as independent all the same")
+        lines.append(f"both are made from {', '.join(shared)}; {independent} all the same")
+    else:
+        lines.append(f"the results have no input in common; {independent}")
     if found.only_in_one:
-        lines.append(f"determined in one of them only: {len(found.only_in_one)} quantities")
+        lines.append(f"determined in one of them only: {listed(found.only_in_one)}")
     return "\n".join(lines)

@@ -45,7 +45,7 @@ def _times(days: str | None, number: int) -> tuple[list[float], str]:
         times = [float(part) for part in days.split(",")]
     except ValueError:
         times = []
-    if len(times) != number:
+    if len(times) != number or not all(map(math.isfinite, times)):
         raise UsageError(f"--days '{days}': expected {number} numbers, one a result, such as '0,90,181'")
     return times, "d"
 

@@ -120,7 +120,7 @@ def _length_text(tested: Sequence[LengthError]) -> Iterator[str]:
     if not tested:
         return
     rows = [["length", "error [um]", "MPE [um]", "U [um]", "conforms"]]
-    for one in sorted(tested, key=lambda one: -(abs(one.error) + one.test) / one.permitted):
+    for one in sorted(tested, key=lambda one: -one.share):
         rows.append([one.name, *(f"{1e3 * value:.3f}" for value in (one.error, one.permitted, one.test)), one.conforms])
     yield ""
     yield from worst_rows(rows)

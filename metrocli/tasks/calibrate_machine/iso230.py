@@ -10,7 +10,7 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.table import Table
-from metrocli.tasks.calibrate_machine.acceptance.positioning import FIGURES, Measured, expanded, figures
+from metrocli.tasks.calibrate_machine.acceptance.positioning import FIGURES, Measured, at_each_target, expanded, figures
 from metrocli.words import listed
 
 if TYPE_CHECKING:
@@ -54,17 +54,10 @@ def positioning(runs: Sequence[Run], known: Measured) -> tuple[Table | None, tup
     Without such a line there is no table. Runs of several lines are not pooled, since each line has its own zero. A run
     that lacks a target of the others is left out: the figures need all runs at each target.
     """
-    lines = _lines(runs)
-    whole, warnings = [], []
-    for axis, at, name in lines:
-        own, lacking = _complete([run for run in runs if (run.axis, run.at, run.line) == (axis, at, name)])
-        up, down = _both_ways(own)
-        if len(up) and len(down):
-            whole.append(_Line(axis, at, name, up, down, np.sort(own[0].targets)))
-            warnings += lacking + _too_few(whole[-1])
-    warnings += _apart(lines)
+    whole, lacking = _whole(runs)
+    warnings = (*lacking, *(line for one in whole for line in _too_few(one)), *_apart(_lines(runs)))
     if not whole:
-        return None, tuple(warnings)
+        return None, warnings
     columns: dict[str, Values] = {
         "axis": np.array([one.axis for one in whole]),
         "at": np.array([_named(one.axis, one.at) for one in whole]),
@@ -76,7 +69,19 @@ def positioning(runs: Sequence[Run], known: Measured) -> tuple[Table | None, tup
     spread = [expanded(one.up, one.down, one.targets, known) for one in whole]
     columns |= {name: np.array([one[name] for one in found]) for name in FIGURES}
     columns |= {f"U_{name}": np.array([one[name] for one in spread]) for name in FIGURES}
-    return Table(columns, {name: "mm" for name in columns if name.removeprefix("U_") in FIGURES}), tuple(warnings)
+    return Table(columns, {name: "mm" for name in columns if name.removeprefix("U_") in FIGURES}), warnings
+
+
+def _whole(runs: Sequence[Run]) -> tuple[list[_Line], list[str]]:
+    """Return the lines with runs in both directions, and a warning for each run of theirs that is left out."""
+    whole, warnings = [], []
+    for axis, at, name in _lines(runs):
+        own, lacking = _complete([run for run in runs if (run.axis, run.at, run.line) == (axis, at, name)])
+        up, down = _both_ways(own)
+        if len(up) and len(down):
+            whole.append(_Line(axis, at, name, up, down, np.sort(own[0].targets)))
+            warnings += lacking
+    return whole, warnings
 
 
 def _named(axis: str, at: Sequence[float]) -> str:
@@ -112,25 +117,16 @@ def _both_ways(runs: Sequence[Run]) -> tuple[Array, Array]:
 def at_targets(runs: Sequence[Run]) -> Table | None:
     """Return mean and standard deviation (nan of one run) in both directions at each target of the same lines."""
     parts = []
-    for axis, at, line in _lines(runs):
-        own, _ = _complete([run for run in runs if (run.axis, run.at, run.line) == (axis, at, line)])
-        up, down = _both_ways(own)
-        if len(up) and len(down):
-            position = np.sort(own[0].targets)
-            names = {"axis": axis, "at": _named(axis, at), "line": line}
-            labels = {name: np.full(len(position), text) for name, text in names.items()}
-            means = {"up": up.mean(axis=0), "down": down.mean(axis=0)}
-            spread = {"s_up": _spread(up), "s_down": _spread(down)}
-            parts.append(labels | {"position": position} | means | spread)
+    for one in _whole(runs)[0]:
+        texts = {"axis": one.axis, "at": _named(one.axis, one.at), "line": one.name}
+        labels = {name: np.full(len(one.targets), text) for name, text in texts.items()}
+        means, spread = at_each_target(one.up, one.down)
+        numbers = dict(zip(("up", "down", "s_up", "s_down"), (*means, *spread), strict=True))
+        parts.append(labels | {"position": one.targets} | numbers)
     if not parts:
         return None
     columns: dict[str, Values] = {name: np.concatenate([one[name] for one in parts]) for name in parts[0]}
     return Table(columns, dict.fromkeys(("position", "up", "s_up", "down", "s_down"), "mm"))
-
-
-def _spread(deviations: Array) -> Array:
-    """Return the standard deviation of runs (runs, targets) at each target; nan of one run."""
-    return deviations.std(axis=0, ddof=1) if len(deviations) > 1 else np.full(deviations.shape[1], np.nan)
 
 
 def _lines(runs: Sequence[Run]) -> list[tuple[str, tuple[float, ...], str]]:

@@ -79,19 +79,21 @@ def report(solved: Solved, settings: Settings, noise: NoiseFound) -> Result:
             *map(ShownTable, solved.problem.tables),
             *([ShownTable("suspects")] if len(solved.suspects.rows) else []),
         ),
-        notes=(
-            *identifiability_notes(identified),
-            *solved.problem.notes,
-            *_at_20_degrees(settings),
-            *(solved.problem.noise.notes if solved.problem.noise else ()),
-            NOT_CONTAINED,
-            *found_notes(noise),
-            *noise_notes(solution, cures(settings)),
-            *in_words(hidden),
-        ),
+        notes=(*_notes(solved, settings, noise), *in_words(hidden)),
         details=noise.details([one.name for one in found]),
         plain=("dof",),
     )
+
+
+def _notes(solved: Solved, settings: Settings, noise: NoiseFound) -> Iterator[str]:
+    """Yield what the machine was measured and adjusted with, in sentences."""
+    yield from identifiability_notes(solved.identified)
+    yield from solved.problem.notes
+    yield from _at_20_degrees(settings)
+    yield from solved.problem.noise.notes if solved.problem.noise else ()
+    yield NOT_CONTAINED
+    yield from found_notes(noise)
+    yield from noise_notes(noise.solution, cures(settings))
 
 
 def _at_20_degrees(settings: Settings) -> Iterator[str]:

@@ -80,6 +80,7 @@ def read(table: Table, environment: Environment | None = None) -> Readings:
     known = any(name.startswith("sigma") for name in table)
     receiver, distance = table.stacked("xyz"), table.numbers("distance", float("nan"))
     air = air_of(environment, table) if np.isfinite(distance).any() else None
+    idle = environment is not None and air is None
     return Readings(
         tuple(table.texts("pose")),
         receiver,
@@ -90,7 +91,9 @@ def read(table: Table, environment: Environment | None = None) -> Readings:
         {name: table.numbers(name) for name in ("t", "temp") if name in table},
         table.file,
         air,
-        unused(environment, table),
+        (f"{table.file}: no pose has a distance, so `environment:` changes nothing",)
+        if idle
+        else unused(environment, table),
     )
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index
+from metrocli.adjust.model.observations import Index, Mask
 from metrocli.adjust.solution import Solution
 from metrocli.errors import InputError
 from metrocli.instruments import tracer as t
@@ -71,11 +71,13 @@ def corrected(
 
     A probing point belongs to the replayed point of its name, else to the nearest nominal point of its tip within the
     tolerance. Its covariance (3, 3) is `C + T + (2 r² + p² + g² |d|²) I`. C is that of the reflector's place, T that
-    of the reflector against the tip, r the mover's repeatability, which acts at the probing and at the replay, p the
-    standard deviation of the probed point. d leads from the replayed point to the probed one; g is the change
-    of the mover's error per length from a point to its nearest one of the same tip (root mean square, each
-    coordinate). `shared` are the factors of the covariance between the points that are read. Points of a part are at
-    20 degC. Raises InputError that lists every probing point whose replayed point the adjustment left out.
+    of the reflector against the tip, p the standard deviation of the probed point. r is the mover's repeatability; it
+    acts at the probing and at the replay, but r² counts once where C has that of several stops. d leads from the
+    replayed point to the probed one; g is the change of the mover's error per length from a point to its nearest one
+    of the same tip (root mean square, each coordinate). `shared` are the factors of the covariance between the points
+    that are read.
+    Points of a part are at 20 degC. Raises InputError that lists every probing point whose replayed point the
+    adjustment left out.
     """
     match = _matches(network, probing)
     _refuse(probing, match, _LEFT_OUT)
@@ -84,7 +86,8 @@ def corrected(
     moved = at - (network.nominal[match] - places[match])
     gap = np.linalg.norm(at - network.nominal[match], axis=1) * _gradient(network, places, probing.tips.replayed)
     own = scatter.repeatability**2 + scatter.tip**2 + gap**2
-    joint = _joint(network, solution, probing.tips, match, shared, own, scatter.repeatability)
+    returned = np.where(_several_stops(network), 0.0, scatter.repeatability**2)
+    joint = _joint(network, solution, probing.tips, match, shared, own, returned)
     if part is not None:
         moved, joint = moved * part.shrinkage, joint.at_reference(part, moved * part.shrinkage)
     covariance = joint.each()
@@ -101,20 +104,32 @@ def _joint(
     match: Index,
     shared: Mapping[str, Array],
     own: Array,
-    repeatability: float,
+    returned: Array,
 ) -> Joint:
-    """Return the joint covariance; points of one replay share the error of its place and of the return to it."""
+    """Return the joint covariance; points of one replay share the error of its place and of the return to it.
+
+    `returned` is the variance of the return to each point of the network.
+    """
     replays, replay = np.unique(match, return_inverse=True)
     whole = solution.covariance_or_raise().members(t.POINT)[replays]
     row = np.cumsum(network.seen > 0) - 1
     common, core = (shared[name] if COMMON in shared else np.zeros(shape) for name, shape in _EMPTY.items())
     of_point = common[row[replays]] if COMMON in shared else np.zeros((len(replays), 3, 0))
-    left = whole - of_point @ core @ np.swapaxes(of_point, 1, 2) + repeatability**2 * np.eye(3)
+    left = whole - of_point @ core @ np.swapaxes(of_point, 1, 2) + returned[replays, None, None] * np.eye(3)
     by_tip = np.eye(3 * len(tips.names)).reshape(len(tips.names), 3, -1)[tips.probed]
     size = len(core)
     both = np.zeros((size + by_tip.shape[2],) * 2)
     both[:size, :size], both[size:, size:] = core, np.diag(tips.sigma.ravel() ** 2)
     return Joint(np.concatenate([of_point[replay], by_tip], axis=2), both, replay, left, own)
+
+
+def _several_stops(network: Network) -> Mask:
+    """Return the points whose place is the mean of several stops: their covariance has the mover's return already."""
+    lengths = network.lengths.observations
+    counted = lengths.conditions.get(t.ALONE, np.zeros(lengths.count)) > 0
+    if t.STOP in lengths.index:
+        counted = counted | (lengths.index[t.STOP] > 0)
+    return np.isin(np.arange(len(network.nominal)), lengths.index[t.POINT][counted])
 
 
 def _gradient(network: Network, places: Array, tip: Index) -> float:

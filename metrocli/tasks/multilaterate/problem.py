@@ -111,15 +111,7 @@ def network_of(
     point_block = t.point_block(readings.nominal, names, free, readings.extent)
     tracer_block = _tracers(settings, readings, places)
     air = air_of(settings.environment, lengths, "tracer")
-    observations = Observations(
-        readings.length[None] if air is None else (readings.length * air.towards)[None],
-        np.array(settings.noise.constant),
-        {t.POINT: readings.point, t.TRACER: readings.station},
-        keys={"point": tuple(lengths.texts("point")), "tracer": tuple(lengths.texts("tracer"))},
-        conditions={name: lengths.numbers(name) for name in ("t", "temp") if name in lengths},
-        components=("length",),
-        unit="mm",
-    )
+    observations = _observations(settings, readings, lengths, air)
     noise = PathNoise.of(settings.noise)
     blocks = {t.POINT: point_block, t.TRACER: tracer_block}
     stops, alone = _stops(readings, observations.conditions.get("t"))
@@ -154,6 +146,19 @@ def network_of(
     model = Model(blocks, (group, *others), datum, (LENGTHS,), acting, t.aspects(t.reach()), nominal=nominal)
     warnings = (*_unused(readings), *unused(settings.environment, lengths))
     return Network(model, noise, readings.nominal, absolute, readings.said, warnings, settings.scale, air)
+
+
+def _observations(settings: Settings, readings: Readings, lengths: Table, air: Air | None) -> Observations:
+    """Return the lengths, corrected for the air, with their points, tracers and conditions."""
+    return Observations(
+        readings.length[None] if air is None else (readings.length * air.towards)[None],
+        np.array(settings.noise.constant),
+        {t.POINT: readings.point, t.TRACER: readings.station},
+        keys={"point": tuple(lengths.texts("point")), "tracer": tuple(lengths.texts("tracer"))},
+        conditions={name: lengths.numbers(name) for name in ("t", "temp") if name in lengths},
+        components=("length",),
+        unit="mm",
+    )
 
 
 def _stops(readings: Readings, time: Array | None) -> tuple[Index, Array]:

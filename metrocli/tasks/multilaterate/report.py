@@ -29,6 +29,7 @@ from metrocli.tasks.shared.part import Part
 from metrocli.tasks.shared.statistics import (
     REMOVE,
     REPEATS,
+    Statistics,
     basic_statistics,
     condition_columns,
     found_notes,
@@ -66,41 +67,24 @@ def report(
     Raises InputError if a probing point cannot be corrected, UndeterminedError if points do not determine a feature.
     With a part the points are at 20 degC: the corrected ones, or without them those of the network.
     """
-    solution = noise.solution
-    added = solved.network.effects
+    solution, added = noise.solution, solved.network.effects
     found = (*_tracer_estimates(solution), *estimates_of(solution), *estimates(added, solution))
-    points, arrays = _points(solved, solution, None if probing is not None else part)
-    effect_tables, effect_arrays = effect_results(added, solution)
     hidden = uncontrolled(solved.network)
-    tables = {
-        "points": points,
-        "residuals": _residuals(solved),
-        "tracers": _tracers(solution),
-        "suspects": _suspects(solved),
-        "rejected": _rejected(solved),
-        "not_controlled": hidden,
-        **effect_tables,
-    }
+    tables, arrays = _adjusted(solved, solution, None if probing is not None else part)
+    tables["not_controlled"] = hidden
     if probing is not None:
         tables["corrected"], joint = corrected(solved.network, solution, probing, arrays, part)
         arrays["corrected_covariance"] = joint.each()
         feature_tables, feature_arrays = fitted(features, tables["corrected"], joint)
         tables, arrays = tables | feature_tables, arrays | feature_arrays
-    rms = float(np.sqrt((solved.residuals.values**2).mean()))
-    statistics = basic_statistics(solution, {"mm": rms}) | {
-        "rejected": len(solved.rejected),
-        "critical_w": solved.critical,
-        "weakness": layout_faults.weakness(solved.network, solution),
-        **solved.network.noise.facts,
-    }
     return Result(
         kind=KIND.name,
         title="",
         estimates=found,
         covariance=solution.joint((t.TRACER, *blocks_of(solution), *free_blocks(added))),
-        statistics=with_found(statistics, noise),
+        statistics=with_found(_statistics(solved, solution), noise),
         tables=tables,
-        arrays={**arrays, **effect_arrays},
+        arrays=arrays,
         warnings=(
             *_warnings(solved),
             *distant(solved.network, probing),
@@ -119,6 +103,30 @@ def report(
         plain=("dof",),
         astray=solved.astray,
     )
+
+
+def _adjusted(solved: Solved, solution: Solution, part: Part | None) -> tuple[dict[str, Table], dict[str, Array]]:
+    """Return the tables and arrays of the adjusted network and of its effects; the points are those of a part."""
+    points, arrays = _points(solved, solution, part)
+    effect_tables, effect_arrays = effect_results(solved.network.effects, solution)
+    tables = {
+        "points": points,
+        "residuals": _residuals(solved),
+        "tracers": _tracers(solution),
+        "suspects": _suspects(solved),
+        "rejected": _rejected(solved),
+    }
+    return tables | effect_tables, arrays | effect_arrays
+
+
+def _statistics(solved: Solved, solution: Solution) -> Statistics:
+    rms = float(np.sqrt((solved.residuals.values**2).mean()))
+    return basic_statistics(solution, {"mm": rms}) | {
+        "rejected": len(solved.rejected),
+        "critical_w": solved.critical,
+        "weakness": layout_faults.weakness(solved.network, solution),
+        **solved.network.noise.facts,
+    }
 
 
 def _shown(solved: Solved) -> Iterator[ShownTable]:

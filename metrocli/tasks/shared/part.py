@@ -13,6 +13,8 @@ from metrocli.settings import Known, Uncertain, setting
 
 REFERENCE = 20.0
 """Temperature at which sizes are stated [degC]"""
+_MOST = 1e-3
+"""Largest coefficient of expansion of a solid [1/K]; soft polymers have up to 3e-4"""
 
 
 @dataclass(frozen=True)
@@ -23,10 +25,12 @@ class Warm:
     expansion: Known = setting(Uncertain("expansion"), "its coefficient of expansion")
 
     def faults(self) -> Iterator[tuple[str, str]]:
-        """Yield a fault for an entry without a value."""
+        """Yield a fault for an entry without a value, and for an expansion that no solid has."""
         for name, example in (("temperature", "22.1 degC"), ("expansion", "11.5e-6 1/K")):
             if np.isnan(getattr(self, name).value):
                 yield name, f"the {name} has no value: write e.g. {{value: {example}, std: ...}}"
+        if abs(self.expansion.value) > _MOST:
+            yield "expansion", f"{self.expansion.value:g} 1/K is more than a solid expands by: write e.g. 11.5e-6 1/K"
 
     @property
     def growth(self) -> float:

@@ -103,6 +103,30 @@ def test_the_uncertainty_of_a_corrected_point_is_what_it_scatters_by() -> None:
     assert np.mean(np.square(scores)) == pytest.approx(1.0, abs=0.12)
 
 
+def test_the_returns_of_several_stops_count_once() -> None:
+    """Each tracer reads a replay of its own: the mean place has the returns, and 12 measurements scatter as stated."""
+    rng = np.random.default_rng(16)
+    r, truth = 0.003, network(30, 6, seed=5)
+    noise = replace(settings().noise, repeatability=r)
+    job = replace(settings(), noise=noise, correction=Correction(r, 0.0))
+    places = truth.nominal + 0.02 * np.sin(truth.nominal / 300)
+    scores = []
+    for _ in range(12):
+        net = replace(truth, points=places).read(rng)
+        beams = places[:, None] - net.tracers
+        beams /= np.linalg.norm(beams, axis=2)[:, :, None]
+        net = replace(net, readings=net.readings + r * (beams * rng.normal(size=beams.shape)).sum(axis=2))
+        probed = table(truth.nominal[:10] - r * rng.normal(size=(10, 3)), "point", truth.names[:10])
+        probed = replace(probed, columns={"feature": np.repeat("f", 10), **probed.columns})
+        files = (net.lengths(), net.point_table(), net.tracer_table())
+        result = multilaterate.run(multilaterate.TASK.job(job, *files, probing=probed))
+        turn, shift = rigid(places, result.tables["points"].stacked("xyz"))
+        off = result.tables["corrected"].stacked("xyz") - (places[:10] @ turn.T + shift)
+        scores.append(off / result.tables["corrected"].stacked(["sx", "sy", "sz"]))
+    # 360 scores; with r twice their mean square would be about 0.6
+    assert np.mean(np.square(scores)) == pytest.approx(1.0, abs=0.2)
+
+
 def rigid(a: Array, b: Array) -> tuple[Array, Array]:
     """The rotation and shift that move points a onto points b, least squares."""
     u, _, vt = np.linalg.svd((b - b.mean(axis=0)).T @ (a - a.mean(axis=0)))

@@ -104,6 +104,11 @@ def test_faults_of_tips() -> None:
     with pytest.raises(InputError, match="no replayed point of its name or within 1 mm that replays tip 'T2'") as found:
         run(net, elsewhere, probing(net.nominal, tip, net.names), tips())
     assert len(found.value.faults) == 30
+    nameless = probing(net.nominal, tip, net.names)
+    nameless = replace(nameless, columns={k: v for k, v in nameless.columns.items() if k != "tip"})
+    for listed, points in ((tips(), net.point_table()), (None, elsewhere)):
+        with pytest.raises(InputError, match="there is no column 'tip'"):
+            run(net, points, nameless, listed)
     unknown = tips(sigma=np.array([0.0, np.nan]))
     with pytest.raises(InputError, match="tip 'T2' has no sigma"):
         run(net, net.point_table(), probing(net.nominal, tip, net.names), unknown)

@@ -167,6 +167,12 @@ def test_distances_of_a_launch_unit_are_corrected(method: str) -> None:
     assert more == pytest.approx(5 * PPM * 4000, rel=2e-3)
 
 
+def test_air_without_a_distance_is_warned_of() -> None:
+    job = replace(launch.settings(), environment=environment(5.0, 1000.0))
+    result = locate_launch_unit.run(locate_launch_unit.TASK.job(job, launch.anywhere(8, 3).table()))
+    assert "poses.csv: no pose has a distance, so `environment:` changes nothing" in result.warnings
+
+
 JOB = """metrocli: 1
 job: multilaterate
 inputs: {lengths: lengths.csv, points: points.csv, tracers: tracers.csv}

@@ -61,3 +61,10 @@ def test_with_probing_the_corrected_points_are_those_of_the_part() -> None:
     assert after == pytest.approx(before / GROWN, rel=1e-12)
     widened = cold.arrays["corrected_covariance"] - warm.arrays["corrected_covariance"] / GROWN**2
     assert widened == pytest.approx((2.1e-6) ** 2 * after[:, :, None] * after[:, None], rel=1e-6, abs=1e-12)
+
+
+def test_an_expansion_that_no_solid_has_is_refused() -> None:
+    """11.5 1/K is written for 11.5e-6 1/K: the part would shrink to a twentieth."""
+    (wrong,) = Part(Known(22.0), Known(11.5)).faults()
+    assert wrong == ("expansion", "11.5 1/K is more than a solid expands by: write e.g. 11.5e-6 1/K")
+    assert list(Part(Known(22.0), Known(-1e-6)).faults()) == []

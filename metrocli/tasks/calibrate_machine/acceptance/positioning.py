@@ -28,7 +28,7 @@ def figures(up: Array, down: Array) -> dict[str, float]:
 
     R and A are nan where a direction that they need has one run.
     """
-    means, spread = _at_targets(up, down)
+    means, spread = at_each_target(up, down)
     return {name: one.value(means, spread) for name, one in _sums(means, spread).items()}
 
 
@@ -49,7 +49,7 @@ def expanded(up: Array, down: Array, targets: Array, known: Measured) -> dict[st
     of the scale. The contributions are those of ISO 230-2:2014, annex A; they are propagated by the GUM, as
     ISO/TR 230-9 asks, and not taken from the annex's formulas for five runs.
     """
-    means, spread = _at_targets(up, down)
+    means, spread = at_each_target(up, down)
     runs = np.array([[len(up)], [len(down)]])
     found = {}
     for name, one in _sums(means, spread).items():
@@ -60,7 +60,7 @@ def expanded(up: Array, down: Array, targets: Array, known: Measured) -> dict[st
     return found
 
 
-def _at_targets(up: Array, down: Array) -> tuple[Array, Array]:
+def at_each_target(up: Array, down: Array) -> tuple[Array, Array]:
     """Return means and standard deviations (nan of one run) at the targets, (2, targets) each."""
     spread = [runs.std(axis=0, ddof=1) if len(runs) > 1 else np.full(runs.shape[1], np.nan) for runs in (up, down)]
     return np.stack([up.mean(axis=0), down.mean(axis=0)]), np.stack(spread)

@@ -6,6 +6,8 @@ interferometer that is moved has several stations (sequential multilateration).
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array, Block
@@ -75,14 +77,7 @@ def lengths(settings: Settings, table: Table, stations: Table | None = None) -> 
     )
     to = t.reach_of_machine(machine)
     readings = noise.at(Group(READINGS, t.chain(to, stop_block is not None, air is not None), observations), unknowns)
-    sigma = np.column_stack([seen.sigma, np.full((len(seen.tracers), 2), np.nan)])
-    others = (
-        *tool_prior(blocks, settings),
-        *priors(station_block, sigma, station_block.free),
-        *scale_priors(settings.scale, station_block),
-        *priors_of(air),
-        *stop_priors(stop_block, noise.repeatability),
-    )
+    others = (*_known(settings, seen, unknowns, noise), *priors_of(air))
     tools = list(settings.tools)
     return Problem(
         model_of(unknowns, readings, others, points.tolist()),
@@ -92,6 +87,18 @@ def lengths(settings: Settings, table: Table, stations: Table | None = None) -> 
         unused(settings.environment, table),
         notes=() if air is None else (air.note,),
         noise=noise,
+    )
+
+
+def _known(settings: Settings, seen: Seen, unknowns: Mapping[str, Block], noise: PathNoise) -> tuple[Group, ...]:
+    """Return the priors of tool vectors, stations, scales and stops."""
+    stations = unknowns[t.TRACER]
+    sigma = np.column_stack([seen.sigma, np.full((len(seen.tracers), 2), np.nan)])
+    return (
+        *tool_prior(unknowns, settings),
+        *priors(stations, sigma, stations.free),
+        *scale_priors(settings.scale, stations),
+        *stop_priors(unknowns.get(t.STOP), noise.repeatability),
     )
 
 

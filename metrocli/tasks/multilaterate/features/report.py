@@ -24,7 +24,9 @@ if TYPE_CHECKING:
 FEATURES, POINTS, COVARIANCE = "features", "features_points", "features_covariance"
 _ALL = (*NUMBERS, "form")
 _UNITS = {"x": "mm", "y": "mm", "z": "mm", "radius": "mm", "half_angle": "rad", "form": "mm"}
-SHOWN = ("feature", "fit", "x", "y", "z", "radius", "s_radius", "form", "s_form")
+SHOWN = ("feature", "fit", "x", "y", "z", "sx", "sy", "sz", "radius", "s_radius", "form", "s_form")
+_READINGS_FIT = 0.0
+"""Misfit of the lengths: too few points of a feature are no reason to read the files in another way"""
 _WITHOUT = {
     Shape.LINE: ("radius", "half_angle"),
     Shape.PLANE: ("radius", "half_angle"),
@@ -74,7 +76,7 @@ def _fit(one: Wanted, criterion: Criterion, points: Array) -> Fit:
     try:
         return (least_squares if criterion is Criterion.LEAST_SQUARES else minimum_zone)(one.shape, points)
     except (UndeterminedError, NotConvergedError) as error:
-        raise type(error)(f"feature '{one.name}': {error}") from error
+        raise type(error)(f"feature '{one.name}': {error}", _READINGS_FIT) from error
 
 
 def _refuse_vague(each: Sequence[tuple[Wanted, Fit]], values: Array, std: Array) -> None:
@@ -82,11 +84,15 @@ def _refuse_vague(each: Sequence[tuple[Wanted, Fit]], values: Array, std: Array)
     for (one, fit), number, spread in zip(each, values, std, strict=True):
         reach = np.append(spread[[0, 1, 2, 6]] / fit.ideal.size, spread[[3, 4, 5, 7]])
         if not reach.max() < 1.0:
+            moves = [f"its place moves by {1e3 * spread[:3].max():.3g} um"]
+            if "i" not in _WITHOUT[one.shape]:
+                moves.append(f"its direction turns by {spread[3:6].max():.3g} rad")
+            if "radius" not in _WITHOUT[one.shape]:
+                moves.append(f"its radius of {number[6]:.4g} mm changes by {1e3 * spread[6]:.3g} um")
             raise UndeterminedError(
                 f"feature '{one.name}': the {len(one.rows)} points do not determine a {one.shape}: within their "
-                f"uncertainty its place moves by {1e3 * spread[:3].max():.3g} um and its radius of "
-                f"{number[6]:.4g} mm by {1e3 * spread[6]:.3g} um; points farther apart along and around it "
-                "would determine it"
+                f"uncertainty {', '.join(moves)}; points farther apart along and around it would determine it",
+                _READINGS_FIT,
             )
 
 

@@ -42,8 +42,9 @@ def tips_of(listed: Table | None, probing: Table, points: Table) -> Tips:
     the probing points of its name. Raises InputError that lists every row without a tip that is known.
     """
     if "tip" not in probing:
-        if listed is not None:
-            raise InputError([probing.fault("there is no column 'tip'", f"{listed.file} lists tips: name one a row")])
+        naming = next((table.file for table in (listed, points) if table is not None and "tip" in table), None)
+        if naming is not None:
+            raise InputError([probing.fault("there is no column 'tip'", f"{naming} names tips: name one a row")])
         everywhere = np.zeros(len(points), dtype=np.intp)
         return Tips(("",), np.zeros((1, 3)), np.zeros(len(probing), dtype=np.intp), everywhere)
     if listed is None:

@@ -9,17 +9,19 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 from simulated.features import cloud
 from simulated.lengths import Array, Network, network, settings
 
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.nodes import Node, Source
 from metrocli.result import Result
-from metrocli.settings import Placed
+from metrocli.settings import Known, Placed
 from metrocli.table import Table
 from metrocli.tasks.multilaterate import task as multilaterate
 from metrocli.tasks.multilaterate.features.ideal import Shape
 from metrocli.tasks.multilaterate.settings import SHAPES, Correction, Feature
+from metrocli.tasks.shared.part import Part
 
 BALLS = np.array([[150.0, 150.0, 100.0], [800.0, 420.0, 380.0]])
 
@@ -91,6 +93,70 @@ def test_points_of_one_replay_share_its_error() -> None:
     assert np.linalg.eigvalsh(centre - replay - 0.002**2 * np.eye(3)).min() > 0
 
 
+def sphere(points: Array) -> Array:
+    """Centre and radius of least squares of the distances."""
+    matrix = np.column_stack([2 * points, np.ones(len(points))])
+    start = np.linalg.lstsq(matrix, (points**2).sum(axis=1), rcond=None)[0]
+    start[3] = np.sqrt(start[3] + start[:3] @ start[:3])
+    found = least_squares(lambda s: np.linalg.norm(points - s[:3], axis=1) - s[3], start, method="lm", xtol=1e-14)
+    return np.asarray(found.x)
+
+
+def test_part_and_tips_reach_radii_and_the_distance_of_centres_as_by_hand() -> None:
+    """Two balls, a tip each: differences of a fit of its own, and one covariance of all coordinates and the growth."""
+    rng = np.random.default_rng(11)
+    net, names = two_balls(rng)
+    net, with_tip, sigmas = net.read(rng), np.repeat([0, 1], 14), (0.0005, 0.002)
+    columns = {"feature": np.array(names), "point": np.array(net.names[:28]), "tip": np.array(["T1", "T2"])[with_tip]}
+    probing = Table(columns | dict(zip("xyz", net.nominal[:28].T, strict=True)), dict.fromkeys("xyz", "mm"))
+    tips = Table({"tip": np.array(["T1", "T2"]), **dict.fromkeys("xyz", np.zeros(2)), "sigma": np.array(sigmas)})
+    growth, u_growth = 12e-6 * 4, np.sqrt((4 * 1e-6) ** 2 + (12e-6 * 0.3) ** 2 + (1e-6 * 0.3) ** 2)
+    part = Part(Known(24.0, 0.3), Known(12e-6, 1e-6))
+    job = replace(settings(), features=asked(A="sphere", B="sphere"), part=part, correction=Correction(0.001, 0.0007))
+    files = (net.lengths(), net.point_table(), net.tracer_table())
+    result = multilaterate.run(multilaterate.TASK.job(job, *files, probing=probing, tips=tips))
+
+    common, core = result.arrays["points_common"][:28], result.arrays["points_core"]
+    whole = np.einsum("aik,kl,bjl->aibj", common, core, common)
+    each = result.arrays["points_covariance"][:28] + (2 * 0.001**2 + 0.0007**2) * np.eye(3)
+    whole[range(28), :, range(28)] = each
+    for one, sigma in enumerate(sigmas):
+        whole += sigma**2 * np.einsum("a,b,ij->aibj", with_tip == one, with_tip == one, np.eye(3))
+    warm = result.tables["corrected"].stacked("xyz") * (1 + growth)
+
+    def figures(at: Array, grown: float) -> Array:
+        a, b = (sphere(at[14 * k : 14 * k + 14] / (1 + grown)) for k in (0, 1))
+        return np.array([a[3], b[3], np.linalg.norm(b[:3] - a[:3])])
+
+    steps = 1e-3 * np.eye(84).reshape(84, 28, 3)
+    by_place = np.array([(figures(warm + s, growth) - figures(warm - s, growth)) / 2e-3 for s in steps]).T
+    by_growth = (figures(warm, growth + 1e-4) - figures(warm, growth - 1e-4)) / 2e-4
+    expected = by_place @ whole.reshape(84, 84) @ by_place.T + u_growth**2 * np.outer(by_growth, by_growth)
+
+    found, stated = result.tables["features"], result.arrays["features_covariance"]
+    away = np.diff(found.stacked("xyz"), axis=0)[0]
+    to = np.zeros((3, 18))
+    to[0, 6] = to[1, 15] = 1
+    to[2, 9:12] = away / np.linalg.norm(away)
+    to[2, :3] = -to[2, 9:12]
+    assert to @ stated @ to.T == pytest.approx(expected, rel=2e-3, abs=1e-9)
+    assert found.numbers("s_radius") == pytest.approx(np.sqrt(np.diag(expected)[:2]), rel=1e-3)
+    assert found.numbers("radius") == pytest.approx(15 / (1 + growth), abs=2e-4)
+    assert np.linalg.norm(away) == pytest.approx(np.linalg.norm(BALLS[1] - BALLS[0]) / (1 + growth), abs=5e-4)
+
+
+def test_a_plane_through_points_near_a_line_is_refused_by_its_direction() -> None:
+    rng = np.random.default_rng(3)
+    net, names = two_balls(rng)
+    line = np.linspace(0, 1, 14)[:, None] * [60.0, 40, 20] + [100, 100, 100] + 1e-3 * rng.normal(size=(14, 3))
+    probed = np.concatenate([line, net.nominal[14:28]])
+    with pytest.raises(UndeterminedError, match="do not determine a plane: .* its direction turns by") as found:
+        run(net.read(rng), probed, names, asked(A="plane"), tolerance=1e3, correction=Correction(0.0, 0.02))
+    assert "radius" not in str(found.value)
+    # the lengths fit, so that no file is taken to be in another unit
+    assert found.value.misfit == 0.0
+
+
 def test_a_job_gives_both_fits_of_each_shape() -> None:
     rng = np.random.default_rng(4)
     kinds = list(Shape)
@@ -139,8 +205,9 @@ def test_faults_of_features_are_listed() -> None:
     assert [fault.hint for fault in found.value.faults] == ["did you mean 'A'?", "expected 3 or more for a plane"]
     turn = np.linspace(0, 6, 14)
     ring = np.column_stack([30 * np.cos(turn), 30 * np.sin(turn), 0 * turn]) + [100, 100, 100]
-    with pytest.raises(UndeterminedError, match="feature 'A': the 14 points do not determine a cylinder"):
+    with pytest.raises(UndeterminedError, match="feature 'A': the 14 points do not determine a cylinder") as open_one:
         run(net, np.concatenate([ring, net.nominal[14:28]]), names, asked(A="cylinder"), tolerance=1e3)
+    assert open_one.value.misfit == 0.0
 
 
 def test_the_command_lists_features(tmp_path: Path, metrocli: Any) -> None:

@@ -1,0 +1,76 @@
+"""Ideal features: time of the fits of 1,000 points, and how minimum zones scatter against what is stated.
+
+Each shape has 25 points in a zone of 10 um, measured 60 times with noise in each coordinate. Scatter over stated is
+that of each number that the shape has; the form is compared with that of the points without noise.
+
+    python -m benchmarks.features [MEASUREMENTS]
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
+from simulated.features import cloud
+
+from metrocli.tasks.multilaterate.features.fit import Fit
+from metrocli.tasks.multilaterate.features.ideal import Shape
+from metrocli.tasks.multilaterate.features.least_squares import least_squares
+from metrocli.tasks.multilaterate.features.minimum_zone import minimum_zone
+
+Array = npt.NDArray[np.float64]
+ZONE, POINTS, MANY = 0.005, 25, 1000
+
+
+def numbers(fit: Fit, points: Array) -> Array:
+    """Return place, direction, radius, half angle and form of a feature."""
+    return np.append(np.real(fit.ideal.numbers(points.mean(axis=0))), fit.form)
+
+
+def times(shape: Shape) -> tuple[float, float]:
+    """Return the CPU times of both fits [s]."""
+    points = cloud(shape, MANY, ZONE, np.random.default_rng(1))
+    found = []
+    for fit in (least_squares, minimum_zone):
+        start = time.process_time()
+        fit(shape, points)
+        found.append(time.process_time() - start)
+    return found[0], found[1]
+
+
+def scatter(shape: Shape, noise: float, measurements: int) -> tuple[Array, float]:
+    """Return scatter over stated of each number, and by how many standard uncertainties the form is too large."""
+    rng = np.random.default_rng(2)
+    points = cloud(shape, POINTS, ZONE, rng)
+    true, found = minimum_zone(shape, points), []
+    derivative = true.by_points(points).reshape(9, -1)
+    for _ in range(measurements):
+        measured = points + noise * rng.normal(size=points.shape)
+        found.append(numbers(minimum_zone(shape, measured), measured))
+    stated = noise * np.sqrt((derivative**2).sum(axis=1))
+    known = stated > 1e-9 * noise
+    ratios = np.std(found, axis=0, ddof=1)[known] / stated[known]
+    return ratios, float((np.mean(found, axis=0)[8] - true.form) / stated[8])
+
+
+def main() -> None:
+    """Print both tables."""
+    measurements = int(sys.argv[1]) if len(sys.argv) > 1 else 60
+    print(f"{MANY} points, CPU s: least squares, minimum zone")
+    for shape in Shape:
+        print(f"  {shape:10s} {times(shape)[0]:6.3f} {times(shape)[1]:6.3f}")
+    print(f"{POINTS} points in zones of {2e3 * ZONE:g} um, {measurements} measurements: scatter over stated, form")
+    for noise in (0.0002, 0.001):
+        for shape in Shape:
+            ratios, form = scatter(shape, noise, measurements)
+            print(f"  {1e3 * noise:3.1f} um {shape:10s} {ratios.min():5.2f} to {ratios.max():5.2f} {form:+6.2f}")
+
+
+if __name__ == "__main__":
+    main()
