@@ -180,7 +180,6 @@ def _in_words(found: Table, level: tuple[Array, Array]) -> Iterator[str]:
             yield f"    {name}: {format_quantity(float(size), 'mm', float(std))}{tilt}"
         else:
             yield f"    {name}: stays"
-    left_over = (*_ORDER[:4],)
-    yield f"then, if the part does not slip, its zero point is: {_moves(*level, left_over)}"
+    yield f"then, if the part does not slip, its zero point is: {_moves(*level, _ORDER[:4])}"
     worst = float(level[1][3:5].max())
     yield f"tilt that may be left: {2e3 * worst:.3f} mm/m (k = 2); measure again if it matters that nothing slips"

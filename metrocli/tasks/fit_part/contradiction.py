@@ -79,13 +79,14 @@ def refuse(
         if possible > 0
         else f"no minimum above {possible:.2f} mm would do: material is missing"
     )
-    contradict = "contradict each other" if len(found.surfaces) > 1 else "contradicts itself"
+    several = len(found.surfaces) > 1
+    contradict = "surfaces that contradict each other" if several else "surface that contradicts itself"
     lines = [
         f"no pose of the ideal part leaves {minimum:g} mm of overstock everywhere",
-        f"  surfaces that {contradict}: {together}",
+        f"  {contradict}: {together}",
         f"  by how much: they leave at most {found.least:.3f} mm at their lowest points, "
         f"{minimum - found.least:.3f} mm less than required (points {points})",
-        "  without any one of these surfaces the others of them have the minimum",
+        *(["  without any one of these surfaces the others of them have the minimum"] if several else []),
         f"  {what}",
     ]
     lines += [f"  or: {wrong_side(turned)}"] if turned else []

@@ -60,7 +60,7 @@ def test_a_shared_scale_counts_for_each_target_and_leaves_the_pose_as_it_is() ->
     result = fit_result()
     points, shared = result.tables["targets"].stacked(("x", "y", "z")), result.arrays["targets_common"]
     scaled = 1e-4 * (points - points.mean(axis=0))  # moves neither their middle nor turns them
-    arrays = result.arrays | {"targets_common": np.concatenate([shared, scaled[:, :, None]], axis=2)}
+    arrays = {**result.arrays, "targets_common": np.concatenate([shared, scaled[:, :, None]], axis=2)}
     alone, listed = target_list(result), target_list(replace(result, arrays=arrays))
     assert alone.common is not None and listed.common is not None
     assert np.allclose(listed.common, alone.common, atol=1e-9 * np.abs(alone.common).max())

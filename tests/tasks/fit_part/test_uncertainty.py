@@ -105,7 +105,7 @@ def test_errors_that_points_share_move_pose_and_targets_together(tmp_path: Path)
     found = of(places)
     at = found.tables["targets"].stacked("xyz")
     moved = [of(places + common[:, :, k]).tables["targets"].stacked("xyz") - at for k in range(2)]
-    expected = sum(np.outer(each.ravel(), each.ravel()) for each in moved)
+    expected = np.sum([np.outer(each.ravel(), each.ravel()) for each in moved], axis=0)
     shared = found.arrays["targets_common"].reshape(at.size, -1)
     assert np.allclose(shared @ shared.T, expected, atol=0.02 * np.abs(expected).max())
 
