@@ -44,6 +44,10 @@ class Places:
     own: Array
     """O (n, 3, 3) mm^2"""
 
+    def of(self, rows: npt.NDArray[np.intp] | npt.NDArray[np.bool_]) -> Places:
+        """Return some of the places."""
+        return Places(self.values[rows], self.common[rows], self.core, self.own[rows])
+
 
 def has_machine(result: Result) -> bool:
     """Return whether a result has error tables with their covariance."""
@@ -97,13 +101,24 @@ def listed(result: Result, names: Table, columns: tuple[str, ...]) -> tuple[Plac
         )
     if faults:
         raise InputError(faults)
+    every = points_of(result)
+    rows = [np.array([known[name] for name in names.texts(column)], dtype=np.intp) for column in columns]
+    return tuple(every.of(at) for at in rows)
+
+
+def points_of(result: Result) -> Places:
+    """Return the points of a result; without factors of their joint covariance they are taken as independent."""
+    values = result.tables[POINTS].stacked(("x", "y", "z"))
+    whole = np.asarray(result.arrays[POINTS_COVARIANCE], dtype=float)
     common, core = result.arrays.get(COMMON), result.arrays.get(CORE)
     if common is None or core is None:
-        common, core = np.zeros((len(known), 3, 0)), np.zeros((0, 0))
-    values, whole = points.stacked(("x", "y", "z")), np.asarray(result.arrays[POINTS_COVARIANCE])
-    own = whole - common @ core @ np.swapaxes(common, 1, 2)
-    rows = [np.array([known[name] for name in names.texts(column)], dtype=np.intp) for column in columns]
-    return tuple(Places(values[at], common[at], core, own[at]) for at in rows)
+        return independent(values, whole)
+    return Places(values, common, core, whole - common @ core @ np.swapaxes(common, 1, 2))
+
+
+def independent(values: Array, covariance: Array) -> Places:
+    """Return places (n, 3) with independent errors of covariance (n, 3, 3)."""
+    return Places(values, np.zeros((len(values), 3, 0)), np.zeros((0, 0)), covariance)
 
 
 def _machine(result: Result) -> Machine:

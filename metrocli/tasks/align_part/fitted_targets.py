@@ -1,7 +1,8 @@
 """Targets of a fit-part result: their coordinates in the part frame, and the pose of the fit as their common error.
 
-The targets of a fitted part share the error of its pose, a small rigid motion of all of them. The pose
-of the part in the machine absorbs it, so it is left out of the adjustment and added to that pose.
+The targets of a fitted part share the error of its pose, and errors of the network that measured them. The pose of
+the part in the machine absorbs the rigid motion among these, so it is left out of the adjustment and added to that
+pose. What is left, such as an error of scale, counts as an error of each target by itself.
 """
 
 from __future__ import annotations
@@ -39,21 +40,26 @@ def target_list(targets: Table | Result) -> TargetList:
             f"the fit-part result has {len(found)} targets, and a part needs {FEWEST}: name them in its job, "
             "e.g. `targets: [T*]`, or by the surface `target` in its points"
         )
-    own = np.sqrt(np.einsum("nkk->nk", targets.arrays["targets_own"]))
+    motion, rest = _common(targets)
+    own = np.sqrt(np.einsum("nkk->nk", targets.arrays["targets_own"]) + (rest**2).sum(axis=2))
     columns = {name: found.columns[name] for name in ("target", "x", "y", "z")}
     columns |= {f"sigma_{axis}": own[:, k] for k, axis in enumerate("xyz")}
     units = {name: "mm" for name in columns if name != "target"}
-    return TargetList(Table(columns, units, "the targets of the fit-part result"), _common(targets))
+    return TargetList(Table(columns, units, "the targets of the fit-part result"), motion)
 
 
-def _common(result: Result) -> Array:
-    """Return the covariance (6, 6) of the rigid motion `u + w x X` that all targets share."""
+def _common(result: Result) -> tuple[Array, Array]:
+    """Return the covariance (6, 6) of the rigid motion `u + w x X` that all targets share, and what they share besides.
+
+    That is the part of the factor `targets_common` (m, 3, k) that no rigid motion follows.
+    """
     points, shared = result.tables["targets"].stacked(("x", "y", "z")), result.arrays["targets_common"]
     lever = float(np.sqrt((points**2).sum(axis=1).mean())) or 1.0
     by_motion = np.concatenate([np.tile(np.eye(3), (len(points), 1, 1)), -cross_matrix(points) / lever], axis=2)
     motions = np.linalg.lstsq(by_motion.reshape(-1, 6), shared.reshape(-1, shared.shape[2]), rcond=None)[0]
+    rest = shared - by_motion @ motions
     motions[3:] /= lever
-    return np.asarray(motions @ motions.T)
+    return motions @ motions.T, rest
 
 
 def added_by_fit(common: Array, part: Array) -> Array:

@@ -132,7 +132,8 @@ def levelling(values: Array, supports: Table, stays: int) -> Callable[[Array], A
 def _screws(values: Array, covariance: Array, supports: Table) -> Table:
     """Return the table `supports`: what to raise, by how much, in the order to turn the screws, the largest first.
 
-    `tilt_left` is the slope of the plane of least squares through all supports after this screw and those before it.
+    `tilt_left` is the slope of the plane of least squares through all supports after this screw and those before it. It
+    need not fall with each screw: where two neighbours rise alike, the first alone tilts the part between them.
     """
     places = supports.stacked(("x", "y"))
     size = raises(values[3:6], places)
@@ -174,12 +175,11 @@ def _in_words(found: Table, level: tuple[Array, Array]) -> Iterator[str]:
     steps = zip(*(found.columns[name] for name in ("support", "raise", "raise_std", "tilt_left")), strict=True)
     yield "to level the part, raise the supports in this order:"
     for name, size, std, left in steps:
-        if std > 0:
+        if size > 0:
             tilt = "" if left < 1e-9 else f" (tilt left {1e3 * left:.3f} mm/m)"
             yield f"    {name}: {format_quantity(float(size), 'mm', float(std))}{tilt}"
         else:
             yield f"    {name}: stays"
-    left_over = (*_ORDER[:4],)
-    yield f"then, if the part does not slip, its zero point is: {_moves(*level, left_over)}"
+    yield f"then, if the part does not slip, its zero point is: {_moves(*level, _ORDER[:4])}"
     worst = float(level[1][3:5].max())
     yield f"tilt that may be left: {2e3 * worst:.3f} mm/m (k = 2); measure again if it matters that nothing slips"

@@ -35,6 +35,7 @@ from metrocli.tasks.shared.images.tables import (
     suspect_images,
     suspect_readings,
 )
+from metrocli.tasks.shared.joint_covariance import factors
 from metrocli.tasks.shared.statistics import (
     Statistics,
     basic_statistics,
@@ -45,6 +46,7 @@ from metrocli.tasks.shared.statistics import (
     with_noise,
 )
 from metrocli.tasks.shared.uncontrolled import TABLE, in_words
+from metrocli.uncertainty.predicted import POINTS_COVARIANCE
 
 if TYPE_CHECKING:
     from metrocli.table import Values
@@ -107,7 +109,8 @@ def report(problem: Problem, job: Settings, adjusted: Adjusted, tests: Table | N
         tables["views"] = views
         arrays |= _view_covariances(solved)
     if problem.rig == "network":
-        tables["points"], arrays["points_covariance"] = _points(solved)
+        tables["points"], of_points = _points(solved)
+        arrays |= of_points
     tested = _tested(solved, tests, job) if tests is not None else None
     if tested is not None:
         tables["length_errors"] = tested.table
@@ -206,8 +209,8 @@ def _camera(solved: _Calibration) -> Table:
     return Table({"parameter": np.array(lens.columns), "value": lens.values[0], "std": std, "unit": units})
 
 
-def _points(solved: _Calibration) -> tuple[Table, Array]:
-    """Return the coordinates of the targets that are seen, with their rays, and their covariances (m, 3, 3)."""
+def _points(solved: _Calibration) -> tuple[Table, dict[str, Array]]:
+    """Return the coordinates of the targets that are seen, with their rays, and the arrays of their covariance."""
     block = solved.solution.blocks[camera.TARGET]
     each = solved.covariance.members(camera.TARGET)
     std = np.sqrt(np.einsum("mii->mi", each))
@@ -218,7 +221,10 @@ def _points(solved: _Calibration) -> tuple[Table, Array]:
     columns["rays"] = np.bincount(solved.index(camera.TARGET), minlength=len(block.members))[known]
     columns["ray_angle"] = _ray_angles(solved)[known]
     units = {**dict.fromkeys(("x", "y", "z", "sx", "sy", "sz"), "mm"), "ray_angle": "rad"}
-    return Table(columns, units), each[known]
+    return Table(columns, units), {
+        POINTS_COVARIANCE: each[known],
+        **factors(solved.covariance, camera.TARGET, known),
+    }
 
 
 def _ray_angles(solved: _Calibration) -> Array:

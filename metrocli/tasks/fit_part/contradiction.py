@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+import numpy.typing as npt
 
 from metrocli.errors import UndeterminedError
 from metrocli.geometry.surfaces import Array
@@ -78,13 +79,14 @@ def refuse(
         if possible > 0
         else f"no minimum above {possible:.2f} mm would do: material is missing"
     )
-    contradict = "contradict each other" if len(found.surfaces) > 1 else "contradicts itself"
+    several = len(found.surfaces) > 1
+    contradict = "surfaces that contradict each other" if several else "surface that contradicts itself"
     lines = [
         f"no pose of the ideal part leaves {minimum:g} mm of overstock everywhere",
-        f"  surfaces that {contradict}: {together}",
+        f"  {contradict}: {together}",
         f"  by how much: they leave at most {found.least:.3f} mm at their lowest points, "
         f"{minimum - found.least:.3f} mm less than required (points {points})",
-        "  without any one of these surfaces the others of them have the minimum",
+        *(["  without any one of these surfaces the others of them have the minimum"] if several else []),
         f"  {what}",
     ]
     lines += [f"  or: {wrong_side(turned)}"] if turned else []
@@ -105,39 +107,54 @@ def must_be_determined(local: Local, aim: str) -> tuple[str, ...]:
 
     For least-motion an open motion is no fault: the part stays there as it was. Returns sentences about that.
     """
-    open_motions = [motion_in_words(local, one) for one in _null_space(local.rows)]
-    if open_motions and aim == LEAST_MOTION:
-        return (f"the overstock does not change with {in_a_row(open_motions)}: there the part stays where it was",)
-    if open_motions:
+    motions = [motion_in_words(local, one) for one in open_motions(local)]
+    if motions and aim == LEAST_MOTION:
+        return (f"the overstock does not change with {in_a_row(motions)}: there the part stays where it was",)
+    if motions:
         raise UndeterminedError(
-            f"the points give {6 - len(open_motions)} independent constraints of the 6 that a pose needs\n"
-            f"  undetermined: {in_a_row(open_motions)} changes no overstock\n"
+            f"the points give {6 - len(motions)} independent constraints of the 6 that a pose needs\n"
+            f"  undetermined, since no overstock changes: {in_a_row(motions)}\n"
             "  what would determine it: points on a surface across that motion, or `aim: least-motion`"
         )
     alike = _null_space(local.rows - local.rows.mean(axis=0))
     if alike and aim != LEAST_MOTION:
         raise UndeterminedError(
             f"the aim '{aim}' does not determine the pose\n"
-            f"  undetermined: {in_a_row([motion_in_words(local, one) for one in alike])} "
-            "changes the overstock of all points alike\n"
+            "  undetermined, since the overstock of all points changes alike: "
+            f"{in_a_row([motion_in_words(local, one) for one in alike])}\n"
             "  what would determine it: points on an opposite surface, or `aim: least-motion`"
         )
     return ()
 
 
+def open_motions(local: Local) -> list[Array]:
+    """Return the steps of the pose that change no overstock, each (6,)."""
+    return _null_space(local.rows)
+
+
 def _null_space(rows: Array) -> list[Array]:
-    """Return the steps of the pose that change nothing, each (6,)."""
+    """Return the steps of the pose that change nothing, each (6,): turns, then shifts, along axes where they can be."""
+    from scipy.linalg import qr
+
     eigenvalues, vectors = np.linalg.eigh(rows.T @ rows)
     steps = vectors[:, eigenvalues < _OPEN**2 * eigenvalues[-1]]
-    # pure shifts apart from turns
     _, _, mix = np.linalg.svd(steps[3:], full_matrices=True)
-    return list((steps @ mix.T).T)
+    steps = (steps @ mix.T).T
+    turned = ~_is_shift(steps)
+    shifts = steps[~turned][:, :3]
+    along, _, _ = qr(shifts.T @ shifts, pivoting=True)
+    return [*steps[turned], *np.pad(along.T[: len(shifts)], ((0, 0), (0, 3)))]
+
+
+def _is_shift(step: Array) -> npt.NDArray[np.bool_]:
+    """Return whether steps (..., 6) have no turn that counts."""
+    return np.asarray(np.linalg.norm(step[..., 3:], axis=-1) < 1e-3 * np.linalg.norm(step[..., :3], axis=-1))
 
 
 def motion_in_words(local: Local, step: Array) -> str:
     """Return a step of the pose in words: a shift, or a turn about an axis in the part frame."""
     turn = step[3:] / local.lever
-    if np.linalg.norm(step[3:]) < 1e-3 * np.linalg.norm(step[:3]):
+    if _is_shift(step):
         return f"a shift along {_direction(step[:3])}"
     axis = turn / np.linalg.norm(turn)
     through = local.centre + np.cross(turn, step[:3]) / (turn @ turn)

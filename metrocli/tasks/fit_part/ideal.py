@@ -10,13 +10,15 @@ from metrocli.errors import InputError
 from metrocli.geometry.surfaces import Array, Surface, Surfaces, cone, cylinder, plane, sphere
 from metrocli.geometry.triangles import Triangles
 from metrocli.tasks.fit_part.nominals import OfMesh, OfSurfaces
-from metrocli.tasks.fit_part.settings import CONE, CYLINDER, PLANE, NominalFile, SurfaceEntry
+from metrocli.tasks.fit_part.settings import CONE, CYLINDER, PLANE, SIZES, NominalFile, SurfaceEntry
 from metrocli.words import listed
 
-_SIZES = {"mm": 1.0, "m": 1000.0, "inch": 25.4}
-"""Units of a mesh, in mm"""
 _NEAR = 1.6
 """Ratio of the sizes of points and mesh up to which they are taken as alike"""
+_LOCAL = 0.01
+"""Ratio of the sizes of points and mesh down to which the points may be those of a small part of the mesh"""
+_LARGER = 3.0
+"""Ratio of the sizes of points and mesh above which the points are not on that part"""
 _SHOWN = 3
 
 
@@ -24,7 +26,7 @@ def ideal(nominal: NominalFile | Triangles, unit: str = "mm") -> OfSurfaces | Of
     """Return the ideal part; raises InputError if a mesh is open or inverted."""
     if isinstance(nominal, NominalFile):
         return OfSurfaces(Surfaces.of([_surface(one) for one in nominal.surfaces]))
-    mesh = replace(nominal, vertices=nominal.vertices * _SIZES[unit])
+    mesh = replace(nominal, vertices=nominal.vertices * SIZES[unit])
     _must_be_closed(mesh)
     return OfMesh(mesh)
 
@@ -68,27 +70,35 @@ def _edge_in_words(mesh: Triangles, edge: int) -> str:
 
 
 def must_be_of_one_size(mesh: Triangles, points: Array, unit: str) -> None:
-    """Raise InputError if points and mesh differ in size by the ratio of two units of length.
+    """Raise InputError if points and mesh differ in size by the ratio of two units, or the points are far larger.
 
-    Points may lie on a small part of the mesh, so those in another unit are refused only if all three extents agree.
+    Points may lie on a small part of the mesh, so those of a tenth of its size or so need all three extents alike.
     """
     middle = mesh.corners.mean(axis=1)
     weight = mesh.areas / mesh.areas.sum()
-    centre = weight @ middle
-    of_mesh = float(np.sqrt(weight @ ((middle - centre) ** 2).sum(axis=1)))
+    of_mesh = float(np.sqrt(weight @ ((middle - weight @ middle) ** 2).sum(axis=1)))
     of_points = float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
     span, reach = np.ptp(mesh.vertices, axis=0), np.ptp(points, axis=0)
-    extents = np.sort(reach) / np.sort(span)
-    for name, size in _SIZES.items():
-        spans = [" x ".join(f"{value:.4g}" for value in one) for one in (span / _SIZES[unit], reach)]
-        found = f"the mesh of the ideal part spans {spans[0]}, the measured points {spans[1]} mm: "
-        ratio = of_points / of_mesh / (size / _SIZES[unit])
-        if name != unit and 1 / _NEAR < ratio < _NEAR:
-            raise InputError(
-                f"{found}the coordinates of the mesh are in {name}, not in {unit}; write `nominal_unit: {name}`"
-            )
-        if name != "mm" and (np.abs(np.log(extents * size)) < np.log(_NEAR)).all():
-            raise InputError(
-                f"{found}the coordinates of the points are in {name}, though their columns are in mm; "
-                f"multiply them by {size:g}"
-            )
+    extents = np.sort(reach) / np.maximum(np.sort(span), 1e-300)
+
+    def alike(ratio: float) -> bool:
+        found = (extents if _LOCAL < ratio < 1 else np.array([of_points / of_mesh])) / ratio
+        return bool((np.abs(np.log(np.maximum(found, 1e-300))) < np.log(_NEAR)).all())
+
+    causes = [
+        f"the coordinates of the mesh are in {name}, not in {unit}: write `nominal_unit: {name}`"
+        for name, size in SIZES.items()
+        if name != unit and alike(size / SIZES[unit])
+    ] + [
+        f"the coordinates of the points are in {name}, though they are read as mm: multiply them by {size:g}"
+        for name, size in SIZES.items()
+        if name != "mm" and alike(1 / size)
+    ]
+    if not causes and of_points > _LARGER * of_mesh:
+        causes = ["expected points on the part: check `nominal_unit`, and name coded targets in `targets`"]
+    if causes:
+        of_part, measured = (" x ".join(f"{value:.4g}" for value in one) for one in (span / SIZES[unit], reach))
+        raise InputError(
+            f"the mesh of the ideal part spans {of_part} {unit}, the measured points {measured} mm: "
+            + "; or ".join(causes)
+        )

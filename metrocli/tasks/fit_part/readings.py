@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +15,7 @@ from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.tasks.fit_part.settings import Settings
 from metrocli.tasks.shared.known_places import sigmas
+from metrocli.uncertainty.predicted import Places, independent, points_of
 from metrocli.words import listed, suggestion
 
 TARGET_WORD = "target"
@@ -21,19 +23,27 @@ TARGET_WORD = "target"
 
 
 @dataclass(frozen=True)
-class Places:
-    """Measured places with independent errors."""
+class Points:
+    """Measured points with their joint covariance."""
 
     names: tuple[str, ...]
-    points: Array
-    """(n, 3) mm"""
-    covariance: Array
-    """(n, 3, 3) mm^2"""
+    places: Places
 
-    def of(self, rows: npt.NDArray[np.bool_]) -> Places:
-        """Return some of the places."""
+    @property
+    def points(self) -> Array:
+        """(n, 3) mm."""
+        return self.places.values
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Covariance of each point (n, 3, 3) mm^2."""
+        common = self.places.common
+        return self.places.own + common @ self.places.core @ np.swapaxes(common, 1, 2)
+
+    def of(self, rows: npt.NDArray[np.bool_]) -> Points:
+        """Return some of the points."""
         names = tuple(name for name, kept in zip(self.names, rows.tolist(), strict=True) if kept)
-        return Places(names, self.points[rows], self.covariance[rows])
+        return Points(names, self.places.of(rows))
 
     @property
     def sigma(self) -> Array:
@@ -45,10 +55,10 @@ class Places:
 class Readings:
     """The points of a raw part."""
 
-    surface_points: Places
+    surface_points: Points
     surface: Index | None
     """Surface of each surface point (n,), None if it has to be found"""
-    targets: Places
+    targets: Points
     warnings: tuple[str, ...] = ()
 
 
@@ -63,7 +73,7 @@ def read(settings: Settings, points: Table | Result, names: tuple[str, ...], of_
     if table is None:
         raise InputError("the result among the inputs has no table of points: a camera needs `rig: network`")
     places, chosen, said = together(
-        lambda: _places(settings, points, table),
+        lambda: _points(settings, points, table),
         lambda: _chosen_targets(settings, table),
         lambda: _said(settings, table, () if of_mesh else names),
     )
@@ -87,17 +97,17 @@ def read(settings: Settings, points: Table | Result, names: tuple[str, ...], of_
         surface = np.array([number.get(one, 0) for one in said], dtype=np.intp)[~target & ~apart]
     if (target | apart).all():
         raise InputError([table.fault("there is no point of a surface", "name surfaces in the column `surface`")])
-    if not any(map(np.any, places.covariance)):
+    if not places.covariance.any():
         warnings.append(
             "the points are taken as exact: give a column sigma_mm, or `noise: 0.05 mm`, to get uncertainties"
         )
     return Readings(places.of(~target & ~apart), surface, places.of(target), tuple(warnings))
 
 
-def _places(settings: Settings, points: Table | Result, table: Table) -> Places:
-    names, places = tuple(table.texts("point")), table.stacked(("x", "y", "z"))
+def _points(settings: Settings, points: Table | Result, table: Table) -> Points:
+    names = tuple(table.texts("point"))
     if isinstance(points, Result):
-        return Places(names, places, np.asarray(points.arrays["points_covariance"], dtype=float))
+        return Points(names, points_of(points))
     sigma = sigmas(table, settings.noise or 0.0)
     unknown = np.flatnonzero(np.isnan(sigma).any(axis=1))
     if unknown.size and settings.noise is None:
@@ -109,7 +119,7 @@ def _places(settings: Settings, points: Table | Result, table: Table) -> Places:
             )
         )
     sigma = np.where(np.isnan(sigma), settings.noise or 0.0, sigma)
-    return Places(names, places, sigma[:, :, None] ** 2 * np.eye(3))
+    return Points(names, independent(table.stacked(("x", "y", "z")), sigma[:, :, None] ** 2 * np.eye(3)))
 
 
 def _chosen_targets(settings: Settings, table: Table) -> npt.NDArray[np.bool_]:

@@ -162,23 +162,34 @@ def _rejected(solved: Solved, names: tuple[str, ...]) -> Table:
 def _targets(solved: Solved) -> tuple[Table, dict[str, Array]]:
     """Return /targets in the part frame, the covariance of each, and what they have in common.
 
-    The joint covariance of targets i and j is `own_i [i = j] + common_i common_j'`: their own errors, and those of the
-    pose (m, 3, 6), which all share.
+    The joint covariance of targets i and j is `own_i [i = j] + common_i common_j'` with common (m, 3, k): their own
+    errors, those that they share with the surface points, and those of the pose.
     """
-    places, fit = solved.prepared.readings.targets, solved.fit
-    turn = poses.rotation_of(fit.into)
-    points = poses.apply(fit.into, places.points) if len(places.names) else np.zeros((0, 3))
-    own = turn @ places.covariance @ turn.T
-    eigenvalues, vectors = np.linalg.eigh(solved.sensitivity.covariance)
-    factor = vectors * np.sqrt(np.maximum(eigenvalues, 0.0))
-    common = fit.local.movement_of(points) @ factor
+    from scipy.linalg import block_diag
+
+    targets, fit, sense = solved.prepared.readings.targets, solved.fit, solved.sensitivity
+    places, turn = targets.places, poses.rotation_of(fit.into)
+    points = poses.apply(fit.into, places.values) if len(targets.names) else np.zeros((0, 3))
+    own = turn @ places.own @ turn.T
+    moves = fit.local.movement_of(points)
+    shared = np.concatenate([turn @ places.common + moves @ sense.by_common, moves], axis=2)
+    common = _factor(shared, block_diag(sense.core, sense.own))
     whole = own + common @ np.swapaxes(common, 1, 2)
     std = np.sqrt(np.einsum("nkk->nk", whole))
-    columns: dict[str, Values] = {"target": np.array(places.names, dtype=str)}
+    columns: dict[str, Values] = {"target": np.array(targets.names, dtype=str)}
     columns |= {axis: points[:, k] for k, axis in enumerate("xyz")}
     columns |= {f"sigma_{axis}": std[:, k] for k, axis in enumerate("xyz")}
     arrays = {"targets_covariance": whole, "targets_own": own, "targets_common": common}
     return Table(columns, {name: "mm" for name in columns if name != "target"}), arrays
+
+
+def _factor(common: Array, core: Array) -> Array:
+    """Return F (m, 3, r) with `F_i F_j' = C_i K C_j'` for C (m, 3, k), K (k, k); negative variances count as zero."""
+    basis, rest = np.linalg.qr(common.reshape(-1, len(core)))
+    eigenvalues, vectors = np.linalg.eigh(rest @ core @ rest.T)
+    kept = eigenvalues > 1e-12 * eigenvalues.max(initial=0.0)
+    factor = basis @ (vectors[:, kept] * np.sqrt(eigenvalues[kept]))
+    return np.asarray(factor.reshape(*common.shape[:2], factor.shape[1]))
 
 
 def _notes(solved: Solved, holding: Table) -> Iterator[str]:

@@ -46,6 +46,8 @@ _KEYS = {
     CONE: {"axis", "half_angle", "material"},
 }
 """Keys of each type of surface beside name, type and point"""
+SIZES = {"mm": 1.0, "m": 1000.0, "um": 1e-3, "inch": 25.4}
+"""Units of a mesh, in mm"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -171,7 +173,7 @@ class Settings:
         Quantity("length", positive=True), "standard deviation of a coordinate, for points without one", default=None
     )
     start: Start = setting(Section(Start), "where the ideal part lies, roughly", default=Start())
-    nominal_unit: str = setting(Choice("mm", "m", "inch"), "unit of the coordinates in a mesh", default="mm")
+    nominal_unit: str = setting(Choice(*SIZES), "unit of the coordinates in a mesh", default="mm")
     outliers: str = setting(
         Choice("report", "remove"), "chips and flash: name them, or leave them out and list them", default="remove"
     )

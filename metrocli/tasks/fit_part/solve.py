@@ -20,12 +20,14 @@ from metrocli.tasks.fit_part.ideal import ideal, must_be_of_one_size
 from metrocli.tasks.fit_part.levels import Levels, levels
 from metrocli.tasks.fit_part.nominals import OfMesh, OfSurfaces
 from metrocli.tasks.fit_part.settings import NominalFile, Settings, Start
-from metrocli.tasks.fit_part.start import found
+from metrocli.tasks.fit_part.start import found, unturned
 from metrocli.tasks.fit_part.stock import Stock
 from metrocli.tasks.fit_part.uncertainty import Sensitivity, sensitivity
 
 _EVENER = 0.5
 """Ratio of the variations of the overstock below which a surface is taken as turned over"""
+_LAID_ON = 1000
+"""Points that are laid on without a search, at most"""
 _SLACK = 1e-8
 """What the aim `most` leaves of the largest least overstock for making it even [mm]"""
 
@@ -82,7 +84,7 @@ def solve(settings: Settings, prepared: Prepared) -> Solved:
     minimum overstock, NotConvergedError.
     """
     nominal, places = prepared.nominal, prepared.readings.surface_points
-    rough = found(nominal, places.points, prepared.readings.surface, prepared.start)
+    rough = _rough(prepared)
     settled = levels(nominal, places.points, prepared.readings.surface, rough, places.sigma)
     used = ~settled.outlying if settings.outliers == "remove" else np.ones(len(places.points), dtype=bool)
     stock = settled.stock.of(used)
@@ -98,9 +100,26 @@ def solve(settings: Settings, prepared: Prepared) -> Solved:
     if name == MOST and not np.isfinite(largest):
         raise UndeterminedError("the least overstock has no limit: no surface faces the others; use another aim")
     aim, fitted = fitted_part(stock, name, minimum, (highest, largest, holding), prepared.start)
-    sense = sensitivity(fitted, aim, prepared.start, places.covariance[used])
+    sense = sensitivity(fitted, aim, prepared.start, places.of(used).places)
     warnings = (*prepared.readings.warnings, *open_motions)
     return Solved(prepared, settled, used, stock, aim, fitted, largest, sense, warnings)
+
+
+def _rough(prepared: Prepared) -> Array:
+    """Return the pose (6,) from which the levels are sought.
+
+    Points that leave a motion open wander along it in the search, until other surfaces are the nearest. So where
+    surfaces are found, some points are first laid on without the search, and that pose is kept if it is open.
+    """
+    nominal, places, surface = prepared.nominal, prepared.readings.surface_points, prepared.readings.surface
+    if surface is None:
+        n = len(places.points)
+        some = np.random.default_rng(1).permutation(n)[:_LAID_ON]
+        pose = unturned(nominal, places.points, prepared.start)
+        laid = levels(nominal, places.points[some], None, pose, places.sigma[some])
+        if c.open_motions(laid.stock.at(laid.into)):
+            return laid.into
+    return found(nominal, places.points, surface, prepared.start)
 
 
 def fitted_part(

@@ -85,10 +85,20 @@ def _candidates(
     else:
         grid = np.stack(np.meshgrid(*[[-_NEAR, 0.0, _NEAR]] * 3), axis=-1).reshape(-1, 3)
         rotations = rotation_from_vector(grid) @ given
-    turned = points[None] @ np.swapaxes(rotations, 1, 2)
-    shifts = nominal.middle - (turned.max(axis=1) + turned.min(axis=1)) / 2
+    shifts = _middle_on_middle(nominal, points, rotations)
     beside = np.broadcast_to(start[:3], shifts.shape)
     return np.concatenate([rotations, rotations]), np.concatenate([shifts, beside])
+
+
+def unturned(nominal: Sought, measured: Array, start: Array) -> Array:
+    """Return the pose (6,) with the rotation of `start` and the middles of points and part on each other."""
+    given = poses.rotation_of(start)
+    return poses.pose(given, _middle_on_middle(nominal, measured, given[None])[0])
+
+
+def _middle_on_middle(nominal: Sought, points: Array, rotations: Array) -> Array:
+    turned = points[None] @ np.swapaxes(rotations, 1, 2)
+    return np.asarray(nominal.middle - (turned.max(axis=1) + turned.min(axis=1)) / 2)
 
 
 def _rotations(quaternions: Array) -> Array:

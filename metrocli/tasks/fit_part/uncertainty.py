@@ -14,6 +14,7 @@ from metrocli.geometry import poses
 from metrocli.geometry.rotations import cross_matrix
 from metrocli.geometry.surfaces import Array
 from metrocli.tasks.fit_part.fit import MOST, Aim, Fit
+from metrocli.uncertainty.predicted import Places
 
 _SLIGHT = 1e-6
 """Weight of evenness beside the largest least overstock"""
@@ -25,12 +26,21 @@ class Sensitivity:
 
     by_point: Array
     """Derivative of the step of the pose by each measured point (n, 6, 3)"""
-    covariance: Array
-    """Covariance of the step of the pose (6, 6)"""
+    own: Array
+    """Covariance of the step of the pose from the points' own errors (6, 6)"""
+    by_common: Array
+    """Derivative of the step by the errors that points share (6, k)"""
+    core: Array
+    """Covariance of these (k, k)"""
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of the step of the pose (6, 6)."""
+        return self.own + self.by_common @ self.core @ self.by_common.T
 
 
-def sensitivity(fit: Fit, aim: Aim, start: Array, covariance: Array) -> Sensitivity:
-    """Return the sensitivity of a fit, and the covariance for points with independent errors of covariance (n, 3, 3).
+def sensitivity(fit: Fit, aim: Aim, start: Array, places: Places) -> Sensitivity:
+    """Return the sensitivity of a fit to the measured points, and the covariance from theirs.
 
     `start` (6,) is the pose into the part frame before the fit.
     """
@@ -60,8 +70,9 @@ def sensitivity(fit: Fit, aim: Aim, start: Array, covariance: Array) -> Sensitiv
     right[active, first + np.arange(len(active))] = normal[active] @ turn
     inverse = np.linalg.pinv(system, rcond=1e-13)
     by_point = -(inverse[:6] @ right)
-    covered = np.einsum("nia,nab,njb->ij", by_point, covariance, by_point, optimize=True)
-    return Sensitivity(by_point, (covered + covered.T) / 2)
+    own = np.einsum("nia,nab,njb->ij", by_point, places.own, by_point, optimize=True)
+    by_common = np.einsum("nia,nak->ik", by_point, places.common, optimize=True)
+    return Sensitivity(by_point, (own + own.T) / 2, by_common, places.core)
 
 
 def _rows_by_place(fit: Fit) -> Array:

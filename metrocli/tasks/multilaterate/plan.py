@@ -22,11 +22,12 @@ from metrocli.plan import Plan
 from metrocli.result import Estimate
 from metrocli.table import Table
 from metrocli.tasks.multilaterate import KIND, layout_faults
-from metrocli.tasks.multilaterate.distance import between_two, factors
+from metrocli.tasks.multilaterate.distance import between_two
 from metrocli.tasks.multilaterate.layout import Layout, root_mean_square, worst_direction
 from metrocli.tasks.multilaterate.reliability import UNITS, reliability
 from metrocli.tasks.multilaterate.tracer_candidates import Ranking, ranked
 from metrocli.tasks.multilaterate.uncontrolled import scale_warnings, uncontrolled
+from metrocli.tasks.shared.joint_covariance import factors
 from metrocli.tasks.shared.uncontrolled import in_words
 from metrocli.units import roughly
 
@@ -101,7 +102,7 @@ def _lines(layout: Layout) -> Iterator[Estimate]:
             told.add((a, b))
             rows = np.sort([a, b])
             chosen = np.isin(np.arange(len(layout.network.seen)), read[rows])
-            shared = factors(layout.solution.covariance_or_raise(), chosen)
+            shared = factors(layout.solution.covariance_or_raise(), t.POINT, chosen)
             length, std = between_two(points[rows], layout.covariances[rows], shared)
             yield Estimate(f"{names[a]} - {names[b]}", length, std, "mm")
 

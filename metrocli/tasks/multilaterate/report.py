@@ -17,7 +17,6 @@ from metrocli.table import Table
 from metrocli.tasks.multilaterate import KIND, layout_faults
 from metrocli.tasks.multilaterate.blunders import Reason
 from metrocli.tasks.multilaterate.correction import Probing, corrected, distant, wrong_entries
-from metrocli.tasks.multilaterate.distance import factors
 from metrocli.tasks.multilaterate.features.report import FEATURES, SHOWN, fitted
 from metrocli.tasks.multilaterate.features.wanted import Wanted
 from metrocli.tasks.multilaterate.reliability import UNITS as RELIABILITY_UNITS
@@ -25,6 +24,7 @@ from metrocli.tasks.multilaterate.reliability import reliability
 from metrocli.tasks.multilaterate.solve import Solved
 from metrocli.tasks.multilaterate.uncontrolled import scale_warnings, uncontrolled
 from metrocli.tasks.shared.environment import blocks_of, estimates_of
+from metrocli.tasks.shared.joint_covariance import factors
 from metrocli.tasks.shared.part import Part
 from metrocli.tasks.shared.statistics import (
     REMOVE,
@@ -152,7 +152,7 @@ def _points(solved: Solved, solution: Solution, part: Part | None) -> tuple[Tabl
     network = solved.network
     block, seen = solution.blocks[t.POINT], network.seen > 0
     each = solution.covariance_or_raise().members(t.POINT)[seen]
-    places, pairs = block.values[seen], factors(solution.covariance_or_raise(), seen)
+    places, pairs = block.values[seen], factors(solution.covariance_or_raise(), t.POINT, seen)
     error = network.nominal[seen] - places
     if part is not None:
         places, each = part.of_points(places, each)

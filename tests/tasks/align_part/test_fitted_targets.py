@@ -56,6 +56,18 @@ def test_the_pose_of_the_fit_adds_what_drawn_frames_add() -> None:
     assert np.abs((found - expected) / np.outer(size, size)).max() < 0.08
 
 
+def test_a_shared_scale_counts_for_each_target_and_leaves_the_pose_as_it_is() -> None:
+    result = fit_result()
+    points, shared = result.tables["targets"].stacked(("x", "y", "z")), result.arrays["targets_common"]
+    scaled = 1e-4 * (points - points.mean(axis=0))  # moves neither their middle nor turns them
+    arrays = {**result.arrays, "targets_common": np.concatenate([shared, scaled[:, :, None]], axis=2)}
+    alone, listed = target_list(result), target_list(replace(result, arrays=arrays))
+    assert alone.common is not None and listed.common is not None
+    assert np.allclose(listed.common, alone.common, atol=1e-9 * np.abs(alone.common).max())
+    own = listed.table.stacked(("sigma_x", "sigma_y", "sigma_z"))
+    assert np.allclose(own**2, np.array([0.01, 0.02, 0.03]) ** 2 + scaled**2)
+
+
 def test_two_targets_are_too_few() -> None:
     result = fit_result()
     table = result.tables["targets"]

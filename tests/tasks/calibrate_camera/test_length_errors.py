@@ -52,6 +52,16 @@ def test_errors_are_measured_minus_calibrated_and_leave_the_network_as_it_is(
     ends = list(zip(table.texts("from"), table.texts("to"), strict=True))
     expected = np.array([np.linalg.norm(place[b] - place[a]) - round(known[a, b], 6) for a, b in ends])
     assert np.allclose(table.numbers("error"), expected, atol=1e-9)
+    # the same uncertainty from the factors of the joint covariance
+    row = {name: n for n, name in enumerate(points.texts("point"))}
+    one, other = (np.array([row[pair[k]] for pair in ends]) for k in (0, 1))
+    common, core = result.arrays["points_common"], result.arrays["points_core"]
+    whole = result.arrays["points_covariance"]
+    away = points.stacked("xyz")[other] - points.stacked("xyz")[one]
+    along = away / np.linalg.norm(away, axis=1)[:, None]
+    between = common[one] @ core @ np.swapaxes(common[other], 1, 2)
+    joint = whole[one] + whole[other] - between - np.swapaxes(between, 1, 2)
+    assert np.allclose(table.numbers("std") ** 2, np.einsum("na,nab,nb->n", along, joint, along) + 0.002**2)
     share = np.abs(expected) / np.minimum(0.020 + 100e-6 * np.array([known[one] for one in ends]), 0.040)
     assert result.statistics["length_error_over_limit"] == pytest.approx(share.max(), rel=1e-4)
     assert ran.code == (6 if share.max() > 1 else 0)

@@ -117,12 +117,12 @@ def stl(path: Path, corners: np.typing.NDArray[np.float64]) -> None:
     path.write_text("\n".join([*lines, "endsolid part", ""]))
 
 
-def points_on_block(folder: Path) -> Path:
-    """Points 2 to 4 mm outside of a block, turned a little."""
+def points_on_block(folder: Path, axes: tuple[int, ...] = (0, 1, 2), count: int = 300) -> Path:
+    """Points 2 to 4 mm outside of the faces of a block across some axes, turned a little."""
     rng = np.random.default_rng(3)
     rows = ["point,x_mm,y_mm,z_mm,sigma_mm"]
-    for n in range(300):
-        axis, side = n % 3, (n // 3) % 2
+    for n in range(count):
+        axis, side = axes[n % len(axes)], (n // len(axes)) % 2
         place = rng.uniform(0.1, 0.9, 3) * SIZE
         place[axis] = SIZE[axis] * side + (2 * side - 1) * rng.uniform(2, 4)
         x, y, z = np.array([[0.995, -0.0998, 0], [0.0998, 0.995, 0], [0, 0, 1]]) @ place + [3, -2, 1]
@@ -163,8 +163,16 @@ def test_meshes_that_cannot_be_used(tmp_path: Path, metrocli: Metrocli) -> None:
     for wrong, message in (
         (corners[1:], "is open: 3 edges"),
         (corners[:, ::-1], "is inverted"),
-        (corners / 25.4, "in inch, not in mm; write `nominal_unit: inch`"),
-        (corners / 1000, "in m, not in mm; write `nominal_unit: m`"),
+        (corners / 25.4, "the mesh are in inch, not in mm: write `nominal_unit: inch`"),
+        (
+            corners / 1000,
+            "the mesh are in m, not in mm: write `nominal_unit: m`; or the coordinates of the points are in um",
+        ),
+        (
+            corners * 1000,
+            "the mesh are in um, not in mm: write `nominal_unit: um`; or the coordinates of the points are in m",
+        ),
+        (corners / 7, "expected points on the part"),
     ):
         stl(tmp_path / "part.stl", wrong)
         ran = metrocli("check", job)
@@ -180,7 +188,7 @@ def test_points_in_inches_are_found_against_the_mesh(tmp_path: Path, metrocli: M
     rows = [[row[0], *(f"{float(value) / 25.4:.6f}" for value in row[1:4]), row[4]] for row in lines[1:]]
     (tmp_path / "points.csv").write_text("\n".join(",".join(row) for row in [lines[0], *rows]) + "\n")
     ran = metrocli("check", job)
-    assert ran.code == 3 and "the points are in inch, though their columns are in mm; multiply them by 25.4" in ran.err
+    assert ran.code == 3 and "the points are in inch, though they are read as mm: multiply them by 25.4" in ran.err
 
 
 def test_fewer_than_six_constraints(tmp_path: Path, metrocli: Metrocli) -> None:
@@ -189,6 +197,19 @@ def test_fewer_than_six_constraints(tmp_path: Path, metrocli: Metrocli) -> None:
     few = replace(one, surface=one.surface[some], points=one.points[some], exact=one.exact[some])
     ran = metrocli("fit-part", few.write(tmp_path))
     assert ran.code == 4 and "independent constraints of the 6 that a pose needs" in ran.err
+
+
+@pytest.mark.parametrize(("axes", "left"), [((0,), 3), ((1,), 3), ((2,), 3), ((0, 1), 1)])
+def test_points_on_some_faces_of_a_mesh_leave_motions_open(
+    axes: tuple[int, ...], left: int, tmp_path: Path, metrocli: Metrocli
+) -> None:
+    """They must not wander along these until other faces are the nearest."""
+    job = points_on_block(tmp_path, axes, 80)
+    stl(tmp_path / "part.stl", block(1).corners)
+    ran = metrocli("fit-part", job)
+    assert ran.code == 4 and f"the points give {6 - left} independent constraints" in ran.err, ran.err
+    for shift in {0, 1, 2} - set(axes):
+        assert f"a shift along {'xyz'[shift]}" in ran.err
 
 
 def test_targets_need_names(tmp_path: Path, metrocli: Metrocli) -> None:

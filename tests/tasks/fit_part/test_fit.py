@@ -246,7 +246,7 @@ def test_the_minimum_that_would_do_does(tmp_path: Path, metrocli: Metrocli) -> N
     [
         (("top", "bottom", "left", "right"), "a shift along y"),
         (("bore-1",), "a shift along z"),
-        (("left", "front", "bottom"), "changes the overstock of all points alike"),
+        (("left", "front", "bottom"), "since the overstock of all points changes alike"),
     ],
 )
 def test_motions_that_the_points_leave_open_are_named(

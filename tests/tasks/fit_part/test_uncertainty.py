@@ -12,23 +12,33 @@ from tasks.fit_part.test_fit import SCALE, Metrocli, fitted
 from metrocli.errors import Fault
 from metrocli.geometry import poses
 from metrocli.project import yaml_text
+from metrocli.result import Result
 from metrocli.settings import Section
+from metrocli.table import Table
 from metrocli.tasks.fit_part.fit import Aim, Fit, most
 from metrocli.tasks.fit_part.ideal import ideal
+from metrocli.tasks.fit_part.monte_carlo import drawing
 from metrocli.tasks.fit_part.nominals import OfSurfaces
-from metrocli.tasks.fit_part.settings import NominalFile
-from metrocli.tasks.fit_part.solve import fitted_part
+from metrocli.tasks.fit_part.report import report
+from metrocli.tasks.fit_part.settings import Inputs, NominalFile, Overstock, Settings
+from metrocli.tasks.fit_part.solve import fitted_part, prepare, solve
 from metrocli.tasks.fit_part.stock import Stock
 from metrocli.tasks.fit_part.uncertainty import of_result, sensitivity
+from metrocli.uncertainty.predicted import Places
+
+
+def file_of(folder: Path) -> NominalFile:
+    """The ideal part of the castings, as read from its file."""
+    faults: list[Fault] = []
+    part = Section(NominalFile).read(yaml_text.parse(nominal(), "part.yaml", folder, faults), faults)
+    assert not faults
+    return part
 
 
 def ideal_of(folder: Path) -> OfSurfaces:
     """The ideal part of the castings."""
-    (folder / "part.yaml").write_text(nominal())
-    faults: list[Fault] = []
-    node = yaml_text.parse((folder / "part.yaml").read_text(), "part.yaml", folder, faults)
-    part = ideal(Section(NominalFile).read(node, faults))
-    assert isinstance(part, OfSurfaces) and not faults
+    part = ideal(file_of(folder))
+    assert isinstance(part, OfSurfaces)
     return part
 
 
@@ -46,16 +56,20 @@ def test_the_sensitivity_is_the_difference_of_two_fits(aim: str, minimum: float,
 
     chosen, fit = at(one.points)
     assert (fit.duals > 0).any() == (aim != "even" or minimum > 1)
-    covariance = np.broadcast_to(np.eye(3), (len(one.points), 3, 3))
-    found = sensitivity(fit, chosen, start, covariance)
-    along = np.random.default_rng(2).normal(size=one.points.shape)
+    rng = np.random.default_rng(2)
+    own = np.broadcast_to(np.eye(3), (len(one.points), 3, 3))
+    places = Places(one.points, rng.normal(size=(len(one.points), 3, 2)), np.diag([4.0, 9.0]), own)
+    found = sensitivity(fit, chosen, start, places)
+    along = rng.normal(size=one.points.shape)
     h = 1e-3 if aim == "most" else 1e-4
     ahead, behind = (poses.inverse(at(one.points + side * h * along)[1].into) for side in (1, -1))
     difference = poses.euler_form(ahead) - poses.euler_form(behind)
     expected = of_result(fit) @ np.einsum("nij,nj->i", found.by_point, along)
     assert np.allclose(difference / (2 * h) / SCALE, expected / SCALE, atol=0.02 * np.abs(expected / SCALE).max())
-    summed = np.einsum("nij,nkj->ik", found.by_point, found.by_point)
-    assert np.allclose(found.covariance, summed)
+    every = np.concatenate(list(found.by_point), axis=1)
+    shared = places.common.reshape(-1, 2)
+    joint = np.eye(len(shared)) + 4 * np.outer(shared[:, 0], shared[:, 0]) + 9 * np.outer(shared[:, 1], shared[:, 1])
+    assert np.allclose(found.covariance, every @ joint @ every.T)
 
 
 def test_the_monte_carlo_check_repeats_the_standard_uncertainties(tmp_path: Path, metrocli: Metrocli) -> None:
@@ -64,6 +78,50 @@ def test_the_monte_carlo_check_repeats_the_standard_uncertainties(tmp_path: Path
     ratio = result.tables["monte_carlo"].numbers("ratio")
     assert (np.abs(ratio - 1) < 0.3).all() and result.statistics["monte_carlo_trials"] == 60
     assert any("Monte Carlo: 60 of 60 fits" in note and "agree with it" in note for note in result.notes)
+
+
+def test_errors_that_points_share_move_pose_and_targets_together(tmp_path: Path) -> None:
+    """Points of a network with a common scale and a bending: targets against fits to points with these errors."""
+    one = casting(34)
+    part = file_of(tmp_path)
+    places = np.concatenate([one.points, one.targets])
+    middle = places - places.mean(axis=0)
+    bent = np.zeros_like(places)
+    bent[:, 2] = 1e-7 * middle[:, 0] ** 2
+    common = np.stack([1e-4 * places, bent], axis=2)
+    own = np.broadcast_to(1e-8 * np.eye(3), (len(places), 3, 3))
+
+    def of(points: Array) -> Result:
+        names = [f"P{n}" for n in range(len(one.points))] + [f"T{n}" for n in range(len(one.targets))]
+        table = Table({"point": np.array(names), **{axis: points[:, k] for k, axis in enumerate("xyz")}})
+        whole = own + common @ np.swapaxes(common, 1, 2)
+        arrays = {"points_covariance": whole, "points_common": common, "points_core": np.eye(2)}
+        named = {name: tuple(f"P{n}" for n in np.flatnonzero(one.surface == name)) for name in np.unique(one.surface)}
+        files = Inputs(Path("points.h5"), Path("part.yaml"))
+        settings = Settings(files, Overstock(0.5), targets=("T*",), surfaces=named)
+        result = Result("calibrate-camera", "", (), np.zeros((0, 0)), {}, {"points": table}, arrays)
+        return report(solve(settings, prepare(settings, part, result)))
+
+    found = of(places)
+    at = found.tables["targets"].stacked("xyz")
+    moved = [of(places + common[:, :, k]).tables["targets"].stacked("xyz") - at for k in range(2)]
+    expected = np.sum([np.outer(each.ravel(), each.ravel()) for each in moved], axis=0)
+    shared = found.arrays["targets_common"].reshape(at.size, -1)
+    assert np.allclose(shared @ shared.T, expected, atol=0.02 * np.abs(expected).max())
+
+
+def test_simulated_errors_have_the_joint_covariance() -> None:
+    """With a shared part that has a negative eigenvalue, as a datum on the points brings it."""
+    rng = np.random.default_rng(7)
+    common, core = rng.normal(size=(5, 3, 3)), np.diag([0.5, 0.2, -0.01])
+    own = np.stack([np.diag(rng.uniform(0.5, 2, 3)) for _ in range(5)])
+    draw = drawing(Places(np.zeros((5, 3)), common, core, own))
+    drawn = np.array([draw(rng).ravel() for _ in range(20_000)])
+    expected = common.reshape(15, 3) @ core @ common.reshape(15, 3).T
+    for n in range(5):
+        expected[3 * n : 3 * n + 3, 3 * n : 3 * n + 3] += own[n]
+    size = np.sqrt(np.diag(expected))
+    assert np.abs((drawn.T @ drawn / len(drawn) - expected) / np.outer(size, size)).max() < 0.05
 
 
 def test_exact_points_have_no_uncertainty_and_a_warning(tmp_path: Path, metrocli: Metrocli) -> None:
