@@ -186,7 +186,7 @@ def test_a_job_can_ask_for_every_shape() -> None:
 
 
 def test_features_without_covariance_between_points_are_warned_of(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("metrocli.tasks.multilaterate.report.factors", lambda covariance, chosen: {})
+    monkeypatch.setattr("metrocli.tasks.multilaterate.report.factors", lambda covariance, block, chosen: {})
     net, names = two_balls(np.random.default_rng(1))
     result = run(net.read(np.random.default_rng(1)), net.nominal[:28], names, asked(A="sphere"))
     assert any("features take their points as independent" in line for line in result.warnings)
