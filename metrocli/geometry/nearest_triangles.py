@@ -11,6 +11,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from metrocli.geometry.triangles import NEXT, Array, Index, Triangles
 
@@ -117,7 +118,7 @@ class Search:
     def _sought(self, points: Array, search: Index, near: Near, face: Index, margin: Array) -> Near:
         """Fill in the nearest triangles of the points to search, and their margins; return what is near to all."""
         tree, owner, reach = self._tree
-        bound = np.sqrt(self._square(points[search], owner[tree.query(points[search])[1]])[0]) + 2 * near.clear
+        bound = np.sqrt(self._square(points[search], owner[tree.query(points[search])[1]])) + 2 * near.clear
         # a triangle with no cell in the ball is farther than the bound
         radius = bound + reach
         counts = tree.query_ball_point(points[search], radius, return_length=True)
@@ -144,7 +145,7 @@ class Search:
 
         And the distance of the second nearest one, inf without, and the distance of each pair.
         """
-        size = np.sqrt(self._square(points[row], face)[0])
+        size = np.sqrt(self._square(points[row], face))
         if not len(points):
             return face, size, size, size
         first = np.searchsorted(row, np.arange(len(points)))
@@ -185,10 +186,10 @@ class Search:
         shape = np.stack([long, ((c - a) * first).sum(axis=1), ((c - a) * across).sum(axis=1)], axis=1)
         return np.stack([first, across, normal], axis=1), shape
 
-    def _square(self, points: Array, face: Index) -> tuple[Array, tuple[Index, Array]]:
-        """Return the squared distance of each point from its triangle, and where the nearest point lies.
+    def _edges(self, points: Array, face: Index) -> tuple[Array, npt.NDArray[np.bool_], list[Array], list[Array]]:
+        """Return the height of each point above the plane of its triangle, and whether it is above the inside.
 
-        That is its feature, 0 for the face, 1 to 3 for the edges and 4 to 6 for the vertices, and the part of the edge.
+        And for each edge the squared distance in the plane, and the part of the edge at which it is reached.
         """
         frames, shapes = self._flat
         x, y, height = np.einsum("nij,nj->in", frames[face], points - self.mesh.vertices[self.mesh.faces[face, 0]])
@@ -200,15 +201,28 @@ class Search:
             gaps.append((fx - part * dx) ** 2 + (fy - part * dy) ** 2)
             parts.append(part)
             inside &= dx * fy - dy * fx >= 0  # on the inner side of the edge
+        return height, inside, gaps, parts
+
+    def _square(self, points: Array, face: Index) -> Array:
+        """Return the squared distance of each point from its triangle."""
+        height, inside, gaps, _ = self._edges(points, face)
+        return np.asarray(height**2 + np.where(inside, 0.0, np.minimum(np.minimum(gaps[0], gaps[1]), gaps[2])))
+
+    def _foot(self, points: Array, face: Index) -> tuple[Array, Index, Array]:
+        """Return the squared distance of each point from its triangle, and where the nearest point lies.
+
+        That is its feature, 0 for the face, 1 to 3 for the edges and 4 to 6 for the vertices, and the part of the edge.
+        """
+        height, inside, gaps, parts = self._edges(points, face)
         nearest = np.where(gaps[0] <= np.minimum(gaps[1], gaps[2]), 0, np.where(gaps[1] <= gaps[2], 1, 2))
         at = np.choose(nearest, parts)
         feature = np.where(at <= 0, 4 + nearest, np.where(at >= 1, 4 + (nearest + 1) % 3, 1 + nearest))
         flat = np.where(inside, 0.0, np.choose(nearest, gaps))
-        return height**2 + flat, (np.where(inside, 0, feature), at)
+        return height**2 + flat, np.where(inside, 0, feature), at
 
     def _of(self, points: Array, face: Index) -> tuple[Array, Array]:
         """Return the signed distance of each point from its triangle, and its outward unit gradient."""
-        square, (feature, part) = self._square(points, face)
+        square, feature, part = self._foot(points, face)
         outward = self.mesh.outward(face, feature)
         on_face = feature == 0
         size = np.sqrt(square)

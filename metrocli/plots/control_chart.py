@@ -17,6 +17,8 @@ _MOST = 6
 """Estimates that are drawn; the caption states how many there are"""
 _NAMED = 5
 """Parts outside that the caption names for each estimate"""
+_ROUNDING = 1e-12
+"""Relative: equal values may differ from their mean by rounding"""
 _LIMIT = 3 / 1.128
 """Three standard deviations in mean moving ranges of two values (ISO 7870-2:2013, E2 = 2.660)"""
 
@@ -45,7 +47,8 @@ class Series:
     def outside(self) -> Index:
         """Numbers of the parts beyond the limits, (n,)."""
         low, high = self.limits
-        return np.flatnonzero((self.values < low) | (self.values > high))
+        rounding = _ROUNDING * float(np.abs(self.values).max())
+        return np.flatnonzero((self.values < low - rounding) | (self.values > high + rounding))
 
 
 def series_of(table: Table) -> tuple[Series, ...]:

@@ -42,6 +42,11 @@ def test_limits_are_those_of_moving_ranges() -> None:
     assert found.outside.tolist() == [8]
 
 
+def test_equal_values_are_inside() -> None:
+    (found,) = series_of(table([10.1] * 11))
+    assert found.outside.tolist() == []
+
+
 def test_a_part_without_an_estimate_is_left_out_and_few_parts_have_no_chart() -> None:
     (found,) = series_of(table([*VALUES, float("nan")]))
     assert len(found.values) == len(VALUES)

@@ -121,7 +121,7 @@ def _length_text(tested: Sequence[LengthError]) -> Iterator[str]:
         return
     rows = [["length", "error [um]", "MPE [um]", "U [um]", "conforms"]]
     for one in sorted(tested, key=lambda one: -one.share):
-        rows.append([one.name, *(f"{1e3 * value:.3f}" for value in (one.error, one.permitted, one.test)), one.conforms])
+        rows.append([one.name, *(f"{_um(value):.3f}" for value in (one.error, one.permitted, one.test)), one.conforms])
     yield ""
     yield from worst_rows(rows)
     yield "errors are indicated minus calibrated (ISO 10360-2:2009); U is that of the calibrated length, k = 2"
@@ -131,16 +131,22 @@ def _length_text(tested: Sequence[LengthError]) -> Iterator[str]:
         yield f"{len(tested)} lengths; {complete}"
 
 
+def _um(length: float) -> float:
+    from metrocli.units import find_unit
+
+    return find_unit("um", "length").outside(length)
+
+
 def _text(found: Verification, dof: float) -> str:
     from metrocli.cli.columns import worst_rows
 
     rows = [["point", "deviation [um]", "U [um]", "E_n"]]
     for one in sorted(found.deviations, key=lambda one: -one.en):
-        rows.append([one.name, f"{1e3 * one.value:.3f}", f"{1e3 * one.expanded:.3f}", f"{one.en:.2f}"])
+        rows.append([one.name, f"{_um(one.value):.3f}", f"{_um(one.expanded):.3f}", f"{one.en:.2f}"])
     lines = worst_rows(rows)
     if found.laid:
         lines.append("the points are laid onto the prediction by a shift and a turn (--aligned: as they are)")
-    mean, rms, largest = (f"{1e3 * value:.4g} um" for value in (found.mean, found.rms, found.largest))
+    mean, rms, largest = (f"{_um(value):.4g} um" for value in (found.mean, found.rms, found.largest))
     lines.append(f"{len(found.deviations)} deviations: mean {mean}, rms {rms}, largest {largest}")
     if found.largest_k > 1.0:
         lines.append(

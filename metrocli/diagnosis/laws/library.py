@@ -23,7 +23,8 @@ from metrocli.diagnosis.linear.projection import System
 from metrocli.effects.acting import Acting
 from metrocli.effects.effect import Effect, Parameter
 
-_ELAPSED = ("t", "T")
+_ELAPSED = ("t",)
+"""Variables that begin at 0 and grow: they saturate and step"""
 _MOST_PLACES = 40
 MOST_NUMBERS = 8_000_000
 """Largest number of elements of all columns"""
@@ -80,8 +81,7 @@ class _Carrier:
     def forms(self, periods: int) -> list[Form]:
         """Return the forms of the variables that vary here."""
         values = {name: one for name, one in self.values.items() if np.ptp(one) > 0}
-        elapsed = {name: values[name] for name in _ELAPSED if name in values}
-        return list(forms_of(values, {name: one for name, one in elapsed.items() if name == "t"}, periods))
+        return list(forms_of(values, {name: values[name] for name in _ELAPSED if name in values}, periods))
 
     def columns(self, forms: Sequence[Form]) -> Array:
         """Return the whitened columns of forms of one kind, (r, forms, factors)."""

@@ -43,7 +43,10 @@ def dense(one: Casting, start: Array, value: Callable[[Array], float], minimum: 
 
 
 def largest_least(one: Casting, start: Array) -> tuple[Array, float]:
-    """The pose with the largest least overstock, by SLSQP with that overstock as a seventh unknown."""
+    """The pose with the largest least overstock, by SLSQP with that overstock as a seventh unknown.
+
+    Moves are at most 50 mm: one surface alone has no largest overstock, and the search would run away.
+    """
     x = np.append(np.zeros(6), one.overstock_at(start).min())
     for _ in range(3):
         x = minimize(
@@ -51,6 +54,7 @@ def largest_least(one: Casting, start: Array) -> tuple[Array, float]:
             x,
             method="SLSQP",
             constraints={"type": "ineq", "fun": lambda p: one.overstock_at(start + p[:6] * SCALE) - p[6]},
+            bounds=[(-50.0, 50.0)] * 6 + [(None, None)],
             options={"ftol": 1e-15, "maxiter": 500},
         ).x
     pose = start + x[:6] * SCALE
