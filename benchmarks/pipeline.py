@@ -17,8 +17,8 @@ from benchmarks.projects.on_cluster import cluster_runs, diagnosis_on_cluster
 from benchmarks.projects.six_jobs import changes, damages
 
 FULL = (
-    ("changes", 1000), ("damages", 2000), ("kills", 200), ("edges", 1), ("cluster", 200), ("diagnosis", 1), ("idle", 50), ("idle", 1000),
-    ("idle", 10_000),
+    ("changes", 1000), ("damages", 2000), ("kills", 200), ("edges", 1), ("cluster", 200), ("diagnosis", 1),
+    ("idle", 50), ("idle", 1000), ("idle", 10_000),
 )  # fmt: skip
 Line = tuple[str, bool]
 """What to print, and whether anything lied"""
@@ -68,7 +68,8 @@ def of_diagnosis(_: int) -> Iterator[Line]:
 
 def of_idle(count: int) -> Iterator[Line]:
     """Yield the line of the runs with nothing to do."""
-    times = ", ".join(f"{name} {milliseconds:.0f} ms" for name, milliseconds in idle(count).items())
+    found = idle(count)
+    times = ", ".join(f"{name} {one if isinstance(one, str) else f'{one:.0f} ms'}" for name, one in found.items())
     yield f"{count} jobs, nothing to do, CPU: {times}", False
 
 
