@@ -1,6 +1,6 @@
 """Projects that never lie: changes, damages, kills, hard edges, a cluster, and the cost of having nothing to do.
 
-python -m benchmarks pipeline [changes N | damages N | kills N | edges 1 | cluster N | idle N ...]
+python -m benchmarks pipeline [changes N | damages N | kills N | edges 1 | cluster N | diagnosis 1 | idle N ...]
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from pathlib import Path
 
 from benchmarks.projects.hard_ends import edges, kills
 from benchmarks.projects.many_jobs import idle
-from benchmarks.projects.on_cluster import cluster_runs
+from benchmarks.projects.on_cluster import cluster_runs, diagnosis_on_cluster
 from benchmarks.projects.six_jobs import changes, damages
 
 FULL = (
-    ("changes", 1000), ("damages", 2000), ("kills", 200), ("edges", 1), ("cluster", 200), ("idle", 50), ("idle", 1000),
-    ("idle", 10_000),
+    ("changes", 1000), ("damages", 2000), ("kills", 200), ("edges", 1), ("cluster", 200), ("diagnosis", 1),
+    ("idle", 50), ("idle", 1000), ("idle", 10_000),
 )  # fmt: skip
 Line = tuple[str, bool]
 """What to print, and whether anything lied"""
@@ -60,9 +60,16 @@ def of_cluster(count: int) -> Iterator[Line]:
         yield f"cluster, {name}: {wrong or 'the same results as here'}", bool(wrong)
 
 
+def of_diagnosis(_: int) -> Iterator[Line]:
+    """Yield a line for each diagnosis whose folds go to a cluster."""
+    for name, wrong in diagnosis_on_cluster():
+        yield f"cluster, {name}: {wrong or 'the same diagnosis'}", bool(wrong)
+
+
 def of_idle(count: int) -> Iterator[Line]:
     """Yield the line of the runs with nothing to do."""
-    times = ", ".join(f"{name} {milliseconds:.0f} ms" for name, milliseconds in idle(count).items())
+    found = idle(count)
+    times = ", ".join(f"{name} {one if isinstance(one, str) else f'{one:.0f} ms'}" for name, one in found.items())
     yield f"{count} jobs, nothing to do, CPU: {times}", False
 
 
@@ -72,6 +79,7 @@ CAMPAIGNS: dict[str, Callable[[int], Iterator[Line]]] = {
     "kills": of_kills,
     "edges": of_edges,
     "cluster": of_cluster,
+    "diagnosis": of_diagnosis,
     "idle": of_idle,
 }
 

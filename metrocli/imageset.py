@@ -23,5 +23,8 @@ class ImageSet(Protocol):
     def size(self) -> tuple[int, int]:
         """Width and height in pixels, the same for all images."""
 
+    def __hash__(self) -> int:
+        """Return the hash of what decides its content."""
+
     def __iter__(self) -> Iterator[tuple[str, Picture]]:
         """Yield name and grey image, (height, width), 8 or 16 bit."""

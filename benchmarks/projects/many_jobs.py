@@ -7,8 +7,10 @@ import resource
 import shutil
 import subprocess
 import sys
+import tempfile
 import time
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 from metrocli.formats import hdf5
@@ -31,35 +33,60 @@ def write(count: int, trials: int = 1000) -> None:
     Path("metrocli.yaml").write_text("jobs:\n" + "".join(f"- jobs/j{n}.yaml\n" for n in range(count)))
 
 
-def idle(count: int) -> dict[str, float]:
-    """Return the CPU time [ms] of the first and of a later run with nothing to do, and of the other programs."""
+def idle(count: int) -> dict[str, float | str]:
+    """Return the CPU time [ms] of the first and of a later run with nothing to do, and of the other programs.
+
+    For a program that is not there or takes too long, that is returned in words.
+    """
     write(count)
     result, record = runner.compute(load(Path("jobs/j0.yaml")))
     for n in range(count):
         job = load(Path(f"jobs/j{n}.yaml"))
         hdf5.write(job.output, result, replace(record, job_text=job.text, meaning=meaning.of_job(job)))
     time.sleep(3)  # younger files are not remembered
-    found = {name: cpu_of([*RUN, "--quiet"]) for name in ("looked at", "remembered")}
-    return found | {name: _by_another(name, count) for name in OTHERS if _program(name)}
+    found: dict[str, float | str] = {name: cpu_of([*RUN, "--quiet"]) for name in ("looked at", "remembered")}
+    return found | {name: _by_another(name, count) for name in OTHERS}
 
 
 OTHERS = ("make", "doit", "snakemake", "dvc")
-"""Programs that are measured too if they are in the path, or in the folder that PEERS names"""
+"""Programs that are measured too; those in Python come from PyPI, for the time of the benchmark, if they are absent"""
+PATIENCE_S = 300
+"""Longest time for another program to copy all jobs, and then to see that all are copied [s]"""
 
 
 def _program(name: str) -> str | None:
-    return shutil.which(name, path=os.pathsep.join([os.environ.get("PEERS", ""), os.environ["PATH"]]))
+    found = shutil.which(name)
+    return found if found is not None or name == "make" else shutil.which(name, path=str(_installed(name)))
 
 
-def _by_another(name: str, count: int) -> float:
+@cache
+def _installed(name: str) -> Path:
+    """Return the folder of programs of a new environment with a package from PyPI, if it can be had."""
+    folder = Path(_scratch().name) / name
+    subprocess.run([sys.executable, "-m", "venv", str(folder)], check=True, capture_output=True)
+    subprocess.run([str(folder / "bin/pip"), "install", "--quiet", name], check=False, capture_output=True)
+    return folder / "bin"
+
+
+@cache
+def _scratch() -> tempfile.TemporaryDirectory[str]:
+    """Return a folder that is removed when the benchmark ends."""
+    return tempfile.TemporaryDirectory(prefix="metrocli-peers-")
+
+
+def _by_another(name: str, count: int) -> float | str:
     """Return the CPU time [ms] of another program that copies each job to a file, when all are copied."""
     program = _program(name)
-    assert program is not None
+    if program is None:
+        return "is not there"
     Path(f"{name}-out").mkdir()
     pairs = [(f"jobs/j{n}.yaml", f"{name}-out/j{n}") for n in range(count)]
-    command = _prepared(name, program, pairs)
-    subprocess.run(command, check=True, capture_output=True)
-    return cpu_of(command)
+    try:
+        command = _prepared(name, program, pairs)
+        subprocess.run(command, check=True, capture_output=True, timeout=PATIENCE_S)
+        return cpu_of(command, PATIENCE_S)
+    except subprocess.TimeoutExpired:
+        return f"takes more than {PATIENCE_S} s"
 
 
 def _prepared(name: str, program: str, pairs: list[tuple[str, str]]) -> list[str]:
@@ -89,10 +116,11 @@ def _prepared(name: str, program: str, pairs: list[tuple[str, str]]) -> list[str
     return [program, "repro", "--quiet"]
 
 
-def cpu_of(command: list[str]) -> float:
-    """Return the CPU time of a command in ms; raises if it fails."""
+def cpu_of(command: list[str], patience: float | None = None) -> float:
+    """Return the CPU time of a command in ms; raises if it fails, or takes longer than `patience` [s]."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    subprocess.run(command, check=True, env=environment(), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    null = subprocess.DEVNULL
+    subprocess.run(command, check=True, env=environment(), stdout=null, stderr=null, timeout=patience)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     return 1e3 * (after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import shutil
 import signal
@@ -10,11 +11,16 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from benchmarks.diagnosis_speed import measurements
 from benchmarks.projects.many_jobs import RUN, environment, write
+from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.diagnosis.diagnose import diagnose
+from metrocli.diagnosis.verdict import as_data
 from metrocli.formats import hdf5
+from metrocli.uncertainty.workers import ordered_on
 
 TRIALS = 100_000
 SCHEDULER = ["-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard"]
@@ -58,6 +64,40 @@ def cluster_runs(count: int) -> Iterator[tuple[str, str]]:
         yield f"one worker killed in the middle, {seconds:.1f} s", wrong
     with cluster() as (file, processes):
         yield "the scheduler killed in the middle", _without_scheduler(file, wanted, processes[0])
+
+
+def diagnosis_on_cluster() -> Iterator[tuple[str, str]]:
+    """Yield each diagnosis with the CPU time [s] here and on a cluster, and what went wrong, empty for nothing."""
+    for name, adjusted, _ in measurements():
+        here, own = _diagnosed(adjusted, "")
+        with cluster() as (file, processes):
+            with ordered_on(file) as ordered:
+                list(ordered(_imported, range(8)))
+            before = sum(map(_cpu, processes[1:]))
+            there, asking = _diagnosed(adjusted, file)
+            workers = sum(map(_cpu, processes[1:])) - before
+        text = f"{name.strip()}: {own:.1f} s here, {asking:.1f} s here with {workers:.1f} s on two workers"
+        yield text, "" if here == there else "another diagnosis than here"
+
+
+def _diagnosed(adjusted: Callable[[], AdjustedJob], scheduler: str) -> tuple[str, float]:
+    """Return a diagnosis as text and the CPU time of this process [s]."""
+    job = adjusted()
+    begun = time.process_time()
+    with ordered_on(scheduler) as ordered:
+        found = diagnose(job, ordered=ordered)
+    return json.dumps(as_data(found)), time.process_time() - begun
+
+
+def _imported(number: int) -> int:
+    """Return the number; a worker that calls this has imported what a diagnosis needs, which it does once."""
+    return number
+
+
+def _cpu(process: subprocess.Popen[bytes]) -> float:
+    """Return the CPU time of a running process [s]."""
+    words = Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def _contents() -> dict[str, str]:

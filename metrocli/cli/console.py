@@ -16,7 +16,12 @@ _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 
 def echo(text: str, err: bool = False, nl: bool = True) -> None:
     """Print a text to stdout or stderr; control characters, which files of others may contain, are replaced."""
-    click.echo(_CONTROL.sub("\N{REPLACEMENT CHARACTER}", text), err=err, nl=nl)
+    click.echo(printable(text), err=err, nl=nl)
+
+
+def printable(text: str) -> str:
+    """Return a text without control characters."""
+    return _CONTROL.sub("\N{REPLACEMENT CHARACTER}", text)
 
 
 def progress_text(done: int, of: int | None, elapsed: float) -> str:

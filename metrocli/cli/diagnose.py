@@ -30,6 +30,7 @@ CLEAN = "clean"
 @click.option(
     "--next", "following", type=click.IntRange(1), metavar="N", help="Propose the N readings that help most, such as 5."
 )
+@options.SCHEDULER
 @options.FORCE
 @options.SET
 @options.ACCEPT
@@ -55,7 +56,10 @@ def command(
     from metrocli.project.job import Wishes, kind_of_job, load
     from metrocli.record import NOT_MET
     from metrocli.tasks import KINDS
+    from metrocli.uncertainty.workers import ordered_on
 
+    if design and wanted["scheduler"]:
+        raise UsageError("--design has no parts that a cluster could compute: leave --scheduler out")
     if following is not None and (design or wanted["until_clean"]):
         raise UsageError("--next needs a diagnosis of its own: leave --design and --until-clean out")
     console = Console(wanted["quiet"] or as_json, wanted["verbose"])
@@ -72,7 +76,9 @@ def command(
     loaded = load(job, asked)
     if wanted["until_clean"]:
         return _loop(loaded, wanted, force, as_json)
-    diagnosis = diagnosed.carry_out(loaded, console.waiting, _seconds(wanted["limit"]), first_interrupt)
+    limit = _seconds(wanted["limit"])
+    with ordered_on(wanted["scheduler"]) as ordered:
+        diagnosis = diagnosed.carry_out(loaded, console.waiting, limit, first_interrupt, ordered)
     extended = None
     try:
         extended = diagnosed.write_extended(loaded, diagnosis, output, force)
@@ -97,9 +103,12 @@ def _loop(job: JobFile, wanted: dict[str, Any], force: bool, as_json: bool) -> i
     from metrocli.cli.diagnosis_report.loop import loop_data, of_loop
     from metrocli.project.until_clean import until_clean
     from metrocli.record import NOT_MET
+    from metrocli.uncertainty.workers import ordered_on
 
     console = Console(wanted["quiet"] or as_json, wanted["verbose"])
-    loop = until_clean(job, wanted["most"], console.waiting, _seconds(wanted["limit"]), force)
+    limit = _seconds(wanted["limit"])
+    with ordered_on(wanted["scheduler"]) as ordered:
+        loop = until_clean(job, wanted["most"], console.waiting, limit, force, ordered)
     if as_json:
         echo(summary.as_json(loop_data(loop)))
     console.print(of_loop(loop))

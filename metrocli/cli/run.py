@@ -74,7 +74,6 @@ def command(project: Path, dry_run: bool, as_json: bool, quiet: bool, verbose: b
         from metrocli.cli.summary import as_json as json_text
 
         echo(json_text({"jobs": [_summary(report) for report in reports], "exit_code": code}))
-    _print_count(reports, console)
     return code
 
 
@@ -97,10 +96,22 @@ def _nothing_to_do(jobs: Sequence[Sequence[str]], folder: Path, console: Console
 
 
 def _run(steps: Sequence[Step], order: Order, console: Console, jobs: int, scheduler: str) -> list[Report]:
+    """Run the jobs and print the line of each, on a terminal above a table of those in work; then the counts."""
+    from metrocli.cli.shell.live_table import has_terminal, live_table, time_text
     from metrocli.project import pipeline
 
-    with _crew(console, jobs, scheduler) as crew:
-        return pipeline.run(steps, order, crew, lambda report: _print_report(report, console))
+    watched = has_terminal() and not (console.quiet or console.verbose)
+    with live_table(len(steps), watched) as table, _crew(console, jobs, scheduler) as crew:
+
+        def finished(report: Report) -> None:
+            with table.end(report.step.name, report.action):
+                _print_report(report, console)
+
+        reports = pipeline.run(steps, order, crew, finished, lambda step: table.begin(step.name))
+    ran = any(report.action == pipeline.Action.RAN for report in reports)
+    if any(report.exit_code for report in reports) or (watched and ran):
+        _print_count(reports, console, f", in {time_text(table.seconds)}" if watched else "")
+    return reports
 
 
 def _crew(console: Console, jobs: int, scheduler: str) -> AbstractContextManager[Crew]:
@@ -144,15 +155,16 @@ def _print_report(report: Report, console: Console) -> None:
         terminal.print_unfit(record)
 
 
-def _print_count(reports: Sequence[Report], console: Console) -> None:
-    """Print to stderr how many jobs did what, where not all went well."""
-    if all(report.exit_code == 0 for report in reports) or console.quiet:
+def _print_count(reports: Sequence[Report], console: Console, end: str) -> None:
+    """Print to stderr how many jobs did what, unless quiet."""
+    if console.quiet:
         return
     counts: dict[str, int] = {}
     for report in reports:
         what = "not fit for use" if report.exit_code == NOT_MET and report.action != "not run" else str(report.action)
         counts[what] = counts.get(what, 0) + 1
-    echo(f"{len(reports)} jobs: {', '.join(f'{count} {what}' for what, count in counts.items())}", err=True)
+    what_they_did = ", ".join(f"{count} {what}" for what, count in counts.items())
+    echo(f"{len(reports)} job{'s' if len(reports) > 1 else ''}: {what_they_did}{end}", err=True)
 
 
 _UNFIT = {UNMET: "an acceptance criterion is not met", DOUBTFUL: "doubtful: do not use this result"}

@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index, Mask, Observations
@@ -67,15 +68,17 @@ class Standing:
 
 
 class Budget:
-    """CPU time of a search: when it is spent, the search ends with what it has found."""
+    """CPU time of a search in the thread that made it: when it is spent, the search ends with what it has found."""
 
-    def __init__(self, seconds: float = math.inf) -> None:
+    def __init__(self, seconds: float = math.inf, whole: Budget | None = None) -> None:
         self.seconds = seconds
+        self.whole = whole
+        """What it is a part of; an interruption of that interrupts it too"""
         self.ended = False
         """Whether a search ended because of it"""
         self.interrupted = False
         """Whether somebody ended the search"""
-        self._start = time.process_time()
+        self._start = time.thread_time()
 
     def interrupt(self) -> None:
         """End the search with what it has found."""
@@ -83,10 +86,18 @@ class Budget:
 
     def spent(self) -> bool:
         """Return whether the time is spent or the search interrupted, and remember that time was asked in vain."""
-        if self.interrupted:
+        if self.interrupted or (self.whole is not None and self.whole.interrupted):
             return True
-        self.ended = self.ended or time.process_time() - self._start > self.seconds
+        self.ended = self.ended or self.left() <= 0
         return self.ended
+
+    def left(self) -> float:
+        """Return what is left [s]."""
+        return self.seconds - (time.thread_time() - self._start)
+
+
+Ordered = Callable[[Callable[[int], Any], Iterable[int]], Iterable[Any]]
+"""Applies a function to numbers, as `map` does, perhaps on other processors; results have the order of the numbers."""
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.observations import Index
-from metrocli.diagnosis.adjusted_job import AdjustedJob, Budget
+from metrocli.adjust.model.observations import Index, Mask
+from metrocli.diagnosis.adjusted_job import AdjustedJob, Budget, Ordered
 from metrocli.diagnosis.linear.basis import Basis
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns, nothing_fitted
 from metrocli.diagnosis.linear.score_tests import ScoreTests
@@ -61,29 +61,49 @@ class Held:
     """Number of independent errors that they amount to"""
 
 
-def cross_validated(job: AdjustedJob, selection: Selection, names: Sequence[NamedEffect]) -> list[Gain]:
-    """Return the gain of each named effect, then of all together.
+def cross_validated(
+    job: AdjustedJob, selection: Selection, names: Sequence[NamedEffect], ordered: Ordered = map
+) -> list[Gain]:
+    """Return the gain of each named effect, then of all together; `ordered` computes the folds.
 
     Each fold is predicted with what its own selection names of the effect, and without it. Smooth terms are in neither
-    model, as the extended job has none.
+    model, as the extended job has none. If the time of a fold is spent, that of the job is.
     """
-    # each part has the same time for its search, so that all are treated alike
     test_set = selection.test_set
     rows = folds_of(job, test_set)
     spared = np.zeros(test_set.system.rows, dtype=bool)
     for one in selection.outliers:
         spared[test_set.places[one.number][test_set.places[one.number] >= 0]] = True
-    groups: list[Sequence[NamedEffect]] = [*([name] for name in names), names]
-    found: list[list[tuple[Held, Held]]] = [[] for _ in groups]
-    for fold in range(int(rows.max()) + 1):
-        out = np.flatnonzero((rows == fold) & ~spared)
-        if out.size:
-            own = replace(test_set, budget=Budget(job.budget.seconds / (rows.max() + 1)))
-            trained = _trained(own, np.flatnonzero(rows == fold))
-            start = fitted_without(test_set, np.flatnonzero((rows == fold) & spared))
-            for number, group in enumerate(groups):
-                found[number].append(_compared(test_set, start, trained, group, out))
-    return [gain_of(pairs) for pairs in found]
+    numbers = sorted({int(fold) for fold in rows[~spared]} - {-1})
+    # each part has the same time for its search, so that all are treated alike
+    seconds = job.budget.seconds / (rows.max() + 1)
+    groups = (*([name] for name in names), names)
+    found = [*ordered(_Folds(test_set, rows, spared, groups, seconds), numbers)]
+    job.budget.ended |= any(ended for _, ended in found)
+    return [gain_of(pairs) for pairs in zip(*(pairs for pairs, _ in found), strict=True)]
+
+
+@dataclass(frozen=True)
+class _Folds:
+    """What is compared in each fold. It travels to other processors, so it has no more than that."""
+
+    test_set: ScoreTests
+    rows: Index
+    """Fold of each row"""
+    spared: Mask
+    """Rows that are not predicted, since their readings are wrong"""
+    groups: Sequence[Sequence[NamedEffect]]
+    seconds: float
+    """Time for the search without a fold [s of CPU time]"""
+
+    def __call__(self, fold: int) -> tuple[list[tuple[Held, Held]], bool]:
+        """Return the predictions of a fold without and with each group, and whether its time was spent."""
+        own = replace(self.test_set, budget=Budget(self.seconds))
+        out = self.rows == fold
+        trained = _trained(own, np.flatnonzero(out))
+        start = fitted_without(self.test_set, np.flatnonzero(out & self.spared))
+        held = np.flatnonzero(out & ~self.spared)
+        return [_compared(self.test_set, start, trained, group, held) for group in self.groups], own.budget.ended
 
 
 def gain_of_model(

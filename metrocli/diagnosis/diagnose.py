@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
-from metrocli.diagnosis.adjusted_job import AdjustedJob, Budget
+from metrocli.diagnosis.adjusted_job import AdjustedJob, Budget, Ordered
 from metrocli.diagnosis.cross_validation import cross_validated, gain_of_model
 from metrocli.diagnosis.detectability import Design, design, separations
 from metrocli.diagnosis.extended_fit import (
@@ -76,12 +76,17 @@ def no_interrupt(heeded: Callable[[], None]) -> AbstractContextManager[object]:
 
 
 def diagnose(
-    job: AdjustedJob, say: Say = lambda line: None, limit: float = LIMIT, attended: Attended = no_interrupt
+    job: AdjustedJob,
+    say: Say = lambda line: None,
+    limit: float = LIMIT,
+    attended: Attended = no_interrupt,
+    ordered: Ordered = map,
 ) -> Diagnosis:
     """Return the diagnosis of an adjusted job, with at most half of `limit` [s of CPU time] for the search of effects.
 
     The other half is for the searches of cross-validation. A search whose time is spent ends with what it has found;
     so does the search for laws when its budget is interrupted within `attended`.
+    `ordered` computes the folds of cross-validation, perhaps on other processors; the diagnosis is the same there.
     Raises UndeterminedError if the unknowns use up all readings.
     """
     job = replace(job, budget=Budget(limit / 2))
@@ -93,7 +98,7 @@ def diagnose(
         searched = replace(searched, selection=without_imitations(library, searched.selection))
     names = confidence_sets(searched.selection)
     say("cross-validating: predicting parts of the readings from the others")
-    gains = cross_validated(searched.job, searched.selection, names) if names else []
+    gains = cross_validated(searched.job, searched.selection, names, ordered) if names else []
     kept = readings_kept(searched.selection)
     fit = extended_fit(job, names, kept) if names else None
     shifts = result_changes(job, names, fit, kept)
@@ -106,7 +111,7 @@ def diagnose(
     if job.places:
         say("looking for a law in what no effect explains")
         with attended(job.budget.interrupt):
-            laws = laws_in(library, searched.selection, structure is not None)
+            laws = laws_in(library, searched.selection, structure is not None, ordered)
         structure = _structure_of(laws) if structure is None else structure
     # without an extended fit the law is about the same linearised system, and what it explains is no noise
     law = next((one for one in laws if one.chosen and fit is None), None)

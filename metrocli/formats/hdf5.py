@@ -108,6 +108,8 @@ def refuse_foreign(path: Path, kind: str) -> None:
         raise InputError([Fault("the output is a folder", str(path), hint="name a file that ends in .h5")])
     if not os.path.lexists(path):
         return
+    if not path.exists():
+        raise InputError([Fault("the output is a link to a file that does not exist", str(path), hint="remove it")])
     there = kind_of(path)
     if there in (kind, ""):
         return

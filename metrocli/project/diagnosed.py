@@ -12,7 +12,7 @@ from typing import Any
 
 from metrocli import tasks
 from metrocli.adjust.cluster_robust import FROM_RESIDUALS
-from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.diagnosis.adjusted_job import AdjustedJob, Ordered
 from metrocli.diagnosis.detectability import Design
 from metrocli.diagnosis.diagnose import LIMIT, Attended, diagnose, no_interrupt, what_can_be_seen
 from metrocli.diagnosis.findings import Diagnosis
@@ -49,12 +49,16 @@ def carry_out(
     progress: Progress = lambda line: None,
     limit: float = LIMIT,
     attended: Attended = no_interrupt,
+    ordered: Ordered = map,
 ) -> Diagnosis:
-    """Adjust a job, correct a mistake in its files if one is found, and diagnose it within a limit of CPU time [s]."""
+    """Adjust a job, correct a mistake in its files if one is found, and diagnose it within a limit of CPU time [s].
+
+    `ordered` computes the folds of cross-validation, perhaps on other processors.
+    """
     adjust = _adjuster(job)
     progress(f"{job.file}: adjusting")
     adjusted, mistaken = without_mistakes(read_inputs(job), adjust)
-    diagnosis = diagnose(adjusted, lambda line: progress(f"{job.file}: {line}"), limit, attended)
+    diagnosis = diagnose(adjusted, lambda line: progress(f"{job.file}: {line}"), limit, attended, ordered)
     return replace(diagnosis, mistaken=mistaken)
 
 

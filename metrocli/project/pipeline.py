@@ -58,8 +58,16 @@ class Order:
     strict: bool = False
 
 
-def run(steps: Sequence[Step], order: Order, crew: Crew, finished: Callable[[Report], Any]) -> list[Report]:
+def run(
+    steps: Sequence[Step],
+    order: Order,
+    crew: Crew,
+    finished: Callable[[Report], Any],
+    begun: Callable[[Step], Any] = lambda step: None,
+) -> list[Report]:
     """Bring every result up to date; call `finished` with the report of each job as soon as it is known.
+
+    `begun` is called with each job that is computed, before it is.
 
     After a failure, or a result that is not fit for use, jobs that need it do not run; all others do.
     """
@@ -67,14 +75,21 @@ def run(steps: Sequence[Step], order: Order, crew: Crew, finished: Callable[[Rep
         refuse_lost(steps)
     for folder in {step.job.output.parent for step in steps}:
         sweep(folder)
-    return _Run(steps, order, crew, finished).reports_in_order()
+    return _Run(steps, order, crew, (begun, finished)).reports_in_order()
 
 
 class _Run:
     """One run: jobs wait for those that they need, are judged, and computed where they are out of date."""
 
-    def __init__(self, steps: Sequence[Step], order: Order, crew: Crew, finished: Callable[[Report], Any]) -> None:
-        self.order, self.crew, self.tell = order, crew, finished
+    def __init__(
+        self,
+        steps: Sequence[Step],
+        order: Order,
+        crew: Crew,
+        heard: tuple[Callable[[Step], Any], Callable[[Report], Any]],
+    ) -> None:
+        self.order, self.crew = order, crew
+        self.begun, self.finished = heard
         self.steps = {step.name: step for step in steps}
         self.reports: dict[str, Report] = {}
         self.working: dict[str, State] = {}
@@ -108,12 +123,13 @@ class _Run:
         if not state.reason and state.label is not None:
             return self.report(Report(step, Action.UP_TO_DATE, "", state.label.exit_code, label=state.label))
         self.working[step.name] = state
+        self.begun(step)
         self.crew.begin(step.name, step.job, self.order.strict)
 
     def report(self, report: Report) -> None:
         name = report.step.name
         self.reports[name] = report
-        self.tell(report)
+        self.finished(report)
         for user in self.users.get(name, ()):
             self.unmet[user].discard(name)
             if not self.unmet[user]:

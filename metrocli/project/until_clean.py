@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from metrocli.diagnosis.adjusted_job import Ordered
 from metrocli.diagnosis.cross_validation import Gain
 from metrocli.diagnosis.diagnose import LIMIT
 from metrocli.diagnosis.findings import Diagnosis, Verdict
@@ -60,7 +61,12 @@ class Loop:
 
 
 def until_clean(
-    job: JobFile, most: int = MOST, progress: Progress = lambda line: None, limit: float = LIMIT, force: bool = False
+    job: JobFile,
+    most: int = MOST,
+    progress: Progress = lambda line: None,
+    limit: float = LIMIT,
+    force: bool = False,
+    ordered: Ordered = map,
 ) -> Loop:
     """Extend a job by what is found in it, as long as held-out readings show a gain; all jobs and results are written.
 
@@ -68,7 +74,7 @@ def until_clean(
     InputError if a file there is no extended job or was edited, unless forced.
     """
     current, extensions = job, list[Extension]()
-    first = last = carry_out(job, progress, limit)
+    first = last = carry_out(job, progress, limit, ordered=ordered)
     while True:
         gained = _gaining(last)
         end = _end(last, gained, len(extensions) == most)
@@ -81,7 +87,7 @@ def until_clean(
         current = load(path, Wishes(accept_doubtful=job.accept_doubtful))
         progress(f"{path}: running")
         extensions.append(_extension(path, runner.carry_out(current, force=force), gained))
-        last = carry_out(current, progress, limit)
+        last = carry_out(current, progress, limit, ordered=ordered)
 
 
 def _end(last: Diagnosis, gained: Diagnosis, spent: bool) -> End | None:

@@ -16,6 +16,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
+from metrocli import __version__
 from metrocli.errors import InputError
 
 T = TypeVar("T")
@@ -67,7 +68,8 @@ class Workers:
     def ordered(self, work: Callable[[int], T], numbers: Iterable[int]) -> Iterator[T]:
         """Yield work(number) in the order of the numbers, while workers compute later ones in advance."""
         if self.scheduler:
-            yield from _on_cluster(self.scheduler, work, numbers)
+            with ordered_on(self.scheduler) as ordered:
+                yield from ordered(work, numbers)
         elif self.threads == 1:
             yield from map(work, numbers)
         else:
@@ -102,10 +104,11 @@ def _window(submit: Callable[[int], Any], numbers: Iterable[int], most: int) -> 
 
 @contextmanager
 def cluster(address: str) -> Iterator[Any]:
-    """Yield a client of a Dask cluster that has workers; raises InputError without them."""
+    """Yield a client of a Dask cluster that has workers; raises InputError without them or if their versions differ."""
     client = _client(address)
     try:
         _await_worker(client, address)
+        _refuse_other_versions(client, address)
         yield client
     finally:
         client.close()
@@ -133,11 +136,51 @@ def first_finished(client: Any, futures: set[Any]) -> set[Any]:
                 raise ConnectionError("the scheduler has lost all workers") from None
 
 
-def _on_cluster(address: str, work: Callable[[int], T], numbers: Iterable[int]) -> Iterator[T]:
+@contextmanager
+def ordered_on(address: str) -> Iterator[Callable[[Callable[[int], Any], Iterable[int]], Iterable[Any]]]:
+    """Yield what `map` does with a function and numbers, on a cluster; without an address yield `map` itself.
+
+    Raises InputError if the cluster cannot be used, and where it ends before the work does.
+    """
+    if not address:
+        yield map
+        return
     with cluster(address) as client:
-        scattered = client.scatter(work, broadcast=True)
+        yield lambda work, numbers: _on_cluster(client, address, work, numbers)
+
+
+def _on_cluster(client: Any, address: str, work: Callable[[int], T], numbers: Iterable[int]) -> Iterator[T]:
+    def finished(future: Any) -> T:
+        with ends_in_words(address, ""):
+            first_finished(client, {future})
+            value, error = future.result()
+        if error is not None:
+            raise error
+        found: T = value
+        return found
+
+    with ends_in_words(address, ""):
+        scattered = client.scatter(work, broadcast=True, hash=False)
         threads = max(sum(client.nthreads().values()), 1)
-        yield from _window(lambda number: client.submit(_do, scattered, number, pure=False), numbers, 4 * threads)
+    waiting: deque[Any] = deque()
+    for number in numbers:
+        waiting.append(client.submit(_do, scattered, number, pure=False))
+        if len(waiting) >= 4 * threads:
+            yield finished(waiting.popleft())
+    while waiting:
+        yield finished(waiting.popleft())
+
+
+@contextmanager
+def ends_in_words(address: str, kept: str) -> Iterator[None]:
+    """Raise InputError, with what is `kept`, for any way in which the library reports that the cluster has gone."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        message = f"--scheduler {address}: the cluster has ended ({type(error).__name__}); {kept}run again to go on"
+        raise InputError(message) from error
 
 
 def _await_worker(client: Any, address: str) -> None:
@@ -149,8 +192,31 @@ def _await_worker(client: Any, address: str) -> None:
         ) from error
 
 
-def _do(work: Callable[[int], T], number: int) -> T:
-    return work(number)
+def _refuse_other_versions(client: Any, address: str) -> None:
+    """Raise InputError if a worker could give other numbers than this process."""
+    answers = client.run(_versions, on_error="return").values()
+    # an OSError is that of a worker which has just died; the scheduler will drop it
+    others = {str(one) for one in answers if not isinstance(one, OSError)} - {_versions()}
+    if others:
+        message = f"--scheduler {address}: workers have {'; '.join(sorted(others))}, and this is {_versions()}"
+        raise InputError(f"{message}: install the same versions everywhere")
+
+
+def _versions() -> str:
+    import platform
+
+    import numpy as np
+
+    python = ".".join(platform.python_version_tuple()[:2])
+    return f"metrocli {__version__} with numpy {np.__version__} and Python {python}"
+
+
+def _do(work: Callable[[int], T], number: int) -> tuple[T | None, Exception | None]:
+    """Return what work gives, or its error, which so is none of the cluster."""
+    try:
+        return work(number), None
+    except Exception as error:
+        return None, error
 
 
 def _must_listen(address: str) -> None:

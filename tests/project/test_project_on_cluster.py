@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -12,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from diagnosis.test_command import measured, write
 from places import ROOT
 
 from metrocli.formats import hdf5
@@ -94,6 +96,12 @@ def test_the_results_are_those_of_this_computer(
     Path("data/p3").rename("data/p3.csv")
     assert metrocli("run", "--scheduler", file).code == 0
     assert contents() == local
+
+    job = write(project, measured("tracer-drift"))
+    diagnosed = [metrocli("diagnose", job, "--json", *more) for more in ([], ["--force", "--scheduler", file])]
+    assert [(one.code, one.err) for one in diagnosed] == [(0, "")] * 2
+    assert diagnosed[0].out == diagnosed[1].out
+    assert json.loads(diagnosed[0].out)["effects"], "without a finding nothing is cross-validated"
 
     os.kill(processes[1].pid, signal.SIGKILL)
     for path in Path("results").glob("*.h5"):

@@ -200,11 +200,39 @@ class TestMemo:
         Path(memo.NAME).write_text(Path(memo.NAME).read_text()[:-9])
         assert memo.unmoved_jobs(Path("metrocli.yaml")) is None
 
+    @pytest.mark.parametrize(
+        "change",
+        [
+            {"jobs": [1, 2]},
+            {"jobs": {"a": 1}},
+            {"files": {}},
+            {"files": ["metrocli.yaml"]},
+            {"jobs": [["other", "x.h5"]]},
+        ],
+    )
+    def test_a_memo_that_no_run_wrote_is_not_used(self, change: dict[str, Any], metrocli: Callable[..., Any]) -> None:
+        held = json.loads(Path(memo.NAME).read_text())
+        Path(memo.NAME).write_text(json.dumps(held | change))
+        assert memo.unmoved_jobs("metrocli.yaml") is None
+        assert metrocli("run").out.count("up to date") == len(ALL)
+
+    def test_a_pipe_in_its_place_is_not_waited_for(self) -> None:
+        Path(memo.NAME).unlink()
+        os.mkfifo(memo.NAME)
+        assert memo.unmoved_jobs("metrocli.yaml") is None
+
     def test_young_files_are_not_remembered(self, metrocli: Callable[..., Any], monkeypatch: Any) -> None:
         monkeypatch.setattr("metrocli.project.running.memo._SETTLED_NS", 10**12)
         Path(memo.NAME).unlink()
         metrocli("run", Path.cwd())
         assert not Path(memo.NAME).exists()
+
+
+def test_an_output_that_is_a_broken_link_is_refused_in_words(project: Path, metrocli: Callable[..., Any]) -> None:
+    Path("results").mkdir()
+    Path("results/a.h5").symlink_to("../nowhere/victim.h5")
+    ran_ = metrocli("run", "--only", "jobs/a.yaml")
+    assert (ran_.code, "a link to a file that does not exist" in ran_.err) == (3, True), ran_.err
 
 
 @pytest.mark.parametrize("jobs", [1, 2])

@@ -12,7 +12,7 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
-from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.diagnosis.adjusted_job import Budget, Ordered
 from metrocli.diagnosis.cross_validation import Gain, Held, folds_of, gain_of, held_out_errors, without
 from metrocli.diagnosis.laws.library import Library, Term
 from metrocli.diagnosis.laws.near import near_effects
@@ -52,7 +52,7 @@ class Law:
     chosen: bool = False
 
 
-def laws_in(library: Library, selection: Selection, structured: bool) -> tuple[Law, ...]:
+def laws_in(library: Library, selection: Selection, structured: bool, ordered: Ordered = map) -> tuple[Law, ...]:
     """Return the laws in what the named effects and outliers of a selection leave: one for each number of terms.
 
     The list is empty if no term is significant, if the measurement is too large or the time of the search is spent. The
@@ -69,7 +69,7 @@ def laws_in(library: Library, selection: Selection, structured: bool) -> tuple[L
     steps = forward(Search(tests, start, library), level)
     if not steps:
         return ()
-    gains = _gains(library.job, Search(tests, start, library), steps)
+    gains = _gains(Search(tests, start, library), steps, ordered)
     smooth = _smooth(selection, start)
     found = [_law(library, start, steps[:count], gain, smooth) for count, gain in enumerate(gains, 1)]
     best = max(found, key=lambda one: one.gain.log_score)
@@ -100,31 +100,48 @@ def _worth_counting(selection: Selection, library: Library, level: float) -> boo
     return bool(least + np.log(_FEW) < np.log(level))
 
 
-def _gains(job: AdjustedJob, search: Search, found: Sequence[Step]) -> list[Gain]:
-    """Return the held-out gain of the laws of 1, 2, ... terms; each fold has the laws found without it.
+def _gains(search: Search, found: Sequence[Step], ordered: Ordered) -> list[Gain]:
+    """Return the held-out gain of the laws of 1, 2, ... terms; each fold has the laws found without it."""
+    rows = folds_of(search.library.job, search.tests)
+    numbers = sorted({*rows.tolist()} - {-1})
+    budget = search.tests.budget
+    pairs = [*ordered(_Folds(search, tuple(found), rows, budget.left() / len(numbers)), numbers)]
+    budget.ended |= any(ended for _, ended in pairs)
+    return [gain_of(one) for one in zip(*(held for held, _ in pairs), strict=True)]
 
-    After an interruption folds have the laws found with them: their sizes are still estimated without the fold.
-    """
-    tests, library = search.tests, search.library
-    rows = folds_of(job, tests)
-    pairs: list[list[tuple[Held, Held]]] = [[] for _ in found]
-    before = start_of(tests, nothing_fitted(tests.system))
-    for fold in range(int(rows.max()) + 1):
-        out = np.flatnonzero(rows == fold)
-        if not out.size:
-            continue
-        steps = list(found) if tests.budget.interrupted else _found_without(search, out, len(found))
-        base = held_out_errors(tests, before, out)
-        for count in range(1, len(found) + 1):
+
+@dataclass(frozen=True)
+class _Folds:
+    """What is compared in each fold. It travels to other processors, so it has no more than that."""
+
+    search: Search
+    found: tuple[Step, ...]
+    rows: Index
+    """Fold of each row"""
+    seconds: float
+    """Time for the search without a fold [s of CPU time]"""
+
+    def __call__(self, fold: int) -> tuple[list[tuple[Held, Held]], bool]:
+        """Return the predictions of a fold without and with laws of 1, 2, ... terms, and whether time was spent.
+
+        After an interruption it has the laws found with it: their sizes are still estimated without the fold.
+        """
+        tests, library = self.search.tests, self.search.library
+        out = np.flatnonzero(self.rows == fold)
+        budget = Budget(self.seconds, tests.budget)
+        steps = self.found if tests.budget.interrupted else self._found_without(out, budget)
+        before = start_of(tests, nothing_fitted(tests.system))
+        base, pairs = held_out_errors(tests, before, out), []
+        for count in range(1, len(self.found) + 1):
             columns = [library.system.seen(library.columns(one.term)) for one in steps[:count]]
             after = before.with_columns(np.concatenate(columns, axis=1)) if columns else before
-            pairs[count - 1].append((base, held_out_errors(tests, after, out)))
-    return [gain_of(one) for one in pairs]
+            pairs.append((base, held_out_errors(tests, after, out)))
+        return pairs, budget.ended
 
-
-def _found_without(search: Search, out: Index, most: int) -> list[Step]:
-    trained, start = without(search.tests, out)
-    return forward(Search(trained, start_of(trained, start), search.library, out), LEVEL, most)
+    def _found_without(self, out: Index, budget: Budget) -> Sequence[Step]:
+        trained, start = without(self.search.tests, out)
+        trained = replace(trained, budget=budget)
+        return forward(Search(trained, start_of(trained, start), self.search.library, out), LEVEL, len(self.found))
 
 
 def _smooth(selection: Selection, start: FittedColumns) -> FittedColumns:

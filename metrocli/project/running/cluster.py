@@ -10,12 +10,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from metrocli import __version__
 from metrocli.errors import InputError, MetrocliError
 from metrocli.formats.file_bytes import read_bytes
 from metrocli.project.job import JobFile, Wishes, load
 from metrocli.project.running.crew import Outcome, attempt
-from metrocli.uncertainty.workers import Workers, cluster
+from metrocli.uncertainty.workers import Workers, cluster, ends_in_words, first_finished
 
 _MOST_AT_ONCE = 25
 """Most jobs in one task of the cluster, so that its overhead of some milliseconds does not count"""
@@ -87,22 +86,12 @@ class Cluster:
         size = min(max(-(-len(self._packed) // (_TASKS_PER_THREAD * self._threads)), 1), _MOST_AT_ONCE)
         batches = [self._packed[at : at + size] for at in range(0, len(self._packed), size)]
         self._packed = []
-        try:
+        with ends_in_words(self._address, "finished results are kept, "):
             self._running |= {self._client.submit(carry_out, batch, pure=False) for batch in batches}
             if not self._done:
-                self._take(self._first())
-        except InputError:
-            raise
-        except Exception as error:  # the library has many ways to report that the cluster has gone
-            message = f"--scheduler {self._address}: the cluster has ended ({type(error).__name__}); finished results "
-            raise InputError(f"{message}are kept, run again to go on") from error
+                self._take(first_finished(self._client, self._running))
         yield from self._done
         self._done = []
-
-    def _first(self) -> set[Any]:
-        from metrocli.uncertainty.workers import first_finished
-
-        return first_finished(self._client, self._running)
 
     def _take(self, futures: set[Any]) -> None:
         for future in futures:
@@ -114,15 +103,4 @@ class Cluster:
 def on_cluster(address: str) -> Iterator[Cluster]:
     """Yield the crew of a running cluster; raises InputError if it cannot be used or has another metrocli."""
     with cluster(address) as client:
-        answers = client.run(_version, on_error="return").values()
-        # an OSError is that of a worker which has just died; the scheduler will drop it
-        found = {str(one) for one in answers if not isinstance(one, OSError)}
-        if found - {__version__}:
-            others = ", ".join(sorted(found - {__version__}))
-            message = f"--scheduler {address}: workers have metrocli {others}, and this is metrocli {__version__}"
-            raise InputError(f"{message}: install the same version everywhere")
         yield Cluster(client, address)
-
-
-def _version() -> str:
-    return __version__

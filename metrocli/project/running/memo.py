@@ -20,6 +20,8 @@ NAME = ".metrocli-seen"
 _SETTLED_NS = 2_500_000_000
 """Age that a file must have [ns]: within it, a second change may leave size and times as they are"""
 
+_MOST_BYTES = 200_000_000
+
 
 def unmoved_jobs(project_file: str) -> list[list[str]] | None:
     """Return the names and results of all jobs, if all files of the project are as when all results were up to date.
@@ -27,24 +29,39 @@ def unmoved_jobs(project_file: str) -> list[list[str]] | None:
     Returns None if anything moved, or nothing is remembered.
     """
     folder, name_of_project = os.path.split(project_file)
-    try:
-        with open(os.path.join(folder, NAME), encoding="utf-8") as file:
-            text = file.read()
-    except (OSError, ValueError):
+    text = _text(os.path.join(folder, NAME))
+    if not text:
         return None
     import json
 
     try:
         held = json.loads(text)
-        if held["version"] != __version__ or held["project"] != name_of_project:
+        files = held["files"]
+        jobs = [[str(name), str(result)] for name, result in held["jobs"]]
+        # a memo from elsewhere cannot know the times and inodes of these files
+        decisive = {name_of_project, *(result for _, result in jobs)}
+        if held["version"] != __version__ or held["project"] != name_of_project or not decisive <= files.keys():
             return None
-        for name, seen in held["files"].items():
+        for name, seen in files.items():
             if _signature(os.path.join(folder, name)) != seen:
                 return None
-        jobs: list[list[str]] = held["jobs"]
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return None
     return jobs
+
+
+def _text(path: str) -> str:
+    """Return the text of a file, empty if it cannot be read, is no plain file or too large for a memo."""
+    import stat
+
+    try:
+        found = os.stat(path)
+        if not stat.S_ISREG(found.st_mode) or found.st_size > _MOST_BYTES:
+            return ""
+        with open(path, encoding="utf-8") as file:
+            return file.read()
+    except (OSError, ValueError):
+        return ""
 
 
 def remember(project_file: Path, steps: Sequence[Step], begun_ns: int) -> None:

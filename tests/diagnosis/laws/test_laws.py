@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import json
+from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from simulated import lengths as simulated_lengths
 
 from metrocli.cli.diagnosis_report.findings import of_diagnosis
+from metrocli.diagnosis.adjusted_job import Ordered
 from metrocli.diagnosis.diagnose import Attended, diagnose, no_interrupt
 from metrocli.diagnosis.extended_fit import score_tests_of_job
 from metrocli.diagnosis.findings import Diagnosis, Verdict
@@ -53,7 +56,7 @@ def test_the_columns_of_every_form_are_those_of_its_text() -> None:
     }  # fmt: skip
 
 
-def diagnosed(size: float, seed: int, attended: Attended = no_interrupt) -> Diagnosis:
+def diagnosed(size: float, seed: int, attended: Attended = no_interrupt, ordered: Ordered = map) -> Diagnosis:
     """A network whose tracer T2 reads lengths with a wave in X of its points; plain formulas."""
     rng = np.random.default_rng(seed)
     net = simulated_lengths.network(40, 5).read(rng)
@@ -63,7 +66,7 @@ def diagnosed(size: float, seed: int, attended: Attended = no_interrupt) -> Diag
     table = net.lengths()
     table = replace(table, columns={**table.columns, "t": np.arange(len(table)) * 20.0})
     job = TASK.job(simulated_lengths.settings(), lengths=table, points=net.point_table(), tracers=net.tracer_table())
-    return diagnose(replace(TASK.diagnosed(job), places=TASK.places), attended=attended)
+    return diagnose(replace(TASK.diagnosed(job), places=TASK.places), attended=attended, ordered=ordered)
 
 
 @pytest.fixture(scope="module")
@@ -84,6 +87,22 @@ def test_a_wave_of_one_tracer_is_found_with_its_period_and_size(found: Diagnosis
     spread = max(std for _, std, _ in texts.parameters.values())
     assert abs(amplitude - SIZE) < 4 * spread
     assert law.gain.shown and law.part_of_structure > 0.9 and law.p_value < 1e-3
+
+
+def test_folds_that_travel_give_the_same_law(found: Diagnosis) -> None:
+    cloudpickle = pytest.importorskip("cloudpickle", reason="the extra 'cluster' is not installed")
+    sent = []
+
+    def elsewhere(work: Callable[[int], Any], numbers: Iterable[int]) -> list[Any]:
+        """Compute each fold with a copy that arrived as bytes, the last fold first."""
+        order = list(numbers)
+        sent.append(len(order))
+        arrived = {number: cloudpickle.loads(cloudpickle.dumps(work))(number) for number in reversed(order)}
+        return [arrived[number] for number in order]
+
+    there = diagnosed(SIZE, 4, ordered=elsewhere)
+    assert sent and min(sent) > 1
+    assert json.dumps(as_data(there)) == json.dumps(as_data(found))
 
 
 def test_an_interrupted_search_has_the_best_that_it_had_found(found: Diagnosis) -> None:

@@ -6,7 +6,8 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ import pytest
 from places import ROOT
 from tasks.report_uncertainty.jobs import carry_out, write
 
+from metrocli.errors import InputError
 from metrocli.formats import hdf5
 from metrocli.uncertainty import workers
 
@@ -65,6 +67,63 @@ def test_a_cluster_that_loses_all_workers_is_not_waited_for(monkeypatch: pytest.
     monkeypatch.setattr(workers, "PATIENCE_WITH_WORKERS_S", 0.05)
     with pytest.raises(ConnectionError, match="lost all workers"):
         workers.first_finished(Deserted(), {"a future"})
+
+
+class OfAnotherVersion:
+    """A client with a worker that answers with other versions, and one that has just died."""
+
+    def run(self, asked: Callable[[], str], **options: object) -> dict[str, object]:
+        return {"here": asked(), "there": "metrocli 0.0.1 with numpy 1.0 and Python 3.4", "dead": OSError("gone")}
+
+    def wait_for_workers(self, *arguments: object, **options: object) -> None:
+        return None
+
+    def close(self) -> None:
+        return None
+
+
+def test_workers_of_other_versions_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    distributed = pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
+    monkeypatch.setattr(distributed, "Client", lambda *arguments, **options: OfAnotherVersion())
+    with (
+        pytest.raises(InputError, match=r"workers have metrocli 0\.0\.1 with numpy 1\.0 and Python 3\.4, and this is"),
+        workers.cluster("ucx://anywhere"),
+    ):
+        pass
+
+
+class Gone:
+    """A client whose scheduler has ended after the work was sent."""
+
+    status = "closed"
+
+    def scatter(self, work: object, **options: object) -> object:
+        return work
+
+    def nthreads(self) -> dict[str, int]:
+        return {"worker": 1}
+
+    def submit(self, *arguments: object, **options: object) -> str:
+        return "a future"
+
+
+def test_a_cluster_that_ends_in_the_middle_is_an_error_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    distributed = pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
+
+    def never(*arguments: object, **options: object) -> None:
+        raise TimeoutError
+
+    @contextmanager
+    def gone(address: str) -> Iterator[Gone]:
+        yield Gone()
+
+    monkeypatch.setattr(distributed, "wait", never)
+    monkeypatch.setattr(workers, "cluster", gone)
+    with (
+        pytest.raises(InputError, match=r"tcp://there: the cluster has ended \(ConnectionError\); run again"),
+        workers.ordered_on("tcp://there") as ordered,
+    ):
+        list(ordered(abs, [1, 2]))
 
 
 SCHEDULER = ["-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -141,10 +142,12 @@ def _eccentric(settings: ImageSettings, sighted: Sighted, measured: bool) -> boo
     return known and (settings.eccentricity == "correct" or automatic)
 
 
+@lru_cache(maxsize=1)
 def sight(images: ImageSet, pattern: Pattern) -> tuple[Table, tuple[str, ...]]:
     """Find the targets of a pattern in images; return them as a table of observations, with warnings.
 
-    A single dot has another place in each image, so it is named after the image (file name without its ending).
+    A single dot has another place in each image, so it is named after the image (file name without its ending). The
+    last table is kept: other readings of the tables beside the images are tried on the same images many times.
     Raises InputError if no image shows a target.
     """
     names: list[str] = []
