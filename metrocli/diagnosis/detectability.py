@@ -18,7 +18,8 @@ from metrocli.diagnosis.linear.candidates import Alternative, NotTested, thinned
 from metrocli.diagnosis.linear.distributions import noncentrality, single_level
 from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.linear.projection import System
-from metrocli.diagnosis.linear.score_tests import ScoreTests, quadratic
+from metrocli.diagnosis.linear.quadratics import quadratic
+from metrocli.diagnosis.linear.score_tests import ScoreTests
 from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.selection.thresholds import FIRST, WRONG_READING
 from metrocli.effects.effect import Effect

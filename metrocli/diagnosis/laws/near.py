@@ -9,7 +9,8 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.linear.candidates import Alternative
-from metrocli.diagnosis.linear.score_tests import ScoreTests, quadratic
+from metrocli.diagnosis.linear.quadratics import quadratic
+from metrocli.diagnosis.linear.score_tests import ScoreTests
 
 _LEAST, _MOST = 0.9, 2
 """Smallest cosine of an effect that is reported as nearly the law, and the largest number of them"""
