@@ -56,7 +56,7 @@ def hidden_change(
     shown = shown / np.where(reach[:, 0] > 0, reach[:, 0], 1.0)[:, None, None]
     farthest = np.stack([_plausible(family.alternatives[i]) for i in at]) * reach[:, 1, None] * scale
     usual = np.eye(farthest.shape[1]) / farthest[:, :, None] ** 2
-    shift = _shifts(job, system, family.absorbed[:, at])
+    shift = _shifts(job, system, family.absorbed_by(system, at))
     shift = np.where(_is_rounding(system, shift, scale), 0.0, shift) / scale
     turned = np.ascontiguousarray(np.moveaxis(shift, 2, 0))
     squares = np.swapaxes(turned, 2, 3) @ turned

@@ -5,7 +5,7 @@ Method: docs/algorithms/selection-and-levels.md (noise).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -83,7 +83,8 @@ def noisiest_unit(job: AdjustedJob, system: System, fitted: FittedColumns) -> Un
         if redundancy < 1:
             continue
         share = float((fitted.residual[rows] ** 2).sum() / max(fitted.residual @ fitted.residual, 1e-300))
-        log_p = _log_tail(share, *_moments(fitted.dof - PRIOR, redundancy, redundancy - gram.trace + gram.product(gram)))
+        second = redundancy - gram.trace + gram.product(gram)
+        log_p = log_tail_of_share(share, *moments_of_share(fitted.dof - PRIOR, redundancy, second))
         if key == DECLARED_SIGMA:
             log_p = min(log_p, _log_without(system, fitted, rows))
         found.append((log_p, key, name, rows))
@@ -96,7 +97,7 @@ def noisiest_unit(job: AdjustedJob, system: System, fitted: FittedColumns) -> Un
     return None if 1 / _APART < ratio < _APART else Unit(key, name, ratio, log_p + float(np.log(len(units))))
 
 
-def _moments(dof: float, first: float, second: float) -> tuple[float, float]:
+def moments_of_share(dof: float, first: float, second: float) -> tuple[float, float]:
     """Return mean and variance of the share of some rows in the squares of projected white noise.
 
     The residual `r = M z` has a direction that is uniform in `dof` dimensions, where the rows E have the quadratic form
@@ -127,7 +128,7 @@ def _units(job: AdjustedJob, system: System) -> Iterator[tuple[str, str, Mask]]:
         yield DECLARED_SIGMA, group.name, rows
 
 
-def _log_tail(share: float, mean: float, variance: float) -> float:
+def log_tail_of_share(share: float, mean: float, variance: float) -> float:
     """Return ln of twice the smaller tail of a share whose null distribution is the beta distribution of its moments.
 
     The beta distribution is exact where all of the unit's residuals are seen alike (Henshaw 1966 for such ratios).

@@ -29,7 +29,8 @@ def roots(gram: Array, scale: Array) -> Array:
         return np.where(good, 1 / np.sqrt(np.where(good, value, 1.0)), 0.0) / s[:, :, None]
     values, vectors = np.linalg.eigh(gram / (s[:, :, None] * s[:, None, :]))
     good = values > np.maximum(VISIBLE**2, FLAT * values[:, -1:])
-    return np.asarray(vectors * np.where(good, 1 / np.sqrt(np.where(good, values, 1.0)), 0.0)[:, None, :] / s[:, :, None])
+    sizes = np.where(good, 1 / np.sqrt(np.where(good, values, 1.0)), 0.0)
+    return np.asarray(vectors * sizes[:, None, :] / s[:, :, None])
 
 
 def ranks_of(root: Array) -> Array:

@@ -34,10 +34,10 @@ def against(test_set: ScoreTests, family: int, fitted: FittedColumns, named: Nam
 
     With the fit and G, N has the Gram matrix `N'N - N'G (G'G)^+ G'N` and the products `N'r - N'G (G'G)^+ G'r`.
     """
-    columns, scale, gram = test_set.families[family].columns, test_set.scales[family], test_set.left(family, fitted)
+    one = test_set.families[family]
     right = np.concatenate([named.columns, fitted.residual[:, None], named.explained[:, None]], axis=1)
-    products = columns.products(right)
-    root = roots(gram, scale)
+    products = one.columns.products(right)
+    root = roots(test_set.left(family, fitted), one.raw)
     # coordinates of N, of the residual and of v in an orthonormal basis of G
     along = np.swapaxes(root, 1, 2) @ products
     inside, gains = along[:, :, :-2], (along[:, :, -2] ** 2).sum(axis=1)

@@ -51,10 +51,6 @@ class ScoreTests:
 
     system: System
     families: tuple[Family, ...]
-    scales: tuple[Array, ...]
-    """Norms of the whole signatures, by family"""
-    grams: tuple[Array, ...]
-    """`G'G` of each alternative, (alternatives, q, q)"""
     blocks: Array
     """Diagonal block of M for each reading, (readings, d, d); 0 for components that it does not have"""
     places: Index
@@ -109,23 +105,23 @@ class ScoreTests:
 
     def score(self, number: int, fitted: FittedColumns, chosen: Sequence[int] | None = None) -> Score:
         """Return the tests of one family beside the fitted columns; `chosen` limits them to some alternatives."""
-        columns, scale = self.families[number].columns, self.scales[number]
+        columns, scale = self.families[number].columns, self.families[number].raw
         if chosen is None:
             gram = self.left(number, fitted)
         else:
             scale = scale[list(chosen)]
-            gram = self.grams[number][list(chosen)] - _inside(columns, fitted.basis, chosen)
+            gram = self.families[number].gram[list(chosen)] - _inside(columns, fitted.basis, chosen)
         right = columns.products(fitted.residual[:, None], chosen)[:, :, 0]
         gain, rank = quadratic(gram, right, scale)
         return self._scored(gain, rank, fitted)
 
     def left(self, number: int, fitted: FittedColumns) -> Array:
         """Return the Gram matrices of a family without the fitted columns, (alternatives, q, q)."""
-        columns = self.families[number].columns
-        key = number, columns.count
+        family = self.families[number]
+        columns, key = family.columns, (number, family.columns.count)
         if key not in fitted.remembered:
             if fitted.larger is None or fitted.freed is None:
-                left = self.grams[number] - _inside(columns, fitted.basis)
+                left = family.gram - _inside(columns, fitted.basis)
             else:
                 left = self.left(number, fitted.larger) + _inside(columns, fitted.freed)
             fitted.remembered[key] = left
@@ -154,8 +150,8 @@ class ScoreTests:
         if key not in self.remembered:
             basis = _unit(self.visible(family, number))
             self.remembered[key] = tuple(
-                np.zeros(len(f.alternatives), dtype=bool) if f.unknown else lies_in(f.columns, gram, basis)
-                for f, gram in zip(self.families, self.grams, strict=True)
+                np.zeros(len(f.alternatives), dtype=bool) if f.unknown else lies_in(f.columns, f.gram, basis)
+                for f in self.families
             )
         return self.remembered[key]
 
@@ -168,7 +164,7 @@ class ScoreTests:
         found = []
         for i, smooth in enumerate(self.families):
             if smooth.unknown:
-                inside, _ = quadratic_of(self.grams[i], smooth.columns.products(effect), self.scales[i])
+                inside, _ = quadratic_of(smooth.gram, smooth.columns.products(effect), smooth.raw)
                 found += [(i, int(at)) for at in np.flatnonzero(inside > least)]
         return found
 

@@ -82,7 +82,7 @@ def _named(selection: Selection, one: Chosen, level: float) -> NamedEffect:
     fitted, full = selection.beside(one), selection.fitted(without=selection.around(one))
     alternative = selection.test_set.families[one.family].alternatives[one.number]
     left = one.columns - fitted.basis @ (fitted.basis.T @ one.columns)
-    whole = selection.test_set.scales[one.family][one.number]
+    whole = selection.test_set.families[one.family].raw[one.number]
     seen, apart = determined(left, whole), _apart(left, whole)
     left = np.where(seen, left, 0.0)
     # unit columns before the inverse: parameters may differ in units by many powers of ten
@@ -127,7 +127,7 @@ def _rivals(selection: Selection, one: Chosen, fitted: FittedColumns, explained:
     score = test_set.score(one.family, fitted, [one.number])
     mine = float(evidence(test_set, fitted, one.family, score)[0])
     full = selection.fitted(without=selection.around(one))
-    named = Named(fitted.beside(one.columns), test_set.scales[one.family][one.number], explained)
+    named = Named(fitted.beside(one.columns), test_set.families[one.family].raw[one.number], explained)
     best: dict[tuple[str, tuple[str, ...]], Rival] = {}
     there = [other for other in selection.named if other is not one]
     others = {test_set.families[other.family].alternatives[other.number].spot for other in there}
