@@ -122,10 +122,9 @@ class Columns:
 
     def at(self, rows: Mask) -> Columns:
         """Return the columns at some rows only, which keep their numbers."""
-        parts = ((part, rows[part.rows]) for part in self.parts)
-        return replace(
-            self, parts=tuple(Part(part.rows[there], part.values[there], part.numbers) for part, there in parts)
-        )
+        parts = [(part, rows[part.rows]) for part in self.parts]
+        cut = (Part(part.rows[there], part.values[there], part.numbers) for part, there in parts if there.any())
+        return replace(self, parts=tuple(cut))
 
     def _at(self, part: Part, chosen: slice | Index) -> Array:
         """Return the columns of some alternatives of a part, (r, alternatives, parameters)."""

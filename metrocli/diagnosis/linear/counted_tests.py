@@ -21,7 +21,7 @@ from metrocli.diagnosis.linear.score_tests import ScoreTests
 
 _DRAWS = 1000
 _MOST_WORK = 4e9
-_MOST_AT_ONCE = 20_000_000
+_MOST_AT_ONCE = 4_000_000
 """Largest number of elements of the noise that is drawn at once"""
 _REDUNDANT = 1e-3
 """Smallest redundancy of a reading that can be named an outlier"""
