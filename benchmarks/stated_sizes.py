@@ -71,7 +71,7 @@ def outcome(kind: str, number: int) -> Outcome:
     forms = [a for a in forms if a.effect.by == candidate.alternative.effect.by]
     form = forms[int(rng.integers(len(forms)))]
     at, count = family.alternatives.index(form), len(form.parameters)
-    rank = int(quadratic(tests.grams[candidate.family][[at]], np.zeros((1, count)), family.raw[[at]])[1][0])
+    rank = int(quadratic(family.gram[[at]], np.zeros((1, count)), family.raw[[at]])[1][0])
     direction = rng.normal(size=count)
     direction /= np.linalg.norm(direction)
 

@@ -49,9 +49,9 @@ def size_separated(visible: Array, other: Array, wanted: float) -> float:
     """
     from scipy.special import ndtr
 
-    changes = visible @ directions(visible.shape[1]).T
-    squares = (changes**2).sum(axis=0)
-    imitated = ((other.T @ changes) ** 2).sum(axis=0)
+    towards = directions(visible.shape[1])
+    squares = np.einsum("da,ab,db->d", towards, visible.T @ visible, towards)
+    imitated = ((other.T @ visible @ towards.T) ** 2).sum(axis=0)
     cosine = np.sqrt(np.minimum(imitated / np.maximum(squares, _NOTHING), 1.0))
     strengths = np.sqrt(squares * np.maximum(1 - cosine, _NOTHING) / 2)
     return _size(lambda size: float(ndtr(size * strengths).mean()), wanted, 1 / float(strengths.max()))

@@ -18,7 +18,8 @@ from metrocli.diagnosis.linear.candidates import Alternative, NotTested, thinned
 from metrocli.diagnosis.linear.distributions import noncentrality, single_level
 from metrocli.diagnosis.linear.linearised import linearised
 from metrocli.diagnosis.linear.projection import System
-from metrocli.diagnosis.linear.score_tests import ScoreTests, quadratic
+from metrocli.diagnosis.linear.quadratics import ranks_of, roots
+from metrocli.diagnosis.linear.score_tests import ScoreTests
 from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.selection.thresholds import FIRST, WRONG_READING
 from metrocli.effects.effect import Effect
@@ -170,22 +171,23 @@ def _spots(test_set: ScoreTests) -> Iterable[tuple[int, Sequence[int]]]:
 
 
 def _candidate(job: AdjustedJob, test_set: ScoreTests, family: int, chosen: Sequence[int], noise: float) -> Candidate:
-    parameters, gram = test_set.families[family].columns.parameters, test_set.grams[family]
-    _, ranks = quadratic(gram[list(chosen)], np.zeros((len(chosen), parameters)), test_set.scales[family][list(chosen)])
+    own = test_set.families[family]
+    gram = own.gram
+    ranks = ranks_of(roots(gram[list(chosen)], own.raw[list(chosen)]))
     traces = np.where(ranks > 0, np.einsum("kqq->k", gram[list(chosen)]), 0.0)
     order = np.argsort(traces, kind="stable")
     at = chosen[int(order[len(order) // 2])]
     rank = int(ranks[order[len(order) // 2]])
-    alternative = test_set.families[family].alternatives[at]
-    raw = test_set.scales[family][at]
+    alternative = own.alternatives[at]
+    raw = own.raw[at]
     visible = float(np.sqrt(np.mean(np.diag(gram[at]) / np.where(raw > 0, raw, 1.0) ** 2)))
     size = _size_found(test_set, family, chosen, ranks, alternative) * noise if rank else float("inf")
     power = {int(q): needed(test_set, family, int(q), POWER) * noise**2 if q else 0.0 for q in np.unique(ranks)}
     # where even usual sizes stay unseen, the change is that of the size found with 95 % power
     unseen = size * np.sqrt(power[rank] / needed(test_set, family, rank)) / noise if rank else 0.0
-    farthest = np.sqrt(parameters) * max(1.0, unseen / alternative.effect.plausible)
+    farthest = np.sqrt(own.columns.parameters) * max(1.0, unseen / alternative.effect.plausible)
     reach = np.array([(power[q], farthest) for q in ranks.tolist()])
-    hides = hidden_change(job, test_set.system, test_set.families[family], chosen, gram, reach)
+    hides = hidden_change(job, test_set.system, own, chosen, gram, reach)
     absorbers = () if rank else _absorbers(test_set.system, _full(job, test_set.system, alternative))
     return Candidate(alternative, family, at, visible, size, hides, absorbers)
 
@@ -200,7 +202,7 @@ def _size_found(test_set: ScoreTests, family: int, chosen: Sequence[int], ranks:
     own = (median.effect.by, median.parameters)
     forms = [i for i, at in enumerate(chosen) if (alternatives[at].effect.by, alternatives[at].parameters) == own]
     shown = thinned(np.array([i for i in forms if ranks[i] > 0]), _FORMS)
-    grams = test_set.grams[family][np.array(chosen)[shown]]
+    grams = test_set.families[family].gram[np.array(chosen)[shown]]
     return size_found(grams, ranks[shown], _level(test_set, family), test_set.system.dof, _POWER)
 
 

@@ -250,7 +250,7 @@ def _search_with_weights(job: AdjustedJob, rng: np.random.Generator, earlier: Sc
             selection = search(tests, nothing_fitted(tests.system))
             # next to a dominant effect other structure is not searched for yet, and would count as noise
             searching_on = last or has_dominant_effect(selection)
-            unit = None if searching_on else noisiest_unit(job, tests.system, selection.fitted(), rng)
+            unit = None if searching_on else noisiest_unit(job, tests.system, selection.fitted())
         if unit is None:
             break
         weights, units = reweighted(job, weights, unit), (*units, unit)
@@ -258,12 +258,9 @@ def _search_with_weights(job: AdjustedJob, rng: np.random.Generator, earlier: Sc
 
 
 def _sigma_first(job: AdjustedJob, test_set: ScoreTests) -> Unit | None:
-    """Return the prior values whose stated sigma is wrong, if that explains the residuals better than any cause.
-
-    The test uses random draws of its own, so that the levels of a job without prior values do not depend on it.
-    """
+    """Return the prior values whose stated sigma is wrong, if that explains the residuals better than any cause."""
     fitted = nothing_fitted(test_set.system)
-    unit = noisiest_unit(job, test_set.system, fitted, np.random.default_rng(_SEED))
+    unit = noisiest_unit(job, test_set.system, fitted)
     if unit is None or unit.key != DECLARED_SIGMA or unit.ratio < 1:
         return None
     return unit if unit.log_level < log_level_of_strongest(test_set, fitted) else None

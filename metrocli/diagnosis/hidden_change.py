@@ -56,20 +56,16 @@ def hidden_change(
     shown = shown / np.where(reach[:, 0] > 0, reach[:, 0], 1.0)[:, None, None]
     farthest = np.stack([_plausible(family.alternatives[i]) for i in at]) * reach[:, 1, None] * scale
     usual = np.eye(farthest.shape[1]) / farthest[:, :, None] ** 2
-    shift = _shifts(job, system, family.absorbed[:, at])
+    shift = _shifts(job, system, family.absorbed_by(system, at))
     shift = np.where(_is_rounding(system, shift, scale), 0.0, shift) / scale
     turned = np.ascontiguousarray(np.moveaxis(shift, 2, 0))
     squares = np.swapaxes(turned, 2, 3) @ turned
     narrow = seen.all(axis=1) & (np.linalg.eigvalsh(shown - usual) >= 0).all(axis=1)
-    changes, members = np.zeros(len(at)), np.zeros(len(at), dtype=np.intp)
-    changes[narrow], members[narrow] = _largest(squares[narrow], shown[narrow])
+    best = _largest(squares[narrow], shown[narrow][None])
     if not narrow.all():
-        wide = [(w * shown + (1 - w) * usual)[~narrow] for w in _WEIGHTS]
-        bounds = [_largest(squares[~narrow], bound) for bound in wide]
-        found = np.argmin([change for change, _ in bounds], axis=0), np.arange(int((~narrow).sum()))
-        changes[~narrow] = np.stack([change for change, _ in bounds])[found]
-        members[~narrow] = np.stack([member for _, member in bounds])[found]
-    return _at_member(job, changes, members)
+        wide = np.stack([(w * shown + (1 - w) * usual)[~narrow] for w in _WEIGHTS])
+        best = max(best, _largest(squares[~narrow], wide, best[0]))
+    return _at_member(job, *best)
 
 
 def hidden_by_readings(job: AdjustedJob, system: System, rows: Index, errors: Array) -> HiddenChange:
@@ -77,8 +73,9 @@ def hidden_by_readings(job: AdjustedJob, system: System, rows: Index, errors: Ar
     if len(rows) * system.layout.width > _MOST_NUMBERS and system.is_local(job.delivered.block):
         return _of_own_members(job, system, rows, errors)
     moved = _shifts(job, system, system.basis.rows(rows).T[:, :, None] * errors[:, None])
-    squares = np.moveaxis((moved**2).sum(axis=1), 1, 0)[:, :, :, None]
-    return _at_member(job, *_largest(squares, np.ones((len(rows), 1, 1))))
+    squares = (moved**2).sum(axis=1)
+    at = np.unravel_index(int(np.argmax(squares)), squares.shape) if squares.size else (0, 0)
+    return _at_member(job, float(np.sqrt(squares[at])) if squares.size else 0.0, int(at[0]))
 
 
 def _of_own_members(job: AdjustedJob, system: System, rows: Index, errors: Array) -> HiddenChange:
@@ -115,35 +112,52 @@ def _is_rounding(system: System, shift: Array, scale: Array) -> Array:
     return np.asarray(np.linalg.norm(shift, axis=(0, 1)) < _NOTHING * typical * scale)
 
 
-def _largest(squares: Array, bound: Array) -> tuple[Array, Index]:
-    """Return the largest length of `S_m theta` over `theta' B theta < 1` of each alternative, and its member m.
+def _largest(squares: Array, bounds: Array, least: float = 0.0) -> tuple[float, int]:
+    """Return the largest over all alternatives, and its member, of the length that each bound allows at most.
 
-    It is the root of the largest eigenvalue of `S_m'S_m B^-1`, for `squares` S'S (alternatives, members, q, q) and B
-    (alternatives, q, q). The trace is no less, so only members whose trace exceeds the best eigenvalue need theirs.
+    `S_m theta` over `theta' B theta < 1` has as its largest length the root of the largest eigenvalue of
+    `S_m'S_m B^-1`, for `squares` S'S (alternatives, members, q, q) and `bounds` B (bounds, alternatives, q, q). The
+    trace is no less. So eigenvalues are needed only for members, bounds and alternatives whose traces exceed the
+    largest length that is known. An alternative that allows no more than `least` is not looked at.
     """
     k, m, q, _ = squares.shape
-    values, vectors = np.linalg.eigh(bound)
-    root = vectors / np.sqrt(values)[:, None, :]
-    inverse = root @ np.swapaxes(root, 1, 2)
-    traces = (squares.reshape(k, m, q * q) @ inverse.reshape(k, q * q, 1))[:, :, 0]
-    at, best = np.arange(k), np.argmax(traces, axis=1)
-    eigenvalues = np.zeros((k, m))
-    eigenvalues[at, best] = _eigenvalues(squares[at, best], root)
-    more, members = np.nonzero(traces > eigenvalues[at, best][:, None])
-    eigenvalues[more, members] = _eigenvalues(squares[more, members], root[more])
-    best = np.argmax(eigenvalues, axis=1)
-    return np.sqrt(np.maximum(eigenvalues[at, best], 0.0)), best
+    values, vectors = np.linalg.eigh(bounds)
+    root = vectors / np.sqrt(values)[..., None, :]
+    inverse = root @ np.swapaxes(root, -1, -2)
+    traces = np.stack([(squares.reshape(k, m, q * q) @ one.reshape(k, q * q, 1))[:, :, 0] for one in inverse])
+    highest = traces.max(axis=2, initial=0.0)
+    at_most = highest.min(axis=0)
+    best = least**2, 0
+    for at in np.argsort(-at_most).tolist():
+        if at_most[at] <= best[0]:
+            break
+        lowest = np.inf, 0
+        for w in np.argsort(highest[:, at]).tolist():
+            # an eigenvalue is at least the mean of all
+            if lowest[0] > best[0] and highest[w, at] / q < lowest[0]:
+                lowest = min(lowest, _of_members(squares[at], traces[w, at], root[w, at]))
+        best = max(best, lowest)
+    return float(np.sqrt(best[0])), best[1]
+
+
+def _of_members(squares: Array, traces: Array, root: Array) -> tuple[float, int]:
+    """Return the largest eigenvalue of `root' S'S root` over all members, and its member."""
+    first = int(np.argmax(traces))
+    least = _eigenvalues(squares[[first]], root)[0]
+    more = np.flatnonzero(traces > least)
+    values = np.append(_eigenvalues(squares[more], root), least)
+    best = int(np.argmax(values))
+    return float(values[best]), int(np.append(more, first)[best])
 
 
 def _eigenvalues(squares: Array, root: Array) -> Array:
     """Return the largest eigenvalue of `root' squares root` of each, (n,)."""
-    return np.asarray(np.linalg.eigvalsh(np.swapaxes(root, 1, 2) @ squares @ root)[:, -1])
+    return np.asarray(np.linalg.eigvalsh(root.T @ squares @ root)[:, -1])
 
 
-def _at_member(job: AdjustedJob, changes: Array, members: Index) -> HiddenChange:
-    """Return the largest of the changes with the name of its member."""
-    if changes.max(initial=0.0) == 0:
+def _at_member(job: AdjustedJob, change: float, member: int) -> HiddenChange:
+    """Return a change with the name of its member."""
+    if change == 0:
         return HiddenChange(0.0)
-    best = int(np.argmax(changes))
     names = [name for block in job.delivered.blocks for name in job.model.blocks[block].members]
-    return HiddenChange(float(changes[best]), names[int(members[best])])
+    return HiddenChange(change, names[member])

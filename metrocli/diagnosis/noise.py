@@ -5,7 +5,7 @@ Method: docs/algorithms/selection-and-levels.md (noise).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,10 +19,6 @@ from metrocli.diagnosis.linear.projection import System
 
 _LEVEL = 1e-3
 """Level at which a unit counts as noisier or quieter, divided by the number of units"""
-_MOST_AT_ONCE = 20_000_000
-"""Largest number of elements of the noise that is drawn at once"""
-_DRAWS = 400
-"""Draws of white noise for the null distribution of a unit's share of the squares"""
 _APART = 1.4
 """Ratio of standard deviations below which a unit's weight is not changed"""
 DECLARED_SIGMA = "given"
@@ -69,24 +65,26 @@ def noise_of(fitted: FittedColumns) -> Noise:
     return Noise(float(np.sqrt(squares / dof)), low, high, dof)
 
 
-def noisiest_unit(job: AdjustedJob, system: System, fitted: FittedColumns, rng: np.random.Generator) -> Unit | None:
+def noisiest_unit(job: AdjustedJob, system: System, fitted: FittedColumns) -> Unit | None:
     """Return the unit whose noise differs most from that of the others, None if the difference may be chance.
 
-    The score test of its variance compares `|r_u|^2 / |r|^2` with its null distribution: a scaled chi-squared that has
-    the moments found from projected white noise. For prior values there is also an F test with and without them. The
+    The score test of its variance compares `|r_u|^2 / |r|^2` with its null distribution: the beta distribution that has
+    the moments of this share in white noise. For prior values there is also an F test with and without them. The
     ratio follows by equating sums of squares to their expectations (MINQUE, Rao 1971).
     """
     units = list(_units(job, system))
     if len(units) < 2:
         return None
-    # residuals of different units are correlated by the unknowns, so no table of the F distribution applies
-    drawn = _shares(system, fitted, [rows for _, _, rows in units], rng)
+    taken = system.basis.with_shared(fitted.basis)
     found = []
-    for (key, name, rows), shares in zip(units, drawn, strict=True):
-        if rows.sum() - system.basis.squares(rows).sum() - (fitted.basis[rows] ** 2).sum() < 1:
+    for key, name, rows in units:
+        gram = taken.part(rows)
+        redundancy = float(rows.sum()) - gram.trace
+        if redundancy < 1:
             continue
         share = float((fitted.residual[rows] ** 2).sum() / max(fitted.residual @ fitted.residual, 1e-300))
-        log_p = _log_tail(share, shares)
+        second = redundancy - gram.trace + gram.product(gram)
+        log_p = log_tail_of_share(share, *moments_of_share(fitted.dof - PRIOR, redundancy, second))
         if key == DECLARED_SIGMA:
             log_p = min(log_p, _log_without(system, fitted, rows))
         found.append((log_p, key, name, rows))
@@ -99,15 +97,15 @@ def noisiest_unit(job: AdjustedJob, system: System, fitted: FittedColumns, rng: 
     return None if 1 / _APART < ratio < _APART else Unit(key, name, ratio, log_p + float(np.log(len(units))))
 
 
-def _shares(system: System, fitted: FittedColumns, units: Sequence[Mask], rng: np.random.Generator) -> Array:
-    """Return the share of each unit in the squares of projected white noise, (units, draws)."""
-    found = []
-    together = int(np.clip(_MOST_AT_ONCE // system.rows, 1, _DRAWS))
-    for start in range(0, _DRAWS, together):
-        noise = system.seen(rng.normal(size=(system.rows, min(together, _DRAWS - start))))
-        squares = (noise - fitted.basis @ (fitted.basis.T @ noise)) ** 2
-        found.append(np.stack([squares[rows].sum(axis=0) for rows in units]) / squares.sum(axis=0))
-    return np.concatenate(found, axis=1)
+def moments_of_share(dof: float, first: float, second: float) -> tuple[float, float]:
+    """Return mean and variance of the share of some rows in the squares of projected white noise.
+
+    The residual `r = M z` has a direction that is uniform in `dof` dimensions, where the rows E have the quadratic form
+    `A = MEM`. The share then has the mean `tr A / dof` and the variance `2 (dof tr A^2 - (tr A)^2) / (dof^2 (dof + 2))`
+    (moments of a ratio of quadratic forms, Pitman 1937). `first` is `tr A`, `second` is `tr A^2`.
+    """
+    variance = 2 * max(dof * second - first**2, 0.0) / (dof**2 * (dof + 2))
+    return first / dof, variance
 
 
 def _units(job: AdjustedJob, system: System) -> Iterator[tuple[str, str, Mask]]:
@@ -130,13 +128,16 @@ def _units(job: AdjustedJob, system: System) -> Iterator[tuple[str, str, Mask]]:
         yield DECLARED_SIGMA, group.name, rows
 
 
-def _log_tail(share: float, shares: Array) -> float:
-    """Return ln of twice the smaller tail of a share whose null distribution is a scaled chi-squared."""
-    from scipy.special import chdtr, chdtrc
+def log_tail_of_share(share: float, mean: float, variance: float) -> float:
+    """Return ln of twice the smaller tail of a share whose null distribution is the beta distribution of its moments.
 
-    mean, variance = float(shares.mean()), max(float(shares.var()), 1e-300)
-    scale, dof = variance / (2 * mean), 2 * mean**2 / variance
-    tail = min(float(chdtr(dof, share / scale)), float(chdtrc(dof, share / scale)))
+    The beta distribution is exact where all of the unit's residuals are seen alike (Henshaw 1966 for such ratios).
+    """
+    from scipy.special import betainc, betaincc
+
+    spread = max(mean * (1 - mean) / max(variance, 1e-300) - 1, 1e-12)
+    a, b = mean * spread, (1 - mean) * spread
+    tail = min(float(betainc(a, b, share)), float(betaincc(a, b, share)))
     return float(np.log(max(2 * tail, 1e-300)))
 
 

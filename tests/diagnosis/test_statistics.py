@@ -303,7 +303,7 @@ def test_a_noisier_tracer_is_found(noisier: bool) -> None:
         m = lengths.noisier(m, rng) if noisier else m
         one = m.adjusted()
         system: System = linearised(one.model)
-        found.append(noisiest_unit(one, system, nothing_fitted(system), rng))
+        found.append(noisiest_unit(one, system, nothing_fitted(system)))
     assert sum(unit is not None for unit in found) == (6 if noisier else 0)
     assert all(2 < unit.ratio < 4.5 for unit in found if unit is not None)
 

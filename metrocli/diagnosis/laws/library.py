@@ -126,12 +126,7 @@ class Library:
         self.terms.append(tuple(terms))
         columns = Columns(len(terms), factors, tuple(parts))
         alternatives = tuple(Alternative(_EFFECT, (str(number),)) for number in range(len(terms)))
-        return Family(kind, alternatives, columns, columns.norms(), np.zeros((0, len(terms), factors)))
-
-    @cached_property
-    def grams(self) -> tuple[Array, ...]:
-        """The products of the visible columns of each alternative with one another, for each family."""
-        return tuple(family.columns.grams(self.system.basis) for family in self.families)
+        return Family(kind, alternatives, columns, columns.norms(), columns.grams(self.system.basis))
 
     def columns(self, term: Term) -> Array:
         """Return the whitened columns of a term, (rows, factors)."""

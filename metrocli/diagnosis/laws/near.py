@@ -9,7 +9,8 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.linear.candidates import Alternative
-from metrocli.diagnosis.linear.score_tests import ScoreTests, quadratic
+from metrocli.diagnosis.linear.quadratics import quadratic
+from metrocli.diagnosis.linear.score_tests import ScoreTests
 
 _LEAST, _MOST = 0.9, 2
 """Smallest cosine of an effect that is reported as nearly the law, and the largest number of them"""
@@ -21,10 +22,10 @@ def near_effects(tests: ScoreTests, shown: Array) -> tuple[tuple[Alternative, fl
     Each is at its best place and with its best scanned values; the nearest comes first.
     """
     size, found = float(shown @ shown), dict[str, tuple[Alternative, float]]()
-    for family, gram, scale in zip(tests.families, tests.grams, tests.scales, strict=True):
+    for family in tests.families:
         if family.unknown:
             continue
-        inside, _ = quadratic(gram, family.columns.products(shown[:, None])[:, :, 0], scale)
+        inside, _ = quadratic(family.gram, family.columns.products(shown[:, None])[:, :, 0], family.raw)
         best = int(np.argmax(inside))
         cosine = float(np.sqrt(min(inside[best] / max(size, 1e-300), 1.0)))
         before = found[family.name][1] if family.name in found else _LEAST

@@ -18,7 +18,8 @@ from metrocli.diagnosis.linear.columns import Columns
 from metrocli.diagnosis.linear.counted_tests import score_tests_of
 from metrocli.diagnosis.linear.distributions import log_tail
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns, nothing_fitted
-from metrocli.diagnosis.linear.score_tests import ScoreTests, grams_of, quadratic
+from metrocli.diagnosis.linear.quadratics import grams_of, quadratic
+from metrocli.diagnosis.linear.score_tests import ScoreTests
 from metrocli.diagnosis.selection.selection_state import Selection
 from metrocli.effects.effect import Effect, Parameter
 
@@ -50,14 +51,13 @@ def tests_of_terms(selection: Selection, library: Library) -> tuple[ScoreTests, 
     named = [one.columns for one in selection.chosen if id(one) not in unknown]
     columns = np.concatenate([*named, np.zeros((system.rows, 0))], axis=1)
     effect = Effect("named", "", (Parameter("size"),))
+    single = Columns.of(columns[:, None])
     raw = np.ones((1, columns.shape[1]))
-    kept = Family("named", (Alternative(effect, ()),), Columns.of(columns[:, None]), raw, columns[:0, None])
+    kept = Family("named", (Alternative(effect, ()),), single, raw, single.grams(system.basis))
     tests = score_tests_of(system, library.families, np.random.default_rng(_SEED))
     tests = replace(
         tests,
         families=(kept, *tests.families),
-        scales=(kept.raw, *tests.scales),
-        grams=(kept.columns.grams(system.basis), *tests.grams),
         tests=(1.0, *tests.tests),
         budget=selection.test_set.budget,
     )
@@ -67,9 +67,7 @@ def tests_of_terms(selection: Selection, library: Library) -> tuple[ScoreTests, 
 def plain_tests(selection: Selection, library: Library) -> tuple[FittedColumns, ScoreTests]:
     """Return the fit of what was named, and tests of the terms without the exact count of them."""
     fitted = replace(selection.fitted(without=selection.unknown), larger=None, freed=None, remembered={})
-    families, scales = library.families, tuple(family.raw for family in library.families)
-    tests = replace(selection.test_set, families=families, scales=scales, grams=library.grams, remembered={})
-    return fitted, tests
+    return fitted, replace(selection.test_set, families=library.families, remembered={})
 
 
 def start_of(tests: ScoreTests, fitted: FittedColumns) -> FittedColumns:

@@ -5,14 +5,14 @@ Method: docs/algorithms/selection-and-levels.md.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from itertools import chain, product
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import product
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array, Block
-from metrocli.adjust.model.observations import Index, Mask
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.linear.columns import Columns, gathered, joined
 from metrocli.diagnosis.linear.projection import VISIBLE, System
@@ -29,8 +29,6 @@ _MOST_SCANNED, _FEWEST_SCANNED = 20_000_000, 8
 
 The best value is refined between its neighbours, so a coarse scan finds the same value.
 """
-_AT_ONCE = 64
-"""Columns that are projected at once"""
 
 
 @dataclass(frozen=True)
@@ -85,10 +83,20 @@ class Family:
     """The whitened signatures"""
     raw: Array
     """Norm of each whole whitened signature, (alternatives, parameters)"""
-    absorbed: Array
-    """Coordinates of the rest of the signatures in the basis of the unknowns, (unknowns, alternatives, parameters)"""
+    gram: Array
+    """`G'MG` of each alternative, (alternatives, parameters, parameters)"""
     unknown: str = ""
     """Covariate of a family of smooth functions, whose cause is not known; "" for effects"""
+    absorbed: Mapping[int, Array] = field(default_factory=dict)
+    """Coordinates (unknowns, parameters) of what the unknowns absorb of alternatives stored by their visible parts"""
+
+    def absorbed_by(self, system: System, chosen: Sequence[int]) -> Array:
+        """Return the coordinates of what the unknowns absorb of some alternatives, (unknowns, chosen, parameters)."""
+        found = system.basis.coordinates(self.columns.whole(chosen, system.rows))
+        for at, number in enumerate(chosen):
+            if number in self.absorbed:
+                found[:, at] = self.absorbed[number]
+        return found
 
 
 @dataclass(frozen=True)
@@ -121,12 +129,18 @@ def families_of(job: AdjustedJob, system: System) -> tuple[list[Family], list[No
 def _joined(parts: Sequence[Family]) -> Family:
     if len(parts) == 1:
         return parts[0]
+    firsts = np.cumsum([0, *(part.columns.count for part in parts)])
     return Family(
         parts[0].name,
         tuple(one for part in parts for one in part.alternatives),
         joined([part.columns for part in parts]),
-        np.concatenate([part.raw for part in parts], axis=0),
-        np.concatenate([part.absorbed for part in parts], axis=1),
+        np.concatenate([part.raw for part in parts]),
+        np.concatenate([part.gram for part in parts]),
+        absorbed={
+            first + number: inside
+            for first, part in zip(firsts.tolist(), parts, strict=False)
+            for number, inside in part.absorbed.items()
+        },
     )
 
 
@@ -152,41 +166,56 @@ def _of_effect(job: AdjustedJob, system: System, effect: Effect) -> Iterator[Fam
     places = _absent(job.model, effect)
     together = bool(effect.keys) and all(job.model.places[key].index for key in effect.keys)
     for chosen in [places] if together else [[place] for place in places]:
-        if not chosen:
-            continue
-        kept = _informative(list(_columns(job, system, effect, chosen)))
         by_size: dict[int, list[_Columns]] = {}
-        for item in kept:
-            by_size.setdefault(item.raw.shape[0], []).append(item)
+        for item in _columns(job, system, effect, chosen) if chosen else ():
+            by_size.setdefault(item.values.shape[1], []).append(item)
         for items in by_size.values():
-            columns = gathered((item.alternative.instance, item.rows, item.values) for item in items)
-            absorbed = np.stack([item.absorbed for item in items], axis=1)
-            raw = np.stack([item.raw for item in items])
-            yield Family(effect.name, tuple(item.alternative for item in items), columns, raw, absorbed)
+            yield _family(system, items)
+
+
+def _family(system: System, items: Sequence[_Columns]) -> Family:
+    """Return the family of some alternatives: whole columns, or their visible parts where these are small.
+
+    `|g|^2 - |b'g|^2` keeps few digits of a small difference, so such a part is projected. Columns that are not visible
+    are left out. So are scan values whose signature the unknowns absorb, if other values are visible at the same place:
+    the time of a step that lies before all affected readings is such a value.
+    """
+    columns = _gathered(items)
+    raw = columns.norms()
+    shown = np.einsum("kqq->kq", columns.grams(system.basis)) / np.where(raw > 0, raw, 1.0) ** 2
+    visible = ~(shown < VISIBLE**2).all(axis=1)
+    changed = ~visible | (shown < _SMALL).any(axis=1)
+    found, absorbed = list(items), dict[int, Array]()
+    for number in np.flatnonzero(changed).tolist():
+        seen, absorbed[number] = system.split(columns.whole([number], system.rows)[:, 0])
+        rows = np.flatnonzero(seen.any(axis=1)) if visible[number] else np.zeros(0, dtype=np.intp)
+        found[number] = replace(found[number], rows=rows, values=seen[rows])
+        visible[number] = len(rows) > 0
+    somewhere = {items[number].alternative.instance for number in np.flatnonzero(visible)}
+    kept = [i for i, item in enumerate(items) if visible[i] or item.alternative.instance not in somewhere]
+    if changed.any():
+        columns = _gathered([found[number] for number in kept])
+    return Family(
+        items[0].alternative.effect.name,
+        tuple(items[number].alternative for number in kept),
+        columns,
+        raw[kept],
+        columns.grams(system.basis),
+        absorbed={at: absorbed[number] for at, number in enumerate(kept) if number in absorbed},
+    )
+
+
+def _gathered(items: Sequence[_Columns]) -> Columns:
+    return gathered((item.alternative.instance, item.rows, item.values) for item in items)
 
 
 @dataclass(frozen=True)
 class _Columns:
-    """One alternative: its columns at the rows that they change, their norms, and coordinates of what is absorbed."""
+    """One alternative with its columns at the rows that they change."""
 
     alternative: Alternative
     rows: Index
     values: Array
-    raw: Array
-    absorbed: Array
-    visible: bool
-
-
-def _informative(items: Sequence[_Columns]) -> list[_Columns]:
-    """Return the items without scan values whose signature the unknowns absorb, if other values are visible.
-
-    Such a value is the time of a step that lies before all affected readings.
-    """
-    seen = [item.visible for item in items]
-    somewhere = {item.alternative.instance for item, visible in zip(items, seen, strict=True) if visible}
-    return [
-        item for item, visible in zip(items, seen, strict=True) if visible or item.alternative.instance not in somewhere
-    ]
 
 
 def _absent(model: Model, effect: Effect) -> list[tuple[str, ...]]:
@@ -225,11 +254,11 @@ def thinned(values: Array, most: int) -> Array:
 def _columns(job: AdjustedJob, system: System, effect: Effect, places: Sequence[tuple[str, ...]]) -> Iterator[_Columns]:
     """Yield for each place and scan the columns of its parameters."""
     scans = [dict(one) for one in _scans(job.model, effect, system.rows)]
-    found = zip(scans, scan(job.model, system, effect, places, scans) if scans else (), strict=True)
-    for scanned, full, block, chosen, inside in _split(system, found):
+    found = scan(job.model, system, effect, places, scans) if scans else ()
+    for scanned, (full, block, chosen) in zip(scans, found, strict=True):
         member, column = np.nonzero(chosen)
         before = job.model.blocks.get(block.name)
-        for number, place in enumerate(places):
+        for number, place in enumerate(places if chosen.any() else ()):
             own = member == (number + 1 if len(block.members) > 1 and before is None else _row(block.members, place))
             if not own.any():
                 own = np.ones(len(member), dtype=bool) if len(places) == 1 else own
@@ -238,41 +267,7 @@ def _columns(job: AdjustedJob, system: System, effect: Effect, places: Sequence[
                 names = tuple(block.columns[i] for i in column[own])
                 named = _scanned_places(job.model, effect, scanned)
                 alternative = Alternative(effect, place, tuple(scanned.items()), names, named)
-                yield _visible(system, alternative, touched, full[:, own], inside[:, own])
-
-
-def _visible(system: System, alternative: Alternative, touched: Index, full: Array, inside: Array) -> _Columns:
-    """Return an alternative with its whole columns, or with their visible parts where these are small.
-
-    `|g|^2 - |b'g|^2` keeps few digits of a small difference, so such a part is projected. Columns that are not visible
-    are left out.
-    """
-    raw = np.linalg.norm(full[touched], axis=0)
-    shown = raw**2 - (inside**2).sum(axis=0)
-    if (shown < VISIBLE**2 * raw**2).all():
-        touched = touched[:0]
-    elif (shown < _SMALL * raw**2).any():
-        full = system.seen(full)
-        touched = np.flatnonzero(full.any(axis=1))
-    return _Columns(alternative, touched, full[touched], raw, inside, bool(len(touched)))
-
-
-def _split(
-    system: System, found: Iterable[tuple[dict[str, float], tuple[Array, Block, Mask]]]
-) -> Iterator[tuple[dict[str, float], Array, Block, Mask, Array]]:
-    """Yield columns with the coordinates of what the unknowns absorb of them, computed many at a time."""
-    held: list[tuple[dict[str, float], tuple[Array, Block, Mask]]] = []
-    for one in chain(found, [None]):
-        if one is not None and one[1][2].any():
-            held.append(one)
-        if held and (one is None or sum(full.shape[1] for _, (full, _, _) in held) >= _AT_ONCE):
-            inside = system.basis.coordinates(np.concatenate([full for _, (full, _, _) in held], axis=1))
-            place = 0
-            for scanned, (full, block, chosen) in held:
-                own = slice(place, place + full.shape[1])
-                place = own.stop
-                yield scanned, full, block, chosen, inside[:, own]
-            held = []
+                yield _Columns(alternative, touched, full[np.ix_(touched, own)])
 
 
 def _scanned_places(model: Model, effect: Effect, scanned: Mapping[str, float]) -> tuple[tuple[str, str], ...]:

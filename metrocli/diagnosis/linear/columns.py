@@ -120,6 +120,12 @@ class Columns:
         """Return the columns with zeros at the rows that are not kept; visible vectors are zero there as well."""
         return replace(self, kept=kept if self.kept is None else self.kept & kept)
 
+    def at(self, rows: Mask) -> Columns:
+        """Return the columns at some rows only, which keep their numbers."""
+        parts = [(part, rows[part.rows]) for part in self.parts]
+        cut = (Part(part.rows[there], part.values[there], part.numbers) for part, there in parts if there.any())
+        return replace(self, parts=tuple(cut))
+
     def _at(self, part: Part, chosen: slice | Index) -> Array:
         """Return the columns of some alternatives of a part, (r, alternatives, parameters)."""
         values = part.values[:, chosen]

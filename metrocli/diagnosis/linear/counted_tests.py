@@ -21,7 +21,7 @@ from metrocli.diagnosis.linear.score_tests import ScoreTests
 
 _DRAWS = 1000
 _MOST_WORK = 4e9
-_MOST_AT_ONCE = 20_000_000
+_MOST_AT_ONCE = 4_000_000
 """Largest number of elements of the noise that is drawn at once"""
 _REDUNDANT = 1e-3
 """Smallest redundancy of a reading that can be named an outlier"""
@@ -39,13 +39,12 @@ def score_tests_of(
     With `apart` each component of a reading is tested on its own. Tests `like` these, of the same families about other
     values of the unknowns or with other weights, give the effective numbers without a simulation.
     """
-    grams = tuple(f.columns.grams(system.basis) for f in families)
     places = _places(system)
     places = places[places >= 0][:, None] if apart else places
     there = (places >= 0).astype(float)
     blocks = np.eye(places.shape[1]) * there[:, :, None] - system.basis.products(places, places)
     weak = np.einsum("iaa->ia", blocks).sum(axis=1) < _REDUNDANT
-    test_set = ScoreTests(system, tuple(families), tuple(f.raw for f in families), grams, blocks, places, excluded=weak)
+    test_set = ScoreTests(system, tuple(families), blocks, places, excluded=weak)
     counted = None if like is None else test_set.counted_as(like)
     return _calibrated(test_set, rng) if counted is None else counted
 
@@ -71,8 +70,7 @@ def _smallest(test_set: ScoreTests, rng: np.random.Generator, draws: int) -> lis
     squares = (noise**2).sum(axis=0) + rng.chisquare(PRIOR, draws)
     dof = system.dof + PRIOR
     least = [
-        smallest_of_family(family.columns, gram, scale, noise, squares, dof)
-        for family, gram, scale in zip(test_set.families, test_set.grams, test_set.scales, strict=True)
+        smallest_of_family(family.columns, family.gram, family.raw, noise, squares, dof) for family in test_set.families
     ]
     rows = test_set.places
     right = np.where((rows >= 0)[:, :, None], noise[rows], 0.0)

@@ -119,18 +119,23 @@ class FittedParts:
 
 
 def orthonormal(columns: Array, least: float) -> Array:
-    """Return an orthonormal basis of the span of columns (rows, q), of singular values above `least`.
+    """Return an orthonormal basis of the span of columns (rows, q), of singular values above `least`."""
+    return orthonormalised(columns, least)[0]
+
+
+def orthonormalised(columns: Array, least: float) -> tuple[Array, Array]:
+    """Return an orthonormal basis (rows, k) of the span of columns (rows, q), and the turn (q, k) that gives it.
 
     It uses the eigenvectors of the Gram matrix twice (as Cholesky QR does), which is far faster than an SVD for many
-    rows.
+    rows. Directions of singular values below `least` are left out.
     """
-    bound = least**2
+    bound, turn = least**2, np.eye(columns.shape[1])
     for _ in range(2):
         values, vectors = np.linalg.eigh(columns.T @ columns)
         kept = values > bound
-        columns = columns @ (vectors[:, kept] / np.sqrt(values[kept]))
-        bound = 0.0
-    return columns
+        step = vectors[:, kept] / np.sqrt(values[kept])
+        columns, turn, bound = columns @ step, turn @ step, 0.0
+    return columns, turn
 
 
 def nothing_fitted(system: System) -> FittedColumns:

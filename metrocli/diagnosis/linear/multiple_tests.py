@@ -11,7 +11,7 @@ from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.linear.columns import Columns
 from metrocli.diagnosis.linear.distributions import log_tail
-from metrocli.diagnosis.linear.projection import FLAT, VISIBLE
+from metrocli.diagnosis.linear.quadratics import ranks_of, roots
 
 
 def smallest_of_family(columns: Columns, gram: Array, scale: Array, noise: Array, squares: Array, dof: float) -> Array:
@@ -21,13 +21,9 @@ def smallest_of_family(columns: Columns, gram: Array, scale: Array, noise: Array
 
 def smallest_in_noise(gram: Array, right: Array, scale: Array, squares: Array, dof: float, chosen: Mask) -> Array:
     """Return ln of the smallest p-value of all alternatives for each draw of noise."""
-    s = np.where(scale > 0, scale, 1.0)
-    values, vectors = np.linalg.eigh(gram / (s[:, :, None] * s[:, None, :]))
-    good = values > np.maximum(VISIBLE**2, FLAT * values[:, -1:])
-    root = vectors * np.where(good, 1 / np.sqrt(np.where(good, values, 1.0)), 0.0)[:, None, :]
-    along = np.matmul(np.swapaxes(root, 1, 2), right / s[:, :, None])
-    gain = (along**2).sum(axis=1)
-    rank = np.where(chosen, good.sum(axis=1), 0)
+    root = roots(gram, scale)
+    gain = ((np.swapaxes(root, 1, 2) @ right) ** 2).sum(axis=1)
+    rank = np.where(chosen, ranks_of(root), 0)
     best = np.zeros(len(squares))
     for q in np.unique(rank[rank > 0]):
         most = gain[rank == q].max(axis=0)

@@ -19,9 +19,10 @@ from metrocli.adjust.model.observations import Index, Mask
 from metrocli.diagnosis.adjusted_job import Budget
 from metrocli.diagnosis.linear.candidates import Alternative, Family
 from metrocli.diagnosis.linear.columns import Columns
-from metrocli.diagnosis.linear.distributions import log_family, log_tail
+from metrocli.diagnosis.linear.distributions import log_family, log_levels
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns, orthonormal
-from metrocli.diagnosis.linear.projection import FLAT, VISIBLE, System
+from metrocli.diagnosis.linear.projection import VISIBLE, System
+from metrocli.diagnosis.linear.quadratics import quadratic, quadratic_of
 
 _INSIDE = 0.5
 """An effect lies in smooth terms if they contain at least this share of its sum of squares"""
@@ -50,10 +51,6 @@ class ScoreTests:
 
     system: System
     families: tuple[Family, ...]
-    scales: tuple[Array, ...]
-    """Norms of the whole signatures, by family"""
-    grams: tuple[Array, ...]
-    """`G'G` of each alternative, (alternatives, q, q)"""
     blocks: Array
     """Diagonal block of M for each reading, (readings, d, d); 0 for components that it does not have"""
     places: Index
@@ -108,36 +105,30 @@ class ScoreTests:
 
     def score(self, number: int, fitted: FittedColumns, chosen: Sequence[int] | None = None) -> Score:
         """Return the tests of one family beside the fitted columns; `chosen` limits them to some alternatives."""
-        columns, scale = self.families[number].columns, self.scales[number]
+        columns, scale = self.families[number].columns, self.families[number].raw
         if chosen is None:
-            gram = self._left(number, fitted)
+            gram = self.left(number, fitted)
         else:
             scale = scale[list(chosen)]
-            gram = self.grams[number][list(chosen)] - _inside(columns, fitted.basis, chosen)
+            gram = self.families[number].gram[list(chosen)] - _inside(columns, fitted.basis, chosen)
         right = columns.products(fitted.residual[:, None], chosen)[:, :, 0]
         gain, rank = quadratic(gram, right, scale)
         return self._scored(gain, rank, fitted)
 
-    def _left(self, number: int, fitted: FittedColumns) -> Array:
+    def left(self, number: int, fitted: FittedColumns) -> Array:
         """Return the Gram matrices of a family without the fitted columns, (alternatives, q, q)."""
-        columns = self.families[number].columns
-        key = number, columns.count
+        family = self.families[number]
+        columns, key = family.columns, (number, family.columns.count)
         if key not in fitted.remembered:
             if fitted.larger is None or fitted.freed is None:
-                left = self.grams[number] - _inside(columns, fitted.basis)
+                left = family.gram - _inside(columns, fitted.basis)
             else:
-                left = self._left(number, fitted.larger) + _inside(columns, fitted.freed)
+                left = self.left(number, fitted.larger) + _inside(columns, fitted.freed)
             fitted.remembered[key] = left
         return fitted.remembered[key]
 
     def _scored(self, gain: Array, rank: Array, fitted: FittedColumns) -> Score:
-        share = np.clip(gain / max(fitted.squares, 1e-300), 0.0, 1.0)
-        log_p = np.zeros(len(gain))
-        for q in np.unique(rank[rank > 0]):
-            own = rank == q
-            if fitted.dof > q:
-                log_p[own] = log_tail(share[own], float(q), fitted.dof - q)
-        return Score(gain, rank, np.minimum(log_p, 0.0))
+        return Score(gain, rank, log_levels(gain / max(fitted.squares, 1e-300), rank, fitted.dof))
 
     def outliers(self, fitted: FittedColumns) -> Score:
         """Return the tests of single readings, each with all its components."""
@@ -159,8 +150,8 @@ class ScoreTests:
         if key not in self.remembered:
             basis = _unit(self.visible(family, number))
             self.remembered[key] = tuple(
-                np.zeros(len(f.alternatives), dtype=bool) if f.unknown else lies_in(f.columns, gram, basis)
-                for f, gram in zip(self.families, self.grams, strict=True)
+                np.zeros(len(f.alternatives), dtype=bool) if f.unknown else lies_in(f.columns, f.gram, basis)
+                for f in self.families
             )
         return self.remembered[key]
 
@@ -173,7 +164,7 @@ class ScoreTests:
         found = []
         for i, smooth in enumerate(self.families):
             if smooth.unknown:
-                inside, _ = quadratic_of(self.grams[i], smooth.columns.products(effect), self.scales[i])
+                inside, _ = quadratic_of(smooth.gram, smooth.columns.products(effect), smooth.raw)
                 found += [(i, int(at)) for at in np.flatnonzero(inside > least)]
         return found
 
@@ -231,30 +222,3 @@ def _inside(columns: Columns, basis: Array, chosen: Sequence[int] | None = None)
     """Return the part of the Gram matrices of columns inside a visible basis (rows, m), (alternatives, q, q)."""
     along = columns.products(basis, chosen)
     return np.asarray(along @ np.swapaxes(along, 1, 2))
-
-
-def grams_of(columns: Array) -> Array:
-    """Return the Gram matrix of each alternative, (k, q, q), of columns (rows, k, q)."""
-    by_alternative = columns.transpose(1, 0, 2)
-    return np.asarray(np.matmul(by_alternative.transpose(0, 2, 1), by_alternative))
-
-
-def quadratic_of(gram: Array, right: Array, scale: Array) -> tuple[Array, Array]:
-    """Return the sum of `quadratic` over several right sides (k, q, m), and the rank of A."""
-    found = [quadratic(gram, right[:, :, at], scale) for at in range(right.shape[2])]
-    return np.sum([gain for gain, _ in found], axis=0), found[0][1]
-
-
-def quadratic(gram: Array, right: Array, scale: Array) -> tuple[Array, Array]:
-    """Return `b' A^+ b` and the rank of A for many small systems (k, q, q), (k, q); scale (k, q) is of size sqrt(A)."""
-    s = np.where(scale > 0, scale, 1.0)
-    a = gram / (s[:, :, None] * s[:, None, :])
-    b = right / s
-    if a.shape[1] == 1:
-        value = a[:, 0, 0]
-        good = value > VISIBLE**2
-        return np.where(good, b[:, 0] ** 2 / np.where(good, value, 1.0), 0.0), good.astype(int)
-    values, vectors = np.linalg.eigh(a)
-    good = values > np.maximum(VISIBLE**2, FLAT * values[:, -1:])
-    along = np.einsum("kqv,kq->kv", vectors, b)
-    return (np.where(good, along**2 / np.where(good, values, 1.0), 0.0)).sum(axis=1), good.sum(axis=1)

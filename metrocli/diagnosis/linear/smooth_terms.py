@@ -27,8 +27,6 @@ _RANK = 1e-9
 """Smallest singular value of independent terms of a smooth function, relative to the largest"""
 _SHOWS = 0.02
 """Smallest share of a smooth function that must be visible beside the unknowns"""
-_NONE = np.zeros((0, 0, 0))
-"""What the unknowns absorb of smooth functions is not needed"""
 _MOST_OF_UNITS, _LEAST_DEGREE = 2000, 2
 """Most terms of one covariate for all units together, and the degree that is kept in any case"""
 _FEWEST_FOR = 4
@@ -79,8 +77,8 @@ def _family(system: System, name: str, items: Sequence[_Terms], covariate: Covar
         own = [number for number, one in enumerate(labels) if one == label]
         shown |= zip(own, visible_directions(system, items[own[0]][1], [items[i][2] for i in own]), strict=True)
     columns = gathered((label, items[i][1], shown[i]) for i, label in enumerate(labels))
-    raw = np.ones((columns.count, columns.parameters))
-    return Family(name, tuple(alternative for alternative, _, _ in items), columns, raw, _NONE, covariate.name)
+    raw, gram = np.ones((columns.count, columns.parameters)), columns.grams(system.basis)
+    return Family(name, tuple(alternative for alternative, _, _ in items), columns, raw, gram, covariate.name)
 
 
 def _degree(job: AdjustedJob, group: Group, covariate: Covariate) -> int:

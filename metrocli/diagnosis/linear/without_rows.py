@@ -11,7 +11,8 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.observations import Index
-from metrocli.diagnosis.linear.fitted_columns import orthonormal
+from metrocli.diagnosis.linear.candidates import Family
+from metrocli.diagnosis.linear.fitted_columns import orthonormalised
 from metrocli.diagnosis.linear.projection import VISIBLE
 from metrocli.diagnosis.linear.score_tests import ScoreTests
 
@@ -21,27 +22,36 @@ def without_rows(test_set: ScoreTests, out: Index) -> ScoreTests:
 
     The local unknowns of the other rows do not change. So the shared columns of the rest are made orthonormal anew,
     and their part is taken from all other columns. Rows keep their numbers; those left out are zero. The effective
-    numbers of tests stay those of the whole measurement.
+    numbers of tests stay those of the whole measurement. Gram matrices need the rows left out only:
+    `G'G + C'C - H - (C - D)' T T' (C - D)`, where C are the products of the shared columns with G, D those of their
+    rows left out, H the Gram matrix of the rows left out without their local columns, and T makes the shared columns of
+    the rest orthonormal.
     """
     system = test_set.system
     kept = np.ones(system.rows, dtype=bool)
     kept[out] = False
     # directions that only the rows left out show are no longer there
-    shared = orthonormal(np.where(kept[:, None], system.basis.shared, 0.0), VISIBLE)
+    shared, turn = orthonormalised(np.where(kept[:, None], system.basis.shared, 0.0), VISIBLE)
 
     def rest(values: Array) -> Array:
         inside = np.where(kept.reshape(-1, *[1] * (values.ndim - 1)), values, 0.0)
         return np.asarray(inside - np.tensordot(shared, np.tensordot(shared.T, inside, 1), 1))
 
-    families = tuple(replace(family, columns=family.columns.only(kept)) for family in test_set.families)
+    def cut(family: Family) -> Family:
+        own = family.columns.at(~kept)
+        along, gone = (one.products(system.basis.shared) for one in (family.columns, own))
+        left = (along - gone) @ turn
+        gram = family.gram + along @ np.swapaxes(along, 1, 2) - own.grams(local) - left @ np.swapaxes(left, 1, 2)
+        return replace(family, columns=family.columns.only(kept), gram=gram)
+
+    local = replace(system.basis, shared=system.basis.shared[:, :0])
     basis = replace(system.basis, local=np.where(kept[:, None], system.basis.local, 0.0), shared=shared)
     there = np.where(test_set.places >= 0, kept[test_set.places], False)
     unit = np.eye(test_set.places.shape[1]) * there[:, :, None]
     return replace(
         test_set,
         system=replace(system, basis=basis, residual=rest(system.residual), idle=system.idle + len(out)),
-        families=families,
-        grams=tuple(family.columns.grams(basis) for family in families),
+        families=tuple(map(cut, test_set.families)),
         blocks=unit - basis.products(test_set.places, test_set.places),
         excluded=test_set.excluded | ~there.any(axis=1),
         remembered={},

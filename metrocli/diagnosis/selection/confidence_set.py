@@ -14,6 +14,7 @@ from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.linear.candidates import Alternative
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns
 from metrocli.diagnosis.linear.projection import FLAT, VISIBLE
+from metrocli.diagnosis.linear.rival_tests import Named, against
 from metrocli.diagnosis.selection.backward_steps import evidence
 from metrocli.diagnosis.selection.selection_state import Chosen, Selection, levels_of
 
@@ -28,8 +29,6 @@ _SIGNIFICANT = 0.05
 _DISTANT = 0.3
 _BLIND = 1e-2
 """Smallest part of a parameter in an unseen direction that leaves the parameter undetermined"""
-_DISTINCT = 1e-4
-"""Singular value of unit columns below which they count as linearly dependent"""
 
 
 @dataclass(frozen=True)
@@ -83,7 +82,7 @@ def _named(selection: Selection, one: Chosen, level: float) -> NamedEffect:
     fitted, full = selection.beside(one), selection.fitted(without=selection.around(one))
     alternative = selection.test_set.families[one.family].alternatives[one.number]
     left = one.columns - fitted.basis @ (fitted.basis.T @ one.columns)
-    whole = selection.test_set.scales[one.family][one.number]
+    whole = selection.test_set.families[one.family].raw[one.number]
     seen, apart = determined(left, whole), _apart(left, whole)
     left = np.where(seen, left, 0.0)
     # unit columns before the inverse: parameters may differ in units by many powers of ten
@@ -126,7 +125,9 @@ def _rivals(selection: Selection, one: Chosen, fitted: FittedColumns, explained:
     test_set = selection.test_set
     own = test_set.families[one.family].alternatives[one.number]
     score = test_set.score(one.family, fitted, [one.number])
-    mine, my_rank = float(evidence(test_set, fitted, one.family, score)[0]), int(score.rank[0])
+    mine = float(evidence(test_set, fitted, one.family, score)[0])
+    full = selection.fitted(without=selection.around(one))
+    named = Named(fitted.beside(one.columns), test_set.families[one.family].raw[one.number], explained)
     best: dict[tuple[str, tuple[str, ...]], Rival] = {}
     there = [other for other in selection.named if other is not one]
     others = {test_set.families[other.family].alternatives[other.number].spot for other in there}
@@ -134,44 +135,17 @@ def _rivals(selection: Selection, one: Chosen, fitted: FittedColumns, explained:
         if family.unknown:
             continue
         scores = test_set.score(number, fitted)
-        weights = evidence(test_set, fitted, number, scores)
-        for at in np.flatnonzero(scores.rank):
+        odds = np.exp(np.clip(evidence(test_set, fitted, number, scores) - mine, -700, 700))
+        cosines, still_needed = against(test_set, number, fitted, named)
+        # the rival makes the named effect unnecessary, or cannot be distinguished from it
+        alike = (1 - cosines**2) * score.gain[0] < _DISTINGUISHED * full.squares / max(full.dof, 1)
+        instead = (still_needed > np.log(_NEEDED)) & ((scores.rank <= score.rank[0]) | (cosines > _NEAR))
+        explains = (odds > _ODDS) | ((cosines > _DISTANT) & (alike | instead))
+        for at in np.flatnonzero((scores.rank > 0) & explains):
             rival = family.alternatives[at]
-            if rival.spot == own.spot or rival.spot in others:
-                continue
-            odds = float(np.exp(np.clip(weights[at] - mine, -700, 700)))
             known = best.get(rival.spot)
-            if known is not None and known.odds >= odds:
+            if rival.spot == own.spot or rival.spot in others or (known is not None and known.odds >= odds[at]):
                 continue
-            if test_set.overall(test_set.level(number, scores.log_p[at])) > np.log(_SIGNIFICANT):
-                continue
-            cosine = _cosine(fitted, test_set.visible(number, int(at)), explained)
-            if odds > _ODDS or (
-                cosine > _DISTANT and _explains(selection, one, fitted, number, int(at), cosine, my_rank)
-            ):
-                best[rival.spot] = Rival(rival, cosine, odds)
+            if test_set.overall(test_set.level(number, scores.log_p[at])) <= np.log(_SIGNIFICANT):
+                best[rival.spot] = Rival(rival, float(cosines[at]), float(odds[at]))
     return tuple(sorted(best.values(), key=lambda rival: -rival.odds))
-
-
-def _explains(
-    selection: Selection, one: Chosen, fitted: FittedColumns, family: int, at: int, cosine: float, rank: int
-) -> bool:
-    """Return whether the rival makes the named effect unnecessary, or cannot be distinguished from it."""
-    test_set = selection.test_set
-    gain = test_set.score(one.family, fitted, [one.number]).gain[0]
-    full = selection.fitted(without=selection.around(one))
-    noise = full.squares / max(full.dof, 1)
-    if (1 - cosine**2) * gain < _DISTINGUISHED * noise:
-        return True
-    columns = test_set.visible(family, at)
-    beside = fitted.with_columns(columns)
-    score = test_set.score(one.family, beside, [one.number])
-    fewer = beside.basis.shape[1] - fitted.basis.shape[1] <= rank
-    return bool(score.log_p[0] > np.log(_NEEDED)) and (fewer or cosine > _NEAR)
-
-
-def _cosine(fitted: FittedColumns, columns: Array, explained: Array) -> float:
-    left = columns - fitted.basis @ (fitted.basis.T @ columns)
-    u, s, _ = np.linalg.svd(left / np.maximum(np.linalg.norm(left, axis=0), 1e-300), full_matrices=False)
-    u = u[:, s > _DISTINCT]
-    return float(np.linalg.norm(u.T @ explained) / max(float(np.linalg.norm(explained)), 1e-300))

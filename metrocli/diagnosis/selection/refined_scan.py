@@ -97,13 +97,8 @@ def _with_alternative(
         alternatives=(*family.alternatives, alternative),
         columns=family.columns.followed_by(columns),
         raw=np.concatenate([family.raw, np.linalg.norm(columns, axis=0)[None]]),
-        absorbed=np.concatenate([family.absorbed, inside[:, None]], axis=1),
+        gram=np.concatenate([family.gram, (columns.T @ columns)[None]]),
+        absorbed={**family.absorbed, family.columns.count: inside},
     )
-    gram = np.concatenate([test_set.grams[number], (columns.T @ columns)[None]])
-
-    def changed(parts: tuple[Array, ...], part: Array) -> tuple[Array, ...]:
-        return (*parts[:number], part, *parts[number + 1 :])
-
     families = (*test_set.families[:number], grown, *test_set.families[number + 1 :])
-    scales, grams = changed(test_set.scales, grown.raw), changed(test_set.grams, gram)
-    return replace(test_set, families=families, scales=scales, grams=grams, remembered={})
+    return replace(test_set, families=families, remembered={})

@@ -1,0 +1,52 @@
+"""Quadratic forms `b' A^+ b` of many small systems at once, with the directions of A that are visible.
+
+Method: docs/algorithms/selection-and-levels.md.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.diagnosis.linear.projection import FLAT, VISIBLE
+
+
+def grams_of(columns: Array) -> Array:
+    """Return the Gram matrix of each alternative, (k, q, q), of columns (rows, k, q)."""
+    by_alternative = columns.transpose(1, 0, 2)
+    return np.asarray(np.matmul(by_alternative.transpose(0, 2, 1), by_alternative))
+
+
+def roots(gram: Array, scale: Array) -> Array:
+    """Return R with `A^+ = R R'` for Gram matrices A (k, q, q); columns of R of directions that are not visible are 0.
+
+    `scale` (k, q) is of size sqrt(diag A) or larger: directions are visible in its unit.
+    """
+    s = np.where(scale > 0, scale, 1.0)
+    if gram.shape[1] == 1:
+        value = gram / (s * s)[:, :, None]
+        good = value > VISIBLE**2
+        return np.where(good, 1 / np.sqrt(np.where(good, value, 1.0)), 0.0) / s[:, :, None]
+    values, vectors = np.linalg.eigh(gram / (s[:, :, None] * s[:, None, :]))
+    good = values > np.maximum(VISIBLE**2, FLAT * values[:, -1:])
+    sizes = np.where(good, 1 / np.sqrt(np.where(good, values, 1.0)), 0.0)
+    return np.asarray(vectors * sizes[:, None, :] / s[:, :, None])
+
+
+def ranks_of(root: Array) -> Array:
+    """Return the number of visible directions of each root (k, q, q), (k,)."""
+    return np.asarray(root.any(axis=1).sum(axis=1))
+
+
+def quadratic(gram: Array, right: Array, scale: Array) -> tuple[Array, Array]:
+    """Return `b' A^+ b` and the rank of A for many small systems (k, q, q), (k, q); scale (k, q) is of size sqrt(A)."""
+    root = roots(gram, scale)
+    along = np.einsum("kqv,kq->kv", root, right)
+    return (along**2).sum(axis=1), ranks_of(root)
+
+
+def quadratic_of(gram: Array, right: Array, scale: Array) -> tuple[Array, Array]:
+    """Return the sum of `quadratic` over several right sides (k, q, m), and the rank of A."""
+    root = roots(gram, scale)
+    along = np.swapaxes(root, 1, 2) @ right
+    return (along**2).sum(axis=(1, 2)), ranks_of(root)
