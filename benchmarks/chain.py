@@ -22,7 +22,6 @@ from simulated.castings import turn
 
 from metrocli.formats import hdf5
 from metrocli.result import Result
-from metrocli.tasks.align_part.fitted_targets import target_list
 
 Array = npt.NDArray[np.float64]
 SAMPLE = Path(__file__).parents[1] / "sample_projects" / "raw-part"
@@ -49,8 +48,8 @@ def largest(folder: Path, file: str) -> Array:
 
 def write_targets(fit: Result, file: Path, own: bool) -> None:
     """Write the targets of a fit as a list, with their own errors or as exact."""
-    table = target_list(fit).table
-    std = table.stacked(("sigma_x", "sigma_y", "sigma_z"))
+    table = fit.tables["targets"]
+    std = np.sqrt(np.einsum("nkk->nk", fit.arrays["targets_own"]))
     lines = ["target,x_mm,y_mm,z_mm" + (",sigma_x_mm,sigma_y_mm,sigma_z_mm" if own else "")]
     for name, place, sigma in zip(table.texts("target"), table.stacked("xyz"), std, strict=True):
         numbers = (*place, *sigma) if own else place
@@ -87,7 +86,7 @@ def main() -> None:
             words = [word for one in given for word in ("--set", f"inputs.{one}")]
             run(folder, "align-part", "jobs/align.yaml", *words, "--output", "results/other.h5", "--force")
             variances.append(largest(folder, "results/other.h5"))
-        links = ("pose of the fit, shared by the targets", "targets by themselves", "camera", "image noise, clamping")
+        links = ("what the targets share", "targets by themselves", "camera", "image noise, clamping")
         steps = [*(before - after for before, after in pairwise(variances)), variances[-1]]
         print("standard uncertainty at the worst corner [um]:      x      y      z")
         for name, one in zip(links, steps, strict=True):
