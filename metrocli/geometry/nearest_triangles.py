@@ -21,7 +21,6 @@ _PAIRS = 100_000
 """Pairs of point and triangle in one chunk"""
 _CLEAR = 0.05
 """How far a point may move before triangles near it are sought anew, relative to the largest radius of a cell"""
-
 _NEARLY = 0.3
 """How much farther than the nearest cell the one of a quick answer may be, relative to it"""
 
@@ -175,8 +174,8 @@ class Search:
     def _flat(self) -> Array:
         """Return each triangle in a frame of its own (f, 15): corner a at (0, 0), b at (x, 0), c at (x, y).
 
-        In a row, since rows are looked up for many pairs: corner a (3), the frame (3, 3) with the direction of the
-        first edge, the one square to it in the plane and the normal, then x of b, x of c, y of c.
+        A row is corner a (3), the frame (3, 3), then x of b, x of c, y of c. The frame has the direction of the first
+        edge, the one square to it in the plane, and the normal. One row is looked up faster than four arrays.
         """
         a, b, c = np.moveaxis(self.mesh.corners, 1, 0)
         long = np.linalg.norm(b - a, axis=1)

@@ -29,7 +29,7 @@ STEEPEST = np.radians(10.0)
 _ON_A_LINE = 1e-3
 """Extent of the supports across their line, relative to that along it, up to which they cannot level a part"""
 _LEVEL = 1e-9
-"""Tilt [rad] that is none: rounding leaves less, and no screw is set so finely"""
+"""Tilt [rad] that no screw can take away; rounding leaves less"""
 _STEPS = np.array([1e-3, 1e-3, 1e-3, 1e-6, 1e-6, 1e-6])
 """Steps of a difference [mm, rad]"""
 _ORDER = (("shift x", 0), ("shift y", 1), ("shift z", 2), ("turn about z", 5), ("turn about y", 4), ("turn about x", 3))
