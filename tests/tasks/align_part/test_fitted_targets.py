@@ -97,6 +97,24 @@ def test_the_pose_has_the_covariance_of_generalised_least_squares() -> None:
     assert np.abs(np.sqrt(np.diag(wrong) / np.diag(step)) - 1).max() > 0.2
 
 
+def test_what_the_pose_owes_to_its_targets_is_how_they_move_it() -> None:
+    result, rng = fit_result(), np.random.default_rng(6)
+    points, joint = result.tables["targets"].stacked(("x", "y", "z")), covariance_of(result)
+    z = rng.normal(size=12)
+    moved_by = (np.linalg.cholesky(joint) @ z).reshape(4, 3)
+    drawn = table_of(points)
+
+    def pose(shift: Array) -> tuple[Array, Result]:
+        table = Table({**result.tables["targets"].columns, **dict(zip("xyz", (points + shift).T, strict=True))})
+        found = aligned(replace(result, tables={"targets": table}), drawn)
+        return np.array([one.value for one in found.estimates]), found
+
+    (at, found), (other, _) = pose(np.zeros((4, 3))), pose(moved_by * 1e-2)
+    size = np.sqrt(np.diag(found.covariance))
+    assert np.allclose((other - at) / size, 1e-2 * found.arrays["owed_to_targets"] @ z / size, atol=2e-5)
+    assert found.tables["shared"].texts("input") == ["targets"]
+
+
 def test_poses_from_drawn_targets_scatter_as_stated() -> None:
     result = fit_result()
     points, shared = result.tables["targets"].stacked(("x", "y", "z")), result.arrays["targets_common"]
