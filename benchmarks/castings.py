@@ -37,6 +37,8 @@ MINIMUM, BOUND = 0.5, 12.5916
 """Minimum overstock [mm]; 95 % bound of chi-square with 6 degrees of freedom"""
 SCALE = np.array([1.0, 1.0, 1.0, 1e-3, 1e-3, 1e-3])
 STARTS = 3
+SHOWN = 20
+"""Castings between two lines of progress"""
 SHORT = (("left", "right"), ("front", "back"), ("bottom", "top"))
 
 
@@ -130,6 +132,8 @@ def main(runs: int, aim: str) -> None:
     inside, within, short, worse, refused, wrong, missed = [], [], [], [], 0, 0, 0
     ours = 0.0
     for seed in range(runs):
+        if seed and seed % SHOWN == 0:
+            print(f"{seed} of {runs} castings, {len(inside)} fitted, {refused} refused", file=sys.stderr, flush=True)
         rng = np.random.default_rng(10_000 + seed)
         lacking = dict.fromkeys(SHORT[rng.integers(3)], -rng.uniform(4, 7)) if seed % 5 == 0 else {}
         one = casting(seed, less=lacking)

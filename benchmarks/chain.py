@@ -22,7 +22,6 @@ from simulated.castings import turn
 
 from metrocli.formats import hdf5
 from metrocli.result import Result
-from metrocli.tasks.align_part.fitted_targets import target_list
 
 Array = npt.NDArray[np.float64]
 SAMPLE = Path(__file__).parents[1] / "sample_projects" / "raw-part"
@@ -47,15 +46,12 @@ def largest(folder: Path, file: str) -> Array:
     return np.asarray(1e6 * np.einsum("nka,ab,nkb->nk", by, result.covariance[:6, :6], by).max(axis=0))
 
 
-def write_targets(fit: Result, file: Path, own: bool) -> None:
-    """Write the targets of a fit as a list, with their own errors or as exact."""
-    table = target_list(fit).table
-    std = table.stacked(("sigma_x", "sigma_y", "sigma_z"))
-    lines = ["target,x_mm,y_mm,z_mm" + (",sigma_x_mm,sigma_y_mm,sigma_z_mm" if own else "")]
-    for name, place, sigma in zip(table.texts("target"), table.stacked("xyz"), std, strict=True):
-        numbers = (*place, *sigma) if own else place
-        lines.append(",".join([name, *(f"{value:.6f}" for value in numbers)]))
-    file.write_text("\n".join([*lines, ""]))
+def write_exact(fit: Result, file: Path) -> None:
+    """Write the targets of a fit as a list of exact ones."""
+    table = fit.tables["targets"]
+    rows = zip(table.texts("target"), table.stacked("xyz").tolist(), strict=True)
+    lines = [f"{name},{x:.6f},{y:.6f},{z:.6f}" for name, (x, y, z) in rows]
+    file.write_text("\n".join(["target,x_mm,y_mm,z_mm", *lines, ""]))
 
 
 def write_camera(camera: Result, file: Path) -> None:
@@ -77,17 +73,16 @@ def main() -> None:
         shutil.copytree(SAMPLE, folder)
         run(folder, "run")
         fit, camera = (hdf5.read(folder / "results" / f"{name}.h5")[0] for name in ("fit", "camera"))
-        write_targets(fit, folder / "own.csv", own=True)
-        write_targets(fit, folder / "exact.csv", own=False)
+        write_exact(fit, folder / "exact.csv")
         write_camera(camera, folder / "camera.yaml")
         variances = [largest(folder, "results/align.h5")]
         given: list[str] = []
-        for change in ("targets=../own.csv", "targets=../exact.csv", "camera=../camera.yaml"):
+        for change in ("targets=../exact.csv", "camera=../camera.yaml"):
             given = [one for one in given if one.split("=")[0] != change.split("=")[0]] + [change]
             words = [word for one in given for word in ("--set", f"inputs.{one}")]
             run(folder, "align-part", "jobs/align.yaml", *words, "--output", "results/other.h5", "--force")
             variances.append(largest(folder, "results/other.h5"))
-        links = ("pose of the fit, shared by the targets", "targets by themselves", "camera", "image noise, clamping")
+        links = ("targets in the fitted frame", "camera", "image noise, clamping")
         steps = [*(before - after for before, after in pairwise(variances)), variances[-1]]
         print("standard uncertainty at the worst corner [um]:      x      y      z")
         for name, one in zip(links, steps, strict=True):

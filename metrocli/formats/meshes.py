@@ -23,7 +23,10 @@ def read(path: Path, held: FileBytes | None = None) -> Triangles:
 
     data, kind = BytesIO((held or read_bytes(path, "a mesh")).data), path.suffix.lower().removeprefix(".")
     try:
-        mesh: Any = trimesh.load(data, file_type=kind, force="mesh", process=False, skip_materials=True)
+        scene: Any = trimesh.load_scene(data, file_type=kind, process=False, skip_materials=True)
+        bodies = [body for body in scene.geometry.values() if isinstance(body, trimesh.Trimesh)]
+        # joining the bodies of a file copies them, which takes as long as all else of a large mesh
+        mesh = bodies[0] if len(bodies) == 1 else scene.to_mesh()
         corners = np.asarray(mesh.vertices, dtype=np.float64)[np.asarray(mesh.faces, dtype=np.intp)]
     except Exception as error:  # trimesh raises any kind of error for a damaged file
         reason = " ".join(str(error).split()) or type(error).__name__
@@ -46,13 +49,13 @@ def _merged(corners: np.typing.NDArray[np.float64]) -> Triangles:
     grid = _ALIKE * max(float(np.abs(points).max()), 1e-300)
     cells = np.rint(points / grid) + 0.0
     order = np.argsort(_mixed(cells), kind="stable")
-    ordered, cells = points[order], cells[order]
+    cells = cells[order]
     new = np.concatenate([[True], (cells[1:] != cells[:-1]).any(axis=1)])
     index = np.empty(len(points), dtype=np.intp)
     index[order] = np.cumsum(new) - 1
     faces = index.reshape(-1, 3)
     distinct = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
-    return Triangles(ordered[new], faces[distinct])
+    return Triangles(points[order[new]], faces[distinct])
 
 
 def _mixed(points: np.typing.NDArray[np.float64]) -> np.typing.NDArray[np.uint64]:

@@ -19,8 +19,10 @@ _CELLS = 20_000
 """Long triangles are divided until no cell is larger than one of so many equal cells of the whole surface"""
 _PAIRS = 100_000
 """Pairs of point and triangle in one chunk"""
-_CLEAR = 0.15
+_CLEAR = 0.05
 """How far a point may move before triangles near it are sought anew, relative to the largest radius of a cell"""
+_NEARLY = 0.3
+"""How much farther than the nearest cell the one of a quick answer may be, relative to it"""
 
 
 @dataclass(frozen=True)
@@ -86,7 +88,7 @@ class Search:
     def quick(self, points: Array) -> tuple[Array, Array]:
         """Return signed distances (n,) and normals (n, 3) from a triangle that is nearest or nearly so."""
         tree, owner, _ = self._tree
-        face = owner[tree.query(points)[1]]
+        face = owner[tree.query(points, eps=_NEARLY)[1]]
         return self._of(points, face)
 
     def nearest(self, points: Array, before: Nearest | None = None) -> Nearest:
@@ -169,11 +171,11 @@ class Search:
         return row, face
 
     @cached_property
-    def _flat(self) -> tuple[Array, Array]:
-        """Return the frame of each triangle and its shape there: corner b at (x, 0), c at (x, y).
+    def _flat(self) -> Array:
+        """Return each triangle in a frame of its own (f, 15): corner a at (0, 0), b at (x, 0), c at (x, y).
 
-        Rows of the frames (f, 3, 3) are the direction of the first edge, the one square to it in the plane, and the
-        normal. Shapes are (f, 3): x of b, x of c, y of c.
+        A row is corner a (3), the frame (3, 3), then x of b, x of c, y of c. The frame has the direction of the first
+        edge, the one square to it in the plane, and the normal. One row is looked up faster than four arrays.
         """
         a, b, c = np.moveaxis(self.mesh.corners, 1, 0)
         long = np.linalg.norm(b - a, axis=1)
@@ -184,16 +186,16 @@ class Search:
         across = np.cross(normal, first)
         across /= np.maximum(np.linalg.norm(across, axis=1), 1e-300)[:, None]
         shape = np.stack([long, ((c - a) * first).sum(axis=1), ((c - a) * across).sum(axis=1)], axis=1)
-        return np.stack([first, across, normal], axis=1), shape
+        return np.concatenate([a, first, across, normal, shape], axis=1)
 
     def _edges(self, points: Array, face: Index) -> tuple[Array, npt.NDArray[np.bool_], list[Array], list[Array]]:
         """Return the height of each point above the plane of its triangle, and whether it is above the inside.
 
         And for each edge the squared distance in the plane, and the part of the edge at which it is reached.
         """
-        frames, shapes = self._flat
-        x, y, height = np.einsum("nij,nj->in", frames[face], points - self.mesh.vertices[self.mesh.faces[face, 0]])
-        b, cx, cy = shapes[face].T
+        flat = self._flat.take(face, axis=0)
+        x, y, height = np.einsum("nij,nj->in", flat[:, 3:12].reshape(-1, 3, 3), points - flat[:, :3])
+        b, cx, cy = flat[:, 12:].T
         gaps, parts, inside = [], [], cy > 0
         for ax, ay, dx, dy in ((0.0, 0.0, b, 0.0), (b, 0.0, cx - b, cy), (cx, cy, -cx, -cy)):
             fx, fy = x - ax, y - ay

@@ -1,7 +1,8 @@
 """Refractive index of air, by the equations of Ciddor 1996 and of Edlén as revised by Birch and Downs 1994.
 
-Both are for the phase of light in moist air with 450 ppm of carbon dioxide. The pressure of saturated water vapour is
-that of IAPWS, over ice below 0 degC (Huang 1998; Stone and Zimmerman, NIST, Index of Refraction of Air, appendix A).
+Both are for the phase of light in moist air, that of Edlén with 450 ppm of carbon dioxide. The pressure of saturated
+water vapour is that of IAPWS, over ice below 0 degC (Huang 1998; Stone and Zimmerman, NIST, Index of Refraction of Air,
+appendix A).
 """
 
 from __future__ import annotations
@@ -16,8 +17,8 @@ CIDDOR, EDLEN = "ciddor", "edlen"
 """Names of the two equations"""
 _KELVIN = 273.15
 _PA_OF_HPA, _UM_OF_MM = 100.0, 1e3
-_CO2 = 450.0
-"""Content of carbon dioxide [ppm]"""
+STANDARD_CARBON_DIOXIDE = 450e-6
+"""Part of carbon dioxide by volume of the air of both equations"""
 
 
 @dataclass(frozen=True)
@@ -34,11 +35,14 @@ class Weather:
         return np.asarray(np.asarray(self.humidity) / 100 * saturated(self.temperature))
 
 
-def index(equation: str, weather: Weather, wavelength: float) -> Array:
-    """Return the refractive index of the air for light of a vacuum wavelength [mm], by one of the two equations."""
+def index(equation: str, weather: Weather, wavelength: float, carbon_dioxide: float = STANDARD_CARBON_DIOXIDE) -> Array:
+    """Return the refractive index of the air for light of a vacuum wavelength [mm], by one of the two equations.
+
+    Only Ciddor's has a term of the carbon dioxide.
+    """
     if equation == EDLEN:
         return edlen(weather.temperature, weather.pressure, weather.vapour, wavelength)
-    return ciddor(weather.temperature, weather.pressure, weather.vapour, wavelength)
+    return ciddor(weather.temperature, weather.pressure, weather.vapour, wavelength, carbon_dioxide)
 
 
 def saturated(temperature: float | Array) -> Array:
@@ -71,12 +75,12 @@ def ciddor(
     pressure: float | Array,
     vapour: float | Array,
     wavelength: float,
-    carbon_dioxide: float = _CO2,
+    carbon_dioxide: float = STANDARD_CARBON_DIOXIDE,
 ) -> Array:
     """Return the refractive index by Ciddor's equations (Applied Optics 35, 1566, 1996, appendices A and B).
 
-    Temperature in degC, pressure in hPa, partial pressure of the vapour in Pa, vacuum wavelength in mm, content of
-    carbon dioxide in ppm. `n - 1 = (rho_a / rho_as) (n_as - 1) + (rho_v / rho_vs) (n_vs - 1)`, rho the densities of
+    Temperature in degC, pressure in hPa, partial pressure of the vapour in Pa, vacuum wavelength in mm, part of
+    carbon dioxide by volume. `n - 1 = (rho_a / rho_as) (n_as - 1) + (rho_v / rho_vs) (n_vs - 1)`, rho the densities of
     dry air (a) and vapour (v). The standards (s) are dry air at 15 degC and 1013.25 hPa and
     vapour at 20 degC and 13.33 hPa.
     """
@@ -84,7 +88,8 @@ def ciddor(
     s = (_UM_OF_MM * wavelength) ** -2
     enhanced = 1.00062 + 3.14e-8 * p + 5.60e-7 * t**2
     moles = enhanced * vapour / p
-    of_air = 1e-8 * (5792105 / (238.0185 - s) + 167917 / (57.362 - s)) * (1 + 0.534e-6 * (carbon_dioxide - _CO2))
+    of_air = 1e-8 * (5792105 / (238.0185 - s) + 167917 / (57.362 - s))
+    of_air *= 1 + 0.534 * (carbon_dioxide - STANDARD_CARBON_DIOXIDE)
     of_vapour = 1.022e-8 * (295.235 + 2.6422 * s - 0.032380 * s**2 + 0.004028 * s**3)
     density = p / (t + _KELVIN) / _compressibility(t, p, moles)
     dry_air = (1 - moles) * density / _standard_density(15.0, 101325.0, 0.0)

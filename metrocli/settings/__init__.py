@@ -4,7 +4,7 @@ from metrocli.settings.composites import At, Either, ListOf, MapOf, Placed
 from metrocli.settings.files import ANY_KIND, FileOf, ImageFiles, MeshFile, TableFile, path_beside
 from metrocli.settings.sections import Section, Setting, read_sections, sections_schema, setting, settings_of
 from metrocli.settings.uncertain import UNKNOWN, Known, Uncertain
-from metrocli.settings.values import BAD, Choice, Flag, Number, Quantity, Schema, Spec, Text, Whole
+from metrocli.settings.values import BAD, Choice, Flag, Limits, Number, Quantity, Schema, Spec, Text, Whole
 
 __all__ = [
     "ANY_KIND",
@@ -17,6 +17,7 @@ __all__ = [
     "Flag",
     "ImageFiles",
     "Known",
+    "Limits",
     "ListOf",
     "MapOf",
     "MeshFile",

@@ -9,7 +9,7 @@ from metrocli.errors import Fault
 from metrocli.nodes import Node
 from metrocli.settings.composites import Either
 from metrocli.settings.sections import Section, setting
-from metrocli.settings.values import BAD, Quantity, Schema
+from metrocli.settings.values import BAD, Limits, Quantity, Schema
 
 _SPREADS = {"temperature": "temperature difference"}
 """Dimension of the standard uncertainty where it is not that of the value"""
@@ -30,13 +30,14 @@ UNKNOWN = Known(float("nan"))
 class Uncertain:
     """A quantity, plain or as {value, std}, read as `Known`; the value may be absent where the file has a column."""
 
-    def __init__(self, dimension: str) -> None:
-        value = setting(Quantity(dimension), "the value", default=float("nan"))
+    def __init__(self, dimension: str, limits: Limits | None = None) -> None:
+        quantity = Quantity(dimension, limits=limits)
+        value = setting(quantity, "the value", default=float("nan"))
         std = setting(
             Quantity(_SPREADS.get(dimension, dimension), minimum=0.0), "its standard uncertainty", default=0.0
         )
         parts = make_dataclass("Parts", [("value", float, value), ("std", float, std)], frozen=True)
-        self._given = Either(Quantity(dimension), Section(parts))
+        self._given = Either(quantity, Section(parts))
 
     @property
     def expects(self) -> str:

@@ -185,6 +185,20 @@ def _limits(limits: Iterable[tuple[str, float | None]]) -> str:
 
 
 @dataclass(frozen=True)
+class Limits:
+    """The range that a quantity has in its job, in its internal unit."""
+
+    low: float
+    high: float
+    text: str
+    """The range in words, and why"""
+
+    def refuses(self, value: float) -> bool:
+        """Return whether a value is outside."""
+        return not self.low <= value <= self.high
+
+
+@dataclass(frozen=True)
 class Quantity(OfText):
     """A number with its unit in one text, read as a float in the internal unit of its dimension."""
 
@@ -193,6 +207,7 @@ class Quantity(OfText):
     """Whether zero and negative values are refused."""
     minimum: float | None = None
     """Smallest allowed value in the internal unit."""
+    limits: Limits | None = None
 
     @property
     def expects(self) -> str:
@@ -210,6 +225,8 @@ class Quantity(OfText):
             return refuse(self, node, faults, f"{node.text} is not above zero")
         if self.minimum is not None and value < self.minimum:
             return refuse(self, node, faults, f"{node.text} is too small")
+        if self.limits is not None and self.limits.refuses(value):
+            return refuse(self, node, faults, f"{node.text} is outside {self.limits.text}")
         if self.positive and value < units.SMALLEST:
             return refuse(self, node, faults, f"{node.text} is too small")
         allowed = units.range_of(self.dimension)

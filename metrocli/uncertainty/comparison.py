@@ -14,6 +14,8 @@ from metrocli.result import Result
 from metrocli.uncertainty.coverage import factor
 
 Array = npt.NDArray[np.float64]
+SHARED, OWED = "shared", "owed_to_"
+"""Table of the inputs of a result that have a covariance, and arrays of what its estimates owe to each (m, k)"""
 _ROUNDING = 1e-9
 """Eigenvalues of a correlation matrix below this are rounding: the results do not determine that combination"""
 TABLES, POINTS, ENTRIES, TABLES_COVARIANCE = "tables/", "points", "tables_entries", "tables_covariance"
@@ -32,7 +34,10 @@ class Compared:
     std: float
     unit: str
     expanded: float
-    """`sqrt(U_A^2 + U_B^2)` (ISO/IEC 17043), k of each result 2, or the t factor where its noise is estimated"""
+    """`sqrt(U_A^2 + U_B^2 - 2 k_A k_B u(A, B))` (ISO/IEC 17043), u(A, B) what inputs of both make common
+
+    k of each result is 2, or the t factor where its noise is estimated.
+    """
 
     @property
     def en(self) -> float:
@@ -53,6 +58,8 @@ class Comparison:
     """Degrees of freedom of the uncertainties; inf where both noises are declared"""
     only_in_one: tuple[str, ...]
     """Names that one result has and the other does not determine"""
+    counted_once: tuple[str, ...] = ()
+    """Inputs that both results are made from, whose errors are in the covariance of both estimates"""
 
     @property
     def p_value(self) -> float:
@@ -108,10 +115,12 @@ def quantities(result: Result) -> dict[tuple[str, str], Quantity]:
 
 
 def compare(first: Result, second: Result) -> Comparison:
-    """Return the differences `second - first`, as of independent measurements, and the test of all with a covariance.
+    """Return the differences `second - first` and the test of all with a covariance.
 
-    `chi2 = d' (Q1 + Q2)^+ d` over estimates and error tables, with as many degrees of freedom as the matrix has rank;
-    coordinates of points are compared one by one. Raises InputError for results of two kinds or with nothing in common.
+    `chi2 = d' (Q1 + Q2 - C - C')^+ d` over estimates and error tables, with as many degrees of freedom as the matrix
+    has rank. C is the covariance of both by inputs that they share, as far as they have its factors; else they count
+    as independent. Coordinates of points are compared one by one, as independent. Raises InputError for results of two
+    kinds or with nothing in common.
     """
     if first.kind != second.kind:
         raise InputError(f"results of two kinds cannot be compared: {first.kind} and {second.kind}")
@@ -119,11 +128,13 @@ def compare(first: Result, second: Result) -> Comparison:
     common = [name for name in one.names if name in set(other.names)]
     rows, columns = _rows(one, common), _rows(other, common)
     difference = other.values[columns] - one.values[rows]
-    covariance = one.covariance[np.ix_(rows, rows)] + other.covariance[np.ix_(columns, columns)]
+    counted, joint = _by_shared(first, second, common)
+    covariance = one.covariance[np.ix_(rows, rows)] + other.covariance[np.ix_(columns, columns)] - joint - joint.T
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     parts = [(one.std[rows], one.dof[rows]), (other.std[columns], other.dof[columns])]
-    each = [factor(1, dof) * spread for spread, dof in parts]
-    expanded = np.hypot(each[0], each[1])
+    k = [factor(1, dof) for _, dof in parts]
+    each = [wide * spread for wide, (spread, _) in zip(k, parts, strict=True)]
+    expanded = np.sqrt(np.maximum(each[0] ** 2 + each[1] ** 2 - 2 * k[0] * k[1] * np.diag(joint), 0.0))
     # entries that the gauge holds at zero have neither a difference nor an uncertainty
     alive = np.flatnonzero((std > 0) | (difference != 0))
     found = [
@@ -138,7 +149,35 @@ def compare(first: Result, second: Result) -> Comparison:
     chi2, dof = _tested(difference[moving], covariance[np.ix_(moving, moving)])
     apart = {" ".join(name).strip() for name in set(one.names) ^ set(other.names)}
     apart |= {f"{group} {name.rpartition('.')[0]}" for group, name in set(points[0]) ^ set(points[1])}
-    return Comparison(tuple(found), chi2, dof, _joint_dof(parts, moving), tuple(sorted(apart)))
+    return Comparison(tuple(found), chi2, dof, _joint_dof(parts, moving), tuple(sorted(apart)), counted)
+
+
+def _by_shared(first: Result, second: Result, common: list[tuple[str, str]]) -> tuple[tuple[str, ...], Array]:
+    """Return the inputs that both results have with the same digest, and the covariance that they give (n, n).
+
+    Rows are the common quantities of the first result, columns those of the second.
+    """
+    joint, names = np.zeros((len(common), len(common))), []
+    if SHARED in first.tables and SHARED in second.tables:
+        known = _digests(second)
+        for digest, name in _digests(first).items():
+            if digest in known:
+                names.append(name)
+                joint += _owed(first, name, common) @ _owed(second, known[digest], common).T
+    return tuple(names), joint
+
+
+def _digests(result: Result) -> dict[str, str]:
+    table = result.tables[SHARED]
+    return dict(zip(table.texts("digest"), table.texts("input"), strict=True))
+
+
+def _owed(result: Result, name: str, common: list[tuple[str, str]]) -> Array:
+    """Return what the common quantities of a result owe to an input (n, k); nothing but estimates does."""
+    place = {("estimates", one.name): i for i, one in enumerate(result.estimates)}
+    factors = np.asarray(result.arrays[OWED + name])
+    nothing = np.zeros(factors.shape[1])
+    return np.array([factors[place[one]] if one in place else nothing for one in common]).reshape(-1, len(nothing))
 
 
 def _joint_dof(parts: list[tuple[Array, Array]], rows: npt.NDArray[np.intp]) -> float:

@@ -12,7 +12,7 @@ from metrocli.uncertainty.coverage import COVERAGE
 from metrocli.uncertainty.verification import Deviation
 
 ASKED = 105
-"""Lengths of a complete test: five, three times each, in seven positions (ISO 10360-2:2009, 6.3)"""
+"""Lengths of a complete test: five, three times each, in seven positions (ISO 10360-2:2009)"""
 CONFORMS, FAILS, OPEN = "yes", "no", "undecided"
 
 

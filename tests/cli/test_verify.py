@@ -71,7 +71,7 @@ def test_length_errors_against_an_mpe(folder: Path, metrocli: Metrocli) -> None:
     assert found["mpe_ratio"] == pytest.approx(0.05 / 0.0480018)
     ran = metrocli("verify", *files, "--mpe", "30 um + 60 um/m", "--require", "mpe_ratio <= 1")
     assert ran.code == 6 and "required mpe_ratio <= 1: NOT met (1.042)" in ran.err
-    assert "ISO 10360-2:2009, 6.3, has 105" in ran.out
+    assert "ISO 10360-2:2009 has 105" in ran.out
     assert metrocli("verify", *files, "--mpe", "0.06 mm", "--require", "mpe_ratio <= 1").code == 0
     tight = json.loads(metrocli("verify", *files, "--mpe", "5 um", "--json").out)["length_errors"]
     assert [one["conforms"] for one in tight] == ["no", "no"]

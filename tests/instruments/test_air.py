@@ -64,7 +64,7 @@ def test_both_equations_give_the_values_of_nist(row: tuple[float, ...]) -> None:
 
 def test_ciddors_own_tables_are_met_within_their_last_digit() -> None:
     rows = [(ciddor(t, HPA_OF_KPA * p, 0.0, 633 * NM), value) for t, p, value in DRY]
-    rows += [(ciddor(t, p / 100, vapour, 633 * NM, co2), value) for t, p, vapour, co2, value in MOIST]
+    rows += [(ciddor(t, p / 100, vapour, 633 * NM, 1e-6 * co2), value) for t, p, vapour, co2, value in MOIST]
     rows += [(index("ciddor", Weather(t, HPA_OF_KPA * p, h), 633 * NM), value) for t, p, h, value in EXTREME]
     for found, value in rows:
         assert 1e8 * (found - 1) == pytest.approx(value, abs=0.1)
@@ -90,6 +90,8 @@ def test_figures_of_the_page_on_air() -> None:
     assert at(20.5) - at(19.5) == pytest.approx(-0.95, abs=0.005)
     assert at(p=1013.75) - at(p=1012.75) == pytest.approx(0.27, abs=0.005)
     assert at(h=50.5) - at(h=49.5) == pytest.approx(-0.0085, abs=1e-4)
+    more = 1e6 * float(index("ciddor", Weather(20.0, 1013.25, 50.0), 632.99 * NM, 550e-6)) - at()
+    assert more == pytest.approx(0.014, abs=5e-4)
     for t, h, apart in ((16, 50, 0.0), (24, 50, 0.0), (40, 75, 0.131)):
         change = (at(t, h=0.0, equation="edlen") - at(t, h=h, equation="edlen")) * (1 - 292.75 / (t + 273.15))
         assert change == pytest.approx(apart, abs=0.01)

@@ -234,23 +234,25 @@ def test_the_table_has_every_link() -> None:
     } == set(PARAMETERS)
 
 
-def test_a_joint_prior_of_members_is_the_squared_distance_in_its_covariance() -> None:
+@pytest.mark.parametrize("columns", [(4,), (0, 3)])
+def test_a_joint_prior_of_members_is_the_squared_distance_in_its_covariance(columns: tuple[int, ...]) -> None:
     rng = np.random.default_rng(61)
-    root = rng.normal(size=(4, 4))
-    covariance = root @ root.T + np.eye(4)
+    members, size = np.array([0, 2, 3]), 3 * len(columns)
+    root = rng.normal(size=(size, size))
+    covariance = root @ root.T + np.eye(size)
     block = Block("tracer", rng.normal(size=(4, 5)), tuple("xyzds"), tuple("abcd"))
-    group = groups.prior_of_members(block, 4, covariance)
+    group = groups.prior_of_members(block, columns, covariance, members)
+    at = np.ix_(members, columns)
     off = np.zeros((4, 5))
-    off[:, 4] = rng.normal(size=4)
+    off[at] = rng.normal(size=(3, len(columns)))
     moved = {block.name: block.moved(off)}
     linear = group.linear(moved, frozenset(moved))
-    assert np.isclose(linear.cost, off[:, 4] @ np.linalg.solve(covariance, off[:, 4]))
-    found = np.zeros((4, 4, 5))
-    for touch in linear.touches:
-        found[:, touch.index[0]] += touch.jacobian[:, :, 0]
-    gradient = np.einsum("a,ams->ms", linear.residual[:, 0], found)
     expected = np.zeros((4, 5))
-    expected[:, 4] = -np.linalg.solve(covariance, off[:, 4])
+    expected[at] = -np.linalg.solve(covariance, off[at].ravel()).reshape(3, -1)
+    assert np.isclose(linear.cost, -(off * expected).sum())
+    gradient = np.zeros((4, 5))
+    for touch in linear.touches:
+        gradient[touch.index[0]] += linear.residual[:, 0] @ touch.jacobian[:, :, 0]
     assert np.allclose(gradient, expected)
 
 

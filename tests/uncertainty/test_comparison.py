@@ -117,3 +117,31 @@ def test_few_degrees_of_freedom_leave_p_uniform_and_e_n_below_one() -> None:
     one = drawn(rng, np.zeros(3), root, 8)
     found = compare(one, replace(one, estimates=tuple(replace(e, value=e.value + 1) for e in one.estimates)))
     assert found.compared[0].expanded / found.compared[0].std == pytest.approx(2.37, abs=0.005)
+
+
+def test_an_input_of_both_counts_once() -> None:
+    """`x = F s + own`, with the same s in both results: the difference has the covariance of a direct computation."""
+    rng = np.random.default_rng(71)
+    factors = rng.normal(size=(2, 3, 2))
+    own = [np.diag(rng.uniform(0.1, 1.0, 3)) for _ in factors]
+    values = rng.normal(size=(2, 3))
+
+    def result(i: int, digest: str) -> Result:
+        covariance = own[i] + factors[i] @ factors[i].T
+        std = np.sqrt(np.diag(covariance))
+        listed = tuple(Estimate(n, float(v), float(s), "mm") for n, v, s in zip("abc", values[i], std, strict=True))
+        shared = Table({"input": np.array(["camera"]), "digest": np.array([digest])})
+        return Result("align-part", "", listed, covariance, {}, {"shared": shared}, {"owed_to_camera": factors[i]})
+
+    found = compare(result(0, "11"), result(1, "11"))
+    apart = factors[1] - factors[0]
+    covariance = own[0] + own[1] + apart @ apart.T
+    difference = values[1] - values[0]
+    assert found.counted_once == ("camera",)
+    assert [one.std for one in found.compared] == pytest.approx(np.sqrt(np.diag(covariance)))
+    assert [one.en for one in found.compared] == pytest.approx(np.abs(difference) / np.sqrt(np.diag(covariance)) / 2)
+    assert found.chi2 == pytest.approx(difference @ np.linalg.solve(covariance, difference))
+    other = compare(result(0, "11"), result(1, "22"))
+    both = own[0] + own[1] + factors[0] @ factors[0].T + factors[1] @ factors[1].T
+    assert other.counted_once == ()
+    assert other.chi2 == pytest.approx(difference @ np.linalg.solve(both, difference))

@@ -154,12 +154,12 @@ def priors(block: Block, sigma: Array, free: Mask) -> list[Group]:
 
 @dataclass(frozen=True)
 class ReadMembers:
-    """The forward model of a joint prior of several members: one column of a block, read as one vector."""
+    """The forward model of a joint prior of several members: some columns of a block, read as one vector."""
 
     block: str
     reference: Array
     """(members, size)"""
-    column: int
+    columns: tuple[int, ...]
     takes = None
     gives = Quantity.PARAMETERS
 
@@ -169,28 +169,29 @@ class ReadMembers:
         return (self.block,)
 
     def step(self, value: Array, local: Local) -> Step:
-        """Return the differences of the members (m, 1) and their derivatives by each, (m, m, size, 1)."""
-        chosen = local.index(self.block)
-        m, size = len(chosen), self.reference.shape[1]
-        by_member = np.zeros((m, m, size, 1))
-        by_member[np.arange(m), np.arange(m), self.column] = 1.0
-        difference = (local.members(self.block) - self.reference)[chosen[:, 0], self.column]
-        return Step(difference[:, None], by_block={self.block: by_member})
+        """Return the differences (m c, 1), member by member, and their derivatives by each, (m, m c, size, 1)."""
+        chosen = local.index(self.block)[:, 0]
+        m, c, size = len(chosen), len(self.columns), self.reference.shape[1]
+        by_member = np.zeros((m, m, c, size, 1))
+        by_member[np.arange(m), np.arange(m)] = np.eye(size)[list(self.columns), :, None]
+        difference = (local.members(self.block) - self.reference)[chosen][:, self.columns]
+        return Step(difference.reshape(m * c, 1), by_block={self.block: by_member.reshape(m, m * c, size, 1)})
 
 
-def prior_of_members(block: Block, column: int, covariance: Array) -> Group:
-    """Return the joint prior of one column of all members: their present values with a covariance (members, members).
+def prior_of_members(block: Block, columns: tuple[int, ...], covariance: Array, members: Index) -> Group:
+    """Return the joint prior of some columns of some members: their present values with a covariance (m c, m c).
 
-    The block has no constraint between its columns (Space.FLAT).
+    Its rows run over the columns of the first member, then of the next. The block has no constraint between its
+    columns (Space.FLAT).
     """
     observations = Observations(
         readings=np.zeros((len(covariance), 1)),
         sigma=np.ones(1),
-        index={block.name: np.arange(len(covariance), dtype=np.intp)[:, None]},
+        index={block.name: np.asarray(members, dtype=np.intp)[:, None]},
         covariance=np.asarray(covariance, dtype=float)[:, :, None],
-        components=block.members,
+        components=tuple(f"{block.members[i]} {block.columns[k]}" for i in members for k in columns),
     )
-    return Group(f"prior of {block.name}", Chain((ReadMembers(block.name, block.values, column),)), observations)
+    return Group(f"prior of {block.name}", Chain((ReadMembers(block.name, block.values, columns),)), observations)
 
 
 @dataclass(frozen=True)

@@ -65,7 +65,13 @@ def _figures(found: Comparison, shared: list[str]) -> dict[str, Any]:
         else:
             groups.setdefault("tables", {}).setdefault(one.group, {})[one.name] = row
     figures = {"chi2": found.chi2, "dof": found.dof, "p_value": found.p_value, "max_en": found.max_en}
-    return {**groups, **figures, "shared": shared, "only_in_one": list(found.only_in_one)}
+    return {
+        **groups,
+        **figures,
+        "shared": shared,
+        "counted_once": list(found.counted_once),
+        "only_in_one": list(found.only_in_one),
+    }
 
 
 def _text(found: Comparison, shared: list[str]) -> str:
@@ -81,7 +87,12 @@ def _text(found: Comparison, shared: list[str]) -> str:
     lines.append(f"{len(found.compared)} quantities, largest E_n {found.max_en:.2f}")
     lines.append(f"all together: chi2 {found.chi2:.4g} of {found.dof} degrees of freedom, p {found.p_value:.3g}")
     independent = "the uncertainties count as independent"
-    if shared:
+    if found.counted_once:
+        once = f"what they share by {', '.join(found.counted_once)} counts once"
+        lines.append(
+            f"{once}; other inputs count as independent" + (f": both have {', '.join(shared)}" if shared else "")
+        )
+    elif shared:
         lines.append(f"both are made from {', '.join(shared)}; {independent} all the same")
     else:
         lines.append(f"the results have no input in common; {independent}")

@@ -127,7 +127,7 @@ def _length_text(tested: Sequence[LengthError]) -> Iterator[str]:
     yield "errors are indicated minus calibrated (ISO 10360-2:2009); U is that of the calibrated length, k = 2"
     yield f"largest (|error| + U) / MPE: {_largest(tested):.3g}, conforming up to 1 (ISO 14253-1)"
     if len(tested) < ASKED:
-        complete = f"a test by ISO 10360-2:2009, 6.3, has {ASKED}: five, three times, in seven positions"
+        complete = f"a test by ISO 10360-2:2009 has {ASKED}: five, three times, in seven positions"
         yield f"{len(tested)} lengths; {complete}"
 
 

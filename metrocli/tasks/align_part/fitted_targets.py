@@ -1,33 +1,57 @@
-"""Targets of a fit-part result: their coordinates in the part frame, and the pose of the fit as their common error.
+"""Targets of a fit-part result: their coordinates in the part frame, with the joint covariance of all of them.
 
-The targets of a fitted part share the error of its pose, and errors of the network that measured them. The pose of
-the part in the machine absorbs the rigid motion among these, so it is left out of the adjustment and added to that
-pose. What is left, such as an error of scale, counts as an error of each target by itself.
+The targets of a fitted part share the error of its pose, and errors of the network that measured them. So their
+coordinates enter the adjustment as one correlated observation.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.blocks import Array, Block
+from metrocli.adjust.model.groups import Group, prior_of_members, priors
+from metrocli.adjust.model.observations import Mask
 from metrocli.errors import InputError
-from metrocli.geometry import poses
-from metrocli.geometry.rotations import cross_matrix
 from metrocli.result import Result
 from metrocli.table import Table
+from metrocli.tasks.shared.images.simulation import true_targets
+from metrocli.tasks.shared.images.target_list import Targets
 
 FEWEST = 3
+_NO_ERROR = 1e-5
+"""Standard deviation that every coordinate has besides, relative to the mean of all: targets whose errors follow from
+those of others would have a covariance without inverse"""
 
 
 @dataclass(frozen=True)
 class TargetList:
-    """Targets with independent errors, and what they have in common."""
+    """Targets of a part with what is known of their errors."""
 
     table: Table
-    common: Array | None = None
-    """Covariance of a small shift and turn of the part frame, (6, 6); None for a list from a file"""
+    covariance: Array | None = None
+    """Joint covariance of all coordinates (m, 3, m, 3) [mm^2]; None for a list from a file: independent"""
+
+    def priors(self, block: Block, sigma: Array, free: Mask) -> list[Group]:
+        """Return what is known beforehand of the free coordinates (m, 3) of a block of these targets.
+
+        That is one correlated observation of the targets of a fit, and one of each target of a file, with sigma (m, 3).
+        """
+        if self.covariance is None:
+            return priors(block, sigma, free)
+        rows = np.flatnonzero(free.all(axis=1))
+        size = 3 * len(rows)
+        chosen = self.covariance[rows][:, :, rows].reshape(size, size)
+        return [prior_of_members(block, (0, 1, 2), chosen, rows)]
+
+    def drawn(self, known: Targets, rng: np.random.Generator) -> Targets:
+        """Return the targets with errors drawn from their covariance."""
+        if self.covariance is None:
+            return true_targets(known, rng)
+        size = known.points.size
+        root = np.linalg.cholesky(self.covariance.reshape(size, size))
+        return replace(known, points=known.points + (root @ rng.normal(size=size)).reshape(-1, 3))
 
 
 def target_list(targets: Table | Result) -> TargetList:
@@ -40,35 +64,20 @@ def target_list(targets: Table | Result) -> TargetList:
             f"the fit-part result has {len(found)} targets, and a part needs {FEWEST}: name them in its job, "
             "e.g. `targets: [T*]`, or by the surface `target` in its points"
         )
-    motion, rest = _common(targets)
-    own = np.sqrt(np.einsum("nkk->nk", targets.arrays["targets_own"]) + (rest**2).sum(axis=2))
+    covariance = _joint(targets.arrays["targets_own"], targets.arrays["targets_common"])
+    std = np.sqrt(np.einsum("nknk->nk", covariance))
     columns = {name: found.columns[name] for name in ("target", "x", "y", "z")}
-    columns |= {f"sigma_{axis}": own[:, k] for k, axis in enumerate("xyz")}
+    columns |= {f"sigma_{axis}": std[:, k] for k, axis in enumerate("xyz")}
     units = {name: "mm" for name in columns if name != "target"}
-    return TargetList(Table(columns, units, "the targets of the fit-part result"), motion)
+    table = Table(columns, units, "the targets of the fit-part result")
+    return TargetList(table, covariance if std.any() else None)
 
 
-def _common(result: Result) -> tuple[Array, Array]:
-    """Return the covariance (6, 6) of the rigid motion `u + w x X` that all targets share, and what they share besides.
-
-    That is the part of the factor `targets_common` (m, 3, k) that no rigid motion follows.
-    """
-    points, shared = result.tables["targets"].stacked(("x", "y", "z")), result.arrays["targets_common"]
-    lever = float(np.sqrt((points**2).sum(axis=1).mean())) or 1.0
-    by_motion = np.concatenate([np.tile(np.eye(3), (len(points), 1, 1)), -cross_matrix(points) / lever], axis=2)
-    motions = np.linalg.lstsq(by_motion.reshape(-1, 6), shared.reshape(-1, shared.shape[2]), rcond=None)[0]
-    rest = shared - by_motion @ motions
-    motions[3:] /= lever
-    return motions @ motions.T, rest
-
-
-def added_by_fit(common: Array, part: Array) -> Array:
-    """Return what a common motion of the targets adds to the covariance of (x, y, z, alpha, beta, gamma), (6, 6).
-
-    `part` (6,) is the pose of the part in the machine; a motion in the part frame is turned with the part.
-    """
-    turn = poses.rotation_of(part)
-    change = np.zeros((6, 6))
-    change[:3, :3] = change[3:, 3:] = turn
-    change = poses.euler_form_by_step(part) @ change
-    return np.asarray(change @ common @ change.T)
+def _joint(own: Array, common: Array) -> Array:
+    """Return the covariance `own_i [i = j] + common_i common_j'` of own (m, 3, 3) and common (m, 3, k)."""
+    m = len(own)
+    joint: Array = np.einsum("iak,jbk->iajb", common, common, optimize=True)
+    rows = np.arange(m)
+    mean = float(np.einsum("nkk->", own) + np.einsum("iaia->", joint)) / (3 * m)
+    joint[rows, :, rows, :] += own + _NO_ERROR**2 * mean * np.eye(3)
+    return joint

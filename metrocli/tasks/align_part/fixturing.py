@@ -26,6 +26,10 @@ SUPPORTS = Columns(
 FEWEST = 3
 STEEPEST = np.radians(10.0)
 """Tilt of the part up to which screws level it"""
+_ON_A_LINE = 1e-3
+"""Extent of the supports across their line, relative to that along it, up to which they cannot level a part"""
+_LEVEL = 1e-9
+"""Tilt [rad] that no screw can take away; rounding leaves less"""
 _STEPS = np.array([1e-3, 1e-3, 1e-3, 1e-6, 1e-6, 1e-6])
 """Steps of a difference [mm, rad]"""
 _ORDER = (("shift x", 0), ("shift y", 1), ("shift z", 2), ("turn about z", 5), ("turn about y", 4), ("turn about x", 3))
@@ -92,7 +96,7 @@ def must_level(supports: Table) -> None:
         hint = "list the screws below the part, e.g. one at each corner"
         raise InputError([supports.fault(f"{len(places)} supports; a part is levelled by {FEWEST} or more", hint)])
     sizes = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
-    if sizes[1] < 1e-3 * sizes[0]:
+    if sizes[1] < _ON_A_LINE * sizes[0]:
         raise InputError([supports.fault("all supports lie on one line", "add one beside it")])
 
 
@@ -176,7 +180,7 @@ def _in_words(found: Table, level: tuple[Array, Array]) -> Iterator[str]:
     yield "to level the part, raise the supports in this order:"
     for name, size, std, left in steps:
         if size > 0:
-            tilt = "" if left < 1e-9 else f" (tilt left {1e3 * left:.3f} mm/m)"
+            tilt = "" if left < _LEVEL else f" (tilt left {1e3 * left:.3f} mm/m)"
             yield f"    {name}: {format_quantity(float(size), 'mm', float(std))}{tilt}"
         else:
             yield f"    {name}: stays"

@@ -9,7 +9,7 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.chain import Chain
-from metrocli.adjust.model.groups import Group, priors
+from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Index
 from metrocli.effects.model import Model, Place
 from metrocli.effects.modelled import Modelled
@@ -20,6 +20,7 @@ from metrocli.instruments.camera import TARGET, lens_link, target_block
 from metrocli.instruments.lens import ideal_point
 from metrocli.table import Table
 from metrocli.tasks.align_part.camera import CameraModel
+from metrocli.tasks.align_part.fitted_targets import TargetList
 from metrocli.tasks.shared.images.adjustment import IMAGES
 from metrocli.tasks.shared.images.eccentricity import corrected
 from metrocli.tasks.shared.images.sightings import Sighted, check_inside
@@ -37,8 +38,6 @@ class Problem(Modelled):
     camera: CameraModel
     sighted: Sighted
     warnings: tuple[str, ...] = ()
-    common: Array | None = None
-    """Covariance (6, 6) of a motion that all targets share, beside the adjustment"""
 
     @property
     def images(self) -> Group:
@@ -61,7 +60,7 @@ def places_of(images: Sequence[str], targets: Sequence[str]) -> dict[str, Place]
     }
 
 
-def build(camera: CameraModel, sighted: Sighted, table: Table, free_angle: bool) -> Problem:
+def build(camera: CameraModel, sighted: Sighted, table: Table, free_angle: bool, listed: TargetList) -> Problem:
     """Return the adjustment with its starting values, found from the sightings alone.
 
     Raises InputError if readings do not fit the image size, or if an image has no spindle pose.
@@ -92,7 +91,7 @@ def build(camera: CameraModel, sighted: Sighted, table: Table, free_angle: bool)
         sighted.observations, index={TARGET: sighted.target, spindle.SPINDLE: sighted.view, "view": sighted.view}
     )
     group = Group(IMAGES, Chain((*spindle.to_camera(), lens_link(camera.convention))), observations)
-    others: tuple[Group, ...] = (*camera.prior(), *priors(blocks[TARGET], targets.sigma, free))
+    others: tuple[Group, ...] = (*camera.prior(), *listed.priors(blocks[TARGET], targets.sigma, free))
     if sighted.eccentric:
         group, blocks = corrected(group, blocks, others, None, targets.radius)
     places = places_of(sighted.images, targets.names)

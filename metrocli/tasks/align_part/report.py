@@ -21,7 +21,6 @@ from metrocli.instruments.camera import TARGET
 from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.align_part import KIND
-from metrocli.tasks.align_part.fitted_targets import added_by_fit
 from metrocli.tasks.align_part.fixturing import corrections
 from metrocli.tasks.align_part.gauging import predicted_points
 from metrocli.tasks.align_part.problem import Problem
@@ -36,6 +35,7 @@ from metrocli.tasks.shared.images.tables import (
     suspect_images,
     suspect_readings,
 )
+from metrocli.tasks.shared.owed_to_inputs import owed
 from metrocli.tasks.shared.statistics import basic_statistics, noise_notes, noise_warnings, residual_table, with_noise
 from metrocli.tasks.shared.uncontrolled import TABLE, in_words
 from metrocli.units import format_quantity
@@ -100,8 +100,6 @@ def report(problem: Problem, adjusted: Adjusted, prediction: Prediction | None, 
     solution = adjusted.solution
     found = adjusted.known_residuals()
     names, values, covariance, units = _estimates(solution, problem.effects)
-    if problem.common is not None:
-        covariance[:6, :6] += added_by_fit(problem.common, solution.blocks[spindle.PART].values[0])
     effect_tables, effect_arrays = effect_results(problem.effects, solution)
     std = np.sqrt(np.diag(covariance))
     estimates = tuple(
@@ -123,7 +121,8 @@ def report(problem: Problem, adjusted: Adjusted, prediction: Prediction | None, 
     views = rms_table(found.values, adjusted.group, "image", index["view"], images)
     correlation = covariance / std[:, None] / std
     arrays = {"rotation": poses.rotation_of(solution.blocks[spindle.PART].values[0]), "correlation": correlation}
-    arrays |= effect_arrays
+    owed_tables, owed_arrays = ({}, {}) if adjusted.structured is not None else _owed(problem, solution)
+    arrays |= effect_arrays | owed_arrays
     hidden = uncontrolled(problem, adjusted)
     tables = {
         "residuals": residual_table(found, adjusted.group),
@@ -132,6 +131,7 @@ def report(problem: Problem, adjusted: Adjusted, prediction: Prediction | None, 
         "rejected": adjusted.rejected,
         TABLE: hidden,
         **effect_tables,
+        **owed_tables,
     }
     fixture = corrections(values[:6], covariance[:6, :6], files.supports)
     tables |= fixture.tables
@@ -153,6 +153,16 @@ def report(problem: Problem, adjusted: Adjusted, prediction: Prediction | None, 
         details=adjusted.structured.details(names) if adjusted.structured is not None else {},
         plain=("dof",),
     )
+
+
+def _owed(problem: Problem, solution: Solution) -> tuple[dict[str, Table], dict[str, Array]]:
+    """Return what the estimates owe to the camera and to the targets of a fit, where these have a joint covariance."""
+    correlated = [group for group in problem.others if group.observations.covariance is not None]
+    inputs = {"targets" if TARGET in group.chain.blocks else "camera": group for group in correlated}
+    blocks = delivered(problem.effects)
+    change = np.eye(sum(int(solution.blocks[name].free.sum()) for name in blocks))
+    change[:6, :6] = poses.euler_form_by_step(solution.blocks[spindle.PART].values[0])
+    return owed(solution, blocks, change, inputs)
 
 
 def _notes(solution: Solution, adjusted: Adjusted, prediction: Prediction | None) -> list[str]:

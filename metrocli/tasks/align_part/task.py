@@ -29,7 +29,7 @@ from metrocli.tasks.shared.images.adjustment import Adjusted, Options, adjust_im
 from metrocli.tasks.shared.images.planted_effects import planted, refuse_pictures
 from metrocli.tasks.shared.images.rendering import Draw, pictures
 from metrocli.tasks.shared.images.sightings import START_NOISE, Needs, sightings
-from metrocli.tasks.shared.images.simulation import Shown, sightings_table, sights, true_targets
+from metrocli.tasks.shared.images.simulation import Shown, sightings_table, sights
 from metrocli.tasks.shared.images.target_list import known_targets
 
 
@@ -63,8 +63,8 @@ def prepared(job: Job[Settings, Files]) -> Problem:
         model.must_fit(files.images)
     listed = target_list(files.targets)
     sighted = sightings(settings, files.observations, listed.table, files.images, Needs(fewest=1))
-    problem = build(model, sighted, files.poses, free_angle="clamping-angle" in settings.estimate)
-    return replace(problem, common=listed.common).with_effects(job.effects)
+    problem = build(model, sighted, files.poses, "clamping-angle" in settings.estimate, listed)
+    return problem.with_effects(job.effects)
 
 
 def check(job: Job[Settings, Files]) -> None:
@@ -105,7 +105,8 @@ def simulate(job: Job[Settings, Files], options: SimulationOptions) -> Simulatio
         raise InputError("simulate needs the truth: give `simulation: {part: {x: 10 mm, ...}, clamping_angle: 1 mm/m}`")
     model = camera_of(files.camera)
     rng = np.random.default_rng(options.seed)
-    known = true_targets(known_targets(settings.pattern, target_list(files.targets).table, 0.0), rng)
+    listed = target_list(files.targets)
+    known = listed.drawn(known_targets(settings.pattern, listed.table, 0.0), rng)
     at = np.array([getattr(truth.part, name) for name in EULER])
     held = spindle_poses(poses, range(len(poses)))
     part = pose_from_euler(at[:3], at[3:])

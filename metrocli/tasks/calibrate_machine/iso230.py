@@ -1,4 +1,4 @@
-"""Accuracy and repeatability of positioning of an axis (ISO 230-2:2014, clauses 4 and 5)."""
+"""Accuracy and repeatability of positioning of an axis (ISO 230-2:2014)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 _SAME = 0.01
 """Targets of two runs are the same within this [mm]"""
 _RUNS, _LONG = 5, 2000.0
-"""Runs in each direction that ISO 230-2:2014, 5.3.2, asks for, on axes up to this travel [mm]"""
+"""Runs in each direction that ISO 230-2:2014 asks for, on axes up to this travel [mm]"""
 
 
 @dataclass(frozen=True)
@@ -139,7 +139,7 @@ def _too_few(line: _Line) -> list[str]:
     up, down = len(line.up), len(line.down)
     if min(up, down) >= _RUNS or float(np.ptp(line.targets)) > _LONG:
         return []
-    return [f"axis {line.axis}: {up} runs up and {down} down; ISO 230-2:2014, 5.3.2, asks for five in each direction"]
+    return [f"axis {line.axis}: {up} runs up and {down} down; ISO 230-2:2014 asks for five in each direction"]
 
 
 def _apart(lines: Iterable[tuple[str, tuple[float, ...], str]]) -> list[str]:

@@ -17,6 +17,8 @@ from metrocli.words import in_a_row
 
 _OPEN = 1e-4
 """Singular value, relative to the largest, below which a motion changes no overstock"""
+_NO_TURN = 1e-3
+"""Turn over shift of a step, both as motions of the points [mm], up to which it is a shift: rounding leaves far less"""
 _TOLERANCE = 1e-6
 """Shortfall of the least overstock [mm] that is not counted"""
 
@@ -148,7 +150,7 @@ def _null_space(rows: Array) -> list[Array]:
 
 def _is_shift(step: Array) -> npt.NDArray[np.bool_]:
     """Return whether steps (..., 6) have no turn that counts."""
-    return np.asarray(np.linalg.norm(step[..., 3:], axis=-1) < 1e-3 * np.linalg.norm(step[..., :3], axis=-1))
+    return np.asarray(np.linalg.norm(step[..., 3:], axis=-1) < _NO_TURN * np.linalg.norm(step[..., :3], axis=-1))
 
 
 def motion_in_words(local: Local, step: Array) -> str:

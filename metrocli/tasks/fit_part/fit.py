@@ -23,6 +23,8 @@ _STEP = 1e-9
 """Step [mm] at which the iteration ends"""
 _WELL = 1e-9
 """Smallest eigenvalue of a Hessian, relative to the largest, with which a step is computed"""
+_ROUNDING = 1e-12
+"""Growth of aim and violation that rounding explains, relative to 1 mm^2 and more"""
 _SMALLEST_REACH = 1e-4
 """Reach of a linear programme [mm] at which the search for the largest least overstock ends: it is then off by less
 than reach^2 over the smallest radius"""
@@ -112,15 +114,25 @@ def most(stock: Stock, into: Array, enough: float = np.inf) -> tuple[Array, floa
 
 
 def most_of_many(stock: Stock, into: Array) -> tuple[Array, float, Array]:
-    """Return what `most` returns, from the lowest points alone, and those that are lower at their optimum."""
+    """Return what `most` returns, from the lowest points alone, and those that are lower at their optimum.
+
+    The overstock of a point changes by no more than the point moves, so only points that can have come below that
+    optimum are looked at there.
+    """
     chosen = np.zeros(len(stock.measured), dtype=bool)
-    overstock = stock.at(into).overstock
+    local = stock.at(into)
+    places, overstock = local.points.copy(), local.overstock.copy()
     for _ in range(_ITERATIONS):
         chosen[np.argsort(overstock)[:_LOWEST]] = True
         rows = np.flatnonzero(chosen)
         best, least, held = most(stock.of(rows), into)
-        overstock = stock.at(best).overstock
-        if not np.isfinite(least) or overstock.min() >= least - _STEP:
+        placed = poses.apply(best, stock.measured)
+        moved = np.linalg.norm(placed - places, axis=1)
+        doubtful = np.flatnonzero(overstock - moved < least - _STEP)
+        if np.isfinite(least) and doubtful.size:
+            places[doubtful] = placed[doubtful]
+            overstock[doubtful] = stock.of(doubtful).at(best).overstock
+        if not np.isfinite(least) or overstock[doubtful].min(initial=np.inf) >= least - _STEP:
             duals = np.zeros(len(overstock))
             duals[rows] = held
             return best, least, duals
@@ -149,7 +161,7 @@ def fit(stock: Stock, aim: Aim, into: Array) -> Fit:
             tried = local.moved(into, step)
             other = stock.at(tried)
             reached = aim.objective(other)
-            if _merit(reached, other, aim, price) <= merit + 1e-12 * (1 + abs(merit)):
+            if _merit(reached, other, aim, price) <= merit + _ROUNDING * (1 + abs(merit)):
                 break
             step = step / 2
         into, local, objective = tried, other, reached

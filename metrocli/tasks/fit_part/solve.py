@@ -99,7 +99,10 @@ def solve(settings: Settings, prepared: Prepared) -> Solved:
         raise InputError(c.wrong_side(turned))
     if name == MOST and not np.isfinite(largest):
         raise UndeterminedError("the least overstock has no limit: no surface faces the others; use another aim")
-    aim, fitted = fitted_part(stock, name, minimum, (highest, largest, holding), prepared.start)
+    # the even fit of the levels is nearer to what is sought than the largest least overstock, where it is allowed
+    allowed = name != MOST and stock.at(settled.into).overstock.min() >= minimum
+    begin = settled.into if allowed else highest
+    aim, fitted = fitted_part(stock, name, minimum, (begin, largest, holding), prepared.start)
     sense = sensitivity(fitted, aim, prepared.start, places.of(used).places)
     warnings = (*prepared.readings.warnings, *open_motions)
     return Solved(prepared, settled, used, stock, aim, fitted, largest, sense, warnings)
@@ -123,10 +126,13 @@ def _rough(prepared: Prepared) -> Array:
 
 
 def fitted_part(
-    stock: Stock, name: str, minimum: float, highest: tuple[Array, float, Array], start: Array
+    stock: Stock, name: str, minimum: float, begin: tuple[Array, float, Array], start: Array
 ) -> tuple[Aim, Fit]:
-    """Return the fit of an aim from the pose with the largest least overstock (pose, overstock, duals)."""
-    into, largest, duals = highest
+    """Return the fit of an aim from a pose, and from the largest least overstock and its duals.
+
+    For the aim `most` the pose is that of the largest least overstock.
+    """
+    into, largest, duals = begin
     if name != MOST:
         aim = aimed(stock, name, min(minimum, largest), into, start)
         return aim, fit(stock, aim, into)

@@ -26,6 +26,8 @@ _KEPT = 3
 """One rotation of so many is iterated to the end"""
 _TURN = 0.3
 """Largest turn of one iteration [rad]"""
+_DAMPING = 1e-3
+"""Damping of a step relative to its normal equations: points that leave a motion open do not run along it"""
 _ALIKE = 2.0
 """Ratio of the typical distances up to which two solutions fit alike"""
 
@@ -116,7 +118,7 @@ def _refined(
     nominal: Sought, points: Array, labels: Index | None, rotations: Array, shifts: Array
 ) -> tuple[Array, Array]:
     """Return the rotations and shifts after damped Gauss-Newton steps; distant points count less and less."""
-    damping = np.eye(6) * 1e-3
+    damping = np.eye(6) * _DAMPING
     for iteration in range(_ITERATIONS):
         placed = _placed(points, rotations, shifts)
         distance, normal = nominal.quick(placed, labels)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -17,79 +18,74 @@ from metrocli.adjust.model.blocks import Array, Block
 from metrocli.adjust.model.groups import Group, prior
 from metrocli.adjust.solution import Solution
 from metrocli.errors import InputError, together
-from metrocli.instruments.air import CIDDOR, EDLEN, Weather, index
+from metrocli.instruments.air import CIDDOR, EDLEN, STANDARD_CARBON_DIOXIDE, Weather, index
 from metrocli.instruments.tracer import AIR
 from metrocli.result import SCALE, Estimate
-from metrocli.settings import UNKNOWN, Choice, Known, Quantity, Section, Uncertain, setting
+from metrocli.settings import UNKNOWN, Choice, Known, Limits, Quantity, Section, Uncertain, setting
 from metrocli.table import Column, Table
 
 WEATHER = (Column("pressure", "pressure", required=False), Column("humidity", "humidity", required=False))
 """Columns of a reading's own weather, besides its temperature"""
 _COLUMNS = {"temperature": "temp", "pressure": "pressure", "humidity": "humidity"}
+_WORDS = {"temperature": "temperature", "pressure": "pressure", "humidity": "relative humidity"}
 _HEADINGS = {"temperature": "temp_degC", "pressure": "pressure_hPa", "humidity": "humidity_percent"}
-_RANGES = {"temperature": (-40.0, 100.0), "pressure": (100.0, 1400.0), "humidity": (0.0, 100.0)}
-"""Where the equations hold (Ciddor 1996; NIST, Index of Refraction of Air, VI)"""
-_LIGHT = (300e-6, 1700e-6)
-"""Wavelengths [mm] for which the equations hold"""
+_HOLD = "where the equations of the air hold"
+_LIMITS = {
+    "temperature": Limits(-40.0, 100.0, f"-40 to 100 degC, {_HOLD}"),
+    "pressure": Limits(100.0, 1400.0, f"100 to 1400 hPa, {_HOLD}"),
+    "humidity": Limits(0.0, 100.0, f"0 to 100 percent, {_HOLD}"),
+}
+"""Weather for which the equations hold (Ciddor 1996; NIST, Index of Refraction of Air, VI)"""
+_LIGHT = Limits(300e-6, 1700e-6, f"300 to 1700 nm, {_HOLD}")
+_CARBON_DIOXIDE = Limits(0.0, 2000e-6, "0 to 2000 ppm: outdoor air has 420 ppm, a crowded room 2000 ppm")
 _STEPS = {"temperature": 0.01, "pressure": 0.1, "humidity": 0.1}
 """Steps of the derivatives of the index"""
 _REACH = 1e-2
 """Plausible relative error of the index, as of a scale"""
 
 
-def _within(name: str, value: float) -> str:
-    """Return what is wrong with a value of the weather; empty if the equations hold for it or it is absent."""
-    low, high = _RANGES[name]
-    if not value < low and not value > high:
-        return ""
-    return f"{value:g} is outside {low:g} to {high:g} {_unit(name)}, where the equations of the air hold"
-
-
-def _unit(name: str) -> str:
-    return _HEADINGS[name].rpartition("_")[2]
+def _of_air(spec: type[Quantity] | type[Uncertain], name: str, default: object) -> Any:
+    """Return the setting of the temperature, the pressure or the humidity of the air."""
+    return setting(spec(name, limits=_LIMITS[name]), f"{_WORDS[name]} of the air", default=default)
 
 
 @dataclass(frozen=True)
 class Assumed:
     """The air that the instrument assumes."""
 
-    temperature: float = setting(Quantity("temperature"), "temperature of the air", default=20.0)
-    pressure: float = setting(Quantity("pressure"), "pressure of the air", default=1013.25)
-    humidity: float = setting(Quantity("humidity"), "relative humidity of the air", default=50.0)
-
-    def faults(self) -> Iterator[tuple[str, str]]:
-        """Yield a fault for each value for which the equations do not hold."""
-        for name in _RANGES:
-            wrong = _within(name, getattr(self, name))
-            if wrong:
-                yield name, wrong
+    temperature: float = _of_air(Quantity, "temperature", 20.0)
+    pressure: float = _of_air(Quantity, "pressure", 1013.25)
+    humidity: float = _of_air(Quantity, "humidity", 50.0)
 
 
 @dataclass(frozen=True)
 class Environment:
     """The air through which lengths were read, and the air that the instrument assumed."""
 
-    temperature: Known = setting(Uncertain("temperature"), "temperature of the air", default=UNKNOWN)
-    pressure: Known = setting(Uncertain("pressure"), "pressure of the air", default=UNKNOWN)
-    humidity: Known = setting(Uncertain("humidity"), "relative humidity of the air", default=UNKNOWN)
-    wavelength: Known = setting(Uncertain("wavelength"), "vacuum wavelength of the laser", default=Known(632.99e-6))
+    temperature: Known = _of_air(Uncertain, "temperature", UNKNOWN)
+    pressure: Known = _of_air(Uncertain, "pressure", UNKNOWN)
+    humidity: Known = _of_air(Uncertain, "humidity", UNKNOWN)
+    wavelength: Known = setting(
+        Uncertain("wavelength", _LIGHT), "vacuum wavelength of the laser", default=Known(632.99e-6)
+    )
     assumed: Assumed = setting(Section(Assumed), "the air that the instrument assumes", default=Assumed())
     correction: str = setting(Choice(CIDDOR, EDLEN), "equation of the refractive index", default=CIDDOR)
+    carbon_dioxide: float = setting(
+        Quantity("ratio", limits=_CARBON_DIOXIDE),
+        "carbon dioxide of the air, by volume",
+        default=STANDARD_CARBON_DIOXIDE,
+    )
 
     def faults(self) -> Iterator[tuple[str, str]]:
-        """Yield a fault for each value for which the equations do not hold."""
-        for name in _RANGES:
-            wrong = _within(name, getattr(self, name).value)
-            if wrong:
-                yield name, wrong
+        """Yield a fault for a wavelength without a value, and for carbon dioxide that the equation has no term for."""
         if np.isnan(self.wavelength.value):
             yield "wavelength", "the wavelength has no value: write e.g. {value: 632.99 nm, std: 0.1 pm}"
-        elif not _LIGHT[0] <= self.wavelength.value <= _LIGHT[1]:
-            yield "wavelength", "the equations of the air hold for 300 nm to 1700 nm"
+        if self.correction == EDLEN and self.carbon_dioxide != STANDARD_CARBON_DIOXIDE:
+            yield "carbon_dioxide", "the equation of Edlén is for air with 450 ppm: use `correction: ciddor`"
 
     def index(self, weather: Weather) -> Array:
         """Return the refractive index of the air."""
-        return index(self.correction, weather, self.wavelength.value)
+        return index(self.correction, weather, self.wavelength.value, self.carbon_dioxide)
 
     @property
     def assumes(self) -> float:
@@ -175,10 +171,11 @@ def _values(environment: Environment, table: Table, name: str) -> Array:
     column, given = _COLUMNS[name], getattr(environment, name).value
     if column in table:
         values = table.numbers(column)
-        low, high = _RANGES[name]
-        wrong = np.flatnonzero((values < low) | (values > high))
+        limits = _LIMITS[name]
+        wrong = np.flatnonzero((values < limits.low) | (values > limits.high))
         if wrong.size:
-            raise InputError(table.faults_at(wrong, lambda row: f"{name}: {_within(name, values[row])}"))
+            text = f"is outside {limits.text}"
+            raise InputError(table.faults_at(wrong, lambda row: f"{name}: {values[row]:g} {text}"))
         return values
     if np.isnan(given):
         text = f"environment: the {name} of the air is missing"

@@ -196,5 +196,5 @@ def scale_priors(scale: Scale | None, block: Block) -> list[Group]:
         return []
     own, common, m = scale.uncertainty, scale.common, len(block.members)
     if common:
-        return [prior_of_members(block, 4, own**2 * np.eye(m) + common**2)]
+        return [prior_of_members(block, (4,), own**2 * np.eye(m) + common**2, np.arange(m))]
     return [prior(block, np.arange(m), np.full((m, 1), own), columns=(4,))]

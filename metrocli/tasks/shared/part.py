@@ -9,12 +9,12 @@ import numpy as np
 
 from metrocli import units
 from metrocli.adjust.model.blocks import Array
-from metrocli.settings import Known, Uncertain, setting
+from metrocli.settings import Known, Limits, Uncertain, setting
 
 REFERENCE = 20.0
 """Temperature at which sizes are stated [degC]"""
-_MOST = 1e-3
-"""Largest coefficient of expansion of a solid [1/K]; soft polymers have up to 3e-4"""
+_SOLIDS = Limits(-1e-3, 1e-3, "what solids expand by: write e.g. 11.5e-6 1/K")
+"""Coefficients of expansion of solids [1/K]; soft polymers have up to 3e-4"""
 
 
 @dataclass(frozen=True)
@@ -22,15 +22,13 @@ class Warm:
     """A body at the measurement; its sizes are given at 20 degC."""
 
     temperature: Known = setting(Uncertain("temperature"), "its temperature at the measurement")
-    expansion: Known = setting(Uncertain("expansion"), "its coefficient of expansion")
+    expansion: Known = setting(Uncertain("expansion", _SOLIDS), "its coefficient of expansion")
 
     def faults(self) -> Iterator[tuple[str, str]]:
-        """Yield a fault for an entry without a value, and for an expansion that no solid has."""
+        """Yield a fault for an entry without a value."""
         for name, example in (("temperature", "22.1 degC"), ("expansion", "11.5e-6 1/K")):
             if np.isnan(getattr(self, name).value):
                 yield name, f"the {name} has no value: write e.g. {{value: {example}, std: ...}}"
-        if abs(self.expansion.value) > _MOST:
-            yield "expansion", f"{self.expansion.value:g} 1/K is more than a solid expands by: write e.g. 11.5e-6 1/K"
 
     @property
     def growth(self) -> float:

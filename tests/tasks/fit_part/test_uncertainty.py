@@ -15,7 +15,7 @@ from metrocli.project import yaml_text
 from metrocli.result import Result
 from metrocli.settings import Section
 from metrocli.table import Table
-from metrocli.tasks.fit_part.fit import Aim, Fit, most
+from metrocli.tasks.fit_part.fit import Aim, Fit, most, most_of_many
 from metrocli.tasks.fit_part.ideal import ideal
 from metrocli.tasks.fit_part.monte_carlo import drawing
 from metrocli.tasks.fit_part.nominals import OfSurfaces
@@ -70,6 +70,19 @@ def test_the_sensitivity_is_the_difference_of_two_fits(aim: str, minimum: float,
     shared = places.common.reshape(-1, 2)
     joint = np.eye(len(shared)) + 4 * np.outer(shared[:, 0], shared[:, 0]) + 9 * np.outer(shared[:, 1], shared[:, 1])
     assert np.allclose(found.covariance, every @ joint @ every.T)
+
+
+def test_the_largest_least_overstock_of_many_points_is_that_of_all(tmp_path: Path) -> None:
+    one, part = casting(35, each=150, angle=0.3), ideal_of(tmp_path)
+    stock = Stock(part, one.points, np.array([part.names.index(name) for name in one.surface]))
+    off = one.pose + np.array([40, -25, 30, 0.02, -0.03, 0.02])  # where other points are the lowest
+    pose, least, duals = most_of_many(stock, poses.inverse(poses.pose_from_euler(off[:3], off[3:])))
+    back = poses.inverse(pose)
+    overstock = one.overstock_at(np.concatenate([back[:3], poses.euler_form(back)[3:]]))
+    assert overstock.min() == pytest.approx(least, abs=1e-9)
+    assert np.allclose(overstock[duals > 0], least, atol=1e-6)
+    assert duals.sum() == pytest.approx(1)
+    assert least == pytest.approx(most(stock, pose)[1], abs=1e-6)
 
 
 def test_the_monte_carlo_check_repeats_the_standard_uncertainties(tmp_path: Path, metrocli: Metrocli) -> None:

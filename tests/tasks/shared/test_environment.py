@@ -184,10 +184,16 @@ FULL = "{temperature: 21.3 degC, pressure: {value: 1003 hPa, std: 0.5 hPa}, humi
 FAULTS = {
     "no humidity": ("{temperature: 21 degC, pressure: 1003 hPa}", "", ["the humidity of the air is missing", "lengths.csv"]),
     "two missing": ("{humidity: 40 percent}", "", ["the temperature of the air", "the pressure of the air"]),
-    "too hot": (FULL.replace("21.3", "121.3"), "", ["job.yaml:5", "121.3 is outside -40 to 100 degC"]),
+    "too hot": (FULL.replace("21.3", "121.3"), "", ["job.yaml:5", "temperature: 121.3 degC is outside -40 to 100 degC"]),
     "bar": (FULL.replace("1003 hPa", "1003 bar"), "", ["job.yaml:5", "outside 100 to 1400 hPa"]),
     "no unit": (FULL.replace("45 percent", "45"), "", ["job.yaml:5", "has no unit"]),
     "unknown": (FULL.replace("edlen", "edlin"), "", ["did you mean 'edlen'"]),
+    "all at once": (
+        "{temperature: 21, humidity: 150 percent, pressure: 5 hPa, carbon_dioxide: 4 percent, wavelength: 3 um}", "",
+        ["temperature: 21 has no unit", "humidity: 150 percent is outside 0 to 100", "pressure: 5 hPa is outside",
+         "carbon_dioxide: 4 percent is outside", "wavelength: 3 um is outside 300 to 1700 nm"],
+    ),
+    "edlen": (FULL.replace("correction", "carbon_dioxide: 420 ppm, correction"), "", ["use `correction: ciddor`"]),
     "row": (FULL, "pressure_hPa", ["lengths.csv:4", "pressure: 1.003 is outside 100 to 1400 hPa"]),
 }  # fmt: skip
 

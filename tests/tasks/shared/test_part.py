@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -63,8 +66,15 @@ def test_with_probing_the_corrected_points_are_those_of_the_part() -> None:
     assert widened == pytest.approx((2.1e-6) ** 2 * after[:, :, None] * after[:, None], rel=1e-6, abs=1e-12)
 
 
-def test_an_expansion_that_no_solid_has_is_refused() -> None:
+def test_an_expansion_that_no_solid_has_is_refused(tmp_path: Path, metrocli: Callable[..., Any]) -> None:
     """11.5 1/K is written for 11.5e-6 1/K: the part would shrink to a twentieth."""
-    (wrong,) = Part(Known(22.0), Known(11.5)).faults()
-    assert wrong == ("expansion", "11.5 1/K is more than a solid expands by: write e.g. 11.5e-6 1/K")
-    assert list(Part(Known(22.0), Known(-1e-6)).faults()) == []
+    job = tmp_path / "job.yaml"
+    job.write_text(
+        "metrocli: 1\njob: multilaterate\ninputs: {lengths: l.csv, points: p.csv}\nnoise: {constant: 1 um}\n"
+        "part: {temperature: 22, expansion: 11.5 1/K}\noutput: o.h5\n"
+    )
+    wrong = metrocli("check", job).err
+    assert "part.expansion: 11.5 1/K is outside what solids expand by: write e.g. 11.5e-6 1/K" in wrong
+    assert "part.temperature: 22 has no unit" in wrong
+    job.write_text(job.read_text().replace("22,", "22 degC,").replace("11.5 1/K", "-1e-6 1/K"))
+    assert "part" not in metrocli("check", job).err.replace("part of", "")

@@ -84,7 +84,7 @@ def diagonals(tables: Tables, tool: int) -> tuple[Table, Table]:
 
 
 def circular(tables: Tables, tool: int, radius: float | None) -> Table:
-    """Return the circular test in each plane through the middle of the volume (ISO 230-4:2005, clause 3).
+    """Return the circular test in each plane through the middle of the volume (ISO 230-4:2005).
 
     G is the circular deviation: the range of the radial deviations about the least-squares circle. F_max and F_min are
     the extremes of the radial deviation from the nominal circle about the least-squares centre. A plane whose travel

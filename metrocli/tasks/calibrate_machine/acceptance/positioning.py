@@ -1,4 +1,4 @@
-"""Figures of positioning of one line, with their uncertainty (ISO 230-2:2014, clause 3; ISO/TR 230-9)."""
+"""Figures of positioning of one line, with their uncertainty (ISO 230-2:2014; ISO/TR 230-9)."""
 
 from __future__ import annotations
 

@@ -1,0 +1,51 @@
+"""What a result owes to inputs with a covariance: two results made from one of them are compared as such."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from hashlib import sha256
+from typing import Any
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.groups import Group
+from metrocli.adjust.solution import Solution
+from metrocli.table import Table
+from metrocli.uncertainty.comparison import OWED, SHARED
+
+
+def owed(
+    solution: Solution, delivered: Sequence[str], change: Array, inputs: Mapping[str, Group]
+) -> tuple[dict[str, Table], dict[str, Array]]:
+    """Return the table of the inputs and, for each, the factor F of what it adds to the covariance of the estimates.
+
+    `inputs` are correlated observations of parameters, by the name of their input. With the covariance Q of all
+    unknowns, the derivatives J of such an observation and its covariance K = L L', `F = Q J' L^-T` and it adds `F F'`.
+    So the estimates of two results share `F_1 F_2'`. `change` turns the delivered entries into the estimates (m, m).
+    """
+    known = solution.covariance_or_raise()
+    names, digests, factors = [], [], {}
+    free = [np.flatnonzero(solution.blocks[name].free.ravel()) for name in delivered]
+    for name, group in inputs.items():
+        factor = np.zeros((sum(map(len, free)), group.observations.readings.shape[0]))
+        for touch in group.linear(solution.blocks, frozenset(solution.blocks)).touches:
+            size = touch.jacobian.shape[1]
+            columns = int(np.ravel(touch.index)[0]) * size + np.arange(size)
+            rows = [
+                known.between(one, touch.block)[np.ix_(at, columns)] for one, at in zip(delivered, free, strict=True)
+            ]
+            factor += np.concatenate(rows) @ touch.jacobian[:, :, 0].T
+        scale = np.concatenate([solution.by_step(one).ravel()[at] for one, at in zip(delivered, free, strict=True)])
+        factors[OWED + name] = change @ (factor * scale[:, None]) / np.sqrt(known.factor)
+        names.append(name)
+        digests.append(_digest(group))
+    table = Table({"input": np.array(names, dtype=str), "digest": np.array(digests, dtype=str)})
+    return ({SHARED: table}, factors) if names else ({}, {})
+
+
+def _digest(group: Group) -> str:
+    """Return a digest of what is observed, by its values and their covariance: equal for the same input alone."""
+    parts: list[Any] = [part for link in group.chain.links for part in getattr(link, "parts", (link,))]
+    observed = [*(part.reference for part in parts), group.observations.covariance]
+    return sha256(b"".join(np.ascontiguousarray(one).tobytes() for one in observed)).hexdigest()
