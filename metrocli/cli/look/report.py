@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -16,8 +16,6 @@ from metrocli.cli.console import Console
 if TYPE_CHECKING:
     from metrocli.project.staleness import State
     from metrocli.project.steps import Step
-    from metrocli.record import Record
-    from metrocli.report.content import Diagnosis
     from metrocli.report.html import Html
 
 
@@ -61,6 +59,7 @@ def _page(result: Path, diagnosis: Path | None, job: str) -> str:
     from dataclasses import replace
 
     from metrocli.cli import columns
+    from metrocli.cli.look.beside import beside_of, diagnosis_of
     from metrocli.formats import hdf5
     from metrocli.report.content import Content
     from metrocli.report.result_page import result_page
@@ -72,33 +71,8 @@ def _page(result: Path, diagnosis: Path | None, job: str) -> str:
             table = found.tables[one.name]
             kept = {name: table.columns[name] for name in one.columns or table if name in table}
             tables[one.name] = columns.table_text(replace(table, columns=kept))
-    held = _diagnosis(result, diagnosis, record)
-    return result_page(Content(found, record, result.name, tables, held, job=job))
-
-
-def _diagnosis(result: Path, given: Path | None, record: Record) -> Diagnosis | None:
-    """Return the diagnosis that is given, else the one beside the result; raise InputError if it cannot be read."""
-    import json
-
-    from metrocli.errors import Fault, InputError
-    from metrocli.project.diagnosed import identity
-    from metrocli.report.content import Diagnosis
-
-    path = given or result.with_name(f"{result.stem}.diagnosis.json")
-    if given is None and not path.is_file():
-        return None
-    try:
-        data: Any = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError([Fault(f"cannot be read: {error.strerror}", str(path), hint=_DIAGNOSE)]) from error
-    except ValueError:
-        data = None
-    if not isinstance(data, dict) or "verdict" not in data:
-        raise InputError([Fault("this is not the output of metrocli diagnose --json", str(path), hint=_DIAGNOSE)])
-    return Diagnosis(data, str(path), data.get("of") == identity(record.job_text, record.inputs))
-
-
-_DIAGNOSE = "write it by: metrocli diagnose JOB.yaml --json > FILE.json"
+    held = diagnosis_of(result, diagnosis, record)
+    return result_page(Content(found, record, result.name, tables, held, job, beside_of(result, held)))
 
 
 def _project(place: Path, out: Path | None) -> dict[Path, str]:
