@@ -21,13 +21,14 @@ def diagnosis_of(result: Path, given: Path | None, record: Record) -> Diagnosis 
     """Return the diagnosis that is given, else the one beside the result; raise InputError if it cannot be read."""
     import json
 
+    path = given or result.with_name(f"{result.stem}.diagnosis.json")
+    if given is None and not path.is_file():
+        return None
+    # not before: this loads the search for effects
     from metrocli.errors import Fault, InputError
     from metrocli.project.diagnosed import identity
     from metrocli.report.content import Diagnosis
 
-    path = given or result.with_name(f"{result.stem}.diagnosis.json")
-    if given is None and not path.is_file():
-        return None
     try:
         data: Any = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
