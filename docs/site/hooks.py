@@ -23,6 +23,7 @@ FIRST = (
     "exports",
     "imports",
     "automation",
+    "papers",
     "adding",
 )
 """Pages of the first section, in the order in which a newcomer needs them"""
