@@ -44,7 +44,7 @@ def command(place: Path, out: Path | None, diagnosis: Path | None, pdf: bool, fo
             raise UsageError("--diagnosis is for the page of one result; beside NAME.h5, NAME.diagnosis.json is found")
         pages = _project(place, out)
     else:
-        pages = {out or place.with_suffix(".html"): _page(place, diagnosis, "JOB.yaml")}
+        pages = {out or place.with_suffix(".html"): _page(place, diagnosis, Path())}
     files = {path: text.encode() for path, text in pages.items()}
     if pdf:
         from metrocli.report.pdf import printed
@@ -55,7 +55,8 @@ def command(place: Path, out: Path | None, diagnosis: Path | None, pdf: bool, fo
     return 0
 
 
-def _page(result: Path, diagnosis: Path | None, job: str) -> str:
+def _page(result: Path, diagnosis: Path | None, home: Path, name: str = "") -> str:
+    """Return the page of a result; its files and its job, if that has no `name`, are named from the folder `home`."""
     from dataclasses import replace
 
     from metrocli.cli import columns
@@ -72,7 +73,8 @@ def _page(result: Path, diagnosis: Path | None, job: str) -> str:
             kept = {name: table.columns[name] for name in one.columns or table if name in table}
             tables[one.name] = columns.table_text(replace(table, columns=kept))
     held = diagnosis_of(result, diagnosis, record)
-    return result_page(Content(found, record, result.name, tables, held, job, beside_of(result, held)))
+    job = name or (_from(home, result.parent / record.job_file) if record.job_file else "JOB.yaml")
+    return result_page(Content(found, record, _from(home, result), tables, held, job, beside_of(result, held)))
 
 
 def _project(place: Path, out: Path | None) -> dict[Path, str]:
@@ -91,7 +93,7 @@ def _project(place: Path, out: Path | None) -> dict[Path, str]:
     for state in found:
         step, page = state.step, ""
         with suppress(InputError):  # a result that is absent or damaged has no page; its state names the reason
-            text = _page(step.job.output, None, step.name)
+            text = _page(step.job.output, None, file.parent, step.name)
             page = _page_name(step.job.output, outputs, file.parent)
             pages[index.parent / page] = text
         status = state.record.status if state.record is not None else ""
