@@ -182,7 +182,7 @@ def svg(canvas: Canvas) -> str:
     Without `savefig`, which first draws everything once to no purpose.
     """
     text = StringIO()
-    FigureCanvasSVG(canvas.figure).print_svg(text, metadata=_without_date("svg"))
+    FigureCanvasSVG(canvas.figure).print_svg(text, metadata=_without_date("svg"))  # type: ignore[no-untyped-call]
     return _DIGITS.sub(r"\1", text.getvalue())
 
 
