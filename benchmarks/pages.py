@@ -55,9 +55,11 @@ def network(images: int, points: int) -> Result:
         "views": Table({"image": image, **dict(zip("xyz", eyes.T, strict=True))}, mm),
     }
     root = rng.normal(size=(7, 7))
+    covariance = root @ root.T
     statistics = {"rig": "network", "image_width": 4096, "image_height": 3000, "sigma0": 1.0, "dof": 2 * n}
-    estimates = tuple(Estimate(name, 1.0, 0.1, "px") for name in LENS)
-    return Result("calibrate-camera", "Network", estimates, root @ root.T, statistics, tables)
+    stds = np.sqrt(np.diag(covariance)).tolist()
+    estimates = tuple(Estimate(name, 1.0, std, "px") for name, std in zip(LENS, stds, strict=True))
+    return Result("calibrate-camera", "Network", estimates, covariance, statistics, tables)
 
 
 def main() -> None:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import tempfile
+from contextlib import redirect_stderr, redirect_stdout
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
+
+from metrocli.cli.commands import run
 
 ROOT = Path(__file__).parents[2]
 FIRST = (
@@ -23,6 +25,7 @@ FIRST = (
     "exports",
     "imports",
     "automation",
+    "papers",
     "adding",
 )
 """Pages of the first section, in the order in which a newcomer needs them"""
@@ -33,6 +36,8 @@ SECTIONS = {
 PROJECT = "project.md"
 """Page that holds the project's README"""
 GALLERY = "gallery.md"
+DIAGNOSED = {"gear-m3d3": ("multilaterate", "tip4")}
+"""Kind and name of the job of a sample that the gallery diagnoses and extends"""
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
@@ -73,6 +78,8 @@ def _shown(sample: str, place: Path, shown: set[str], files: Files, config: MkDo
     pages = f"gallery/{sample}"
     _metrocli("init", place, "--sample", sample)
     _metrocli("run", place, "--quiet", codes=(0, 6))
+    if sample in DIAGNOSED:
+        _diagnose(place, *DIAGNOSED[sample])
     _metrocli("report", place, "--quiet")
     for path in sorted((place / "report").glob("*.html")):
         files.append(File.generated(config, f"{pages}/{path.name}", content=path.read_text(encoding="utf-8")))
@@ -91,13 +98,22 @@ def _shown(sample: str, place: Path, shown: set[str], files: Files, config: MkDo
     return "\n".join(text)
 
 
+def _diagnose(place: Path, kind: str, name: str) -> None:
+    """Diagnose a job of a sample and run the extended job, for the figures that need both."""
+    found = _metrocli("diagnose", place / "jobs" / f"{name}.yaml", "--json")
+    (place / "results" / f"{name}.diagnosis.json").write_text(found, encoding="utf-8")
+    _metrocli(kind, place / "jobs" / f"{name}.extended.yaml", "--quiet")
+
+
 def _figures(result: Path) -> list[str]:
     return [line.split()[0] for line in _metrocli("plot", result).splitlines() if line.strip()]
 
 
 def _metrocli(*words: str | Path, codes: tuple[int, ...] = (0,)) -> str:
-    command = [sys.executable, "-m", "metrocli", *map(str, words)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode not in codes:
-        raise RuntimeError(f"metrocli {' '.join(command)}: exit code {done.returncode}\n{done.stderr}")
-    return done.stdout
+    """Return what a command prints; all run in this process, which loads its libraries once."""
+    command, printed, failed = [*map(str, words)], StringIO(), StringIO()
+    with redirect_stdout(printed), redirect_stderr(failed):
+        code = run(command)
+    if code not in codes:
+        raise RuntimeError(f"metrocli {' '.join(command)}: exit code {code}\n{failed.getvalue()}")
+    return printed.getvalue()

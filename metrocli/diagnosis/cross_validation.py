@@ -38,6 +38,8 @@ class Gain:
     median_after: float
     log_score: float
     log_score_std: float
+    folds: tuple[float, ...] = ()
+    """Part of each held-out part of the readings in the log score"""
 
     @property
     def shown(self) -> bool:
@@ -250,7 +252,8 @@ def gain_of(pairs: Sequence[tuple[Held, Held]]) -> Gain:
     ]
     medians = [float(np.median(np.abs(np.concatenate([held.errors for held in side])))) for side in sides]
     total = float(differences.sum())
-    return Gain(rms[0], rms[1], medians[0], medians[1], total, spread * float(np.sqrt(len(differences))))
+    std = spread * float(np.sqrt(len(differences)))
+    return Gain(rms[0], rms[1], medians[0], medians[1], total, std, tuple(differences.tolist()))
 
 
 def _spots(name: NamedEffect) -> list[tuple[str, tuple[str, ...]]]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from metrocli import units
 from metrocli.adjust.cluster_robust import FEWEST, STRUCTURED
+from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.cross_validation import Gain
 from metrocli.diagnosis.detectability import Candidate, Design, WrongReading
@@ -73,7 +74,29 @@ def _law(job: AdjustedJob, law: Law) -> dict[str, Any]:
         "part_of_structure": law.part_of_structure,
         "near": [{"name": one.effect.name, "where": _where(one), "correlation": cosine} for one, cosine in law.near],
         "chosen": law.chosen,
+        "data": _shown(job, law) if law.chosen else None,
     }
+
+
+def _shown(job: AdjustedJob, law: Law) -> dict[str, Any] | None:
+    """Return a law at each reading, and the readings without it, over its variable."""
+    found, unit = law.data, units.find_unit(*job.reading)
+    if found is None:
+        return None
+    size = unit.inside(1.0)
+    return {
+        "variable": found.variable,
+        "variable_unit": found.unit,
+        "x": _short(found.x if found.variable else found.x / size),
+        "law": _short(found.law / size),
+        "residual": _short(found.residual / size),
+        "unit": unit.symbol,
+    }
+
+
+def _short(values: Array) -> list[float]:
+    """Return numbers to six digits, more than a picture shows."""
+    return [float(f"{value:.6g}") for value in values.tolist()]
 
 
 def design_data(job: AdjustedJob, design: Design) -> dict[str, Any]:
@@ -134,6 +157,7 @@ def _gain(gain: Gain, job: AdjustedJob) -> dict[str, Any]:
         "unit": unit.symbol,
         "log_score": gain.log_score,
         "log_score_std": gain.log_score_std,
+        "folds": list(gain.folds),
         "shown": gain.shown,
     }
 

@@ -8,19 +8,18 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 from xml.etree import ElementTree as ET
 
 import numpy as np
 
 from metrocli.errors import Fault, InputError
 from metrocli.exports import Exported, dsi
+from metrocli.exports.dcc_elements import DCC, XSI, add, identified, named, software_of, text_of
 from metrocli.record import Record
 from metrocli.result import Estimate, K, Result
 from metrocli.table import Table
 
-DCC, SCHEMA = "https://ptb.de/dcc", "3.3.0"
-_XSI = "http://www.w3.org/2001/XMLSchema-instance"
+SCHEMA = "3.3.0"
 _REQUIRED = (
     "number", "laboratory.name", "laboratory.city", "laboratory.country", "customer.name", "customer.city",
     "item.name", "item.serial", "person", "begin", "end", "issued",
@@ -28,7 +27,6 @@ _REQUIRED = (
 _CURVES, _POSITIONS = "tables/", ("position",)
 """The group of a machine's curves of errors, and their columns without uncertainty"""
 _FILE = re.compile(r".*/.*|.*\.[A-Za-z][A-Za-z0-9]{1,4}")
-_NO_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 _ADDRESS = {"street": "street", "post_code": "postCode", "city": "city", "country": "countryCode"}
 
 
@@ -47,21 +45,23 @@ def files(result: Result, record: Record) -> Exported:
     if faults:
         raise InputError(faults)
     root = ET.Element(f"{{{DCC}}}digitalCalibrationCertificate", {"schemaVersion": SCHEMA})
-    root.set(f"{{{_XSI}}}schemaLocation", f"{DCC} {DCC}/v{SCHEMA}/dcc.xsd")
-    _administrative(_add(root, "administrativeData"), result, record)
-    measured = _add(root, "measurementResults")
+    root.set(f"{{{XSI}}}schemaLocation", f"{DCC} {DCC}/v{SCHEMA}/dcc.xsd")
+    _administrative(add(root, "administrativeData"), result, record)
+    measured = add(root, "measurementResults")
     _standards(measured, record)
-    one = _add(measured, "measurementResult")
-    _named(one, "name", result.title or result.kind)
-    _named(_add(_add(one, "usedMethods"), "usedMethod"), "name", f"metrocli {result.kind}")
-    results = _add(one, "results")
+    one = add(measured, "measurementResult")
+    named(one, "name", result.title or result.kind)
+    named(add(add(one, "usedMethods"), "usedMethod"), "name", f"metrocli {result.kind}")
+    software_of(one, "usedSoftware", record)
+    _conditions(one, result)
+    results = add(one, "results")
     if known:
         data = _result(results, "Estimates", _left_out(result.estimates, known))
         for estimate in known:
             _estimate(data, result, estimate)
     for name, table in tables.items():
         _table(results, result, name, table)
-    return {"dcc.xml": _text_of(root)}
+    return {"dcc.xml": text_of(root)}
 
 
 def _missing(record: Record) -> Iterator[Fault]:
@@ -82,67 +82,76 @@ def _missing(record: Record) -> Iterator[Fault]:
 def _administrative(to: ET.Element, result: Result, record: Record) -> None:
     """Add who calibrated what for whom."""
     stated = record.certificate
-    software = _add(_add(to, "dccSoftware"), "software")
-    _named(software, "name", "metrocli")
-    _add(software, "release", record.metrocli_version)
-    _add(software, "type", "application")
-    core = _add(to, "coreData")
-    _add(core, "countryCodeISO3166_1", stated["laboratory"]["country"])
-    _add(core, "usedLangCodeISO639_1", "en")
-    _add(core, "mandatoryLangCodeISO639_1", "en")
-    _add(core, "uniqueIdentifier", stated["number"])
-    _identified(core, [("calibrationLaboratory", stated.get("order"), "order number")])
+    software_of(to, "dccSoftware", record)
+    core = add(to, "coreData")
+    add(core, "countryCodeISO3166_1", stated["laboratory"]["country"])
+    add(core, "usedLangCodeISO639_1", "en")
+    add(core, "mandatoryLangCodeISO639_1", "en")
+    add(core, "uniqueIdentifier", stated["number"])
+    identified(core, [("calibrationLaboratory", stated.get("order"), "order number")])
     if "received" in stated:
-        _add(core, "receiptDate", stated["received"])
-    _add(core, "beginPerformanceDate", stated["begin"])
-    _add(core, "endPerformanceDate", stated["end"])
-    _add(core, "performanceLocation", stated["place"])
-    _add(core, "issueDate", stated["issued"])
-    _item(_add(_add(to, "items"), "item"), stated["item"])
-    laboratory = _add(to, "calibrationLaboratory")
+        add(core, "receiptDate", stated["received"])
+    add(core, "beginPerformanceDate", stated["begin"])
+    add(core, "endPerformanceDate", stated["end"])
+    add(core, "performanceLocation", stated["place"])
+    add(core, "issueDate", stated["issued"])
+    _item(add(add(to, "items"), "item"), stated["item"])
+    laboratory = add(to, "calibrationLaboratory")
     if "code" in stated["laboratory"]:
-        _add(laboratory, "calibrationLaboratoryCode", stated["laboratory"]["code"])
-    _contact(_add(laboratory, "contact"), stated["laboratory"])
-    person = _add(_add(to, "respPersons"), "respPerson")
-    _named(_add(person, "person"), "name", stated["person"])
-    _add(person, "mainSigner", "true")
-    _contact(_add(to, "customer"), stated["customer"])
-    statements = _add(to, "statements")
+        add(laboratory, "calibrationLaboratoryCode", stated["laboratory"]["code"])
+    _contact(add(laboratory, "contact"), stated["laboratory"])
+    person = add(add(to, "respPersons"), "respPerson")
+    named(add(person, "person"), "name", stated["person"])
+    add(person, "mainSigner", "true")
+    _contact(add(to, "customer"), stated["customer"])
+    statements = add(to, "statements")
     for name, lines in _statements(result, record):
-        statement = _add(statements, "statement")
-        _named(statement, "name", name)
-        _named(statement, "declaration", *lines)
+        statement = add(statements, "statement")
+        named(statement, "name", name)
+        named(statement, "declaration", *lines)
+
+
+def _conditions(to: ET.Element, result: Result) -> None:
+    """Add what influenced the readings, without which PTB's Schematron rules refuse a certificate."""
+    held = add(to, "influenceConditions")
+    temperatures = [one.numbers("temp") for one in result.tables.values() if one.units.get("temp") == "degC"]
+    known = np.concatenate([*temperatures, np.zeros(0)])
+    known = known[np.isfinite(known)]
+    if len(known):
+        data = _condition(held, "Temperature of the readings")
+        for name, value in (("lowest", known.min()), ("highest", known.max())):
+            quantity = add(data, "quantity")
+            named(quantity, "name", name)
+            dsi.real(quantity, float(value), "degC", 0.0, K, 0.0)
+    text = "Influences such as temperature and air are in the job and its files, which the result records."
+    named(_condition(held, "Conditions of the measurement"), "text", text)
+
+
+def _condition(to: ET.Element, name: str) -> ET.Element:
+    """Add a condition and return where its data go."""
+    one = add(to, "influenceCondition")
+    named(one, "name", name)
+    return add(one, "data")
 
 
 def _item(to: ET.Element, item: Mapping[str, str]) -> None:
-    _named(to, "name", item["name"])
+    named(to, "name", item["name"])
     if "manufacturer" in item:
-        _named(_add(to, "manufacturer"), "name", item["manufacturer"])
+        named(add(to, "manufacturer"), "name", item["manufacturer"])
     if "model" in item:
-        _add(to, "model", item["model"])
+        add(to, "model", item["model"])
     numbers = (("manufacturer", item["serial"], "serial number"), ("owner", item.get("inventory"), "inventory number"))
-    _identified(to, numbers)
+    identified(to, numbers)
 
 
 def _contact(to: ET.Element, contact: Mapping[str, str]) -> None:
-    _named(to, "name", contact["name"])
+    named(to, "name", contact["name"])
     if "email" in contact:
-        _add(to, "eMail", contact["email"])
-    location = _add(to, "location")
+        add(to, "eMail", contact["email"])
+    location = add(to, "location")
     for key, name in _ADDRESS.items():
         if key in contact:
-            _add(location, name, contact[key])
-
-
-def _identified(to: ET.Element, numbers: Sequence[tuple[str, str | None, str]]) -> None:
-    """Add numbers that identify something, each with its issuer and what it is; none if there are none."""
-    given = [one for one in numbers if one[1]]
-    held = _add(to, "identifications") if given else to
-    for issuer, value, name in given:
-        one = _add(held, "identification")
-        _add(one, "issuer", issuer)
-        _add(one, "value", value)
-        _named(one, "name", name)
+            add(location, name, contact[key])
 
 
 def _statements(result: Result, record: Record) -> Iterator[tuple[str, list[str]]]:
@@ -169,11 +178,11 @@ def _statements(result: Result, record: Record) -> Iterator[tuple[str, list[str]
 def _standards(to: ET.Element, record: Record) -> None:
     """Add each reference that has a certificate, with its number."""
     numbered = [(name, number) for name, number in record.references() if number]
-    held = _add(to, "measuringEquipments") if numbered else to
+    held = add(to, "measuringEquipments") if numbered else to
     for name, number in numbered:
-        one = _add(held, "measuringEquipment")
-        _named(one, "name", name)
-        _identified(one, [("other", number, "certificate number")])
+        one = add(held, "measuringEquipment")
+        named(one, "name", name)
+        identified(one, [("other", number, "certificate number")])
 
 
 def _left_out(estimates: Sequence[Estimate], known: Sequence[Estimate]) -> str:
@@ -183,17 +192,17 @@ def _left_out(estimates: Sequence[Estimate], known: Sequence[Estimate]) -> str:
 
 def _result(to: ET.Element, name: str, remark: str) -> ET.Element:
     """Add a result and return where its data go."""
-    one = _add(to, "result")
-    _named(one, "name", name)
+    one = add(to, "result")
+    named(one, "name", name)
     if remark:
-        _named(one, "description", remark)
-    return _add(one, "data")
+        named(one, "description", remark)
+    return add(one, "data")
 
 
 def _estimate(to: ET.Element, result: Result, estimate: Estimate) -> None:
     spread, k = result.expanded(estimate)
-    quantity = _add(to, "quantity")
-    _named(quantity, "name", estimate.name)
+    quantity = add(to, "quantity")
+    named(quantity, "name", estimate.name)
     dsi.real(quantity, estimate.value, estimate.unit, spread, k, _probability(result, k, estimate.name))
     _pixels(quantity, estimate.unit)
 
@@ -246,16 +255,16 @@ def _table(to: ET.Element, result: Result, name: str, table: Table) -> None:
     """Add a table as a list of columns."""
     lacking = len(result.tables[name]) - len(table)
     remark = f"Not determined, so not certified: {lacking} of {len(result.tables[name])} rows." if lacking else ""
-    held = _add(_result(to, name, remark), "list")
+    held = add(_result(to, name, remark), "list")
     for key in (one for one in table if table.columns[one].dtype.kind == "U"):
         cells = [re.sub(r"\s+", "_", cell.strip()) or "-" for cell in table.texts(key)]
-        quantity = _add(held, "quantity")
-        _named(quantity, "name", key)
-        _add(quantity, "charsXMLList", " ".join(cells))
+        quantity = add(held, "quantity")
+        named(quantity, "name", key)
+        add(quantity, "charsXMLList", " ".join(cells))
     pairs, probability = _pairs(table), _probability(result, K)
     for column in (*_places(table), *pairs):
-        quantity = _add(held, "quantity")
-        _named(quantity, "name", column)
+        quantity = add(held, "quantity")
+        named(quantity, "name", column)
         unit, spreads = table.units.get(column) or "1", K * table.numbers(pairs[column]) if column in pairs else None
         dsi.real_list(quantity, table.numbers(column), unit, spreads, K, probability)
         _pixels(quantity, unit)
@@ -264,27 +273,6 @@ def _table(to: ET.Element, result: Result, name: str, table: Table) -> None:
 def _pixels(to: ET.Element, unit: str) -> None:
     """Add the definition of the unit of images to a quantity that has it."""
     if dsi.PIXEL in re.findall("[a-z]+", unit):
-        data = _add(_add(to, "measurementMetaData"), "metaData")
-        _add(data, "nonSIDefinition", "px: the distance between neighbouring pixels of the camera")
-        _add(data, "nonSIUnit", unit)
-
-
-def _add(to: ET.Element, name: str, text: Any = None) -> ET.Element:
-    made = ET.SubElement(to, f"{{{DCC}}}{name}")
-    if text is not None:
-        made.text = _NO_XML.sub("\N{REPLACEMENT CHARACTER}", str(text))
-    return made
-
-
-def _named(to: ET.Element, name: str, *texts: str) -> None:
-    """Add an element that holds texts in English."""
-    made = _add(to, name)
-    for text in texts:
-        _add(made, "content", text).set("lang", "en")
-
-
-def _text_of(root: ET.Element) -> str:
-    for prefix, space in (("dcc", DCC), ("si", dsi.SI), ("xsi", _XSI)):
-        ET.register_namespace(prefix, space)
-    ET.indent(root)
-    return f'<?xml version="1.0" encoding="UTF-8"?>\n{ET.tostring(root, encoding="unicode")}\n'
+        data = add(add(to, "measurementMetaData"), "metaData")
+        add(data, "nonSIDefinition", "px: the distance between neighbouring pixels of the camera")
+        add(data, "nonSIUnit", unit)

@@ -1,4 +1,7 @@
-"""Figures of results. Each figure is one module here and one entry in FIGURES; only this package loads matplotlib."""
+"""Figures of results. Each figure is one module here and one entry in FIGURES; only this package loads matplotlib.
+
+Those in `beside` also show what stands beside the result: its diagnosis, an earlier result, its lineage.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from metrocli.errors import UsageError
+from metrocli.plots.beside import ALONE, Beside
 from metrocli.words import suggestion
 
 if TYPE_CHECKING:
@@ -27,6 +31,8 @@ class Entry:
     module: str
     summary: str
     about: str = ""
+    beside: bool = False
+    """Whether it shows the result with what stands beside it"""
 
 
 FIGURES: dict[str, Entry] = {
@@ -41,6 +47,11 @@ FIGURES: dict[str, Entry] = {
     "residuals-z": Entry("against", "normalised residuals against z", "z"),
     "residuals-image": Entry("image_vectors", "residual vectors over the image"),
     "residuals-part": Entry("part_vectors", "residuals over the part"),
+    "before-after": Entry(
+        "beside.before_after", "normalised residuals before and after the model was extended", beside=True
+    ),
+    "law": Entry("beside.law", "law that the diagnosis found, with the readings in which it found it", beside=True),
+    "held-out": Entry("beside.held_out", "gain of what the diagnosis found, in each held-out part", beside=True),
     "normal-plot": Entry("normal_plot", "normal plot of the normalised residuals"),
     "coverage": Entry("coverage", "coverage of the image by readings"),
     "error-curves": Entry("error_curves", "errors of a machine over its axes (actual minus commanded)"),
@@ -50,19 +61,28 @@ FIGURES: dict[str, Entry] = {
     "budget": Entry("budget", "uncertainty budget as a Pareto chart"),
     "conformity": Entry("conformity", "values against tolerance and guard band"),
     "correlation": Entry("correlation", "correlation matrix of the estimates"),
+    "lineage": Entry("beside.lineage", "files and jobs that the result was made from", beside=True),
 }
 """All figures, in the order in which a page shows them"""
+_NEEDS = {
+    "before-after": "the result of the job without the extension, with the same readings (--before)",
+    "law": "a diagnosis of this job that found a law (--diagnosis)",
+    "held-out": "a diagnosis of this job that found something (--diagnosis)",
+    "lineage": "a record of files that it was made from",
+}
+"""What a figure needs beside the result"""
 
 
-def data_of(name: str, result: Result) -> Any:
-    """Return the data of a figure, or None if the result cannot show it."""
+def data_of(name: str, result: Result, beside: Beside = ALONE) -> Any:
+    """Return the data of a figure, or None if the result, with what stands beside it, cannot show it."""
     entry = FIGURES[name]
-    return import_module(f"metrocli.plots.{entry.module}").data(result, entry.about)
+    module = import_module(f"metrocli.plots.{entry.module}")
+    return module.data(result, beside if entry.beside else entry.about)
 
 
-def names_of(result: Result) -> list[str]:
+def names_of(result: Result, beside: Beside = ALONE) -> list[str]:
     """Return the names of the figures that a result can show."""
-    return [name for name in FIGURES if data_of(name, result) is not None]
+    return [name for name in FIGURES if data_of(name, result, beside) is not None]
 
 
 @contextmanager
@@ -83,18 +103,20 @@ def title_of(name: str) -> str:
     return f"{summary[0].upper()}{summary[1:]}"
 
 
-def check(result: Result, name: str, path: Path) -> None:
+def check(result: Result, name: str, path: Path, beside: Beside = ALONE) -> None:
     """Raise UsageError if a result has no such figure, or if the ending of the file is not svg, pdf or png."""
     if path.suffix.lower().removeprefix(".") not in FORMS:
         raise UsageError(f"--save {path}: the name of a figure ends in .svg, .pdf or .png")
-    if name not in FIGURES or data_of(name, result) is None:
-        raise UsageError(f"this result of {result.kind} has no figure '{name}'; {suggestion(name, names_of(result))}")
+    if name not in FIGURES or data_of(name, result, beside) is None:
+        needs = f"it needs {_NEEDS[name]}; " if name in _NEEDS else ""
+        others = suggestion(name, names_of(result, beside))
+        raise UsageError(f"this result of {result.kind} has no figure '{name}'; {needs}{others}")
 
 
-def save(result: Result, name: str, path: Path, ending: str, dark: bool = False) -> None:
+def save(result: Result, name: str, path: Path, ending: str, dark: bool = False, beside: Beside = ALONE) -> None:
     """Write a figure that `check` accepts, with title and caption, in the format of an ending such as ".svg"."""
     from metrocli.plots import style
 
-    with drawn(name, data_of(name, result), dark) as (canvas, caption):
+    with drawn(name, data_of(name, result, beside), dark) as (canvas, caption):
         style.arrange(canvas, title_of(name), caption)
         style.write(canvas, path, ending.lower().removeprefix("."))

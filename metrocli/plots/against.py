@@ -10,11 +10,11 @@ from matplotlib.axes import Axes
 
 from metrocli.plots.noise_bands import Array, Trend, largest_of, trend
 from metrocli.plots.readings import image_residuals, radial, residuals_of
-from metrocli.plots.style import Canvas
+from metrocli.plots.style import Canvas, Theme
 from metrocli.plots.thinning import MOST, Index, thinned, words
 from metrocli.result import Result
 
-_LABELS = {
+LABELS = {
     "order": "order of the readings",
     "radius": "distance from the principal point (px)",
     "time": "time (s)",
@@ -24,6 +24,10 @@ _LABELS = {
     "y": "y (mm)",
     "z": "z (mm)",
 }
+CAPTION = (
+    "Points: residual (reading minus model) divided by its own standard deviation. Line: means of bins; the band "
+    "holds all of them with 95 % if there is noise only. Dashed: bound of the largest |w|, exceeded in 5 %."
+)
 
 
 @dataclass(frozen=True)
@@ -87,10 +91,11 @@ def _others(result: Result, about: str) -> list[Panel]:
 def _panels(sets: Sequence[tuple[str, Array, Array, Callable[[int], str]]]) -> list[Panel]:
     """Return a panel for each set of residuals that others check; together they have at most `MOST` marks."""
     checked = [one for one in sets if np.isfinite(one[2]).any()]
-    return [_panel(*one, MOST // len(checked)) for one in checked]
+    return [panel_of(*one, MOST // len(checked)) for one in checked]
 
 
-def _panel(name: str, covariate: Array, w: Array, named: Callable[[int], str], most: int) -> Panel:
+def panel_of(name: str, covariate: Array, w: Array, named: Callable[[int], str], most: int) -> Panel:
+    """Return a panel of the residuals w (n,) that others check, with at most `most` marks; `named` is given a row."""
     kept = np.flatnonzero(np.isfinite(w))
     covariate, w = covariate[kept], w[kept]
     worst = int(np.argmax(np.abs(w)))
@@ -105,31 +110,44 @@ def height(found: Against) -> float:
 
 def draw(canvas: Canvas, found: Against) -> str:
     """Draw the figure and return its caption."""
-    theme = canvas.theme
     panels = canvas.axes(len(found.panels), 1, sharex=found.about != "order")
     for axes, panel in zip(panels, found.panels, strict=True):
-        x, w = panel.covariate, panel.w
-        marks = "." if len(panel.rows) > 300 else "o"
-        axes.plot(x[panel.rows], w[panel.rows], marks, ms=3, mew=0, alpha=0.55, color=theme.first, label="one reading")
-        wrong = panel.beyond
-        axes.plot(x[wrong], w[wrong], "D", ms=4, mew=0, color=theme.second)
-        if panel.label:
-            _name_worst(axes, x, w, wrong[0], panel.label, theme.second)
-        t = panel.trend
-        _envelope(axes, t, theme.band)
-        axes.plot(t.middles, t.means, "-o", ms=3, color=theme.ink, lw=1.0, label="mean of a bin", zorder=4)
-        out = t.beyond
-        axes.plot(t.middles[out], t.means[out], "o", ms=5, color=theme.second, zorder=5)
-        for side in (-1, 1):
-            axes.axhline(side * panel.most, color=theme.muted, lw=0.8, ls=(0, (4, 3)))
-        axes.axhline(0, color=theme.muted, lw=0.6)
-        axes.set_ylabel("w (standard deviations)")
-        axes.set_title(panel.name, fontweight="normal", fontsize=9)
-        largest = max(float(np.abs(w).max()), panel.most)
-        axes.set_ylim(-1.12 * largest, 1.12 * largest)
-    panels[-1].set_xlabel(_LABELS[found.about])
+        draw_panel(axes, panel, canvas.theme)
+    panels[-1].set_xlabel(LABELS[found.about])
     panels[0].legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
     return _caption(found)
+
+
+def draw_panel(axes: Axes, panel: Panel, theme: Theme) -> None:
+    """Draw the residuals of one panel with the means of bins and what pure noise may do."""
+    x, w = panel.covariate, panel.w
+    marks = "." if len(panel.rows) > 300 else "o"
+    axes.plot(
+        x[panel.rows],
+        w[panel.rows],
+        marks,
+        ms=3 if marks == "o" else 4.5,
+        mew=0,
+        alpha=0.55,
+        color=theme.first,
+        label="one reading",
+    )
+    wrong = panel.beyond
+    axes.plot(x[wrong], w[wrong], "D", ms=4, mew=0, color=theme.second)
+    if panel.label:
+        _name_worst(axes, x, w, wrong[0], panel.label, theme.second)
+    t = panel.trend
+    _envelope(axes, t, theme.band)
+    axes.plot(t.middles, t.means, "-o", ms=3, color=theme.ink, lw=1.0, label="mean of a bin", zorder=4)
+    out = t.beyond
+    axes.plot(t.middles[out], t.means[out], "o", ms=5, color=theme.second, zorder=5)
+    for side in (-1, 1):
+        axes.axhline(side * panel.most, color=theme.muted, lw=0.8, ls=(0, (4, 3)))
+    axes.axhline(0, color=theme.muted, lw=0.6)
+    axes.set_ylabel("w (standard deviations)")
+    axes.set_title(panel.name, fontweight="normal", fontsize=9)
+    largest = max(float(np.abs(w).max()), panel.most)
+    axes.set_ylim(-1.12 * largest, 1.12 * largest)
 
 
 def _name_worst(axes: Axes, x: Array, w: Array, row: int, label: str, colour: str) -> None:
@@ -143,16 +161,13 @@ def _name_worst(axes: Axes, x: Array, w: Array, row: int, label: str, colour: st
 
 def _envelope(axes: Axes, t: Trend, colour: str) -> None:
     if len(t.middles) > 1:
-        axes.fill_between(t.middles, -t.bounds, t.bounds, color=colour, lw=0, label="pure noise", zorder=3, alpha=0.9)
+        axes.fill_between(t.middles, -t.bounds, t.bounds, color=colour, lw=0, label="pure noise", zorder=1)
     else:
         axes.errorbar(t.middles, [0.0], yerr=t.bounds, color=colour, lw=4, label="pure noise")
 
 
 def _caption(found: Against) -> str:
-    parts = [
-        "Points: residual (reading minus model) divided by its own standard deviation. Line: means of bins; the band "
-        "holds all of them with 95 % if there is noise only. Dashed: bound of the largest |w|, exceeded in 5 %."
-    ]
+    parts = [CAPTION]
     for panel in found.panels:
         bins, wrong = len(panel.trend.beyond), len(panel.beyond)
         where = f"{panel.name}: " if panel.name else ""

@@ -43,6 +43,9 @@ class Trend:
     bounds: Array
     """(m,) all m means of pure noise lie within plus and minus these with a probability of 95 %"""
 
+    stds: Array
+    """(m,) standard deviation of each mean of pure noise"""
+
     @property
     def beyond(self) -> Index:
         """The bins whose mean is outside the envelope."""
@@ -66,7 +69,8 @@ def trend(covariate: Array, w: Array) -> Trend:
     counts = np.diff(np.append(cuts, len(w)))
     middles = np.add.reduceat(values, cuts) / counts
     means = np.add.reduceat(w[order], cuts) / counts
-    return Trend(middles, means, largest_of(len(counts)) / np.sqrt(counts))
+    stds = 1 / np.sqrt(counts)
+    return Trend(middles, means, largest_of(len(counts)) * stds, stds)
 
 
 @dataclass(frozen=True)

@@ -39,6 +39,14 @@ class Residuals:
         cells = [str(self.table.columns[key][row]) for key in _KEYS if self._is_key(key)]
         return "/".join(filter(None, cells)) + self.part.replace("_", " ")
 
+    def places(self, most: int) -> Iterator[tuple[str, npt.NDArray[np.bool_]]]:
+        """Yield each place, such as "tracer LT2", with its readings; kinds of more than `most` places are left out."""
+        for key in filter(self._is_key, _KEYS):
+            cells = self.table.columns[key]
+            names = np.unique(cells)
+            if 1 < len(names) <= most:
+                yield from ((f"{key} {name}", cells == name) for name in names)
+
     def _is_key(self, key: str) -> bool:
         return key in self.table and self.table.columns[key].dtype.kind in "US"
 

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
@@ -176,9 +177,12 @@ def write(canvas: Canvas, path: Path, form: str) -> None:
 
 
 def svg(canvas: Canvas) -> str:
-    """Return a figure as the text of an SVG image."""
+    """Return a figure as the text of an SVG image.
+
+    Without `savefig`, which first draws everything once to no purpose.
+    """
     text = StringIO()
-    canvas.figure.savefig(text, format="svg", metadata=_without_date("svg"))
+    FigureCanvasSVG(canvas.figure).print_svg(text, metadata=_without_date("svg"))  # type: ignore[no-untyped-call]
     return _DIGITS.sub(r"\1", text.getvalue())
 
 

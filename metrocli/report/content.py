@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from metrocli.plots.beside import ALONE, Beside
 from metrocli.record import Record
 from metrocli.result import Result
 
@@ -32,3 +33,5 @@ class Content:
     diagnosis: Diagnosis | None = None
     job: str = "JOB.yaml"
     """How commands name the job"""
+    beside: Beside = ALONE
+    """What figures show beside the result"""

@@ -37,6 +37,9 @@ def verdict(content: Content) -> tuple[bool, str]:
         return False, "Doubtful: do not use this result."
     if record.status != DONE:
         return False, "The result does not meet its requirements."
+    held = content.diagnosis
+    if held is not None and held.of_this and held.data.get("verdict") != "clean":
+        return False, f"Done, but its model is not complete: the diagnosis is {held.data['verdict']}."
     count = len(content.result.warnings)
     if count:
         return True, f"Done, with {count} warning{'s' if count > 1 else ''}."
@@ -81,7 +84,7 @@ def diagnosed(content: Content) -> Iterator[str | Html]:
     for effect in data.get("effects", ()):
         where = ", ".join(map(str, dict(effect.get("where", {})).values()))
         sizes = ", ".join(
-            f"{name} = {units.format_quantity(one['value'], one.get('unit') or '', one.get('std'))}"
+            f"{name} = {_sized(one['value'], one.get('unit') or '', one.get('std'))}"
             for name, one in dict(effect.get("parameters", {})).items()
             if one.get("value") is not None
         )
@@ -91,6 +94,13 @@ def diagnosed(content: Content) -> Iterator[str | Html]:
         yield f"Wrong reading: {keys} (w = {float(one.get('w') or 0):.1f})"
     if data.get("mistake"):
         yield f"Mistake in {data['mistake'].get('file')}: {data['mistake'].get('what')}"
+
+
+def _sized(value: float, unit: str, std: float | None) -> str:
+    """Return a size with its standard uncertainty in the unit that suits it."""
+    size, suited = units.column_unit(abs(value), unit)
+    text = units.format_quantity(value / size, suited, None if std is None else std / size)
+    return text.replace(" um", " µm")
 
 
 def _stem(path: str) -> str:

@@ -13,6 +13,7 @@ import numpy as np
 
 from metrocli import plots
 from metrocli.plots import control_chart, style
+from metrocli.plots.beside import ALONE, Beside
 from metrocli.plots.scene import TILT, TURN, Scene
 from metrocli.report.html import EMPTY, Html, joined, tag
 from metrocli.report.look import roles, variable
@@ -28,11 +29,11 @@ _PLAIN = re.compile(r"[^A-Za-z0-9]+")
 _ID = re.compile(r'(\bid="|url\(#|href="#)')
 
 
-def figures(result: Result) -> Iterator[tuple[str, Html]]:
+def figures(result: Result, beside: Beside) -> Iterator[tuple[str, Html]]:
     """Yield name and content of each figure of a result, as long as the page has room."""
     room = MOST
     for name in plots.FIGURES:
-        data = plots.data_of(name, result)
+        data = plots.data_of(name, result, beside)
         if data is None:
             continue
         if room <= 0:
@@ -126,7 +127,7 @@ def _as_json(value: Any) -> Html:
     return Html(json.dumps(value, separators=(",", ":"), ensure_ascii=False).replace("<", "\\u003c"))
 
 
-def shown(result: Result) -> tuple[Html, bool]:
+def shown(result: Result, beside: Beside = ALONE) -> tuple[Html, bool]:
     """Return all figures of a result, and whether one of them turns."""
-    found = list(figures(result))
+    found = list(figures(result, beside))
     return joined(content for _, content in found), any(name == "scene" for name, _ in found)

@@ -15,7 +15,8 @@ def test_names_and_a_file(job: Path, metrocli: Metrocli) -> None:
     metrocli("straight-line", job)
     listed = metrocli("plot", "results/line.h5")
     assert listed.code == 0
-    assert [line.split()[0] for line in listed.out.splitlines()] == ["residuals", "normal-plot", "correlation"]
+    names = ["residuals", "normal-plot", "correlation", "lineage"]
+    assert [line.split()[0] for line in listed.out.splitlines()] == names
     assert metrocli("plot", "results/line.h5", "correlation").out == "results/line.correlation.svg\n"
     assert Path("results/line.correlation.svg").read_text().startswith("<?xml")
     assert metrocli("plot", "results/line.h5", "residuals", "--save", "r.pdf", "--dark", "--quiet").out == ""

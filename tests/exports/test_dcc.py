@@ -35,7 +35,7 @@ RECORD = Record(
 )  # fmt: skip
 NAMES = {"d": "https://ptb.de/dcc", "s": "https://ptb.de/si"}
 CONTACT = "name eMail? phone? fax? link? location descriptionData?"
-SCHEMA = {  # sequences of dcc.xsd 3.3.0 and of SI_Format.xsd 2: ? is optional, + is one or more
+SCHEMA = {  # sequences of dcc.xsd 3.3.0, compared with its text, and of SI_Format.xsd 2: ? is optional, + is one or more
     "digitalCalibrationCertificate": "administrativeData measurementResults comment? document?",
     "administrativeData": "dccSoftware refTypeDefinitions? coreData items calibrationLaboratory respPersons customer statements?",
     "dccSoftware": "software+", "software": "name release type? description?",
@@ -55,10 +55,12 @@ SCHEMA = {  # sequences of dcc.xsd 3.3.0 and of SI_Format.xsd 2: ? is optional, 
     "measuringEquipment": "name equipmentClass? description? certificate? manufacturer? model? identifications?",
     "measurementResult": "name description? usedMethods? usedSoftware? measuringEquipments? influenceConditions? results measurementMetaData?",
     "usedMethods": "usedMethod+", "usedMethod": "name description? norm? reference? link?",
+    "usedSoftware": "software+", "influenceConditions": "influenceCondition+",
+    "influenceCondition": "name description? status? certificate? data",
     "results": "result+", "result": "name description? data", "list": "name? description? dateTime? quantity+",
     "quantity": "name? description? (charsXMLList|real|realListXMLList) relativeUncertainty? usedMethods? measurementMetaData?",
     "measurementMetaData": "metaData+", "metaData": "name? description? data? nonSIDefinition? nonSIUnit? location?",
-    "name": "content+", "description": "content+", "declaration": "content+", "data": "(quantity+|list+)",
+    "name": "content+", "description": "content+", "declaration": "content+", "data": "(text|quantity|list)+", "text": "name? content*",
     "real": "label? value unit significantDigit? dateTime? measurementUncertaintyUnivariate?",
     "measurementUncertaintyUnivariate": "expandedMU",
     "expandedMU": "valueExpandedMU coverageFactor coverageProbability distribution?",
@@ -66,12 +68,18 @@ SCHEMA = {  # sequences of dcc.xsd 3.3.0 and of SI_Format.xsd 2: ? is optional, 
     "measurementUncertaintyUnivariateXMLList": "expandedMUXMLList",
     "expandedMUXMLList": "valueExpandedMUXMLList coverageFactorXMLList coverageProbabilityXMLList distributionXMLList?",
 }  # fmt: skip
+LINE = r"[^\s]+(\s+[^\s]+)*"
+"""notEmptyStringType of the schema"""
 DECIMAL = r"[-+]?[0-9]+(\.[0-9]+)?([eE][-+]?[0-9]+)?"
 TEXTS = {
     "issuer": "manufacturer|calibrationLaboratory|customer|owner|other", "mainSigner": "true|false",
     "countryCode": "[A-Z]{2}", "countryCodeISO3166_1": "[A-Z]{2}", "usedLangCodeISO639_1": "[a-z]{2}",
     "performanceLocation": "laboratory|customer|laboratoryBranch|customerBranch|other", "type": "application",
-    "value": rf"\S+(\s+\S+)*|{DECIMAL}", "uniqueIdentifier": r"\S+(\s+\S+)*", "nonSIUnit": r"\S+(\s+\S+)*",
+    **dict.fromkeys(
+        ("value", "uniqueIdentifier", "nonSIUnit", "nonSIDefinition", "model", "calibrationLaboratoryCode", "eMail",
+         "street", "postCode", "city"), LINE,
+    ),
+    "release": r"[a-zA-Z] ?([0-9]{1,3}\.){0,3}[0-9]{1,3}",  # PTB's Schematron rules
     **dict.fromkeys(("receiptDate", "beginPerformanceDate", "endPerformanceDate", "issueDate"), r"\d{4}-\d\d-\d\d"),
     **dict.fromkeys(("valueExpandedMU", "coverageFactor", "coverageProbability"), DECIMAL),
     **dict.fromkeys(("valueXMLList", "valueExpandedMUXMLList"), rf"{DECIMAL}( {DECIMAL})*"),
@@ -128,6 +136,36 @@ def test_the_elements_are_those_of_the_schema(result: Result) -> None:
     assert root.get("schemaVersion") == "3.3.0" and root.tag == "{https://ptb.de/dcc}digitalCalibrationCertificate"
     plain = replace(RECORD, certificate={**CERTIFICATE, "references": {}, "order": "", "received": ""})
     assert len(written(result, plain).findall(".//d:measuringEquipment", NAMES)) == 0
+
+
+def test_a_certificate_has_what_the_schematron_rules_of_ptb_want() -> None:
+    """Errors of dcc.sch: a release of one letter and numbers; for each quantity a method, software, conditions."""
+    table = results.camera(np.zeros((4, 2)), np.zeros((4, 2)), temp=np.array([19.5, 20.0, 21.0, 22.25]))
+    table.tables["residuals"].units["temp"] = "degC"
+    root = written(table)
+    one = root.find(".//d:measurementResult", NAMES)
+    assert one is not None
+    assert [local(part) for part in one] == ["name", "usedMethods", "usedSoftware", "influenceConditions", "results"]
+    conditions = {
+        part.findtext("d:name/d:content", "", NAMES): part for part in one.iterfind(".//d:influenceCondition", NAMES)
+    }
+    assert list(conditions) == ["Temperature of the readings", "Conditions of the measurement"]
+    values = [
+        float(part.text or "") for part in conditions["Temperature of the readings"].iterfind(".//s:value", NAMES)
+    ]
+    assert values == [19.5, 22.25]
+    assert {part.get("lang") for part in root.iterfind(".//d:content", NAMES)} == {"en"}
+    assert list(quantities(written(net()))).count("lowest") == 0
+
+
+def test_the_schematron_rules_of_ptb_themselves(tmp_path: Path) -> None:
+    rules = pytest.importorskip(
+        "dcclib.validation.schematron", reason="dcclib is not installed: pip install dcclib==0.4.0"
+    )
+    for result in (net(), results.machine(), results.camera(np.zeros((4, 2)), np.zeros((4, 2)))):
+        found = rules.SchematronValidator.for_dcc().validate_str(str(export("dcc", result, RECORD)["dcc.xml"]))
+        errors = [one for one in (*found.failed_assertions, *found.successful_reports) if "error" in str(vars(one))]
+        assert not errors, [vars(one) for one in errors]
 
 
 def test_the_check_of_the_schema_sees_what_is_wrong() -> None:

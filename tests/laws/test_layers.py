@@ -40,7 +40,7 @@ NOT_KINDS = {"__init__", "job", "kind", "shared"}
 """In `tasks`: what is no kind of job"""
 INSIDE = {
     "report": [{"result_page", "project_page"}, {"*"}, {"content", "html"}],
-    "plots": [{"*"}, {"readings", "places", "style"}, {"noise_bands", "thinning", "magnify"}],
+    "plots": [{"beside"}, {"*"}, {"readings", "places", "style"}, {"noise_bands", "thinning", "magnify"}],
     "adjust": [{"coupled_fields", "iterated_weights", "robust", "dense_jacobian"}, {"adjustment"}, {"*"}, {"model"}],
     "effects": [{"own"}, {"links"}, {"*"}],
     "diagnosis": [

@@ -199,7 +199,7 @@ def test_traceability() -> None:
 @pytest.mark.parametrize(
     ("data", "words"),
     [
-        ({"verdict": "explained", "effects": [{"name": "jump", "where": {"t": "LT2"}, "parameters": {"step": {"value": 0.0016, "std": 0.0001, "unit": "mm"}}}], "extended_job": "x.extended.yaml"}, ["jump LT2: step = 0.00160 ± 0.00010 mm", "extended job", "x.extended.yaml"]),
+        ({"verdict": "explained", "effects": [{"name": "jump", "where": {"t": "LT2"}, "parameters": {"step": {"value": 0.0016, "std": 0.0001, "unit": "mm"}}}], "extended_job": "x.extended.yaml"}, ["model is not complete: the diagnosis is explained", "jump LT2: step = 1.60 ± 0.10 µm", "extended job", "x.extended.yaml"]),
         ({"verdict": "clean", "outliers": [{"observation": {"p": "P1", "t": "LT1"}, "w": 6.5}]}, ["Wrong reading: P1/LT1 (w = 6.5)", "Check the wrong readings"]),
         ({"verdict": "unexplained"}, ["Verdict: unexplained.", "structure that no known effect explains"]),
         ({"verdict": "mistaken", "mistake": {"file": "points", "what": "is in inches"}}, ["Mistake in points: is in inches", "Correct the mistake"]),
@@ -245,6 +245,9 @@ def test_the_page_of_a_project() -> None:
 def test_the_command(job: Path, metrocli: Metrocli) -> None:
     metrocli("straight-line", job)
     assert metrocli("report", "results/line.h5").out == "results/line.html\n"
+    assert "metrocli diagnose line.yaml --json > results/line.diagnosis.json" in Path(
+        "results/line.html"
+    ).read_text().replace("&gt;", ">")
     assert "slope" in Page(Path("results/line.html").read_text(encoding="utf-8")).text
     Path("results/line.diagnosis.json").write_text('{"verdict": "clean", "of": {}}')
     assert metrocli("report", "results/line.h5", "--out", "x.html").out == "x.html\n"

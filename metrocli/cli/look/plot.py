@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from metrocli.cli import options
 from metrocli.cli.console import Console, echo
+
+if TYPE_CHECKING:
+    from metrocli.report.content import Diagnosis
+
+
+_FILE = click.Path(path_type=Path)
 
 
 @click.command("plot", help="Write a figure of a result; without a name, list the figures that it can show.")
@@ -15,9 +22,20 @@ from metrocli.cli.console import Console, echo
 @click.argument("name", required=False, metavar="[NAME]")
 @click.option("--save", type=click.Path(path_type=Path), metavar="FILE", help="File to write: .svg, .pdf or .png.")
 @click.option("--dark", is_flag=True, help="Light lines on a dark ground.")
+@click.option("--before", type=_FILE, metavar="OTHER.h5", help="Result of the job without its extension.")
+@click.option("--diagnosis", type=_FILE, metavar="FILE.json", help="Output of `metrocli diagnose --json`.")
 @options.FORCE
 @options.QUIET
-def command(result: Path, name: str | None, save: Path | None, dark: bool, force: bool, quiet: bool) -> int:
+def command(
+    result: Path,
+    name: str | None,
+    save: Path | None,
+    dark: bool,
+    before: Path | None,
+    diagnosis: Path | None,
+    force: bool,
+    quiet: bool,
+) -> int:
     """Print the names, or write one figure (by default RESULT.NAME.svg beside the result) and print its path.
 
     A file that metrocli did not write is replaced with `force` only.
@@ -25,25 +43,37 @@ def command(result: Path, name: str | None, save: Path | None, dark: bool, force
     from tempfile import TemporaryDirectory
 
     from metrocli import plots
+    from metrocli.cli.look.beside import beside_of, diagnosis_of
     from metrocli.errors import UsageError
     from metrocli.formats import hdf5
     from metrocli.formats.own_files import write_all
 
-    found, _ = hdf5.read(result)
+    found, record = hdf5.read(result)
+    beside = beside_of(result, _of_this(diagnosis_of(result, diagnosis, record), diagnosis), before)
     if name is None:
         if save is not None:
             raise UsageError("--save needs the name of a figure; without a name and --save, plot lists them")
-        names = plots.names_of(found)
+        names = plots.names_of(found, beside)
         width = max(map(len, names), default=0)
         for one in names:
             echo(f"{one:{width}}  {plots.FIGURES[one].summary}")
         return 0
     path = save or result.with_name(f"{result.stem}.{name}.svg")
-    plots.check(found, name, path)
+    plots.check(found, name, path, beside)
     with TemporaryDirectory() as folder:
         drawn = Path(folder) / "figure"
-        plots.save(found, name, drawn, path.suffix, dark)
+        plots.save(found, name, drawn, path.suffix, dark, beside)
         data = drawn.read_bytes()
     for written in write_all({path: data}, force):
         Console(quiet).print(str(written))
     return 0
+
+
+def _of_this(found: Diagnosis | None, given: Path | None) -> Diagnosis | None:
+    """Return a diagnosis; raise InputError if one that was given is of another job, or of other inputs."""
+    from metrocli.errors import Fault, InputError
+
+    if given is not None and found is not None and not found.of_this:
+        hint = "diagnose the job of this result again"
+        raise InputError([Fault("this is the diagnosis of another job, or of other inputs", str(given), hint=hint)])
+    return found

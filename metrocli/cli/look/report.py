@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -16,8 +16,6 @@ from metrocli.cli.console import Console
 if TYPE_CHECKING:
     from metrocli.project.staleness import State
     from metrocli.project.steps import Step
-    from metrocli.record import Record
-    from metrocli.report.content import Diagnosis
     from metrocli.report.html import Html
 
 
@@ -46,7 +44,7 @@ def command(place: Path, out: Path | None, diagnosis: Path | None, pdf: bool, fo
             raise UsageError("--diagnosis is for the page of one result; beside NAME.h5, NAME.diagnosis.json is found")
         pages = _project(place, out)
     else:
-        pages = {out or place.with_suffix(".html"): _page(place, diagnosis, "JOB.yaml")}
+        pages = {out or place.with_suffix(".html"): _page(place, diagnosis, Path())}
     files = {path: text.encode() for path, text in pages.items()}
     if pdf:
         from metrocli.report.pdf import printed
@@ -57,10 +55,12 @@ def command(place: Path, out: Path | None, diagnosis: Path | None, pdf: bool, fo
     return 0
 
 
-def _page(result: Path, diagnosis: Path | None, job: str) -> str:
+def _page(result: Path, diagnosis: Path | None, home: Path, name: str = "") -> str:
+    """Return the page of a result; its files and its job, if that has no `name`, are named from the folder `home`."""
     from dataclasses import replace
 
     from metrocli.cli import columns
+    from metrocli.cli.look.beside import beside_of, diagnosis_of
     from metrocli.formats import hdf5
     from metrocli.report.content import Content
     from metrocli.report.result_page import result_page
@@ -72,33 +72,9 @@ def _page(result: Path, diagnosis: Path | None, job: str) -> str:
             table = found.tables[one.name]
             kept = {name: table.columns[name] for name in one.columns or table if name in table}
             tables[one.name] = columns.table_text(replace(table, columns=kept))
-    held = _diagnosis(result, diagnosis, record)
-    return result_page(Content(found, record, result.name, tables, held, job=job))
-
-
-def _diagnosis(result: Path, given: Path | None, record: Record) -> Diagnosis | None:
-    """Return the diagnosis that is given, else the one beside the result; raise InputError if it cannot be read."""
-    import json
-
-    from metrocli.errors import Fault, InputError
-    from metrocli.project.diagnosed import identity
-    from metrocli.report.content import Diagnosis
-
-    path = given or result.with_name(f"{result.stem}.diagnosis.json")
-    if given is None and not path.is_file():
-        return None
-    try:
-        data: Any = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError([Fault(f"cannot be read: {error.strerror}", str(path), hint=_DIAGNOSE)]) from error
-    except ValueError:
-        data = None
-    if not isinstance(data, dict) or "verdict" not in data:
-        raise InputError([Fault("this is not the output of metrocli diagnose --json", str(path), hint=_DIAGNOSE)])
-    return Diagnosis(data, str(path), data.get("of") == identity(record.job_text, record.inputs))
-
-
-_DIAGNOSE = "write it by: metrocli diagnose JOB.yaml --json > FILE.json"
+    held = diagnosis_of(result, diagnosis, record)
+    job = name or (_from(home, result.parent / record.job_file) if record.job_file else "JOB.yaml")
+    return result_page(Content(found, record, _from(home, result), tables, held, job, beside_of(result, held)))
 
 
 def _project(place: Path, out: Path | None) -> dict[Path, str]:
@@ -117,7 +93,7 @@ def _project(place: Path, out: Path | None) -> dict[Path, str]:
     for state in found:
         step, page = state.step, ""
         with suppress(InputError):  # a result that is absent or damaged has no page; its state names the reason
-            text = _page(step.job.output, None, step.name)
+            text = _page(step.job.output, None, file.parent, step.name)
             page = _page_name(step.job.output, outputs, file.parent)
             pages[index.parent / page] = text
         status = state.record.status if state.record is not None else ""

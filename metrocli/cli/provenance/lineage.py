@@ -50,23 +50,11 @@ def _text(origin: Origin, indent: int = 0) -> Iterator[str]:
         yield from _text(below, indent + 1)
 
 
-def _links(origin: Origin) -> Iterator[tuple[Origin, Origin]]:
-    """Yield each pair of a file and the result that was made from it, once."""
-    seen: set[tuple[Path, Path]] = set()
-    waiting = [origin]
-    while waiting:
-        result = waiting.pop(0)
-        for below in result.origins:
-            if (below.path, result.path) not in seen:
-                seen.add((below.path, result.path))
-                yield below, result
-                waiting.append(below)
-
-
 def _nodes(origin: Origin) -> dict[Path, tuple[str, Origin]]:
     """Return a short name for each file."""
-    found = {origin.path: origin} | {below.path: below for below, _ in _links(origin)}
-    return {path: (f"f{number}", one) for number, (path, one) in enumerate(found.items())}
+    from metrocli.project.provenance.lineage import files_of
+
+    return {one.path: (f"f{number}", one) for number, one in enumerate(files_of(origin))}
 
 
 def _content(origin: Origin) -> str:
@@ -79,19 +67,23 @@ def _caption(origin: Origin) -> str:
 
 
 def _mermaid(origin: Origin) -> Iterator[str]:
+    from metrocli.project.provenance.lineage import links_of
+
     nodes = _nodes(origin)
     yield "graph LR"
     yield from (f'  {short}["{_caption(one)}"]' for short, one in nodes.values())
-    for below, result in _links(origin):
+    for below, result in links_of(origin):
         yield f'  {nodes[below.path][0]} -->|"{_name(result.job)}"| {nodes[result.path][0]}'
 
 
 def _dot(origin: Origin) -> Iterator[str]:
+    from metrocli.project.provenance.lineage import links_of
+
     nodes = _nodes(origin)
     yield "digraph lineage {"
     yield "  rankdir=LR"
     yield from (f'  {short} [label="{_caption(one)}"]' for short, one in nodes.values())
-    for below, result in _links(origin):
+    for below, result in links_of(origin):
         yield f'  {nodes[below.path][0]} -> {nodes[result.path][0]} [label="{_name(result.job)}"]'
     yield "}"
 

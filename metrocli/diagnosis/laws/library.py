@@ -135,6 +135,15 @@ class Library:
         full[carrier.rows] = carrier.columns([term.form])[:, 0]
         return full
 
+    def values(self, terms: Sequence[Term], variable: str) -> Array:
+        """Return a variable in all rows on which terms act (rows,); nan in all others."""
+        spots = [term.spot for term in terms]
+        full = np.full(self.system.rows, np.nan)
+        for carrier in self._carriers:
+            if carrier.spot in spots and variable in carrier.values:
+                full[carrier.rows] = carrier.values[variable]
+        return full
+
 
 def _kind_of(form: Form) -> tuple[str, int]:
     return form.kind, len(form.factors)

@@ -31,6 +31,21 @@ _FEW = 50
 
 
 @dataclass(frozen=True)
+class LawData:
+    """A law beside the readings in which it was found, (n,) each; those of one component of one reading a row."""
+
+    variable: str
+    """Empty for a law of several variables"""
+    unit: str
+    x: Array
+    """The variable; what the law adds if it has several"""
+    law: Array
+    """What the law adds, in the unit of the readings"""
+    residual: Array
+    """Residuals of the job extended by the law, plus what it adds (component plus residual)"""
+
+
+@dataclass(frozen=True)
 class Law:
     """A sum of terms on one quantity at one place."""
 
@@ -47,6 +62,8 @@ class Law:
     """Root mean square of what it explains over the readings on which it acts, in their unit"""
     columns: Array
     """Its visible columns in the linearised system, (rows, factors)"""
+    data: LawData | None
+    """None for a constant, which has no variable"""
     near: tuple[tuple[Alternative, float], ...] = ()
     """Effects of the catalogue that change the readings nearly as it does, each with the cosine, the nearest first"""
     chosen: bool = False
@@ -180,4 +197,22 @@ def _law(
         float(np.clip(explained / max(together, 1e-300), 0.0, 1.0)),
         float(np.sqrt((shown[shown != 0] ** 2).mean())) if shown.any() else 0.0,
         columns,
+        _data(library, terms, sizes, after),
     )
+
+
+def _data(library: Library, terms: Sequence[Term], sizes: Array, after: FittedColumns) -> LawData | None:
+    """Return a law over its variable, beside the readings on which it acts."""
+    system = library.system
+    variables = {name for term in terms for name in term.form.variables}
+    if not variables:
+        return None
+    adds = np.concatenate([library.columns(term) for term in terms], axis=1)
+    rows = np.flatnonzero(adds.any(axis=1) & system.alike)
+    law = (adds @ sizes)[rows] * system.scale[rows]
+    residual = law + after.residual[rows] * system.scale[rows]
+    if len(variables) > 1:
+        return LawData("", "", law, law, residual)
+    (name,) = variables
+    unit = terms[0].spot.acting.variables_at({})[name].unit
+    return LawData(name, unit, library.values(terms, name)[rows], law, residual)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
@@ -52,6 +53,30 @@ def shortened(origin: Origin) -> Origin:
             digests = "".join(one.digest for one in group)
             kept.append(Origin(pattern, sha256(digests.encode()).hexdigest(), state, files=len(group)))
     return replace(origin, origins=tuple(sorted(kept, key=lambda one: str(one.path))))
+
+
+def links_of(origin: Origin) -> Iterator[tuple[Origin, Origin]]:
+    """Yield each pair of a file and the result that was made from it, once."""
+    seen: set[tuple[Path, Path]] = set()
+    waiting = [origin]
+    while waiting:
+        result = waiting.pop(0)
+        for below in result.origins:
+            if (below.path, result.path) not in seen:
+                seen.add((below.path, result.path))
+                yield below, result
+                waiting.append(below)
+
+
+def files_of(origin: Origin) -> tuple[Origin, ...]:
+    """Return all files of a lineage, each once, the result first."""
+    return tuple(({origin.path: origin} | {below.path: below for below, _ in links_of(origin)}).values())
+
+
+def name_from(home: Path, origin: Origin) -> str:
+    """Return the path of a file from a folder; one that stands for many with their number."""
+    name = Path(os.path.relpath(origin.path, home)).as_posix()
+    return name if origin.files == 1 else f"{name} ({origin.files} files)"
 
 
 def trace(path: Path) -> Origin:

@@ -160,9 +160,33 @@ def test_the_data_of_a_law_have_the_keys_of_the_contract(found: Diagnosis) -> No
     (law,) = as_data(found)["laws"]
     assert set(law) == {
         "acts_on", "where", "adds", "parameters", "terms", "p_value", "gain", "part_of_structure", "near", "chosen",
+        "data",
     }  # fmt: skip
     assert law["near"] == []
     assert law["chosen"] and law["acts_on"] == "length" and law["parameters"]["a1"]["unit"] == "mm"
+
+
+def test_a_law_stands_beside_its_readings(found: Diagnosis) -> None:
+    """Over X of the points: the readings of T2 are the planted wave with their noise; the law is that wave.
+
+    A constant of T2 is left open, and three unknowns of each point take their part of the noise.
+    """
+    data = next(law for law in as_data(found)["laws"] if law["chosen"])["data"]
+    assert (data["variable"], data["variable_unit"], data["unit"]) == ("X", "mm", "um")
+    net = simulated_lengths.network(40, 5).read(np.random.default_rng(4))
+    x, law, residual = (np.array(data[name]) for name in ("x", "law", "residual"))
+    assert np.sort(x) == pytest.approx(np.sort(net.nominal[:, 0]), abs=0.5)
+    planted = 1000 * SIZE * np.sin(2 * np.pi * x / PERIOD + 0.4)
+    for values, bound in ((law, 0.15), (residual, 0.35)):
+        off = values - planted
+        assert (off - off.mean()).std() < bound * planted.std(), (off - off.mean()).std() / planted.std()
+
+
+def test_the_parts_of_a_gain_are_the_gain(found: Diagnosis) -> None:
+    gain = next(law for law in as_data(found)["laws"] if law["chosen"])["gain"]
+    folds = np.array(gain["folds"])
+    assert len(folds) == 10 and folds.sum() == pytest.approx(gain["log_score"])
+    assert folds.std(ddof=1) * np.sqrt(len(folds)) == pytest.approx(gain["log_score_std"])
 
 
 def test_noise_alone_has_no_law() -> None:

@@ -1,0 +1,96 @@
+"""What stands beside a result file, for its figures and its page."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from metrocli.plots.beside import Beside, Node
+    from metrocli.project.provenance.lineage import Origin
+    from metrocli.record import Record
+    from metrocli.report.content import Diagnosis
+    from metrocli.result import Result
+
+_DIAGNOSE = "write it by: metrocli diagnose JOB.yaml --json > FILE.json"
+_STEP = re.compile(r"(.*)\.step([0-9]+)")
+
+
+def diagnosis_of(result: Path, given: Path | None, record: Record) -> Diagnosis | None:
+    """Return the diagnosis that is given, else the one beside the result; raise InputError if it cannot be read."""
+    import json
+
+    path = given or result.with_name(f"{result.stem}.diagnosis.json")
+    if given is None and not path.is_file():
+        return None
+    # not before: this loads the search for effects
+    from metrocli.errors import Fault, InputError
+    from metrocli.project.diagnosed import identity
+    from metrocli.report.content import Diagnosis
+
+    try:
+        data: Any = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError([Fault(f"cannot be read: {error.strerror}", str(path), hint=_DIAGNOSE)]) from error
+    except ValueError:
+        data = None
+    if not isinstance(data, dict) or "verdict" not in data:
+        raise InputError([Fault("this is not the output of metrocli diagnose --json", str(path), hint=_DIAGNOSE)])
+    return Diagnosis(data, str(path), data.get("of") == identity(record.job_text, record.inputs))
+
+
+def beside_of(result: Path, diagnosis: Diagnosis | None, before: Path | None = None) -> Beside:
+    """Return what figures show beside a result: the diagnosis if it is of this job, the earlier result, the lineage.
+
+    Without `before` the earlier result is NAME.h5 beside NAME.extended.h5, if it can be read.
+    """
+    from metrocli.plots.beside import Beside
+    from metrocli.project.provenance.lineage import shortened, trace
+
+    held = diagnosis.data if diagnosis is not None and diagnosis.of_this else None
+    return Beside(held, _before(result, before), tuple(_nodes(shortened(trace(result)))))
+
+
+def _before(result: Path, given: Path | None) -> Result | None:
+    from metrocli.errors import InputError
+    from metrocli.formats import hdf5
+
+    path = given or _earlier(result)
+    if path is None or (given is None and not path.is_file()):
+        return None
+    try:
+        return hdf5.read(path)[0]
+    except InputError:
+        if given is not None:
+            raise
+        return None
+
+
+def _earlier(result: Path) -> Path | None:
+    """Return the result that diagnose extended, by the names that it gives."""
+    if result.stem.endswith(".extended"):
+        return result.with_name(f"{result.stem.removesuffix('.extended')}.h5")
+    step = _STEP.fullmatch(result.stem)
+    if step is None:
+        return None
+    number = int(step[2]) - 1
+    return result.with_name(f"{step[1]}.step{number}.h5" if number else f"{step[1]}.h5")
+
+
+def _nodes(origin: Origin) -> list[Node]:
+    """Return the files of a lineage, each once, by their paths from the folder above that of the result."""
+    from metrocli.plots.beside import Node
+    from metrocli.project.provenance.lineage import AS_READ, files_of, name_from
+    from metrocli.record import DONE
+
+    home = origin.path.parent.parent
+    return [
+        Node(
+            name_from(home, one),
+            one.label.kind if one.label else "",
+            one.state == AS_READ and (one.label is None or one.label.status == DONE),
+            tuple(dict.fromkeys(name_from(home, below) for below in one.origins)),
+        )
+        for one in files_of(origin)
+    ]

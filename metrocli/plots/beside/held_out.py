@@ -1,0 +1,100 @@
+"""Gain of each finding of a diagnosis in each held-out part of the readings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from metrocli.plots.beside import Beside
+from metrocli.plots.noise_bands import Array
+from metrocli.plots.style import Canvas
+from metrocli.result import Result
+
+_MOST = 4
+"""Most findings that are shown"""
+
+
+@dataclass(frozen=True)
+class Gains:
+    """Gain of one finding."""
+
+    name: str
+    folds: Array
+    """(n,) log score with it minus log score without it, one for each held-out part"""
+    std: float
+    """Standard deviation of their sum"""
+
+    @property
+    def total(self) -> float:
+        """The gain in all parts together."""
+        return float(self.folds.sum())
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """What the figure shows."""
+
+    gains: tuple[Gains, ...]
+    """Those with the largest gains"""
+    findings: int
+
+
+def data(result: Result, beside: Beside) -> HeldOut | None:
+    """Return the gains by part; None without a diagnosis that found something."""
+    found = beside.diagnosis or {}
+    chosen = [law for law in found.get("laws", ()) if law.get("chosen")]
+    named = [(_name(one), one["gain"]) for one in found.get("effects", ())]
+    named += [(f"law {_name(law)}", law["gain"]) for law in chosen]
+    if found.get("together"):
+        named.append(("all of them together", found["together"]))
+    gains = [_gains(name, gain) for name, gain in named if gain.get("folds")]
+    if not gains:
+        return None
+    largest = sorted(gains, key=lambda one: -one.total)[:_MOST]
+    return HeldOut(tuple(largest), len(gains))
+
+
+def _name(one: Mapping[str, Any]) -> str:
+    """Return an effect or a law with its place."""
+    adds = one.get("adds", "")
+    words = one["name"] if "name" in one else "; ".join(adds.values()) if isinstance(adds, Mapping) else adds
+    return " ".join([str(words), *map(str, dict(one.get("where", {})).values())])
+
+
+def _gains(name: str, gain: Mapping[str, Any]) -> Gains:
+    return Gains(name, np.array(gain["folds"], dtype=float), float(gain["log_score_std"]))
+
+
+def height(found: HeldOut) -> float:
+    """Return the height of the figure in inches."""
+    return 0.9 + 1.5 * len(found.gains)
+
+
+def draw(canvas: Canvas, found: HeldOut) -> str:
+    """Draw the figure and return its caption."""
+    theme = canvas.theme
+    panels = canvas.axes(len(found.gains), 1, sharex=True, sharey=True)
+    words = []
+    for axes, one in zip(panels, found.gains, strict=True):
+        number = np.arange(1, len(one.folds) + 1)
+        colours = [theme.first if gain > 0 else theme.second for gain in one.folds]
+        axes.bar(number, one.folds, width=0.7, color=colours)
+        axes.axhline(0, color=theme.muted, lw=0.8)
+        axes.set_title(one.name, fontweight="normal", fontsize=9)
+        axes.set_ylabel("gain (log score)")
+        axes.grid(axis="x", visible=False)
+        shown = "shown" if one.total > 2 * one.std else "not shown: below two standard deviations"
+        better = f"better in {(one.folds > 0).sum()} of {len(one.folds)} parts"
+        words.append(f"{one.name}: {one.total:+.1f} ± {one.std:.1f} in all ({shown}), {better}.")
+    most = max(len(one.folds) for one in found.gains)
+    panels[-1].set_xticks(np.unique(np.linspace(1, most, min(most, 12)).round()))
+    panels[-1].set_xlabel("held-out part (number)")
+    left = found.findings - len(found.gains)
+    words += [f"{left} findings with smaller gains are not shown."] if left else []
+    return (
+        "Each part of the readings is predicted from the others, with and without the finding. Above zero (blue) the "
+        f"finding predicts it better, below (orange) worse. {' '.join(words)}"
+    )

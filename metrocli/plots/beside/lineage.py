@@ -1,0 +1,106 @@
+"""The files and jobs that a result was made from, as a graph from left to right."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from matplotlib.patches import FancyBboxPatch, PathPatch
+from matplotlib.path import Path as MplPath
+
+from metrocli.plots.beside import Beside, Node
+from metrocli.plots.style import Canvas
+from metrocli.result import Result
+
+_LETTERS = 98
+"""Letters of a line over the whole width; of a longer name the end is kept"""
+_ROW = 0.52
+"""Height of a row in inches"""
+
+
+@dataclass(frozen=True)
+class Graph:
+    """What the figure shows."""
+
+    nodes: tuple[Node, ...]
+    place: dict[str, tuple[int, int]]
+    """Column, counted from the measurements, and row of each node"""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Columns and rows."""
+        return 1 + max(c for c, _ in self.place.values()), 1 + max(r for _, r in self.place.values())
+
+
+def data(result: Result, beside: Beside) -> Graph | None:
+    """Return the graph; None for a result whose files are not recorded."""
+    if len(beside.lineage) < 2:
+        return None
+    known = {one.name: one for one in beside.lineage}
+    far: dict[str, int] = {}
+    _measure(beside.lineage[0].name, 0, known, far)
+    last = max(far.values())
+    place: dict[str, tuple[int, int]] = {}
+    for distance in range(last + 1):
+        names = [name for name in known if far.get(name) == distance]
+        names.sort(key=lambda name: (_level(name, beside.lineage, place), name))
+        place |= {name: (last - distance, row) for row, name in enumerate(names)}
+    return Graph(beside.lineage, place)
+
+
+def _measure(name: str, distance: int, known: Mapping[str, Node], far: dict[str, int]) -> None:
+    """Set the number of jobs on the longest way from each file to the result."""
+    if distance < far.get(name, 0):
+        return
+    far[name] = distance
+    for need in known[name].needs:
+        _measure(need, distance + 1, known, far)
+
+
+def _level(name: str, nodes: Sequence[Node], place: Mapping[str, tuple[int, int]]) -> float:
+    """Return the mean row of what was made from a file, so that few lines cross."""
+    rows = [place[one.name][1] for one in nodes if name in one.needs and one.name in place]
+    return sum(rows) / max(len(rows), 1)
+
+
+def height(found: Graph) -> float:
+    """Return the height of the figure in inches."""
+    return 0.3 + _ROW * found.size[1]
+
+
+def draw(canvas: Canvas, found: Graph) -> str:
+    """Draw the figure and return its caption."""
+    theme, (columns, rows) = canvas.theme, found.size
+    axes = canvas.axes()[0]
+    axes.set_axis_off()
+    axes.set_xlim(-0.02, columns)
+    axes.set_ylim(rows, 0)
+    wide = 0.78 if columns > 1 else 1.0
+    letters = int(_LETTERS * wide / columns) - 3
+    for one in found.nodes:
+        x, y = found.place[one.name]
+        colour = theme.third if one.sound and one.kind else theme.muted if one.sound else theme.second
+        box = FancyBboxPatch(
+            (x, y + 0.12), wide, 0.76, boxstyle="round,pad=0,rounding_size=0.04",
+            facecolor=theme.surface, edgecolor=colour, lw=1.2, zorder=2,
+        )  # fmt: skip
+        axes.add_patch(box)
+        folder, _, name = one.name.rpartition("/")
+        lines = [line for line in (name, one.kind or folder) if line]
+        for k, line in enumerate(lines):
+            at = y + 0.5 + 0.34 * (k - (len(lines) - 1) / 2)
+            ink = theme.ink if k == 0 else theme.muted
+            axes.text(x + 0.03, at, _short(line, letters), va="center", fontsize=7, color=ink, zorder=3)
+        for need in one.needs:
+            u, v = found.place[need]
+            bend = (u + wide + x) / 2
+            ends = [(u + wide, v + 0.5), (bend, v + 0.5), (bend, y + 0.5), (x, y + 0.5)]
+            curve = MplPath(ends, [MplPath.MOVETO, *[MplPath.CURVE4] * 3])
+            axes.add_patch(PathPatch(curve, facecolor="none", edgecolor=theme.muted, lw=0.8, zorder=1))
+    changed = [one.name for one in found.nodes if not one.sound]
+    state = f"Changed, missing or not fit for use (orange): {', '.join(changed)}." if changed else "All are as read."
+    return f"Files (grey) and results with the jobs that made them (green), from the measurements on the left. {state}"
+
+
+def _short(text: str, letters: int) -> str:
+    return text if len(text) <= letters else f"…{text[1 - letters :]}"
