@@ -66,8 +66,8 @@ def read(settings: Settings, points: Table | Result, names: tuple[str, ...], of_
     """Return the points of a job; `names` are those of the ideal surfaces.
 
     Coded targets are the points that `targets:` names and those with the surface `target`. Where others name their
-    surface, a point without one is a target if the job names no targets; else it is left out. Raises InputError with
-    every fault.
+    surface, a point without one is a target if no point is named as one; else it is left out, or belongs to a surface
+    of the mesh. Raises InputError with every fault.
     """
     table = points.tables.get("points") if isinstance(points, Result) else points
     if table is None:
@@ -80,10 +80,10 @@ def read(settings: Settings, points: Table | Result, names: tuple[str, ...], of_
     named = np.array([bool(one) and one != TARGET_WORD for one in said])
     target = chosen | np.array([one == TARGET_WORD for one in said])
     warnings, apart = [], np.zeros(len(said), dtype=bool)
-    if named.any() and settings.targets:
+    if named.any() and not target.any():
+        target = ~named
+    elif named.any() and not of_mesh:
         apart = ~named & ~target
-    elif named.any():
-        target |= ~named
     if apart.any():
         left = [name for name, one in zip(places.names, apart, strict=True) if one]
         warnings.append(

@@ -109,6 +109,18 @@ def test_points_that_are_neither_on_a_surface_nor_named_as_targets_are_left_out(
     assert hdf5.read(tmp_path / "part.h5")[0].tables["targets"].texts("target") == ["T1", "T2", "T3", "T4"]
 
 
+@pytest.mark.parametrize(("of_mesh", "kept"), [(True, ("A1", "A2", "B1")), (False, ("A1", "B1"))])
+def test_beside_marked_targets_a_point_without_surface_is_no_target(of_mesh: bool, kept: tuple[str, ...]) -> None:
+    places = np.random.default_rng(7).normal(size=(4, 3))
+    columns = {"point": ["A1", "A2", "B1", "T1"], "surface": ["a", "", "b", "target"], "sigma": [0.1] * 4}
+    axes = {axis: places[:, k] for k, axis in enumerate("xyz")}
+    table = Table({name: np.array(values) for name, values in columns.items()} | axes)
+    files = Inputs(Path("points.csv"), Path("part.yaml"))
+    found = read(Settings(files, Overstock(0.5)), table, ("a", "b"), of_mesh)
+    assert found.surface_points.names == kept and found.targets.names == ("T1",)
+    assert any("A2" in warning for warning in found.warnings) is not of_mesh
+
+
 def stl(path: Path, corners: np.typing.NDArray[np.float64]) -> None:
     lines = ["solid part"]
     for face in corners:
