@@ -184,15 +184,19 @@ def _family(system: System, items: Sequence[_Columns]) -> Family:
     raw = columns.norms()
     shown = np.einsum("kqq->kq", columns.grams(system.basis)) / np.where(raw > 0, raw, 1.0) ** 2
     visible = ~(shown < VISIBLE**2).all(axis=1)
-    changed = ~visible | (shown < _SMALL).any(axis=1)
-    found, absorbed = list(items), dict[int, Array]()
+    weak = visible & (shown < _SMALL).any(axis=1)
+    changed, found, absorbed = ~visible | weak, list(items), dict[int, Array]()
     for number in np.flatnonzero(changed).tolist():
-        seen, absorbed[number] = system.split(columns.whole([number], system.rows)[:, 0])
-        rows = np.flatnonzero(seen.any(axis=1)) if visible[number] else np.zeros(0, dtype=np.intp)
+        seen = np.zeros((system.rows, raw.shape[1]))
+        if weak[number]:
+            seen, absorbed[number] = system.split(columns.whole([number], system.rows)[:, 0])
+        rows = np.flatnonzero(seen.any(axis=1))
         found[number] = replace(found[number], rows=rows, values=seen[rows])
         visible[number] = len(rows) > 0
-    somewhere = {items[number].alternative.instance for number in np.flatnonzero(visible)}
+    somewhere = {items[int(number)].alternative.instance for number in np.flatnonzero(visible)}
     kept = [i for i, item in enumerate(items) if visible[i] or item.alternative.instance not in somewhere]
+    for number in {*kept} & {*np.flatnonzero(changed & ~weak).tolist()}:
+        absorbed[number] = system.basis.coordinates(columns.whole([number], system.rows)[:, 0])
     if changed.any():
         columns = _gathered([found[number] for number in kept])
     return Family(
