@@ -112,10 +112,18 @@ def missing(inputs: Iterable[Input], not_needed: Collection[str], made: Collecti
         for n, path in enumerate(item.paths):
             if path.is_file() or item.key in not_needed or absolute(path) in made:
                 continue
-            found = "a folder, not a file" if path.is_dir() else "no such file"
             place = places[n] if len(places) == len(item.paths) else item.node
-            faults.append(place.fault(f"{item.node.path}: {found}: {path}", _missing_hint(path)))
+            faults.append(place.fault(f"{item.node.path}: {_found(path)}: {path}", _missing_hint(path)))
     return faults
+
+
+def _found(path: Path) -> str:
+    """Return, in words, what stands where a file is expected."""
+    if path.is_dir():
+        return "a folder, not a file"
+    if path.exists():
+        return "a pipe or a device, not a file"
+    return "a link that leads nowhere" if path.is_symlink() else "no such file"
 
 
 def _missing_hint(path: Path) -> str | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -159,3 +160,14 @@ def test_a_yaml_input_is_checked_with_the_job(job: Path, metrocli: Callable[...,
 def test_harmless_variants_are_read(text: str, job: Path, metrocli: Callable[..., object]) -> None:
     job.write_text(text, newline="")
     assert metrocli("check", job).code == 0
+
+
+@pytest.mark.parametrize(("make", "found"), [("pipe", "a pipe or a device"), ("link", "a link that leads nowhere")])
+def test_what_is_no_file_is_named(make: str, found: str, job: Path, metrocli: Callable[..., object]) -> None:
+    Path("readings.csv").unlink()
+    if make == "pipe":
+        os.mkfifo("readings.csv")
+    else:
+        Path("readings.csv").symlink_to("nowhere.csv")
+    ran = metrocli("straight-line", job)
+    assert ran.code == 3 and found in ran.err and "readings.csv" in ran.err
