@@ -40,7 +40,8 @@ from metrocli.tasks.calibrate_machine.settings import (
     PathPlan,
     Settings,
 )
-from metrocli.tasks.calibrate_machine.simulation import Truth, blocks_of, simulated, truth_of
+from metrocli.tasks.calibrate_machine.simulation import simulated
+from metrocli.tasks.calibrate_machine.truth import Truth, blocks_of, truth_of
 from metrocli.tasks.calibrate_machine.volume import grid_of, rigid_motions
 
 Array = npt.NDArray[np.float64]
@@ -134,7 +135,7 @@ def mean_length(error: Array, position: Array) -> float:
 
 
 def measured(job: Settings, path: Table, seed: int, exact: bool = False) -> Measured:
-    made = simulated(replace(job, noise=LEAST) if exact else job, {"path": path}, (), seed)
+    made = simulated(calibrate_machine.TASK.job(replace(job, noise=LEAST) if exact else job, path=path), seed)
     assert job.simulation is not None
     truth = truth_of(job, job.simulation, np.random.default_rng(seed))
     return Measured(
@@ -249,7 +250,8 @@ def speed() -> None:
             duration = Path.of(path.stacked("xyz"), np.zeros(len(path), dtype=int)).length / 40.0 + 0.7 * len(path)
             assert job.simulation is not None
             fine = replace(job, simulation=replace(job.simulation, sampling=duration / points))
-            csv.write(File(folder) / "track.csv", simulated(fine, {"path": path}, (), 1).files["track.csv"])
+            made = simulated(calibrate_machine.TASK.job(fine, path=path), 1)
+            csv.write(File(folder) / "track.csv", made.files["track.csv"])
             ran = subprocess.run(
                 [sys.executable, "-m", "benchmarks.machine", "--read", folder],
                 capture_output=True,

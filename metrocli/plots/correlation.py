@@ -71,7 +71,9 @@ def draw(canvas: Canvas, found: Correlation) -> str:
         for (i, j), number in np.ndenumerate(found.matrix):
             if i != j:
                 colour = "#fdfdfd" if abs(number) > 0.75 else "#0c0c0c"
-                axes.text(j + 0.5, i + 0.5, _short(number), ha="center", va="center", fontsize=6.5, color=colour)
+                x, y = j + 0.5, i + 0.5
+                written = axes.text(x, y, _short(number), ha="center", va="center", fontsize=6.5, color=colour)
+                written.set_in_layout(False)  # it is inside the axes
     canvas.colour_bar(drawn, bar, "coefficient of correlation")
     high = int((np.abs(np.triu(found.matrix, 1)) > HIGH).sum())
     first, second, value = found.largest

@@ -58,7 +58,8 @@ def draw(canvas: Canvas, found: Coverage) -> str:
         if count:
             x, y = found.x_edges[j : j + 2].mean(), found.y_edges[i : i + 2].mean()
             colour = "#0c0c0c" if count > found.counts.max() / 2 else "#fdfdfd"
-            axes.text(x, y, f"{count:.0f}", ha="center", va="center", fontsize=size, color=colour)
+            number = axes.text(x, y, f"{count:.0f}", ha="center", va="center", fontsize=size, color=colour)
+            number.set_in_layout(False)  # it is inside the axes
     axes.invert_yaxis()
     axes.set_xlabel("u (px)")
     axes.set_ylabel("v (px)")

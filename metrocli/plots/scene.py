@@ -17,6 +17,8 @@ from metrocli.result import Result
 _MOST = 1500
 """Most points of one kind; the longest vectors are always among them"""
 _SHARE = 1 / 10
+_ROOMY = 25
+"""Points of one kind from which on ellipsoids become smaller with the distance of the points"""
 _K = 2.0
 """Half axes of the ellipsoids in standard deviations"""
 _NAMED = 12
@@ -43,7 +45,7 @@ class Scene:
 
 
 def data(result: Result, about: str) -> Scene | None:
-    """Return the places with magnifications by which vectors and ellipsoids are a tenth of the picture."""
+    """Return the places with magnifications: vectors are a tenth of the picture, ellipsoids too if there are few."""
     found = places_of(result)
     if sum(len(one.at) for one in found) < 2:
         return None
@@ -52,7 +54,12 @@ def data(result: Result, about: str) -> Scene | None:
     vectors = [np.linalg.norm(one.vectors, axis=1).max() for one in kept if one.vectors is not None]
     variances = [np.trace(one.covariance, axis1=1, axis2=2) for one in kept if one.covariance is not None]
     spreads = [_K * np.sqrt(one[np.isfinite(one)].max(initial=0.0)) for one in variances]
-    factors = [magnification(float(max(sizes, default=0.0)), _SHARE * size) for sizes in (vectors, spreads)]
+    most = max(len(one.at) for one in kept)
+    room = _SHARE * size * min(1.0, (_ROOMY / most) ** (1 / 3))
+    factors = [
+        magnification(float(max(sizes, default=0.0)), length)
+        for sizes, length in ((vectors, _SHARE * size), (spreads, room))
+    ]
     left_out = sum(len(one.at) for one in found) - sum(len(one.at) for one in kept)
     return Scene(kept, factors[0], factors[1], left_out)
 

@@ -163,7 +163,8 @@ def arrange(canvas: Canvas, title: str = "", caption: str = "") -> None:
     above, below = 0.3 if title else 0.0, 0.155 * len(lines) + 0.1 if lines else 0.0
     whole = height + above + below
     figure.set_size_inches(width, whole)
-    figure.tight_layout(pad=0.4, rect=(0, below / whole, 1, 1 - above / whole))
+    # without a part of the figure to fit into, matplotlib measures all texts once instead of twice
+    figure.tight_layout(pad=0.4, rect=(0, below / whole, 1, 1 - above / whole) if above or below else None)
     if title:
         figure.text(0.01, 1 - 0.08 / whole, title, va="top", fontsize=10.5, fontweight="bold")
     if lines:

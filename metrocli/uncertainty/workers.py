@@ -212,7 +212,7 @@ def _versions() -> str:
 
 
 def _do(work: Callable[[int], T], number: int) -> tuple[T | None, Exception | None]:
-    """Return what work gives, or its error, which so is none of the cluster."""
+    """Return what work gives, or its error, so that it does not look like an error of the cluster."""
     try:
         return work(number), None
     except Exception as error:

@@ -230,3 +230,25 @@ def test_faults_of_the_command_line() -> None:
         plots.check(lens(), "scene", Path("x.svg"))
     with pytest.raises(UsageError, match=r"x.jpg: the name of a figure ends in .svg, .pdf or .png"):
         plots.check(lens(), "residuals", Path("x.jpg"))
+
+
+def test_the_name_of_the_worst_point_gives_way_to_its_neighbours() -> None:
+    """C is the worst of the network; points are put to its right and above, then the other way round."""
+    for side in (1.0, -1.0):
+        net = results.network()
+        points = net.tables["points"]
+        columns = dict(points.columns) | {"x": side * np.array([150.0, 80.0, 0.0]), "y": side * np.array([40.0, 150.0, 0.0])}
+        moved = replace(net, tables={**net.tables, "points": Table(columns, points.units)})
+        with plots.drawn("residuals-part", plots.data_of("residuals-part", moved)) as (canvas, _):
+            (name,) = (text for axes in canvas.figure.axes for text in axes.texts if text.get_text() == "C")
+            assert np.sign(name.get_position()).tolist() == [-side, -side]
+
+
+def test_ellipsoids_of_many_points_have_room() -> None:
+    """1000 points of a lattice with the same spread: two standard deviations are less than half their distance."""
+    at = np.stack(np.meshgrid(*[np.arange(10) * 100.0] * 3), axis=-1).reshape(-1, 3)
+    columns = {"point": np.array([f"P{k}" for k in range(1000)]), **dict(zip("xyz", at.T, strict=True))}
+    columns |= {name: np.full(1000, 2e-3) for name in ("sx", "sy", "sz")}
+    table = Table(columns, dict.fromkeys(("x", "y", "z", "sx", "sy", "sz"), "mm"))
+    found = plots.data_of("scene", Result("x", "", (), np.zeros((0, 0)), {}, {"points": table}))
+    assert 10.0 < 2 * 2e-3 * found.ellipsoids < 50.0

@@ -23,9 +23,9 @@ def without_rows(test_set: ScoreTests, out: Index) -> ScoreTests:
     The local unknowns of the other rows do not change. So the shared columns of the rest are made orthonormal anew,
     and their part is taken from all other columns. Rows keep their numbers; those left out are zero. The effective
     numbers of tests stay those of the whole measurement. Gram matrices need the rows left out only:
-    `G'G + C'C - H - (C - D)' T T' (C - D)`, where C are the products of the shared columns with G, D those of their
-    rows left out, H the Gram matrix of the rows left out without their local columns, and T makes the shared columns of
-    the rest orthonormal.
+    `G'G + C'C - H - (C - D)' T T' (C - D)`. C are the products of the shared columns with G, D those of their rows
+    left out. H is the Gram matrix of the rows left out without their local columns. T makes the shared columns of the
+    rest orthonormal.
     """
     system = test_set.system
     kept = np.ones(system.rows, dtype=bool)
