@@ -28,6 +28,8 @@ _ROUNDING = 1e-12
 _SMALLEST_REACH = 1e-4
 """Reach of a linear programme [mm] at which the search for the largest least overstock ends: it is then off by less
 than reach^2 over the smallest radius"""
+SLACK = 1e-8
+"""What the aim `most` leaves of the largest least overstock for making it even [mm]"""
 UNBOUNDED = 2.0
 """A least overstock of more than this many times the size of the point cloud has no limit"""
 

@@ -2,29 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from metrocli.errors import NotConvergedError
 from metrocli.geometry import poses
-from metrocli.geometry.surfaces import Array
 from metrocli.result import Scalar
 from metrocli.table import Table
 from metrocli.tasks.fit_part.contradiction import feasible
+from metrocli.tasks.fit_part.draws import drawing
 from metrocli.tasks.fit_part.fit import MOST, most_of_many
 from metrocli.tasks.fit_part.solve import Solved, fitted_part
 from metrocli.tasks.fit_part.uncertainty import of_result
-from metrocli.uncertainty.predicted import Places
 
 _ALIKE, _BY_CHANCE = 0.2, 3.0
 """Relative difference of a standard uncertainty from that of the simulated fits from which a note warns
 
 It is more where few fits leave more to chance: a standard deviation of n values is known to `1/sqrt(2(n - 1))`.
 """
-_NO_ERROR = 1e-3
-"""Share of the largest standard deviation that a place is drawn with if it has no error of its own"""
 
 
 @dataclass(frozen=True)
@@ -37,7 +34,7 @@ class Check:
 
 
 def checked(solved: Solved, minimum: float, trials: int, seed: int) -> Check:
-    """Fit the part to points with simulated errors, `trials` times, and compare the scatter of the poses."""
+    """Fit the part to points with simulated errors, `trials` times, and compare how far the poses are off."""
     rng = np.random.default_rng(seed)
     draw = drawing(solved.prepared.readings.surface_points.of(solved.used).places)
     found = []
@@ -57,7 +54,8 @@ def checked(solved: Solved, minimum: float, trials: int, seed: int) -> Check:
     steps = np.array(found).reshape(-1, 6) @ by_angle.T
     change = of_result(solved.fit)
     computed = np.sqrt(np.diag(change @ solved.sensitivity.covariance @ change.T))
-    simulated = steps.std(axis=0, ddof=1) if len(steps) > 1 else np.full(6, np.nan)
+    # about the fitted pose, as the stated uncertainties are: exchanges of the points that hold it also shift the mean
+    simulated = np.sqrt((steps**2).mean(axis=0)) if len(steps) else np.full(6, np.nan)
     ratio = simulated / np.maximum(computed, 1e-300)
     table = Table(
         {
@@ -79,29 +77,3 @@ def checked(solved: Solved, minimum: float, trials: int, seed: int) -> Check:
         note += ": other points hold the fit in part of them, so use the simulated values (table monte_carlo)"
     statistics: dict[str, Scalar] = {"monte_carlo_trials": len(steps), "monte_carlo_failed": trials - len(steps)}
     return Check(table, statistics, (note,))
-
-
-def drawing(places: Places) -> Callable[[np.random.Generator], Array]:
-    """Return the function that draws errors (n, 3) of places with their joint covariance.
-
-    With O = F F', A = F^-1 C = Q R and `R K R' = V diag(l) V'`, the covariance is `F (I + Q V diag(l) V'Q') F'`. A draw
-    is `F (z + Q V diag(sqrt(1 + l) - 1) V'Q' z)`. So the shared part may have negative eigenvalues, down to -1.
-    """
-    n, k = len(places.values), len(places.core)
-    eigenvalues, vectors = np.linalg.eigh(places.own)
-    whole = np.einsum("nkk->n", places.own) + np.einsum("nak,kl,nal->n", places.common, places.core, places.common)
-    # a place without an error of its own gets one so small that it does not count
-    size = np.sqrt(np.maximum(eigenvalues, _NO_ERROR**2 * whole.max(initial=0.0)))
-    factor = vectors * size[:, None, :]
-    alone = np.swapaxes(vectors, 1, 2) @ places.common / np.maximum(size, 1e-300)[:, :, None]
-    basis, rest = np.linalg.qr(alone.reshape(3 * n, k))
-    shared, turned = np.linalg.eigh(rest @ places.core @ rest.T)
-    gain = np.sqrt(np.maximum(1 + shared, 0.0)) - 1
-    along = basis @ turned
-
-    def draw(rng: np.random.Generator) -> Array:
-        z = rng.normal(size=3 * n)
-        mixed = z + along @ (gain * (along.T @ z))
-        return np.asarray((factor @ mixed.reshape(n, 3, 1))[:, :, 0])
-
-    return draw

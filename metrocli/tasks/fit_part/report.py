@@ -12,6 +12,7 @@ from metrocli.geometry.surfaces import Array
 from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.fit_part import KIND
+from metrocli.tasks.fit_part.draws import DRAWS
 from metrocli.tasks.fit_part.fit import MOST
 from metrocli.tasks.fit_part.monte_carlo import Check
 from metrocli.tasks.fit_part.solve import Solved
@@ -209,8 +210,8 @@ def _notes(solved: Solved, holding: Table) -> Iterator[str]:
     yield f"held by: {listed(each)}; without these points the aim '{solved.aim.name}' would be better met"
     if solved.aim.name == MOST and solved.sensitivity.covariance.any():
         yield (
-            "the covariance of the pose holds while the same points hold it, which errors of a usual size change for "
-            "this aim: `monte_carlo: {trials: 200, seed: 1}` gives the scatter"
+            f"the covariance of the pose is that of {DRAWS} fits to points with drawn errors, which exchange the "
+            "points that hold it"
         )
 
 

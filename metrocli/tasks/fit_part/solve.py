@@ -15,7 +15,8 @@ from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.tasks.fit_part import contradiction as c
 from metrocli.tasks.fit_part import readings as r
-from metrocli.tasks.fit_part.fit import MOST, Aim, Fit, aimed, fit, most_of_many
+from metrocli.tasks.fit_part.draws import sensitivity_of_draws
+from metrocli.tasks.fit_part.fit import MOST, SLACK, Aim, Fit, aimed, fit, most_of_many
 from metrocli.tasks.fit_part.ideal import ideal, must_be_of_one_size
 from metrocli.tasks.fit_part.levels import Levels, levels
 from metrocli.tasks.fit_part.nominals import OfMesh, OfSurfaces
@@ -28,8 +29,6 @@ _EVENER = 0.5
 """Ratio of the variations of the overstock below which a surface is taken as turned over"""
 _LAID_ON = 1000
 """Points that are laid on without a search, at most"""
-_SLACK = 1e-8
-"""What the aim `most` leaves of the largest least overstock for making it even [mm]"""
 
 
 @dataclass(frozen=True)
@@ -103,7 +102,9 @@ def solve(settings: Settings, prepared: Prepared) -> Solved:
     allowed = name != MOST and stock.at(settled.into).overstock.min() >= minimum
     begin = settled.into if allowed else highest
     aim, fitted = fitted_part(stock, name, minimum, (begin, largest, holding), prepared.start)
-    sense = sensitivity(fitted, aim, prepared.start, places.of(used).places)
+    known = places.of(used).places
+    drawn = name == MOST and places.covariance.any()
+    sense = sensitivity_of_draws(fitted, known) if drawn else sensitivity(fitted, aim, prepared.start, known)
     warnings = (*prepared.readings.warnings, *open_motions)
     return Solved(prepared, settled, used, stock, aim, fitted, largest, sense, warnings)
 
@@ -136,7 +137,7 @@ def fitted_part(
     if name != MOST:
         aim = aimed(stock, name, min(minimum, largest), into, start)
         return aim, fit(stock, aim, into)
-    aim = aimed(stock, name, largest - _SLACK, into, start)
+    aim = aimed(stock, name, largest - SLACK, into, start)
     even = fit(stock, aim, into)
     held = np.abs(even.local.rows.T @ duals).max()
     return aim, replace(even, duals=duals, optimality=float(held))

@@ -17,10 +17,14 @@ from metrocli.effects.wanted import Wanted
 from metrocli.errors import InputError
 from metrocli.instruments import tracer as t
 from metrocli.table import Table
+from metrocli.tasks.multilaterate.distance import between_two
 from metrocli.tasks.multilaterate.problem import Network, network_of
 from metrocli.tasks.multilaterate.readings import join, matched
 from metrocli.tasks.multilaterate.settings import LengthSimulation, Settings
 from metrocli.tasks.shared.environment import air_of
+from metrocli.tasks.shared.joint_covariance import factors
+from metrocli.tasks.shared.part import Part
+from metrocli.uncertainty.predicted import COMMON, CORE
 
 if TYPE_CHECKING:
     from metrocli.table import Values
@@ -120,13 +124,31 @@ class Layout:
 
     @property
     def places(self) -> Array:
-        """Planned places of the points that are read, (points, 3)."""
-        return self.network.nominal[self.network.seen > 0]
+        """Planned places of the points that are read, (points, 3); at 20 degC, as the result will give them."""
+        nominal = self.network.nominal[self.network.seen > 0]
+        return nominal if self.part is None else nominal * self.part.shrinkage
 
     @cached_property
     def covariances(self) -> Array:
-        """Covariance of each point that is read, (points, 3, 3) in mm^2."""
-        return self.solution.covariance_or_raise().members(t.POINT)[self.network.seen > 0]
+        """Covariance of each point that is read, (points, 3, 3) in mm^2, with the growth of the part."""
+        seen = self.network.seen > 0
+        each = self.solution.covariance_or_raise().members(t.POINT)[seen]
+        return each if self.part is None else self.part.of_points(self.network.nominal[seen], each)[1]
+
+    @property
+    def part(self) -> Part | None:
+        """The part that carries the points; with probing that is the one probed, not the reflector's places."""
+        return None if self.settings.inputs.probing is not None else self.settings.part
+
+    def distance(self, first: int, second: int) -> tuple[float, float]:
+        """Return the distance of two points that are read, by their rows, and its standard uncertainty."""
+        rows = np.sort([first, second])
+        chosen = np.zeros(len(self.network.seen), dtype=bool)
+        chosen[np.flatnonzero(self.network.seen > 0)[rows]] = True
+        places, pair = self.places[rows], factors(self.solution.covariance_or_raise(), t.POINT, chosen)
+        if self.part is not None:
+            pair[COMMON], pair[CORE] = self.part.of_factors(places, pair[COMMON], pair[CORE])
+        return between_two(places, self.covariances[rows], pair)
 
     def with_tracer(self, name: str, place: Array) -> Layout:
         """Return the layout with one more tracer, whose place, dead path and scale will be unknowns."""

@@ -22,12 +22,10 @@ from metrocli.plan import Plan
 from metrocli.result import Estimate
 from metrocli.table import Table
 from metrocli.tasks.multilaterate import KIND, layout_faults
-from metrocli.tasks.multilaterate.distance import between_two
 from metrocli.tasks.multilaterate.layout import Layout, root_mean_square, worst_direction
 from metrocli.tasks.multilaterate.reliability import UNITS, reliability
 from metrocli.tasks.multilaterate.tracer_candidates import Ranking, ranked
 from metrocli.tasks.multilaterate.uncontrolled import scale_warnings, uncontrolled
-from metrocli.tasks.shared.joint_covariance import factors
 from metrocli.tasks.shared.uncontrolled import in_words
 from metrocli.units import roughly
 
@@ -56,7 +54,15 @@ def planned(layout: Layout, candidates: Table | None) -> Plan:
     tables = {"points": _points(layout), "reliability": lengths, "candidates": ranking.table, "not_controlled": hidden}
     return Plan(
         KIND.name,
-        (*_quality(layout), *_of_lengths(layout, lengths), *_best(ranking), *in_words(hidden), "", _HEAD),
+        (
+            *_quality(layout),
+            *_of_part(layout),
+            *_of_lengths(layout, lengths),
+            *_best(ranking),
+            *in_words(hidden),
+            "",
+            _HEAD,
+        ),
         (*_tracers(layout.solution), *_lines(layout), *estimates(layout.network.effects, layout.solution)),
         tables,
         warnings=(
@@ -68,7 +74,7 @@ def planned(layout: Layout, candidates: Table | None) -> Plan:
 
 
 def _points(layout: Layout) -> Table:
-    std = layout.solution.std(t.POINT)[layout.network.seen > 0]
+    std = np.sqrt(np.maximum(np.einsum("mii->mi", layout.covariances), 0.0))
     columns: dict[str, Values] = {"point": np.array(layout.names)}
     columns |= {axis: layout.places[:, i] for i, axis in enumerate("xyz")}
     columns |= {f"s{axis}": std[:, i] for i, axis in enumerate("xyz")}
@@ -93,18 +99,14 @@ def _tracers(solution: Solution) -> Iterator[Estimate]:
 
 def _lines(layout: Layout) -> Iterator[Estimate]:
     """Yield the distances of points at opposite ends of the volume: along its axes and its diagonals."""
-    points, names, read = layout.places, layout.names, np.flatnonzero(layout.network.seen > 0)
+    points, names = layout.places, layout.names
     middle, half = (points.max(axis=0) + points.min(axis=0)) / 2, np.ptp(points, axis=0) / 2
     told = set()
     for direction in [*np.eye(3), *(np.array([1.0, y, z]) for y, z in product((1, -1), repeat=2))]:
         a, b = (int(np.argmin(np.linalg.norm(points - end, axis=1))) for end in _ends(middle, half * direction))
         if a != b and (a, b) not in told:
             told.add((a, b))
-            rows = np.sort([a, b])
-            chosen = np.isin(np.arange(len(layout.network.seen)), read[rows])
-            shared = factors(layout.solution.covariance_or_raise(), t.POINT, chosen)
-            length, std = between_two(points[rows], layout.covariances[rows], shared)
-            yield Estimate(f"{names[a]} - {names[b]}", length, std, "mm")
+            yield Estimate(f"{names[a]} - {names[b]}", *layout.distance(a, b), "mm")
 
 
 def _ends(middle: Array, half: Array) -> tuple[Array, Array]:
@@ -120,6 +122,16 @@ def _quality(layout: Layout) -> Iterator[str]:
         f"{roughly(float(worst.max()), 'um')} in its worst direction"
     )
     yield f"coordinates are {ratio:.2g} times as uncertain as lengths (1 to 3 is good)"
+
+
+def _of_part(layout: Layout) -> Iterator[str]:
+    """Yield what the growth of the part does to the points that are predicted here, or to those probed on it."""
+    part = layout.settings.part
+    if part is None:
+        return
+    yield part.note
+    if layout.part is None:
+        yield "the growth and its uncertainty come to the corrected points; those here are the places of the replay"
 
 
 def _of_lengths(layout: Layout, lengths: Table) -> Iterator[str]:

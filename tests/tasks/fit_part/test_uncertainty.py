@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from simulated.castings import Array, casting, nominal
+from scipy.optimize import linprog, minimize
+from simulated.castings import Array, Casting, casting, nominal
 from tasks.fit_part.test_fit import SCALE, Metrocli, fitted
 
 from metrocli.errors import Fault
@@ -15,16 +16,19 @@ from metrocli.project import yaml_text
 from metrocli.result import Result
 from metrocli.settings import Section
 from metrocli.table import Table
+from metrocli.tasks.fit_part.draws import drawing, sensitivity_of_draws
 from metrocli.tasks.fit_part.fit import Aim, Fit, most, most_of_many
 from metrocli.tasks.fit_part.ideal import ideal
-from metrocli.tasks.fit_part.monte_carlo import drawing
 from metrocli.tasks.fit_part.nominals import OfSurfaces
 from metrocli.tasks.fit_part.report import report
 from metrocli.tasks.fit_part.settings import Inputs, NominalFile, Overstock, Settings
-from metrocli.tasks.fit_part.solve import fitted_part, prepare, solve
+from metrocli.tasks.fit_part.solve import Solved, fitted_part, prepare, solve
 from metrocli.tasks.fit_part.stock import Stock
 from metrocli.tasks.fit_part.uncertainty import of_result, sensitivity
 from metrocli.uncertainty.predicted import Places
+
+EXCHANGED = 32
+"""A casting whose pose other points come to hold, with errors of the usual size"""
 
 
 def file_of(folder: Path) -> NominalFile:
@@ -40,6 +44,14 @@ def ideal_of(folder: Path) -> OfSurfaces:
     part = ideal(file_of(folder))
     assert isinstance(part, OfSurfaces)
     return part
+
+
+def solved_of(one: Casting, part: NominalFile) -> Solved:
+    """What a job with the aim `most` gives."""
+    columns = {"point": np.array([f"P{n}" for n in range(len(one.points))]), "surface": one.surface}
+    places = {axis: one.points[:, k] for k, axis in enumerate("xyz")}
+    settings = Settings(Inputs(Path("points.csv"), Path("part.yaml")), Overstock(0.5, "most"), noise=one.sigma)
+    return solve(settings, prepare(settings, part, Table({**columns, **places})))
 
 
 @pytest.mark.parametrize(("aim", "minimum"), [("even", 0.5), ("even", 2.3), ("least-motion", 0.5), ("most", 0.5)])
@@ -70,6 +82,63 @@ def test_the_sensitivity_is_the_difference_of_two_fits(aim: str, minimum: float,
     shared = places.common.reshape(-1, 2)
     joint = np.eye(len(shared)) + 4 * np.outer(shared[:, 0], shared[:, 0]) + 9 * np.outer(shared[:, 1], shared[:, 1])
     assert np.allclose(found.covariance, every @ joint @ every.T)
+
+
+def by_hand(one: Casting, errors: Array, near: Array) -> Array:
+    """The pose with the largest least overstock, then even, by two plain programmes with all points, twice."""
+    pose, points = near, one.points + errors
+    for _ in range(2):
+        overstock = one.overstock_at(pose, points)
+        steps = 1e-4 * np.diag(SCALE)
+        rows = np.stack(
+            [(one.overstock_at(pose + s, points) - one.overstock_at(pose - s, points)) / 2e-4 for s in steps], axis=1
+        )
+        limits = [*[(-20.0, 20.0)] * 6, (None, None)]
+        against = np.column_stack([-rows, np.ones(len(rows))])
+        highest = linprog([0, 0, 0, 0, 0, 0, -1], against, overstock, bounds=limits).x
+        even = minimize(
+            lambda x, o=overstock, rows=rows: float((o + rows @ x).var()),
+            highest[:6],
+            jac=lambda x, o=overstock, rows=rows: 2 * (rows - rows.mean(axis=0)).T @ (o + rows @ x) / len(o),
+            method="SLSQP",
+            constraints={
+                "type": "ineq",
+                "fun": lambda x, o=overstock, rows=rows, t=highest[6]: o + rows @ x - t + 1e-7,
+                "jac": lambda x, rows=rows: rows,
+            },
+            options={"ftol": 1e-12},
+        ).x
+        pose = pose + even * SCALE
+    return pose
+
+
+def test_the_largest_least_overstock_scatters_as_stated_while_its_points_change(tmp_path: Path) -> None:
+    """Where other points come to hold the pose: a derivative with the same points is too small by half."""
+    one, part = casting(EXCHANGED), file_of(tmp_path)
+    result = report(solved_of(one, part))
+    stated = np.array([estimate.std for estimate in result.estimates])
+    pose = np.array([estimate.value for estimate in result.estimates])
+    rng = np.random.default_rng(3)
+    assert by_hand(one, np.zeros_like(one.points), pose) / SCALE == pytest.approx(pose / SCALE, abs=1e-4)
+    drawn = [by_hand(one, one.sigma * rng.normal(size=one.points.shape), pose) - pose for _ in range(100)]
+    ratio = np.sqrt(np.mean(np.square(drawn), axis=0)) / stated
+    assert np.abs(ratio - 1).max() < 0.25  # 3 standard deviations of 200 draws against 100
+
+
+def test_a_shift_of_all_points_is_a_shift_of_the_pose_in_each_draw(tmp_path: Path) -> None:
+    one, part = casting(33), ideal_of(tmp_path)
+    stock = Stock(part, one.points, np.array([part.names.index(name) for name in one.surface]))
+    near = poses.inverse(poses.pose_from_euler(one.pose[:3], one.pose[3:]))
+    _, fit = fitted_part(stock, "most", 0.5, most(stock, near), np.zeros(6))
+    shift = np.broadcast_to(np.eye(3), (len(one.points), 3, 3))
+    places = Places(one.points, shift, 0.04 * np.eye(3), 9e-4 * shift)
+    found = sensitivity_of_draws(fit, places)
+    moved = of_result(fit) @ found.by_common
+    assert moved[:3] == pytest.approx(np.eye(3), abs=1e-6) and np.abs(moved[3:]).max() < 1e-8
+    alone = sensitivity_of_draws(fit, Places(one.points, shift[:, :, :0], np.zeros((0, 0)), 9e-4 * shift))
+    # the shift moves the pose and nothing else: what remains is what independent errors do, by other draws
+    size = np.sqrt(np.diag(alone.own))
+    assert np.sqrt(np.diag(found.own)) == pytest.approx(size, rel=0.15)
 
 
 def test_the_largest_least_overstock_of_many_points_is_that_of_all(tmp_path: Path) -> None:

@@ -27,9 +27,11 @@ from simulated.lengths import (
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.formats import csv
 from metrocli.plan import Plan
+from metrocli.settings import Known
 from metrocli.table import Table
 from metrocli.tasks.multilaterate import task as multilaterate
 from metrocli.tasks.multilaterate.distance import distance
+from metrocli.tasks.shared.part import Part
 
 
 def planned(net: Network, scale: float | None = None, **more: Any) -> Plan:
@@ -70,6 +72,30 @@ def test_the_measurement_states_what_was_planned(m: int, scale: float | None) ->
         else:
             assert figure.std == pytest.approx(stated[figure.name], rel=5e-3)
     assert lines >= 5
+
+
+def test_the_growth_of_a_part_is_planned_as_it_is_stated() -> None:
+    net, part = network(30, 4, seed=2), Part(Known(24.0, 0.5), Known(12e-6, 1e-6))
+    bare, job = settings(), replace(settings(), part=part)
+    points, tracers = replace(net, nominal=net.points).point_table(), net.tracer_table(0.0)
+    without, plan = (
+        multilaterate.plan(multilaterate.TASK.job(one, points=points, tracers=tracers)) for one in (bare, job)
+    )
+    size = 1 + 4 * 12e-6
+    spread = np.sqrt((4 * 1e-6) ** 2 + (12e-6 * 0.5) ** 2 + (1e-6 * 0.5) ** 2)
+    at = net.points / size
+    own = without.tables["points"].stacked(["sx", "sy", "sz"]) / size
+    assert plan.tables["points"].stacked("xyz") == pytest.approx(at, abs=1e-9)
+    assert plan.tables["points"].stacked(["sx", "sy", "sz"]) == pytest.approx(np.hypot(own, spread * at), rel=1e-6)
+    for before, after in zip(without.figures, plan.figures, strict=True):
+        length, std = before.value / size, before.std / size
+        if " - " in after.name:
+            assert (after.value, after.std) == pytest.approx((length, np.hypot(std, spread * length)), rel=1e-6)
+    assert any("grown by 48 um/m ± 7.2" in note for note in plan.notes), plan.notes
+    probed = replace(job, inputs=replace(job.inputs, probing=Path("probing.csv")))
+    replayed = multilaterate.plan(multilaterate.TASK.job(probed, points=points, tracers=tracers))
+    assert replayed.tables["points"].stacked("xyz") == pytest.approx(net.points)
+    assert any("come to the corrected points" in note for note in replayed.notes)
 
 
 def test_what_is_known_beforehand_counts() -> None:
