@@ -41,7 +41,7 @@ class Kills:
 def kills(count: int, seed: int = 0) -> Iterator[Kills]:
     """Yield what was found so far after each SIGKILL at a random moment; every other run has four workers."""
     chance = random.Random(seed)
-    write(JOBS, trials=100_000)  # so that most of a run lies between its first and its last result
+    write(JOBS, trials=400_000)  # so that most of a run lies between its first and its last result
     commands = [[*RUN, "--jobs", str(jobs)] for jobs in (1, 4)]
     lasts = [_seconds(command) for command in commands]
     wanted = [hdf5.read_label(path).content for path in _results()]
