@@ -39,13 +39,16 @@ def of_damages(count: int) -> Iterator[Line]:
 
 
 def of_kills(count: int) -> Iterator[Line]:
-    """Yield the line of the kills."""
-    unreadable, lost, left, within = kills(count)
-    text = f"{count} kills, {within} between the first result and the last: {unreadable} with unreadable results"
-    yield (
-        f"{text}, {lost} with finished results lost, {left} with leftovers or work by hand",
-        bool(unreadable or lost or left),
-    )
+    """Yield a line after every twentieth kill and after the last."""
+    for found in kills(count):
+        if found.tried % 20 and found.tried != count:
+            continue
+        text = f"{found.tried} kills, {found.within} between the first result and the last:"
+        yield (
+            f"{text} {found.unreadable} with unreadable results, {found.lost} with finished results lost or made "
+            f"again, {found.left} with leftovers, work by hand or other results",
+            bool(found.unreadable or found.lost or found.left),
+        )
 
 
 def of_edges(_: int) -> Iterator[Line]:

@@ -11,6 +11,7 @@ import signal
 import subprocess
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import h5py
@@ -22,16 +23,29 @@ from metrocli.formats import hdf5
 JOBS = 8
 
 
-def kills(count: int, seed: int = 0) -> tuple[int, int, int, int]:
-    """Return after how many SIGKILLs a result was unreadable, a finished one lost, and anything left or to be done.
+@dataclass
+class Kills:
+    """After how many SIGKILLs something was found."""
 
-    The last figure is the number of kills in the middle of a run. Every other run has four workers.
-    """
+    tried: int = 0
+    unreadable: int = 0
+    """A result could not be read"""
+    lost: int = 0
+    """A result that was reported or written was gone, or was made again"""
+    left: int = 0
+    """The next run failed, left a file behind or gave other results than a run that nobody killed"""
+    within: int = 0
+    """The kill came between the first result and the last"""
+
+
+def kills(count: int, seed: int = 0) -> Iterator[Kills]:
+    """Yield what was found so far after each SIGKILL at a random moment; every other run has four workers."""
     chance = random.Random(seed)
     write(JOBS, trials=400_000)  # so that most of a run lies between its first and its last result
     commands = [[*RUN, "--jobs", str(jobs)] for jobs in (1, 4)]
     lasts = [_seconds(command) for command in commands]
-    unreadable = lost = left = within = 0
+    wanted = [hdf5.read_label(path).content for path in _results()]
+    found = Kills()
     for number in range(count):
         shutil.rmtree("results", ignore_errors=True)
         Path(".metrocli-seen").unlink(missing_ok=True)
@@ -43,12 +57,16 @@ def kills(count: int, seed: int = 0) -> tuple[int, int, int, int]:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
         finished = [line.rpartition(" -> ")[2] for line in process.communicate()[0].decode().splitlines()]
-        within += 0 < len(list(Path().glob("results/*.h5"))) < JOBS
-        unreadable += any(not _sound(path) for path in Path().glob("results/*.h5"))
-        lost += any(not Path(path).exists() for path in finished)
+        written = {path: path.stat().st_mtime_ns for path in Path().glob("results/*.h5")}
+        found.tried += 1
+        found.within += 0 < len(written) < JOBS
+        found.unreadable += any(not _sound(path) for path in written)
+        gone = any(not Path(path).exists() for path in finished)
         after = subprocess.run(command, capture_output=True, check=False, env=environment())
-        left += after.returncode != 0 or bool(_unexpected()) or not all(_sound(path) for path in _results())
-    return unreadable, lost, left, within
+        well = after.returncode == 0 and not _unexpected() and all(_sound(path) for path in _results())
+        found.left += not well or wanted != [hdf5.read_label(path).content for path in _results()]
+        found.lost += gone or any(path.stat().st_mtime_ns != time_ns for path, time_ns in written.items())
+        yield found
 
 
 def _seconds(command: list[str]) -> float:

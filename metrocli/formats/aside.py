@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from glob import escape
 from pathlib import Path
 
 from metrocli.errors import Fault, InputError
@@ -25,7 +24,7 @@ def written_aside(path: Path) -> Iterator[Path]:
     handle = -1
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        sweep(path.parent, f".{escape(path.name)}.*.part")
+        sweep(path.parent, f".{path.name}.")
         _open.add(aside)
         handle = os.open(aside, os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o666)
         _lock(handle)
@@ -49,9 +48,12 @@ def write_bytes(path: Path, data: bytes) -> None:
         file.write(data)
 
 
-def sweep(folder: Path, pattern: str = ".*.part") -> None:
-    """Remove the temporary files in a folder whose writers no longer live."""
-    for left in folder.glob(pattern):
+def sweep(folder: Path, begin: str = ".") -> None:
+    """Remove the temporary files in a folder whose writers no longer live, of those whose names begin so."""
+    names: list[str] = []
+    with suppress(OSError):
+        names = os.listdir(folder)  # a folder of 10,000 results is listed for each of them: no Path for each name
+    for left in (folder / name for name in names if name.startswith(begin) and name.endswith(".part")):
         if left in _open:
             continue
         with suppress(OSError):
