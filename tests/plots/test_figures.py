@@ -237,7 +237,10 @@ def test_the_name_of_the_worst_point_gives_way_to_its_neighbours() -> None:
     for side in (1.0, -1.0):
         net = results.network()
         points = net.tables["points"]
-        columns = dict(points.columns) | {"x": side * np.array([150.0, 80.0, 0.0]), "y": side * np.array([40.0, 150.0, 0.0])}
+        columns = dict(points.columns) | {
+            "x": side * np.array([150.0, 80.0, 0.0]),
+            "y": side * np.array([40.0, 150.0, 0.0]),
+        }
         moved = replace(net, tables={**net.tables, "points": Table(columns, points.units)})
         with plots.drawn("residuals-part", plots.data_of("residuals-part", moved)) as (canvas, _):
             (name,) = (text for axes in canvas.figure.axes for text in axes.texts if text.get_text() == "C")
