@@ -174,7 +174,8 @@ class ScoreTests:
         c_ij is the squared correlation of two effects, 1 for aliases (effective number of tests, Nyholt 2004).
         """
         lying = {i: int(np.argmax(m)) for one in smooth for i, m in enumerate(self.lying_in(*one)) if m.any()}
-        bases = [_unit(self.visible(i, at)) for i, at in lying.items()]
+        # an effect that hardly shows can round to no column
+        bases = [basis for i, at in lying.items() if (basis := _unit(self.visible(i, at))).shape[1]]
         alike = [[((a.T @ b) ** 2).sum() / min(a.shape[1], b.shape[1]) for b in bases] for a in bases]
         return len(bases) ** 2 / float(np.sum(alike)) if bases else 1.0
 

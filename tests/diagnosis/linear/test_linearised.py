@@ -92,6 +92,13 @@ def test_rows_left_out_are_as_if_they_had_unknowns_of_their_own() -> None:
     for number in range(len(tests.families)):
         one, other = fewer.score(number, left), tests.score(number, freed)
         assert np.allclose(one.gain, other.gain, rtol=1e-6, atol=1e-6)
+    kept = np.ones(tests.system.rows, dtype=bool)
+    kept[out] = False
+    for family in fewer.families:
+        columns = family.columns.at(kept).whole(range(family.columns.count), tests.system.rows)
+        shown = fewer.system.seen(columns)
+        assert np.allclose(family.gram, np.einsum("rkp,rkq->kpq", shown, shown), atol=1e-9 * family.raw.max() ** 2)
+        assert not family.gram[~columns.any(axis=(0, 2))].any()
 
 
 def test_held_out_points_are_predicted_as_by_all_their_rows() -> None:
