@@ -20,9 +20,10 @@ def command(folder: Path | None, sample: str | None, as_json: bool) -> int:
 
     from metrocli.cli.summary import as_json as json_text
     from metrocli.errors import Fault, InputError, UsageError
+    from metrocli.project import PROJECT_FILE
     from metrocli.words import suggestion
 
-    samples = {path.name: path for path in sorted(samples_folder().iterdir()) if (path / "metrocli.yaml").is_file()}
+    samples = {path.name: path for path in sorted(samples_folder().iterdir()) if (path / PROJECT_FILE).is_file()}
     if sample is None and as_json:
         echo(json_text({"samples": {name: _title(path) for name, path in samples.items()}}))
         return 0

@@ -1,1 +1,4 @@
+"""Jobs and projects: from the text of a job to its result file, and what is up to date."""
 
+PROJECT_FILE = "metrocli.yaml"
+"""File that makes a folder a project"""

@@ -37,9 +37,9 @@ def command(place: Path, out: Path | None, diagnosis: Path | None, pdf: bool, fo
     """
     from metrocli.errors import UsageError
     from metrocli.formats.own_files import write_all
-    from metrocli.project.steps import FILE
+    from metrocli.project import PROJECT_FILE
 
-    if place.is_dir() or place.name == FILE:
+    if place.is_dir() or place.name == PROJECT_FILE:
         if diagnosis is not None:
             raise UsageError("--diagnosis is for the page of one result; beside NAME.h5, NAME.diagnosis.json is found")
         pages = _project(place, out)
