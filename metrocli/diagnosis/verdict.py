@@ -80,17 +80,19 @@ def _law(job: AdjustedJob, law: Law) -> dict[str, Any]:
 
 def _shown(job: AdjustedJob, law: Law) -> dict[str, Any] | None:
     """Return a law at each reading, and the readings without it, over its variable."""
-    found, unit = law.data, units.find_unit(*job.reading)
+    found = law.data
     if found is None:
         return None
-    size = unit.inside(1.0)
+    size, symbol = units.column_unit(float(np.abs(found.law).max()), found.adds_unit)
+    curve = found.curve and {"x": _short(found.curve[0]), "law": _short(found.curve[1] / size)}
     return {
         "variable": found.variable,
         "variable_unit": found.unit,
         "x": _short(found.x if found.variable else found.x / size),
         "law": _short(found.law / size),
         "residual": _short(found.residual / size),
-        "unit": unit.symbol,
+        "unit": symbol,
+        "curve": curve,
     }
 
 

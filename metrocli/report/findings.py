@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from metrocli import units
+from metrocli.plots.beside import chosen_law, law_in_words, sizes_in_words
 from metrocli.plots.magnify import length_in_words
 from metrocli.plots.noise_bands import largest_of
 from metrocli.plots.places import places_of
@@ -83,24 +84,15 @@ def diagnosed(content: Content) -> Iterator[str | Html]:
     yield f"Verdict: {data.get('verdict', '')}."
     for effect in data.get("effects", ()):
         where = ", ".join(map(str, dict(effect.get("where", {})).values()))
-        sizes = ", ".join(
-            f"{name} = {_sized(one['value'], one.get('unit') or '', one.get('std'))}"
-            for name, one in dict(effect.get("parameters", {})).items()
-            if one.get("value") is not None
-        )
-        yield f"{effect.get('name', '')} {where}: {sizes}".replace(" :", ":")
+        yield f"{effect.get('name', '')} {where}: {sizes_in_words(effect.get('parameters', {}))}".replace(" :", ":")
+    law = chosen_law(data)
+    if law is not None:
+        yield f"Law without a known cause: {law_in_words(law)}; {sizes_in_words(law.get('parameters', {}))}"
     for one in list(data.get("outliers", ()))[:5]:
         keys = "/".join(map(str, dict(one.get("observation", {})).values()))
         yield f"Wrong reading: {keys} (w = {float(one.get('w') or 0):.1f})"
     if data.get("mistake"):
         yield f"Mistake in {data['mistake'].get('file')}: {data['mistake'].get('what')}"
-
-
-def _sized(value: float, unit: str, std: float | None) -> str:
-    """Return a size with its standard uncertainty in the unit that suits it."""
-    size, suited = units.column_unit(abs(value), unit)
-    text = units.format_quantity(value / size, suited, None if std is None else std / size)
-    return text.replace(" um", " µm")
 
 
 def _stem(path: str) -> str:
