@@ -8,7 +8,7 @@ import numpy as np
 
 from metrocli import units
 from metrocli.plots.beside import chosen_law, law_in_words, sizes_in_words
-from metrocli.plots.magnify import length_in_words
+from metrocli.plots.magnify import length_in_words, micro
 from metrocli.plots.noise_bands import largest_of
 from metrocli.plots.places import places_of
 from metrocli.plots.readings import residuals_of
@@ -21,14 +21,19 @@ _CLEAN = ("clean", "explained")
 
 
 def row_of(result: Result, estimate: Estimate) -> tuple[str, str, str, str]:
-    """Return name, value, U and unit of an estimate: U to two digits, the value to the same decimals."""
+    """Return name, value, U and unit of an estimate: U to two digits, the value to the same decimals.
+
+    Angles share the unit that suits the largest of them.
+    """
     spread, _ = result.expanded(estimate)
     size, unit = 1.0, "" if estimate.unit == "1" else estimate.unit
     if estimate.dimension and estimate.dimension != SCALE and np.isfinite(spread) and spread > 0:
         _, unit = units.readable(spread, estimate.dimension)
         size = units.find_unit(unit, estimate.dimension).inside(1.0)
+    elif estimate.unit == "rad":
+        size, unit = units.column_unit(max(abs(one.value) for one in result.estimates if one.unit == "rad"), "rad")
     value, uncertainty = units.rounded(estimate.value / size, spread / size)
-    return estimate.name, value, "" if value == uncertainty == units.NOT_DETERMINED else uncertainty, unit
+    return estimate.name, value, "" if value == uncertainty == units.NOT_DETERMINED else uncertainty, micro(unit)
 
 
 def verdict(content: Content) -> tuple[bool, str]:

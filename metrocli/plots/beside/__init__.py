@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from metrocli import units
+from metrocli.plots.magnify import micro
 from metrocli.result import Result
 
 
@@ -61,5 +62,4 @@ def sizes_in_words(parameters: Mapping[str, Mapping[str, Any]]) -> str:
 
 def _sized(value: float, unit: str, std: float | None) -> str:
     size, suited = units.column_unit(abs(value), unit)
-    text = units.format_quantity(value / size, suited, None if std is None else std / size)
-    return text.replace(" um", " µm")
+    return micro(units.format_quantity(value / size, suited, None if std is None else std / size))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from metrocli.plots.beside import Beside, chosen_law, law_in_words, sizes_in_words
+from metrocli.plots.magnify import micro
 from metrocli.plots.noise_bands import Array
 from metrocli.plots.style import Canvas
 from metrocli.plots.thinning import Index, thinned, words
@@ -66,7 +67,7 @@ def draw(canvas: Canvas, found: FoundLaw) -> str:
     """Draw the figure and return its caption."""
     theme, rows = canvas.theme, found.rows
     axes = canvas.axes()[0]
-    unit = found.unit.replace("um", "µm")
+    unit = micro(found.unit)
     axes.axhline(0, color=theme.muted, lw=0.6)
     axes.plot(found.x[rows], found.residual[rows], "o", ms=3, mew=0, alpha=0.6, color=theme.first, label="one reading")
     axes.plot(*found.curve, "-", lw=1.6, color=theme.second, label="law", zorder=4)
