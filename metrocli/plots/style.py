@@ -157,8 +157,8 @@ def bare(axes: Axes) -> None:
 def arrange(canvas: Canvas, title: str = "", caption: str = "") -> None:
     """Fit the axes with their labels into the figure; with a title above and a caption below it, the figure grows.
 
-    By matplotlib's tight layout: its constrained layout takes four times as long. Once, unless the new sizes of the axes
-    change their ticks, whose labels may then be wider.
+    By matplotlib's tight layout: its constrained layout takes four times as long. Once, unless the new sizes of the
+    axes change their ticks, whose labels may then be wider.
     """
     figure, theme = canvas.figure, canvas.theme
     width, height = figure.get_size_inches()

@@ -2,3 +2,5 @@
 
 PROJECT_FILE = "metrocli.yaml"
 """File that makes a folder a project"""
+DIAGNOSIS = ".diagnosis.json"
+"""Ending of the diagnosis of a job, beside the result of that job"""
