@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import sys
 from collections.abc import Callable, Iterator
@@ -14,9 +15,22 @@ _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 """Characters by which a text could take over a terminal: all control characters but the tab and the end of a line"""
 
 
-def echo(text: str, err: bool = False, nl: bool = True) -> None:
-    """Print a text to stdout or stderr; control characters, which files of others may contain, are replaced."""
-    click.echo(printable(text), err=err, nl=nl)
+def echo(text: str, err: bool = False, nl: bool = True, as_is: bool = False) -> None:
+    """Print a text to stdout or stderr; control characters, which files of others may contain, are replaced.
+
+    On a terminal its lines fit the width, unless it is JSON or is to be printed `as_is`, and its deciding words have
+    colours, unless NO_COLOR is set.
+    """
+    text = printable(text)
+    stream = sys.stderr if err else sys.stdout
+    if stream is not None and not stream.closed and stream.isatty() and not as_is and not text.startswith(("{", "[")):
+        from metrocli.cli.shell.fitted import coloured, fitted
+        from metrocli.cli.shell.live_table import terminal_size
+
+        text = fitted(text, terminal_size(stream.fileno())[0])
+        if not os.environ.get("NO_COLOR") and os.environ.get("TERM", "dumb") != "dumb":
+            text = coloured(text)
+    click.echo(text, err=err, nl=nl)
 
 
 def printable(text: str) -> str:

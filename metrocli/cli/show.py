@@ -44,7 +44,7 @@ def command(result: Path, name: str | None, units: str, as_json: bool, **asked: 
         if name not in found.tables:
             raise UsageError(f"{result} has no table '{name}'; {suggestion(name, found.tables)}")
         table = found.tables[name]
-        echo(summary.json_of_table(table) if as_json else csv.to_text(table), nl=as_json)
+        echo(summary.json_of_table(table) if as_json else csv.to_text(table), nl=as_json, as_is=True)
         return 0
     question = next((one for one in QUESTIONS if asked[one] is not None), None)
     if question is not None:
