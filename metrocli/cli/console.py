@@ -13,6 +13,8 @@ import click
 
 _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 """Characters by which a text could take over a terminal: all control characters but the tab and the end of a line"""
+_FIRST_S, _EVERY_S = 2.0, 0.5
+"""Time before a line of progress appears, and between two of them [s]"""
 
 
 def echo(text: str, err: bool = False, nl: bool = True, as_is: bool = False) -> None:
@@ -39,14 +41,17 @@ def printable(text: str) -> str:
 
 
 def progress_text(done: int, of: int | None, elapsed: float) -> str:
-    """Return how many parts are done and, where their number is known, how long the others take at that rate [s]."""
+    """Return how many parts are done and, where their number is known, how long the others take at that rate [s].
+
+    Where no part is told, or all are done, it is the time that has passed.
+    """
     if not of:
-        return f"{done} parts"
+        return f"{done} parts" if done else f"{elapsed:.0f} s"
     if not done:
         return f"0 of {of} parts"
-    left = elapsed * (of - done) / done
-    # spaces at the end clear what a longer line left
-    return f"{done} of {of} parts, about {left:.0f} s left   "
+    if done >= of:
+        return f"{done} of {of} parts, {elapsed:.0f} s"
+    return f"{done} of {of} parts, about {elapsed * (of - done) / done:.0f} s left"
 
 
 @dataclass(frozen=True)
@@ -78,23 +83,37 @@ class Console:
 
     @contextmanager
     def part_counter(self) -> Iterator[Callable[[int, int | None], None]]:
-        """Yield a function that shows on a terminal how many parts of a long computation are done.
+        """Yield a function that takes how many parts of a long computation are done.
 
-        Nothing is shown in the first two seconds.
+        A line on the terminal shows them, or the time while there are none, from the third second to the end.
         """
+        import threading
         import time
 
-        begun, shown = time.monotonic(), False
-        watched = not self.quiet and sys.stderr.isatty()
+        begun, length = time.monotonic(), 0
+        told: tuple[int, int | None] = (0, None)
+        over = threading.Event()
 
-        def show(done: int, of: int | None) -> None:
-            nonlocal shown
-            if watched and time.monotonic() - begun > 2:
-                click.echo(f"\r{progress_text(done, of, time.monotonic() - begun)}", err=True, nl=False)
-                shown = True
+        def tell(done: int, of: int | None) -> None:
+            nonlocal told
+            told = (done, of)
 
+        def draw() -> None:
+            nonlocal length
+            pause = _FIRST_S
+            while not over.wait(pause):
+                text = progress_text(*told, time.monotonic() - begun)
+                click.echo(f"\r{text:{length}}", err=True, nl=False)
+                length, pause = len(text), _EVERY_S
+
+        if self.quiet or not sys.stderr.isatty():
+            yield tell
+            return
+        thread = threading.Thread(target=draw, daemon=True)
+        thread.start()
         try:
-            yield show
+            yield tell
         finally:
-            if shown:
-                click.echo(err=True)
+            over.set()
+            thread.join()
+            click.echo(f"\r{'':{length}}\r" if length else "", err=True, nl=False)

@@ -54,8 +54,9 @@ def test_each_help_ends_with_an_example(name: str, metrocli: Metrocli) -> None:
 def test_remaining_time() -> None:
     assert progress_text(3, None, 9.0) == "3 parts"
     assert progress_text(0, 8, 2.0) == "0 of 8 parts"
-    assert progress_text(2, 8, 10.0).rstrip() == "2 of 8 parts, about 30 s left"
-    assert progress_text(8, 8, 40.0).rstrip() == "8 of 8 parts, about 0 s left"
+    assert progress_text(2, 8, 10.0) == "2 of 8 parts, about 30 s left"
+    assert progress_text(8, 8, 40.0) == "8 of 8 parts, 40 s"
+    assert progress_text(0, None, 3.2) == "3 s"
 
 
 def test_a_result_in_inches(job: Path, metrocli: Metrocli) -> None:
