@@ -34,6 +34,10 @@ def test_an_unknown_shell_is_refused(metrocli: Metrocli) -> None:
         ("metrocli rep", {"report", "report-uncertainty"}),
         ("metrocli show --ta", {"--table"}),
         ("metrocli ", {"init", "align-part"}),
+        ("metrocli plot x.h5 resid", {"residuals", "residuals-time"}),
+        ("metrocli schema fit", {"fit-part"}),
+        ("metrocli effects fit", {"fit-part"}),
+        ("metrocli init gear --sample ge", {"gear-m3d3"}),
     ],
 )
 def test_words_are_completed(words: str, wanted: set[str]) -> None:
