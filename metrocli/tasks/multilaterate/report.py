@@ -186,7 +186,7 @@ def _residuals(solved: Solved) -> Table:
         "residual": found.values[0],
         "sigma": found.sigma[0],
         "normalised": found.normalised[0],
-        **reliability(solved.solution, solved.group, found, solved.critical),
+        **reliability(solved.solution, solved.group, found, solved.critical, solved.noise),
     }
     when = condition_columns(observations)
     in_mm = dict.fromkeys(("reading", "residual", "sigma", *RELIABILITY_UNITS), "mm")
