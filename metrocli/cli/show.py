@@ -9,6 +9,7 @@ import click
 
 from metrocli.cli import options
 from metrocli.cli.console import echo
+from metrocli.cli.look.held import print_reasons
 from metrocli.tasks import KINDS
 
 if TYPE_CHECKING:
@@ -40,6 +41,8 @@ def command(result: Path, name: str | None, units: str, as_json: bool, **asked: 
         from metrocli.cli.look.inches import in_inches
 
         found = in_inches(found)
+    if wanted:
+        print_reasons(result, record)
     if name is not None:
         if name not in found.tables:
             raise UsageError(f"{result} has no table '{name}'; {suggestion(name, found.tables)}")

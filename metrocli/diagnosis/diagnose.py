@@ -36,7 +36,7 @@ from metrocli.diagnosis.linear.fitted_columns import FittedColumns, nothing_fitt
 from metrocli.diagnosis.linear.projection import System
 from metrocli.diagnosis.linear.score_tests import ScoreTests
 from metrocli.diagnosis.linear.signatures import signature
-from metrocli.diagnosis.noise import DECLARED_SIGMA, Unit, noise_of, noisiest_unit, reweighted
+from metrocli.diagnosis.noise import DECLARED_SIGMA, READING, Unit, noise_of, noisiest_unit, reweighted
 from metrocli.diagnosis.residual_structure import (
     REPEATS,
     RemainingStructure,
@@ -45,7 +45,7 @@ from metrocli.diagnosis.residual_structure import (
     pure_error,
     remaining_structure,
 )
-from metrocli.diagnosis.selection.all_of_a_kind import all_of_a_kind
+from metrocli.diagnosis.selection.all_of_a_kind import AllOfAKind, all_of_a_kind, estimated_again, scattered_throughout
 from metrocli.diagnosis.selection.confidence_set import NamedEffect, confidence_sets
 from metrocli.diagnosis.selection.refined_scan import refined_scans
 from metrocli.diagnosis.selection.search import continued, search, transferred
@@ -65,6 +65,8 @@ _SEARCHES = 5
 """Largest number of searches; each follows an adjustment with the effects that dominated the previous one"""
 _KINDS = 2
 """Largest number of effects that act at all places of a kind"""
+_ESTIMATES, _STAYS = 3, float(np.log(1.2))
+"""Largest number of searches with such an effect in the model, and the change of ln std that calls for another"""
 LIMIT = 120.0
 """CPU time for all searches [s]"""
 _SEED = 20
@@ -162,16 +164,39 @@ def _with_scatters(
     """Return the job and the search with effects at all places of a kind in the model, where these explain more."""
     scatters: list[Scatter] = []
     while len(scatters) < _KINDS:
-        found = all_of_a_kind(searched.selection)
-        wider = None if found is None else with_scatter(job, found, readings_kept(searched.selection))
-        if found is None or wider is None:
+        found = all_of_a_kind(searched.selection) or scattered_throughout(searched.selection)
+        if found is None or found.effect.name in {one.found.effect.name for one in scatters}:
             break
         say(f"adjusting with {found.effect.name} at every {found.effect.keys[0]}")
-        after = _search_about_solution(wider, say)
+        settled = _with_scatter(job, searched, found, say)
+        if settled is None:
+            break
+        found, wider, after = settled
         gain = gain_of_model(job, _others(searched, found.effect.name), _others(after))
         scatters.append(Scatter(found, gain, result_change(job, wider)))
         job, searched = wider, after
     return job, searched, tuple(scatters)
+
+
+def _with_scatter(
+    job: AdjustedJob, searched: _Searched, found: AllOfAKind, say: Say
+) -> tuple[AllOfAKind, AdjustedJob, _Searched] | None:
+    """Return a scatter, the job with it in the model, and the search about that; None if it cannot be adjusted.
+
+    Its standard deviation is estimated again beside what the search then finds, until it stays.
+    """
+    kept, done = readings_kept(searched.selection), None
+    for _ in range(_ESTIMATES):
+        wider = with_scatter(job, found, kept)
+        if wider is None:
+            break
+        after = _search_about_solution(wider, say)
+        done = found, wider, after
+        again = estimated_again(found, transferred(after.selection, searched.tests))
+        if abs(np.log(again.std / found.std)) < _STAYS:
+            break
+        found, kept = again, readings_kept(after.selection)
+    return done
 
 
 def _others(searched: _Searched, name: str = "") -> tuple[ScoreTests, FittedColumns]:
@@ -251,10 +276,18 @@ def _search_with_weights(job: AdjustedJob, rng: np.random.Generator, earlier: Sc
             # next to a dominant effect other structure is not searched for yet, and would count as noise
             searching_on = last or has_dominant_effect(selection)
             unit = None if searching_on else noisiest_unit(job, tests.system, selection.fitted())
+            unit = None if unit is not None and _is_scatter(selection, unit) else unit
         if unit is None:
             break
         weights, units = reweighted(job, weights, unit), (*units, unit)
     return _Searched(job, tests, not_tested, _joined(units), selection)
+
+
+def _is_scatter(selection: Selection, unit: Unit) -> bool:
+    """Return whether an effect at all its places explains as much as the noise of a unit, which it then is."""
+    found = scattered_throughout(selection)
+    # the scatter was held against the noise of each group of readings already
+    return found is not None and (unit.key == READING or found.log_level < unit.log_level)
 
 
 def _sigma_first(job: AdjustedJob, test_set: ScoreTests) -> Unit | None:

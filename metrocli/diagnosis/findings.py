@@ -106,6 +106,7 @@ class Diagnosis:
             return Verdict.MISTAKEN
         if self.left is not None:
             return Verdict.UNEXPLAINED
-        if not self.findings:
-            return Verdict.EXPLAINED if self.scatters else Verdict.CLEAN
-        return Verdict.INDISTINCT if any(one.effect.rivals for one in self.findings) else Verdict.EXPLAINED
+        if not self.findings and not self.scatters:
+            return Verdict.CLEAN
+        rivals = [one.effect.rivals for one in self.findings] + [one.found.rivals for one in self.scatters]
+        return Verdict.INDISTINCT if any(rivals) else Verdict.EXPLAINED

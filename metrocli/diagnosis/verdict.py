@@ -20,6 +20,7 @@ from metrocli.diagnosis.laws.search import Law
 from metrocli.diagnosis.linear.candidates import Alternative
 from metrocli.diagnosis.mistakes import Mistaken
 from metrocli.diagnosis.residual_structure import RemainingStructure
+from metrocli.diagnosis.selection.all_of_a_kind import Instead
 from metrocli.diagnosis.selection.confidence_set import NamedEffect, Rival
 from metrocli.diagnosis.status import UNCHECKED, Status, reason, status, usual_seen
 from metrocli.diagnosis.wrong_readings import Outlier
@@ -137,11 +138,16 @@ def _scatter(job: AdjustedJob, one: Scatter) -> dict[str, Any]:
         "where": {},
         "parameters": {"std": {"value": one.found.std, "std": one.found.spread, "unit": effect.parameters[0].unit}},
         "p_value": float(np.exp(one.found.log_level)),
-        "alternatives": [],
+        "alternatives": [_instead(rival) for rival in one.found.rivals],
         "instead_of": list(one.found.instead_of),
         "other_shape_from": None,
         "gain": _gain(one.gain, job) | {"result_shift": _delivered(job, one.shift)},
     }
+
+
+def _instead(rival: Instead) -> dict[str, Any]:
+    where = {"reading": rival.reading} if rival.reading else {}
+    return {"name": rival.name, "where": where, "correlation": None, "odds": rival.odds}
 
 
 def _where(alternative: Alternative) -> dict[str, str]:

@@ -16,7 +16,7 @@ from metrocli.result import SCALE, Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.multilaterate import KIND, layout_faults
 from metrocli.tasks.multilaterate.blunders import Reason
-from metrocli.tasks.multilaterate.correction import Probing, corrected, distant, wrong_entries
+from metrocli.tasks.multilaterate.correction import Probing, astray, corrected, distant, wrong_entries
 from metrocli.tasks.multilaterate.features.report import FEATURES, SHOWN, fitted
 from metrocli.tasks.multilaterate.features.wanted import Wanted
 from metrocli.tasks.multilaterate.reliability import UNITS as RELIABILITY_UNITS
@@ -101,7 +101,7 @@ def report(
         ),
         details=noise.details([one.name for one in found]),
         plain=("dof",),
-        astray=solved.astray,
+        astray=max(solved.astray, astray(solved.network, probing)),
     )
 
 
@@ -186,7 +186,7 @@ def _residuals(solved: Solved) -> Table:
         "residual": found.values[0],
         "sigma": found.sigma[0],
         "normalised": found.normalised[0],
-        **reliability(solved.solution, solved.group, found, solved.critical),
+        **reliability(solved.solution, solved.group, found, solved.critical, solved.noise),
     }
     when = condition_columns(observations)
     in_mm = dict.fromkeys(("reading", "residual", "sigma", *RELIABILITY_UNITS), "mm")
