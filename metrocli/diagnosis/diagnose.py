@@ -34,9 +34,11 @@ from metrocli.diagnosis.laws.search import Law, laws_in
 from metrocli.diagnosis.linear.candidates import NotTested
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns, nothing_fitted
 from metrocli.diagnosis.linear.projection import System
+from metrocli.diagnosis.linear.random_columns import beside_random_columns
 from metrocli.diagnosis.linear.score_tests import ScoreTests
 from metrocli.diagnosis.linear.signatures import signature
 from metrocli.diagnosis.noise import DECLARED_SIGMA, READING, Unit, noise_of, noisiest_unit, reweighted
+from metrocli.diagnosis.processes import Process, process_in
 from metrocli.diagnosis.residual_structure import (
     REPEATS,
     RemainingStructure,
@@ -63,6 +65,10 @@ _ROUNDS = 3
 """Largest number of noisier units that are reweighted, one after the other"""
 _SEARCHES = 5
 """Largest number of searches; each follows an adjustment with the effects that dominated the previous one"""
+_PROCESS = 0.005
+"""Level below which a smooth process is reported as structure"""
+_PROCESSES = 3
+"""Largest number of smooth processes that are taken for noise, one after the other"""
 _KINDS = 2
 """Largest number of effects that act at all places of a kind"""
 _ESTIMATES, _STAYS = 3, float(np.log(1.2))
@@ -95,17 +101,19 @@ def diagnose(
     say("looking for structure")
     searched = first = _search_about_solution(job, say)
     job, searched, scatters = _with_scatters(job, searched, say)
-    library = Library(searched.job, searched.selection.test_set.system)
-    if job.places:
-        searched = replace(searched, selection=without_imitations(library, searched.selection))
+    white = searched.beside_white_noise
+    library = Library(searched.job, white.test_set.system)
+    if job.places and not searched.processes:
+        searched = replace(searched, selection=without_imitations(library, white))
+        white = searched.selection
     names = confidence_sets(searched.selection)
     say("cross-validating: predicting parts of the readings from the others")
     gains = cross_validated(searched.job, searched.selection, names, ordered) if names else []
     kept = readings_kept(searched.selection)
     fit = extended_fit(job, names, kept) if names else None
     shifts = result_changes(job, names, fit, kept)
-    tests, fitted = score_tests_after(fit, searched.selection, searched.units, np.random.default_rng(_SEED))
-    structure, level = remaining_structure(searched.selection, names, tests, fitted)
+    tests, fitted = score_tests_after(fit, white, searched.units, np.random.default_rng(_SEED))
+    structure, level = remaining_structure(white, names, tests, fitted)
     repeats = pure_error(job, tests.system, fitted)
     if structure is None and repeats is not None and repeats.lack_of_fit < _LACK_OF_FIT:
         structure = RemainingStructure(repeats.lack_of_fit, (REPEATS,))
@@ -113,11 +121,15 @@ def diagnose(
     if job.places:
         say("looking for a law in what no effect explains")
         with attended(job.budget.interrupt):
-            laws = laws_in(library, searched.selection, structure is not None, ordered)
+            laws = laws_in(library, white, structure is not None, ordered)
         structure = _structure_of(laws) if structure is None else structure
+    if structure is None:
+        structure = _structure_of_processes(searched.processes)
     # without an extended fit the law is about the same linearised system, and what it explains is no noise
     law = next((one for one in laws if one.chosen and fit is None), None)
     noise = noise_of(fitted if law is None else fitted.with_columns(law.columns))
+    # what a process adds to the noise is in the tests, so only the white part counts beside it
+    white_part = noise_of(searched.selection.fitted()) if searched.processes else noise
     say("computing what the measurement could not detect")
     return Diagnosis(
         job=job,
@@ -135,18 +147,31 @@ def diagnose(
             for name, gain, shift in zip(names, gains, shifts, strict=False)
         ),
         left=structure,
-        before=float(np.exp(log_level_of_strongest(first.tests, nothing_fitted(first.tests.system)))),
+        before=_strongest_before(first.beside_white_noise.test_set),
         after=level,
-        design=design(searched.job, searched.tests, searched.not_tested, noise.ratio),
+        design=design(searched.job, searched.tests, searched.not_tested, white_part.ratio),
         separate_by=_separate(job, names),
         adjusts=fit is not None or not names,
         together=gains[-1] if len(names) > 1 else None,
         repeats=repeats,
         scatters=scatters,
         laws=laws,
+        processes=searched.processes,
         limited=limit if job.budget.ended else None,
         interrupted=job.budget.interrupted,
     )
+
+
+def _strongest_before(tests: ScoreTests) -> float:
+    return float(np.exp(log_level_of_strongest(tests, nothing_fitted(tests.system))))
+
+
+def _structure_of_processes(processes: Sequence[Process]) -> RemainingStructure | None:
+    """Return the structure that smooth processes are, where smooth functions show none."""
+    strongest = min(processes, key=lambda one: one.log_level, default=None)
+    if strongest is None or strongest.log_level > np.log(_PROCESS):
+        return None
+    return RemainingStructure(float(np.exp(strongest.log_level)), (strongest.covariate,), (), strongest.std)
 
 
 def _structure_of(laws: Sequence[Law]) -> RemainingStructure | None:
@@ -216,10 +241,48 @@ class _Searched:
     units: tuple[Unit, ...]
     """Units that are noisier than the others and whose readings were given less weight"""
     selection: Selection
+    processes: tuple[Process, ...] = ()
+    """Smooth random errors that belong to the noise beside which the selection holds"""
+    plain: Selection | None = None
+    """The same effects beside white noise, with what else explains the readings there; None without a process"""
+
+    @property
+    def beside_white_noise(self) -> Selection:
+        """The selection beside white noise."""
+        return self.selection if self.plain is None else self.plain
 
 
 def _search_about_solution(job: AdjustedJob, say: Say) -> _Searched:
-    """Return the selection, linearised about the job with its dominant effects adjusted (decision 051).
+    """Return the selection, linearised about the job with its dominant effects adjusted (decision 051)."""
+    return _with_processes(_search_beside_white_noise(job, say), say)
+
+
+def _with_processes(searched: _Searched, say: Say) -> _Searched:
+    """Return the search repeated beside the smooth processes that the readings show, one after the other."""
+    job, tests, selection = searched.job, searched.tests, searched.selection
+    plain, processes = selection, list[Process]()
+    if all_of_a_kind(selection) is not None or scattered_throughout(selection) is not None:
+        # places that are off throughout are a cause; a process of each of them would take it for chance
+        return searched
+    while len(processes) < _PROCESSES and not job.budget.spent():
+        found = process_in(job, selection)
+        if found is None:
+            break
+        say(f"searching beside an error that varies smoothly with {found.covariate}")
+        processes.append(found)
+        rng = np.random.default_rng(_SEED)
+        tests = beside_random_columns(tests, found.columns, rng, job.single_components)
+        selection = refined_scans(job, search(tests, nothing_fitted(tests.system)))
+    if not processes:
+        return searched
+    kept = transferred(selection, plain.test_set)
+    for one in plain.unknown:
+        kept = kept.with_one(one)
+    return replace(searched, tests=tests, selection=selection, processes=tuple(processes), plain=kept)
+
+
+def _search_beside_white_noise(job: AdjustedJob, say: Say) -> _Searched:
+    """Return the selection beside white noise, linearised about the job with its dominant effects adjusted.
 
     If effects dominate, the job is adjusted with them, and the search is repeated about that solution with them among
     all other candidates. At the end the search continues about the job adjusted with all effects that were named.
