@@ -11,7 +11,7 @@ from metrocli import units
 from metrocli.table import Table
 
 MOST_ROWS = 40
-_UNIT = "unit"
+UNIT = "unit"
 """Column that holds the unit of each row"""
 _ALONE = "uncertainty"
 """Column of uncertainties that belong to no other column"""
@@ -51,17 +51,21 @@ def _aligned(cells: Sequence[str], name: bool) -> list[str]:
     return [cell.rjust(width) if numeric else cell.ljust(width) for cell in cells]
 
 
+def in_unit_of_row(table: Table) -> list[str]:
+    """Return the columns whose numbers have the unit of their row."""
+    return [name for name, values in table.columns.items() if values.dtype.kind == "f" and name not in table.units]
+
+
 def _by_unit(table: Table) -> Iterator[Table]:
     """Yield the rows of each unit as a table of its own, whose numbers have that unit."""
-    if _UNIT not in table or not len(table):
+    if UNIT not in table or not len(table):
         yield table
         return
-    each = table.texts(_UNIT)
+    each = table.texts(UNIT)
     for unit in dict.fromkeys(each):
         rows = [row for row, one in enumerate(each) if one == unit]
-        columns = {name: values[rows] for name, values in table.columns.items() if name != _UNIT}
-        plain = [name for name, values in columns.items() if values.dtype.kind == "f" and name not in table.units]
-        yield Table(columns, {**table.units, **dict.fromkeys(plain, unit)})
+        columns = {name: values[rows] for name, values in table.columns.items() if name != UNIT}
+        yield Table(columns, {**table.units, **dict.fromkeys(in_unit_of_row(table), unit)})
 
 
 def _text(table: Table) -> str:

@@ -9,10 +9,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from metrocli.cli.console import progress_text
 from metrocli.cli.help import COMMANDS
+from metrocli.cli.look.inches import in_inches
+from metrocli.result import Estimate, Result
+from metrocli.table import Table
 from metrocli.tasks import KINDS
 
 Metrocli = Callable[..., Any]
@@ -71,4 +75,29 @@ def test_a_result_in_inches(job: Path, metrocli: Metrocli) -> None:
     assert "offset 0.0406 ± 0.0033 in" in plain and "0.000980 ± 0.000045 rad" in plain
     assert "rms 0.002" in shown and "residual [in]" in shown and " mm\n" not in shown
     assert metrocli("show", "results/line.h5", "--units", "inch", "--json").code == 2
+    assert metrocli("report", "results/line.h5", "--units", "inch").code == 0
+    page = Path("results/line.html").read_text(encoding="utf-8")
+    assert '<td>offset</td><td class="n">0.0406</td><td class="n">0.0066</td><td>in</td>' in page
+    assert "residual [in]" in page
     assert metrocli("show", "results/line.h5", "--units", "mm").out == metrocli("show", "results/line.h5").out
+
+
+def test_rows_with_a_unit_each_and_stated_uncertainties_in_inches() -> None:
+    table = Table(
+        {
+            "error": np.array(["EXX", "EAX"]),
+            "unit": np.array(["mm", "rad"]),
+            "largest": np.array([0.0254, 2e-5]),
+            "count": np.array([1, 2]),
+            "at": np.array([25.4, 50.8]),
+        },
+        {"at": "mm"},
+    )
+    length = Estimate("l", 50.8, 0.0254, "mm", "length")
+    found = in_inches(
+        Result("kind", "", (length,), np.eye(1), {}, {"errors": table}, details={"l": {"U": 0.0508, "k": 2.0}})
+    )
+    errors = found.tables["errors"]
+    assert errors.texts("unit") == ["in", "rad"] and errors.numbers("largest") == pytest.approx([1e-3, 2e-5])
+    assert errors.columns["count"].tolist() == [1, 2] and errors.numbers("at") == pytest.approx([1, 2])
+    assert found.expanded(found.estimates[0]) == pytest.approx((2e-3, 2.0))
