@@ -19,7 +19,7 @@ from metrocli.diagnosis.residual_structure import (
     PureError,
     RemainingStructure,
 )
-from metrocli.diagnosis.selection.all_of_a_kind import AllOfAKind
+from metrocli.diagnosis.searched import Scatter
 from metrocli.diagnosis.selection.confidence_set import NamedEffect
 from metrocli.diagnosis.wrong_readings import Outlier
 
@@ -50,16 +50,6 @@ class Finding:
     """Largest change of the delivered result by it"""
     other_shape_from: float
     """Relative difference in shape from which another cause would have been detected beside it (80 % power)"""
-
-
-@dataclass(frozen=True)
-class Scatter:
-    """An effect that acts at all its places, with sizes that scatter about 0."""
-
-    found: AllOfAKind
-    gain: Gain
-    shift: float
-    """Largest change of the delivered result when it is taken into the model"""
 
 
 @dataclass(frozen=True)

@@ -11,12 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
-from metrocli.adjust.model.groups import Group
 from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.linear.distributions import chi_interval, log_tail
 from metrocli.diagnosis.linear.fitted_columns import PRIOR, FittedColumns
-from metrocli.diagnosis.linear.projection import System
+from metrocli.diagnosis.linear.projection import FEWEST, READING, System
 
 _LEVEL = 1e-3
 """Level at which a unit counts as noisier or quieter, divided by the number of units"""
@@ -24,12 +23,8 @@ _APART = 1.4
 """Ratio of standard deviations below which a unit's weight is not changed"""
 DECLARED_SIGMA = "given"
 """Key of a unit of prior values that the job states with a sigma, such as known points"""
-READING = "reading"
-"""Key of a unit that is one of several groups of readings, each with a declared noise of its own"""
 _LEAST = 0.1
 """Smallest factor on the standard deviation of prior values in one step"""
-_FEWEST = 10
-"""Fewest readings, or prior values, of a group whose noise is tested: fewer show too little of their spread"""
 
 
 @dataclass(frozen=True)
@@ -122,27 +117,11 @@ def _units(job: AdjustedJob, system: System) -> Iterator[tuple[str, str, Mask]]:
                     rows |= system.spread(group, (index == number).astype(float)) > 0
             if rows.any():
                 yield key, name, rows
-    for name, rows in groups_of_readings(system):
+    for name, rows in system.of_several_groups():
         yield READING, name, rows
     for group in job.model.groups:
-        if group.name not in job.model.measured and group.observations.count >= _FEWEST:
-            yield DECLARED_SIGMA, group.name, _rows_of(system, group)
-
-
-def groups_of_readings(system: System) -> Iterator[tuple[str, Mask]]:
-    """Yield name and rows of each group of readings, if there are several, such as encoders and distances."""
-    groups = system.model.readings
-    if len(groups) > 1:
-        for group in groups:
-            if group.observations.count >= _FEWEST:
-                yield group.name, _rows_of(system, group)
-
-
-def _rows_of(system: System, group: Group) -> Mask:
-    rows = np.zeros(system.rows, dtype=bool)
-    start = system.first[group.name]
-    rows[start : start + group.observations.readings.size] = True
-    return rows
+        if group.name not in job.model.measured and group.observations.count >= FEWEST:
+            yield DECLARED_SIGMA, group.name, system.rows_of(group)
 
 
 def log_tail_of_share(share: float, mean: float, variance: float) -> float:

@@ -16,9 +16,11 @@ from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.cross_validation import Gain
 from metrocli.diagnosis.detectability import Design
 from metrocli.diagnosis.extended_fit import Size
-from metrocli.diagnosis.findings import Diagnosis, Finding, Scatter
-from metrocli.diagnosis.noise import DECLARED_SIGMA, READING, Unit
-from metrocli.diagnosis.verdict import proposed_noise
+from metrocli.diagnosis.findings import Diagnosis, Finding
+from metrocli.diagnosis.job_entries import proposed_noise
+from metrocli.diagnosis.linear.projection import READING
+from metrocli.diagnosis.noise import DECLARED_SIGMA, Unit
+from metrocli.diagnosis.searched import Scatter
 from metrocli.diagnosis.wrong_readings import Outlier
 
 _SHOWN = 5

@@ -6,7 +6,7 @@ Method: docs/algorithms/selection-and-levels.md (all of a kind).
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import lgamma
 
@@ -14,10 +14,9 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns
-from metrocli.diagnosis.linear.projection import System
+from metrocli.diagnosis.linear.projection import READING, System
 from metrocli.diagnosis.linear.restricted_likelihood import RestrictedLikelihood
 from metrocli.diagnosis.linear.score_tests import ScoreTests
-from metrocli.diagnosis.noise import groups_of_readings
 from metrocli.diagnosis.selection.selection_state import Chosen, Selection
 from metrocli.diagnosis.selection.thresholds import LATER
 from metrocli.effects.effect import Effect
@@ -39,13 +38,13 @@ class Instead:
 
     name: str
     """Of an effect at all its places, or `noise`"""
-    reading: str
+    where: Mapping[str, str]
     """The group of readings that has a noise of its own; empty for an effect"""
     odds: float
     """Ratio of its likelihood to that of the scatter that was found"""
 
     def __str__(self) -> str:
-        return f"{self.name} of {self.reading}" if self.reading else f"{self.name} everywhere"
+        return f"{self.name} of {self.where[READING]}" if self.where else f"{self.name} everywhere"
 
 
 @dataclass(frozen=True)
@@ -105,9 +104,9 @@ def _likeliest(selection: Selection, wanted: Sequence[tuple[Effect, Sequence[Cho
     if not found or found[0][0].log_level + np.log(len(wanted)) > np.log(LATER):
         return None
     best, own = found[0]
-    others = [(one.effect.name, "", one.log_level) for one, _ in found[1:]]
+    others: list[tuple[str, dict[str, str], float]] = [(one.effect.name, {}, one.log_level) for one, _ in found[1:]]
     base = selection.fitted(without=own)
-    others += [("noise", name, level) for name, level in _noise_of_groups(selection.test_set.system, base)]
+    others += [("noise", {READING: name}, level) for name, level in _noise_of_groups(selection.test_set.system, base)]
     ahead = [best.log_level - level for _, _, level in others]
     if max(ahead, default=0.0) > _AS_MUCH:
         return None
@@ -146,7 +145,7 @@ def _may_scatter(test_set: ScoreTests, name: str) -> bool:
 
 def _noise_of_groups(system: System, base: FittedColumns) -> Iterator[tuple[str, float]]:
     """Yield each of several groups of readings with ln of the level of a noise of its own."""
-    for name, rows in groups_of_readings(system):
+    for name, rows in system.of_several_groups():
         unit = np.zeros((system.rows, int(rows.sum())))
         unit[rows, np.arange(unit.shape[1])] = 1.0
         scatter = RestrictedLikelihood.beside(base, system.seen(unit))

@@ -21,7 +21,7 @@ from metrocli.tasks.multilaterate.features.report import FEATURES, SHOWN, fitted
 from metrocli.tasks.multilaterate.features.wanted import Wanted
 from metrocli.tasks.multilaterate.reliability import UNITS as RELIABILITY_UNITS
 from metrocli.tasks.multilaterate.reliability import reliability
-from metrocli.tasks.multilaterate.solve import Solved
+from metrocli.tasks.multilaterate.solve import Solved, noise_of_tests
 from metrocli.tasks.multilaterate.uncontrolled import scale_warnings, uncontrolled
 from metrocli.tasks.shared.environment import blocks_of, estimates_of
 from metrocli.tasks.shared.joint_covariance import factors
@@ -186,7 +186,7 @@ def _residuals(solved: Solved) -> Table:
         "residual": found.values[0],
         "sigma": found.sigma[0],
         "normalised": found.normalised[0],
-        **reliability(solved.solution, solved.group, found, solved.critical, solved.noise),
+        **reliability(solved.solution, solved.group, found, solved.critical, noise_of_tests(solved.solution)),
     }
     when = condition_columns(observations)
     in_mm = dict.fromkeys(("reading", "residual", "sigma", *RELIABILITY_UNITS), "mm")
