@@ -26,8 +26,7 @@ def echo(text: str, err: bool = False, nl: bool = True, as_is: bool = False) -> 
     text = printable(text)
     stream = sys.stderr if err else sys.stdout
     if stream is not None and not stream.closed and stream.isatty() and not as_is and not text.startswith(("{", "[")):
-        from metrocli.cli.shell.fitted import coloured, fitted
-        from metrocli.cli.shell.live_table import terminal_size
+        from metrocli.cli.shell.fitted import coloured, fitted, terminal_size
 
         text = fitted(text, terminal_size(stream.fileno())[0])
         if not os.environ.get("NO_COLOR") and os.environ.get("TERM", "dumb") != "dumb":
@@ -43,7 +42,7 @@ def printable(text: str) -> str:
 def progress_text(done: int, of: int | None, elapsed: float) -> str:
     """Return how many parts are done and, where their number is known, how long the others take at that rate [s].
 
-    Where no part is told, or all are done, it is the time that has passed.
+    Without parts, or after the last, return the time since the begin.
     """
     if not of:
         return f"{done} parts" if done else f"{elapsed:.0f} s"

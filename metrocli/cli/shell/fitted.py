@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import textwrap
 from collections.abc import Iterator, Sequence
@@ -21,6 +22,15 @@ _COLOURS = (
     (re.compile(r"(?<=^status: )done|(?<=^verdict: )clean(?=$)|(?<=^required ).*: met\b"), _GREEN),
 )
 """Words that decide, by line, and their colours; the words say the same without"""
+
+
+def terminal_size(file: int) -> tuple[int, int]:
+    """Return the columns and lines of the terminal of an open file; 80 and 24 where it does not know them."""
+    try:
+        columns, lines = os.get_terminal_size(file)
+    except OSError:
+        columns, lines = 0, 0
+    return columns or 80, lines or 24
 
 
 def coloured(text: str) -> str:

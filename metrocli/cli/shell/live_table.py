@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
 from metrocli.cli.console import printable
+from metrocli.cli.shell.fitted import terminal_size
 
 _FIRST_S = 0.3
 """Time before the table first appears: a run that is over sooner shows none [s]"""
@@ -139,15 +140,6 @@ def live_table(total: int, shown: bool) -> Iterator[LiveTable]:
 def has_terminal() -> bool:
     """Return whether stderr is a terminal on which a table can be redrawn."""
     return sys.stderr.isatty() and os.environ.get("TERM", "dumb") != "dumb"
-
-
-def terminal_size(file: int) -> tuple[int, int]:
-    """Return the columns and lines of the terminal of an open file; 80 and 24 where it does not know them."""
-    try:
-        columns, lines = os.get_terminal_size(file)
-    except OSError:
-        columns, lines = 0, 0
-    return columns or 80, lines or 24
 
 
 def time_text(seconds: float) -> str:

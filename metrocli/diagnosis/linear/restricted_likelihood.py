@@ -22,8 +22,8 @@ _GRID = np.linspace(-14.0, 14.0, 113)
 class RestrictedLikelihood:
     """The restricted likelihood of the ratio g of the variances of sizes and noise (Patterson and Thompson 1971).
 
-    With the visible columns Z of the sizes beside a fit, d are the eigenvalues of Z'Z, and y the coordinates of the
-    residual along them: `-(nu ln S + sum ln(1 + g d))/2`, `S = sum y^2/(1 + g d) + rest`.
+    It is `-(nu ln S + sum ln(1 + g d))/2` with `S = sum y^2/(1 + g d) + rest`. Z are the visible columns of the sizes
+    beside a fit, d the eigenvalues of Z'Z, y the coordinates of the residual along them.
     """
 
     eigenvalues: Array
