@@ -81,6 +81,11 @@ def program(title: str, remarks: Sequence[str], blocks: Iterable[Block], control
     return "\n".join([*lines, "M30", *spoken.frame, ""])
 
 
+def written(value: float) -> float:
+    """Return a position as its word states it, rounded to four decimals [mm]."""
+    return round(value, _DIGITS) + 0.0  # no -0.0000
+
+
 def _words(block: Block, control: Control) -> list[str]:
     match block:
         case Rapid(to):
@@ -95,7 +100,7 @@ def _words(block: Block, control: Control) -> list[str]:
 
 
 def _position(to: Mapping[str, float]) -> str:
-    return " ".join(f"{axis.upper()}{round(value, _DIGITS) + 0.0:.{_DIGITS}f}" for axis, value in to.items())
+    return " ".join(f"{axis.upper()}{written(value):.{_DIGITS}f}" for axis, value in to.items())
 
 
 def _comment(text: str, control: Control) -> str:

@@ -9,7 +9,7 @@ from itertools import pairwise, permutations
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
-from metrocli.nc_program import Block, Dwell, Feed, Rapid, Stop, program
+from metrocli.nc_program import Block, Dwell, Feed, Rapid, Stop, program, written
 from metrocli.tasks.locate_launch_unit.lines import AXES, Line, commanded
 from metrocli.units import find_unit
 
@@ -97,11 +97,12 @@ def _blocks(line: Line, there: list[Array], back: list[Array], motion: Motion) -
 
 
 def _rapids(start: Array, corners: list[Array]) -> Iterator[Rapid]:
-    at = start
-    for corner in corners:
-        moved = np.flatnonzero(corner != at)
-        if moved.size:
-            yield Rapid({AXES[i]: float(corner[i]) for i in moved})
+    at = _axes(start)
+    for corner in map(_axes, corners):
+        # computed on two ways, equal coordinates may differ in their last digit: no move that the program cannot state
+        moved = {axis: value for axis, value in corner.items() if written(value) != written(at[axis])}
+        if moved:
+            yield Rapid(moved)
         at = corner
 
 
