@@ -21,7 +21,7 @@ from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns
 from metrocli.diagnosis.linear.projection import System
-from metrocli.diagnosis.linear.restricted_likelihood import RestrictedLikelihood
+from metrocli.diagnosis.linear.restricted_likelihood import RestrictedLikelihood, gain_of_larger_noise
 from metrocli.diagnosis.selection.backward_steps import evidence_of
 from metrocli.diagnosis.selection.selection_state import Selection
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
 
 _LENGTHS = (1 / 16, 1 / 8, 1 / 4)
-"""Lengths of correlation that are tried, as shares of the range of the covariate: what is slower is a drift"""
+"""Lengths of correlation that are tried, as shares of the largest range of a unit: what is slower is a drift"""
 _KNOTS = {1: (17, 13, 9), 2: (6, 5, 4, 3)}
 """Knots along each coordinate, by the number of coordinates: as many as the columns allow"""
 _FEW_KNOTS = (3,)
@@ -59,7 +59,7 @@ class Process:
     by: str
     """Key of the units in which it is independent (tracer, image); empty if it is common to all readings"""
     length: float
-    """Length of its correlation, as a share of the range of the covariate"""
+    """Length of its correlation, as a share of the largest range of the covariate in a unit"""
     std: float
     """Its standard deviation, in the internal unit of the readings"""
     spread: float
@@ -175,9 +175,10 @@ class _Tried:
     likelihood: RestrictedLikelihood
     log_ratio: float
 
-    @property
+    @cached_property
     def gain(self) -> float:
-        return self.likelihood.gain(self.log_ratio)
+        """Of the log-likelihood, against readings that are all noisier by one factor."""
+        return self.likelihood.gain(self.log_ratio) - gain_of_larger_noise(self.base)
 
     def process(self, tried: int) -> Process:
         """Return the process, of one of so many covariates that were tried."""
@@ -215,7 +216,7 @@ def _basis(job: AdjustedJob, system: System, covariate: Covariate, by: str) -> _
     count = next((one for one in along if one ** len(several[0]) <= most), 0)
     if count == 0 or min(map(_fewest, labels)) < _FEWEST:
         return None
-    functions, distances = around_circle(several, count) if covariate.angle else between_knots(several, count)
+    functions, distances = around_circle(several, count) if covariate.angle else between_knots(several, labels, count)
     count = len(distances)
     full, place = np.zeros((system.rows, copies * count)), 0
     for group, values, label in zip(groups, functions, labels, strict=True):
@@ -266,16 +267,24 @@ def around_circle(several: Sequence[Array], count: int) -> tuple[list[Array], Ar
     return functions, np.abs(np.sin(np.pi * (turns[:, None] - turns)))
 
 
-def between_knots(several: Sequence[Array], count: int) -> tuple[list[Array], Array]:
-    """Return functions of coordinates (k, n) of each group, (n, knots), and the distances of their knots."""
-    whole = np.concatenate(several, axis=1)
-    low, high = whole.min(axis=1, keepdims=True), whole.max(axis=1, keepdims=True)
-    span = np.where(high > low, high - low, 1.0)
+def between_knots(several: Sequence[Array], labels: Sequence[Index], count: int) -> tuple[list[Array], Array]:
+    """Return functions of coordinates (k, n) of each group, (n, knots), and the distances of their knots.
+
+    Knots begin at the lowest value of each unit (`labels`, (n,)) and span the largest range of a unit: views that are
+    measured one after the other each have all of them.
+    """
+    whole, units = np.concatenate(several, axis=1), np.concatenate(labels)
+    low, high = np.full((2, len(whole), int(units.max()) + 1), np.inf)
+    for axis, values in enumerate(whole):
+        np.minimum.at(low[axis], units, values)
+        np.minimum.at(high[axis], units, -values)
+    spans = np.where(np.isfinite(low), -high - low, 0.0).max(axis=1)
+    span = np.where(spans > 0, spans, 1.0)[:, None]
     ends = np.linspace(0.0, 1.0, count)
     functions = []
-    for values in several:
+    for values, label in zip(several, labels, strict=True):
         product = np.ones((values.shape[1], 1))
-        for row in (values - low) / span:
+        for row in (values - low[:, label]) / span:
             product = (product[:, :, None] * piecewise(row, ends)[:, None, :]).reshape(len(product), -1)
         functions.append(product)
     places = np.stack([one.ravel() for one in np.meshgrid(*[ends] * len(whole), indexing="ij")], axis=1)

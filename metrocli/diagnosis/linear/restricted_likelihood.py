@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
-from metrocli.diagnosis.linear.fitted_columns import FittedColumns
+from metrocli.diagnosis.linear.fitted_columns import PRIOR, FittedColumns
 
 _SEEN = 1e-4
 """Smallest eigenvalue of a direction that counts, relative to the largest"""
@@ -90,6 +90,24 @@ class RestrictedLikelihood:
 
     def log_level(self, log_ratio: float) -> float:
         """Return ln of the level of the likelihood ratio test: half a chi-squared with one degree of freedom."""
-        from scipy.special import log_ndtr
+        return log_level_of(self.gain(log_ratio))
 
-        return float(log_ndtr(-np.sqrt(max(2 * self.gain(log_ratio), 0.0))))
+
+def log_level_of(gain: float) -> float:
+    """Return ln of the level of a gain by one variance: half a chi-squared with one degree of freedom."""
+    from scipy.special import log_ndtr
+
+    return float(log_ndtr(-np.sqrt(max(2 * gain, 0.0))))
+
+
+def gain_of_larger_noise(base: FittedColumns) -> float:
+    """Return by how much the restricted log-likelihood grows if all readings are noisier than declared, by one factor.
+
+    With S the squares of the residual, p the part and d the degrees of freedom of the declared noise, it is
+    `((nu + d) ln((S + p)/(S x + p)) + nu ln x)/2` at its maximum `x = min(1, nu p/(d S))`, the inverse of the squared
+    factor. It is large only where the readings are few, of which each then shows an effect of its own.
+    """
+    squares, rank = max(base.squares - base.prior, 1e-300), max(base.dof - PRIOR, 1.0)
+    inverse = min(1.0, rank * base.prior / (PRIOR * squares))
+    fitted = (squares + base.prior) / (squares * inverse + base.prior)
+    return float((base.dof * np.log(fitted) + rank * np.log(inverse)) / 2)

@@ -15,7 +15,7 @@ import numpy as np
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns
 from metrocli.diagnosis.linear.projection import READING, System
-from metrocli.diagnosis.linear.restricted_likelihood import RestrictedLikelihood
+from metrocli.diagnosis.linear.restricted_likelihood import RestrictedLikelihood, gain_of_larger_noise, log_level_of
 from metrocli.diagnosis.linear.score_tests import ScoreTests
 from metrocli.diagnosis.selection.selection_state import Chosen, Selection
 from metrocli.diagnosis.selection.thresholds import LATER
@@ -106,6 +106,8 @@ def _likeliest(selection: Selection, wanted: Sequence[tuple[Effect, Sequence[Cho
     best, own = found[0]
     others: list[tuple[str, dict[str, str], float]] = [(one.effect.name, {}, one.log_level) for one, _ in found[1:]]
     base = selection.fitted(without=own)
+    if best.log_level > log_level_of(gain_of_larger_noise(base)) - _AS_MUCH:
+        return None  # of few readings each shows a place of its own: that is noise
     others += [("noise", {READING: name}, level) for name, level in _noise_of_groups(selection.test_set.system, base)]
     ahead = [best.log_level - level for _, _, level in others]
     if max(ahead, default=0.0) > _AS_MUCH:
