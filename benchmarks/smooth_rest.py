@@ -6,13 +6,15 @@ python -m benchmarks smooth_rest [KIND ...] [COUNT]
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
+
+import numpy as np
 
 from benchmarks.hidden import rates
-from benchmarks.hidden.rest import KINDS
+from benchmarks.hidden.case import Case
+from benchmarks.hidden.rest import KINDS, Size
 
 COUNT = 60
-TIMES = (0.0, 2.0, 4.0)
-"""Sizes of the effect, in multiples of the smallest that is found beside white noise; 0 for nothing hidden"""
 MOST_FALSE, LEAST_NAMED = 0.05, 0.90
 _NAMED = 2.0
 """Size from which an effect is to be named"""
@@ -24,20 +26,24 @@ def main(arguments: list[str]) -> int:
     count = next((int(argument) for argument in arguments if argument.isdigit()), COUNT)
     met = True
     for kind in kinds:
-        print(f"-- {kind}, {count} measurements each", flush=True)
-        for times in TIMES:
-            for rate in measured(kind, count, times):
+        for size in KINDS[kind].sizes:
+            print(f"-- {kind}, {count} measurements: {size}", flush=True)
+            cases = KINDS[kind].cases(count, size)
+            powers = [case.power for case in cases if case.power is not None]
+            if powers:
+                print(f"a test of the effect alone that knows the covariance of all errors finds {np.mean(powers):.1%}")
+            for rate in measured(cases, size):
                 print(rate, flush=True)
                 met &= rate.met
     return 0 if met else 1
 
 
-def measured(kind: str, count: int, times: float) -> list[rates.Rate]:
-    """Return the rates of measurements with an effect of so many times its smallest size, or with none."""
-    found = [rates.found(case) for case in KINDS[kind].cases(count, times)]
+def measured(cases: Sequence[Case], size: Size) -> list[rates.Rate]:
+    """Return the rates of measurements with an effect of a size, or with none."""
+    count, found = len(cases), [rates.found(case) for case in cases]
     shown = [one for one in found if any(finding.gain.shown for finding in one.diagnosis.findings)]
     structure = [one for one in found if one.diagnosis.left is not None or one.diagnosis.processes]
-    if not times:
+    if not size.times:
         return [
             rates.Rate("false name", sum(bool(one.diagnosis.findings) for one in found), count, most=MOST_FALSE),
             rates.Rate("false name with a gain that is shown", len(shown), count, most=0.01),
@@ -47,7 +53,7 @@ def measured(kind: str, count: int, times: float) -> list[rates.Rate]:
     extra = [one for one in found if len(one.diagnosis.findings) > len(one.case.hidden)]
     covered = [hit for one in found for hit in one.covered]
     return [
-        rates.Rate(f"named: {times:g}x", len(right), count, least=LEAST_NAMED if times >= _NAMED else 0.0),
+        rates.Rate("named", len(right), count, least=LEAST_NAMED if size.times >= _NAMED else 0.0),
         rates.Rate("  a further name, which is false", len(extra), count, most=MOST_FALSE),
         rates.Rate("  95 % regions that hold the truth", sum(covered), len(covered), 0.92, 0.98),
     ]

@@ -40,6 +40,8 @@ class Case:
     """Keys of the readings that are wrong"""
     noise: float = 1.0
     """True noise over the declared one"""
+    power: float | None = None
+    """Power of a test of the hidden effect alone that knows the covariance of all errors, where it is computed"""
 
 
 @dataclass(frozen=True)

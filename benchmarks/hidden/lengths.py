@@ -176,6 +176,14 @@ def visible(m: Measurement, taken: Array, changes: Array) -> Array:
     return np.asarray(whitened - taken @ (taken.T @ whitened))
 
 
+def size_beside(m: Measurement, change: Array, covariance: Array) -> float:
+    """Return `sqrt(d'S^-1 d - d'S^-1 J (J'S^-1 J)^- J'S^-1 d)` of a change d (n,), S = I + covariance."""
+    lower = np.linalg.cholesky(np.eye(len(m.t)) + covariance)
+    taken, _ = np.linalg.qr(np.linalg.solve(lower, absorbed_by(m)))
+    whitened = np.linalg.solve(lower, change / m.sigma)
+    return float(np.linalg.norm(whitened - taken @ (taken.T @ whitened)))
+
+
 def nearest(m: Measurement, taken: Array, hidden: tuple[str, int], change: Array) -> float:
     """Return the largest cosine of what is visible of a change with another known effect on the same tracer."""
     name, at = hidden
@@ -206,8 +214,14 @@ def _span(m: Measurement, name: str, at: int) -> Array:
     return np.stack([signature(name, at, one)(m) for one in units], axis=1)
 
 
-def planted(m: Measurement, rng: np.random.Generator, name: str, times: float) -> tuple[Measurement, Hidden]:
-    """Return the measurement with an effect of so many times its least detectable size in a random direction."""
+def planted(
+    m: Measurement, rng: np.random.Generator, name: str, times: float, beside: Array | None = None
+) -> tuple[Measurement, Hidden]:
+    """Return the measurement with an effect of so many times its least detectable size in a random direction.
+
+    The size is that beside white noise; with a covariance of a further error (n, n), in squared standard deviations of
+    the noise, it is that beside both.
+    """
     at = int(rng.integers(len(m.tracers)))
     values = {
         "at": float(rng.choice(np.sort(m.t)[len(m.t) // 8 : -len(m.t) // 8])) + 1e-3,
@@ -219,7 +233,8 @@ def planted(m: Measurement, rng: np.random.Generator, name: str, times: float) -
     values |= dict(zip(names, (direction / np.linalg.norm(direction) * 1e-6).tolist(), strict=True))
     wanted = times * np.sqrt(stated(m.adjusted(), name, len(names)))
     taken, unit = absorbed_by(m), signature(name, at, values)(m)
-    factor = wanted / float(np.linalg.norm(visible(m, taken, unit[:, None])))
+    size = float(np.linalg.norm(visible(m, taken, unit[:, None]))) if beside is None else size_beside(m, unit, beside)
+    factor = wanted / size
     values |= {key: values[key] * factor for key in names}
     change = signature(name, at, values)(m)
     where = {"tracer": f"T{at}"} if name not in EVERYWHERE else {}

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import ndtr, ndtri
 
 from benchmarks.hidden import images, lengths, machine
 from benchmarks.hidden.case import Case, Hidden
@@ -21,89 +22,120 @@ Array = npt.NDArray[np.float64]
 SIZES = (0.3, 1.0)
 LENGTHS = (1 / 32, 1 / 4)
 _WAVES = 200
+_EVEN = 0.8
+"""Power with which the smallest size is found"""
 
 
-def smooth(rng: np.random.Generator, places: Array) -> Array:
-    """Return a smooth random error at places (n, k), shares of the range, of a random length and size, (n,)."""
+@dataclass(frozen=True)
+class Size:
+    """The size of an effect in multiples of the smallest that is found; 0 for nothing hidden."""
+
+    times: float
+    beside_rest: bool = False
+    """Whether the smallest is that beside the rest; otherwise it is that beside white noise"""
+
+    def __str__(self) -> str:
+        if not self.times:
+            return "nothing hidden"
+        return f"{self.times:g}x beside the rest" if self.beside_rest else f"{self.times:g}x beside white noise"
+
+
+def smooth(rng: np.random.Generator, places: Array) -> tuple[Array, Array]:
+    """Return a smooth random error at places (n, k), shares of the range, (n,), and its covariance (n, n).
+
+    Length and size are random.
+    """
     length = np.exp(rng.uniform(*np.log(LENGTHS)))
     frequencies = rng.normal(size=(places.shape[1], _WAVES)) / length
     waves = np.cos(places @ frequencies + rng.uniform(0, 2 * np.pi, _WAVES))
-    return np.asarray(rng.uniform(*SIZES) * np.sqrt(2 / _WAVES) * waves.sum(axis=1))
+    size = rng.uniform(*SIZES)
+    apart = ((places[:, None] - places) ** 2).sum(axis=2) / length**2
+    return size * np.sqrt(2 / _WAVES) * waves.sum(axis=1), size**2 * np.exp(-apart / 2)
 
 
-def of_each(rng: np.random.Generator, places: Array, unit: npt.NDArray[np.intp]) -> Array:
-    """Return independent smooth errors of each unit, in standard deviations of the noise, (n,)."""
+def of_each(rng: np.random.Generator, places: Array, unit: npt.NDArray[np.intp]) -> tuple[Array, Array]:
+    """Return independent smooth errors of each unit, in standard deviations of the noise, and their covariance."""
     shares = (places - places.min(axis=0)) / np.ptp(places, axis=0)
-    found = np.zeros(len(unit))
+    found, covariance = np.zeros(len(unit)), np.zeros((len(unit), len(unit)))
     for number in np.unique(unit):
-        found[unit == number] = smooth(rng, shares[unit == number])
-    return found
+        own = np.flatnonzero(unit == number)
+        found[own], covariance[np.ix_(own, own)] = smooth(rng, shares[own])
+    return found, covariance
 
 
-def of_lengths(rng: np.random.Generator, turn: int, times: float) -> Case | None:
-    """Return a network whose tracers each have a smooth error in time, with an effect of so many times its size."""
-    m, hidden = lengths.measurement(rng, int(rng.integers(60, 101))), list[Hidden]()
-    known = (*lengths.EVERYWHERE, *lengths.AT_ONE)
-    if times:
-        m, one = lengths.planted(m, rng, known[turn % len(known)], times)
+def of_lengths(rng: np.random.Generator, turn: int, size: Size) -> Case | None:
+    """Return a network whose tracers each have a smooth error in time, with an effect of a size."""
+    m, hidden, power = lengths.measurement(rng, int(rng.integers(60, 101))), list[Hidden](), None
+    off, covariance = of_each(rng, m.t[:, None], m.tracer)
+    read = replace(m, length=m.length + off * m.sigma)
+    if size.times:
+        known = (*lengths.EVERYWHERE, *lengths.AT_ONE)
+        beside = covariance if size.beside_rest else None
+        read, one = lengths.planted(read, rng, known[turn % len(known)], size.times, beside)
         hidden.append(one)
-    read = replace(m, length=m.length + of_each(rng, m.t[:, None], m.tracer) * m.sigma)
-    return Case(_words(times), read.adjusted, tuple(hidden))
+        power = _power(m, read.length - m.length - off * m.sigma, covariance, size)
+    return Case(str(size), read.adjusted, tuple(hidden), power=power)
 
 
-def of_images(rng: np.random.Generator, turn: int, times: float) -> Case | None:
+def _power(m: lengths.Measurement, change: Array, covariance: Array, size: Size) -> float:
+    """Return the power of a test of the effect alone, whose level shows the least size in 80 % of the cases."""
+    white, known = (lengths.size_beside(m, change, one) for one in (np.zeros_like(covariance), covariance))
+    least = (known if size.beside_rest else white) / size.times
+    return float(ndtr(known - (least - float(ndtri(_EVEN)))))
+
+
+def of_images(rng: np.random.Generator, turn: int, size: Size) -> Case | None:
     """Return images of a board that each have a smooth error over the image."""
     known = [name for name, plant in images.PLANTS["calibrate-camera"].items() if "board" in plant.rigs]
-    wanted = [known[turn % len(known)]] if times else []
+    wanted = [known[turn % len(known)]] if size.times else []
     plants = [images.PLANTS["calibrate-camera"][name] for name in wanted]
     read, hidden = images.read(images.without(board_scene(rng, 12, (9, 7)), plants, wanted), rng), list[Hidden]()
     for name in wanted:
-        made = images.planted(read, rng, name, times)
+        made = images.planted(read, rng, name, size.times)
         if made is None:
             return None
         read = made[0]
         hidden.append(made[1])
-    off = [of_each(rng, read.uv, read.scene.view) * read.scene.noise for _ in range(2)]
-    return Case(_words(times), replace(read, uv=read.uv + np.stack(off, axis=1)).adjusted, tuple(hidden))
+    off = [of_each(rng, read.uv, read.scene.view)[0] * read.scene.noise for _ in range(2)]
+    return Case(str(size), replace(read, uv=read.uv + np.stack(off, axis=1)).adjusted, tuple(hidden))
 
 
-def of_machine(rng: np.random.Generator, turn: int, times: float) -> Case | None:
+def of_machine(rng: np.random.Generator, turn: int, size: Size) -> Case | None:
     """Return points of a machine with a smooth error in time of each component of the tracker's readings."""
     m, hidden = machine.measurement(rng, machine.SIZE), list[Hidden]()
     known = list(machine.PARAMETERS)
-    if times:
-        m, one = machine.planted(m, rng, known[turn % len(known)], times)
+    if size.times:
+        m, one = machine.planted(m, rng, known[turn % len(known)], size.times)
         hidden.append(one)
     every = np.zeros(len(m.t), dtype=np.intp)
-    off = np.stack([of_each(rng, m.t[:, None], every) for _ in range(3)], axis=1)
+    off = np.stack([of_each(rng, m.t[:, None], every)[0] for _ in range(3)], axis=1)
     read = replace(m, read=m.read + np.linalg.solve(m.white, off[:, :, None])[:, :, 0])
-    return Case(_words(times), read.adjusted, tuple(hidden))
-
-
-def _words(times: float) -> str:
-    return f"a smooth rest and an effect of {times:g}x" if times else "a smooth rest"
+    return Case(str(size), read.adjusted, tuple(hidden))
 
 
 @dataclass(frozen=True)
 class Rest:
     """How cases of a kind of job are made."""
 
-    case: Callable[[np.random.Generator, int, float], Case | None]
+    case: Callable[[np.random.Generator, int, Size], Case | None]
+    sizes: tuple[Size, ...]
 
-    def cases(self, count: int, times: float) -> list[Case]:
+    def cases(self, count: int, size: Size) -> list[Case]:
         """Return seeded cases."""
         found: list[Case] = []
         number = 0
         while len(found) < count:
-            made = self.case(np.random.default_rng([77, round(10 * times), number]), number, times)
+            seed = [77, round(10 * size.times), int(size.beside_rest), number]
+            made = self.case(np.random.default_rng(seed), number, size)
             number += 1
             if made is not None:
                 found.append(made)
         return found
 
 
+_WHITE = (Size(0.0), Size(2.0), Size(4.0))
 KINDS = {
-    "multilaterate": Rest(of_lengths),
-    "calibrate-camera": Rest(of_images),
-    "calibrate-machine": Rest(of_machine),
+    "multilaterate": Rest(of_lengths, (*_WHITE, Size(2.0, beside_rest=True))),
+    "calibrate-camera": Rest(of_images, _WHITE),
+    "calibrate-machine": Rest(of_machine, _WHITE),
 }

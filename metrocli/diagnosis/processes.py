@@ -9,7 +9,7 @@ Method: docs/algorithms/selection-and-levels.md (smooth processes).
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -21,9 +21,9 @@ from metrocli.adjust.model.observations import Index
 from metrocli.diagnosis.adjusted_job import AdjustedJob, Covariate
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns
 from metrocli.diagnosis.linear.projection import System
-from metrocli.diagnosis.linear.restricted_likelihood import RestrictedLikelihood, gain_of_larger_noise
+from metrocli.diagnosis.linear.restricted_likelihood import RestrictedLikelihood, gain_of_larger_noise, log_level_of
 from metrocli.diagnosis.selection.backward_steps import evidence_of
-from metrocli.diagnosis.selection.selection_state import Selection
+from metrocli.diagnosis.selection.selection_state import Chosen, Selection
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
@@ -43,10 +43,12 @@ _MOST_COLUMNS, _MOST_NUMBERS = 600, 20_000_000
 """Most knots of all units, and most numbers of their columns; beyond it the process is one for all readings"""
 _GAIN, _HINT = 3.0, 2.0
 """Least gain of the log-likelihood by a process: a level of 0.7 % for one variance; and where it stands for names"""
-_MORE, _FAR_MORE = 1.0, 2.0
+_MORE, _FAR_MORE = 2.5, 3.5
 """ln of the odds by which names must exceed a process that stands for them; and where structure is left beside them"""
 _NOTICED, _MOST_TRIED = 1.5, 4
 """Least score of a variance, in its standard deviations, at which its likelihood is computed; and of how many"""
+_SWEEPS, _APART = 2, 1.5
+"""Rounds in which the units' own variances are estimated, and the expected standard deviation of their logarithms"""
 _VISIBLE = 1e-3
 """Variance, relative to that of the noise, below which a direction of a process is left out"""
 
@@ -73,24 +75,36 @@ class Process:
 def process_in(job: AdjustedJob, selection: Selection) -> Process | None:
     """Return the process that belongs to the noise beside which the effects of a selection hold; None if none shows.
 
-    It is estimated beside the named effects, and beside none of them, where it stands instead of them. The names with
-    their counted choice are held against that by their evidence. Where structure is left beside the names, readings
-    have such errors anyhow, and then the names must have far more evidence.
+    It is estimated beside the named effects, and beside fewer and fewer of them, where it stands instead of the others.
+    These with their counted choice are held against that by their evidence. Where structure is left beside the names,
+    readings have such errors anyhow, and then the names must have far more evidence.
     """
-    bare = selection.fitted(without=[*selection.named, *selection.unknown])
     bases = list(_bases(job, selection.test_set.system))
-    if not selection.named:
-        alone = _best(bases, bare)
-        return alone.process(len(bases)) if alone is not None and alone.gain > _GAIN else None
+    named = selection.fitted(without=selection.unknown)
+    beside = _best(bases, named)
+    left = 0.0 if beside is None else beside.gain
     # an error that all readings share is what effects such as the air are, so it stands for no name
     apart = [basis for basis in bases if basis.by] or bases
-    named = selection.fitted(without=selection.unknown)
-    alone, beside = _best(apart, bare), _best(bases, named)
-    left = 0.0 if beside is None else beside.gain
-    needed = evidence_of(selection, bare, named) + left - (_FAR_MORE if left > _GAIN else _MORE)
-    if alone is not None and alone.gain > max(_HINT, needed):
-        return alone.process(len(bases))
+    ahead: list[tuple[float, _Tried]] = []
+    for gone in _weakest_first(selection, named):
+        bare = selection.fitted(without=[*gone, *selection.unknown])
+        instead = _best(apart, bare)
+        needed = evidence_of(selection, gone, bare, named) + left - (_FAR_MORE if left > _GAIN else _MORE)
+        if instead is not None and instead.gain > max(_HINT, needed):
+            ahead.append((instead.gain - needed, instead))
+    if ahead:
+        return max(ahead, key=lambda one: one[0])[1].process(len(bases))
     return beside.process(len(bases)) if beside is not None and left > _GAIN else None
+
+
+def _weakest_first(selection: Selection, named: FittedColumns) -> Iterator[tuple[Chosen, ...]]:
+    """Yield the name with the least evidence beside the others, the two with the least, and so on."""
+
+    def evidence(one: Chosen) -> float:
+        return evidence_of(selection, [one], selection.fitted(without=[one, *selection.unknown]), named)
+
+    ordered = sorted(selection.named, key=evidence)
+    yield from (tuple(ordered[: count + 1]) for count in range(len(ordered)))
 
 
 def _best(bases: Sequence[_Basis], base: FittedColumns) -> _Tried | None:
@@ -154,42 +168,90 @@ class _Scored:
 
     @cached_property
     def excess(self) -> float:
-        """The score of a variance at 0, `(y'y/s^2 - tr G) / sqrt(2 tr G^2)`."""
-        squares = float(self.along @ self.along) * self.base.dof / max(self.base.squares, 1e-300)
-        return (squares - float(np.trace(self.gram))) / float(np.sqrt(2 * max((self.gram**2).sum(), 1e-300)))
+        """The score of a variance at 0, `(y'y/s^2 - tr G) / sqrt(2 tr G^2)`: of all units and components, or of one."""
+        knots = len(self.root)
+        copies = len(self.gram) // knots
+        each = np.arange(copies)
+        grams = self.gram.reshape(copies, knots, copies, knots)[each, :, each]
+        noise = self.base.dof / max(self.base.squares, 1e-300)
+        squares = (self.along.reshape(copies, knots) ** 2).sum(axis=1) * noise - np.einsum("akk->a", grams)
+        single = squares / np.sqrt(2 * np.maximum((grams**2).sum(axis=(1, 2)), 1e-300))
+        every = squares.sum() / np.sqrt(2 * max(float((self.gram**2).sum()), 1e-300))
+        return float(max(every, single.max()))
 
     def estimated(self) -> _Tried:
-        """Return it with the variance of the largest likelihood."""
+        """Return it with the variances of the largest likelihood."""
         likelihood = RestrictedLikelihood.of(self.base, self.gram, self.along)
-        return _Tried(self.basis, self.length, self.root, self.base, likelihood, likelihood.best())
+        log_ratio = likelihood.best()
+        return _Tried(self, likelihood, log_ratio, *self._of_each(log_ratio))
+
+    def _of_each(self, common: float) -> tuple[Array, float]:
+        """Return the ratio of variances of each unit and component, (copies,), and what its freedom costs.
+
+        Each is the likeliest with the others held, in turn; ln of the ratio has the mean of the others as its
+        expectation. The cost is that of Laplace's approximation to the integral over all ratios, `sum ln(1 + s^2 h)/2`
+        with the bend h of the log-likelihood.
+        """
+        knots = len(self.root)
+        logs = np.full(len(self.gram) // knots, common)
+        bends = np.zeros(len(logs))
+        if len(logs) == 1:
+            return np.exp(logs), 0.0
+        number = np.repeat(np.arange(len(logs)), knots)
+        for copy in list(range(len(logs))) * _SWEEPS:
+            own, others = number == copy, number != copy
+            held = self.gram[np.ix_(others, others)] + np.diag(np.exp(-logs[number[others]]))
+            both = np.column_stack([self.gram[np.ix_(others, own)], self.along[others]])
+            inner = both.T @ np.linalg.solve(held, both)
+            rest = replace(self.base, squares=self.base.squares - float(inner[-1, -1]))
+            left = self.gram[np.ix_(own, own)] - inner[:-1, :-1]
+            beside = RestrictedLikelihood.of(rest, left, self.along[own] - inner[:-1, -1])
+            logs[copy], bends[copy] = beside.best_near(float(np.delete(logs, copy).mean()), _APART)
+        return np.exp(logs), float(np.log1p(_APART**2 * np.maximum(bends, 0.0)).sum()) / 2
+
+    def gain(self, ratios: Array) -> float:
+        """Return by how much ratios of each unit raise the log-likelihood, with that of their differences."""
+        size = np.sqrt(np.repeat(ratios, len(self.root)))
+        values, vectors = np.linalg.eigh(self.gram * size[:, None] * size)
+        values = np.maximum(values, 0.0)
+        along = (vectors.T @ (self.along * size)) ** 2
+        squares = self.base.squares - float((along / (1 + values)).sum())
+        apart = ((np.log(ratios) - np.log(ratios).mean()) ** 2).sum() / (2 * _APART**2)
+        grown = self.base.dof * np.log(self.base.squares / squares) - np.log1p(values).sum()
+        return float(grown / 2 - apart)
 
 
 @dataclass(frozen=True)
 class _Tried:
-    """A process with the variance of the largest likelihood."""
+    """A process with the variances of the largest likelihood."""
 
-    basis: _Basis
-    length: float
-    root: Array
-    base: FittedColumns
+    scored: _Scored
     likelihood: RestrictedLikelihood
     log_ratio: float
+    ratios: Array
+    """Of the variances of each unit and component, (copies,)"""
+    cost: float
+    """What their freedom takes from the log-likelihood"""
 
     @cached_property
     def gain(self) -> float:
         """Of the log-likelihood, against readings that are all noisier by one factor."""
-        return self.likelihood.gain(self.log_ratio) - gain_of_larger_noise(self.base)
+        gain = max(self.likelihood.gain(self.log_ratio), self.scored.gain(self.ratios) - self.cost)
+        return gain - gain_of_larger_noise(self.scored.base)
 
     def process(self, tried: int) -> Process:
         """Return the process, of one of so many covariates that were tried."""
-        ratio, seen = float(np.exp(self.log_ratio)), self.likelihood
-        kept = ratio * seen.eigenvalues > _VISIBLE
-        vectors = (seen.vectors[:, kept] * np.sqrt(ratio)).reshape(-1, len(self.root), int(kept.sum()))
-        columns = self.basis.columns @ np.einsum("ij,ajk->aik", self.root, vectors).reshape(-1, vectors.shape[2])
-        std = float(np.sqrt(ratio * seen.squares(self.log_ratio) / seen.dof)) * self.basis.sigma
-        level = min(seen.log_level(self.log_ratio) + float(np.log(tried)), 0.0)
+        one, basis = self.scored, self.scored.basis
+        knots, size = len(one.root), np.sqrt(self.ratios)
+        grown = one.gram * np.repeat(size, knots)[:, None] * np.repeat(size, knots)
+        values, vectors = np.linalg.eigh(grown)
+        vectors = vectors[:, values > _VISIBLE].reshape(len(size), knots, -1) * size[:, None, None]
+        columns = basis.columns @ np.einsum("ij,ajk->aik", one.root, vectors).reshape(-1, vectors.shape[2])
+        seen = self.likelihood
+        std = float(np.sqrt((size**2).mean() * seen.squares(self.log_ratio) / seen.dof)) * basis.sigma
+        level = min(log_level_of(self.gain) + float(np.log(tried)), 0.0)
         spread = std * seen.relative_spread(self.log_ratio)
-        return Process(self.basis.name, self.basis.by, self.length, std, spread, level, columns)
+        return Process(basis.name, basis.by, one.length, std, spread, level, columns)
 
 
 def _bases(job: AdjustedJob, system: System) -> Iterator[_Basis]:

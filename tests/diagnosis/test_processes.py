@@ -22,7 +22,7 @@ def wavering(seed: int, effect: str = "", times: float = 3.0) -> tuple[Diagnosis
     if effect:
         m, hidden = lengths.planted(m, rng, effect, times)
         place = " ".join(hidden.where.values())
-    return diagnose(replace(m, length=m.length + of_each(rng, m.t[:, None], m.tracer) * m.sigma).adjusted()), place
+    return diagnose(replace(m, length=m.length + of_each(rng, m.t[:, None], m.tracer)[0] * m.sigma).adjusted()), place
 
 
 def test_what_wavers_gets_no_name_and_is_reported() -> None:

@@ -77,12 +77,23 @@ class RestrictedLikelihood:
                 high -= third
         return (low + high) / 2
 
+    def best_near(self, expected: float, apart: float) -> tuple[float, float]:
+        """Return the likeliest ln of the ratio whose expectation and standard deviation are given, and the bend there.
+
+        The bend is minus the second derivative of the log-likelihood, without the expectation.
+        """
+        tried = expected + apart * np.linspace(-4.0, 4.0, 161)
+        best = float(tried[np.argmax(self._likelihoods(tried) - ((tried - expected) / apart) ** 2 / 2)])
+        return best, self._bend(best)
+
+    def _bend(self, log_ratio: float) -> float:
+        step = 0.05
+        low, middle, high = self._likelihoods(log_ratio + np.array([-step, 0.0, step]))
+        return float((2 * middle - low - high) / step**2)
+
     def relative_spread(self, log_ratio: float) -> float:
         """Return the relative standard uncertainty of the standard deviation, from the curvature of the likelihood."""
-        step = 0.05
-        middle = self.likelihood(log_ratio)
-        bend = (self.likelihood(log_ratio + step) + self.likelihood(log_ratio - step) - 2 * middle) / step**2
-        return float(0.5 / np.sqrt(max(-bend, 1e-12)))
+        return float(0.5 / np.sqrt(max(self._bend(log_ratio), 1e-12)))
 
     def gain(self, log_ratio: float) -> float:
         """Return by how much the log-likelihood at a ratio exceeds that of no scatter at all."""

@@ -50,10 +50,10 @@ def evidence(test_set: ScoreTests, fitted: FittedColumns, family: int, score: Sc
     return np.asarray(np.where(score.rank > 0, value, -np.inf))
 
 
-def evidence_of(selection: Selection, bare: FittedColumns, fitted: FittedColumns) -> float:
-    """Return ln of the evidence of the named effects in a fit, against the fit without them."""
+def evidence_of(selection: Selection, names: Sequence[Chosen], bare: FittedColumns, fitted: FittedColumns) -> float:
+    """Return ln of the evidence of named effects in a fit, against the fit without them."""
     count = float(np.log(bare.squares / fitted.squares)) * bare.dof - (bare.dof - fitted.dof) * float(np.log(bare.dof))
-    return count / 2 - float(sum(np.log(selection.test_set.tests[one.family]) for one in selection.named))
+    return count / 2 - float(sum(np.log(selection.test_set.tests[one.family]) for one in names))
 
 
 def _with_swaps(selection: Selection) -> Selection:
