@@ -208,7 +208,7 @@ def _notes(solved: Solved, holding: Table) -> Iterator[str]:
         for surface, point, part in zip(holding.texts("surface"), holding.texts("point"), share, strict=True)
     ]
     yield f"held by: {listed(each)}; without these points the aim '{solved.aim.name}' would be better met"
-    if solved.aim.name == MOST and solved.sensitivity.covariance.any():
+    if solved.sensitivity.drawn:
         yield (
             f"the covariance of the pose is that of {DRAWS} fits to points with drawn errors, which exchange the "
             "points that hold it"

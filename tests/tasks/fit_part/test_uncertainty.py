@@ -129,13 +129,13 @@ def test_a_shift_of_all_points_is_a_shift_of_the_pose_in_each_draw(tmp_path: Pat
     one, part = casting(33), ideal_of(tmp_path)
     stock = Stock(part, one.points, np.array([part.names.index(name) for name in one.surface]))
     near = poses.inverse(poses.pose_from_euler(one.pose[:3], one.pose[3:]))
-    _, fit = fitted_part(stock, "most", 0.5, most(stock, near), np.zeros(6))
+    aim, fit = fitted_part(stock, "most", 0.5, most(stock, near), np.zeros(6))
     shift = np.broadcast_to(np.eye(3), (len(one.points), 3, 3))
     places = Places(one.points, shift, 0.04 * np.eye(3), 9e-4 * shift)
-    found = sensitivity_of_draws(fit, places)
+    found = sensitivity_of_draws(fit, aim, np.zeros(6), places)
     moved = of_result(fit) @ found.by_common
     assert moved[:3] == pytest.approx(np.eye(3), abs=1e-6) and np.abs(moved[3:]).max() < 1e-8
-    alone = sensitivity_of_draws(fit, Places(one.points, shift[:, :, :0], np.zeros((0, 0)), 9e-4 * shift))
+    alone = sensitivity_of_draws(fit, aim, np.zeros(6), Places(one.points, shift[:, :, :0], np.zeros((0, 0)), 9e-4 * shift))
     # the shift moves the pose and nothing else: what remains is what independent errors do, by other draws
     size = np.sqrt(np.diag(alone.own))
     assert np.sqrt(np.diag(found.own)) == pytest.approx(size, rel=0.15)
