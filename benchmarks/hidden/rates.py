@@ -103,7 +103,7 @@ def _rate(what: str, cases: Iterable[Found], test: Test, least: float = 0.0, mos
 
 
 def _named(one: Found) -> bool:
-    return bool(one.diagnosis.findings)
+    return bool(one.diagnosis.findings or one.diagnosis.scatters)
 
 
 def _detected(one: Found) -> bool:
@@ -137,7 +137,7 @@ def rates(results: Sequence[Found]) -> Iterator[Rate]:
         groups.setdefault(one.case.scenario, []).append(one)
     nulls = [one for one in results if not one.case.hidden]
     yield _rate("false name, all without an effect", nulls, _named, most=0.05)
-    shown: Test = lambda one: any(f.gain.shown for f in one.diagnosis.findings)  # noqa: E731
+    shown: Test = lambda one: any(f.gain.shown for f in (*one.diagnosis.findings, *one.diagnosis.scatters))  # noqa: E731
     yield _rate("false name with a gain that is shown", nulls, shown, most=0.01)
     for scenario, cases in groups.items():
         if not cases[0].case.hidden:

@@ -27,6 +27,8 @@ _TUKEY = 4.685
 """Tuning constant of Tukey's biweight: 95 % efficiency for normal errors"""
 _POWER_80 = 0.8416212335729143
 """Normal quantile of a power of 80 %"""
+_CONTROLLED = 1e-6
+"""Redundancy below which a reading is uncontrolled"""
 _ODDS = 6.0
 """Difference of two squared tests below which the odds are under e^3 = 20 to 1"""
 _SAME = 0.99
@@ -125,13 +127,16 @@ def critical_value(tests: int, level: float = 0.05) -> float:
     return normal_bound(level / (2 * max(tests, 1)))
 
 
-def detected(critical: float) -> float:
-    """Return the non-centrality at which |w| exceeds its critical value with 80 % power (Baarda 1968).
+def minimal_detectable(found: Residuals, critical: float, noise: float = 1.0) -> Array:
+    """Return the error of each reading that is found with 80 % power, (d, n); inf if the reading is uncontrolled.
 
-    It is `critical + 0.84`; times `sigma / sqrt(r)` it is the minimal detectable error of a reading with redundancy r.
-    The chance of an exceedance on the other side is below 1e-6 and left out.
+    It is `(critical + 0.84) noise sigma / sqrt(r)` for the test `|w| > critical noise` (Baarda 1968), r the redundancy.
+    `noise` is that of the readings in units of the declared one, as the test takes it: residuals larger than declared
+    raise its bound. The chance of an exceedance on the other side is below 1e-6 and left out.
     """
-    return critical + _POWER_80
+    controlled = found.redundancy > _CONTROLLED
+    root = np.sqrt(np.where(controlled, found.redundancy, 1.0))
+    return np.where(controlled, (critical + _POWER_80) * noise * found.sigma / root, np.inf)
 
 
 def as_likely(squares: Array) -> Mask:

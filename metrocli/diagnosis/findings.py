@@ -14,11 +14,12 @@ from metrocli.diagnosis.extended_fit import (
 from metrocli.diagnosis.laws.search import Law
 from metrocli.diagnosis.mistakes import Mistaken
 from metrocli.diagnosis.noise import Noise, Unit
+from metrocli.diagnosis.processes import Process
 from metrocli.diagnosis.residual_structure import (
     PureError,
     RemainingStructure,
 )
-from metrocli.diagnosis.selection.all_of_a_kind import AllOfAKind
+from metrocli.diagnosis.searched import Scatter
 from metrocli.diagnosis.selection.confidence_set import NamedEffect
 from metrocli.diagnosis.wrong_readings import Outlier
 
@@ -52,16 +53,6 @@ class Finding:
 
 
 @dataclass(frozen=True)
-class Scatter:
-    """An effect that acts at all its places, with sizes that scatter about 0."""
-
-    found: AllOfAKind
-    gain: Gain
-    shift: float
-    """Largest change of the delivered result when it is taken into the model"""
-
-
-@dataclass(frozen=True)
 class Diagnosis:
     """The findings about the model of a job."""
 
@@ -87,6 +78,8 @@ class Diagnosis:
     """Effects at all places of a kind; all other findings are beside them"""
     laws: tuple[Law, ...] = ()
     """The simplest sums of terms that explain what no effect does, one for each number of terms"""
+    processes: tuple[Process, ...] = ()
+    """Smooth random errors that belong to the noise; all effects are found beside them"""
     limited: float | None = None
     """The limit of CPU time [s], if the search ended there"""
     interrupted: bool = False
@@ -106,6 +99,7 @@ class Diagnosis:
             return Verdict.MISTAKEN
         if self.left is not None:
             return Verdict.UNEXPLAINED
-        if not self.findings:
-            return Verdict.EXPLAINED if self.scatters else Verdict.CLEAN
-        return Verdict.INDISTINCT if any(one.effect.rivals for one in self.findings) else Verdict.EXPLAINED
+        if not self.findings and not self.scatters:
+            return Verdict.CLEAN
+        rivals = [one.effect.rivals for one in self.findings] + [one.found.rivals for one in self.scatters]
+        return Verdict.INDISTINCT if any(rivals) else Verdict.EXPLAINED

@@ -15,7 +15,7 @@ from metrocli.adjust.model.observations import Mask
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.linear.distributions import chi_interval, log_tail
 from metrocli.diagnosis.linear.fitted_columns import PRIOR, FittedColumns
-from metrocli.diagnosis.linear.projection import System
+from metrocli.diagnosis.linear.projection import FEWEST, READING, System
 
 _LEVEL = 1e-3
 """Level at which a unit counts as noisier or quieter, divided by the number of units"""
@@ -25,8 +25,6 @@ DECLARED_SIGMA = "given"
 """Key of a unit of prior values that the job states with a sigma, such as known points"""
 _LEAST = 0.1
 """Smallest factor on the standard deviation of prior values in one step"""
-_FEWEST = 10
-"""Fewest prior values of a group whose sigma is tested: fewer show too little of their spread"""
 
 
 @dataclass(frozen=True)
@@ -119,13 +117,11 @@ def _units(job: AdjustedJob, system: System) -> Iterator[tuple[str, str, Mask]]:
                     rows |= system.spread(group, (index == number).astype(float)) > 0
             if rows.any():
                 yield key, name, rows
+    for name, rows in system.of_several_groups():
+        yield READING, name, rows
     for group in job.model.groups:
-        if group.name in job.model.measured or group.observations.count < _FEWEST:
-            continue
-        start = system.first[group.name]
-        rows = np.zeros(system.rows, dtype=bool)
-        rows[start : start + group.observations.readings.size] = True
-        yield DECLARED_SIGMA, group.name, rows
+        if group.name not in job.model.measured and group.observations.count >= FEWEST:
+            yield DECLARED_SIGMA, group.name, system.rows_of(group)
 
 
 def log_tail_of_share(share: float, mean: float, variance: float) -> float:
@@ -173,7 +169,7 @@ def _ratio(system: System, fitted: FittedColumns, rows: Mask) -> float:
 
 def reweighted(job: AdjustedJob, weights: Mapping[str, Array], unit: Unit) -> dict[str, Array]:
     """Return factors on the whitened readings of each group that bring the noise of a unit to that of the others."""
-    if unit.key == DECLARED_SIGMA:
+    if unit.key in (DECLARED_SIGMA, READING):
         return {**weights, unit.name: weights.get(unit.name, np.ones(1)) / unit.ratio * _ones(job, unit.name)}
     place = job.model.places[unit.key]
     number = place.names.index(unit.name)

@@ -1,25 +1,27 @@
-"""The verdict as plain data: the output of `metrocli diagnose --json`, and the effects of the extended job."""
+"""The verdict as plain data: the output of `metrocli diagnose --json`."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
 from metrocli import units
-from metrocli.adjust.cluster_robust import FEWEST, STRUCTURED
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.cross_validation import Gain
 from metrocli.diagnosis.detectability import Candidate, Design, WrongReading
-from metrocli.diagnosis.findings import Diagnosis, Finding, Scatter
+from metrocli.diagnosis.findings import Diagnosis, Finding
 from metrocli.diagnosis.hidden_change import POWER, HiddenChange
 from metrocli.diagnosis.laws.definition import written
 from metrocli.diagnosis.laws.search import Law
 from metrocli.diagnosis.linear.candidates import Alternative
 from metrocli.diagnosis.mistakes import Mistaken
+from metrocli.diagnosis.processes import Process
 from metrocli.diagnosis.residual_structure import RemainingStructure
+from metrocli.diagnosis.searched import Scatter
 from metrocli.diagnosis.selection.confidence_set import NamedEffect, Rival
 from metrocli.diagnosis.status import UNCHECKED, Status, reason, status, usual_seen
 from metrocli.diagnosis.wrong_readings import Outlier
@@ -50,10 +52,22 @@ def as_data(diagnosis: Diagnosis) -> dict[str, Any]:
         "together": None if diagnosis.together is None else _gain(diagnosis.together, diagnosis.job),
         "structure": {"before": diagnosis.before, "after": diagnosis.after},
         "unexplained": None if left is None else _left(diagnosis.job, left),
+        "processes": [_process(diagnosis.job, one) for one in diagnosis.processes],
         "laws": [_law(diagnosis.job, one) for one in diagnosis.laws],
         "candidates": candidates(diagnosis.job, diagnosis.design, [f.effect for f in diagnosis.findings]),
         "alike": alike(diagnosis.design),
         "separate_by": list(diagnosis.separate_by),
+    }
+
+
+def _process(job: AdjustedJob, process: Process) -> dict[str, Any]:
+    unit = units.find_unit(*job.reading)
+    return {
+        "depends_on": process.covariate,
+        "of_each": process.by or None,
+        "length": process.length,
+        "std": {"value": unit.outside(process.std), "std": unit.outside(process.spread), "unit": unit.symbol},
+        "p_value": float(np.exp(process.log_level)),
     }
 
 
@@ -80,17 +94,19 @@ def _law(job: AdjustedJob, law: Law) -> dict[str, Any]:
 
 def _shown(job: AdjustedJob, law: Law) -> dict[str, Any] | None:
     """Return a law at each reading, and the readings without it, over its variable."""
-    found, unit = law.data, units.find_unit(*job.reading)
+    found = law.data
     if found is None:
         return None
-    size = unit.inside(1.0)
+    size, symbol = units.column_unit(float(np.abs(found.law).max()), found.adds_unit)
+    curve = found.curve and {"x": _short(found.curve[0]), "law": _short(found.curve[1] / size)}
     return {
         "variable": found.variable,
         "variable_unit": found.unit,
         "x": _short(found.x if found.variable else found.x / size),
         "law": _short(found.law / size),
         "residual": _short(found.residual / size),
-        "unit": unit.symbol,
+        "unit": symbol,
+        "curve": curve,
     }
 
 
@@ -135,7 +151,7 @@ def _scatter(job: AdjustedJob, one: Scatter) -> dict[str, Any]:
         "where": {},
         "parameters": {"std": {"value": one.found.std, "std": one.found.spread, "unit": effect.parameters[0].unit}},
         "p_value": float(np.exp(one.found.log_level)),
-        "alternatives": [],
+        "alternatives": [asdict(rival) for rival in one.found.rivals],
         "instead_of": list(one.found.instead_of),
         "other_shape_from": None,
         "gain": _gain(one.gain, job) | {"result_shift": _delivered(job, one.shift)},
@@ -268,32 +284,3 @@ def alike(design: Design) -> list[dict[str, Any]]:
         }
         for pair in design.pairs
     ]
-
-
-def scatter_as_job(one: Scatter) -> Mapping[str, str]:
-    """Return the entry of an effect at all places of a kind in a job."""
-    effect = one.found.effect
-    return {"name": effect.name, "std": _written(float(f"{one.found.std:.3g}"), effect.parameters[0].unit)}
-
-
-def proposed_noise(diagnosis: Diagnosis) -> str:
-    """Return the noise that the extended job takes, so that uncertainties include the structure left; else ''."""
-    job = diagnosis.job
-    wanted = diagnosis.left is not None and job.sharing >= FEWEST and job.noise_model != STRUCTURED
-    return STRUCTURED if wanted else ""
-
-
-def as_job(name: NamedEffect) -> Mapping[str, str]:
-    """Return the entry of an effect in a job: to be estimated, with scanned parameters and those taken as 0."""
-    alternative = name.alternative
-    effect = alternative.effect
-    known = {p.name: p for p in effect.all_parameters}
-    found = {"name": effect.name, **dict(zip(effect.keys, alternative.instance, strict=True))}
-    if effect.by:
-        found["by"] = effect.by
-    numbers = {key: _written(value, known[key].unit) for key, value in name.known.items() if not known[key].place}
-    return found | dict(alternative.named) | numbers
-
-
-def _written(value: float, unit: str) -> str:
-    return f"{value:.10g} {unit}" if unit not in ("", "1") else f"{value:.10g}"

@@ -108,6 +108,8 @@ class Effect:
     """Whether its parameters form a vector that turns with the frame of a free network"""
     of_one_reading: bool = False
     """Whether it spoils a single reading; `diagnose` finds such an effect as an outlier"""
+    of_all: str = ""
+    """The cause where it acts at all places of its kind, with sizes that scatter about 0; empty if none is usual"""
     definition: str = ""
     """For an effect of one's own: its definition, one line of YAML"""
 

@@ -11,7 +11,8 @@ from metrocli.plots.style import Canvas
 from metrocli.result import Result
 
 _PER_MM = 1e3
-_FIGURES = "AREBM"
+_FIGURES = ("A", "R", "E", "B", "M")
+_ONE_WAY = ("A_up", "R_up", "E_up", "A_down", "R_down", "E_down")
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,7 @@ class Line:
     s_down: Array
     """(n,) µm: standard deviation; nan with one run"""
     figures: tuple[tuple[str, float], ...]
-    """A, R, E, B, M in µm; nan where a direction has one run"""
+    """A, R, E, B, M in µm, nan where a direction has one run; those of one direction if there is no other"""
 
 
 def data(result: Result, about: str) -> tuple[Line, ...] | None:
@@ -43,7 +44,9 @@ def data(result: Result, about: str) -> tuple[Line, ...] | None:
         key = [table.texts(name)[row] for name in ("axis", "at", "line")]
         own = np.logical_and.reduce([column == one for column, one in zip(names, key, strict=True)])
         up, down, s_up, s_down = (targets.numbers(name)[own] * _PER_MM for name in ("up", "down", "s_up", "s_down"))
-        figures = tuple((letter, float(table.numbers(letter)[row]) * _PER_MM) for letter in _FIGURES)
+        both = np.isfinite(up).all() and np.isfinite(down).all()
+        letters = _FIGURES if both else _ONE_WAY
+        figures = tuple((letter, float(table.numbers(letter)[row]) * _PER_MM) for letter in letters)
         name = ", ".join(filter(None, key[1:]))
         found.append(Line(key[0], name, targets.numbers("position")[own], up, down, s_up, s_down, figures))
     return tuple(found) or None
@@ -60,6 +63,8 @@ def draw(canvas: Canvas, found: tuple[Line, ...]) -> str:
     for axes, line in zip(canvas.axes(len(found), 1), found, strict=True):
         sides = (("up ↑", line.up, line.s_up, theme.first, "o"), ("down ↓", line.down, line.s_down, theme.second, "s"))
         for name, mean, spread, colour, marker in sides:
+            if not np.isfinite(mean).any():
+                continue
             axes.plot(line.position, mean, marker=marker, ms=3.5, color=colour, label=f"mean {name}")
             if np.isfinite(spread).all():
                 axes.fill_between(line.position, mean - 2 * spread, mean + 2 * spread, color=colour, alpha=0.18, lw=0)

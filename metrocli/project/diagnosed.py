@@ -16,10 +16,10 @@ from metrocli.diagnosis.adjusted_job import AdjustedJob, Ordered
 from metrocli.diagnosis.detectability import Design
 from metrocli.diagnosis.diagnose import LIMIT, Attended, diagnose, no_interrupt, what_can_be_seen
 from metrocli.diagnosis.findings import Diagnosis
+from metrocli.diagnosis.job_entries import as_job, proposed_noise, scatter_as_job
 from metrocli.diagnosis.laws.definition import as_define, as_wanted
 from metrocli.diagnosis.laws.search import Law
 from metrocli.diagnosis.mistakes import without_mistakes
-from metrocli.diagnosis.verdict import as_job, proposed_noise, scatter_as_job
 from metrocli.errors import Fault, InputError, NotConvergedError, UndeterminedError, UsageError
 from metrocli.formats.aside import written_aside
 from metrocli.nodes import Node

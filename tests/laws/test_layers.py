@@ -44,7 +44,7 @@ INSIDE = {
     "adjust": [{"coupled_fields", "iterated_weights", "robust", "dense_jacobian"}, {"adjustment"}, {"*"}, {"model"}],
     "effects": [{"own"}, {"links"}, {"*"}],
     "diagnosis": [
-        {"verdict", "next_readings"},
+        {"verdict", "job_entries", "next_readings"},
         {"diagnose"},
         {"findings"},
         {"laws"},

@@ -143,6 +143,16 @@ def test_an_export_refuses_it_unless_accepted_and_then_says_so(job: Path, metroc
     assert Path("results/line.doubtful.txt").read_text().startswith("sigma0 = 3.16")
 
 
+def test_who_looks_at_its_numbers_is_told(job: Path, metrocli: Callable[..., Any]) -> None:
+    """A table, or a difference to another result, has standard uncertainties that the residuals contradict."""
+    metrocli("straight-line", job, "--set", "noise=30 um")
+    result = "results/line.h5"
+    for command in (["show", result, "--table", "residuals"], ["compare", result, result], ["compare", *3 * [result]]):
+        shown = metrocli(*command)
+        assert shown.code == 0
+        assert f"warning: {result} is not fit for use: sigma0 = 3.16" in shown.err
+
+
 def test_strict_makes_warnings_faults(job: Path, metrocli: Callable[..., Any]) -> None:
     Path("readings.csv").write_text("point,x_mm,y_mm,colour\na,0,1\nb,1,2\nc,2,3.1\n".replace(",1\n", ",1,red\n"))
     Path("readings.csv").write_text("point,x_mm,y_mm,colour\na,0,1,red\nb,1,2,red\nc,2,3.1,red\n")

@@ -16,9 +16,11 @@ from metrocli.diagnosis.adjusted_job import AdjustedJob
 from metrocli.diagnosis.cross_validation import Gain
 from metrocli.diagnosis.detectability import Design
 from metrocli.diagnosis.extended_fit import Size
-from metrocli.diagnosis.findings import Diagnosis, Finding, Scatter
-from metrocli.diagnosis.noise import DECLARED_SIGMA
-from metrocli.diagnosis.verdict import proposed_noise
+from metrocli.diagnosis.findings import Diagnosis, Finding
+from metrocli.diagnosis.job_entries import proposed_noise
+from metrocli.diagnosis.linear.projection import READING
+from metrocli.diagnosis.noise import DECLARED_SIGMA, Unit
+from metrocli.diagnosis.searched import Scatter
 from metrocli.diagnosis.wrong_readings import Outlier
 
 _SHOWN = 5
@@ -44,7 +46,7 @@ def of_diagnosis(diagnosis: Diagnosis, extended: Path | None) -> str:
         parts.append(text_table(_HEAD, [*rows, *together]))
     if diagnosis.outliers:
         parts.append(list(_wrong(diagnosis.outliers)))
-    parts.append([*_structure(diagnosis), *_noise(diagnosis)])
+    parts.append([*_structure(diagnosis), *_processes(diagnosis), *_noise(diagnosis)])
     if diagnosis.laws:
         parts.append(list(law_lines(diagnosis)))
     parts += [list(_about_scatter(one)) for one in diagnosis.scatters]
@@ -79,9 +81,16 @@ def _headline(diagnosis: Diagnosis) -> str:
     """Return the verdict with what limits it: wrong readings, and noise that is not as declared."""
     noise, count = diagnosis.noise, len(diagnosis.outliers)
     wrong = f", with {count} wrong reading{'s' if count > 1 else ''}" if count else ""
-    if noise.as_declared or diagnosis.job.noise_model:
-        return f"{diagnosis.verdict}{wrong}"
-    return f"{diagnosis.verdict}{wrong}, but the noise is {noise.ratio:.2g} times what was declared"
+    as_declared = noise.as_declared or diagnosis.job.noise_model
+    limits = [] if as_declared else [f"the noise is {noise.ratio:.2g} times what was declared"]
+    limits += [_noisier(unit) for unit in diagnosis.noisier_units if unit.key != DECLARED_SIGMA]
+    return f"{diagnosis.verdict}{wrong}{', but ' if limits else ''}{', and '.join(limits)}"
+
+
+def _noisier(unit: Unit) -> str:
+    """Return in words that a unit is noisier, or quieter, than the others, relative to what is declared for each."""
+    name = unit.name if unit.key == READING else f"{unit.key} {unit.name}"
+    return f"{name} is {unit.ratio:.2g} times as noisy as the others"
 
 
 def of_design(adjusted: AdjustedJob, design: Design) -> str:
@@ -142,13 +151,24 @@ def _structure(diagnosis: Diagnosis) -> Iterator[str]:
     yield f"  No known effect explains it. The standard uncertainties of the result {include}{remedy}."
 
 
+def _processes(diagnosis: Diagnosis) -> Iterator[str]:
+    for one in diagnosis.processes:
+        size = units.sized(one.std, diagnosis.job.reading[1])
+        each = f" of each {one.by} by itself" if one.by else ""
+        yield f"error that varies smoothly with {one.covariate}{each}: {size} (standard deviation)"
+    if diagnosis.processes:
+        counted = "the named effects and detectable sizes hold" if diagnosis.findings else "detectable sizes hold"
+        yield f"  It is chance, not a cause, and counts as noise: {counted} beside it."
+
+
 def _noise(diagnosis: Diagnosis) -> Iterator[str]:
     noise, declared = diagnosis.noise, diagnosis.job.declared
     interval = f"{noise.ratio:.2f} [{noise.low:.2f}, {noise.high:.2f}]"
     if diagnosis.job.noise_model:
         yield f"noise: {interval} times the noise that the job estimates"
     elif noise.as_declared:
-        yield f"noise: as declared ({interval} times {declared})"
+        others = " for the others" if any(unit.key != DECLARED_SIGMA for unit in diagnosis.noisier_units) else ""
+        yield f"noise: as declared{others} ({interval} times {declared})"
     else:
         yield f"noise: {interval} times the declared noise ({declared})"
         yield "  The result's standard uncertainties are for the declared noise; `noise: estimated` takes the real."
@@ -162,7 +182,7 @@ def _noise(diagnosis: Diagnosis) -> Iterator[str]:
             what = unit.name.removeprefix("prior of ")
             yield f"  The given values of each {what} are off by {found:.2g} times their sigma: correct the sigma."
         else:
-            yield f"  {unit.key} {unit.name} is {unit.ratio:.2g} times as noisy as the others."
+            yield f"  {_noisier(unit)}, each relative to what is declared for it."
 
 
 def _about(finding: Finding) -> Iterator[str]:
@@ -181,8 +201,11 @@ def _about(finding: Finding) -> Iterator[str]:
 
 def _about_scatter(one: Scatter) -> Iterator[str]:
     effect, key = one.found.effect, one.found.effect.keys[0]
-    yield f"{effect.name} at every {key} ({one.found.places}): {effect.cause}"
-    yield f"  one scatter of all explains more than {len(one.found.instead_of)} of them one by one: {_listed(one)}"
+    yield f"{effect.name} at every {key} ({one.found.places}): {effect.of_all or effect.cause}"
+    if one.found.instead_of:
+        yield f"  one scatter of all explains more than {len(one.found.instead_of)} of them one by one: {_listed(one)}"
+    else:
+        yield "  none of them stands out of the scatter of all"
 
 
 def _listed(one: Scatter) -> str:
@@ -197,7 +220,7 @@ def _row_of_scatter(one: Scatter, adjusted: AdjustedJob) -> tuple[str, ...]:
         f"{effect.name} at every {effect.keys[0]}",
         _parameter(std),
         _chance(float(np.exp(one.found.log_level))),
-        "",
+        ", ".join(map(str, one.found.rivals)),
         _reduction(one.gain),
         _score(one.gain),
         units.sized(one.shift, adjusted.delivered.dimension),

@@ -10,6 +10,7 @@ import click
 from metrocli.cli import options
 from metrocli.cli.console import echo
 from metrocli.cli.look import requirement
+from metrocli.cli.look.held import held
 
 if TYPE_CHECKING:
     from metrocli.record import Record
@@ -40,11 +41,10 @@ def command(
         return repeated.sets(files, days, require, as_json) if sets else repeated.series(files, days, require, as_json)
     (second,) = others
     from metrocli.cli import summary
-    from metrocli.formats import hdf5
     from metrocli.uncertainty.comparison import compare
 
     wanted = requirement.read(require, FIGURES)
-    (one, of_one), (other, of_other) = hdf5.read(first), hdf5.read(second)
+    (one, of_one), (other, of_other) = held(first), held(second)
     found, shared = compare(one, other), _shared(of_one, of_other)
     echo(summary.as_json(_figures(found, shared)) if as_json else _text(found, shared))
     return 0 if wanted is None else wanted.exit_code(found)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from metrocli.cli.console import echo
 from metrocli.cli.look import requirement
+from metrocli.cli.look.held import held
 
 if TYPE_CHECKING:
     from metrocli.uncertainty.repeated import Repeated
@@ -21,12 +22,11 @@ FEWEST = 3
 def series(files: tuple[Path, ...], days: str | None, require: str | None, as_json: bool) -> int:
     """Print drift, pooled scatter and E_n against the first of several calibrations; return the exit code."""
     from metrocli.cli import summary
-    from metrocli.formats import hdf5
     from metrocli.uncertainty.repeated import repeated
 
     wanted = requirement.read(require, OF_SERIES)
     times, time = _times(days, len(files))
-    found = repeated([hdf5.read(file)[0] for file in files], times)
+    found = repeated([held(file)[0] for file in files], times)
     echo(
         summary.as_json(_figures_of_series(found, files, times, time))
         if as_json
@@ -92,11 +92,10 @@ def sets(files: tuple[Path, ...], days: str | None, require: str | None, as_json
     if days is not None or len(files) < FEWEST:
         raise UsageError("--sets takes three or more results, and no --days")
     from metrocli.cli import summary
-    from metrocli.formats import hdf5
     from metrocli.uncertainty.repeated_sets import repetition
 
     wanted = requirement.read(require, OF_SETS)
-    found = repetition([hdf5.read(file)[0] for file in files])
+    found = repetition([held(file)[0] for file in files])
     echo(summary.as_json(_figures_of_sets(found)) if as_json else _text_of_sets(found))
     return 0 if wanted is None else wanted.exit_code(found)
 

@@ -12,9 +12,9 @@ import click
 from metrocli.cli import options
 from metrocli.cli.console import echo
 from metrocli.cli.look import requirement
+from metrocli.cli.look.held import held
 
 if TYPE_CHECKING:
-    from metrocli.record import Record
     from metrocli.result import Result
     from metrocli.table import Table
     from metrocli.uncertainty.length_errors import LengthError
@@ -40,32 +40,32 @@ FIGURES = ("max_en", "inside", "mpe_ratio")
 def command(result: Path, check: Path, aligned: bool, mpe: str | None, require: str | None, as_json: bool) -> int:
     """Print the deviations, measured minus predicted; raises UsageError for a wrong condition."""
     from metrocli.cli import summary
-    from metrocli.formats import csv, hdf5
+    from metrocli.formats import csv
     from metrocli.formats.csv_text import read_text, taken_apart
     from metrocli.uncertainty.length_errors import length_errors, permitted
     from metrocli.uncertainty.verification import columns_for, verify
 
     wanted = requirement.read(require, FIGURES if mpe else FIGURES[:2])
     limit = None if mpe is None else permitted(mpe)
-    held, record = hdf5.read(result)
+    calibrated, _ = held(result)
     header = taken_apart(read_text(check, str(check)), str(check)).header
-    table = csv.read(check, columns_for(held, header))
-    found = verify(held, table, aligned)
+    table = csv.read(check, columns_for(calibrated, header))
+    found = verify(calibrated, table, aligned)
     tested = () if limit is None else length_errors(found.deviations, table, limit)
-    for remark in _remarks(held, record, table):
+    for remark in _remarks(calibrated, table):
         echo(f"warning: {remark}", err=True)
     if as_json:
         echo(summary.as_json(_figures(found) | _length_figures(tested)))
     else:
-        echo("\n".join([_text(found, held.degrees_of_freedom()), *_length_text(tested)]))
+        echo("\n".join([_text(found, calibrated.degrees_of_freedom()), *_length_text(tested)]))
     if wanted is None:
         return 0
     return wanted.exit_code(_Ratio(_largest(tested)) if wanted.figure == "mpe_ratio" else found)
 
 
-def _remarks(result: Result, record: Record, check: Table) -> list[str]:
+def _remarks(result: Result, check: Table) -> list[str]:
     """Return what the reader has to know of the file, the result and the uncertainties."""
-    remarks = [*check.warnings, *(f"the result is not fit for use: {reason}" for reason in record.reasons)]
+    remarks = [*check.warnings]
     if "sigma" not in check:
         remarks.append("no column 'sigma_mm': U does not contain the uncertainty of the check")
     names = sorted({name.split("/")[1] for name in result.tables if name.startswith("effects/")})

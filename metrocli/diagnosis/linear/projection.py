@@ -9,7 +9,7 @@ Method: docs/algorithms/selection-and-levels.md.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -25,6 +25,10 @@ from metrocli.effects.model import Model
 
 VISIBLE = 1e-6
 """Share of a signature below which its visible part is a rounding error"""
+READING = "reading"
+"""Kind of place whose names are the groups of readings, each with a declared noise of its own"""
+FEWEST = 10
+"""Fewest readings, or prior values, of a group whose noise is tested: fewer show too little of their spread"""
 FLAT = 1e-8
 """Smallest eigenvalue of a Gram matrix, relative to the largest, of a visible direction of the parameters"""
 MOST_NUMBERS = 60_000_000
@@ -71,6 +75,20 @@ class System:
         for group in self.model.readings:
             mask[self.first[group.name] : self.first[group.name] + group.observations.readings.size] = True
         return mask
+
+    def rows_of(self, group: Group) -> Mask:
+        """Return the rows of a group."""
+        mask = np.zeros(self.rows, dtype=bool)
+        mask[self.first[group.name] : self.first[group.name] + group.observations.readings.size] = True
+        return mask
+
+    def of_several_groups(self) -> Iterator[tuple[str, Mask]]:
+        """Yield name and rows of each group of readings, if there are several, such as encoders and distances.
+
+        Groups of few readings, which show too little of their noise, are left out.
+        """
+        groups = self.model.readings if self.model.readings[1:] else ()
+        yield from ((group.name, self.rows_of(group)) for group in groups if group.observations.count >= FEWEST)
 
     @cached_property
     def alike(self) -> Mask:

@@ -6,24 +6,45 @@ Method: docs/algorithms/selection-and-levels.md (all of a kind).
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from math import lgamma
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.diagnosis.linear.fitted_columns import FittedColumns
+from metrocli.diagnosis.linear.projection import READING, System
+from metrocli.diagnosis.linear.restricted_likelihood import RestrictedLikelihood
 from metrocli.diagnosis.linear.score_tests import ScoreTests
 from metrocli.diagnosis.selection.selection_state import Chosen, Selection
+from metrocli.diagnosis.selection.thresholds import LATER
 from metrocli.effects.effect import Effect
 from metrocli.effects.extension import can_act_everywhere
 
 _FEWEST = 3
-"""Fewest named instances of an effect beside which all of its kind are considered"""
-_SEEN = 1e-4
-"""Smallest eigenvalue of a direction that counts, relative to the largest"""
-_GRID = np.linspace(-14.0, 14.0, 113)
-"""Logarithms of the ratio of variances that are tried, relative to the one at which both parts are equal"""
+"""Fewest named instances of an effect beside which all of its kind are considered, whatever its cause"""
+_PLACES = 6
+"""Fewest places whose scatter is looked for though fewer instances are named"""
+_MOST = 2e10
+"""Largest product of rows and squared columns for that, a few seconds of CPU time"""
+_AS_MUCH = float(np.log(20.0))
+"""Difference of log-likelihoods up to which two scatters explain the readings alike"""
+
+
+@dataclass(frozen=True)
+class Instead:
+    """Another scatter that explains the readings as well."""
+
+    name: str
+    """Of an effect at all its places, or `noise`"""
+    where: Mapping[str, str]
+    """The group of readings that has a noise of its own; empty for an effect"""
+    odds: float
+    """Ratio of its likelihood to that of the scatter that was found"""
+
+    def __str__(self) -> str:
+        return f"{self.name} of {self.where[READING]}" if self.where else f"{self.name} everywhere"
 
 
 @dataclass(frozen=True)
@@ -41,6 +62,7 @@ class AllOfAKind:
     """Places that were named one by one before"""
     places: int
     """Number of all its places"""
+    rivals: tuple[Instead, ...] = ()
 
 
 def all_of_a_kind(selection: Selection) -> AllOfAKind | None:
@@ -51,31 +73,116 @@ def all_of_a_kind(selection: Selection) -> AllOfAKind | None:
     with `S = sum y^2 / (1 + g d) + the rest`. Evidence counts each named instance with its parameters and its choice
     among all places, and the scatter as one parameter (Schwarz 1978).
     """
-    test_set = selection.test_set
-    names = Counter(test_set.families[one.family].name for one in selection.named)
+    names = Counter(selection.test_set.families[one.family].name for one in selection.named)
     for name, count in names.most_common():
-        own = [one for one in selection.named if test_set.families[one.family].name == name]
-        effect = test_set.alternative(own[0].family, own[0].number).effect
-        if count >= _FEWEST and can_act_everywhere(test_set.system.model, effect):
-            found = _compared(selection, own, effect)
+        effect = _effect(selection.test_set, name)
+        if count >= _FEWEST and can_act_everywhere(selection.test_set.system.model, effect):
+            found = _compared(selection, effect, _instances(selection, effect))
             if found is not None:
                 return found
     return None
 
 
-def _compared(selection: Selection, own: list[Chosen], effect: Effect) -> AllOfAKind | None:
+def scattered_throughout(selection: Selection) -> AllOfAKind | None:
+    """Return the effect whose scatter over all places is significant, though fewer than three instances are named.
+
+    Where all places are off, none stands out of what then passes for noise, and wrong readings, other effects or smooth
+    functions may be named for them: the scatter is held against all that was selected, else against the instances. Of
+    effects for which such a scatter is usual the likeliest is returned, with those as likely, if no noise of a group of
+    readings is likelier.
+    """
+    names = dict.fromkeys(family.name for family in selection.test_set.families)
+    usual = [_effect(selection.test_set, name) for name in names if _may_scatter(selection.test_set, name)]
+    of_all = _likeliest(selection, [(effect, selection.chosen) for effect in usual])
+    return of_all or _likeliest(selection, [(effect, _instances(selection, effect)) for effect in usual])
+
+
+def _likeliest(selection: Selection, wanted: Sequence[tuple[Effect, Sequence[Chosen]]]) -> AllOfAKind | None:
+    """Return the likeliest scatter instead of members of the selection, with what else is as likely instead of them."""
+    compared = [(_compared(selection, effect, own), own) for effect, own in wanted]
+    found = sorted(((one, own) for one, own in compared if one is not None), key=lambda pair: pair[0].log_level)
+    if not found or found[0][0].log_level + np.log(len(wanted)) > np.log(LATER):
+        return None
+    best, own = found[0]
+    others: list[tuple[str, dict[str, str], float]] = [(one.effect.name, {}, one.log_level) for one, _ in found[1:]]
+    base = selection.fitted(without=own)
+    others += [("noise", {READING: name}, level) for name, level in _noise_of_groups(selection.test_set.system, base)]
+    ahead = [best.log_level - level for _, _, level in others]
+    if max(ahead, default=0.0) > _AS_MUCH:
+        return None
+    alike = zip(others, ahead, strict=True)
+    return replace(best, rivals=tuple(Instead(*one[:2], float(np.exp(by))) for one, by in alike if by > -_AS_MUCH))
+
+
+def estimated_again(found: AllOfAKind, selection: Selection) -> AllOfAKind:
+    """Return the scatter as it is beside another selection, such as the one that was found with it in the model.
+
+    What the first selection took for wrong readings or single instances may be part of the scatter.
+    """
+    base = selection.fitted()
+    scatter = RestrictedLikelihood.beside(base, _columns(selection.test_set, found.effect)[0])
+    return _with_size(found, scatter, base.dof)
+
+
+def _with_size(found: AllOfAKind, scatter: RestrictedLikelihood, dof: float) -> AllOfAKind:
+    best = scatter.best()
+    std = float(np.sqrt(np.exp(best) * scatter.squares(best) / dof))
+    return replace(found, std=std, spread=std * scatter.relative_spread(best), log_level=scatter.log_level(best))
+
+
+def _may_scatter(test_set: ScoreTests, name: str) -> bool:
+    own = [family for family in test_set.families if family.name == name and not family.unknown]
+    if not own or not own[0].alternatives[0].effect.of_all:
+        return False
+    places = sum(len(family.alternatives) for family in own)
+    columns = places * len(own[0].alternatives[0].effect.parameters)
+    return (
+        places >= _PLACES
+        and test_set.system.rows * columns**2 <= _MOST
+        and can_act_everywhere(test_set.system.model, own[0].alternatives[0].effect)
+    )
+
+
+def _noise_of_groups(system: System, base: FittedColumns) -> Iterator[tuple[str, float]]:
+    """Yield each of several groups of readings with ln of the level of a noise of its own."""
+    for name, rows in system.of_several_groups():
+        unit = np.zeros((system.rows, int(rows.sum())))
+        unit[rows, np.arange(unit.shape[1])] = 1.0
+        scatter = RestrictedLikelihood.beside(base, system.seen(unit))
+        yield name, scatter.log_level(scatter.best())
+
+
+def _effect(test_set: ScoreTests, name: str) -> Effect:
+    return next(f for f in test_set.families if f.name == name and not f.unknown).alternatives[0].effect
+
+
+def _instances(selection: Selection, effect: Effect) -> list[Chosen]:
+    """Return the selected instances of an effect."""
+    return [one for one in selection.named if selection.test_set.families[one.family].name == effect.name]
+
+
+def _compared(selection: Selection, effect: Effect, own: Sequence[Chosen]) -> AllOfAKind | None:
+    """Return the scatter of an effect if it has more evidence than some members of the selection."""
     test_set, base, full = selection.test_set, selection.fitted(without=own), selection.fitted()
     columns, places = _columns(test_set, effect)
-    scatter = _Scatter.of(base, columns)
+    scatter = RestrictedLikelihood.beside(base, columns)
     best = scatter.best()
     singly = -(base.dof * np.log(full.squares) + (base.dof - full.dof) * np.log(base.dof)) / 2
-    singly -= lgamma(places + 1) - lgamma(len(own) + 1) - lgamma(places - len(own) + 1)
+    singly -= _log_choices(selection, effect, own, places)
     if scatter.likelihood(best) - np.log(base.dof) / 2 < singly:
         return None
-    variance = scatter.squares(best) / base.dof
-    std = float(np.sqrt(np.exp(best) * variance))
-    names = ["/".join(test_set.alternative(one.family, one.number).instance) for one in own]
-    return AllOfAKind(effect, std, std * scatter.relative_spread(best), scatter.log_level(best), tuple(names), places)
+    named = _instances(selection, effect)
+    names = tuple("/".join(test_set.alternative(one.family, one.number).instance) for one in named)
+    return _with_size(AllOfAKind(effect, 0.0, 0.0, 0.0, names, places), scatter, base.dof)
+
+
+def _log_choices(selection: Selection, effect: Effect, own: Sequence[Chosen], places: int) -> float:
+    """Return ln of the number of ways to choose members: instances among places, others among all that is tried."""
+    test_set, named = selection.test_set, len(_instances(selection, effect))
+    others = [one for one in own if one.outlier or test_set.families[one.family].name != effect.name]
+    tries = sum(float(np.log(test_set.tests[one.family] * test_set.causes)) for one in others)
+    alike = sum(one.outlier for one in others)
+    return lgamma(places + 1) - lgamma(named + 1) - lgamma(places - named + 1) + tries - lgamma(alike + 1)
 
 
 def _columns(test_set: ScoreTests, effect: Effect) -> tuple[Array, int]:
@@ -84,62 +191,3 @@ def _columns(test_set: ScoreTests, effect: Effect) -> tuple[Array, int]:
     counts = [len(test_set.families[i].alternatives) for i in own]
     columns = [test_set.all_visible(i, range(count)) for i, count in zip(own, counts, strict=True)]
     return np.concatenate([one.reshape(len(one), -1) for one in columns], axis=1), sum(counts)
-
-
-@dataclass(frozen=True)
-class _Scatter:
-    """The restricted likelihood of a variance ratio."""
-
-    eigenvalues: Array
-    along: Array
-    """Squared coordinates of the residual along the eigenvectors"""
-    rest: float
-    dof: float
-
-    @classmethod
-    def of(cls, base: FittedColumns, columns: Array) -> _Scatter:
-        """Return it for the columns of all places beside a fit."""
-        left = base.beside(columns)
-        values, vectors = np.linalg.eigh(left.T @ left)
-        seen = values > _SEEN * max(float(values[-1]), 1e-300)
-        along = (vectors[:, seen].T @ (left.T @ base.residual)) ** 2 / values[seen]
-        return cls(values[seen], along, max(base.squares - float(along.sum()), 1e-300), base.dof)
-
-    def squares(self, log_ratio: float) -> float:
-        """Return S at a ratio of variances."""
-        return float((self.along / (1 + np.exp(log_ratio) * self.eigenvalues)).sum()) + self.rest
-
-    def likelihood(self, log_ratio: float) -> float:
-        """Return the restricted log-likelihood, on the scale of the evidence of a selection."""
-        grown = float(np.log1p(np.exp(log_ratio) * self.eigenvalues).sum())
-        return -(self.dof * float(np.log(self.squares(log_ratio))) + grown) / 2
-
-    def best(self) -> float:
-        """Return ln of the ratio of variances with the largest likelihood."""
-        tried = _GRID - float(np.log(np.median(self.eigenvalues)))
-        low, high = self._around(tried)
-        for _ in range(40):
-            third = (high - low) / 3
-            if self.likelihood(low + third) < self.likelihood(high - third):
-                low += third
-            else:
-                high -= third
-        return (low + high) / 2
-
-    def _around(self, tried: Array) -> tuple[float, float]:
-        at = int(np.argmax([self.likelihood(float(one)) for one in tried]))
-        return float(tried[max(at - 1, 0)]), float(tried[min(at + 1, len(tried) - 1)])
-
-    def relative_spread(self, log_ratio: float) -> float:
-        """Return the relative standard uncertainty of the standard deviation, from the curvature of the likelihood."""
-        step = 0.05
-        middle = self.likelihood(log_ratio)
-        bend = (self.likelihood(log_ratio + step) + self.likelihood(log_ratio - step) - 2 * middle) / step**2
-        return float(0.5 / np.sqrt(max(-bend, 1e-12)))
-
-    def log_level(self, log_ratio: float) -> float:
-        """Return ln of the level of the likelihood ratio test: half a chi-squared with one degree of freedom."""
-        from scipy.special import log_ndtr
-
-        gain = 2 * (self.likelihood(log_ratio) + self.dof * float(np.log(self.rest + self.along.sum())) / 2)
-        return float(log_ndtr(-np.sqrt(max(gain, 0.0))))

@@ -45,6 +45,7 @@ def _moved_target(frame: Quantity) -> Effect:
         lambda block, where: Shift(block, frame),
         where=("target",),
         confused_with=("target-plane-bend",),
+        of_all="the list of targets is uncertain throughout: printed, or measured less well than it states",
         usual="0.01 to 5 mm",
         reveal="this target measured again, or seen in more views from other sides",
         source="Baarda 1968 (test of a group of readings)",

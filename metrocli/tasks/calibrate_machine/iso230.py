@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from math import ceil
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from metrocli.adjust.model.blocks import Array
+from metrocli.adjust.model.observations import Index
 from metrocli.table import Table
 from metrocli.tasks.calibrate_machine.acceptance.positioning import FIGURES, Measured, at_each_target, expanded, figures
-from metrocli.words import listed
+from metrocli.words import in_a_row, listed
 
 if TYPE_CHECKING:
     from metrocli.table import Values
 
 _SAME = 0.01
 """Targets of two runs are the same within this [mm]"""
-_RUNS, _LONG = 5, 2000.0
-"""Runs in each direction that ISO 230-2:2014 asks for, on axes up to this travel [mm]"""
+_RUNS, _TARGETS, _LONG = 5, 5, 2000.0
+"""Runs in each direction, and targets per metre and at least, that ISO 230-2:2014 asks for on axes up to this travel"""
+_PER_METRE = 1000.0
+_CLAUSE = "ISO 230-2:2014 (5.3.2) asks for"
 
 
 @dataclass(frozen=True)
@@ -34,28 +38,33 @@ class Run:
     line: str = ""
     """Runs of one line have one zero"""
 
+    @property
+    def up(self) -> bool:
+        """Whether it goes in the positive direction."""
+        return bool(self.targets[-1] > self.targets[0])
+
 
 @dataclass(frozen=True)
 class _Line:
-    """The runs of one line in both directions, over the same targets."""
+    """The runs of one line over the same targets."""
 
     axis: str
     at: tuple[float, ...]
     name: str
     up: Array
-    """(runs, targets) [mm]"""
+    """(runs, targets) [mm]; no rows if no run goes up"""
     down: Array
     targets: Array
 
 
 def positioning(runs: Sequence[Run], known: Measured) -> tuple[Table | None, tuple[str, ...]]:
-    """Return the figures of each line along an axis with runs in both directions, with their U, and warnings.
+    """Return the figures of each line along an axis that was run more than once, with their U, and warnings.
 
-    Without such a line there is no table. Runs of several lines are not pooled, since each line has its own zero. A run
-    that lacks a target of the others is left out: the figures need all runs at each target.
+    Without such a line there is no table. Runs of several lines are not pooled, since each line has its own zero. The
+    figures need all runs at each target: targets that most runs lack, and then runs that lack a target, are left out.
     """
-    whole, lacking = _whole(runs)
-    warnings = (*lacking, *(line for one in whole for line in _too_few(one)), *_apart(_lines(runs)))
+    whole, left_out = _whole(runs)
+    warnings = (*left_out, *_too_few(whole), *_apart(_lines(runs)))
     if not whole:
         return None, warnings
     columns: dict[str, Values] = {
@@ -73,15 +82,68 @@ def positioning(runs: Sequence[Run], known: Measured) -> tuple[Table | None, tup
 
 
 def _whole(runs: Sequence[Run]) -> tuple[list[_Line], list[str]]:
-    """Return the lines with runs in both directions, and a warning for each run of theirs that is left out."""
+    """Return the lines that were run more than once, over common targets, and warnings of what is left out of them."""
     whole, warnings = [], []
     for axis, at, name in _lines(runs):
-        own, lacking = _complete([run for run in runs if (run.axis, run.at, run.line) == (axis, at, name)])
-        up, down = _both_ways(own)
-        if len(up) and len(down):
-            whole.append(_Line(axis, at, name, up, down, np.sort(own[0].targets)))
-            warnings += lacking
+        own = [run for run in runs if (run.axis, run.at, run.line) == (axis, at, name)]
+        if len(own) < 2:
+            continue
+        where = f"axis {axis}, line '{name}'"
+        targets, rare = _common(own)
+        if len(targets) < 2:
+            warnings.append(
+                f"{where}: no figures of ISO 230-2, since its {len(own)} runs have no two targets in common; "
+                "rows have to stand in the order of travel, and at a turn a target is read twice"
+            )
+            continue
+        places = [_places(run, targets) for run in own]
+        up, down = (
+            np.array(
+                [run.deviation[at] for run, at in zip(own, places, strict=True) if (at >= 0).all() and run.up == to]
+            )
+            for to in (True, False)
+        )
+        warnings += [
+            f"{where}: {one}; the figures of ISO 230-2 leave it out" for one in _left_out(targets, rare, places)
+        ]
+        if max(len(up), len(down)) > 1 or min(len(up), len(down)) > 0:
+            size = (-1, len(targets))
+            whole.append(_Line(axis, at, name, up.reshape(size), down.reshape(size), targets))
     return whole, warnings
+
+
+def _common(runs: Sequence[Run]) -> tuple[Array, Array]:
+    """Return the targets that more than half of the long runs have, in each direction, and the other targets.
+
+    A run is long if it has half as many targets as the longest.
+    """
+    every = np.unique(np.concatenate([run.targets for run in runs]))
+    targets = every[np.diff(every, prepend=-np.inf) > _SAME]
+    met = np.array([_places(run, targets) >= 0 for run in runs])
+    number = met.sum(axis=1)
+    long, up = 2 * number >= number.max(), np.array([run.up for run in runs])
+    sides = [met[long & (up == to)] for to in (True, False)]
+    common = np.logical_and.reduce([2 * side.sum(axis=0) > len(side) for side in sides if len(side)])
+    return targets[common], targets[~common]
+
+
+def _places(run: Run, targets: Array) -> Index:
+    """Return the place of each target in a run, -1 where the run lacks it."""
+    gap = np.abs(run.targets[:, None] - targets)
+    return np.where(gap.min(axis=0) <= _SAME, gap.argmin(axis=0), -1)
+
+
+def _left_out(targets: Array, rare: Array, places: Sequence[Index]) -> Iterator[str]:
+    """Yield what the figures of a line leave out: targets, and runs."""
+    if len(rare):
+        yield f"at most half of the runs in one direction have the target at {_in_mm(rare)}"
+    for number, at in enumerate(places, 1):
+        if (at < 0).any():
+            yield f"run {number} lacks the target {_in_mm(targets[at < 0])}"
+
+
+def _in_mm(targets: Array) -> str:
+    return in_a_row([f"{target:g} mm" for target in targets.tolist()])
 
 
 def _named(axis: str, at: Sequence[float]) -> str:
@@ -89,33 +151,8 @@ def _named(axis: str, at: Sequence[float]) -> str:
     return ", ".join(f"{other} = {place:g} mm" for other, place in zip(others, at, strict=False))
 
 
-def _complete(runs: Sequence[Run]) -> tuple[list[Run], list[str]]:
-    """Return the runs over all targets, ordered by target, and a warning for each that is left out."""
-    all_targets = np.sort(max(runs, key=lambda run: len(run.targets)).targets)
-    whole, lacking = [], []
-    for number, run in enumerate(runs, 1):
-        order = np.argsort(run.targets, kind="stable")
-        near = np.abs(run.targets[:, None] - all_targets).min(axis=0) <= _SAME
-        if near.all() and len(order) == len(all_targets):
-            whole.append(run)
-            continue
-        gone = [f"{target:g} mm" for target in all_targets[~near]]
-        why = f"lacks the target {listed(gone)}" if gone else "has other targets than the longest run"
-        lacking.append(f"axis {run.axis}, line '{run.line}': run {number} {why}; the figures of ISO 230-2 leave it out")
-    return whole, lacking
-
-
-def _both_ways(runs: Sequence[Run]) -> tuple[Array, Array]:
-    """Return the deviations (runs, targets) in the positive and in the negative direction, ordered by target."""
-    either: dict[bool, list[Array]] = {True: [], False: []}
-    for run in runs:
-        order = np.argsort(run.targets, kind="stable")
-        either[bool(run.targets[-1] > run.targets[0])].append(run.deviation[order])
-    return np.array(either[True]), np.array(either[False])
-
-
 def at_targets(runs: Sequence[Run]) -> Table | None:
-    """Return mean and standard deviation (nan of one run) in both directions at each target of the same lines."""
+    """Return mean and standard deviation (nan of one run) in each direction at each target of the same lines."""
     parts = []
     for one in _whole(runs)[0]:
         texts = {"axis": one.axis, "at": _named(one.axis, one.at), "line": one.name}
@@ -134,12 +171,28 @@ def _lines(runs: Sequence[Run]) -> list[tuple[str, tuple[float, ...], str]]:
     return list(dict.fromkeys((axis, run.at, run.line) for axis in "XYZ" for run in runs if run.axis == axis))
 
 
-def _too_few(line: _Line) -> list[str]:
-    """Return a warning if an axis of up to 2 m has fewer than five runs in a direction."""
-    up, down = len(line.up), len(line.down)
-    if min(up, down) >= _RUNS or float(np.ptp(line.targets)) > _LONG:
-        return []
-    return [f"axis {line.axis}: {up} runs up and {down} down; ISO 230-2:2014 asks for five in each direction"]
+def _too_few(lines: Sequence[_Line]) -> list[str]:
+    """Return warnings of axes of up to 2 m with fewer runs in a direction, or fewer targets, than the standard asks."""
+    runs: dict[tuple[str, int, int], list[str]] = {}
+    targets: dict[tuple[str, int, float], list[str]] = {}
+    for one in lines:
+        travel, up, down, count = float(np.ptp(one.targets)), len(one.up), len(one.down), len(one.targets)
+        if travel <= _LONG and min(up, down) < _RUNS:
+            runs.setdefault((one.axis, up, down), []).append(f"'{one.name}'")
+        if travel <= _LONG and count < max(_TARGETS, ceil(_TARGETS * travel / _PER_METRE)):
+            targets.setdefault((one.axis, count, travel), []).append(f"'{one.name}'")
+    return [
+        *(
+            f"axis {axis}, line {listed(names, 5)}: {up} run{'s' * (up != 1)} up and {down} down; {_CLAUSE} "
+            "five in each direction"
+            for (axis, up, down), names in runs.items()
+        ),
+        *(
+            f"axis {axis}, line {listed(names, 5)}: {count} targets over {travel:g} mm; {_CLAUSE} five per metre, and "
+            "at least five"
+            for (axis, count, travel), names in targets.items()
+        ),
+    ]
 
 
 def _apart(lines: Iterable[tuple[str, tuple[float, ...], str]]) -> list[str]:

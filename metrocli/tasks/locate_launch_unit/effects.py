@@ -213,6 +213,7 @@ EFFECTS: tuple[Effect, ...] = (
         tuple(_size(name, "length", "100 mm") for name in ("dx", "dy", "dz")),
         lambda block, where: Shift(block, Quantity.POINT_IN_MACHINE),
         where=("pose",),
+        of_all="the receiver is not at the listed positions: the machine's repeatability, or errors from pose to pose",
         usual="0.01 to 100 mm",
         reveal="this pose measured again, with a distance, since only that shows an error along the beam",
         source="Baarda 1968 (mean shift of the readings of one pose)",

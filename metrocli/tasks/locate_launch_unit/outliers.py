@@ -37,6 +37,8 @@ class Screened:
     outliers: tuple[Outlier, ...]
     critical: float
     """Bound of |w| for an outlier"""
+    noise: float
+    """Noise of the readings without outliers, in units of the declared one, at least 1: to it the tests refer"""
 
 
 def screened(solution: Solution, names: Sequence[str]) -> Screened:
@@ -56,8 +58,8 @@ def screened(solution: Solution, names: Sequence[str]) -> Screened:
         if fewer is None:
             break
         solution, found = fewer, [*found, worst]
-    unit = np.sqrt(max(solution.cost / solution.dof, 1.0)) if solution.dof > 0 else 1.0
-    return Screened(solution, tuple(replace(one, test=float(one.test / unit)) for one in found), critical)
+    noise = float(np.sqrt(max(solution.cost / solution.dof, 1.0))) if solution.dof > 0 else 1.0
+    return Screened(solution, tuple(replace(one, test=one.test / noise) for one in found), critical, noise)
 
 
 def _worst(solution: Solution, names: Sequence[str]) -> tuple[Outlier, int]:

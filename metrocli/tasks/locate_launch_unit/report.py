@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.groups import Group
-from metrocli.adjust.robust import detected
+from metrocli.adjust.robust import minimal_detectable
 from metrocli.adjust.solution import Residuals, residuals_of
 from metrocli.effects.estimates import estimates, free_blocks
 from metrocli.effects.estimates import tables as effect_results
@@ -37,8 +36,6 @@ if TYPE_CHECKING:
     from metrocli.table import Values
 
 UNITS = ("mm", "mm", "mm", "rad")
-_CONTROLLED = 1e-6
-"""Redundancy below which a reading is uncontrolled"""
 _TABLES = {"angles": tuple(lu.ENCODERS), "distances": (lu.DISTANCE,)}
 
 
@@ -66,7 +63,7 @@ def report(located: Located, method: str, noise: NoiseFound | None) -> Result:
     groups = {group.name: group for group in solution.groups}
     residuals = {
         table: _residuals(
-            [(groups[name], residuals_of(solution, groups[name])) for name in names if name in groups], located.critical
+            [(groups[name], residuals_of(solution, groups[name])) for name in names if name in groups], located
         )
         for table, names in _TABLES.items()
         if not groups.keys().isdisjoint(names)
@@ -143,10 +140,10 @@ def _beams(located: Located) -> Table:
     return Table(columns, {"length": "mm", "miss": "mm"})
 
 
-def _residuals(parts: list[tuple[Group, Residuals]], critical: float) -> Table:
+def _residuals(parts: list[tuple[Group, Residuals]], located: Located) -> Table:
     """Return the residuals of groups with a common unit, with the minimal detectable error of each reading.
 
-    It is for the test with this critical value of |w| and 80 % power.
+    It is for the test for outliers that is made, and 80 % power.
     """
     groups, found = [group.observations for group, _ in parts], [residuals for _, residuals in parts]
     columns: dict[str, Values] = {
@@ -158,17 +155,10 @@ def _residuals(parts: list[tuple[Group, Residuals]], critical: float) -> Table:
         "sigma": [one.sigma for one in found],
         "normalised": [one.normalised for one in found],
         "redundancy": [one.redundancy for one in found],
-        "detectable": [_detectable(one, critical) for one in found],
+        "detectable": [minimal_detectable(one, located.critical, located.noise) for one in found],
     }
     columns |= {name: np.concatenate([part[0] for part in values]) for name, values in numbers.items()}
     return Table(columns, dict.fromkeys(("value", "residual", "sigma", "detectable"), groups[0].unit))
-
-
-def _detectable(found: Residuals, critical: float) -> Array:
-    """Return the minimal detectable error of each reading, inf if the reading is uncontrolled."""
-    controlled = found.redundancy > _CONTROLLED
-    root = np.sqrt(np.where(controlled, found.redundancy, 1.0))
-    return np.where(controlled, detected(critical) * found.sigma / root, np.inf)
 
 
 def _outliers(located: Located) -> Table:

@@ -59,6 +59,8 @@ class Located:
     outliers: tuple[Outlier, ...] = ()
     critical: float = float("nan")
     """Bound of |w| for an outlier"""
+    noise: float = 1.0
+    """Noise of the readings without outliers, in units of the declared one, at least 1: to it the tests refer"""
 
     @property
     def read(self) -> tuple[Group, ...]:
@@ -122,9 +124,9 @@ def _located(readings: Readings, noise: Noise, how: How) -> Located:
     used = checked.solution if how.remove else solution
     values = used.blocks[lu.UNIT].values[0].copy()
     values[3] = wrapped(values[3])
-    return Located(
-        values, used.covariance_or_raise().of(lu.UNIT), readings, problem, used, checked.outliers, checked.critical
-    )
+    covariance = used.covariance_or_raise().of(lu.UNIT)
+    found = checked.outliers, checked.critical, checked.noise
+    return Located(values, covariance, readings, problem, used, *found)
 
 
 def _undetermined(problem: Problem, solution: Solution) -> str:

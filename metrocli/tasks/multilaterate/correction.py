@@ -25,6 +25,8 @@ from metrocli.words import listed
 if TYPE_CHECKING:
     from metrocli.table import Values
 
+_ELSEWHERE = 0.2
+"""Median distance of probing points from their replayed points, as a share of the extent, that is implausible"""
 _FAR, _PLAIN, _ENOUGH = 12.0, 1e-4, 6
 """A list entry is reported as wrong from this multiple of the median deviation of all points, if the deviation also
 exceeds this share of the volume and there are at least so many points"""
@@ -164,11 +166,29 @@ def _refuse(probing: Probing, match: Index, text: str) -> None:
         )
 
 
+def astray(network: Network, probing: Probing | None) -> float:
+    """Return how far the replayed points are from where they were probed, relative to what is plausible.
+
+    Both are readings of one mover, so that a median beyond a fifth of the extent of the points is a mistake in a file.
+    """
+    if probing is None:
+        return 0.0
+    extent = float(np.ptp(network.nominal[network.seen > 0], axis=0).max()) or 1.0
+    gap = _gaps(network, probing)
+    return float(np.median(gap)) / (_ELSEWHERE * extent) if gap.size else 0.0
+
+
+def _gaps(network: Network, probing: Probing) -> Array:
+    """Return the distance of each probing point that was replayed from where it was, (n,) mm."""
+    match = _matches(network, probing)
+    return np.asarray(np.linalg.norm(probing.table.stacked("xyz") - network.nominal[match], axis=1)[match >= 0])
+
+
 def distant(network: Network, probing: Probing | None) -> tuple[str, ...]:
     """Return a warning if points were replayed farther than the tolerance from where they were probed."""
     if probing is None:
         return ()
-    gap = np.linalg.norm(probing.table.stacked("xyz") - network.nominal[_matches(network, probing)], axis=1)
+    gap = _gaps(network, probing)
     far = int((gap > probing.tolerance).sum())
     if not far:
         return ()

@@ -144,7 +144,7 @@ def _of_lengths(layout: Layout, lengths: Table) -> Iterator[str]:
     row = int(np.argmax(np.where(np.isfinite(moves), moves, np.inf)))
     name = f"{lengths.texts('point')[row]}/{lengths.texts('tracer')[row]}"
     if np.isfinite(moves[row]):
-        yield f"an undetected error of one length moves its point by up to {roughly(moves[row], 'um')} ({name})"
+        yield f"an error of that size moves its point by up to {roughly(moves[row], 'um')} ({name})"
     poor = int((lengths.numbers("redundancy") < _UNCONTROLLED).sum())
     if poor:
         yield f"{poor} lengths are hardly controlled by the others (redundancy below {_UNCONTROLLED:g}), such as {name}"

@@ -6,29 +6,28 @@ import numpy as np
 
 from metrocli.adjust.model.blocks import Array
 from metrocli.adjust.model.groups import Group
-from metrocli.adjust.robust import detected
+from metrocli.adjust.robust import minimal_detectable
 from metrocli.adjust.solution import Residuals, Solution, place_in_tiles
 from metrocli.instruments import tracer as t
 
 UNITS = {"detectable": "mm", "moves_point": "mm"}
-_SINGULAR = 1e-6
-"""Redundancy below which a length is uncontrolled"""
 
 
-def reliability(solution: Solution, group: Group, found: Residuals, critical: float) -> dict[str, Array]:
+def reliability(
+    solution: Solution, group: Group, found: Residuals, critical: float, noise: float = 1.0
+) -> dict[str, Array]:
     """Return redundancy, minimal detectable error and the shift of the point by that error, of each length (n,).
 
-    These are internal and external reliability after Baarda 1968, for the test with this critical value of |w| and 80 %
-    power. The error of an uncontrolled length is infinite.
+    These are internal and external reliability after Baarda 1968, for the test with this critical value of |w| relative
+    to `noise`, and 80 % power. The error of an uncontrolled length is infinite.
     """
-    redundancy = found.redundancy[0]
-    controlled = redundancy > _SINGULAR
-    least = detected(critical) * found.sigma[0] / np.sqrt(np.where(controlled, redundancy, 1.0))
+    least = minimal_detectable(found, critical, noise)[0]
     shift = _point_shift(solution, group)
+    moves = shift * np.where(np.isfinite(least), least, 0.0)
     return {
-        "redundancy": redundancy,
-        "detectable": np.where(controlled, least, np.inf),
-        "moves_point": np.where(controlled | (shift == 0), shift * least, np.inf),
+        "redundancy": found.redundancy[0],
+        "detectable": least,
+        "moves_point": np.where(np.isfinite(least) | (shift == 0), moves, np.inf),
     }
 
 

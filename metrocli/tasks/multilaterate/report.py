@@ -16,12 +16,12 @@ from metrocli.result import SCALE, Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.multilaterate import KIND, layout_faults
 from metrocli.tasks.multilaterate.blunders import Reason
-from metrocli.tasks.multilaterate.correction import Probing, corrected, distant, wrong_entries
+from metrocli.tasks.multilaterate.correction import Probing, astray, corrected, distant, wrong_entries
 from metrocli.tasks.multilaterate.features.report import FEATURES, SHOWN, fitted
 from metrocli.tasks.multilaterate.features.wanted import Wanted
 from metrocli.tasks.multilaterate.reliability import UNITS as RELIABILITY_UNITS
 from metrocli.tasks.multilaterate.reliability import reliability
-from metrocli.tasks.multilaterate.solve import Solved
+from metrocli.tasks.multilaterate.solve import Solved, noise_of_tests
 from metrocli.tasks.multilaterate.uncontrolled import scale_warnings, uncontrolled
 from metrocli.tasks.shared.environment import blocks_of, estimates_of
 from metrocli.tasks.shared.joint_covariance import factors
@@ -101,7 +101,7 @@ def report(
         ),
         details=noise.details([one.name for one in found]),
         plain=("dof",),
-        astray=solved.astray,
+        astray=max(solved.astray, astray(solved.network, probing)),
     )
 
 
@@ -186,7 +186,7 @@ def _residuals(solved: Solved) -> Table:
         "residual": found.values[0],
         "sigma": found.sigma[0],
         "normalised": found.normalised[0],
-        **reliability(solved.solution, solved.group, found, solved.critical),
+        **reliability(solved.solution, solved.group, found, solved.critical, noise_of_tests(solved.solution)),
     }
     when = condition_columns(observations)
     in_mm = dict.fromkeys(("reading", "residual", "sigma", *RELIABILITY_UNITS), "mm")
@@ -239,6 +239,8 @@ def _warnings(solved: Solved) -> list[str]:
     untold = [one for one in solved.suspects if not one.tracer]
     alike = [f"{one.point} (w = {one.test:.1f}: {' or '.join(one.others)})" for one in untold]
     bound = f"the outlier bound |w| = {solved.critical:.2f}"
+    if solved.solution.sigma0 > 1:
+        bound += ", w over the sigma0 of the other lengths"
     if told:
         lines.append(f"{len(told)} lengths exceed {bound}: {listed(told, 5)}; `outliers: remove` leaves them out")
     if alike:

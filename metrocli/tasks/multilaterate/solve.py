@@ -234,20 +234,22 @@ def _doubtful(solved: Solved) -> dict[int, Rejected]:
 
     point, left = solved.group.observations.index[t.POINT], solved.network.seen
     lost = (left < solved.whole.seen) & (left > 3) & solved.network.unknown
-    unit = max(1.0, np.nan_to_num(solved.solution.sigma0, nan=1.0))
-    misfit = np.bincount(point, (solved.residuals.values[0] / solved.residuals.sigma[0] / unit) ** 2, len(left))
+    sigma = solved.residuals.sigma[0] * noise_of_tests(solved.solution)
+    misfit = np.bincount(point, (solved.residuals.values[0] / sigma) ** 2, len(left))
     bad = lost & (misfit > chdtri(np.maximum(left - 3, 1), _DOUBT))
     used = np.delete(np.arange(solved.whole.lengths.observations.count), [one.row for one in solved.rejected])
     return {int(row): Rejected(int(row), float("nan"), Reason.CONTRADICTED) for row in used[bad[point]]}
 
 
-def _units(solution: Solution, found: Residuals) -> Array:
-    """Return the divisor of each |w|, (n,): sigma0, but at least 1.
+def noise_of_tests(solution: Solution) -> float:
+    """Return the noise to which tests of single lengths refer, in units of the declared one: sigma0, but at least 1."""
+    return max(1.0, float(np.nan_to_num(solution.sigma0, nan=1.0)))
 
-    For the largest |w| it is the sigma0 of an adjustment without that length, so that its own error does not hide it.
-    """
+
+def _units(solution: Solution, found: Residuals) -> Array:
+    """Return the divisor of each |w|, (n,): the noise of the tests; for the largest |w|, that of the other lengths."""
     w = np.abs(found.normalised[0])
-    units = np.full(len(w), max(1.0, np.nan_to_num(solution.sigma0, nan=1.0)))
+    units = np.full(len(w), noise_of_tests(solution))
     if solution.dof > 1 and len(w):
         worst = w >= (1 - _EQUAL) * w.max()
         units[worst] = max(1.0, np.sqrt(max(solution.cost - w.max() ** 2, 0.0) / (solution.dof - 1)))

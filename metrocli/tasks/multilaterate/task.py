@@ -12,7 +12,7 @@ from metrocli.plan import Plan
 from metrocli.result import Result
 from metrocli.simulation import Simulation, SimulationOptions
 from metrocli.tasks.job import Job, Task
-from metrocli.tasks.multilaterate.correction import probing_of, refuse_lost
+from metrocli.tasks.multilaterate.correction import astray, probing_of, refuse_lost
 from metrocli.tasks.multilaterate.diagnosis import adjusted_job
 from metrocli.tasks.multilaterate.distance import distance
 from metrocli.tasks.multilaterate.effects import EFFECTS, PLACES
@@ -77,7 +77,8 @@ def diagnosed(job: Job[Settings, Files]) -> AdjustedJob:
     """Return the adjusted job in the form that diagnosis needs, with all lengths; raises as `run` does."""
     noise = job.settings.noise
     found, _ = settled(noise, lambda factor: solve(_network(job, factor), remove=False), lambda one: [one.residuals])
-    return adjusted_job(found)
+    adjusted = adjusted_job(found)
+    return replace(adjusted, astray=max(adjusted.astray, astray(found.network, probing_of(job.settings, job.files))))
 
 
 def plan(job: Job[Settings, Files]) -> Plan:

@@ -168,13 +168,19 @@ def test_one_run_each_way_has_no_repeatability() -> None:
     ]
     found, warnings = positioning(runs)
     assert found is not None
-    assert warnings == ("axis X: 1 runs up and 1 down; ISO 230-2:2014 asks for five in each direction",)
+    assert warnings == (
+        "axis X, line '': 1 run up and 1 down; ISO 230-2:2014 (5.3.2) asks for five in each direction",
+        "axis X, line '': 3 targets over 2 mm; ISO 230-2:2014 (5.3.2) asks for five per metre, and at least five",
+    )
     assert found.texts("axis") == ["X"]
     assert found.numbers("B")[0] == 2.0 and found.numbers("E")[0] == 5.0 and found.numbers("M")[0] == 3.5
     assert np.isnan(found.numbers("R")[0]) and np.isnan(found.numbers("A")[0])
-    assert positioning(runs[:1])[0] is None
-    other = positioning([runs[0], Run("X", np.array([2.0, 1.1, 0.0]), np.zeros(3))])
-    assert other[0] is None
+    assert positioning(runs[:1]) == (None, ())
+    other, warnings = positioning([runs[0], Run("X", np.array([2.5, 1.1, 0.0]), np.zeros(3))])
+    assert other is None
+    assert (
+        len(warnings) == 1 and "no figures of ISO 230-2, since its 2 runs have no two targets in common" in warnings[0]
+    )
 
 
 def test_backlash_shows_in_the_figures(machine: sim.Machine) -> None:
@@ -225,8 +231,73 @@ def test_a_run_without_a_target_is_left_out_and_named() -> None:
     assert found is not None and (found.numbers("runs_up")[0], found.numbers("runs_down")[0]) == (4, 5)
     assert warnings == (
         "axis X, line 'L1': run 5 lacks the target 200 mm; the figures of ISO 230-2 leave it out",
-        "axis X: 4 runs up and 5 down; ISO 230-2:2014 asks for five in each direction",
+        "axis X, line 'L1': 4 runs up and 5 down; ISO 230-2:2014 (5.3.2) asks for five in each direction",
     )
+
+
+def drawn_runs(rng: np.random.Generator, targets: np.ndarray) -> list[Run]:  # type: ignore[type-arg]
+    """Ten runs to and fro whose deviations scatter by 1 um."""
+    deviation = 0.01 * np.sin(targets / 80) + 0.001 * rng.normal(size=(10, len(targets)))
+    ways = [slice(None, None, 1 - 2 * (n % 2)) for n in range(10)]
+    return [Run("X", targets[way], one[way], (), "L1") for way, one in zip(ways, deviation, strict=True)]
+
+
+def test_a_target_of_one_run_does_not_cost_the_others() -> None:
+    """One reading at a place of its own, in one of ten runs: the figures are those of the targets of all."""
+    targets = np.arange(0.0, 401.0, 50.0)
+    runs = drawn_runs(np.random.default_rng(1), targets)
+    whole, none = positioning(runs)
+    runs[3] = Run("X", np.insert(runs[3].targets, 2, 312.0), np.insert(runs[3].deviation, 2, 0.5), (), "L1")
+    found, warnings = positioning(runs)
+    assert whole is not None and found is not None and none == ()
+    assert all(found.numbers(name) == pytest.approx(whole.numbers(name)) for name in ("A", "R", "E", "B_mean", "U_A"))
+    assert warnings == (
+        "axis X, line 'L1': at most half of the runs in one direction have the target at 312 mm; "
+        "the figures of ISO 230-2 leave it out",
+    )
+
+
+def test_a_turn_that_is_read_once_leaves_the_targets_between_the_turns() -> None:
+    targets = np.arange(0.0, 401.0, 50.0)
+    runs = drawn_runs(np.random.default_rng(2), targets)
+    once = [runs[0], *(Run("X", run.targets[1:], run.deviation[1:], (), "L1") for run in runs[1:])]
+    found, warnings = positioning(once)
+    inner = [Run("X", run.targets[1:-1], run.deviation[1:-1], (), "L1") for run in runs]
+    expected, _ = positioning(inner)
+    assert found is not None and expected is not None
+    assert (found.numbers("runs_up")[0], found.numbers("runs_down")[0]) == (5, 5)
+    assert found.numbers("A") == pytest.approx(expected.numbers("A"))
+    assert len(warnings) == 1 and "the target at 0 mm and 400 mm" in warnings[0]
+
+
+def test_runs_in_one_direction_have_the_figures_of_that_direction() -> None:
+    targets = np.arange(0.0, 401.0, 50.0)
+    up = drawn_runs(np.random.default_rng(3), targets)[::2]
+    found, warnings = positioning(up)
+    assert found is not None
+    deviation = np.array([run.deviation for run in up])
+    mean, s = deviation.mean(axis=0), deviation.std(axis=0, ddof=1)
+    assert found.numbers("A_up")[0] == pytest.approx((mean + 2 * s).max() - (mean - 2 * s).min())
+    assert found.numbers("R_up")[0] == pytest.approx(4 * s.max()) and found.numbers("U_R_up")[0] > 0
+    assert found.numbers("E_up")[0] == pytest.approx(np.ptp(mean))
+    for name in ("A", "A_down", "R", "R_down", "B", "B_mean", "E", "E_down", "M", "U_E", "U_M", "U_E_down"):
+        assert np.isnan(found.numbers(name)[0])
+    assert warnings == (
+        "axis X, line 'L1': 5 runs up and 0 down; ISO 230-2:2014 (5.3.2) asks for five in each direction",
+    )
+    table = at_targets(up)
+    assert table is not None and np.isnan(table.numbers("down")).all() and table.numbers("up") == pytest.approx(mean)
+
+
+def test_rows_in_the_order_of_places_have_no_figures_and_a_reason(machine: sim.Machine) -> None:
+    """A file that was sorted by position says nothing of directions."""
+    rng = np.random.default_rng(61)
+    lines = [line(machine, axis, rng, 0.1) for axis in (*AXES, *DIAGONALS)]
+    many = {name: np.repeat(values, 4) for name, values in lines[0].items()}
+    many["ex"] = many["ex"] + 0.001 * rng.normal(size=len(many["ex"]))
+    result = calibrate_machine.run(calibrate_machine.TASK.job(job(), lines=line_table([many, *lines[1:]])))
+    assert "positioning" not in result.tables
+    assert any("no figures of ISO 230-2" in warning and "order of travel" in warning for warning in result.warnings)
 
 
 def with_width(one: dict[str, sim.Array], width: float) -> dict[str, sim.Array]:

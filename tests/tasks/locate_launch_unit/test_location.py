@@ -200,5 +200,21 @@ def test_the_least_detectable_error_of_an_encoder_is_detected_in_80_of_100() -> 
     assert np.mean(hits) == pytest.approx(0.8, abs=3.3 * np.sqrt(0.8 * 0.2 / 150))
 
 
+def test_the_least_detectable_error_counts_noise_that_is_larger_than_declared() -> None:
+    """Readings with 1.6 times the declared noise: the size that each result states is found in 80 of 100."""
+    exact, rng, hits = anywhere(8, 23, distances=True), np.random.default_rng(3), []
+    real = Noise(1.6 * NOISE.encoder, 1.6 * (NOISE.distance or 0.0))
+    for _ in range(60):
+        noisy = exact.noisy(rng, real)
+        table = located(noisy).tables["angles"]
+        row = int(rng.integers(len(table)))
+        reading, pose = table.texts("reading")[row], table.texts("pose")[row]
+        angles = noisy.angles.copy()
+        angles[int(reading[-1]) - 1, row_of(table.texts("pose"), pose)] += table.numbers("detectable")[row]
+        outliers = located(replace(noisy, angles=angles)).tables["outliers"]
+        hits.append((pose, reading) in set(zip(outliers.texts("pose"), outliers.texts("reading"), strict=True)))
+    assert np.mean(hits) == pytest.approx(0.8, abs=3 * np.sqrt(0.8 * 0.2 / 60))
+
+
 def row_of(poses_of_rows: list[str], pose: str) -> int:
     return list(dict.fromkeys(poses_of_rows)).index(pose)

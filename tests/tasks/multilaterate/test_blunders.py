@@ -127,6 +127,19 @@ def test_the_least_detectable_error_is_detected_in_80_of_100() -> None:
     assert np.mean(hits) == pytest.approx(0.8, abs=3 * np.sqrt(0.8 * 0.2 / 100))
 
 
+def test_the_least_detectable_error_counts_noise_that_is_larger_than_declared() -> None:
+    """Lengths with 1.7 times the declared noise: the size that each result states is found in 80 of 100."""
+    net, rng, hits = network(12, 6, seed=6, noise=0.0), np.random.default_rng(1), []
+    for _ in range(50):
+        drawn = net.read(rng, 1.7)
+        stated = multilaterate.run(multilaterate.TASK.job(settings(), drawn.lengths(), drawn.point_table()))
+        row = int(rng.integers(72))
+        drawn.readings[row // 6, row % 6] += stated.tables["residuals"].numbers("detectable")[row]
+        found = multilaterate.run(multilaterate.TASK.job(settings(), drawn.lengths(), drawn.point_table()))
+        hits.append(f"P{row // 6}" in found.tables["suspects"].texts("point"))
+    assert np.mean(hits) == pytest.approx(0.8, abs=3 * np.sqrt(0.8 * 0.2 / 50))
+
+
 def test_redundancy_sums_to_the_degrees_of_freedom() -> None:
     net = network(30, 5, seed=2)
     solved = solve(build(settings(5e-7), net.lengths(), net.point_table(), None, None), remove=False)

@@ -12,6 +12,7 @@ import pytest
 from places import SAMPLES
 from simulated.lengths import Array, network, settings
 
+from metrocli.diagnosis.mistakes import misfit_of
 from metrocli.errors import InputError, UndeterminedError
 from metrocli.formats import csv
 from metrocli.project.job import load
@@ -41,6 +42,24 @@ def sphere(points: Array) -> Array:
     matrix = np.column_stack([2 * points, np.ones(len(points))])
     centre: Array = np.linalg.lstsq(matrix, (points**2).sum(axis=1), rcond=None)[0][:3]
     return centre
+
+
+@pytest.mark.parametrize("mistake", ["swapped", "mirrored", "metres"])
+def test_probing_points_far_from_their_replay_are_a_mistake(mistake: str) -> None:
+    """No length shows where the part was probed; the list of the replayed points does."""
+    net = network(20, 4, seed=3)
+    change = {"swapped": np.eye(3)[[0, 2, 1]], "mirrored": np.diag([-1.0, 1.0, 1.0]), "metres": 1e-3 * np.eye(3)}
+    points = {"as it is": net.nominal + 0.2, mistake: net.nominal @ change[mistake]}
+    absurd = {}
+    for name, at in points.items():
+        probing = table(at, "point", net.names)
+        probing = replace(probing, columns={"feature": np.repeat(["flank"], 20), **probing.columns})
+        job = multilaterate.TASK.job(settings(), net.lengths(), net.point_table(), probing=probing)
+        absurd[name] = multilaterate.run(job).astray, misfit_of(multilaterate.diagnosed(job)).worst
+    assert max(absurd["as it is"]) < 0.1
+    # beyond 1 `diagnose` calls it a mistake; the task refuses the file if another reading of it is 1000 times better
+    assert min(absurd[mistake]) > 1
+    assert (absurd[mistake][0] / absurd["as it is"][0]) ** 2 > 1000
 
 
 def test_a_ball_bar_is_corrected_to_its_calibrated_lengths() -> None:

@@ -26,10 +26,19 @@ def figures(up: Array, down: Array) -> dict[str, float]:
     - R_up = max 4 s_up; R = max(2 s_up + 2 s_down + |x_up - x_down|, 4 s_up, 4 s_down)
     - A_up = max(x_up + 2 s_up) - min(x_up - 2 s_up); A the same over both directions
 
-    R and A are nan where a direction that they need has one run.
+    R and A are nan where a direction that they need has one run, all figures where it has none.
     """
     means, spread = at_each_target(up, down)
-    return {name: one.value(means, spread) for name, one in _sums(means, spread).items()}
+    return {
+        name: one.value(means, spread) if all(map(len, _needed(name, up, down))) else float("nan")
+        for name, one in _sums(means, spread).items()
+    }
+
+
+def _needed(name: str, up: Array, down: Array) -> tuple[Array, ...]:
+    """Return the runs that a figure needs."""
+    sides = {"up": (up,), "down": (down,)}
+    return sides.get(name.rpartition("_")[2], (up, down))
 
 
 @dataclass(frozen=True)
@@ -50,20 +59,22 @@ def expanded(up: Array, down: Array, targets: Array, known: Measured) -> dict[st
     ISO/TR 230-9 asks, and not taken from the annex's formulas for five runs.
     """
     means, spread = at_each_target(up, down)
-    runs = np.array([[len(up)], [len(down)]])
+    values = figures(up, down)
+    runs = np.maximum([[len(up)], [len(down)]], 1)
     found = {}
     for name, one in _sums(means, spread).items():
         # the derivatives of mean and standard deviation are square to each other, and those of the latter add up to 0
         squares = (one.mean**2 / runs + one.spread**2 / np.maximum(runs - 1, 1)).sum()
         u = COVERAGE * np.hypot(known.reading * np.sqrt(squares), known.scale * (one.mean * targets).sum())
-        found[name] = float(u) if np.isfinite(one.value(means, spread)) else float("nan")
+        found[name] = float(u) if np.isfinite(values[name]) else float("nan")
     return found
 
 
 def at_each_target(up: Array, down: Array) -> tuple[Array, Array]:
-    """Return means and standard deviations (nan of one run) at the targets, (2, targets) each."""
-    spread = [runs.std(axis=0, ddof=1) if len(runs) > 1 else np.full(runs.shape[1], np.nan) for runs in (up, down)]
-    return np.stack([up.mean(axis=0), down.mean(axis=0)]), np.stack(spread)
+    """Return means (nan of no run) and standard deviations (nan of one) at the targets, (2, targets) each."""
+    none = np.full(up.shape[1], np.nan)
+    means = [runs.mean(axis=0) if len(runs) else none for runs in (up, down)]
+    return np.stack(means), np.stack([runs.std(axis=0, ddof=1) if len(runs) > 1 else none for runs in (up, down)])
 
 
 @dataclass(frozen=True)
@@ -74,8 +85,8 @@ class _Sum:
     spread: Array
 
     def value(self, means: Array, spread: Array) -> float:
-        """Return the figure; nan if it has a standard deviation of one run."""
-        return float((self.mean * means).sum() + (self.spread * spread)[self.spread != 0].sum())
+        """Return the figure; nan if it has a mean of no run, or a standard deviation of one."""
+        return float((self.mean * means)[self.mean != 0].sum() + (self.spread * spread)[self.spread != 0].sum())
 
 
 def _sums(means: Array, spread: Array) -> dict[str, _Sum]:

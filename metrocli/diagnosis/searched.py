@@ -1,0 +1,250 @@
+"""The search of a diagnosis: about the solution with large effects, with weights, and with what scatters throughout.
+
+Method: docs/algorithms/selection-and-levels.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from metrocli.adjust.model.blocks import Array
+from metrocli.diagnosis.adjusted_job import AdjustedJob
+from metrocli.diagnosis.cross_validation import Gain, gain_of_model
+from metrocli.diagnosis.extended_fit import (
+    extended_fit,
+    readings_kept,
+    relinearised,
+    result_change,
+    score_tests_of_job,
+    weights_of,
+    with_scatter,
+)
+from metrocli.diagnosis.linear.candidates import NotTested
+from metrocli.diagnosis.linear.fitted_columns import FittedColumns, nothing_fitted
+from metrocli.diagnosis.linear.projection import READING
+from metrocli.diagnosis.linear.random_columns import beside_random_columns
+from metrocli.diagnosis.linear.score_tests import ScoreTests
+from metrocli.diagnosis.noise import DECLARED_SIGMA, Unit, noisiest_unit, reweighted
+from metrocli.diagnosis.processes import Process, process_in
+from metrocli.diagnosis.residual_structure import log_level_of_strongest
+from metrocli.diagnosis.selection.all_of_a_kind import (
+    AllOfAKind,
+    all_of_a_kind,
+    estimated_again,
+    scattered_throughout,
+)
+from metrocli.diagnosis.selection.confidence_set import confidence_sets
+from metrocli.diagnosis.selection.refined_scan import refined_scans
+from metrocli.diagnosis.selection.search import continued, search, transferred
+from metrocli.diagnosis.selection.selection_state import Selection
+from metrocli.diagnosis.selection.thresholds import has_dominant_effect
+from metrocli.errors import UndeterminedError
+
+Say = Callable[[str], None]
+_ROUNDS = 3
+"""Largest number of noisier units that are reweighted, one after the other"""
+_SEARCHES = 5
+"""Largest number of searches; each follows an adjustment with the effects that dominated the previous one"""
+_PROCESSES = 3
+"""Largest number of smooth processes that are taken for noise, one after the other"""
+_KINDS = 2
+"""Largest number of effects that act at all places of a kind"""
+_ESTIMATES, _STAYS = 3, float(np.log(1.2))
+"""Largest number of searches with such an effect in the model, and the change of ln std that calls for another"""
+SEED = 20
+"""Of the draws that count the levels"""
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """An effect that acts at all its places, with sizes that scatter about 0."""
+
+    found: AllOfAKind
+    gain: Gain
+    shift: float
+    """Largest change of the delivered result when it is taken into the model"""
+
+
+@dataclass(frozen=True)
+class Searched:
+    """A selection, and the job about whose solution it was linearised."""
+
+    job: AdjustedJob
+    tests: ScoreTests
+    not_tested: list[NotTested]
+    units: tuple[Unit, ...]
+    """Units that are noisier than the others and whose readings were given less weight"""
+    selection: Selection
+    processes: tuple[Process, ...] = ()
+    """Smooth random errors that belong to the noise beside which the selection holds"""
+    plain: Selection | None = None
+    """The same effects beside white noise, with what else explains the readings there; None without a process"""
+
+    @property
+    def beside_white_noise(self) -> Selection:
+        """The selection beside white noise."""
+        return self.selection if self.plain is None else self.plain
+
+
+def search_about_solution(job: AdjustedJob, say: Say) -> Searched:
+    """Return the selection beside the noise that the readings show, linearised about the job with its large effects."""
+    return _with_processes(_search_beside_white_noise(job, say), say)
+
+
+def _with_processes(searched: Searched, say: Say) -> Searched:
+    """Return the search repeated beside the smooth processes that the readings show, one after the other."""
+    job, tests, selection = searched.job, searched.tests, searched.selection
+    plain, processes = selection, list[Process]()
+    if all_of_a_kind(selection) is not None or scattered_throughout(selection) is not None:
+        # places that are off throughout are a cause; a process of each of them would take it for chance
+        return searched
+    while len(processes) < _PROCESSES and not job.budget.spent():
+        found = process_in(job, selection)
+        if found is None:
+            break
+        say(f"searching beside an error that varies smoothly with {found.covariate}")
+        processes.append(found)
+        rng = np.random.default_rng(SEED)
+        tests = beside_random_columns(tests, found.columns, rng, job.single_components)
+        selection = refined_scans(job, search(tests, nothing_fitted(tests.system)))
+    if not processes:
+        return searched
+    kept = transferred(selection, plain.test_set)
+    for one in plain.unknown:
+        kept = kept.with_one(one)
+    return replace(searched, tests=tests, selection=selection, processes=tuple(processes), plain=kept)
+
+
+def _search_beside_white_noise(job: AdjustedJob, say: Say) -> Searched:
+    """Return the selection beside white noise, linearised about the job with its dominant effects adjusted.
+
+    Why: decision 051.
+
+    If effects dominate, the job is adjusted with them, and the search is repeated about that solution with them among
+    all other candidates. At the end the search continues about the job adjusted with all effects that were named.
+    """
+    point = job
+    earlier: ScoreTests | None = None
+    for left in reversed(range(_SEARCHES)):
+        point = point if left else replace(point, patient=True)
+        found = _search_with_weights(point, np.random.default_rng(SEED), earlier)
+        earlier = found.tests
+        selection = refined_scans(point, found.selection)
+        if not has_dominant_effect(selection):
+            break
+        say("adjusting with what was found")
+        names = confidence_sets(selection)
+        fit = extended_fit(job, names, readings_kept(selection))
+        point = replace(point, patient=True) if fit is None else relinearised(job, names, fit)
+    names = confidence_sets(selection)
+    fit = extended_fit(job, names, readings_kept(selection)) if names else None
+    if fit is None:
+        return replace(found, job=point, selection=selection)
+    point = replace(relinearised(job, names, fit), patient=True)
+    weights = weights_of(job, found.units)
+    tests, not_tested = score_tests_of_job(point, weights, np.random.default_rng(SEED), earlier)
+    selection = refined_scans(point, continued(transferred(selection, tests)))
+    return Searched(point, tests, not_tested, found.units, selection)
+
+
+def with_scatters(job: AdjustedJob, searched: Searched, say: Say) -> tuple[AdjustedJob, Searched, tuple[Scatter, ...]]:
+    """Return the job and the search with effects at all places of a kind in the model, where these explain more."""
+    scatters: list[Scatter] = []
+    while len(scatters) < _KINDS:
+        found = all_of_a_kind(searched.selection) or scattered_throughout(searched.selection)
+        if found is None or found.effect.name in {one.found.effect.name for one in scatters}:
+            break
+        say(f"adjusting with {found.effect.name} at every {found.effect.keys[0]}")
+        settled = _with_scatter(job, searched, found, say)
+        if settled is None:
+            break
+        found, wider, after = settled
+        gain = gain_of_model(job, _others(searched, found.effect.name), _others(after))
+        scatters.append(Scatter(found, gain, result_change(job, wider)))
+        job, searched = wider, after
+    return job, searched, tuple(scatters)
+
+
+def _with_scatter(
+    job: AdjustedJob, searched: Searched, found: AllOfAKind, say: Say
+) -> tuple[AllOfAKind, AdjustedJob, Searched] | None:
+    """Return a scatter, the job with it in the model, and the search about that; None if it cannot be adjusted.
+
+    Its standard deviation is estimated again beside what the search then finds, until it stays.
+    """
+    kept, done = readings_kept(searched.selection), None
+    for _ in range(_ESTIMATES):
+        wider = with_scatter(job, found, kept)
+        if wider is None:
+            break
+        after = search_about_solution(wider, say)
+        done = found, wider, after
+        again = estimated_again(found, transferred(after.selection, searched.tests))
+        if abs(np.log(again.std / found.std)) < _STAYS:
+            break
+        found, kept = again, readings_kept(after.selection)
+    return done
+
+
+def _others(searched: Searched, name: str = "") -> tuple[ScoreTests, FittedColumns]:
+    """Return the fit of what was selected, without smooth terms and without the effects of a name."""
+    selection = searched.selection
+    own = [one for one in selection.named if selection.test_set.families[one.family].name == name]
+    return selection.test_set, selection.fitted(without=[*own, *selection.unknown])
+
+
+def _search_with_weights(job: AdjustedJob, rng: np.random.Generator, earlier: ScoreTests | None) -> Searched:
+    """Return the selection after the readings of each noisier unit were weighted by the noise found in it.
+
+    `earlier` are tests of the same candidates, if there are any.
+    """
+    weights: Mapping[str, Array] = {}
+    units: tuple[Unit, ...] = ()
+    for _ in range(_ROUNDS + 1):
+        tests, not_tested = score_tests_of_job(job, weights, rng, earlier)
+        earlier = tests
+        if tests.system.dof < 1:
+            raise UndeterminedError(
+                "the job has no redundant reading, so no reading can contradict its model\n"
+                "measure more; `metrocli diagnose --design` shows what a measurement can detect"
+            )
+        last = len(units) == _ROUNDS
+        unit = None if last else _sigma_first(job, tests)
+        if unit is None:
+            selection = search(tests, nothing_fitted(tests.system))
+            # next to a dominant effect other structure is not searched for yet, and would count as noise
+            searching_on = last or has_dominant_effect(selection)
+            unit = None if searching_on else noisiest_unit(job, tests.system, selection.fitted())
+            unit = None if unit is not None and _is_scatter(selection, unit) else unit
+        if unit is None:
+            break
+        weights, units = reweighted(job, weights, unit), (*units, unit)
+    return Searched(job, tests, not_tested, _joined(units), selection)
+
+
+def _is_scatter(selection: Selection, unit: Unit) -> bool:
+    """Return whether an effect at all its places explains as much as the noise of a unit, which it then is."""
+    found = scattered_throughout(selection)
+    # the scatter was held against the noise of each group of readings already
+    return found is not None and (unit.key == READING or found.log_level < unit.log_level)
+
+
+def _sigma_first(job: AdjustedJob, test_set: ScoreTests) -> Unit | None:
+    """Return the prior values whose stated sigma is wrong, if that explains the residuals better than any cause."""
+    fitted = nothing_fitted(test_set.system)
+    unit = noisiest_unit(job, test_set.system, fitted)
+    if unit is None or unit.key != DECLARED_SIGMA or unit.ratio < 1:
+        return None
+    return unit if unit.log_level < log_level_of_strongest(test_set, fitted) else None
+
+
+def _joined(units: Sequence[Unit]) -> tuple[Unit, ...]:
+    """Return the units with one ratio each: the product of the ratios that were found one after the other."""
+    found: dict[tuple[str, str], Unit] = {}
+    for unit in units:
+        before = found.get((unit.key, unit.name))
+        found[unit.key, unit.name] = unit if before is None else replace(unit, ratio=unit.ratio * before.ratio)
+    return tuple(found.values())

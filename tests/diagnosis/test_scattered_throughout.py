@@ -1,0 +1,82 @@
+"""All poses off at once, or one instrument noisier than declared: named as what they are, from plain formulas."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.hidden import images, launch
+from benchmarks.hidden.scenes import part_scene
+from metrocli.cli.diagnosis_report.findings import of_diagnosis
+from metrocli.diagnosis.diagnose import diagnose
+from metrocli.diagnosis.findings import Diagnosis
+from metrocli.diagnosis.verdict import as_data
+
+
+def unit(seed: int, distances: bool, off: float = 0.0, noisier: tuple[float, ...] = (1.0,) * 5) -> Diagnosis:
+    """A launch unit whose receiver stands `off` [mm] from its listed places, and whose readings are noisier."""
+    rng = np.random.default_rng([12, seed])
+    m = launch.measurement(rng, distances)
+    true = replace(m, receivers=m.receivers + rng.normal(0, off, m.receivers.shape)) if off else m
+    noise = rng.normal(size=m.read.shape) * m.sigma * np.array(noisier[: len(m.read)])[:, None]
+    return diagnose(replace(m, read=true.predicted() + noise).adjusted())
+
+
+@pytest.mark.parametrize("distances", [False, True])
+def test_a_machine_that_is_off_in_every_pose_is_one_finding(distances: bool) -> None:
+    """30 um in each pose: no pose stands out of the others, and the residuals passed for noise or a squareness."""
+    found = unit(3, distances, off=0.03)
+    assert found.verdict == "explained" and not found.findings
+    (one,) = found.scatters
+    assert one.found.effect.name == "bad-pose" and not one.found.rivals
+    assert abs(one.found.std - 0.03) < 3 * one.found.spread < 0.02
+    text = of_diagnosis(found, None)
+    assert "bad-pose at every pose" in text and "the machine's repeatability" in text
+
+
+def test_an_encoder_noisier_than_declared_is_named_and_no_effect() -> None:
+    found = unit(4, True, noisier=(1, 1, 4, 1, 1))
+    assert not (found.findings or found.scatters)
+    (one,) = found.noisier_units
+    assert (one.key, one.name) == ("reading", "phi3") and 2.8 < one.ratio < 5.6
+    assert found.noise.as_declared
+    first = of_diagnosis(found, None).splitlines()[0]
+    assert first.startswith("verdict: clean") and f"but phi3 is {one.ratio:.2g} times as noisy as the others" in first
+
+
+def test_distances_noisier_than_declared_or_poses_that_are_off_are_indistinct() -> None:
+    """Only the distances are good enough to show a few micrometres: their noise and the poses' errors look alike."""
+    found = unit(5, True, noisier=(1, 1, 1, 1, 4))
+    assert found.verdict == "indistinct" and not found.findings
+    (effect,) = as_data(found)["effects"]
+    assert (effect["name"], effect["where"]) == ("bad-pose", {})
+    (rival,) = effect["alternatives"]
+    assert (rival["name"], rival["where"]) == ("noise", {"reading": "distance"})
+    assert "noise of distance" in of_diagnosis(found, None)
+
+
+@pytest.mark.parametrize("which", ["poses", "targets"])
+def test_a_part_seen_from_poses_that_are_off(which: str) -> None:
+    """A machine that returns to 30 um, or a list of targets that is off by 50 um."""
+    rng = np.random.default_rng(2)
+    scene = part_scene(rng, 20, 16)
+    poses = {"image": np.arange(20), "bad_pose": rng.normal(0, 0.03, (20, 3))}
+    targets = {"target": np.arange(16), "moved": rng.normal(0, 0.05, (16, 3))}
+    uv = scene.predicted(scene.start(), poses if which == "poses" else targets)
+    found = diagnose(images.Images(scene, uv + rng.normal(0, scene.noise, uv.shape)).adjusted())
+    assert found.verdict == "explained" and found.noise.as_declared
+    assert [one.found.effect.name for one in found.scatters] == ["bad-pose" if which == "poses" else "moved-target"]
+
+
+@pytest.mark.parametrize("distances", [False, True])
+def test_one_bad_pose_and_none_are_no_scatter(distances: bool) -> None:
+    rng = np.random.default_rng(6)
+    m = launch.measurement(rng, distances)
+    assert not diagnose(m.adjusted()).scatters
+    off = np.zeros(m.receivers.shape)
+    off[7] = [0.3, -0.2, 0.3]
+    true = replace(m, receivers=m.receivers + off)
+    found = diagnose(replace(m, read=true.predicted() + rng.normal(size=m.read.shape) * m.sigma).adjusted())
+    assert [str(one.effect.alternative) for one in found.findings] == ["bad-pose P7"] and not found.scatters
