@@ -26,7 +26,9 @@ _WELL = 1e-9
 _PENALTIES = (0.0, 1.0, 10.0, 100.0, 1000.0)
 """Weights tried for the square of what the held points miss, relative to the largest eigenvalue of the Hessian"""
 _ROUNDING = 1e-12
-"""Growth of aim and violation that rounding explains, relative to 1 mm^2 and more"""
+"""Growth of the aim that rounding explains, relative to 1 mm^2 and more"""
+_MET = 1e-10
+"""What an overstock may miss of the minimum [mm]"""
 _SMALLEST_REACH = 1e-4
 """Reach of a linear programme [mm] at which the search for the largest least overstock ends: it is then off by less
 than reach^2 over the smallest radius"""
@@ -146,43 +148,50 @@ def most_of_many(stock: Stock, into: Array) -> tuple[Array, float, Array]:
 def fit(stock: Stock, aim: Aim, into: Array) -> Fit:
     """Return the best pose that leaves the minimum everywhere, from a pose that does so or nearly does.
 
-    Sequential quadratic programmes with the second derivative of the Lagrangian; a step is halved while it increases
-    aim and violation together. Raises NotConvergedError.
+    Sequential quadratic programmes with the second derivative of the Lagrangian. Each step is brought back to the
+    minimum, which surfaces that bend away from it miss, and halved until the aim is better met. Raises
+    NotConvergedError.
     """
-    local, duals = stock.at(into), np.zeros(len(stock.measured))
-    objective = aim.objective(local)
+    begun = _brought_back(stock, aim.minimum, into, np.eye(6))
+    if begun is None:
+        raise NotConvergedError("no small step leaves the minimum overstock everywhere")
+    into, local = begun
+    duals, objective = np.zeros(len(stock.measured)), aim.objective(local)
     for iteration in range(_ITERATIONS):
-        hessian, penalty = convex(objective, local, duals)
-        short, held = aim.minimum - local.overstock, local.rows * (duals > 0)[:, None]
-        gradient = objective.gradient - penalty * short @ held
-        solved = quadratic(hessian, gradient, local.rows, short)
+        hessian, _ = convex(objective, local, duals)
+        short = np.minimum(aim.minimum - local.overstock, 0.0)
+        solved = quadratic(hessian, objective.gradient, local.rows, short)
         if solved is None:
             raise NotConvergedError("no small step leaves the minimum overstock everywhere")
-        price = 2 * float(solved.duals.sum()) + 1e-6
-        step, merit = solved.x, _merit(objective, local, aim, price)
-        duals = solved.duals
-        if np.abs(step).max() < _STEP:
+        step, duals = solved.x, solved.duals
+        while np.abs(step).max() > _STEP:
+            reached = _brought_back(stock, aim.minimum, local.moved(into, step), hessian)
+            if reached is not None:
+                other = aim.objective(reached[1])
+                if other.value <= objective.value + _ROUNDING * (1 + objective.value):
+                    break
+            step = step / 2
+        else:
             return _finished(local, into, objective, duals, iteration)
-        for halving in range(30):
-            tried = local.moved(into, step)
-            other = stock.at(tried)
-            reached = aim.objective(other)
-            if _merit(reached, other, aim, price) <= merit + _ROUNDING * (1 + abs(merit)):
-                break
-            bent = None
-            if halving == 0:
-                # the surfaces bend away below the step: once more with what it misses
-                missed = aim.minimum - other.overstock + local.rows @ step
-                bent = quadratic(hessian, gradient, local.rows, missed)
-            step = step / 2 if bent is None else bent.x
-        into, local, objective = tried, other, reached
-        if np.abs(step).max() < _STEP:
-            return _finished(local, into, objective, duals, iteration)
+        (into, local), objective = reached, other
     raise NotConvergedError(f"the fit of the ideal part did not converge in {_ITERATIONS} iterations")
 
 
-def _merit(objective: Objective, local: Local, aim: Aim, price: float) -> float:
-    return objective.value + price * max(aim.minimum - SLACK - float(local.overstock.min()), 0.0)
+def _brought_back(stock: Stock, minimum: float, into: Array, metric: Array) -> tuple[Array, Local] | None:
+    """Return the pose that leaves the minimum, by steps as small as they can be, and the overstock there.
+
+    None where what is missed does not shrink by half in each step.
+    """
+    missed = np.inf
+    while True:
+        local = stock.at(into)
+        short = minimum - local.overstock
+        if short.max() < _MET:
+            return into, local
+        step = quadratic(metric, np.zeros(6), local.rows, short) if short.max() < missed / 2 else None
+        if step is None:
+            return None
+        missed, into = float(short.max()), local.moved(into, step.x)
 
 
 def convex(objective: Objective, local: Local, duals: Array) -> tuple[Array, float]:
