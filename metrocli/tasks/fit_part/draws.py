@@ -23,8 +23,6 @@ DRAWS = 200
 _SEED = 1
 _NEAR = 5.0
 """Distance from the minimum, in standard deviations, up to which errors can bring a point there"""
-_REACH = 0.01
-"""Reach of the linear programme of a draw, relative to the size of the point cloud"""
 _REGULAR = 1e-9
 """Share of the mean second derivative of the evenness that keeps motions still which no overstock shows"""
 _NO_ERROR = 1e-3
@@ -48,48 +46,44 @@ def sensitivity_with_exchanges(fit: Fit, aim: Aim, start: Array, places: Places)
     """
     found = sensitivity(fit, aim, start, places)
     rows, outward = fit.local.rows, fit.local.shape.normal @ poses.rotation_of(fit.into)
-    own = places.own + places.common @ places.core @ np.swapaxes(places.common, 1, 2)
     by_pose = np.einsum("ni,ij,nj->n", rows, found.covariance, rows)
-    spread = np.sqrt(np.maximum(by_pose, 0.0) + np.einsum("na,nab,nb->n", outward, own, outward))
+    spread = np.sqrt(np.maximum(by_pose, 0.0) + _along(outward, places) ** 2)
     near = (fit.local.overstock - aim.minimum < _NEAR * spread) | (fit.duals > 0)
-    return sensitivity_of_draws(fit, aim, start, places) if own.any() and near.any() else found
+    return sensitivity_of_draws(fit, aim, start, places) if spread.any() and near.any() else found
+
+
+def _along(outward: Array, places: Places) -> Array:
+    """Return the standard deviation of each place along a direction, outward (n, 3) -> (n,)."""
+    return np.sqrt(np.einsum("na,nab,nb->n", outward, places.covariance, outward))
 
 
 def sensitivity_of_draws(fit: Fit, aim: Aim, start: Array, places: Places) -> Sensitivity:
     """Return how points with drawn errors move a fitted pose.
 
     Each draw e is solved on the overstock `o + n.e + J x`, linear about the fit. With S the mean derivative of the step
-    by the points, and r = x - S e what it leaves, the covariance is `S C S' + mean r r'` about the fitted pose. For
-    `most`, and where a draw allows no pose with the minimum, that of a draw is its largest least overstock. Raises
+    by the points, and r = x - S e what it leaves, the covariance is `S C S' + mean r r'` about the fitted pose. Raises
     NotConvergedError.
     """
     local, n = fit.local, len(fit.local.points)
     outward, rows = local.shape.normal @ poses.rotation_of(fit.into), local.rows
     programme = _programme(fit, aim, start, outward)
     by_error = programme.by_point.transpose(1, 0, 2).reshape(6, 3 * n)
+    # a longer turn bends the overstock by more than the errors
+    reach = float(np.sqrt(2 * local.lever * _along(outward, places).max()))
     draw, rng = drawing(places), np.random.default_rng(_SEED)
     steps, errors, gradients = np.zeros((DRAWS, 6)), np.zeros((DRAWS, n)), np.zeros((DRAWS, 6))
     by_gradient, by_overstock = np.zeros((6, 6)), np.zeros((n, 6))
     for k in range(DRAWS):
         error = draw(rng)
         errors[k], gradients[k] = np.einsum("na,na->n", outward, error), by_error @ error.ravel()
-        overstock, gradient = local.overstock + errors[k], programme.gradient + gradients[k]
-        solved = None
-        if aim.name != MOST:
-            solved = quadratic(programme.hessian, gradient, rows, aim.minimum - overstock)
-        level = np.zeros(0, dtype=np.intp)
-        if solved is None:
-            held, least = highest(rows, overstock, _REACH * local.lever)
-            level = np.flatnonzero(held.duals)
-            solved = quadratic(programme.hessian, gradient, rows, least - SLACK - overstock)
-        if solved is None:
-            raise NotConvergedError("a fit to points with drawn errors has no solution")
-        steps[k] = solved.x
-        of_gradient, active, of_bounds = _response(programme.hessian, rows, solved)
+        best, level = _solved(
+            programme.hessian, programme.gradient + gradients[k], aim, rows, local.overstock + errors[k], reach
+        )
+        steps[k] = best.x
+        of_gradient, active, of_bounds = _response(programme.hessian, rows, best)
         by_gradient -= of_gradient / DRAWS
         by_overstock[active] -= of_bounds.T / DRAWS
-        if level.size:
-            by_overstock[level] += held.duals[level, None] * of_bounds.sum(axis=1) / DRAWS
+        by_overstock += level[:, None] * of_bounds.sum(axis=1) / DRAWS
     rest = steps - errors @ by_overstock - gradients @ by_gradient.T
     by_point = by_gradient @ programme.by_point + by_overstock[:, :, None] * outward[:, None, :]
     own = np.einsum("nia,nab,njb->ij", by_point, places.own, by_point, optimize=True) + rest.T @ rest / DRAWS
@@ -110,6 +104,25 @@ def _programme(fit: Fit, aim: Aim, start: Array, outward: Array) -> _Programme:
     held = penalty * rows * (fit.duals > 0)[:, None]
     by_point = gradient_by_point(fit, aim, start) + held[:, :, None] * outward[:, None, :]
     return _Programme(hessian, objective.gradient - (aim.minimum - local.overstock) @ held, by_point)
+
+
+def _solved(
+    hessian: Array, gradient: Array, aim: Aim, rows: Array, overstock: Array, reach: float
+) -> tuple[Optimum, Array]:
+    """Return the step of a draw, and the derivative of the least overstock that it keeps by that of each point (n,).
+
+    That is the minimum, with derivative 0. For `most`, and where no step within reach leaves the minimum, it is the
+    largest one.
+    """
+    if aim.name != MOST:
+        best = quadratic(hessian, gradient, rows, aim.minimum - overstock)
+        if best is not None and np.abs(best.x).max() < reach:
+            return best, np.zeros(len(overstock))
+    held, least = highest(rows, overstock, reach)
+    best = quadratic(hessian, gradient, rows, least - SLACK - overstock)
+    if best is None:
+        raise NotConvergedError("a fit to points with drawn errors has no solution")
+    return best, held.duals
 
 
 def _response(hessian: Array, rows: Array, optimum: Optimum) -> tuple[Array, Index, Array]:
