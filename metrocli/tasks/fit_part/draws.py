@@ -54,7 +54,7 @@ def sensitivity_with_exchanges(fit: Fit, aim: Aim, start: Array, places: Places)
 
 def _along(outward: Array, places: Places) -> Array:
     """Return the standard deviation of each place along a direction, outward (n, 3) -> (n,)."""
-    return np.sqrt(np.einsum("na,nab,nb->n", outward, places.covariance, outward))
+    return np.asarray(np.sqrt(np.einsum("na,nab,nb->n", outward, places.covariance, outward)))
 
 
 def sensitivity_of_draws(fit: Fit, aim: Aim, start: Array, places: Places) -> Sensitivity:
@@ -158,6 +158,6 @@ def drawing(places: Places) -> Callable[[np.random.Generator], Array]:
     def draw(rng: np.random.Generator) -> Array:
         z = rng.normal(size=3 * n)
         mixed = z + along @ (gain * (along.T @ z))
-        return np.einsum("nij,nj->ni", factor, mixed.reshape(n, 3))
+        return np.asarray(np.einsum("nij,nj->ni", factor, mixed.reshape(n, 3)))
 
     return draw
