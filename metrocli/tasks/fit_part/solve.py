@@ -88,7 +88,7 @@ def solve(settings: Settings, prepared: Prepared) -> Solved:
     used = ~settled.outlying if settings.outliers == "remove" else np.ones(len(places.points), dtype=bool)
     stock = settled.stock.of(used)
     name, minimum = settings.overstock.aim, settings.overstock.minimum
-    open_motions = c.must_be_determined(stock.at(settled.into), name)
+    open_motions = c.must_be_determined(stock, settled.into, name)
     turned = reversed_surfaces(stock, nominal, settled.into) if isinstance(nominal, OfSurfaces) else []
     highest, largest, holding = most_of_many(stock, settled.into)
     if not c.feasible(largest, minimum):
@@ -119,7 +119,7 @@ def _rough(prepared: Prepared) -> Array:
         some = np.random.default_rng(1).permutation(n)[:_LAID_ON]
         pose = unturned(nominal, places.points, prepared.start)
         laid = levels(nominal, places.points[some], None, pose, places.sigma[some])
-        if c.open_motions(laid.stock.at(laid.into)):
+        if c.open_motions(laid.stock, laid.into):
             return laid.into
     return found(nominal, places.points, surface, prepared.start)
 
