@@ -104,13 +104,12 @@ def _growing(
             return None
         x, duals = solved
         left = np.where(chosen, np.inf, slack(x))
-        worst = smallest(left, _ADDED)
-        violated = worst[left[worst] < -tolerance]
+        violated = np.flatnonzero(left < -tolerance)
         if not violated.size:
             whole = np.zeros(len(bounds))
             whole[working] = duals
             return x, whole
-        chosen[violated] = True
+        chosen[violated[smallest(left[violated], _ADDED)]] = True
     raise NotConvergedError("the working set of a convex programme does not stop growing")
 
 
