@@ -197,9 +197,9 @@ def _brought_back(stock: Stock, minimum: float, into: Array, metric: Array) -> t
 def convex(objective: Objective, local: Local, duals: Array) -> tuple[Array, float]:
     """Return a second derivative that has a minimum, for the next step, and the penalty p in it.
 
-    It is that of the Lagrangian. Where that bends down across the points that hold the pose, the penalty
-    `p |A x - b|^2 / 2` of their rows is added: it changes no solution that keeps them at the minimum (Nocedal and
-    Wright 2006, chapter 17). Where it bends down along them too, their duals are left out.
+    It is that of the Lagrangian. Where that bends down across the points that hold the pose, p A'A of their rows A is
+    added. It changes no solution that keeps them at the minimum (Nocedal and Wright 2006, chapter 17). Where it bends
+    down along them too, their duals are left out.
     """
     lagrangian, held = objective.hessian - local.curvature(duals), local.rows[duals > 0]
     largest = float(np.abs(np.linalg.eigvalsh(lagrangian)).max())
