@@ -2,7 +2,7 @@
 
 The mesh is a block of 1500 mm x 1000 mm x 400 mm with waves of 3 mm on its faces, as binary STL.
 
-    python -m benchmarks large_mesh [TRIANGLES]
+    python -m benchmarks large_mesh [TRIANGLES] [AIM]
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def write_points(file: Path, n: int) -> None:
     file.write_text("\n".join(["point,x_mm,y_mm,z_mm", *lines, ""]))
 
 
-def main(triangles: int) -> None:
+def main(triangles: int, aim: str) -> None:
     """Print CPU time and memory of the command for several numbers of points."""
     with TemporaryDirectory() as place:
         folder = Path(place)
@@ -74,7 +74,7 @@ def main(triangles: int) -> None:
         job = folder / "job.yaml"
         job.write_text(
             "metrocli: 1\njob: fit-part\ninputs: {points: points.csv, nominal: part.stl}\nnoise: 0.03 mm\n"
-            "overstock: {minimum: 0.2 mm, aim: even}\noutput: part.h5\n"
+            f"overstock: {{minimum: 0.2 mm, aim: {aim}}}\noutput: part.h5\n"
         )
         for n in COUNTS:
             write_points(folder / "points.csv", n)
@@ -88,10 +88,10 @@ def main(triangles: int) -> None:
             _, status, used = os.wait4(started.pid, 0)
             assert status == 0
             print(
-                f"{count} triangles, {n} points: {used.ru_utime + used.ru_stime:.1f} s CPU, "
+                f"{count} triangles, {n} points, aim {aim}: {used.ru_utime + used.ru_stime:.1f} s CPU, "
                 f"{used.ru_maxrss / 1024:.0f} MB"
             )
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 1_000_000)
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 1_000_000, sys.argv[2] if len(sys.argv) > 2 else "even")

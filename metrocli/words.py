@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 
+_MOST_ALLOWED = 40
+"""Words of a list of what is allowed: more than any key has, fewer than the points of a file"""
+
 
 def listed(names: Sequence[str], most: int = 8) -> str:
     """Return names as a text "a, b and 3 more", with at most `most` names."""
@@ -28,4 +31,4 @@ def suggestion(word: str, known: Iterable[str]) -> str:
     """Return "did you mean 'x'?", or the list of allowed words if none is similar."""
     known = list(known)
     meant = nearest(word, known)
-    return f"did you mean '{meant}'?" if meant else f"allowed: {', '.join(known)}"
+    return f"did you mean '{meant}'?" if meant else f"allowed: {listed(known, _MOST_ALLOWED)}"

@@ -72,12 +72,19 @@ def highest(rows: Array, values: Array, reach: float) -> tuple[Optimum, float]:
         solved = linprog(cost, against, values[chosen], bounds=limits, method="highs")
         return (solved.x, -solved.ineqlin.marginals) if solved.status == 0 else None
 
-    start = np.argsort(values)[: 2 * _ADDED]
+    start = smallest(values, 2 * _ADDED)
     found = _growing(solve, lambda x: values + rows @ x[:-1] - x[-1], values, start)
     if found is None:
         raise NotConvergedError("the linear programme of the largest least overstock has no solution")
     x, duals = found
     return Optimum(x[:-1], duals), float((values + rows @ x[:-1]).min())
+
+
+def smallest(values: Array, count: int) -> Index:
+    """Return where the smallest values of (n,) are, `count` of them at most, in no order."""
+    if len(values) <= count:
+        return np.arange(len(values))
+    return np.asarray(np.argpartition(values, count)[:count], dtype=np.intp)
 
 
 def _growing(
@@ -89,7 +96,7 @@ def _growing(
     """Solve with a working set that grows until every inequality is met; None if the working set has no solution."""
     tolerance = _TOLERANCE * (1 + float(np.abs(bounds).max(initial=0.0)))
     chosen = np.zeros(len(bounds), dtype=bool)
-    chosen[np.argsort(-bounds)[:_ADDED] if start is None else start] = True
+    chosen[smallest(-bounds, _ADDED) if start is None else start] = True
     for _ in range(_ROUNDS):
         working = np.flatnonzero(chosen)
         solved = solve(working)
@@ -97,13 +104,12 @@ def _growing(
             return None
         x, duals = solved
         left = np.where(chosen, np.inf, slack(x))
-        worst = np.argsort(left)[:_ADDED]
-        violated = worst[left[worst] < -tolerance]
+        violated = np.flatnonzero(left < -tolerance)
         if not violated.size:
             whole = np.zeros(len(bounds))
             whole[working] = duals
             return x, whole
-        chosen[violated] = True
+        chosen[violated[smallest(left[violated], _ADDED)]] = True
     raise NotConvergedError("the working set of a convex programme does not stop growing")
 
 

@@ -21,9 +21,11 @@ def read(path: Path, held: FileBytes | None = None) -> Triangles:
     """
     import trimesh
 
-    data, kind = BytesIO((held or read_bytes(path, "a mesh")).data), path.suffix.lower().removeprefix(".")
+    data, kind = (held or read_bytes(path, "a mesh")).data, path.suffix.lower().removeprefix(".")
+    if kind == "stl":
+        _must_be_whole(data, path)
     try:
-        scene: Any = trimesh.load_scene(data, file_type=kind, process=False, skip_materials=True)
+        scene: Any = trimesh.load_scene(BytesIO(data), file_type=kind, process=False, skip_materials=True)
         bodies = [body for body in scene.geometry.values() if isinstance(body, trimesh.Trimesh)]
         # joining the bodies of a file copies them, which takes as long as all else of a large mesh
         mesh = bodies[0] if len(bodies) == 1 else scene.to_mesh()
@@ -41,7 +43,16 @@ def read(path: Path, held: FileBytes | None = None) -> Triangles:
 
 _ALIKE = 1e-9
 """Grid on which vertices are one, relative to the largest coordinate: what rounding of a calculation leaves"""
+_EXPORT = "copy or export it again"
 _HINT = "expected a mesh of triangles in STL, PLY or OBJ"
+
+
+def _must_be_whole(data: bytes, path: Path) -> None:
+    """Raise InputError for a binary STL, 84 bytes and 50 for each triangle, that is cut off."""
+    count, found = int.from_bytes(data[80:84], "little"), (len(data) - 84) // 50
+    if len(data) > 84 and b"facet" not in data[:1000] and found < count:
+        fault = Fault(f"the file is cut off: {found} of its {count} triangles are there", str(path), hint=_EXPORT)
+        raise InputError([fault])
 
 
 def _merged(corners: np.typing.NDArray[np.float64]) -> Triangles:

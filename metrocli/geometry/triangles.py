@@ -10,8 +10,10 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
-_SMOOTH = np.cos(np.radians(35.0))
-"""Cosine of the angle between neighbouring triangles up to which they belong to one patch"""
+_SMOOTH = np.radians(35.0)
+"""Angle between neighbouring triangles up to which they belong to one patch"""
+_FLAT = np.radians(0.1)
+"""Angle between neighbouring triangles of a plane, by rounding of its coordinates"""
 NEXT = np.array([1, 2, 0])
 """Corner at the end of the edge that begins at each corner"""
 
@@ -80,35 +82,86 @@ class Triangles:
         return self._paired[1]
 
     @cached_property
-    def patch(self) -> Index:
-        """Smooth patch of each triangle (f,), numbered from the largest area."""
+    def _edges(self) -> tuple[Index, Index, Array]:
+        """Return the two triangles at each edge that has both, and the angle between their normals [rad], (e,) each."""
+        neighbour, _ = self._paired
+        edge = np.flatnonzero(neighbour > np.arange(len(neighbour)))
+        one, other = edge // 3, neighbour[edge] // 3
+        cosine = np.einsum("ek,ek->e", self.normals[one], self.normals[other])
+        return one, other, np.arccos(np.clip(cosine, -1, 1))
+
+    def _joined(self, smooth: npt.NDArray[np.bool_]) -> Index:
+        """Return a label for each triangle (f,), the same for those that smooth edges (e,) join."""
         from scipy.sparse import coo_array
         from scipy.sparse.csgraph import connected_components
 
-        neighbour, _ = self._paired
-        edge = np.flatnonzero(neighbour >= 0)
-        one, other = edge // 3, neighbour[edge] // 3
-        smooth = np.einsum("ek,ek->e", self.normals[one], self.normals[other]) > _SMOOTH
+        one, other, _ = self._edges
         f = len(self.faces)
         links = coo_array((np.ones(int(smooth.sum())), (one[smooth], other[smooth])), shape=(f, f))
-        count, label = connected_components(links, directed=False)
-        rank = np.empty(count, dtype=np.intp)
-        rank[np.argsort(-np.bincount(label, self.areas), kind="stable")] = np.arange(count)
-        return np.asarray(rank[label], dtype=np.intp)
+        return np.asarray(connected_components(links, directed=False)[1], dtype=np.intp)
+
+    @cached_property
+    def patch(self) -> Index:
+        """Smooth patch of each triangle (f,), numbered from the largest area."""
+        label = self._joined(self._edges[2] < _SMOOTH)
+        area = np.bincount(label, self.areas)
+        rank = np.empty(len(area), dtype=np.intp)
+        rank[np.argsort(-area, kind="stable")] = np.arange(len(area))
+        return rank[label]
+
+    @cached_property
+    def _facets_of(self) -> Index:
+        """Return a label of the smooth surface that each triangle is a facet of (f,): finer than the patches.
+
+        Facets of a surface meet at angles alike; where the angle is twice the usual one of the patch, a surface ends.
+        """
+        one, _, angle = self._edges
+        bent = np.flatnonzero((angle > _FLAT) & (angle < _SMOOTH))
+        order = bent[np.lexsort((angle[bent], self.patch[one[bent]]))]
+        present, first, counts = np.unique(self.patch[one[order]], return_index=True, return_counts=True)
+        usual = np.zeros(self.patches)
+        usual[present] = angle[order[first + counts // 2]]
+        return self._joined((angle < _FLAT) | (angle < np.minimum(2 * usual[self.patch[one]], _SMOOTH)))
 
     @property
     def patches(self) -> int:
         """Number of smooth patches."""
         return int(self.patch.max()) + 1
 
+    def _angles(self, faces: Index | slice) -> Array:
+        """Return the angles of some triangles at their corners (k, 3)."""
+        corners = self.corners[faces]
+        ahead = corners[:, NEXT] - corners
+        ahead /= np.maximum(np.linalg.norm(ahead, axis=2), 1e-300)[:, :, None]
+        return np.asarray(np.arccos(np.clip(-np.einsum("fik,fik->fi", ahead, ahead[:, [2, 0, 1]]), -1, 1)))
+
     @cached_property
     def _vertex_normals(self) -> Array:
         """Normals of the vertices, the sum of their faces by the angles there, (m, 3), not of length 1."""
-        ahead = self.corners[:, NEXT] - self.corners
-        ahead /= np.maximum(np.linalg.norm(ahead, axis=2), 1e-300)[:, :, None]
-        angle = np.arccos(np.clip(-np.einsum("fik,fik->fi", ahead, ahead[:, [2, 0, 1]]), -1, 1))
+        angle = self._angles(slice(None))
         weighted = ((angle * self.normals[:, k, None]).ravel() for k in range(3))
         return np.stack([np.bincount(self.faces.ravel(), one, len(self.vertices)) for one in weighted], axis=1)
+
+    def interpolated(self, face: Index, places: Array) -> Array:
+        """Return the normals (n, 3) of the smooth surface that the triangles stand for, at places (n, 3) on triangles.
+
+        They are interpolated between the normals of the vertices, each the sum of the triangles of the surface by their
+        angles there.
+        """
+        at_corner = np.zeros(len(self.vertices), dtype=bool)
+        at_corner[self.faces[face]] = True
+        around = np.flatnonzero(at_corner[self.faces].any(axis=1))
+        keys = self.faces * len(self.faces) + self._facets_of[:, None]
+        found, number = np.unique(keys[around], return_inverse=True)
+        angle = self._angles(around)
+        sums = [np.bincount(number.ravel(), (angle * self.normals[around, k, None]).ravel()) for k in range(3)]
+        of_corner = np.stack(sums, axis=1, dtype=np.float64)[np.searchsorted(found, keys[face])]
+        of_corner = of_corner / np.maximum(np.linalg.norm(of_corner, axis=2), 1e-300)[:, :, None]
+        to_corner = self.corners[face] - places[:, None]
+        against = np.cross(to_corner[:, NEXT], to_corner[:, NEXT[NEXT]])
+        weight = np.maximum(np.einsum("nik,nk->ni", against, self.normals[face]), 0.0)
+        normal = np.einsum("ni,nik->nk", weight, of_corner)
+        return np.asarray(normal / np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None])
 
     def outward(self, face: Index, feature: Index) -> Array:
         """Return the normal of a feature of each triangle (n, 3), not of length 1: face, edge or vertex."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -43,6 +44,11 @@ class Places:
     """K (k, k)"""
     own: Array
     """O (n, 3, 3) mm^2"""
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Covariance of each place (n, 3, 3) mm^2."""
+        return self.own + self.common @ self.core @ np.swapaxes(self.common, 1, 2)
 
     def of(self, rows: npt.NDArray[np.intp] | npt.NDArray[np.bool_]) -> Places:
         """Return some of the places."""

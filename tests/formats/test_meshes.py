@@ -52,3 +52,14 @@ def test_what_is_no_mesh_is_refused_with_its_file(tmp_path: Path) -> None:
         with pytest.raises(InputError) as error:
             meshes.read(tmp_path / name)
         assert name in str(error.value)
+
+
+def test_a_binary_stl_that_is_cut_off(tmp_path: Path) -> None:
+    rows = np.zeros(len(FACES), dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")])
+    rows["corners"] = CORNERS[FACES]
+    whole = bytes(80) + np.uint32(len(FACES)).tobytes() + rows.tobytes()
+    (tmp_path / "a.stl").write_bytes(whole)
+    assert len(meshes.read(tmp_path / "a.stl").faces) == 4
+    (tmp_path / "a.stl").write_bytes(whole[:-60])
+    with pytest.raises(InputError, match="the file is cut off: 2 of its 4 triangles are there"):
+        meshes.read(tmp_path / "a.stl")

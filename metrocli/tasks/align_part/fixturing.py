@@ -94,7 +94,9 @@ def must_level(supports: Table) -> None:
     places = supports.stacked(("x", "y"))
     if len(places) < FEWEST:
         hint = "list the screws below the part, e.g. one at each corner"
-        raise InputError([supports.fault(f"{len(places)} supports; a part is levelled by {FEWEST} or more", hint)])
+        raise InputError(
+            [supports.fault(f"number of supports: {len(places)}; a part is levelled by {FEWEST} or more", hint)]
+        )
     sizes = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
     if sizes[1] < _ON_A_LINE * sizes[0]:
         raise InputError([supports.fault("all supports lie on one line", "add one beside it")])

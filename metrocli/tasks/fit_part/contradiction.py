@@ -17,6 +17,8 @@ from metrocli.words import in_a_row
 
 _OPEN = 1e-4
 """Singular value, relative to the largest, below which a motion changes no overstock"""
+_OF_FACETS = 0.5
+"""Share of the change of the overstock that a smooth surface must have: with less, the facets of the mesh bring it"""
 _NO_TURN = 1e-3
 """Turn over shift of a step, both as motions of the points [mm], up to which it is a shift: rounding leaves far less"""
 _TOLERANCE = 1e-6
@@ -104,12 +106,14 @@ def wrong_side(turned: Sequence[str]) -> str:
     )
 
 
-def must_be_determined(local: Local, aim: str) -> tuple[str, ...]:
+def must_be_determined(stock: Stock, into: Array, aim: str) -> tuple[str, ...]:
     """Raise UndeterminedError if the points leave a motion of the part open that its aim does not decide.
 
     For least-motion an open motion is no fault: the part stays there as it was. Returns sentences about that.
     """
-    motions = [motion_in_words(local, one) for one in open_motions(local)]
+    local = stock.at(into)
+    smooth = stock.smooth_rows(local)
+    motions = [motion_in_words(local, one) for one in _null_space(smooth, local.rows)]
     if motions and aim == LEAST_MOTION:
         return (f"the overstock does not change with {in_a_row(motions)}: there the part stays where it was",)
     if motions:
@@ -118,7 +122,7 @@ def must_be_determined(local: Local, aim: str) -> tuple[str, ...]:
             f"  undetermined, since no overstock changes: {in_a_row(motions)}\n"
             "  what would determine it: points on a surface across that motion, or `aim: least-motion`"
         )
-    alike = _null_space(local.rows - local.rows.mean(axis=0))
+    alike = _null_space(smooth - smooth.mean(axis=0), local.rows - local.rows.mean(axis=0))
     if alike and aim != LEAST_MOTION:
         raise UndeterminedError(
             f"the aim '{aim}' does not determine the pose\n"
@@ -129,17 +133,22 @@ def must_be_determined(local: Local, aim: str) -> tuple[str, ...]:
     return ()
 
 
-def open_motions(local: Local) -> list[Array]:
+def open_motions(stock: Stock, into: Array) -> list[Array]:
     """Return the steps of the pose that change no overstock, each (6,)."""
-    return _null_space(local.rows)
+    local = stock.at(into)
+    return _null_space(stock.smooth_rows(local), local.rows)
 
 
-def _null_space(rows: Array) -> list[Array]:
-    """Return the steps of the pose that change nothing, each (6,): turns, then shifts, along axes where they can be."""
+def _null_space(smooth: Array, rows: Array) -> list[Array]:
+    """Return the steps of the pose that change nothing, each (6,): turns, then shifts, along axes where they can be.
+
+    Nothing but what facets bring: `smooth` (n, 6) are the derivatives without them, `rows` (n, 6) with them.
+    """
     from scipy.linalg import qr
 
-    eigenvalues, vectors = np.linalg.eigh(rows.T @ rows)
-    steps = vectors[:, eigenvalues < _OPEN**2 * eigenvalues[-1]]
+    eigenvalues, vectors = np.linalg.eigh(smooth.T @ smooth)
+    with_facets = ((rows @ vectors) ** 2).sum(axis=0)
+    steps = vectors[:, eigenvalues < np.maximum(_OPEN**2 * eigenvalues[-1], _OF_FACETS**2 * with_facets)]
     _, _, mix = np.linalg.svd(steps[3:], full_matrices=True)
     steps = (steps @ mix.T).T
     turned = ~_is_shift(steps)

@@ -1,12 +1,13 @@
-"""Covariance of a pose with the largest least overstock, from fits to points with drawn errors.
+"""Covariance of a pose that points at the minimum hold, from fits to points with drawn errors.
 
-Errors of a usual size exchange the points that hold such a pose, which a derivative with the same points cannot know.
+Errors of a usual size exchange the points that hold the pose, which a derivative with the same points cannot know.
 Method: docs/algorithms/overstock-fit.md.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,53 +15,114 @@ from metrocli.adjust.small_programmes import Optimum, highest, quadratic
 from metrocli.errors import NotConvergedError
 from metrocli.geometry import poses
 from metrocli.geometry.surfaces import Array, Index
-from metrocli.tasks.fit_part.fit import SLACK, Fit
-from metrocli.tasks.fit_part.uncertainty import Sensitivity
+from metrocli.tasks.fit_part.fit import MOST, SLACK, Aim, Fit, convex
+from metrocli.tasks.fit_part.uncertainty import Sensitivity, gradient_by_point, sensitivity
 from metrocli.uncertainty.predicted import Places
 
 DRAWS = 200
 _SEED = 1
-_REACH = 0.01
-"""Reach of the linear programme of a draw, relative to the size of the point cloud"""
+_NEAR = 5.0
+"""Distance from the minimum, in standard deviations, up to which errors can bring a point there"""
 _REGULAR = 1e-9
 """Share of the mean second derivative of the evenness that keeps motions still which no overstock shows"""
 _NO_ERROR = 1e-3
 """Share of the largest standard deviation that a place is drawn with if it has no error of its own"""
 
 
-def sensitivity_of_draws(fit: Fit, places: Places) -> Sensitivity:
-    """Return how points with drawn errors move a pose with the largest least overstock.
+@dataclass(frozen=True)
+class _Programme:
+    """The quadratic programme of a fit near the fitted pose: `min x'Hx/2 + (g + sum G_i e_i)'x` for errors e."""
+
+    hessian: Array
+    gradient: Array
+    by_point: Array
+    """G (n, 6, 3)"""
+
+
+def sensitivity_with_exchanges(fit: Fit, aim: Aim, start: Array, places: Places) -> Sensitivity:
+    """Return how the points move a fitted pose, from draws where errors can bring points to the minimum or off it.
+
+    `start` (6,) is the pose into the part frame before the fit.
+    """
+    found = sensitivity(fit, aim, start, places)
+    rows, outward = fit.local.rows, fit.local.shape.normal @ poses.rotation_of(fit.into)
+    by_pose = np.einsum("ni,ij,nj->n", rows, found.covariance, rows)
+    spread = np.sqrt(np.maximum(by_pose, 0.0) + _along(outward, places) ** 2)
+    near = (fit.local.overstock - aim.minimum < _NEAR * spread) | (fit.duals > 0)
+    return sensitivity_of_draws(fit, aim, start, places) if spread.any() and near.any() else found
+
+
+def _along(outward: Array, places: Places) -> Array:
+    """Return the standard deviation of each place along a direction, outward (n, 3) -> (n,)."""
+    return np.asarray(np.sqrt(np.einsum("na,nab,nb->n", outward, places.covariance, outward)))
+
+
+def sensitivity_of_draws(fit: Fit, aim: Aim, start: Array, places: Places) -> Sensitivity:
+    """Return how points with drawn errors move a fitted pose.
 
     Each draw e is solved on the overstock `o + n.e + J x`, linear about the fit. With S the mean derivative of the step
     by the points, and r = x - S e what it leaves, the covariance is `S C S' + mean r r'` about the fitted pose. Raises
     NotConvergedError.
     """
     local, n = fit.local, len(fit.local.points)
-    outward = local.shape.normal @ poses.rotation_of(fit.into)
-    rows, centred = local.rows, local.rows - local.rows.mean(axis=0)
-    hessian = centred.T @ centred / n
-    hessian += _REGULAR * np.trace(hessian) * np.eye(6)
+    outward, rows = local.shape.normal @ poses.rotation_of(fit.into), local.rows
+    programme = _programme(fit, aim, start, outward)
+    by_error = programme.by_point.transpose(1, 0, 2).reshape(6, 3 * n)
+    # a longer turn bends the overstock by more than the errors
+    reach = float(np.sqrt(2 * local.lever * _along(outward, places).max()))
     draw, rng = drawing(places), np.random.default_rng(_SEED)
-    steps, errors = np.zeros((DRAWS, 6)), np.zeros((DRAWS, n))
-    by_even, by_overstock = np.zeros((6, 6)), np.zeros((n, 6))
+    steps, errors, gradients = np.zeros((DRAWS, 6)), np.zeros((DRAWS, n)), np.zeros((DRAWS, 6))
+    by_gradient, by_overstock = np.zeros((6, 6)), np.zeros((n, 6))
     for k in range(DRAWS):
-        errors[k] = np.einsum("na,na->n", outward, draw(rng))
-        overstock = local.overstock + errors[k]
-        held, least = highest(rows, overstock, _REACH * local.lever)
-        even = quadratic(hessian, centred.T @ overstock / n, rows, least - SLACK - overstock)
-        if even is None:
-            raise NotConvergedError("a fit to points with drawn errors has no solution")
-        steps[k] = even.x
-        of_gradient, active, of_bounds = _response(hessian, rows, even)
-        by_even -= of_gradient / DRAWS
+        error = draw(rng)
+        errors[k], gradients[k] = np.einsum("na,na->n", outward, error), by_error @ error.ravel()
+        best, level = _solved(
+            programme.hessian, programme.gradient + gradients[k], aim, rows, local.overstock + errors[k], reach
+        )
+        steps[k] = best.x
+        of_gradient, active, of_bounds = _response(programme.hessian, rows, best)
+        by_gradient -= of_gradient / DRAWS
         by_overstock[active] -= of_bounds.T / DRAWS
-        by_overstock += held.duals[:, None] * of_bounds.sum(axis=1) / DRAWS
-    by_overstock += centred @ by_even.T / n
-    rest = steps - errors @ by_overstock
-    by_point = by_overstock[:, :, None] * outward[:, None, :]
+        by_overstock += level[:, None] * of_bounds.sum(axis=1) / DRAWS
+    rest = steps - errors @ by_overstock - gradients @ by_gradient.T
+    by_point = by_gradient @ programme.by_point + by_overstock[:, :, None] * outward[:, None, :]
     own = np.einsum("nia,nab,njb->ij", by_point, places.own, by_point, optimize=True) + rest.T @ rest / DRAWS
     by_common = np.einsum("nia,nak->ik", by_point, places.common, optimize=True)
-    return Sensitivity(by_point, (own + own.T) / 2, by_common, places.core)
+    return Sensitivity(by_point, (own + own.T) / 2, by_common, places.core, drawn=True)
+
+
+def _programme(fit: Fit, aim: Aim, start: Array, outward: Array) -> _Programme:
+    """Return the programme of the draws; that of `most` makes the overstock even, as linear as its other part is."""
+    local, rows, n = fit.local, fit.local.rows, len(fit.local.points)
+    if aim.name == MOST:
+        centred = rows - rows.mean(axis=0)
+        hessian = centred.T @ centred / n
+        hessian += _REGULAR * np.trace(hessian) * np.eye(6)
+        return _Programme(hessian, centred.T @ local.overstock / n, centred[:, :, None] * outward[:, None, :] / n)
+    objective = aim.objective(local)
+    hessian, penalty = convex(objective, local, fit.duals)
+    held = penalty * rows * (fit.duals > 0)[:, None]
+    by_point = gradient_by_point(fit, aim, start) + held[:, :, None] * outward[:, None, :]
+    return _Programme(hessian, objective.gradient - (aim.minimum - local.overstock) @ held, by_point)
+
+
+def _solved(
+    hessian: Array, gradient: Array, aim: Aim, rows: Array, overstock: Array, reach: float
+) -> tuple[Optimum, Array]:
+    """Return the step of a draw, and the derivative of the least overstock that it keeps by that of each point (n,).
+
+    That is the minimum, with derivative 0. For `most`, and where no step within reach leaves the minimum, it is the
+    largest one.
+    """
+    if aim.name != MOST:
+        best = quadratic(hessian, gradient, rows, aim.minimum - overstock)
+        if best is not None and np.abs(best.x).max() < reach:
+            return best, np.zeros(len(overstock))
+    held, least = highest(rows, overstock, reach)
+    best = quadratic(hessian, gradient, rows, least - SLACK - overstock)
+    if best is None:
+        raise NotConvergedError("a fit to points with drawn errors has no solution")
+    return best, held.duals
 
 
 def _response(hessian: Array, rows: Array, optimum: Optimum) -> tuple[Array, Index, Array]:
@@ -96,6 +158,6 @@ def drawing(places: Places) -> Callable[[np.random.Generator], Array]:
     def draw(rng: np.random.Generator) -> Array:
         z = rng.normal(size=3 * n)
         mixed = z + along @ (gain * (along.T @ z))
-        return np.asarray((factor @ mixed.reshape(n, 3, 1))[:, :, 0])
+        return np.asarray(np.einsum("nij,nj->ni", factor, mixed.reshape(n, 3)))
 
     return draw

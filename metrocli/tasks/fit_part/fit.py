@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from metrocli.adjust.small_programmes import highest, quadratic
+from metrocli.adjust.small_programmes import highest, quadratic, smallest
 from metrocli.errors import NotConvergedError
 from metrocli.geometry import poses
 from metrocli.geometry.surfaces import Array
@@ -23,8 +23,12 @@ _STEP = 1e-9
 """Step [mm] at which the iteration ends"""
 _WELL = 1e-9
 """Smallest eigenvalue of a Hessian, relative to the largest, with which a step is computed"""
+_PENALTIES = (0.0, 1.0, 10.0, 100.0, 1000.0)
+"""Weights tried for the square of what the held points miss, relative to the largest eigenvalue of the Hessian"""
 _ROUNDING = 1e-12
-"""Growth of aim and violation that rounding explains, relative to 1 mm^2 and more"""
+"""Growth of the aim that rounding explains, relative to 1 mm^2 and more"""
+_MET = 1e-10
+"""What an overstock may miss of the minimum [mm]"""
 _SMALLEST_REACH = 1e-4
 """Reach of a linear programme [mm] at which the search for the largest least overstock ends: it is then off by less
 than reach^2 over the smallest radius"""
@@ -85,7 +89,7 @@ class Fit:
     """Second derivative of the Lagrangian by the step (6, 6)"""
     iterations: int
     optimality: float
-    """Largest component of `gradient - sum duals rows`, relative to the largest of its parts"""
+    """Largest component of `gradient - sum duals rows`, relative to the root mean square of what the aim makes small"""
 
 
 def most(stock: Stock, into: Array, enough: float = np.inf) -> tuple[Array, float, Array]:
@@ -125,7 +129,7 @@ def most_of_many(stock: Stock, into: Array) -> tuple[Array, float, Array]:
     local = stock.at(into)
     places, overstock = local.points.copy(), local.overstock.copy()
     for _ in range(_ITERATIONS):
-        chosen[np.argsort(overstock)[:_LOWEST]] = True
+        chosen[smallest(overstock, _LOWEST)] = True
         rows = np.flatnonzero(chosen)
         best, least, held = most(stock.of(rows), into)
         placed = poses.apply(best, stock.measured)
@@ -144,50 +148,72 @@ def most_of_many(stock: Stock, into: Array) -> tuple[Array, float, Array]:
 def fit(stock: Stock, aim: Aim, into: Array) -> Fit:
     """Return the best pose that leaves the minimum everywhere, from a pose that does so or nearly does.
 
-    Sequential quadratic programmes with the second derivative of the Lagrangian; a step is halved while it increases
-    aim and violation together. Raises NotConvergedError.
+    Sequential quadratic programmes with the second derivative of the Lagrangian. Each step is brought back to the
+    minimum, which surfaces that bend away from it miss, and halved until the aim is better met. Raises
+    NotConvergedError.
     """
-    local, duals = stock.at(into), np.zeros(len(stock.measured))
-    objective = aim.objective(local)
+    begun = _brought_back(stock, aim.minimum, into, np.eye(6))
+    if begun is None:
+        raise NotConvergedError("no small step leaves the minimum overstock everywhere")
+    into, local = begun
+    duals, objective = np.zeros(len(stock.measured)), aim.objective(local)
     for iteration in range(_ITERATIONS):
-        hessian = _convex(objective, -local.curvature(duals))
-        solved = quadratic(hessian, objective.gradient, local.rows, aim.minimum - local.overstock)
+        hessian, _ = convex(objective, local, duals)
+        short = np.minimum(aim.minimum - local.overstock, 0.0)
+        solved = quadratic(hessian, objective.gradient, local.rows, short)
         if solved is None:
             raise NotConvergedError("no small step leaves the minimum overstock everywhere")
-        price = 2 * float(solved.duals.sum()) + 1e-6
-        step, merit = solved.x, _merit(objective, local, aim, price)
-        duals = solved.duals
-        if np.abs(step).max() < _STEP:
-            return _finished(local, into, objective, duals, iteration)
-        for _ in range(30):
-            tried = local.moved(into, step)
-            other = stock.at(tried)
-            reached = aim.objective(other)
-            if _merit(reached, other, aim, price) <= merit + _ROUNDING * (1 + abs(merit)):
-                break
+        step, duals = solved.x, solved.duals
+        while np.abs(step).max() > _STEP:
+            reached = _brought_back(stock, aim.minimum, local.moved(into, step), hessian)
+            if reached is not None:
+                other = aim.objective(reached[1])
+                if other.value <= objective.value + _ROUNDING * (1 + objective.value):
+                    break
             step = step / 2
-        into, local, objective = tried, other, reached
-        if np.abs(step).max() < _STEP:
+        else:
             return _finished(local, into, objective, duals, iteration)
+        (into, local), objective = reached, other
     raise NotConvergedError(f"the fit of the ideal part did not converge in {_ITERATIONS} iterations")
 
 
-def _merit(objective: Objective, local: Local, aim: Aim, price: float) -> float:
-    return objective.value + price * max(aim.minimum - float(local.overstock.min()), 0.0)
+def _brought_back(stock: Stock, minimum: float, into: Array, metric: Array) -> tuple[Array, Local] | None:
+    """Return the pose that leaves the minimum, by steps as small as they can be, and the overstock there.
+
+    None where what is missed does not shrink by half in each step.
+    """
+    missed = np.inf
+    while True:
+        local = stock.at(into)
+        short = minimum - local.overstock
+        if short.max() < _MET:
+            return into, local
+        step = quadratic(metric, np.zeros(6), local.rows, short) if short.max() < missed / 2 else None
+        if step is None:
+            return None
+        missed, into = float(short.max()), local.moved(into, step.x)
 
 
-def _convex(objective: Objective, of_constraints: Array) -> Array:
-    """Return the second derivative of the Lagrangian, or its part that is never negative where it has no minimum."""
-    for hessian in (objective.hessian + of_constraints, objective.hessian, objective.safe):
+def convex(objective: Objective, local: Local, duals: Array) -> tuple[Array, float]:
+    """Return a second derivative that has a minimum, for the next step, and the penalty p in it.
+
+    It is that of the Lagrangian. Where that bends down across the points that hold the pose, p A'A of their rows A is
+    added. It changes no solution that keeps them at the minimum (Nocedal and Wright 2006, chapter 17). Where it bends
+    down along them too, their duals are left out.
+    """
+    lagrangian, held = objective.hessian - local.curvature(duals), local.rows[duals > 0]
+    largest = float(np.abs(np.linalg.eigvalsh(lagrangian)).max())
+    tried = [(lagrangian + weight * largest * held.T @ held, weight * largest) for weight in _PENALTIES]
+    for hessian, penalty in (*tried, (objective.hessian, 0.0), (objective.safe, 0.0)):
         eigenvalues = np.linalg.eigvalsh(hessian)
         if eigenvalues[0] > _WELL * eigenvalues[-1]:
-            return np.asarray(hessian)
-    return np.asarray(objective.safe + _WELL * np.trace(objective.safe) * np.eye(6))
+            return hessian, penalty
+    return objective.safe + _WELL * np.trace(objective.safe) * np.eye(6), 0.0
 
 
 def _finished(local: Local, into: Array, objective: Objective, duals: Array, iterations: int) -> Fit:
     held = local.rows.T @ duals
-    size = max(float(np.abs(objective.gradient).max()), float(np.abs(held).max()), 1e-9)
+    size = max(float(np.sqrt(2 * objective.value)), 1e-9)
     return Fit(
         into,
         local,

@@ -33,6 +33,10 @@ class OfSurfaces:
         """Return distance, normal and curvature at points (n, 3), each on the surface of its index (n,)."""
         return self.surfaces.shape(points, surface)
 
+    def smooth_normals(self, points: Array, surface: Index) -> Array:
+        """Return the normals at points (n, 3), each on the surface of its index (n,)."""
+        return self.shape(points, surface).normal
+
     def nearest(self, points: Array, levels: Array | float = 0.0) -> Index:
         """Return the surface of each point (n, 3): the one whose overstock is nearest to its level (S,)."""
         return self.surfaces.nearest(points, levels)
@@ -90,6 +94,11 @@ class OfMesh:
         """Return distance and normal at points (n, 3); triangles have no curvature."""
         found = self._nearest(points)
         return Shape(found.distance, found.normal, np.zeros((len(points), 3, 3)))
+
+    def smooth_normals(self, points: Array, surface: Index) -> Array:
+        """Return the normals of the smooth surface that the triangles stand for, at points (n, 3)."""
+        found = self._nearest(points)
+        return self.triangles.interpolated(found.face, points - found.distance[:, None] * found.normal)
 
     def nearest(self, points: Array, levels: Array | float = 0.0) -> Index:
         """Return the patch of the triangle nearest to each point (n, 3)."""

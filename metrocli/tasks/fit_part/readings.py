@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -34,11 +33,10 @@ class Points:
         """(n, 3) mm."""
         return self.places.values
 
-    @cached_property
+    @property
     def covariance(self) -> Array:
         """Covariance of each point (n, 3, 3) mm^2."""
-        common = self.places.common
-        return self.places.own + common @ self.places.core @ np.swapaxes(common, 1, 2)
+        return self.places.covariance
 
     def of(self, rows: npt.NDArray[np.bool_]) -> Points:
         """Return some of the points."""

@@ -13,7 +13,6 @@ from metrocli.result import Estimate, Result, ShownTable
 from metrocli.table import Table
 from metrocli.tasks.fit_part import KIND
 from metrocli.tasks.fit_part.draws import DRAWS
-from metrocli.tasks.fit_part.fit import MOST
 from metrocli.tasks.fit_part.monte_carlo import Check
 from metrocli.tasks.fit_part.solve import Solved
 from metrocli.tasks.fit_part.uncertainty import of_result
@@ -199,19 +198,19 @@ def _notes(solved: Solved, holding: Table) -> Iterator[str]:
     least = float(fit.local.overstock.min())
     largest = f"at most {solved.largest:.3f} mm is possible" if np.isfinite(solved.largest) else "it has no upper limit"
     yield f"least overstock {least:.3f} mm, minimum {minimum:.3f} mm ({largest})"
-    if not len(holding):
-        yield "held by: no point; the best pose has more than the minimum everywhere"
-        return
     share = holding.numbers("share")
     each = [
         f"{surface} ({point}, {100 * part:.0f} %)"
         for surface, point, part in zip(holding.texts("surface"), holding.texts("point"), share, strict=True)
     ]
-    yield f"held by: {listed(each)}; without these points the aim '{solved.aim.name}' would be better met"
-    if solved.aim.name == MOST and solved.sensitivity.covariance.any():
+    if each:
+        yield f"held by: {listed(each)}; without these points the aim '{solved.aim.name}' would be better met"
+    else:
+        yield "held by: no point; the best pose has more than the minimum everywhere"
+    if solved.sensitivity.drawn:
         yield (
-            f"the covariance of the pose is that of {DRAWS} fits to points with drawn errors, which exchange the "
-            "points that hold it"
+            f"the covariance of the pose is that of {DRAWS} fits to points with drawn errors, since errors exchange "
+            "the points that hold it"
         )
 
 

@@ -15,7 +15,7 @@ from metrocli.result import Result
 from metrocli.table import Table
 from metrocli.tasks.fit_part import contradiction as c
 from metrocli.tasks.fit_part import readings as r
-from metrocli.tasks.fit_part.draws import sensitivity_of_draws
+from metrocli.tasks.fit_part.draws import sensitivity_with_exchanges
 from metrocli.tasks.fit_part.fit import MOST, SLACK, Aim, Fit, aimed, fit, most_of_many
 from metrocli.tasks.fit_part.ideal import ideal, must_be_of_one_size
 from metrocli.tasks.fit_part.levels import Levels, levels
@@ -23,7 +23,7 @@ from metrocli.tasks.fit_part.nominals import OfMesh, OfSurfaces
 from metrocli.tasks.fit_part.settings import NominalFile, Settings, Start
 from metrocli.tasks.fit_part.start import found, unturned
 from metrocli.tasks.fit_part.stock import Stock
-from metrocli.tasks.fit_part.uncertainty import Sensitivity, sensitivity
+from metrocli.tasks.fit_part.uncertainty import Sensitivity
 
 _EVENER = 0.5
 """Ratio of the variations of the overstock below which a surface is taken as turned over"""
@@ -88,7 +88,7 @@ def solve(settings: Settings, prepared: Prepared) -> Solved:
     used = ~settled.outlying if settings.outliers == "remove" else np.ones(len(places.points), dtype=bool)
     stock = settled.stock.of(used)
     name, minimum = settings.overstock.aim, settings.overstock.minimum
-    open_motions = c.must_be_determined(stock.at(settled.into), name)
+    open_motions = c.must_be_determined(stock, settled.into, name)
     turned = reversed_surfaces(stock, nominal, settled.into) if isinstance(nominal, OfSurfaces) else []
     highest, largest, holding = most_of_many(stock, settled.into)
     if not c.feasible(largest, minimum):
@@ -102,9 +102,7 @@ def solve(settings: Settings, prepared: Prepared) -> Solved:
     allowed = name != MOST and stock.at(settled.into).overstock.min() >= minimum
     begin = settled.into if allowed else highest
     aim, fitted = fitted_part(stock, name, minimum, (begin, largest, holding), prepared.start)
-    known = places.of(used).places
-    drawn = name == MOST and places.covariance.any()
-    sense = sensitivity_of_draws(fitted, known) if drawn else sensitivity(fitted, aim, prepared.start, known)
+    sense = sensitivity_with_exchanges(fitted, aim, prepared.start, places.of(used).places)
     warnings = (*prepared.readings.warnings, *open_motions)
     return Solved(prepared, settled, used, stock, aim, fitted, largest, sense, warnings)
 
@@ -121,7 +119,7 @@ def _rough(prepared: Prepared) -> Array:
         some = np.random.default_rng(1).permutation(n)[:_LAID_ON]
         pose = unturned(nominal, places.points, prepared.start)
         laid = levels(nominal, places.points[some], None, pose, places.sigma[some])
-        if c.open_motions(laid.stock.at(laid.into)):
+        if c.open_motions(laid.stock, laid.into):
             return laid.into
     return found(nominal, places.points, surface, prepared.start)
 

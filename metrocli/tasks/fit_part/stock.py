@@ -27,6 +27,9 @@ class Nominal(Protocol):
     def shape(self, points: Array, surface: Index) -> Shape:
         """Return distance, normal and curvature at points (n, 3), each on the surface of its index (n,)."""
 
+    def smooth_normals(self, points: Array, surface: Index) -> Array:
+        """Return the normals at points (n, 3) of the smooth surface that the geometry stands for."""
+
 
 @dataclass(frozen=True)
 class Local:
@@ -103,6 +106,10 @@ class Stock:
         centre = points.mean(axis=0)
         lever = float(np.sqrt(((points - centre) ** 2).sum(axis=1).mean())) or 1.0
         return Local(points, self.nominal.shape(points, self.surface), centre, lever)
+
+    def smooth_rows(self, local: Local) -> Array:
+        """Return the derivative of each overstock by the step, (n, 6), but for what the facets of a mesh bring."""
+        return local.rows_along(self.nominal.smooth_normals(local.points, self.surface))
 
     def of(self, rows: Index | np.typing.NDArray[np.bool_]) -> Stock:
         """Return the stock of some of the points."""

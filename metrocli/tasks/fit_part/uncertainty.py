@@ -32,6 +32,8 @@ class Sensitivity:
     """Derivative of the step by the errors that points share (6, k)"""
     core: Array
     """Covariance of these (k, k)"""
+    drawn: bool = False
+    """Whether it comes from fits to points with drawn errors"""
 
     @property
     def covariance(self) -> Array:
@@ -45,34 +47,36 @@ def sensitivity(fit: Fit, aim: Aim, start: Array, places: Places) -> Sensitivity
     `start` (6,) is the pose into the part frame before the fit.
     """
     local, n = fit.local, len(fit.local.points)
-    turn, before = poses.rotation_of(fit.into), poses.rotation_of(start)
-    normal, rows = local.shape.normal, local.rows
     active = np.flatnonzero(fit.duals > 0)
-    weight = _SLIGHT if aim.name == MOST else 1.0
-    by_place = np.zeros((n, 6, 3))
-    changed = -fit.duals
-    if aim.before is not None:
-        moves = local.points - aim.before
-        by_place += np.swapaxes(local.movement, 1, 2) @ (turn - before) / n
-        by_place[:, 3:] -= cross_matrix(moves) @ turn / (local.lever * n)
-    else:
-        centred = local.overstock - local.overstock.mean()
-        along = normal @ turn
-        by_place += weight * (rows - rows.mean(axis=0))[:, :, None] * along[:, None, :] / n
-        changed = changed + weight * centred / n
-    by_place += changed[:, None, None] * _rows_by_place(fit) @ turn
-    hessian = fit.hessian if aim.name != MOST else weight * aim.objective(local).hessian - local.curvature(fit.duals)
-    system, right = _system(hessian, rows[active], aim.name == MOST), np.zeros((n, 0, 3))
-    extra = len(system) - 6
-    right = np.zeros((n, 6 + extra, 3))
-    right[:, :6] = by_place
+    hessian = fit.hessian if aim.name != MOST else _SLIGHT * aim.objective(local).hessian - local.curvature(fit.duals)
+    system = _system(hessian, local.rows[active], aim.name == MOST)
+    right = np.zeros((n, len(system), 3))
+    right[:, :6] = gradient_by_point(fit, aim, start)
     first = len(system) - len(active)
-    right[active, first + np.arange(len(active))] = normal[active] @ turn
+    right[active, first + np.arange(len(active))] = local.shape.normal[active] @ poses.rotation_of(fit.into)
     inverse = np.linalg.pinv(system, rcond=1e-13)
     by_point = -(inverse[:6] @ right)
     own = np.einsum("nia,nab,njb->ij", by_point, places.own, by_point, optimize=True)
     by_common = np.einsum("nia,nak->ik", by_point, places.common, optimize=True)
     return Sensitivity(by_point, (own + own.T) / 2, by_common, places.core)
+
+
+def gradient_by_point(fit: Fit, aim: Aim, start: Array) -> Array:
+    """Return the derivative of the gradient of the Lagrangian by the measured points, (n, 6, 3)."""
+    local, n = fit.local, len(fit.local.points)
+    turn, before = poses.rotation_of(fit.into), poses.rotation_of(start)
+    weight = _SLIGHT if aim.name == MOST else 1.0
+    found, changed = np.zeros((n, 6, 3)), -fit.duals
+    if aim.before is not None:
+        moves = local.points - aim.before
+        found += np.swapaxes(local.movement, 1, 2) @ (turn - before) / n
+        found[:, 3:] -= cross_matrix(moves) @ turn / (local.lever * n)
+    else:
+        centred = local.overstock - local.overstock.mean()
+        along = local.shape.normal @ turn
+        found += weight * (local.rows - local.rows.mean(axis=0))[:, :, None] * along[:, None, :] / n
+        changed = changed + weight * centred / n
+    return found + changed[:, None, None] * _rows_by_place(fit) @ turn
 
 
 def _rows_by_place(fit: Fit) -> Array:

@@ -110,7 +110,8 @@ def test_a_part_that_lies_on_its_side_is_not_levelled() -> None:
 
 
 @pytest.mark.parametrize(
-    ("places", "message"), [(PLACES[:2], "2 supports"), (PLACES[:1] + np.outer(range(4), [5, 7]), "one line")]
+    ("places", "message"),
+    [(PLACES[:2], "number of supports: 2"), (PLACES[:1] + np.outer(range(4), [5, 7]), "one line")],
 )
 def test_supports_that_cannot_level(places: Array, message: str) -> None:
     with pytest.raises(InputError, match=message):

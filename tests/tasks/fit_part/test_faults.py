@@ -79,6 +79,7 @@ def test_targets_and_surfaces_that_no_point_has(tmp_path: Path, metrocli: Metroc
     ran = metrocli("check", job)
     assert ran.code == 3
     assert "targets: no point has the name 'X*'" in ran.err and "surfaces: no point has the name 'Z9'" in ran.err
+    assert "P39 and 92 more" in ran.err and "P40" not in ran.err
 
 
 def test_points_of_a_result_come_with_their_covariance() -> None:
