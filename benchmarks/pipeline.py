@@ -1,6 +1,7 @@
 """Projects that never lie: changes, damages, kills, hard edges, a cluster, and the cost of having nothing to do.
 
-python -m benchmarks pipeline [changes N | damages N | kills N | edges 1 | cluster N | overhead N | diagnosis 1 | idle N ...]
+python -m benchmarks pipeline [changes N | damages N | kills N | edges 1 | cluster N | overhead N | diagnosis 1 |
+    idle N ...]
 """
 
 from __future__ import annotations

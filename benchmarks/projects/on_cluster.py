@@ -70,8 +70,8 @@ def cluster_runs(count: int) -> Iterator[tuple[str, str]]:
 def overhead(count: int) -> tuple[float, float, float, float]:
     """Return the CPU time of a job here with --jobs 2 and on a cluster [ms], and what a run needs beside its jobs [ms].
 
-    All processes count: on the cluster the scheduler, the workers and the run that asks. What is the same for any number
-    of jobs (imports, above all) is told apart by two projects of different size; the least of three times counts.
+    All processes count: on the cluster the scheduler, the workers and the run that asks. Two projects of different size
+    separate what is the same for any number of jobs, above all imports. The least of three times counts.
     """
     few, sizes = max(count // 10, 1), {}
     for jobs in (few, count + few):
