@@ -26,7 +26,7 @@ _MOST_OBJECTS, _MOST_TEXTS, _DEEPEST = 100_000, 100_000, 8
 
 
 class _Held(dict[str, Any]):
-    """Objects of a file by name; to ask for one that is not there finds a fault of the file, which others may have made."""
+    """Objects of a file by name; a missing one that is asked for is a fault of the file, which others may have made."""
 
     def __init__(self, what: str, shown: str) -> None:
         super().__init__()
