@@ -1,7 +1,7 @@
 """Projects that never lie: changes, damages, kills, hard edges, a cluster, and the cost of having nothing to do.
 
 python -m benchmarks pipeline [changes N | damages N | kills N | edges 1 | cluster N | overhead N | diagnosis 1 |
-    idle N ...]
+    idle N | campaign N ...]
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from benchmarks.projects.hard_ends import edges, kills
-from benchmarks.projects.many_jobs import idle
+from benchmarks.projects.many_jobs import idle, idle_campaign
 from benchmarks.projects.on_cluster import cluster_runs, diagnosis_on_cluster, overhead
 from benchmarks.projects.six_jobs import changes, damages
 
 FULL = (
     ("changes", 1000), ("damages", 2000), ("kills", 200), ("edges", 1), ("cluster", 200), ("overhead", 200),
-    ("diagnosis", 1), ("idle", 50), ("idle", 1000), ("idle", 10_000),
+    ("diagnosis", 1), ("idle", 50), ("idle", 1000), ("idle", 10_000), ("campaign", 10_000),
 )  # fmt: skip
 Line = tuple[str, bool]
 """What to print, and whether anything lied"""
@@ -80,9 +80,16 @@ def of_diagnosis(_: int) -> Iterator[Line]:
 
 def of_idle(count: int) -> Iterator[Line]:
     """Yield the line of the runs with nothing to do."""
-    found = idle(count)
-    times = ", ".join(f"{name} {one if isinstance(one, str) else f'{one:.0f} ms'}" for name, one in found.items())
-    yield f"{count} jobs, nothing to do, CPU: {times}", False
+    yield f"{count} jobs, nothing to do, CPU: {_times(idle(count))}", False
+
+
+def of_campaign(count: int) -> Iterator[Line]:
+    """Yield the line of the runs of a campaign with nothing to do."""
+    yield f"{count} parts of one job, nothing to do, CPU: {_times(idle_campaign(count))}", False
+
+
+def _times(found: dict[str, float | str]) -> str:
+    return ", ".join(f"{name} {one if isinstance(one, str) else f'{one:.0f} ms'}" for name, one in found.items())
 
 
 CAMPAIGNS: dict[str, Callable[[int], Iterator[Line]]] = {
@@ -94,6 +101,7 @@ CAMPAIGNS: dict[str, Callable[[int], Iterator[Line]]] = {
     "overhead": of_overhead,
     "diagnosis": of_diagnosis,
     "idle": of_idle,
+    "campaign": of_campaign,
 }
 
 
